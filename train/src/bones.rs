@@ -5,10 +5,10 @@ use kinematics::skeleton::parent_of;
 
 use crate::model::position::Tables;
 
-/// The numbers of the pelvis, which bones do not change.
+/// Coordinates of the pelvis, the first numbers of a frame in points and in bones.
 pub(crate) const ROOT_NUMBERS: usize = 3;
 
-/// A number of a frame of keypoints, as a number of its bone.
+/// One number of the bone vector that ends at a keypoint; for the pelvis its position.
 pub(crate) fn bone_number(frame: &[f32], number: usize) -> f32 {
     if number < ROOT_NUMBERS {
         frame[number]
@@ -17,7 +17,7 @@ pub(crate) fn bone_number(frame: &[f32], number: usize) -> f32 {
     }
 }
 
-/// The number of the parent's keypoint on the same axis.
+/// Index of the parent keypoint's coordinate on the same axis.
 pub(crate) fn parent_number(number: usize) -> usize {
     3 * parent_of(number / 3) + number % 3
 }

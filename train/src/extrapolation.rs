@@ -1,4 +1,4 @@
-//! What follows from the fixed frames of a window, and what is left open.
+//! Linear extrapolation of an edit from the fixed frames of a window, and its residual.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use kinematics::canonical::FIXED_FRAMES;
@@ -21,7 +21,7 @@ pub struct Extrapolation {
     pub(crate) spreads: Vec<f32>,
     /// That of the change where nothing is fixed, `[W]`.
     pub(crate) start_spreads: Vec<f32>,
-    /// Covariance of what is left, for noise of that shape.
+    /// Covariance of the residual; present exactly if the noise is shaped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) shape: Option<NoiseShape>,
 }

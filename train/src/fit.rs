@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::compose::ComposeRecord;
-use crate::config::{TextConfig, TextEncoder, TrainConfig};
+use crate::config::{NoiseKind, TextConfig, TextEncoder, TrainConfig};
 use crate::data::{NoisyBatch, TextVectors, Texts, Timesteps, WindowSampler, WindowSource};
 use crate::diffusion::Objective;
 use crate::extrapolation::Extrapolation;
@@ -87,6 +87,15 @@ impl EditorRecord {
                     "a residual is relative to one of the model's window, other predictions to \
                           none"
                         .to_owned(),
+            });
+        }
+        let shape = self.extrapolation.as_ref().and_then(Extrapolation::shape);
+        let is_shaped = self.train.diffusion.noise == NoiseKind::Shaped;
+        if shape.is_some() != is_shaped || shape.is_some_and(|shape| !shape.fits(self.train.window))
+        {
+            return Err(Error::Config {
+                field: "extrapolation.shape",
+                problem: "shaped noise has one of the model's window, white noise none".to_owned(),
             });
         }
         Ok(())
@@ -274,6 +283,7 @@ pub fn train_motionrefit<'a>(
         compose: corpus.compose.clone(),
         extrapolation: extrapolation.clone(),
     };
+    record.check()?;
     let run = Run::open(
         start,
         &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),

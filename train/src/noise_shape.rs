@@ -21,8 +21,8 @@ const RIDGE: f64 = 1e-4;
 /// the diffusion, so that a small network learns to ignore the noisy window and predicts the mean over all phases of
 /// a gait: a person who glides. Shaped noise hides all parts alike, and the first steps already show a phase.
 ///
-/// The covariance is a product. Over frames, each axis of the pelvis has one of its own, and all bones share one in
-/// units of the standard deviation of each number.
+/// The covariance is separable. Each axis of the pelvis has a temporal covariance; all bones share one, scaled by the
+/// standard deviation of each of their numbers.
 ///
 /// # Source
 /// PriorGrad (Lee et al., ICLR 2022, Sec. 3): diffusion about the mean of a prior, with noise of its covariance.
@@ -76,6 +76,25 @@ impl NoiseShape {
             after_fixed: Covariance::fit(after_fixed, window, FIXED_FRAMES),
             start: Covariance::fit(start, window, 0),
         }
+    }
+
+    /// Whether the tables have the sizes for windows of `window` frames.
+    pub(crate) fn fits(&self, window: usize) -> bool {
+        let has_all = |numbers: &Vec<f32>| numbers.len() == FRAME_WIDTH;
+        has_all(&self.mean)
+            && has_all(&self.standard)
+            && [(&self.after_fixed, FIXED_FRAMES), (&self.start, 0)]
+                .iter()
+                .all(|(covariance, first)| {
+                    let frames = window - first;
+                    covariance.first == *first
+                        && has_all(&covariance.spreads)
+                        && covariance.factors.len() == ROOT_NUMBERS + 1
+                        && covariance
+                            .factors
+                            .iter()
+                            .all(|factor| factor.len() == frames * (frames + 1) / 2)
+                })
     }
 
     /// Shapes the white noise of a window in place. Fixed frames keep theirs.
@@ -160,7 +179,7 @@ impl Covariance {
 
     /// Open frames.
     fn num_frames(&self) -> usize {
-        // F (F + 1) / 2 numbers are at least F² / 2, and fewer than (F + 1)² / 2.
+        // Inverts the number of weights, F (F + 1) / 2.
         (2 * self.factors[0].len()).isqrt()
     }
 

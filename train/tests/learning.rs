@@ -440,6 +440,19 @@ fn gates_are_learned_and_loaded_and_never_exported_in_part() {
     let fell = ended.expect("validated") / begun.expect("a line");
     assert!(fell < 0.2, "{fell}");
     Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
+    // Without the covariance of its noise the editor would sample from other noise than it was trained with.
+    let path = dir.path().join("config.json");
+    let whole = std::fs::read_to_string(&path).expect("a record");
+    let mut record: serde_json::Value = serde_json::from_str(&whole).expect("JSON");
+    let extrapolation = record["config"]["extrapolation"].as_object_mut();
+    extrapolation
+        .expect("fitted")
+        .remove("shape")
+        .expect("fitted");
+    std::fs::write(&path, record.to_string()).expect("writes");
+    let error = Editor::load(dir.path(), Slot::Best, &Device::flex()).expect_err("refused");
+    assert!(error.to_string().contains("extrapolation.shape"), "{error}");
+    std::fs::write(&path, whole).expect("writes");
     let refused = |run: &Path| {
         let out = tempfile::tempdir().expect("a folder");
         let error = export(run, Slot::Best, out.path()).expect_err("the released network has none");

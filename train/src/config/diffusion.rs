@@ -91,7 +91,7 @@ pub enum NoiseKind {
     /// White noise about zero, as published.
     #[default]
     White,
-    /// Noise about the extrapolated change with the covariance of what it leaves open
+    /// Noise centred on the extrapolated change, with the covariance of its residual
     /// ([`NoiseShape`](crate::noise_shape::NoiseShape)).
     Shaped,
 }
@@ -221,7 +221,7 @@ impl DiffusionConfig {
         if self.noise == NoiseKind::Shaped && self.prediction != Prediction::Gated {
             return Err(Error::Config {
                 field: "diffusion.noise",
-                problem: "it is shaped, which needs the prediction gated; set it to white for another one"
+                problem: "it is shaped, which only the prediction gated supports; set it to white"
                     .to_owned(),
             });
         }
