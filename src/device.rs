@@ -80,6 +80,10 @@ pub(crate) struct TrainDeviceArgs {
 }
 
 impl TrainDeviceArgs {
+    pub(crate) fn is_processor(&self) -> bool {
+        matches!(self.one.device, DeviceName::Cpu | DeviceName::Ndarray)
+    }
+
     /// Chooses the devices of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
         self.one.choose_of(self.devices.into())?;

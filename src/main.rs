@@ -14,6 +14,7 @@ mod seeds;
 mod session;
 mod settings;
 mod stages;
+mod trainings;
 
 use std::process::ExitCode;
 

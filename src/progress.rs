@@ -1,13 +1,16 @@
 //! Progress bars on a terminal, single lines elsewhere.
 
 use std::io::IsTerminal;
-use std::sync::Mutex;
+use std::sync::{LazyLock, Mutex};
 use std::time::{Duration, Instant};
 
 use datasets_spec::Progress;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::report;
+
+/// The bars that are drawn now: those of stages side by side stand one below the other.
+static DRAWN: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 
 /// Draws the progress of one stage after another on stderr.
 pub(crate) struct Bars {
@@ -41,7 +44,7 @@ impl Bars {
 
 impl Progress for Bars {
     fn begin(&self, stage: &str, total: Option<u64>) {
-        let bar = match total {
+        let mut bar = match total {
             Some(total) => ProgressBar::new(total),
             None => ProgressBar::new_spinner(),
         };
@@ -53,6 +56,7 @@ impl Progress for Bars {
             let style = ProgressStyle::with_template(template)
                 .unwrap_or_else(|_| ProgressStyle::default_bar());
             bar.set_style(style.progress_chars("=> "));
+            bar = DRAWN.add(bar);
             bar.enable_steady_tick(Duration::from_millis(200));
         } else {
             bar.set_draw_target(ProgressDrawTarget::hidden());
@@ -79,7 +83,8 @@ impl Progress for Bars {
             bar.finish_and_clear();
             if !self.quiet {
                 let secs = begun.elapsed().as_secs_f64();
-                report::note(&format!("{stage:>10}  {summary} ({secs:.1} s)"));
+                let line = format!("{stage:>10}  {summary} ({secs:.1} s)");
+                DRAWN.suspend(|| report::note(&line));
             }
         }
     }

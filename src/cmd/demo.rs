@@ -8,9 +8,9 @@ use pipeline::compose::ItemCount;
 use train::config::{Preset, RunLength, TrainConfig};
 
 use crate::cmd::run::{Plan, RunConfig, finish};
-use crate::device::TrainDeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::trainings::TrainingsArgs;
 
 /// Try the program: run the whole chain on the built-in motion corpus, without files of your own.
 ///
@@ -25,7 +25,7 @@ pub(crate) struct Args {
     #[arg(long)]
     quick: bool,
     #[command(flatten)]
-    device: TrainDeviceArgs,
+    trainings: TrainingsArgs,
 }
 
 /// Items edited. With so many, and such an editor, the intervals of R@1, AvgR and of the position error lie apart from the
@@ -41,7 +41,7 @@ const QUICK_STEPS: u64 = 40;
 const QUICK_ITEMS: usize = 24;
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    args.device.choose()?;
+    args.trainings.choose()?;
     let seed = global.seed();
     let corpus = CorpusOptions {
         seed,
@@ -58,6 +58,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let pairs = folder.join(PAIR_LIST);
     let mut config = RunConfig::new(vec![folder], args.out.clone());
     config.ingest.pairs = Some(pairs);
+    config.stages.without_mcm = true;
     config.items.count = ItemCount::Exactly(if args.quick { QUICK_ITEMS } else { ITEMS });
     let mut plan = Plan::new(config, global)?;
     if args.quick {
@@ -74,7 +75,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
     plan.title = "stance demo".to_owned();
     plan.commands = vec![command];
-    finish(plan, global)
+    finish(plan, &args.trainings, global)
 }
 
 fn shorten(plan: &mut Plan) {

@@ -30,16 +30,17 @@ use train::stage::editor::{EditorInputs, train_editor};
 use train::stage::encoder::train_encoder;
 use train::stage::poses::train_j2s;
 use train::system::{EditConfig, SystemSource};
+use train::text::source::TextEncoderSource;
 use train::tmr::TmrConfig;
 
 use crate::cmd::eval::tables;
 use crate::cmd::page::{opening, strip_of};
-use crate::device::TrainDeviceArgs;
 use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::seeds::Seeds;
-use crate::session::{is_stopped, stopped, text_encoder, with_session};
+use crate::session::{stopped, text_encoder, with_session};
+use crate::trainings::{TrainingsArgs, side_by_side};
 use crate::{report, settings, stages};
 
 /// Run the whole chain on your own motions: build a dataset, train models on it, edit, and score the edits.
@@ -52,7 +53,7 @@ pub(crate) struct Args {
     #[arg(long)]
     config: PathBuf,
     #[command(flatten)]
-    device: TrainDeviceArgs,
+    trainings: TrainingsArgs,
 }
 
 /// The configuration file.
@@ -78,7 +79,7 @@ pub(crate) struct RunConfig {
     masks: MaskConfig,
     /// Optional stages.
     #[serde(default)]
-    stages: Stages,
+    pub(crate) stages: Stages,
     /// Style pairs from labels.
     #[serde(default)]
     pairs: PairConfig,
@@ -120,7 +121,7 @@ pub(crate) struct Stages {
     /// A pose network, which every system edits with.
     poses: bool,
     /// An editor trained on fixed pairs, and its row of the table.
-    without_mcm: bool,
+    pub(crate) without_mcm: bool,
 }
 
 impl Default for Stages {
@@ -217,7 +218,7 @@ impl Plan {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    args.device.choose()?;
+    args.trainings.choose()?;
     let mut config: RunConfig = settings::read(&args.config)?;
     let base = args.config.parent().unwrap_or(Path::new("."));
     let folders = config.sources.iter_mut().chain([&mut config.out]);
@@ -238,7 +239,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         "stance run --config {name}{}",
         global.seed_option()
     )];
-    finish(plan, global)
+    finish(plan, &args.trainings, global)
 }
 
 /// Where the pieces of a run lie.
@@ -275,7 +276,11 @@ impl Places {
 }
 
 /// Runs all stages; those already done are passed over.
-pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
+pub(crate) fn finish(
+    plan: Plan,
+    trainings: &TrainingsArgs,
+    global: &Global,
+) -> anyhow::Result<Exit> {
     let config = &plan.config;
     let places = Places::under(&config.out);
     let bars = global.bars();
@@ -314,62 +319,10 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         .stage(|context| recording::record(&places.dataset, &places.triplets, &recorded, context))
         .context("stage triplets")?;
     let dataset = Dataset::open(&places.dataset)?;
-    let encoder = with_session(&bars, |session| {
-        train_encoder(&places.dataset, &places.encoder, &plan.encoder, session)
-    })
-    .context("stage train tmr")?;
-    if is_stopped() {
-        return Ok(stopped());
-    }
     let text_encoder = text_encoder(config.text_encoder.as_deref());
-    let trained = |run: &Path, compose: &ComposeConfig| {
-        let inputs = EditorInputs {
-            compose,
-            windows: None,
-            text_encoder: &text_encoder,
-        };
-        with_session(&bars, |session| {
-            train_editor(&places.dataset, run, &plan.train, &inputs, session)
-        })
-        .context("stage train motionrefit")
-    };
-    let editor = trained(&places.editor, &plan.compose)?;
-    if is_stopped() {
+    let Some(trained) = train_all(&plan, &places, &text_encoder, trainings, global)? else {
         return Ok(stopped());
-    }
-    let fixed_pairs = ComposeConfig {
-        fixed_pairs: true,
-        ..plan.compose.clone()
     };
-    if config.stages.without_mcm {
-        trained(&places.without_mcm, &fixed_pairs)?;
-    }
-    let guided = config.stages.coordinator && stage::can_coordinate(&places.dataset)?;
-    if config.stages.coordinator && !guided {
-        report::note("no coordinator: the training split holds motions of a single source");
-    }
-    if guided {
-        with_session(&bars, |session| {
-            let config = &plan.coordinator;
-            train_coordinator(
-                &places.dataset,
-                &places.coordinator,
-                config,
-                &plan.compose,
-                session,
-            )
-        })
-        .context("stage train coordinator")?;
-    }
-    if config.stages.poses && !places.poses.join("checkpoint").exists() {
-        with_session(&bars, |session| {
-            train_j2s(&places.dataset, &places.poses, &plan.poses, session)
-        })
-        .context("stage train j2s")?;
-    }
-    if is_stopped() {
-        return Ok(stopped());
-    }
     stages::items(
         &places.dataset,
         &places.items,
@@ -393,7 +346,7 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         tables.push(out);
         anyhow::Ok(())
     };
-    if guided {
+    if trained.is_guided {
         edit(&places.editor, Some(&places.coordinator), "full")?;
     }
     edit(&places.editor, None, "editor")?;
@@ -420,8 +373,8 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
         seeds: config.seeds.in_words(global),
         ingested: &ingested,
         dataset: &dataset,
-        encoder: &encoder,
-        editor: &editor,
+        encoder: &trained.encoder,
+        editor: &trained.editor,
         edits: &edits,
         unknown: &unknown,
         scores: &scores,
@@ -435,6 +388,109 @@ pub(crate) fn finish(plan: Plan, global: &Global) -> anyhow::Result<Exit> {
     } else {
         Exit::Done
     })
+}
+
+/// What training gives to the page.
+struct Trained {
+    editor: TrainReport,
+    encoder: TrainReport,
+    /// Whether there is a coordinator.
+    is_guided: bool,
+}
+
+/// A model of a run.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Trains {
+    Editor,
+    WithoutMcm,
+    Coordinator,
+    Poses,
+    Encoder,
+}
+
+/// Trains all models, those that are trained already aside. None if an interrupt ended it.
+fn train_all(
+    plan: &Plan,
+    places: &Places,
+    text_encoder: &TextEncoderSource,
+    trainings: &TrainingsArgs,
+    global: &Global,
+) -> anyhow::Result<Option<Trained>> {
+    let config = &plan.config;
+    let is_guided = config.stages.coordinator && stage::can_coordinate(&places.dataset)?;
+    if config.stages.coordinator && !is_guided {
+        report::note("no coordinator: the training split holds motions of a single source");
+    }
+    // The longest come first, so that the last ones fill the time that is left.
+    let wanted = [
+        (Trains::Editor, true),
+        (Trains::WithoutMcm, config.stages.without_mcm),
+        (Trains::Coordinator, is_guided),
+        (
+            Trains::Poses,
+            config.stages.poses && !places.poses.join("checkpoint").exists(),
+        ),
+        (Trains::Encoder, true),
+    ];
+    let wanted: Vec<Trains> = wanted
+        .into_iter()
+        .filter_map(|(model, is_wanted)| is_wanted.then_some(model))
+        .collect();
+    let at_once = trainings.at_once(config.preset);
+    let reports = side_by_side(wanted.clone(), at_once, |model| {
+        train_one(model, plan, places, text_encoder, global)
+    })?;
+    let Some(reports) = reports else {
+        return Ok(None);
+    };
+    let report = |model| {
+        let place = wanted.iter().position(|&of| of == model);
+        let report = place.and_then(|place| reports[place].clone());
+        report.expect("every run trains an editor and an encoder")
+    };
+    Ok(Some(Trained {
+        editor: report(Trains::Editor),
+        encoder: report(Trains::Encoder),
+        is_guided,
+    }))
+}
+
+/// Trains a model. A pose network has no such report.
+fn train_one(
+    model: Trains,
+    plan: &Plan,
+    places: &Places,
+    text_encoder: &TextEncoderSource,
+    global: &Global,
+) -> anyhow::Result<Option<TrainReport>> {
+    let dataset = &places.dataset;
+    let fixed_pairs = ComposeConfig {
+        fixed_pairs: true,
+        ..plan.compose.clone()
+    };
+    let (name, run, compose) = match model {
+        Trains::Editor => ("motionrefit", &places.editor, &plan.compose),
+        Trains::WithoutMcm => ("motionrefit", &places.without_mcm, &fixed_pairs),
+        Trains::Coordinator => ("coordinator", &places.coordinator, &plan.compose),
+        Trains::Poses => ("j2s", &places.poses, &plan.compose),
+        Trains::Encoder => ("tmr", &places.encoder, &plan.compose),
+    };
+    with_session(&global.bars(), |session| match model {
+        Trains::Editor | Trains::WithoutMcm => {
+            let inputs = EditorInputs {
+                compose,
+                windows: None,
+                text_encoder,
+            };
+            train_editor(dataset, run, &plan.train, &inputs, session).map(Some)
+        }
+        Trains::Coordinator => {
+            train_coordinator(dataset, run, &plan.coordinator, compose, session).map(Some)
+        }
+        Trains::Poses => train_j2s(dataset, run, &plan.poses, session).map(|_| None),
+        Trains::Encoder => train_encoder(dataset, run, &plan.encoder, session).map(Some),
+    })
+    .with_context(|| format!("stage train {name}"))
 }
 
 /// Results of the stages.

@@ -332,7 +332,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         ]
     );
     assert!(!bench.workshop.path("made").exists());
-    let first: Value = stance(&["--json", "reproduce", arg(&plan)])
+    let first: Value = stance(&["--json", "reproduce", arg(&plan), "--at-once", "2"])
         .expect_code(0)
         .json();
     let out = bench.workshop.path("made");
@@ -371,6 +371,16 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         .json();
     assert_eq!(first, again);
     assert_eq!((count("runs"), count("edits")), (3, 5));
+
+    // Trainings one after the other give the same scores.
+    let other = bench.workshop.path("one-by-one");
+    let plan = ["--json", "reproduce", arg(&plan), "--at-once", "1"];
+    let one_by_one: Value = stance(&[&plan[..], &["--out", arg(&other)]].concat())
+        .expect_code(0)
+        .json();
+    let points = |made: &Value| [0, 1].map(|figure| made["figures"][figure]["points"].clone());
+    assert_eq!(points(&first), points(&one_by_one));
+    assert_eq!(first["tables"][0], one_by_one["tables"][0]);
 }
 
 #[test]
@@ -556,7 +566,7 @@ fn plans_of_the_program_can_be_followed() {
     let listed: Vec<String> = stance(&["--json", "reproduce", "--list"])
         .expect_code(0)
         .json();
-    assert_eq!(listed.len(), 17);
+    assert_eq!(listed.len(), 18);
     for name in listed {
         let ran = stance(&["reproduce", &name, "--dry-run"]).expect_code(0);
         assert!(ran.stdout.lines().count() > 2, "{name}: {}", ran.stdout);

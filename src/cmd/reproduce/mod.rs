@@ -25,11 +25,11 @@ use self::plan::{FigureSpecs, PaperTable, Plan, Trained};
 use self::work::{Work, write};
 use crate::cmd::eval::paper_tables;
 use crate::cmd::page;
-use crate::device::TrainDeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 use crate::session::{is_stopped, stopped};
+use crate::trainings::TrainingsArgs;
 
 /// Reproduce tables and figures of the paper: train what is missing, edit, score, and write them.
 ///
@@ -58,7 +58,7 @@ pub(crate) struct Args {
     #[arg(long)]
     dry_run: bool,
     #[command(flatten)]
-    device: TrainDeviceArgs,
+    trainings: TrainingsArgs,
 }
 
 /// The plans of the program: those of the paper's size, and those for two processor cores.
@@ -86,6 +86,7 @@ const PLANS: &[(&str, &str)] = plans![
     "small/figure-6",
     "small/figure-a1",
     "real-small",
+    "real-small-choices",
 ];
 
 /// Items in the viewer of the page.
@@ -103,7 +104,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         return Ok(Exit::Done);
     };
-    args.device.choose()?;
+    args.trainings.choose()?;
     let plan = read(args, path)?;
     let systems = plan.trained(global)?;
     let figures = plan.figure_specs(global)?;
@@ -114,6 +115,17 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let Some(work) = Work::begin(&plan, global)? else {
         return Ok(stopped());
     };
+    let at_once = args.trainings.at_once(plan.preset);
+    if at_once > 1 {
+        let of_figures = figures.iter().flat_map(|figure| &figure.trained);
+        let specs = systems
+            .iter()
+            .chain(of_figures)
+            .flat_map(|trained| &trained.specs);
+        if work.train_ahead(specs, at_once)?.is_none() {
+            return Ok(stopped());
+        }
+    }
     let mut done = Done::default();
     for (place, system) in systems.iter().enumerate() {
         let name = &system.name;

@@ -54,7 +54,7 @@ pub(super) struct Plan {
     #[serde(alias = "clip")]
     pub(super) text_encoder: Option<PathBuf>,
     #[serde(default = "tiny")]
-    preset: Preset,
+    pub(super) preset: Preset,
     /// Split that the items are drawn from.
     #[serde(default = "test")]
     pub(super) split: Split,
@@ -191,6 +191,17 @@ pub(super) struct Spec {
 }
 
 impl Spec {
+    /// The trainings that its edits need.
+    pub(super) fn trainings(&self) -> impl Iterator<Item = &Training> {
+        [
+            Some(&self.training),
+            self.coordinator.as_ref(),
+            self.poses.as_ref(),
+        ]
+        .into_iter()
+        .flatten()
+    }
+
     pub(super) fn slot(&self) -> Slot {
         self.epoch.map_or(Slot::Best, Slot::Epoch)
     }

@@ -1,6 +1,7 @@
 //! Training, editing and scoring for a plan. Each result lies in a folder that is named by all it depends on,
 //! and is not made again.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -18,9 +19,11 @@ use train::system::SystemSource;
 
 use super::plan::{Plan, Spec, Training};
 use crate::evaluators::EvaluatorRuns;
+use crate::exit::Exit;
 use crate::global::Global;
 use crate::session::{text_encoder, with_session};
 use crate::stages;
+use crate::trainings::side_by_side;
 
 /// A plan under way.
 pub(super) struct Work<'a> {
@@ -77,13 +80,34 @@ impl<'a> Work<'a> {
         }
     }
 
-    fn trained(&self, training: &Training) -> Unless<PathBuf> {
+    fn run_folder(&self, training: &Training) -> PathBuf {
         let name = format!(
             "{}-{}",
             training.model.name,
             short("training", &(training, &self.data))
         );
-        let run = self.plan.out.join("runs").join(name);
+        self.plan.out.join("runs").join(name)
+    }
+
+    /// Makes the trainings of some specifications, `at_once` of them at a time. One that fails is tried again, and its
+    /// error reported, where it is needed.
+    pub(super) fn train_ahead<'s>(
+        &self,
+        specs: impl Iterator<Item = &'s Spec>,
+        at_once: usize,
+    ) -> Unless<()> {
+        let mut seen = BTreeSet::new();
+        let mut wanted: Vec<&Training> = specs.flat_map(Spec::trainings).collect();
+        wanted.retain(|training| seen.insert(self.run_folder(training)));
+        let done = side_by_side(wanted, at_once, |training| match self.trained(training) {
+            Err(error) if Exit::of_error(&error) != Exit::Failed => Err(error),
+            _ => Ok(()),
+        })?;
+        Ok(done.map(|_| ()))
+    }
+
+    fn trained(&self, training: &Training) -> Unless<PathBuf> {
+        let run = self.run_folder(training);
         let request = TrainRequest {
             dataset: &self.plan.dataset,
             start: Start::from(run.as_path()),
