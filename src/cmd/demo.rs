@@ -35,7 +35,9 @@ const ITEMS: usize = 256;
 const ADJUSTED: usize = 2;
 /// Steps of the editor, fewer than the preset's, so that the demo ends within six minutes on two slow cores.
 const STEPS: u64 = 4_000;
-/// Steps of the two models in the quick form.
+/// Steps of the coordinator: on so few clips its validation loss rises again after as many.
+const COORDINATOR_STEPS: u64 = 1_500;
+/// Steps of each model in the quick form.
 const QUICK_STEPS: u64 = 40;
 /// Items edited in the quick form.
 const QUICK_ITEMS: usize = 24;
@@ -65,6 +67,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         shorten(&mut plan);
     } else {
         plan.train.run.length = RunLength::of_steps(STEPS);
+        plan.coordinator.run.length = RunLength::of_steps(COORDINATOR_STEPS);
     }
     let mut command = "stance demo".to_owned();
     if args.quick {

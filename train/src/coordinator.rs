@@ -65,7 +65,8 @@ impl CoordinatorConfig {
     /// # Source
     /// Paper, Sec. 5.2 and App. B.4. The released coordinators were saved after 55 k to 68 k steps; `Official` and
     /// `Paper` make 68 k. Neither publication tells learning rate and batch of this network: they are
-    /// the editor's. `Tiny` has a lower rate, because at the editor's rate the coordinator is at chance after 500 steps.
+    /// the editor's. `Tiny` has a lower rate, because at the editor's rate the coordinator is at chance after 500 steps, and as many
+    /// steps as take its validation loss on real motion well under chance (`eval/RESULTS.md`).
     pub fn preset(preset: Preset) -> Self {
         let editor = TrainConfig::preset(preset);
         let DiffusionConfig {
@@ -96,7 +97,7 @@ impl CoordinatorConfig {
                     },
                     ..editor.run.optimizer
                 },
-                length: RunLength::of_steps(if is_tiny { 1_500 } else { 68_000 }),
+                length: RunLength::of_steps(if is_tiny { 6_000 } else { 68_000 }),
                 keep_epochs: 0,
                 ..editor.run
             },
