@@ -12,6 +12,8 @@ fn read(path: &str) -> String {
 
 /// A table of the document.
 struct Shown {
+    /// Plan that made it.
+    plan: String,
     /// File of the program that it was copied from, such as `table-1`.
     file: String,
     /// The heading above it.
@@ -31,27 +33,30 @@ fn cells(line: &str) -> Vec<String> {
         .collect()
 }
 
-/// Tables between `<!-- tables/FILE.md -->` and `<!-- end -->`.
+/// Tables between `<!-- tables/FILE.md -->`, or `<!-- tables/FILE.md of PLAN -->`, and `<!-- end -->`.
 fn shown(document: &str) -> Vec<Shown> {
     let mut tables: Vec<Shown> = Vec::new();
-    let mut file: Option<String> = None;
+    let mut copied: Option<(String, String)> = None;
     let mut heading = String::new();
     let mut is_open = false;
     for line in document.lines() {
-        let copied = line.strip_prefix("<!-- tables/");
-        if let Some(name) = copied.and_then(|rest| rest.strip_suffix(".md -->")) {
-            file = Some(name.to_owned());
+        let marked = line.strip_prefix("<!-- tables/");
+        if let Some(name) = marked.and_then(|rest| rest.strip_suffix(" -->")) {
+            let (file, plan) = name.split_once(" of ").unwrap_or((name, "real-small"));
+            let file = file.strip_suffix(".md").expect("a file of Markdown");
+            copied = Some((file.to_owned(), plan.to_owned()));
         } else if line == "<!-- end -->" {
-            file = None;
+            copied = None;
         } else if let Some(text) = line.strip_prefix("### ") {
             heading = text.to_owned();
         }
-        let Some(file) = file.as_ref().filter(|_| line.starts_with('|')) else {
+        let Some((file, plan)) = copied.as_ref().filter(|_| line.starts_with('|')) else {
             is_open = false;
             continue;
         };
         if !is_open {
             tables.push(Shown {
+                plan: plan.clone(),
                 file: file.clone(),
                 heading: heading.clone(),
                 head: cells(line),
@@ -102,10 +107,11 @@ fn row_of<'a>(rows: &'a Value, wanted: &[(&str, &str)]) -> Option<&'a Value> {
 #[test]
 fn every_number_of_the_results_is_a_recorded_score() {
     let document = read("eval/RESULTS.md");
-    let record: Value = serde_json::from_str(&read("eval/plans/real-small.json")).expect("JSON");
     let tables = shown(&document);
     let mut checked = 0;
     for table in &tables {
+        let record = read(&format!("eval/plans/{}.json", table.plan));
+        let record: Value = serde_json::from_str(&record).expect("JSON");
         let of_table = record["tables"].as_array().expect("tables");
         let of_table = of_table.iter().find(|made| made[0] == *table.file);
         for row in &table.rows {
@@ -130,7 +136,7 @@ fn every_number_of_the_results_is_a_recorded_score() {
                             let values = point["values"].as_array().expect("values").iter();
                             values.map(label).collect::<Vec<_>>().join(", ") == row[0]
                         });
-                        let (metric, task) = head.rsplit_once(", ").expect("a metric of a task");
+                        let (metric, task) = head.rsplit_once(", ").unwrap_or((head, "all"));
                         let given = ["Real Data", "Identity", "Noise Floor"];
                         let rows = point.expect("a recorded point")["scores"].as_array();
                         rows.expect("rows").iter().find(|row| {
