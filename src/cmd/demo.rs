@@ -35,7 +35,7 @@ const ITEMS: usize = 256;
 const ADJUSTED: usize = 2;
 /// Steps of the editor, fewer than the preset's, so that the demo ends within six minutes on two slow cores.
 const STEPS: u64 = 4_000;
-/// Steps of the coordinator: on so few clips its validation loss rises again after as many.
+/// Steps of the coordinator. On the few clips of the demo, its validation loss rises if it trains longer.
 const COORDINATOR_STEPS: u64 = 1_500;
 /// Steps of each model in the quick form.
 const QUICK_STEPS: u64 = 40;

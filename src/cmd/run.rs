@@ -408,7 +408,7 @@ enum Trains {
     Encoder,
 }
 
-/// Trains all models, those that are trained already aside. None if an interrupt ended it.
+/// Trains the models that are not trained yet. Returns none after an interrupt.
 fn train_all(
     plan: &Plan,
     places: &Places,
@@ -455,7 +455,7 @@ fn train_all(
     }))
 }
 
-/// Trains a model. A pose network has no such report.
+/// Trains one model. Returns none for a pose network, whose report is of another kind.
 fn train_one(
     model: Trains,
     plan: &Plan,

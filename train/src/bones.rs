@@ -8,7 +8,7 @@ use crate::model::position::Tables;
 /// Coordinates of the pelvis, the first numbers of a frame in points and in bones.
 pub(crate) const ROOT_NUMBERS: usize = 3;
 
-/// One number of the bone vector that ends at a keypoint; for the pelvis its position.
+/// Coordinate `number` of a frame of bones: the keypoint minus its parent. The pelvis keeps its position.
 pub(crate) fn bone_number(frame: &[f32], number: usize) -> f32 {
     if number < ROOT_NUMBERS {
         frame[number]

@@ -21,8 +21,8 @@ const RIDGE: f64 = 1e-4;
 /// the diffusion, so that a small network learns to ignore the noisy window and predicts the mean over all phases of
 /// a gait: a person who glides. Shaped noise hides all parts alike, and the first steps already show a phase.
 ///
-/// The covariance is separable. Each axis of the pelvis has a temporal covariance; all bones share one, scaled by the
-/// standard deviation of each of their numbers.
+/// The covariance is separable. Each axis of the pelvis has a temporal covariance. All bones share one, which is scaled
+/// by the standard deviation of each coordinate.
 ///
 /// # Source
 /// PriorGrad (Lee et al., ICLR 2022, Sec. 3): diffusion about the mean of a prior, with noise of its covariance.
@@ -78,7 +78,7 @@ impl NoiseShape {
         }
     }
 
-    /// Whether the tables have the sizes for windows of `window` frames.
+    /// Whether all arrays have the lengths that a window of `window` frames needs.
     pub(crate) fn fits(&self, window: usize) -> bool {
         let has_all = |numbers: &Vec<f32>| numbers.len() == FRAME_WIDTH;
         has_all(&self.mean)

@@ -231,7 +231,7 @@ impl TrainConfig {
     /// configuration (8 layers, smooth L1, batch 256, 4,000 epochs); `algorithms` section 10 lists
     /// where the two differ. `Tiny`: our choice. Shaped noise lets a small network
     /// learn to read noisy windows, and the cosine schedule ends in pure noise, where sampling starts. Editing uses
-    /// temperature 0.5: at 1 edits are more diverse, but farther from their targets. It shows the network the
+    /// temperature 0.5. At temperature 1, edits are more diverse but farther from their targets. It shows the network the
     /// fixed frames nearly clean, as the editor does: the little noise on them teaches it to correct its
     /// own errors from window to window, and two fifths of the windows have no fixed frames, because the
     /// first window of an edit has none. The instruction is added to every frame. For each bone, gates mix the
