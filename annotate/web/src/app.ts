@@ -6,6 +6,7 @@ import { BrowserStore, MemoryStore, type KeyValue } from "./db";
 import { DiskWatch } from "./disk";
 import { fill, h, isTextField, setAttr } from "./dom";
 import { GuideBeside } from "./guide";
+import { LocalJournal } from "./journal";
 import { KeyMap, PART_ACTIONS, chordOf, isAction, type ActionId, type Focus, type KeyOverrides, type Scope } from "./keys";
 import { showKeySheet } from "./keysheet";
 import { adoptUnsent } from "./legacy";
@@ -15,7 +16,7 @@ import { Parts } from "./parts";
 import { CanvasRenderer } from "./stage/canvas2d";
 import { PARENTS } from "./stage/body";
 import { rendererPool } from "./stage/webgl";
-import { leaveTab, nameOfTab, returnToTab } from "./tab";
+import { leaveTab, nameOfTab } from "./tab";
 import type { MakeRenderer } from "./stage/stage";
 import { Toasts, keyButton } from "./ui";
 import { showUnsent } from "./unsent";
@@ -145,7 +146,8 @@ export class App {
     this.keys.override(this.me.prefs.keys as KeyOverrides);
     // Keys that are taken no more would make the server refuse every change of a setting.
     this.me.prefs.keys = Object.fromEntries(Object.entries(this.keys.overrides).map(([id, chords]) => [id, [...chords]]));
-    this.outbox = new Outbox(this.store, this.me.user.id, {
+    const journal = new LocalJournal(this.keep("unstored:"), localStorage);
+    this.outbox = new Outbox(this.store, journal, this.me.user.id, {
       send: (task, events) => this.sendEvents(task, events),
       login: () => this.requireLogin(),
       sleep: (ms) => new Promise((resolve) => window.setTimeout(resolve, ms)),
@@ -525,7 +527,8 @@ export class App {
       if (document.visibilityState !== "hidden") return;
       for (const session of this.sessions) void session.flushDraft();
     });
-    window.addEventListener("pageshow", (event) => event.persisted && returnToTab(sessionStorage));
+    // A page that comes back does not know what the pages after it have sent.
+    window.addEventListener("pageshow", (event) => event.persisted && window.location.reload());
     window.addEventListener("pagehide", () => {
       leaveTab(sessionStorage);
       for (const session of this.sessions) void session.flushDraft();

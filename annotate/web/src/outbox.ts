@@ -31,6 +31,13 @@ export interface OutboxItem {
   problem: Problem | null;
 }
 
+/** Keeps events at once, until the database has them. */
+export interface Journal {
+  all(): OutboxItem[];
+  put(item: OutboxItem): void;
+  remove(key: string): void;
+}
+
 interface Chain {
   rev: number;
 }
@@ -87,12 +94,19 @@ export class Outbox {
 
   constructor(
     private readonly store: KeyValue,
+    private readonly journal: Journal,
     private readonly user: number,
     private readonly hooks: OutboxHooks,
   ) {}
 
-  /** Loads events stored by an earlier page. */
+  /** Loads events stored by an earlier page, and stores what that page was left with too early to store. */
   async open(): Promise<void> {
+    await this.reload();
+    const stored = new Set(this.items.map((item) => item.key));
+    for (const item of this.journal.all()) {
+      if (!stored.has(item.key)) await this.store.put("outbox", item.key, item);
+      this.journal.remove(item.key);
+    }
     await this.reload();
     this.report();
   }
@@ -114,7 +128,7 @@ export class Outbox {
   }
 
   /**
-   * Stores an event and starts sending. Resolves once the event is stored in the browser. It replaces an older
+   * Stores an event and starts sending. Resolves once the event is stored in the browser's database. It replaces an older
    * unsent draft of the same chain.
    */
   async add(task: number, chain: string, event: NewEvent): Promise<void> {
@@ -140,9 +154,11 @@ export class Outbox {
     item.event = { ...event, secs: Math.round(secs * 10) / 10 };
     this.items = [...this.items.filter((old) => !replaced.includes(old)), item];
     this.writing.add(item.key);
+    this.journal.put(item);
     this.report();
     await this.store.put("outbox", item.key, item);
     this.writing.delete(item.key);
+    this.journal.remove(item.key);
     for (const old of replaced) await this.store.remove("outbox", old.key);
     void this.flush();
   }

@@ -38,11 +38,6 @@ export function leaveTab(storage: TabStorage): void {
   storage.setItem(FREE, "1");
 }
 
-/** Call when the browser shows the page again without loading it. */
-export function returnToTab(storage: TabStorage): void {
-  storage.removeItem(FREE);
-}
-
 const lockOf = (name: string): string => `annotate-tab-${name}`;
 const forever = (): Promise<void> => new Promise(() => {});
 

@@ -2,7 +2,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { ApiError, Unreachable, newEvent } from "../src/api";
 import { MemoryStore } from "../src/db";
-import { Outbox, conflictOf, type Outcome, type OutboxStatus } from "../src/outbox";
+import { LocalJournal } from "../src/journal";
+import { Outbox, conflictOf, type Journal, type Outcome, type OutboxStatus } from "../src/outbox";
 import type { Answer, Code, EventResult, NewEvent, Problem } from "../src/wire";
 
 const answer = (text: string): Answer => ({
@@ -68,6 +69,37 @@ class Server {
   }
 }
 
+/** What is stored at once, whatever becomes of the page. */
+class MapStorage implements Storage {
+  private readonly values = new Map<string, string>();
+
+  get length(): number {
+    return this.values.size;
+  }
+
+  key(index: number): string | null {
+    return [...this.values.keys()][index] ?? null;
+  }
+
+  getItem(key: string): string | null {
+    return this.values.get(key) ?? null;
+  }
+
+  setItem(key: string, value: string): void {
+    this.values.set(key, value);
+  }
+
+  removeItem(key: string): void {
+    this.values.delete(key);
+  }
+
+  clear(): void {
+    this.values.clear();
+  }
+}
+
+const journal = (storage = new MapStorage()): Journal => new LocalJournal("unstored:", storage);
+
 interface Bench {
   server: Server;
   store: MemoryStore;
@@ -77,9 +109,9 @@ interface Bench {
   logins: number;
 }
 
-async function bench(server = new Server(), store = new MemoryStore(), user = 1): Promise<Bench> {
+async function bench(server = new Server(), store = new MemoryStore(), user = 1, kept = journal()): Promise<Bench> {
   const own: Bench = { server, store, outcomes: [], states: [], logins: 0 } as unknown as Bench;
-  own.box = new Outbox(store, user, {
+  own.box = new Outbox(store, kept, user, {
     send: (task, events) => server.send(task, events),
     login: async () => {
       own.logins += 1;
@@ -130,7 +162,7 @@ test("drafts that wait are replaced by newer ones of the same editor alone", asy
   const gate = new Promise<void>((resolve) => {
     open = resolve;
   });
-  const box = new Outbox(store, 1, {
+  const box = new Outbox(store, journal(), 1, {
     send: async (task, events) => {
       await gate;
       return server.send(task, events);
@@ -177,6 +209,31 @@ test("what an earlier page left is sent by the next", async () => {
   assert.deepEqual(second.box.pendingAnswer("a"), answer("kept"));
   await second.box.flush();
   assert.equal(second.server.log.length, 1);
+});
+
+test("an event of a page that was left before it was stored is sent by the next, once", async () => {
+  const storage = new MapStorage();
+  const left = new MemoryStore();
+  left.put = () => new Promise(() => {});
+  const first = await bench(new Server(), left, 1, journal(storage));
+  void first.box.add(7, "a", event("draft", "kept"));
+  const store = new MemoryStore();
+  const second = await bench(new Server(), store, 1, journal(storage));
+  assert.deepEqual(second.box.pendingAnswer("a"), answer("kept"));
+  assert.equal(storage.length, 0);
+  await second.box.flush();
+  assert.equal(second.server.log.length, 1);
+  const third = await bench(second.server, store, 1, journal(storage));
+  assert.deepEqual(third.box.waiting, []);
+});
+
+test("an event that is stored is not kept twice", async () => {
+  const storage = new MapStorage();
+  const dead = new Server();
+  dead.send = () => new Promise(() => {});
+  const { box } = await bench(dead, new MemoryStore(), 1, journal(storage));
+  await box.add(7, "a", event("draft", "stored"));
+  assert.equal(storage.length, 0);
 });
 
 test("what another person left is not sent", async () => {

@@ -22,7 +22,7 @@ class Desk {
   now = 0;
   private readonly timers = new Map<number, { at: number; run: () => void }>();
   private made = 0;
-  readonly outbox = new Outbox(this.store, 1, {
+  readonly outbox = new Outbox(this.store, { all: () => [], put: () => {}, remove: () => {} }, 1, {
     send: async (_, events) => events.map((event) => this.take(event)),
     login: () => Promise.resolve(),
     sleep: () => new Promise((resolve) => setImmediate(resolve)),

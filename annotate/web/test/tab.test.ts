@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { leaveTab, nameOfTab, returnToTab, type TabLocks } from "../src/tab";
+import { leaveTab, nameOfTab, type TabLocks } from "../src/tab";
 
 /** The storage of a tab; a duplicated tab begins with a copy. */
 class TabStore {
@@ -61,12 +61,4 @@ test("a page that was killed gives its name to the next page of the tab", async 
   // The browser gives the locks of a killed page back.
   locks.held.clear();
   assert.equal(await nameOfTab(store, locks), name);
-});
-
-test("a tab duplicated after its page came back from the browser's cache gets a name of its own", async () => {
-  const store = new TabStore();
-  const name = await nameOfTab(store, undefined);
-  leaveTab(store);
-  returnToTab(store);
-  assert.notEqual(await nameOfTab(store.copy(), undefined), name);
 });

@@ -464,6 +464,58 @@ async fn a_project_is_not_handed_the_texts_of_another_on_the_same_port() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_was_typed_in_the_last_moment_of_a_page_is_sent_by_the_next() {
+    let mut desk = Desk::open("app/mask").await;
+    let task = desk.browser.task().await;
+    desk.browser.press(&["4", "t"]).await;
+    desk.browser.saved().await;
+    desk.server.down().await;
+    desk.browser
+        .js(
+            "const box = document.querySelector('.mask-card.selected textarea'); \
+             box.value = 'Typed and gone.'; \
+             box.dispatchEvent(new Event('input', { bubbles: true }));",
+        )
+        .await;
+    // Before the pause after which a draft is stored. Another process shows the blank page, and what the database of
+    // this one has not finished is undone.
+    desk.browser.open("about:blank").await;
+    desk.server.up().await;
+    let browser = &desk.browser;
+    browser.open(&desk.server.page("app/home")).await;
+    browser
+        .until("home is shown", "document.querySelector('.queue')")
+        .await;
+    browser.saved().await;
+    let revision = mine(browser, task).await;
+    assert_eq!(revision["answer"]["masks"][0]["text"], "Typed and gone.");
+
+    // The page that was left comes back with all it had in memory.
+    for _ in 0..2 {
+        browser.client().back().await.expect("the page before");
+    }
+    browser
+        .until(
+            "the task is shown",
+            "document.querySelector('.mask-card textarea')",
+        )
+        .await;
+    browser.saved().await;
+    assert_eq!(
+        browser.js(&format!("return {TEXT};")).await,
+        json!("Typed and gone.")
+    );
+    assert_eq!(
+        browser
+            .js("return document.querySelector('button.stuck').hidden;")
+            .await,
+        json!(true)
+    );
+    assert_eq!(mine(browser, task).await["rev"], revision["rev"]);
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn what_an_earlier_version_left_unsent_is_listed_and_not_sent() {
     let desk = Desk::open("app/home").await;
     let browser = &desk.browser;
