@@ -74,10 +74,10 @@ pub(crate) fn surroundings() -> Surroundings {
     }
 }
 
-/// Where CLIP is found: the folder the user names, else the hub's cache.
-pub(crate) fn text_encoder(folder: Option<&std::path::Path>) -> TextEncoderSource {
+/// Where a frozen text encoder is found: what the user names, else CLIP in the hub's cache.
+pub(crate) fn text_encoder(given: Option<&std::path::Path>) -> TextEncoderSource {
     TextEncoderSource {
-        folder: folder.map(std::path::Path::to_owned),
+        given: given.map(std::path::Path::to_owned),
         cache: hub_cache(),
     }
 }

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::ValueEnum;
-use datasets_spec::{Progress, Seed, Skeleton};
+use datasets_spec::{Dataset, Progress, Seed, Skeleton};
 use kinematics::normalise::Normalizer;
+use serde::{Deserialize, Serialize};
 use train::checkpoint::Slot;
 use train::compose::ComposeRecord;
 use train::config::TrainConfig;
@@ -16,15 +17,17 @@ use train::fit::{EditorRecord, TextRecord};
 use train::model::torch::{StateDictOptions, state_dict_from_torch};
 use train::text::clip::{ClipFiles, ClipModel};
 use train::text::hub::Hub;
+use train::text::table::EmbeddingTable;
 use train::tmed::{TmedImport, import_tmed, read_released_statistics};
 
+use crate::cmd::triplets::ComposeArgs;
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::global::{Global, PresetArg};
 use crate::report;
 use crate::session::{hub_cache, text_encoder};
 
-/// Import networks of the released program, and export networks to it.
+/// Import networks of the released program, export networks to it, and prepare text encoders.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -35,11 +38,43 @@ pub(crate) struct Args {
 enum Action {
     Import(ImportArgs),
     Export(ExportArgs),
+    Texts(TextsArgs),
+    Table(TableArgs),
     /// Download a CLIP text encoder into the hub's cache, or resume a download
     ///
     /// The cache is that of the Hugging Face libraries (HF_HUB_CACHE, HF_HOME), the server what
     /// HF_ENDPOINT names; downloads are checked against the checksums that the server announces.
     Fetch(FetchArgs),
+}
+
+/// List every text that models of a dataset are told, for an encoder of texts that is not built in.
+///
+/// The instructions of composed edits in all splits, all captions, and the empty text, one a line; with --json one
+/// document, which `stance model table` reads.
+#[derive(clap::Args, Debug)]
+struct TextsArgs {
+    /// Dataset folder
+    dataset: PathBuf,
+    #[command(flatten)]
+    compose: ComposeArgs,
+}
+
+/// Make a table of text vectors for models with `text.encoder = "table"`.
+///
+/// Encode the texts of `stance model texts DATASET --json` with any program, and save the vectors as NumPy file. Train
+/// with --text-encoder TABLE; the run keeps its part of the table, and edits with it.
+#[derive(clap::Args, Debug)]
+struct TableArgs {
+    /// The document of `stance model texts --json`
+    texts: PathBuf,
+    /// Vectors in the order of the texts: a NumPy file (.npy), one row for each text
+    vectors: PathBuf,
+    /// Name of the encoder, which runs record
+    #[arg(long, value_name = "NAME")]
+    encoder: String,
+    /// Table to write (.safetensors)
+    #[arg(long, value_parser = crate::local::path())]
+    out: PathBuf,
 }
 
 #[derive(clap::Args, Debug)]
@@ -149,6 +184,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         Action::Export(args) => exchange::export(&args.run, args.checkpoint, &args.out)?,
         Action::Fetch(args) => fetch(args.clip, global)?,
+        Action::Texts(args) => return list_texts(args, global),
+        Action::Table(args) => {
+            make_table(args)?;
+            vec![args.out.clone()]
+        }
     };
     if global.json {
         report::json(&serde_json::json!({ "files": files }))?;
@@ -160,6 +200,35 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         report::text(&lines.join("\n"));
     }
     Ok(Exit::Done)
+}
+
+/// The `--json` document of `texts`.
+#[derive(Serialize, Deserialize)]
+struct TextList {
+    texts: Vec<String>,
+}
+
+fn list_texts(args: &TextsArgs, global: &Global) -> anyhow::Result<Exit> {
+    let dataset = Dataset::open(&args.dataset)?;
+    let texts = train::stage::texts::texts(&dataset, &args.compose.config()?)?;
+    if global.json {
+        report::json(&TextList { texts })?;
+    } else {
+        report::text(&texts.join("\n"));
+    }
+    Ok(Exit::Done)
+}
+
+fn make_table(args: &TableArgs) -> anyhow::Result<()> {
+    let TextList { texts } = serde_json::from_slice(&read(&args.texts)?).with_context(|| {
+        format!(
+            "{} is not the document of `stance model texts DATASET --json`",
+            args.texts.display()
+        )
+    })?;
+    let vectors = exchange::read_npy_numbers(&read(&args.vectors)?, &args.vectors)?;
+    let table = EmbeddingTable::of_vectors(&args.encoder, &texts, &vectors)?;
+    Ok(table.save(&args.out)?)
 }
 
 fn fetch(clip: Clip, global: &Global) -> anyhow::Result<Vec<PathBuf>> {

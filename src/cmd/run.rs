@@ -67,7 +67,8 @@ pub(crate) struct RunConfig {
     /// Named settings of the models.
     #[serde(default = "default_preset")]
     preset: Preset,
-    /// Folder of the CLIP text encoder, for settings that use it; without it the hub's cache is searched.
+    /// Folder of CLIP or a table of vectors, for settings with a frozen text encoder; without it CLIP is searched in the
+    /// hub's cache.
     #[serde(alias = "clip")]
     text_encoder: Option<PathBuf>,
     /// Triplets recorded for inspection; training composes its own.

@@ -67,8 +67,9 @@ pub(crate) struct Args {
     /// Maximum mean distance of bones from their lengths in metres
     #[arg(long, value_name = "M", default_value_t = VariantConfig::default().max_bone_drift_m)]
     max_drift: f32,
-    /// Folder of the CLIP text encoder, for a generator that uses it [default: the hub's cache]
-    #[arg(long, value_name = "FOLDER")]
+    /// Folder of CLIP or a table of vectors (`stance model table`), for a generator with a frozen text encoder [default:
+    /// CLIP in the hub's cache]
+    #[arg(long, value_name = "PATH")]
     text_encoder: Option<PathBuf>,
     /// Dataset folder to write
     #[arg(long)]

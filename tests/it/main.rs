@@ -23,6 +23,7 @@ mod results;
 mod seams;
 mod stage;
 mod tables;
+mod texts;
 mod train;
 mod util;
 mod variants;

@@ -14,7 +14,6 @@ use rayon::prelude::*;
 use crate::checkpoint::{Slot, check_skeleton};
 use crate::config::{GuidanceConfig, Preset, TrainConfig};
 use crate::coordinator::TrainedCoordinator;
-use crate::fit::TextRecord;
 use crate::j2s::{J2sPreset, PoseNet, Refinement, solve};
 use crate::sample::{
     EditItem, EditSettings, EditTimes, Editor, FitMethod, keypoint_parent, model_frames,
@@ -182,19 +181,15 @@ impl EditSystem for MotionRefitSystem {
     }
 
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
-        match self.editor.record().config.text {
-            TextRecord::Learned(_) => Ok(()),
-            TextRecord::Frozen { .. } => {
-                let source = &self.source;
-                let table = source.text_encoder.embeddings(
-                    &source.run,
-                    texts,
-                    ClipModel::VitB32,
-                    session,
-                )?;
-                self.editor.set_vectors(Box::new(table))
-            }
-        }
+        let encoder = self.editor.record().config.train.text.encoder;
+        let Some(encoder) = encoder.frozen(ClipModel::VitB32) else {
+            return Ok(());
+        };
+        let source = &self.source;
+        let table = source
+            .text_encoder
+            .embeddings(&source.run, texts, encoder, session)?;
+        self.editor.set_vectors(Box::new(table))
     }
 
     /// With one window at a time the fits take turns too, so that the times are those of a single window.

@@ -54,6 +54,28 @@ pub enum Error {
         /// The cause.
         source: Box<Error>,
     },
+    /// The settings ask for a table of vectors, and none is named.
+    #[error(
+        "text.encoder is table; name the table with --text-encoder (`stance model table` makes one)"
+    )]
+    NoTextTable,
+    /// A table has other vectors than the model was trained with.
+    #[error(
+        "{} has another vector for {text:?} than the model was trained with; make it with the same encoder",
+        path.display()
+    )]
+    OtherVectors {
+        /// The table.
+        path: PathBuf,
+        /// The text.
+        text: String,
+    },
+    /// Numbers are no vectors of texts.
+    #[error("no table can be made: {problem}; give one row for each text of `stance model texts`")]
+    TextVectors {
+        /// What is wrong.
+        problem: String,
+    },
     /// No place for downloads is known.
     #[error("neither HF_HOME nor HOME is set; set one to say where downloads are kept")]
     NoHubCache,
@@ -314,7 +336,7 @@ pub enum Error {
     /// A table of embeddings lacks texts.
     #[error(
         "the table of text embeddings lacks {count} texts, such as {}; make it again from all \
-         instructions",
+         instructions (`stance model texts` lists those of a dataset)",
         quoted(examples)
     )]
     NotEmbedded {

@@ -110,7 +110,7 @@ pub enum TextRecord {
     Learned(Vocabulary),
     /// The frozen encoder.
     Frozen {
-        /// What identifies its weights.
+        /// What identifies it: the hash of its weights, or the name that a table gives it.
         encoder_hash: String,
         /// Numbers of its vectors.
         width: usize,
@@ -132,7 +132,9 @@ impl TextRecord {
     ) -> Result<Self, Error> {
         match (config.encoder, known) {
             (TextEncoder::Learned, Some(text @ Self::Learned(_)))
-            | (TextEncoder::Clip, Some(text @ Self::Frozen { .. })) => Ok(text),
+            | (TextEncoder::Clip | TextEncoder::Table, Some(text @ Self::Frozen { .. })) => {
+                Ok(text)
+            }
             (_, Some(_)) => Err(Error::Config {
                 field: "text.encoder",
                 problem: "it is not that of the run whose weights are to be taken over".to_owned(),
@@ -142,12 +144,11 @@ impl TextRecord {
                 config.words.num_buckets,
                 config.words.max_words,
             )?)),
-            (TextEncoder::Clip, None) => {
+            (TextEncoder::Clip | TextEncoder::Table, None) => {
                 let vectors = vectors.ok_or_else(|| Error::Config {
                     field: "text.encoder",
                     problem:
-                        "it is clip; give the folder of its weights with --text-encoder, or set it \
-                         to learned"
+                        "it is a frozen one; name it with --text-encoder, or set it to learned"
                             .to_owned(),
                 })?;
                 Ok(Self::Frozen {
@@ -195,14 +196,14 @@ impl TextRecord {
         let Some(vectors) = vectors else {
             return Err(Error::Misfit {
                 what: "no text encoder",
-                problem: "it uses CLIP; give its folder with --text-encoder".to_owned(),
+                problem: "it uses a frozen one; name it with --text-encoder".to_owned(),
             });
         };
         if vectors.encoder_hash() != encoder_hash || vectors.width() != *width {
             return Err(Error::Misfit {
                 what: "the text encoder",
                 problem: format!(
-                    "its weights are {:.12}, the model was trained with {encoder_hash:.12}",
+                    "it is {:.12}, the model was trained with {encoder_hash:.12}",
                     vectors.encoder_hash()
                 ),
             });

@@ -24,10 +24,16 @@ pub struct ModelKind {
     pub name: &'static str,
     /// Description in one line.
     pub about: &'static str,
+    /// All settings of a preset: a JSON object, or nothing for a model without settings.
+    pub preset: fn(Preset) -> Value,
     /// Trains it on a dataset.
     pub train: fn(&TrainRequest<'_>, &Session<'_>) -> Result<Trained, Error>,
     /// Opens a trained one as an editing system; `None` for models that do not edit motions.
     pub open: Option<OpenSystem>,
+}
+
+pub(crate) fn document<T: Serialize>(settings: &T) -> Value {
+    serde_json::to_value(settings).expect("settings serialise")
 }
 
 /// Opens a run folder as an editing system for motions on a skeleton.
@@ -49,7 +55,7 @@ pub struct TrainRequest<'a> {
     pub compose: &'a ComposeConfig,
     /// Windows recorded before, in place of composing them.
     pub windows: Option<&'a Path>,
-    /// Where CLIP is found, for settings that use it.
+    /// Where a frozen text encoder is found, for settings that use one.
     pub text_encoder: &'a TextEncoderSource,
     /// Seed in place of that of the settings.
     pub seed: Option<u64>,

@@ -12,7 +12,7 @@ use crate::checkpoint::{RunRecord, read_for_use, read_record, weights_hash};
 use crate::config::Preset;
 use crate::data::TextVectors;
 use crate::diffusion::guide;
-use crate::fit::{TEXT, TextRecord};
+use crate::fit::TEXT;
 use crate::humanml3d::{SourceFeatures, feature_mask};
 use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord, WEIGHTS};
 use crate::model::conditioned::Conditioned;
@@ -368,11 +368,11 @@ impl EditSystem for MdmBpSystem {
     }
 
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
-        if let TextRecord::Frozen { .. } = self.record.text {
+        if let Some(encoder) = self.record.train.text.encoder.frozen(CLIP) {
             let source = &self.source;
             let table = source
                 .text_encoder
-                .embeddings(&source.run, texts, CLIP, session)?;
+                .embeddings(&source.run, texts, encoder, session)?;
             self.record.text.texts(Some(&table))?;
             self.vectors = Some(Box::new(table));
         }

@@ -29,6 +29,7 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: KIND,
     about: "The training target whose instruction is closest: no network, a row to compare with",
+    preset: |_| serde_json::Value::Null,
     train,
     open: Some(open),
 };

@@ -87,6 +87,7 @@ const PLANS: &[(&str, &str)] = plans![
     "small/figure-a1",
     "real-small",
     "real-small-choices",
+    "real-small-text",
 ];
 
 /// Items in the viewer of the page.

@@ -50,7 +50,7 @@ pub(super) struct Plan {
     pub(super) out: PathBuf,
     /// Run folder of the encoder that motions are scored with; without it one is trained under `out`.
     encoder: Option<PathBuf>,
-    /// Folder of CLIP, for settings that use it.
+    /// Folder of CLIP or a table of vectors, for settings with a frozen text encoder.
     #[serde(alias = "clip")]
     pub(super) text_encoder: Option<PathBuf>,
     #[serde(default = "tiny")]
@@ -162,6 +162,10 @@ pub(super) struct Training {
     pub(super) model: &'static ModelKind,
     pub(super) preset: Preset,
     pub(super) own: Value,
+    /// All settings of the preset: another version of the program may have others under its name.
+    pub(super) settings_of_preset: Value,
+    /// Hash of the table of text vectors, if the model is told instructions by one.
+    pub(super) text_table: Option<String>,
     pub(super) compose: ComposeConfig,
     /// Seed in place of that of the model's settings.
     pub(super) seed: Option<u64>,
@@ -472,10 +476,24 @@ impl Plan {
         Ok(Training {
             model,
             preset: self.preset,
+            settings_of_preset: (model.preset)(self.preset),
+            text_table: self.text_table(&own)?,
             own,
             compose: settings::over(compose, "compose", &self.compose)?,
             seed,
         })
+    }
+
+    /// Hash of the table of text vectors, if settings ask for one and it is there.
+    fn text_table(&self, own: &Value) -> anyhow::Result<Option<String>> {
+        let is_asked = own.pointer("/text/encoder") == Some(&json!("table"));
+        let table = self.text_encoder.as_ref();
+        let Some(path) = table.filter(|path| is_asked && path.is_file()) else {
+            return Ok(None);
+        };
+        let bytes =
+            std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        Ok(Some(blake3::hash(&bytes).to_hex().to_string()))
     }
 
     /// The protocol, with a gallery of the paper's tables where it is one of them.

@@ -81,12 +81,10 @@ impl<'a> Work<'a> {
     }
 
     fn run_folder(&self, training: &Training) -> PathBuf {
-        let name = format!(
-            "{}-{}",
-            training.model.name,
-            short("training", &(training, &self.data))
-        );
-        self.plan.out.join("runs").join(name)
+        self.plan
+            .out
+            .join("runs")
+            .join(name_of(training, &self.data))
     }
 
     /// Makes the trainings of some specifications, `at_once` of them at a time. One that fails is tried again, and its
@@ -210,6 +208,12 @@ impl<'a> Work<'a> {
     }
 }
 
+/// Name of the run folder of a training on data of this hash.
+fn name_of(training: &Training, data: &str) -> String {
+    let hash = short("training", &(training, data));
+    format!("{}-{hash}", training.model.name)
+}
+
 /// Name of a folder: a hash of all that its content depends on.
 fn short<T: Serialize>(what: &str, of: &T) -> String {
     format!("{:.12}", plan_hash(what, of))
@@ -222,4 +226,33 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
             .with_context(|| format!("cannot create {}", folder.display()))?;
     }
     std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use train::config::{Preset, TrainConfig};
+    use train::registry;
+
+    use super::*;
+
+    #[test]
+    fn a_training_of_another_version_of_the_preset_is_another_one() {
+        let model = registry::model("coordinator").expect("a model");
+        let training = Training {
+            model,
+            preset: Preset::Tiny,
+            own: serde_json::json!({}),
+            settings_of_preset: (model.preset)(Preset::Tiny),
+            text_table: None,
+            compose: TrainConfig::compose_preset(Preset::Tiny),
+            seed: Some(0),
+        };
+        let mut before = training.clone();
+        before.settings_of_preset["mirrored_ratio"] = serde_json::json!(0.0);
+        assert_eq!(
+            name_of(&training, "data"),
+            name_of(&training.clone(), "data")
+        );
+        assert_ne!(name_of(&training, "data"), name_of(&before, "data"));
+    }
 }

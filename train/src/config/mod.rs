@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::Error;
+use crate::text::clip::ClipModel;
+use crate::text::source::FrozenEncoder;
 use kinematics::canonical::{Anchor, FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::FRAME_WIDTH;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
@@ -188,6 +190,19 @@ pub enum TextEncoder {
     Learned,
     /// The text tower of CLIP, frozen: ViT-B/32, or ViT-L/14 for TMED. Its vectors are made before training.
     Clip,
+    /// Any other frozen encoder: a table of its vectors, one for each text, which its user makes.
+    Table,
+}
+
+impl TextEncoder {
+    /// The frozen encoder that is asked for; `clip` is the one that the model is used to.
+    pub(crate) fn frozen(self, clip: ClipModel) -> Option<FrozenEncoder> {
+        match self {
+            Self::Learned => None,
+            Self::Clip => Some(FrozenEncoder::Clip(clip)),
+            Self::Table => Some(FrozenEncoder::Table),
+        }
+    }
 }
 
 /// Named settings.

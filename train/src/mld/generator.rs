@@ -16,7 +16,7 @@ use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash
 use crate::data::TextVectors;
 use crate::ddim::Ddim;
 use crate::diffusion::guide;
-use crate::fit::{TEXT, TextRecord};
+use crate::fit::TEXT;
 use crate::model::conditioned::Conditioned;
 use crate::model::mld::LatentDenoiser;
 use crate::schedule::Schedule;
@@ -124,10 +124,10 @@ impl Generator {
         source: &TextEncoderSource,
         session: &Session<'_>,
     ) -> Result<(), Error> {
-        if let TextRecord::Frozen { .. } = self.record.text {
+        if let Some(encoder) = self.record.train.text.encoder.frozen(CLIP) {
             let mut texts = texts.to_vec();
             texts.push(String::new());
-            let table = source.embeddings(run, &texts, CLIP, session)?;
+            let table = source.embeddings(run, &texts, encoder, session)?;
             self.record.text.texts(Some(&table))?;
             self.vectors = Some(Box::new(table));
         }

@@ -6,7 +6,7 @@ use datasets_spec::{Dataset, Split};
 use super::encoder::{CaptionedClip, views};
 use super::{MOTIONS, create_dir};
 use crate::captioned::CaptionedCorpus;
-use crate::config::{TextConfig, TextEncoder};
+use crate::config::TextConfig;
 use crate::kind::{TrainRequest, Trained};
 use crate::text::clip::ClipModel;
 use crate::text::source::EMBEDDINGS;
@@ -97,15 +97,15 @@ fn caption_vectors<'a>(
     request: &TrainRequest<'_>,
     session: &Session<'_>,
 ) -> Result<Option<EmbeddingTable>, Error> {
-    if text.encoder == TextEncoder::Learned {
+    let Some(encoder) = text.encoder.frozen(model) else {
         return Ok(None);
-    }
+    };
     let captions = clips.flat_map(|clip| clip.captions.iter().cloned());
     let captions: Vec<String> = captions.chain([String::new()]).collect();
     let run = request.start.run;
     let table = request
         .text_encoder
-        .embeddings(run, &captions, model, session)?;
+        .embeddings(run, &captions, encoder, session)?;
     create_dir(run)?;
     table.save(&run.join(EMBEDDINGS))?;
     Ok(Some(table))

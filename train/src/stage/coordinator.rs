@@ -10,7 +10,7 @@ use super::Streams;
 use crate::checkpoint::Start;
 use crate::compose::ComposeRecord;
 use crate::coordinator::{self, CoordinatorConfig, Segments};
-use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
@@ -18,6 +18,7 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: coordinator::KIND,
     about: "The body-part coordinator, on natural segments and composed ones",
+    preset: |preset| document(&CoordinatorConfig::preset(preset)),
     train,
     open: None,
 };

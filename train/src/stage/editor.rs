@@ -12,10 +12,10 @@ use pipeline::stage::{COMPOSED, library};
 use super::{Streams, create_dir};
 use crate::checkpoint::Start;
 use crate::compose::ComposeRecord;
-use crate::config::{TextEncoder, TrainConfig};
+use crate::config::TrainConfig;
 use crate::edit;
 use crate::fit::{self, Corpus, train_motionrefit};
-use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::text::clip::ClipModel;
 use crate::text::source::{EMBEDDINGS, TextEncoderSource};
 use crate::trainer::TrainReport;
@@ -25,6 +25,7 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: fit::KIND,
     about: "The MotionReFit editor, on triplets composed from motions and masks",
+    preset: |preset| document(&TrainConfig::preset(preset)),
     train,
     open: Some(edit::open),
 };
@@ -36,7 +37,7 @@ pub struct EditorInputs<'a> {
     pub compose: &'a ComposeConfig,
     /// Windows recorded before, in place of composing them.
     pub windows: Option<&'a Path>,
-    /// Where CLIP is found, for settings that use it.
+    /// Where a frozen text encoder is found, for settings that use one.
     pub text_encoder: &'a TextEncoderSource,
 }
 
@@ -78,14 +79,12 @@ pub fn train_editor<'a>(
         Some(loader) => loader.instructions().to_vec(),
         None => train.instructions(),
     };
-    let vectors = match config.text.encoder {
-        TextEncoder::Learned => None,
-        TextEncoder::Clip => {
+    let vectors = match config.text.encoder.frozen(ClipModel::VitB32) {
+        None => None,
+        Some(encoder) => {
             let all = [instructions.clone(), val.instructions()].concat();
-            let table =
-                inputs
-                    .text_encoder
-                    .embeddings(start.run, &all, ClipModel::VitB32, session)?;
+            let source = inputs.text_encoder;
+            let table = source.embeddings(start.run, &all, encoder, session)?;
             create_dir(start.run)?;
             table.save(&start.run.join(EMBEDDINGS))?;
             Some(table)

@@ -7,7 +7,7 @@ use datasets_spec::{Dataset, Motion, Split};
 
 use super::MOTIONS;
 use crate::checkpoint::Start;
-use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::tmr::{self, CaptionedMotion, TmrConfig, TmrCorpus, train_tmr};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
@@ -16,6 +16,7 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: tmr::KIND,
     about: "The encoder of motions and texts that evaluation measures with",
+    preset: |preset| document(&TmrConfig::preset(preset)),
     train,
     open: None,
 };

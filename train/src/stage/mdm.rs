@@ -1,7 +1,7 @@
 //! Training of MDM on the captioned motions of a dataset.
 
 use super::captioned::train_on_captions;
-use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::mdm::{self, MdmConfig, train_mdm};
 use crate::mdm_bp;
 use crate::{Error, Session};
@@ -10,6 +10,7 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: mdm::KIND,
     about: "MDM, on motions and their captions; it edits body parts as MDM-BP",
+    preset: |preset| document(&MdmConfig::preset(preset)),
     train,
     open: Some(mdm_bp::open),
 };

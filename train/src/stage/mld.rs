@@ -1,7 +1,7 @@
 //! Training of MLD on the captioned motions of a dataset.
 
 use super::captioned::train_on_captions;
-use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::mld::{self, MldConfig, train_mld};
 use crate::{Error, Session};
 
@@ -9,6 +9,7 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: mld::KIND,
     about: "MLD, an autoencoder of motions and a diffusion of its latents, for `stance variants`",
+    preset: |preset| document(&MldConfig::preset(preset)),
     train,
     open: None,
 };

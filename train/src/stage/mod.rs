@@ -8,6 +8,7 @@ pub mod encoder;
 pub(crate) mod mdm;
 pub(crate) mod mld;
 pub mod poses;
+pub mod texts;
 pub mod variants;
 
 use std::path::Path;

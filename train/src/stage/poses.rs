@@ -8,13 +8,14 @@ use datasets_spec::{Dataset, Motion, Split};
 use super::MOTIONS;
 use crate::checkpoint::Start;
 use crate::j2s::{self, J2sConfig, J2sReport};
-use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::{Error, Session};
 
 /// The pose network.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: j2s::KIND,
     about: "The network from keypoints to rotations, measured beside the fits that follow it",
+    preset: |preset| document(&J2sConfig::of(preset)),
     train,
     open: None,
 };

@@ -1,4 +1,4 @@
-//! Where CLIP is found, and the embeddings of instructions that it computes.
+//! Where a frozen text encoder is found, and the vectors of instructions.
 
 use std::path::{Path, PathBuf};
 
@@ -12,11 +12,20 @@ use crate::{Error, Session};
 /// Table of the instructions a run was trained with, in its folder.
 pub(crate) const EMBEDDINGS: &str = "embeddings.safetensors";
 
-/// Where CLIP is found.
+/// A text encoder that is not trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrozenEncoder {
+    /// CLIP, which this program runs.
+    Clip(ClipModel),
+    /// Another one, whose vectors are in a table.
+    Table,
+}
+
+/// Where a frozen text encoder is found.
 #[derive(Clone, Debug, Default)]
 pub struct TextEncoderSource {
-    /// Folder given by the user.
-    pub folder: Option<PathBuf>,
+    /// Given by the user: the folder of CLIP, or a table of vectors.
+    pub given: Option<PathBuf>,
     /// Cache of the Hugging Face hub, searched otherwise.
     pub cache: Option<HubCache>,
 }
@@ -31,7 +40,7 @@ impl TextEncoderSource {
     /// # Errors
     /// No place is known, a file is missing, damaged or of another CLIP.
     pub fn load(&self, model: ClipModel, device: &Device) -> Result<ClipEncoder, Error> {
-        let files = match (&self.folder, &self.cache) {
+        let files = match (&self.given, &self.cache) {
             (Some(folder), _) => ClipFiles::in_folder(folder)?,
             (None, Some(cache)) => {
                 ClipFiles::in_cache(model, cache).map_err(|source| Error::NoTextEncoder {
@@ -43,18 +52,49 @@ impl TextEncoderSource {
         ClipEncoder::load(&model.config(), &files, device)
     }
 
-    /// Vectors of texts of a CLIP: those of the run folder if it holds all of them, else computed.
+    /// Vectors of texts: those of the run folder if it holds all of them, else those of the table that the user
+    /// names, or computed by CLIP.
     ///
     /// # Errors
-    /// As [`Self::load`], or a text cannot be encoded.
+    /// As [`Self::load`], a text cannot be encoded, or the table lacks one or contradicts that of the run folder.
     pub(crate) fn embeddings(
         &self,
         run: &Path,
         texts: &[String],
-        model: ClipModel,
+        encoder: FrozenEncoder,
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
-        self.table(run, texts, model, EmbeddingTable::compute, session)
+        match encoder {
+            FrozenEncoder::Clip(model) => {
+                self.computed(run, texts, model, EmbeddingTable::compute, session)
+            }
+            FrozenEncoder::Table => self.given_table(run, texts),
+        }
+    }
+
+    fn given_table(&self, run: &Path, texts: &[String]) -> Result<EmbeddingTable, Error> {
+        let path = run.join(EMBEDDINGS);
+        let own = path
+            .exists()
+            .then(|| EmbeddingTable::load(&path))
+            .transpose()?;
+        let texts = texts.iter().map(String::as_str);
+        if let Some(own) = &own
+            && (self.given.is_none() || own.check_texts(texts.clone()).is_ok())
+        {
+            own.check_texts(texts)?;
+            return Ok(own.clone());
+        }
+        let given = self.given.as_ref().ok_or(Error::NoTextTable)?;
+        let table = EmbeddingTable::load(given)?;
+        table.check_texts(texts)?;
+        if let Some(text) = own.and_then(|own| own.contradiction(&table)) {
+            return Err(Error::OtherVectors {
+                path: given.clone(),
+                text,
+            });
+        }
+        Ok(table)
     }
 
     /// The last hidden states of the tokens of texts in CLIP ViT-L/14: those of the run folder if it holds
@@ -69,10 +109,10 @@ impl TextEncoderSource {
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
         let compute = EmbeddingTable::compute_tokens;
-        self.table(run, texts, ClipModel::VitL14, compute, session)
+        self.computed(run, texts, ClipModel::VitL14, compute, session)
     }
 
-    fn table<'a>(
+    fn computed<'a>(
         &self,
         run: &Path,
         texts: &'a [String],

@@ -111,6 +111,53 @@ impl EmbeddingTable {
         })
     }
 
+    /// A table of vectors that a program of the user's made, in the order of `texts`.
+    ///
+    /// # Shapes
+    /// `values` `[N, d]` for `N` texts.
+    ///
+    /// # Errors
+    /// There is no text, one stands there twice, the numbers cannot be one row for each, or one is not finite.
+    pub fn of_vectors(encoder: &str, texts: &[String], values: &[f32]) -> Result<Self, Error> {
+        let problem = |problem: String| Error::TextVectors { problem };
+        let width = values.len() / texts.len().max(1);
+        if width == 0 || width * texts.len() != values.len() {
+            return Err(problem(format!(
+                "{} numbers are no row for each of {} texts",
+                values.len(),
+                texts.len()
+            )));
+        }
+        let rows: BTreeMap<&String, &[f32]> = texts.iter().zip(values.chunks(width)).collect();
+        if rows.len() != texts.len() {
+            return Err(problem(format!(
+                "only {} of {} texts are different",
+                rows.len(),
+                texts.len()
+            )));
+        }
+        let is_broken = |(_, row): &(&&String, &&[f32])| row.iter().any(|value| !value.is_finite());
+        if let Some((text, _)) = rows.iter().find(is_broken) {
+            return Err(problem(format!("the vector of {text:?} is not finite")));
+        }
+        Ok(Self {
+            encoder: encoder.to_owned(),
+            ends: (1..=texts.len()).collect(),
+            width,
+            values: rows.values().flat_map(|row| row.iter().copied()).collect(),
+            texts: rows.into_keys().cloned().collect(),
+        })
+    }
+
+    /// A text for which the other table has another vector.
+    pub(crate) fn contradiction(&self, other: &Self) -> Option<String> {
+        let differs = |text: &&String| {
+            let theirs = other.get(text);
+            theirs.is_some() && theirs != self.get(text)
+        };
+        self.texts.iter().find(differs).cloned()
+    }
+
     /// Identity of the encoder that made the table.
     pub fn encoder(&self) -> &str {
         &self.encoder
@@ -318,5 +365,62 @@ fn malformed(path: &Path, detail: impl std::fmt::Display) -> Error {
     Error::EmbeddingTable {
         path: path.to_owned(),
         detail: detail.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_a_user_go_to_their_texts() {
+        let texts = ["wave", "bow"].map(str::to_owned);
+        let table =
+            EmbeddingTable::of_vectors("mine", &texts, &[1.0, 2.0, 3.0, 4.0]).expect("rows");
+        assert_eq!(table.texts(), ["bow", "wave"]);
+        assert_eq!((table.encoder(), table.width()), ("mine", 2));
+        assert_eq!(table.get("wave"), Some(&[1.0, 2.0][..]));
+        assert_eq!(table.get("bow"), Some(&[3.0, 4.0][..]));
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("table.safetensors");
+        table.save(&path).expect("writes");
+        assert_eq!(EmbeddingTable::load(&path).expect("whole"), table);
+    }
+
+    #[test]
+    fn what_is_no_row_for_each_text_is_refused() {
+        let refused = |texts: &[&str], values: &[f32], what: &str| {
+            let texts: Vec<String> = texts.iter().map(|&text| text.to_owned()).collect();
+            let error = EmbeddingTable::of_vectors("mine", &texts, values).expect_err("no table");
+            assert!(error.to_string().contains(what), "{error}");
+        };
+        refused(&[], &[], "0 numbers are no row for each of 0 texts");
+        refused(&["wave"], &[], "0 numbers are no row for each of 1 texts");
+        refused(
+            &["wave", "bow"],
+            &[1.0; 3],
+            "3 numbers are no row for each of 2 texts",
+        );
+        refused(
+            &["wave", "wave"],
+            &[1.0; 4],
+            "only 1 of 2 texts are different",
+        );
+        refused(
+            &["wave", "bow"],
+            &[1.0, f32::NAN],
+            "the vector of \"bow\" is not finite",
+        );
+    }
+
+    #[test]
+    fn tables_contradict_each_other_about_a_text_that_both_hold() {
+        let table = |texts: [&str; 2], values: &[f32]| {
+            EmbeddingTable::of_vectors("mine", &texts.map(str::to_owned), values).expect("rows")
+        };
+        let own = table(["wave", "bow"], &[1.0, 2.0]);
+        assert_eq!(own.contradiction(&table(["bow", "run"], &[2.0, 5.0])), None);
+        let other = table(["bow", "run"], &[3.0, 5.0]);
+        assert_eq!(own.contradiction(&other).as_deref(), Some("bow"));
     }
 }

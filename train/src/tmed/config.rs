@@ -237,6 +237,13 @@ impl TmedConfig {
         self.model.check()?;
         self.run.check()?;
         self.diffusion.check()?;
+        if self.text.encoder == TextEncoder::Table {
+            return Err(Error::Config {
+                field: "text.encoder",
+                problem: "a table holds one vector for each text, and TMED reads tokens; set it to learned or clip"
+                    .to_owned(),
+            });
+        }
         positive("max_frames", self.max_frames as u64)?;
         positive("val_clips", self.val_clips as u64)?;
         positive("text.words.num_buckets", self.text.words.num_buckets as u64)?;
@@ -248,7 +255,7 @@ impl TmedConfig {
         /// The context of CLIP.
         const CLIP_TOKENS: usize = 77;
         match self.text.encoder {
-            TextEncoder::Clip => CLIP_TOKENS,
+            TextEncoder::Clip | TextEncoder::Table => CLIP_TOKENS,
             TextEncoder::Learned => self.text.words.max_words,
         }
     }

@@ -15,7 +15,7 @@ use super::task::{KIND, TmedCorpus, train_tmed};
 use crate::checkpoint::Start;
 use crate::compose::ComposeRecord;
 use crate::config::TextEncoder;
-use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::stage::{create_dir, unthinned};
 use crate::text::source::{EMBEDDINGS, TextEncoderSource};
 use crate::trainer::TrainReport;
@@ -25,6 +25,7 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: KIND,
     about: "TMED, a diffusion over whole motions, on composed clips or on captured pairs",
+    preset: |preset| document(&TmedConfig::preset(preset)),
     train,
     open: Some(edit::open),
 };
@@ -65,7 +66,7 @@ pub fn train_on_dataset<'a>(
     };
     let vectors = match config.text.encoder {
         TextEncoder::Learned => None,
-        TextEncoder::Clip => {
+        TextEncoder::Clip | TextEncoder::Table => {
             let all = [texts.as_slice(), &val_texts, &[String::new()]].concat();
             let table = text_encoder.token_embeddings(start.run, &all, session)?;
             create_dir(start.run)?;

@@ -96,7 +96,7 @@ pub fn plan_edits(
         checkpoint: source.slot.name(),
         coordinator: path(&source.coordinator)?,
         poses: path(&source.poses)?,
-        text_encoder: path(&source.text_encoder.folder)?,
+        text_encoder: path(&source.text_encoder.given)?,
         config: config.clone(),
         seed,
         device,

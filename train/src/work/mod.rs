@@ -26,9 +26,9 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    fn text_encoder(&self, folder: Option<PathBuf>) -> TextEncoderSource {
+    fn text_encoder(&self, given: Option<PathBuf>) -> TextEncoderSource {
         TextEncoderSource {
-            folder,
+            given,
             cache: self.cache.clone(),
         }
     }
