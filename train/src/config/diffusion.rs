@@ -166,7 +166,7 @@ pub struct DiffusionConfig {
     pub tell_frames: bool,
 }
 
-fn is_zero(value: &f64) -> bool {
+pub(crate) fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 

@@ -15,6 +15,7 @@ use kinematics::normalise::FRAME_WIDTH;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use pipeline::compose::{ComposeConfig, RangeRule, SlerpRule};
 
+pub(crate) use self::diffusion::is_zero;
 pub use self::diffusion::{
     DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction, PreviousFrames, ScheduleName,
 };

@@ -37,7 +37,15 @@ pub fn train_coordinator<'a>(
     let start = start.into();
     let seed = config.run.seed;
     let dataset = Dataset::open(root)?;
-    let streams = Streams::open(&dataset, compose, config.window, seed, start.range()?)?;
+    let compose = ComposeConfig {
+        mirrored_ratio: if compose.mirrored_ratio > 0.0 {
+            compose.mirrored_ratio
+        } else {
+            config.mirrored_ratio
+        },
+        ..compose.clone()
+    };
+    let streams = Streams::open(&dataset, &compose, config.window, seed, start.range()?)?;
     let record = ComposeRecord {
         config: streams.compose,
         seed: Seed(seed),
