@@ -62,7 +62,7 @@ struct TextsArgs {
 /// Make a table of text vectors for models with `text.encoder = "table"`.
 ///
 /// Encode the texts of `stance model texts DATASET --json` with any program, and save the vectors as NumPy file. Train
-/// with --text-encoder TABLE; the run keeps its part of the table, and edits with it.
+/// with --text-encoder TABLE; the run keeps the table, and edits with it.
 #[derive(clap::Args, Debug)]
 struct TableArgs {
     /// The document of `stance model texts --json`

@@ -121,37 +121,27 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     let draw = ["items", arg(&dataset), "--split", "val", "--count", "3"];
     stance(&[&draw[..], &["--out", arg(&items)]].concat()).expect_code(0);
     let run = workshop.path("editor");
-    let edit = |out: &str, what: &[&str]| {
-        let out = workshop.path(out);
-        stance(&[&["edit", arg(&run), "--out", arg(&out)], what].concat())
-    };
-    edit("edits", &["--items", arg(&items)]).expect_code(0);
-
     let clip = workshop.clip();
-    let told = ["--motion", arg(&clip), "--text", "Spin twice."];
-    let unknown = edit(
-        "unknown",
-        &[&told[..], &["--text-encoder", arg(&table)]].concat(),
-    );
-    let said = unknown.expect_code(1).stderr;
-    assert!(said.contains("\"Spin twice.\""), "{said}");
+    let items = ["--items", arg(&items)];
+    let spin = ["--motion", arg(&clip), "--text", "Spin twice."];
+    let edit = |out: &str, what: &[&str], table: Option<&str>| {
+        let (out, table) = (workshop.path(out), table.map(|name| workshop.path(name)));
+        let mut args = vec!["edit", arg(&run), "--out", arg(&out)];
+        args.extend(what);
+        args.extend(table.iter().flat_map(|path| ["--text-encoder", arg(path)]));
+        stance(&args)
+    };
+    let refused = |what: &[&str], table: &str, why: &str| {
+        let said = edit("refused", what, Some(table)).expect_code(1).stderr;
+        assert!(said.contains(why), "{said}");
+    };
+    edit("edits", &items, None).expect_code(0);
+    refused(&spin, "letters.safetensors", "\"Spin twice.\"");
     let vectors = TextTable::with(&workshop, &["Spin twice."]);
     vectors.write("more.safetensors", 1.0).expect_code(0);
+    edit("spun", &spin, Some("more.safetensors")).expect_code(0);
     // Another encoder under the same name.
     vectors.write("other.safetensors", 2.0).expect_code(0);
-    let (more, other) = (
-        workshop.path("more.safetensors"),
-        workshop.path("other.safetensors"),
-    );
-    edit(
-        "spun",
-        &[&told[..], &["--text-encoder", arg(&more)]].concat(),
-    )
-    .expect_code(0);
-    let refused = edit(
-        "refused",
-        &[&told[..], &["--text-encoder", arg(&other)]].concat(),
-    );
-    let said = refused.expect_code(1).stderr;
-    assert!(said.contains("has another vector for"), "{said}");
+    refused(&spin, "other.safetensors", "has another vector for");
+    refused(&items, "other.safetensors", "has another vector for");
 }

@@ -52,8 +52,8 @@ impl TextEncoderSource {
         ClipEncoder::load(&model.config(), &files, device)
     }
 
-    /// Vectors of texts: those of the run folder if it holds all of them, else those of the table that the user
-    /// names, or computed by CLIP.
+    /// Vectors of texts. Those of CLIP are in the run folder, or computed; those of another encoder are in the table that the
+    /// user names, or in the run folder.
     ///
     /// # Errors
     /// As [`Self::load`], a text cannot be encoded, or the table lacks one or contradicts that of the run folder.
@@ -78,22 +78,22 @@ impl TextEncoderSource {
             .exists()
             .then(|| EmbeddingTable::load(&path))
             .transpose()?;
+        // A folder is that of CLIP, for other models of the same command.
+        let given = self.given.as_ref().filter(|given| !given.is_dir());
+        let table = given.map(|path| EmbeddingTable::load(path)).transpose()?;
         let texts = texts.iter().map(String::as_str);
-        if let Some(own) = &own
-            && (self.given.is_none() || own.check_texts(texts.clone()).is_ok())
-        {
+        let (Some(given), Some(table)) = (given, table) else {
+            let own = own.ok_or(Error::NoTextTable)?;
             own.check_texts(texts)?;
-            return Ok(own.clone());
-        }
-        let given = self.given.as_ref().ok_or(Error::NoTextTable)?;
-        let table = EmbeddingTable::load(given)?;
-        table.check_texts(texts)?;
+            return Ok(own);
+        };
         if let Some(text) = own.and_then(|own| own.contradiction(&table)) {
             return Err(Error::OtherVectors {
                 path: given.clone(),
                 text,
             });
         }
+        table.check_texts(texts)?;
         Ok(table)
     }
 

@@ -43,6 +43,8 @@ pub fn train_on_dataset<'a>(
     text_encoder: &TextEncoderSource,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
+    // Before texts are encoded.
+    config.check()?;
     let start = start.into();
     let dataset = Dataset::open(root)?;
     let skeleton = dataset.skeleton()?;
