@@ -1,9 +1,11 @@
-//! Paths that cannot be URLs.
+//! Paths that cannot be URLs, and files at them.
 
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use datasets_spec::store::is_url;
+use pipeline::write::replace_file;
 
 /// Parses a path and refuses a URL: datasets and sources can be remote, runs, exports and stores cannot.
 pub(crate) fn path() -> impl TypedValueParser<Value = PathBuf> {
@@ -19,4 +21,9 @@ pub(crate) fn check(path: &Path) -> Result<(), String> {
         )),
         false => Ok(()),
     }
+}
+
+/// Writes a file, which appears whole or not at all.
+pub(crate) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    replace_file(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }

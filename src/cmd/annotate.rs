@@ -27,6 +27,7 @@ use signal_hook::flag;
 
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::local;
 use crate::report;
 
 /// Address of a language model's interface, up to and with its version, such as http://localhost:8000/v1.
@@ -700,8 +701,7 @@ fn write_phrases(store: &Store, to: &Path, global: &Global) -> anyhow::Result<Ex
         ..Phrases::default()
     };
     let count: usize = phrases.paraphrases.values().map(Vec::len).sum();
-    std::fs::write(to, toml::to_string(&phrases)?)
-        .with_context(|| format!("cannot write {}", to.display()))?;
+    local::write(to, toml::to_string(&phrases)?.as_bytes())?;
     let text = format!(
         "{count} wordings of {} instructions in {}",
         phrases.paraphrases.len(),

@@ -14,6 +14,7 @@ use serde::Serialize;
 
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::local;
 use crate::report;
 
 /// Mark which body parts each clip is about, and let people correct it.
@@ -60,8 +61,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(file) = &args.drafts {
         let dataset = Dataset::open(&args.dataset)?;
         let lines = annotate::drafts(&dataset.read::<MaskRow>(None)?);
-        std::fs::write(file, annotate::to_json_lines(&lines)?)
-            .with_context(|| format!("cannot write {}", file.display()))?;
+        local::write(file, annotate::to_json_lines(&lines)?.as_bytes())?;
         report::note(&format!(
             "{} drafts; set `verdict` to accept or reject, then: stance masks {} --accept {} --author NAME",
             lines.len(),

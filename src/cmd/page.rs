@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{BodyPart, JointSet, Skeleton};
 use eval::answers::Answered;
@@ -19,6 +19,7 @@ use crate::device::DeviceArgs;
 use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::local;
 use crate::{report, stages};
 
 /// Write one HTML file with the tables of edits, and a 3D viewer in which all systems play side by
@@ -75,8 +76,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         ..of_edits(&answered, &args.edits, tables, args.items, global)?
     };
     let html = page.to_html();
-    std::fs::write(&args.out, &html)
-        .with_context(|| format!("cannot write {}", args.out.display()))?;
+    local::write(&args.out, html.as_bytes())?;
     if global.json {
         report::json(&serde_json::json!({ "out": args.out, "bytes": html.len() }))?;
     } else {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
@@ -12,6 +12,7 @@ use pipeline::open::{clip_of_file, stored_clip, stored_item};
 
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::local;
 use crate::report;
 
 /// Draw clips as strips of figures, coloured from start (orange) to end (blue).
@@ -64,7 +65,7 @@ pub(crate) fn write_picture(path: &Path, svg: &str, zoom: f32) -> anyhow::Result
         Some("png") => raster::png(svg, zoom)?,
         _ => bail!("{} must end in .svg or .png", path.display()),
     };
-    std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+    local::write(path, &bytes)
 }
 
 /// Whether a folder holds items or edits rather than motions.
@@ -203,8 +204,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Some("gif") => raster::gif(&rows, &style, args.zoom / 2.0)?,
         _ => bail!("{} must end in .svg, .png or .gif", args.out.display()),
     };
-    std::fs::write(&args.out, bytes)
-        .with_context(|| format!("cannot write {}", args.out.display()))?;
+    local::write(&args.out, &bytes)?;
     if global.json {
         report::json(&serde_json::json!({ "out": args.out, "clips": rows.len() }))?;
     } else {

@@ -38,6 +38,7 @@ use crate::cmd::page::{opening, strip_of};
 use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::local;
 use crate::seeds::Seeds;
 use crate::session::{stopped, text_encoder, with_session};
 use crate::trainings::{TrainingsArgs, side_by_side};
@@ -381,8 +382,7 @@ pub(crate) fn finish(
         scores: &scores,
     };
     let html = page(&done, &places)?;
-    std::fs::write(&places.report, html)
-        .with_context(|| format!("cannot write {}", places.report.display()))?;
+    local::write(&places.report, html.as_bytes())?;
     print(&done, &places, global)?;
     Ok(if ingested.accounting.quarantined > 0 {
         Exit::Quarantined

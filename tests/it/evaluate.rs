@@ -367,11 +367,74 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     assert!(times.contains("ours"), "{times}");
     let page = fs::read_to_string(out.join("index.html")).expect("a page");
     assert!(page.contains("guidance") && page.contains("Nearest"));
+    // The record holds what tables and figures show.
+    let record = fs::read_to_string(out.join("record.jsonl")).expect("a record");
+    let record: Vec<Value> = record
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect();
+    let shown = |place: &str, at: &Value| {
+        let rows = record.iter();
+        let rows = rows.filter(|row| row["shown_in"] == place && row["at"] == *at);
+        rows.count()
+    };
+    let cells = |row: &&str| row.starts_with('|') && !row.starts_with("| :--");
+    let table = fs::read_to_string(out.join("tables/table-1.md")).expect("a table");
+    let (ours, _) = table.split_once("Published").unwrap_or((&table, ""));
+    let systems = ["Real Data", "Identity", "ours", "Nearest"];
+    let rows = ours.lines().filter(cells);
+    let rows = rows.filter(|row| {
+        systems
+            .iter()
+            .any(|name| row.contains(&format!("| {name} |")))
+    });
+    let numbers = rows.map(|row| {
+        row.split('|')
+            .skip(2)
+            .filter(|cell| cell.contains('.'))
+            .count()
+    });
+    assert_eq!(shown("table-1", &Value::Null), numbers.sum::<usize>());
+    assert_eq!(shown("MCM ratio", &serde_json::json!([0.2])), 2);
+    let guided = serde_json::json!([2.0, 0.5]);
+    let point = &first["figures"][1]["points"][1];
+    assert_eq!(point["values"], guided);
+    for row in record
+        .iter()
+        .filter(|row| row["shown_in"] == "guidance" && row["at"] == guided)
+    {
+        assert_eq!(
+            (&row["task"], &row["system"]),
+            (&"semantic".into(), &"ours".into())
+        );
+        let scores = point["scores"].as_array().expect("scores");
+        let is_same = |score: &&Value| {
+            ["task", "system", "metric"]
+                .iter()
+                .all(|key| score[*key] == row[*key])
+        };
+        let score = scores.iter().find(is_same).expect("a score");
+        assert_eq!(
+            (&row["mean"], &row["ci95"]),
+            (&score["mean"], &score["ci95"])
+        );
+    }
+
+    // A file is replaced, never written over.
+    let (page, old) = (out.join("index.html"), out.join("old.html"));
+    fs::hard_link(&page, &old).expect("a second name");
+    fs::write(&old, "old").expect("writes");
     let again: Value = stance(&["--json", "reproduce", arg(&plan)])
         .expect_code(0)
         .json();
     assert_eq!(first, again);
     assert_eq!((count("runs"), count("edits")), (3, 5));
+    assert_eq!(fs::read_to_string(&old).expect("a file"), "old");
+    assert!(
+        fs::read_to_string(&page)
+            .expect("a page")
+            .contains("guidance")
+    );
 
     // Trainings one after the other give the same scores.
     let other = bench.workshop.path("one-by-one");

@@ -98,10 +98,19 @@ fn label(value: &Value) -> String {
         .map_or_else(|| value.to_string(), str::to_owned)
 }
 
-fn row_of<'a>(rows: &'a Value, wanted: &[(&str, &str)]) -> Option<&'a Value> {
-    let rows = rows.as_array().expect("rows");
-    rows.iter()
-        .find(|row| wanted.iter().all(|(key, value)| row[*key] == *value))
+/// The scores of a plan that `stance reproduce` recorded.
+fn record(plan: &str) -> Vec<Value> {
+    let lines = read(&format!("eval/plans/{plan}.record.jsonl"));
+    lines
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect()
+}
+
+/// Values of a figure's point as a table shows them; empty for a score of a table.
+fn point_of(row: &Value) -> String {
+    let values = row["at"].as_array().into_iter().flatten();
+    values.map(label).collect::<Vec<_>>().join(", ")
 }
 
 #[test]
@@ -110,43 +119,22 @@ fn every_number_of_the_results_is_a_recorded_score() {
     let tables = shown(&document);
     let mut checked = 0;
     for table in &tables {
-        let record = read(&format!("eval/plans/{}.json", table.plan));
-        let record: Value = serde_json::from_str(&record).expect("JSON");
-        let of_table = record["tables"].as_array().expect("tables");
-        let of_table = of_table.iter().find(|made| made[0] == *table.file);
+        let record = record(&table.plan);
+        let is_figure = record.iter().any(|row| row["shown_in"] == *table.heading);
         for row in &table.rows {
             for (head, cell) in std::iter::zip(&table.head, row).skip(1) {
-                let found = match of_table {
-                    Some(made) => {
-                        let metric = head.trim_end_matches([' ', '↑', '↓', '→']);
-                        let wanted = [
-                            ("task", table.heading.as_str()),
-                            ("system", row[0].as_str()),
-                            ("metric", metric),
-                        ];
-                        row_of(&made[1], &wanted)
-                    }
-                    None => {
-                        let figures = record["figures"].as_array().expect("figures");
-                        let figure = figures.iter().find(|made| made["name"] == *table.heading);
-                        let points = figure.expect("a recorded figure")["points"]
-                            .as_array()
-                            .expect("points");
-                        let point = points.iter().find(|point| {
-                            let values = point["values"].as_array().expect("values").iter();
-                            values.map(label).collect::<Vec<_>>().join(", ") == row[0]
-                        });
-                        let (metric, task) = head.rsplit_once(", ").unwrap_or((head, "all"));
-                        let given = ["Real Data", "Identity", "Noise Floor"];
-                        let rows = point.expect("a recorded point")["scores"].as_array();
-                        rows.expect("rows").iter().find(|row| {
-                            let is = |key: &str, value: &str| row[key] == *value;
-                            is("task", task)
-                                && is("metric", metric)
-                                && !given.iter().any(|name| is("system", name))
-                        })
-                    }
+                let first = row[0].as_str();
+                let (metric, task) = match is_figure {
+                    true => head.rsplit_once(", ").unwrap_or((head, "all")),
+                    false => (head.trim_end_matches([' ', '↑', '↓', '→']), &*table.heading),
                 };
+                let found = record.iter().find(|row| {
+                    let of_cell = match is_figure {
+                        true => row["shown_in"] == *table.heading && point_of(row) == first,
+                        false => row["shown_in"] == *table.file && row["system"] == first,
+                    };
+                    of_cell && row["task"] == task && row["metric"] == metric
+                });
                 let place = format!("{} {}: {}, {head}", table.file, table.heading, row[0]);
                 match found {
                     Some(row) => assert_eq!(*cell, printed(row, cell), "{place}"),

@@ -1,6 +1,7 @@
 //! `stance reproduce`
 
 mod plan;
+mod record;
 mod work;
 
 use std::collections::BTreeMap;
@@ -12,7 +13,7 @@ use eval::answers::Scores;
 use eval::draw::raster::png;
 use eval::format;
 use eval::format::grid::Grid;
-use eval::names::ALL_TASKS;
+use eval::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
 use eval::protocol::Protocol;
 use eval::report::{Chart, Report};
 use eval::score::over_trainings;
@@ -22,6 +23,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use self::plan::{FigureSpecs, PaperTable, Plan, Trained};
+use self::record::Record;
 use self::work::{Work, write};
 use crate::cmd::eval::paper_tables;
 use crate::cmd::page;
@@ -282,6 +284,8 @@ struct TableMade {
 struct FigureMade {
     name: String,
     charts: Vec<(String, Chart)>,
+    /// Names of the metrics and tasks that it shows.
+    shows: [Vec<String>; 2],
     /// Its numbers.
     grid: Grid,
     points: Vec<PointMade>,
@@ -464,6 +468,14 @@ fn drawn(
         .collect::<anyhow::Result<_>>()?;
     Ok(Some(FigureMade {
         name: figure.name.clone(),
+        shows: [
+            specs
+                .metrics
+                .iter()
+                .map(|metric| metric.name.to_owned())
+                .collect(),
+            specs.tasks.iter().map(|&task| task.to_owned()).collect(),
+        ],
         charts,
         grid,
         points,
@@ -522,6 +534,7 @@ fn finish(
         figures: Vec::new(),
         failed: done.failed.clone(),
     };
+    let mut record = Record::default();
     for made in &done.tables {
         let forms = made.forms()?;
         for (extension, text) in &forms {
@@ -533,9 +546,18 @@ fn finish(
         }
         texts.push(forms[0].1.clone());
         document.tables.push((made.name.clone(), made.document()?));
-        if !made.trainings.is_empty() {
-            let trainings = made.trainings.iter().map(|rows| in_json(rows));
-            let trainings = trainings.collect::<anyhow::Result<_>>()?;
+        let trainings = made.trainings.iter().map(|rows| in_json(rows));
+        let trainings: Vec<Vec<Value>> = trainings.collect::<anyhow::Result<_>>()?;
+        let shows = |table: &Table, score: &Value| {
+            let mut columns = table.columns.iter();
+            score["task"] == *table.task
+                && columns.any(|column| score["metric"] == *column.metric.name)
+        };
+        let scores = in_json(&made.scores)?;
+        record.add((&made.name, &[]), &scores, &trainings, |score| {
+            made.tables.iter().any(|table| shows(table, score))
+        })?;
+        if !trainings.is_empty() {
             document.trainings.push((made.name.clone(), trainings));
         }
     }
@@ -567,6 +589,23 @@ fn finish(
             let table = format!("{}.{extension}", file_name(&figure.name));
             write(&out.join("tables").join(table), text.as_bytes())?;
         }
+        let [metrics, tasks] = &figure.shows;
+        for point in &figure.points {
+            let is = |score: &Value, key: &str, names: &[String]| {
+                names.iter().any(|name| score[key] == *name)
+            };
+            // With one kind of edit there is no row over all tasks.
+            let all = [ALL_TASKS.to_owned()];
+            let alone = *tasks == all && !point.scores.iter().any(|score| is(score, "task", &all));
+            let is_shown = |score: &Value| {
+                let given = [REAL_DATA, IDENTITY, NOISE_FLOOR];
+                is(score, "metric", metrics)
+                    && (alone || is(score, "task", tasks))
+                    && !given.iter().any(|name| score["system"] == **name)
+            };
+            let place = (figure.name.as_str(), point.values.as_slice());
+            record.add(place, &point.scores, &point.trainings, is_shown)?;
+        }
         document.figures.push(FigureDocument {
             name: figure.name,
             drawings,
@@ -581,6 +620,7 @@ fn finish(
         &out.join("results.json"),
         &serde_json::to_vec_pretty(&document)?,
     )?;
+    write(&out.join("record.jsonl"), &record.into_bytes())?;
     match global.json {
         true => report::json(&document)?,
         false => {

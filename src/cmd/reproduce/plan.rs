@@ -165,6 +165,7 @@ pub(super) struct Training {
     /// All settings of the preset: another version of the program may have others under its name.
     pub(super) settings_of_preset: Value,
     /// Hash of the table of text vectors, if the model is told instructions by one.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) text_table: Option<String>,
     pub(super) compose: ComposeConfig,
     /// Seed in place of that of the model's settings.

@@ -21,6 +21,7 @@ use super::plan::{Plan, Spec, Training};
 use crate::evaluators::EvaluatorRuns;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::local;
 use crate::session::{text_encoder, with_session};
 use crate::stages;
 use crate::trainings::side_by_side;
@@ -225,7 +226,7 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot create {}", folder.display()))?;
     }
-    std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+    local::write(path, bytes)
 }
 
 #[cfg(test)]
