@@ -99,7 +99,7 @@ export class Outbox {
     private readonly hooks: OutboxHooks,
   ) {}
 
-  /** Loads events stored by an earlier page, and stores what that page was left with too early to store. */
+  /** Loads the events that an earlier page stored, and those that it only had time to write to the journal. */
   async open(): Promise<void> {
     await this.reload();
     const stored = new Set(this.items.map((item) => item.key));
