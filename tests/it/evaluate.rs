@@ -399,6 +399,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     let guided = serde_json::json!([2.0, 0.5]);
     let point = &first["figures"][1]["points"][1];
     assert_eq!(point["values"], guided);
+    assert_eq!(shown("guidance", &guided), 1);
     for row in record
         .iter()
         .filter(|row| row["shown_in"] == "guidance" && row["at"] == guided)

@@ -1,4 +1,4 @@
-//! Vectors of an encoder of texts that is not built in go into training and into editing.
+//! A model is trained, and edits, with vectors of a text encoder that is not built in.
 
 use std::fs;
 use std::path::Path;
@@ -28,7 +28,7 @@ impl<'a> TextTable<'a> {
         Self::with(workshop, &[])
     }
 
-    /// Of texts beside those of the dataset too.
+    /// Vectors of further texts too.
     fn with(workshop: &'a Workshop, more: &[&str]) -> Self {
         let listed = stance(&["--json", "model", "texts", arg(&workshop.dataset())]).expect_code(0);
         let Listed { mut texts } = listed.json();

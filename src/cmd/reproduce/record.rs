@@ -1,5 +1,5 @@
 //! `record.jsonl`: the scores that tables and figures show, one a line. It is small enough to lie beside a document that
-//! quotes them, where a test can hold the document to it (`eval/RESULTS.md`, `tests/it/evidence.rs`).
+//! quotes them, so that a test can compare the two (`eval/RESULTS.md`, `tests/it/evidence.rs`).
 
 use serde::Serialize;
 use serde_json::Value;

@@ -196,7 +196,7 @@ pub enum TextEncoder {
 }
 
 impl TextEncoder {
-    /// The frozen encoder that is asked for; `clip` is the one that the model is used to.
+    /// The frozen encoder that is asked for, if one is; `clip` is the CLIP that the model uses.
     pub(crate) fn frozen(self, clip: ClipModel) -> Option<FrozenEncoder> {
         match self {
             Self::Learned => None,

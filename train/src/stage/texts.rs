@@ -39,7 +39,7 @@ pub fn texts(dataset: &Dataset, compose: &ComposeConfig) -> Result<Vec<String>, 
             let stream = Stream::new(library(dataset, split)?, compose.clone(), seed, &normalizer);
             match stream {
                 Ok(stream) => texts.extend(stream.instructions()),
-                // Nothing of this split is as long as a window, so that nobody is told anything.
+                // No motion of this split is as long as a window, so it has no instructions.
                 Err(pipeline::compose::Error::NoItem { .. }) => {}
                 Err(error) => return Err(error.into()),
             }

@@ -111,13 +111,13 @@ impl EmbeddingTable {
         })
     }
 
-    /// A table of vectors that a program of the user's made, in the order of `texts`.
+    /// A table of vectors that another program computed, in the order of `texts`.
     ///
     /// # Shapes
     /// `values` `[N, d]` for `N` texts.
     ///
     /// # Errors
-    /// There is no text, one stands there twice, the numbers cannot be one row for each, or one is not finite.
+    /// There are no texts, a text is listed twice, the numbers are not one row for each text, or a number is not finite.
     pub fn of_vectors(encoder: &str, texts: &[String], values: &[f32]) -> Result<Self, Error> {
         let problem = |problem: String| Error::TextVectors { problem };
         let width = values.len() / texts.len().max(1);
