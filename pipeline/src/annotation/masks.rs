@@ -15,7 +15,7 @@ use kinematics::rotation;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::compose::{Error, action_phrase, instruction, motion_on};
+use crate::compose::{Error, described, instruction, motion_on};
 
 /// Author of these masks; the number is the version of the rules.
 pub const AUTHOR: &str = "stance-activity-1";
@@ -233,11 +233,11 @@ fn masks_of(row: &MotionRow, active: &BTreeSet<Region>) -> Result<Vec<MaskRow>, 
         }
     }
     let stated: Vec<Caption> = row.stated_captions().cloned().collect();
-    if let Some(action) = action_phrase(&stated, row.action.as_deref()) {
+    if let Some(shown) = described(&stated, row.action.as_deref()) {
         for part in parts_of(active) {
             texts
                 .entry(part)
-                .or_insert_with(|| (instruction(&action, part), AUTOMATIC));
+                .or_insert_with(|| (shown.instruction(part), AUTOMATIC));
         }
     }
     Ok(texts

@@ -10,6 +10,7 @@
 
 mod align;
 mod blend;
+mod caption;
 mod config;
 mod coordinator;
 mod draw;
@@ -29,13 +30,14 @@ mod triplet;
 mod window;
 
 pub use blend::{blend_motion, blend_pose};
+pub use caption::{Described, described};
 pub use config::{
     Alignment, AlphaDistribution, BaseFilter, COMPOSE_VERSION, ComposeConfig, EditKind, RangeRule,
     SlerpRule,
 };
 pub use coordinator::CoordinatorBatch;
 pub use error::Error;
-pub use instruction::{Phrases, action_phrase, instruction, style_instruction};
+pub use instruction::{Phrases, instruction, style_instruction};
 pub use items::{ItemConfig, ItemCount, draw_items};
 pub use library::Library;
 pub(crate) use library::{check_mask, check_pair, motion_on};

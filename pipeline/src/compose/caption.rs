@@ -1,0 +1,359 @@
+//! What a caption says that the person is doing, for instructions in the phrasing of the release.
+//!
+//! Captions are written by people in many ways. Those of the form "A person walks forward" or "someone is waving" become
+//! "The person is walking forward". The grammar is a short list of forms; a caption of any other form keeps its own
+//! wording, because a guess would lose its subject or spoil its verb.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::LazyLock;
+
+use datasets_spec::BodyPart;
+use datasets_spec::table::Caption;
+
+use super::instruction::instruction;
+
+/// Words of captions for the person who moves.
+const SUBJECTS: [&str; 17] = [
+    "person",
+    "man",
+    "woman",
+    "boy",
+    "girl",
+    "guy",
+    "lady",
+    "human",
+    "figure",
+    "character",
+    "someone",
+    "somebody",
+    "individual",
+    "subject",
+    "he",
+    "she",
+    "they",
+];
+/// Words that may stand before the subject.
+const DETERMINERS: [&str; 5] = ["a", "an", "the", "this", "one"];
+/// Words that may introduce another clause, whose verb would need another form too.
+const CONJUNCTIONS: [&str; 18] = [
+    "and", "then", "while", "but", "before", "after", "until", "till", "as", "when", "which",
+    "who", "that", "so", "because", "or", "where", "if",
+];
+/// Verbs of another clause that are not in the list.
+const OTHER_FINITE: [&str; 8] = ["is", "are", "was", "were", "has", "had", "seems", "appears"];
+
+/// Words in -s that begin no clause where they follow a conjunction.
+const NO_VERBS_IN_S: [&str; 12] = [
+    "his", "its", "hers", "theirs", "this", "always", "arms", "hands", "legs", "feet", "across",
+    "towards",
+];
+
+/// The verbs of `verbs.txt`: the gerund by the third person, by the gerund itself and by the bare form.
+struct Verbs {
+    finite: BTreeMap<String, String>,
+    gerunds: BTreeMap<String, String>,
+    bare: BTreeMap<String, String>,
+    /// Third persons that are no plural nouns.
+    only_finite: BTreeSet<String>,
+}
+
+static VERBS: LazyLock<Verbs> = LazyLock::new(|| {
+    let mut verbs = Verbs {
+        finite: BTreeMap::new(),
+        gerunds: BTreeMap::new(),
+        bare: BTreeMap::new(),
+        only_finite: BTreeSet::new(),
+    };
+    let lines = include_str!("verbs.txt").lines();
+    let words = lines
+        .filter(|line| !line.starts_with('#'))
+        .flat_map(str::split_whitespace);
+    for word in words {
+        let mut forms = word.split(':');
+        let marked = forms.next().unwrap_or(word);
+        let bare = marked.trim_end_matches('*').to_owned();
+        let finite = forms
+            .next()
+            .map_or_else(|| third_person(&bare), str::to_owned);
+        let gerund = forms.next().map_or_else(|| gerund(&bare), str::to_owned);
+        if bare == marked {
+            verbs.only_finite.insert(finite.clone());
+        }
+        verbs.finite.insert(finite, gerund.clone());
+        verbs.gerunds.insert(gerund.clone(), gerund.clone());
+        verbs.bare.insert(bare, gerund);
+    }
+    // "A person being pushed".
+    verbs.gerunds.insert("being".to_owned(), "being".to_owned());
+    verbs
+});
+
+/// What a clip shows, in words for an instruction.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Described {
+    /// The continuation of "The person is ...", such as "walking forward".
+    Doing(String),
+    /// A caption or label in its own words.
+    AsSaid(String),
+}
+
+impl Described {
+    /// The instruction for one body part.
+    pub fn instruction(&self, part: BodyPart) -> String {
+        match self {
+            Self::Doing(action) => instruction(action, part),
+            Self::AsSaid(text) => {
+                let mut letters = text.chars();
+                let first = letters.next().into_iter().flat_map(char::to_uppercase);
+                let text: String = first.chain(letters).collect();
+                format!("{text} with their {}.", part.phrase())
+            }
+        }
+    }
+}
+
+/// What a clip shows: its first caption of the whole clip, else its first caption, else its action label; none if it has
+/// none of them.
+pub fn described(captions: &[Caption], action: Option<&str>) -> Option<Described> {
+    let of_whole = |caption: &&Caption| caption.from_s == 0.0 && caption.to_s == 0.0;
+    let caption = captions.iter().find(of_whole).or(captions.first());
+    let of_caption = caption.and_then(|caption| of_text(&caption.text));
+    of_caption.or_else(|| of_text(&action?.replace(['_', '-'], " ").to_lowercase()))
+}
+
+fn of_text(text: &str) -> Option<Described> {
+    let text = text.trim().trim_end_matches(['.', '!', ',', ';', ' ']);
+    if !text.contains(char::is_alphanumeric) {
+        return None;
+    }
+    let doing = doing(text).map(Described::Doing);
+    Some(doing.unwrap_or_else(|| Described::AsSaid(text.to_owned())))
+}
+
+/// The words after the subject, the first of them as a gerund; none if the text is of no known form.
+fn doing(text: &str) -> Option<String> {
+    if text.contains(['.', ';', ':', '?', '!', '(', '"']) {
+        return None;
+    }
+    let said: Vec<&str> = text.split_whitespace().collect();
+    let words: Vec<String> = said.iter().map(|word| word.to_lowercase()).collect();
+    let is = |place: usize, list: &[&str]| {
+        words
+            .get(place)
+            .is_some_and(|word| list.contains(&word.as_str()))
+    };
+    let determined = usize::from(is(0, &DETERMINERS));
+    let has_subject = is(determined, &SUBJECTS);
+    if determined == 1 && !has_subject {
+        return None;
+    }
+    let start = determined + usize::from(has_subject);
+    if has_subject && is(start, &["is"]) {
+        let rest = &words[start + 1..];
+        let fits = !VERBS.bare.contains_key(rest.first()?) && !has_other_clause(rest);
+        return fits.then(|| said[start + 1..].join(" "));
+    }
+    let adverbs = words[start..]
+        .iter()
+        .take_while(|word| is_adverb(word))
+        .count();
+    let place = start + adverbs;
+    let verb = words.get(place)?;
+    let verb = match has_subject {
+        true => VERBS.finite.get(verb).or_else(|| VERBS.gerunds.get(verb)),
+        false => VERBS.gerunds.get(verb).or_else(|| VERBS.bare.get(verb)),
+    }?;
+    // What somebody looks like is no action, and a "kneeling person" is a subject.
+    let is_likeness = verb == "looking" && is(place + 1, &["like", "as"]);
+    if is_likeness || is(place + 1, &SUBJECTS) || has_other_clause(&words[place + 1..]) {
+        return None;
+    }
+    let (before, rest) = (&said[start..place], &said[place + 1..]);
+    Some([before, &[verb.as_str()], rest].concat().join(" "))
+}
+
+/// Whether a word is an adverb of manner, such as "slowly".
+fn is_adverb(word: &str) -> bool {
+    word.len() > 3 && word.ends_with("ly") && !VERBS.bare.contains_key(word)
+}
+
+/// Whether a second verb follows whose form does not fit behind "is".
+fn has_other_clause(rest: &[String]) -> bool {
+    let bare = |word: &String| word.trim_end_matches(',').to_owned();
+    let mut opens = false;
+    for word in rest {
+        let ends = word.ends_with(',');
+        let word = bare(word);
+        let is_finite = OTHER_FINITE.contains(&word.as_str()) || VERBS.only_finite.contains(&word);
+        let ends_in_s = word.ends_with('s') && !word.ends_with("ss") && !word.ends_with("wards");
+        let may_be_verb = VERBS.bare.contains_key(&word)
+            || (ends_in_s && !NO_VERBS_IN_S.contains(&word.as_str()));
+        if is_finite || (opens && may_be_verb) {
+            return true;
+        }
+        let goes_on = opens && (is_adverb(&word) || SUBJECTS.contains(&word.as_str()));
+        opens = ends || goes_on || CONJUNCTIONS.contains(&word.as_str());
+    }
+    false
+}
+
+/// The third person of a regular verb.
+fn third_person(bare: &str) -> String {
+    let ends = |ends: &[&str]| ends.iter().any(|end| bare.ends_with(end));
+    let before_y = bare.strip_suffix('y');
+    match before_y.filter(|stem| !stem.ends_with(['a', 'e', 'i', 'o', 'u'])) {
+        Some(stem) => format!("{stem}ies"),
+        None if ends(&["s", "x", "z", "ch", "sh"]) => format!("{bare}es"),
+        None => format!("{bare}s"),
+    }
+}
+
+/// The gerund of a regular verb.
+fn gerund(bare: &str) -> String {
+    // The u of "squat" belongs to its q.
+    let letters: Vec<char> = bare.replace("qu", "qq").chars().collect();
+    let vowel = |c: char| "aeiou".contains(c);
+    let keeps_e = ["ee", "oe", "ye"].iter().any(|end| bare.ends_with(end));
+    if let Some(stem) = bare.strip_suffix('e').filter(|_| !keeps_e) {
+        return format!("{stem}ing");
+    }
+    // One syllable of consonant, vowel, consonant doubles its last letter: "run", "clap".
+    // "Sidestep" is stressed like "step".
+    if let [.., before, middle, last] = letters[..]
+        && !vowel(before)
+        && vowel(middle)
+        && !vowel(last)
+        && !"wxy".contains(last)
+        && (letters.iter().filter(|&&c| vowel(c)).count() == 1 || bare == "sidestep")
+    {
+        return format!("{bare}{last}ing");
+    }
+    format!("{bare}ing")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn caption(text: &str) -> Caption {
+        Caption {
+            text: text.to_owned(),
+            tokens: String::new(),
+            from_s: 0.0,
+            to_s: 0.0,
+        }
+    }
+
+    #[test]
+    fn forms_follow_the_spelling_rules() {
+        for (bare, finite, gerund) in [
+            ("walk", "walks", "walking"),
+            ("wave", "waves", "waving"),
+            ("run", "runs", "running"),
+            ("squat", "squats", "squatting"),
+            ("sidestep", "sidesteps", "sidestepping"),
+            ("bend", "bends", "bending"),
+            ("reach", "reaches", "reaching"),
+            ("carry", "carries", "carrying"),
+            ("play", "plays", "playing"),
+            ("lie", "lies", "lying"),
+            ("go", "goes", "going"),
+            ("kneel", "kneels", "kneeling"),
+            ("bow", "bows", "bowing"),
+            ("box", "boxes", "boxing"),
+            ("tiptoe", "tiptoes", "tiptoeing"),
+            ("mimic", "mimics", "mimicking"),
+            ("fly", "flies", "flying"),
+        ] {
+            assert_eq!(
+                VERBS.finite.get(finite).map(String::as_str),
+                Some(gerund),
+                "{bare}"
+            );
+            assert_eq!(VERBS.bare.get(bare).map(String::as_str), Some(gerund));
+        }
+    }
+
+    #[test]
+    fn captions_of_a_known_form_say_what_the_person_is_doing() {
+        for (text, expected) in [
+            ("A person walks forward.", "walking forward"),
+            ("a man reaches up, slowly", "reaching up, slowly"),
+            ("the person is waving both hands", "waving both hands"),
+            ("someone is pushed from behind", "pushed from behind"),
+            ("he carries a box", "carrying a box"),
+            ("jumping in place", "jumping in place"),
+            (
+                "a person quickly runs backwards",
+                "quickly running backwards",
+            ),
+            (
+                "A human slowly walking in a circle",
+                "slowly walking in a circle",
+            ),
+            (
+                "A person walks while swinging their arms",
+                "walking while swinging their arms",
+            ),
+            ("jump", "jumping"),
+        ] {
+            assert_eq!(
+                of_text(text),
+                Some(Described::Doing(expected.to_owned())),
+                "{text}"
+            );
+        }
+    }
+
+    #[test]
+    fn other_captions_keep_their_words() {
+        for text in [
+            "with raised fists",
+            "from standing",
+            "byebye",
+            "A person walks forward and turns around",
+            "A person is walking, then stops",
+            "Someone who is drunk walks home",
+            "A standing person waves",
+            "kneeling person stands up",
+            "A person walks forward takes a turn",
+            "A person puts his hands down and inspects the ground",
+            "A person seems to be tired",
+            "A person looks like a robot",
+            "a person walsk",
+            "human is push from behind",
+            "A person walks. He turns",
+            "A dance",
+        ] {
+            assert_eq!(
+                of_text(text),
+                Some(Described::AsSaid(text.to_owned())),
+                "{text}"
+            );
+        }
+        let said = Described::AsSaid("someone who is drunk walks home".to_owned());
+        assert_eq!(
+            said.instruction(BodyPart::LeftArm),
+            "Someone who is drunk walks home with their left arm."
+        );
+    }
+
+    #[test]
+    fn the_caption_of_the_whole_clip_comes_first_and_the_label_last() {
+        let doing = |text: &str| Some(Described::Doing(text.to_owned()));
+        let part = Caption {
+            to_s: 2.0,
+            ..caption("a person sits")
+        };
+        let captions = [part.clone(), caption("a person stands")];
+        assert_eq!(described(&captions, None), doing("standing"));
+        assert_eq!(described(&[part], Some("kick")), doing("sitting"));
+        assert_eq!(described(&[], Some("kick")), doing("kicking"));
+        assert_eq!(
+            described(&[], Some("raise-up_hand")),
+            doing("raising up hand")
+        );
+        assert_eq!(described(&[caption(" ")], None), None);
+        assert_eq!(described(&[], None), None);
+    }
+}
