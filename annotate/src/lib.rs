@@ -64,4 +64,4 @@ pub mod wire;
 
 pub use error::Error;
 pub use jobs::log_export;
-pub use lines::{Finding, Judgement, Verdict, accept, drafts, to_json_lines};
+pub use lines::{Finding, Judgement, Taken, Verdict, accept, drafts, to_json_lines};

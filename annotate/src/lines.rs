@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// Not judged; the draft stays.
+    /// Not judged. The draft stays, with the parts and the text of the line where these were edited.
     Todo,
     /// The parts and the text of the line replace the draft.
     Accept,
@@ -37,6 +37,16 @@ pub struct Judgement {
     pub text: String,
     /// The decision.
     pub verdict: Verdict,
+}
+
+impl Judgement {
+    /// Whether it says other things than its draft, or something where there is none.
+    fn is_edited(&self, draft: Option<&MaskRow>) -> bool {
+        match draft {
+            Some(draft) => self.text.trim() != draft.text.trim() || self.parts != draft.parts,
+            None => !self.text.trim().is_empty(),
+        }
+    }
 }
 
 /// A refused line.
@@ -79,8 +89,20 @@ pub fn to_json_lines(judgements: &[Judgement]) -> Result<String, serde_json::Err
     Ok(text)
 }
 
-/// Reads edited lines and returns the new masks of the dataset: pending drafts stay, accepted lines become
-/// masks of `author`, rejected drafts are removed. Empty lines are skipped.
+/// The masks of a dataset after lines were taken back.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Taken {
+    /// All masks, sorted.
+    pub masks: Vec<MaskRow>,
+    /// Edited lines whose verdict is still open: their parts and texts are drafts of the author.
+    pub open_edits: usize,
+}
+
+/// Origin of the text of a mask that a person wrote and nobody has judged.
+const DRAFT: &str = "draft";
+
+/// Reads edited lines and returns the new masks of the dataset: pending drafts stay as they were edited, accepted
+/// lines become masks of `author`, rejected drafts are removed. Empty lines are skipped.
 ///
 /// `masks` are the dataset's present masks and `motions` its motions with their splits.
 ///
@@ -91,11 +113,12 @@ pub fn accept(
     author: &str,
     masks: &[MaskRow],
     motions: &BTreeMap<MotionId, Split>,
-) -> Result<Vec<MaskRow>, Vec<Finding>> {
+) -> Result<Taken, Vec<Finding>> {
     let drafts: BTreeMap<&str, &MaskRow> = masks.iter().map(|m| (m.id.as_str(), m)).collect();
     let mut findings = Vec::new();
     let mut judged: BTreeSet<String> = BTreeSet::new();
-    let mut rows = Vec::new();
+    let mut rows: Vec<MaskRow> = Vec::new();
+    let mut open_edits = 0;
     for (index, line) in lines.lines().enumerate() {
         if line.trim().is_empty() {
             continue;
@@ -109,6 +132,9 @@ pub fn accept(
                         problem: format!("mask {id} is judged twice; keep one of the lines"),
                     });
                 }
+                let before = drafts.get(id.as_str()).copied();
+                let is_open = row.as_ref().is_some_and(|row| row.text_origin == DRAFT);
+                open_edits += usize::from(is_open && before != row.as_ref());
                 judged.insert(id);
                 rows.extend(row);
             }
@@ -124,7 +150,10 @@ pub fn accept(
     let untouched = masks.iter().filter(|mask| !judged.contains(&mask.id));
     rows.extend(untouched.cloned());
     rows.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
-    Ok(rows)
+    Ok(Taken {
+        masks: rows,
+        open_edits,
+    })
 }
 
 /// The id of the judged mask and its replacement (`None` if rejected). `None` for a pending line.
@@ -154,10 +183,13 @@ fn judge(
         ));
     }
     match judgement.verdict {
-        Verdict::Todo | Verdict::Reject if draft.is_none() => return Ok(None),
+        Verdict::Reject if draft.is_none() => return Ok(None),
         Verdict::Reject => return Ok(Some((judgement.mask, None))),
-        Verdict::Todo => return Ok(Some((judgement.mask, draft.cloned()))),
-        Verdict::Accept => {}
+        // Its draft is as it was, or there is nothing in it yet.
+        Verdict::Todo if !judgement.is_edited(draft) => {
+            return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
+        }
+        Verdict::Todo | Verdict::Accept => {}
     }
     let parts: Vec<BodyPart> = judgement
         .parts
@@ -169,11 +201,11 @@ fn judge(
         .collect::<Result<_, _>>()?;
     let mask = BlendMask::of_parts(&parts);
     if mask.is_empty() {
-        return Err("an accepted mask needs at least one body part".to_owned());
+        return Err("a mask that is accepted or edited needs at least one body part".to_owned());
     }
     let text = judgement.text.trim();
     if text.is_empty() {
-        return Err("an accepted mask needs a text".to_owned());
+        return Err("a mask that is accepted or edited needs a text".to_owned());
     }
     let names: Vec<String> = parts.iter().map(|part| part.name().to_owned()).collect();
     let row = MaskRow {
@@ -188,7 +220,10 @@ fn judge(
         soft_joints: JointSet::names(mask.soft()),
         mask_def_version: MASK_DEF_VERSION,
         text: text.to_owned(),
-        text_origin: "human".to_owned(),
+        text_origin: match judgement.verdict {
+            Verdict::Todo => DRAFT.to_owned(),
+            _ => "human".to_owned(),
+        },
         author: author.to_owned(),
         accepted_by: None,
     };
@@ -237,8 +272,15 @@ mod tests {
     fn lines_not_looked_at_change_nothing() {
         let (masks, motions) = dataset();
         let lines = to_json_lines(&drafts(&masks)).expect("json");
-        assert_eq!(accept(&lines, "ann", &masks, &motions), Ok(masks.clone()));
-        assert_eq!(accept("", "ann", &masks, &motions), Ok(masks));
+        let untouched = Taken {
+            masks: masks.clone(),
+            open_edits: 0,
+        };
+        assert_eq!(
+            accept(&lines, "ann", &masks, &motions),
+            Ok(untouched.clone())
+        );
+        assert_eq!(accept("", "ann", &masks, &motions), Ok(untouched));
     }
 
     #[test]
@@ -257,7 +299,9 @@ mod tests {
             verdict: Verdict::Accept,
         });
         let text = to_json_lines(&lines).expect("json");
-        let rows = accept(&text, "ann", &masks, &motions).expect("all lines are fine");
+        let taken = accept(&text, "ann", &masks, &motions).expect("all lines are fine");
+        assert_eq!(taken.open_edits, 0);
+        let rows = taken.masks;
         assert_eq!(rows.len(), 3);
         assert_eq!(rows[0].text, "The person is saluting with their right arm.");
         assert_eq!(

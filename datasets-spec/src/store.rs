@@ -16,7 +16,7 @@ use std::sync::{Arc, LazyLock};
 
 use bytes::Bytes;
 
-pub use self::by_path::{ByPath, is_url, register};
+pub use self::by_path::{ByPath, Mounted, is_url, mount, register};
 pub use self::disk::Disk;
 use crate::Error;
 
@@ -73,7 +73,7 @@ pub trait ReadAt: Debug + Send + Sync {
 }
 
 /// Reads a file from a position that can be set. A distant file is read in pieces of a megabyte.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Reader {
     file: Arc<dyn ReadAt>,
     at: u64,
@@ -217,6 +217,12 @@ pub trait Store: Debug + Send + Sync {
     }
 }
 
+/// The beginning of a file name that leaves room for what a temporary name adds: file systems take 255 bytes.
+pub fn begin_of_name(name: &str) -> &str {
+    const LENGTH: usize = 180;
+    &name[..name.floor_char_boundary(LENGTH)]
+}
+
 /// A temporary name beside a path that no other writer has, in this process, in another one, or on another machine
 /// that shares the folder.
 pub fn temporary_beside(path: &Path) -> PathBuf {
@@ -224,6 +230,7 @@ pub fn temporary_beside(path: &Path) -> PathBuf {
     static PROCESS: LazyLock<u64> = LazyLock::new(|| RandomState::new().build_hasher().finish());
     static COUNT: AtomicU64 = AtomicU64::new(0);
     let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let name = begin_of_name(&name);
     let (process, count) = (*PROCESS, COUNT.fetch_add(1, Ordering::Relaxed));
     path.with_file_name(format!(".{name}.{process:016x}-{count}.tmp"))
 }

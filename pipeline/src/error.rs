@@ -181,6 +181,36 @@ pub enum Error {
         /// What is there instead, or what to check.
         hint: String,
     },
+    /// An archive cannot be unpacked to be read.
+    #[error(
+        "cannot unpack an archive to {}: {reason}; set TMPDIR to a folder with more room, or unpack the archive and name \
+         its folder",
+        path.display()
+    )]
+    Scratch {
+        /// The file or folder.
+        path: PathBuf,
+        /// Why not.
+        reason: String,
+    },
+    /// A plan for many processes with an archive that each of them would have to unpack.
+    #[error(
+        "{}: the members of a packed tar cannot be read by many processes; unpack it and name its folder, or pack it \
+         as zip",
+        path.display()
+    )]
+    PackedTar {
+        /// The archive.
+        path: PathBuf,
+    },
+    /// A file of chosen ids that chooses nothing.
+    #[error("cannot choose clips by {}: {reason}", path.display())]
+    IdList {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        reason: String,
+    },
     /// The folder of an export exists.
     #[error("{} exists and is not empty; name a new folder", path.display())]
     Occupied {
@@ -337,6 +367,9 @@ impl Error {
             Self::Io { path, .. } => ("E-IO", path),
             Self::MissingSource { path } => ("E-MISSING", path),
             Self::Occupied { path } => ("E-OCCUPIED", path),
+            Self::IdList { path, .. } => ("E-ID-LIST", path),
+            Self::PackedTar { path } => ("E-PACKED-TAR", path),
+            Self::Scratch { path, .. } => ("E-SCRATCH", path),
             Self::Index { path, .. } => ("E-INDEX", path),
             Self::BadPlan { path, .. } => ("E-PLAN", path),
             Self::SourceChanged { path } => ("E-SOURCE-CHANGED", path),

@@ -167,7 +167,7 @@ pub fn masks(
     let present: Vec<MaskRow> = dataset.read(None)?;
     let by_people = present
         .iter()
-        .filter(|mask| mask.text_origin == "human")
+        .filter(|mask| ["human", "draft"].contains(&mask.text_origin.as_str()))
         .count();
     match judged {
         Judged::Keep if by_people > 0 => return Ok(dataset),

@@ -7,7 +7,7 @@ use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, TripletRow};
 use datasets_spec::table::Row;
 use pipeline::export::{
-    Exported, Layout, Sides, export, export_edits, export_triplets, plan_export,
+    Exported, Layout, Sides, before, export, export_edits, export_triplets, plan_export,
 };
 use pipeline::filter::{Clips, Filter};
 use pipeline::work::Plan;
@@ -128,6 +128,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let bars = global.bars();
     let composed = has(TripletRow::TABLE)
         || (has(ItemRow::TABLE) && !has(MotionRow::TABLE) && !has(EditRow::TABLE));
+    let mut remarks = Vec::new();
     let done = if layout == Layout::MotionFix && composed {
         if args.filter.is_some() || sides != Sides::default() {
             bail!(
@@ -150,6 +151,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             Some(filter) => Clips::chosen(&dataset, filter)?,
             None => Clips::all(&dataset),
         };
+        remarks = before(layout, &clips)?;
+        for remark in &remarks {
+            report::note(remark);
+        }
         export(&clips, layout, &args.out, &bars)?
     } else if args.filter.is_some() {
         bail!(
@@ -175,6 +180,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             "layout": layout.as_str(),
             "clips": done.clips,
             "made_captions_left_out": done.made_captions_left_out,
+            "remarks": remarks,
         }))?;
     } else {
         let mut text = format!(

@@ -12,7 +12,9 @@ use datasets_spec::{Fps, Resample, Skeleton};
 use pipeline::annotation::pairs::{PairList, RefusedLine};
 use pipeline::check::Teleports;
 use pipeline::clip::LabelProblem;
-use pipeline::ingest::{Growth, IngestOptions, IngestReport, SplitList, ingest, plan_ingest};
+use pipeline::ingest::{
+    Growth, IdList, IngestOptions, IngestReport, SplitList, ingest, plan_ingest,
+};
 use pipeline::retarget::UserMap;
 use pipeline::source::body_model::{Subjects, read_skeleton};
 use pipeline::source::{FORMATS, Format, ReadOptions, format_named};
@@ -27,7 +29,8 @@ use crate::report;
 /// Turn motion files into one checked dataset.
 ///
 /// BVH, C3D, TRC, glTF and AMASS files are found by their content, and the folders of the HumanML3D, STANCE,
-/// MotionFix, Motion-X and BONES-SEED releases by their layout. A file that cannot be used is listed in the
+/// MotionFix, Motion-X and BONES-SEED releases by their layout, in archives too: a zip, tar, tar.gz, tar.bz2 or tar.xz
+/// acts as a folder of its name. A file that cannot be used is listed in the
 /// `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run again, it
 /// continues; run again after success, it changes nothing.
 ///
@@ -91,6 +94,10 @@ pub(crate) struct Args {
     /// Splits of your own: lines of id or pattern, and split. They win over published and drawn ones
     #[arg(long, value_name = "CSV")]
     splits: Option<PathBuf>,
+    /// Read only the clips that this file names: one id, source file or pattern a line, with # before comments.
+    /// Clips that are in the dataset already stay
+    #[arg(long, value_name = "FILE")]
+    ids: Option<PathBuf>,
     /// Licence tag for clips whose source states none
     #[arg(long)]
     license: Option<String>,
@@ -198,6 +205,7 @@ fn options(args: &Args, global: &Global) -> anyhow::Result<IngestOptions> {
         seed: global.seed(),
         pairs: args.pairs.as_deref().map(PairList::read).transpose()?,
         splits: args.splits.as_deref().map(SplitList::read).transpose()?,
+        ids: args.ids.as_deref().map(IdList::read).transpose()?,
         license: args.license.clone(),
         made_captions: !args.no_made_captions,
     })

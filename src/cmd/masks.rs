@@ -21,7 +21,8 @@ use crate::report;
 ///
 /// Without further options, masks are derived from the motions: a part is active when its joints
 /// move fast compared with the training split. With --drafts the masks are written as one JSON
-/// object a line for people to edit; with --accept the edited lines are checked and taken back.
+/// object a line for people to edit; with --accept the edited lines are checked and taken back. A line that was edited
+/// and has no verdict yet stays a draft with what was written.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder
@@ -103,8 +104,8 @@ fn accept(args: &Args, file: &PathBuf, global: &Global) -> anyhow::Result<Datase
         .map(|row| (row.id, row.split))
         .collect();
     let masks: Vec<MaskRow> = dataset.read(None)?;
-    let rows = match annotate::accept(&lines, author, &masks, &motions) {
-        Ok(rows) => rows,
+    let taken = match annotate::accept(&lines, author, &masks, &motions) {
+        Ok(taken) => taken,
         Err(findings) => {
             for finding in findings.iter().take(SHOWN) {
                 report::note(&format!(
@@ -120,11 +121,17 @@ fn accept(args: &Args, file: &PathBuf, global: &Global) -> anyhow::Result<Datase
             );
         }
     };
+    if taken.open_edits > 0 {
+        report::note(&format!(
+            "{} edited lines have no verdict yet: their texts are kept as drafts of {author}",
+            taken.open_edits
+        ));
+    }
     let plan = blake3::hash(format!("{author}\n{lines}").as_bytes());
     let split_of = |row: &MaskRow| row.split;
     Ok(commit_rows(
         &args.dataset,
-        &rows,
+        &taken.masks,
         Some(split_of),
         &dataset.skeleton()?,
         plan.to_hex().as_str(),

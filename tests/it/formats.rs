@@ -28,7 +28,7 @@ struct Ingested {
     label_problems: Vec<serde_json::Value>,
 }
 
-fn put(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) {
+pub(crate) fn put(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) {
     let path = folder.join(name);
     fs::create_dir_all(path.parent().expect("a folder")).expect("writes");
     fs::write(path, bytes).expect("writes");
@@ -214,6 +214,17 @@ fn soma() -> Rig {
         chain("Hips", side, &[hip, knee, ankle, foot, ("ToeEnd", None)]);
     }
     rig
+}
+
+/// A walk of BONES-SEED, of so many frames.
+pub(crate) fn seed_walk(num_frames: usize) -> String {
+    bvh(
+        &soma(),
+        &["Root", "Hips"],
+        &walk(num_frames, 120.0),
+        "0.008333",
+        false,
+    )
 }
 
 /// Checks the joints of a stored motion against those of the poses it was made of, of which it keeps every

@@ -381,7 +381,7 @@ fn recaptured_clips_follow_the_published_split_of_their_original() {
 }
 
 /// A motion of MotionFix: parameters of SMPL-H, z up, 30 frames a second.
-fn motionfix_motion(number: usize, frames: usize) -> Value {
+pub(crate) fn motionfix_motion(number: usize, frames: usize) -> Value {
     let rots = (0..frames).flat_map(|frame| {
         let mut pose = [0.0f32; 66];
         pose[0] = std::f32::consts::FRAC_PI_2;

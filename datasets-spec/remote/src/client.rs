@@ -418,9 +418,45 @@ pub(crate) fn io_error(error: Error) -> io::Error {
     };
     let text = match kind {
         ErrorKind::NotFound => "there is no such object".to_owned(),
-        _ => shortened(&with_cause(&error)),
+        _ => {
+            let text = with_cause(&error);
+            shortened(&sentence(&text).unwrap_or(text))
+        }
     };
     io::Error::new(kind, text)
+}
+
+/// What a storage says in XML, in a sentence; none if the text has no such document.
+///
+/// # Source
+/// Amazon S3 API reference, "REST error responses": `Error` holds `Code` and `Message`, and `BucketName` where it is
+/// about a bucket. Azure and Google's XML interface do the same.
+fn sentence(text: &str) -> Option<String> {
+    let element = |name: &str| {
+        let (open, close) = (format!("<{name}>"), format!("</{name}>"));
+        let start = text.find(&open)? + open.len();
+        let length = text[start..].find(&close)?;
+        Some(text[start..start + length].trim())
+    };
+    let code = element("Code")?;
+    let message = element("Message").unwrap_or_default();
+    let message = message
+        .lines()
+        .next()
+        .unwrap_or_default()
+        .trim_end_matches('.');
+    Some(match code {
+        "NoSuchBucket" | "ContainerNotFound" => {
+            let name = element("BucketName").map_or(String::new(), |name| format!(" {name}"));
+            format!(
+                "there is no bucket{name}; check its name, its region and the endpoint ({code})"
+            )
+        }
+        code => match message {
+            "" => format!("the storage answered {code}"),
+            message => format!("the storage answered {code}: {message}"),
+        },
+    })
 }
 
 /// The text of an error, and that of its innermost cause: a failed request says no more than "error sending request".
@@ -441,5 +477,28 @@ fn shortened(text: &str) -> String {
     match line.char_indices().nth(LENGTH) {
         Some((end, _)) => format!("{} ...", &line[..end]),
         None => line,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_storage_says_in_xml_becomes_a_sentence() {
+        let answer = |code: &str, more: &str| {
+            format!(
+                "Error performing GET http://host/b in 3ms - Server returned non-2xx status code: 404 Not Found: <?xml \
+                 version=\"1.0\"?>\n<Error><Code>{code}</Code><Message>It is not there.</Message>{more}</Error>"
+            )
+        };
+        let missing = answer("NoSuchBucket", "<BucketName>clips</BucketName>");
+        let said = sentence(&missing).expect("a sentence");
+        assert!(said.starts_with("there is no bucket clips;"), "{said}");
+        assert_eq!(
+            sentence(&answer("SlowDown", "")).as_deref(),
+            Some("the storage answered SlowDown: It is not there")
+        );
+        assert_eq!(sentence("connection refused"), None);
     }
 }

@@ -1,18 +1,70 @@
 //! The store that a path or URL belongs to.
 
+use std::collections::BTreeMap;
 use std::io::{self, Read};
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
 use super::{Disk, Locking, NewFile, ReadAt, Store};
 
 static REMOTE: OnceLock<Arc<dyn Store>> = OnceLock::new();
+
+/// Stores that serve what lies below a path, by it. Of several for one path the last serves.
+static MOUNTS: RwLock<BTreeMap<PathBuf, Vec<(u64, Arc<dyn Store>)>>> = RwLock::new(BTreeMap::new());
 
 /// Makes a store serve all URLs of this process. A program calls it once, before it opens anything; later
 /// calls change nothing.
 pub fn register(remote: Arc<dyn Store>) {
     // The first one stays.
     let _registered = REMOTE.set(remote);
+}
+
+/// A store that serves the paths below one, until this is dropped.
+#[derive(Debug)]
+pub struct Mounted {
+    at: PathBuf,
+    number: u64,
+}
+
+/// Makes a store serve all paths below `at`, such as an archive's the files in it. The path itself stays with the
+/// store that it belongs to.
+pub fn mount(at: &Path, store: Arc<dyn Store>) -> Mounted {
+    static NUMBER: AtomicU64 = AtomicU64::new(0);
+    let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+    let mut mounts = MOUNTS.write().unwrap_or_else(PoisonError::into_inner);
+    mounts
+        .entry(at.to_owned())
+        .or_default()
+        .push((number, store));
+    Mounted {
+        at: at.to_owned(),
+        number,
+    }
+}
+
+impl Drop for Mounted {
+    fn drop(&mut self) {
+        let mut mounts = MOUNTS.write().unwrap_or_else(PoisonError::into_inner);
+        if let Some(stores) = mounts.get_mut(&self.at) {
+            stores.retain(|(number, _)| *number != self.number);
+            if stores.is_empty() {
+                mounts.remove(&self.at);
+            }
+        }
+    }
+}
+
+/// The store that is mounted at a folder or above it, the nearest one.
+fn mounted_at(folder: &Path) -> Option<Arc<dyn Store>> {
+    let mounts = MOUNTS.read().unwrap_or_else(PoisonError::into_inner);
+    if mounts.is_empty() {
+        return None;
+    }
+    let mut above = folder.ancestors();
+    let stores = above.find_map(|folder| mounts.get(folder))?;
+    stores.last().map(|(_, store)| Arc::clone(store))
 }
 
 /// Whether a path is a URL, such as `s3://bucket/dataset`.
@@ -26,7 +78,7 @@ pub fn is_url(path: &Path) -> bool {
     })
 }
 
-/// The store of each path: that of URLs if it is one, else the disk.
+/// The store of each path: one that is mounted above it, that of URLs if it is one, else the disk.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ByPath;
 
@@ -37,12 +89,44 @@ impl ByPath {
     }
 }
 
-fn of(path: &Path) -> io::Result<&'static dyn Store> {
+/// A store that was found for a path.
+enum Found {
+    Fixed(&'static dyn Store),
+    Mounted(Arc<dyn Store>),
+}
+
+impl Deref for Found {
+    type Target = dyn Store;
+
+    fn deref(&self) -> &Self::Target {
+        match self {
+            Self::Fixed(store) => *store,
+            Self::Mounted(store) => store.as_ref(),
+        }
+    }
+}
+
+/// The store of a file, or of a folder that is not looked into.
+fn of(path: &Path) -> io::Result<Found> {
+    found(path, path.parent().and_then(mounted_at))
+}
+
+/// The store of what is in a folder.
+fn in_folder(folder: &Path) -> io::Result<Found> {
+    found(folder, mounted_at(folder))
+}
+
+fn found(path: &Path, mounted: Option<Arc<dyn Store>>) -> io::Result<Found> {
+    if let Some(store) = mounted {
+        return Ok(Found::Mounted(store));
+    }
     if !is_url(path) {
-        return Ok(&Disk);
+        return Ok(Found::Fixed(&Disk));
     }
     let remote = REMOTE.get().map(AsRef::as_ref);
-    remote.ok_or_else(|| io::Error::new(io::ErrorKind::Unsupported, "this program reads no URLs"))
+    let remote = remote
+        .ok_or_else(|| io::Error::new(io::ErrorKind::Unsupported, "this program reads no URLs"));
+    remote.map(Found::Fixed)
 }
 
 impl Store for ByPath {
@@ -79,7 +163,7 @@ impl Store for ByPath {
     }
 
     fn list(&self, path: &Path) -> io::Result<Vec<(PathBuf, bool)>> {
-        of(path)?.list(path)
+        in_folder(path)?.list(path)
     }
 
     fn remove_file(&self, path: &Path) -> io::Result<()> {
@@ -105,7 +189,7 @@ impl Store for ByPath {
     }
 
     fn files_below(&self, folder: &Path) -> io::Result<Vec<PathBuf>> {
-        of(folder)?.files_below(folder)
+        in_folder(folder)?.files_below(folder)
     }
 }
 

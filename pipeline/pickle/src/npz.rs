@@ -147,16 +147,7 @@ impl<R: Read + Seek> Archive<R> {
             .map_err(|error| member_error(&name, &error))?;
         let (len, compressed_len) = (file.size(), file.compressed_size());
         let start = file.data_start().unwrap_or_else(|| file.header_start());
-        if len > max_len || (len > SMALL_MEMBER_LEN && len / MAX_RATIO > compressed_len.max(1)) {
-            return Err(Error::new(
-                "E-NPZ-LIMIT",
-                format!(
-                    "{name} unpacks from {compressed_len} to {len} bytes, expected at most \
-                     {max_len} and {MAX_RATIO} times its packed size"
-                ),
-            )
-            .at(start as usize));
-        }
+        check_len(&name, len, compressed_len, max_len).map_err(|error| error.at(start as usize))?;
         // The stated length is not trusted: it reserves no memory, and reading stops there.
         let mut bytes = Vec::new();
         file.by_ref()
@@ -165,6 +156,19 @@ impl<R: Read + Seek> Archive<R> {
             .and_then(|_| file.read(&mut [0]).map(drop))
             .map_err(|error| member_error(&name, &ZipError::Io(error)).at(start as usize))?;
         Ok(bytes)
+    }
+
+    /// Checks that an array is small enough to be read. Of the archive only the list of members is.
+    ///
+    /// # Errors
+    /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
+    pub fn check_size(&mut self, key: &str) -> Result<(), Error> {
+        let name = format!("{key}.npy");
+        let file = self
+            .zip
+            .by_name(&name)
+            .map_err(|error| member_error(&name, &error))?;
+        check_len(&name, file.size(), file.compressed_size(), MAX_MEMBER_LEN)
     }
 
     /// An array of numbers.
@@ -192,6 +196,19 @@ impl<R: Read + Seek> Archive<R> {
             .map_err(|error| member_error(&name, &ZipError::Io(error)))?;
         Header::peek_shape(key, &head)
     }
+}
+
+fn check_len(name: &str, len: u64, compressed_len: u64, max_len: u64) -> Result<(), Error> {
+    if len <= max_len && (len <= SMALL_MEMBER_LEN || len / MAX_RATIO <= compressed_len.max(1)) {
+        return Ok(());
+    }
+    Err(Error::new(
+        "E-NPZ-LIMIT",
+        format!(
+            "{name} unpacks from {compressed_len} to {len} bytes, expected at most {max_len} and {MAX_RATIO} times its \
+             packed size"
+        ),
+    ))
 }
 
 fn member_error(name: &str, error: &ZipError) -> Error {

@@ -54,11 +54,23 @@ pub fn examine(sources: &[PathBuf], index: Option<&Path>) -> Result<Diagnosis, E
                 source.display()
             )
         }));
+        unlisted.extend(listing.refused.iter().map(|(name, _, rejected)| {
+            let place = rejected
+                .byte_offset
+                .map_or(String::new(), |byte| format!(" (byte {byte})"));
+            format!(
+                "{name} of {}: {} {}{place}",
+                source.display(),
+                rejected.code,
+                rejected.reason
+            )
+        }));
         let looked = look(&listing.files);
-        let files = Files::new(listing.files);
+        let files = Files::new(listing.files).with_archives(listing.archives);
         findings.push(find(source, &files, &looked));
     }
-    let files = Files::new(list_files(sources)?.files);
+    let listing = list_files(sources)?;
+    let files = Files::new(listing.files).with_archives(listing.archives);
     let asked = index.is_some();
     let index = match index {
         Some(path) => {

@@ -4,6 +4,7 @@
 //! renamed when it is complete.
 
 mod amass;
+mod before;
 mod by_clip;
 mod clips;
 mod edits;
@@ -34,6 +35,7 @@ use crate::write::{self, is_occupied};
 
 use self::by_clip::PART_CLIPS;
 use self::form::Form;
+pub use before::before;
 pub use edits::{Sides, export_edits};
 pub use items::export_items;
 pub(crate) use items::item_stem;

@@ -1,8 +1,10 @@
 //! Dumps in the layout of MotionFix, so that its trainers run on triplets composed here, on pairs, and on items.
 //!
 //! `motionfix.pth.tar` holds the triplets of all splits, `motionfix_val.pth.tar` and `motionfix_test.pth.tar` those of
-//! one; `splits.json` lists the keys of each split. A dump is a dictionary from keys of six digits to `motion_source`,
-//! `motion_target` ([`Parameters`], with a `timestamp`) and `text`. `ids.csv` says what each key is.
+//! one; `splits.json` lists the keys of each split. A dump is a dictionary from keys to `motion_source`,
+//! `motion_target` ([`Parameters`], with a `timestamp`) and `text`. A pair that was read from MotionFix keeps its key of
+//! six digits; the others have fifteen, drawn from their content, so that the keys of two exports do not meet.
+//! `ids.csv` says what each key is.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
@@ -206,11 +208,15 @@ fn published_key(pair: &PairRow) -> Option<&str> {
 
 fn key_in<'a>(id: &'a str, side: &str) -> Option<&'a str> {
     let (_, key) = id.strip_suffix(side)?.rsplit_once("motionfix/")?;
-    let is_key = key.len() == KEY_DIGITS && key.bytes().all(|byte| byte.is_ascii_digit());
-    is_key.then_some(key)
+    let is_key = matches!(key.len(), KEY_DIGITS | NEW_KEY_LEN);
+    (is_key && key.bytes().all(|byte| byte.is_ascii_digit())).then_some(key)
 }
 
+/// Digits of a published key.
 const KEY_DIGITS: usize = 6;
+/// Digits of a key made here: as a number it is exact in double precision.
+const NEW_KEY_DIGITS: u32 = 15;
+const NEW_KEY_LEN: usize = NEW_KEY_DIGITS as usize;
 
 type Dump = DictWriter<BufWriter<File>>;
 
@@ -222,11 +228,10 @@ struct Writer<'a> {
     of_split: BTreeMap<Split, Dump>,
     splits: BTreeMap<&'static str, Vec<String>>,
     ids: csv::Writer<Vec<u8>>,
-    /// Keys that no running number may be.
+    /// Keys that no key made here may be.
     taken: BTreeSet<String>,
     /// Published keys that have their pair.
     used: BTreeSet<String>,
-    next: u64,
 }
 
 impl<'a> Writer<'a> {
@@ -255,7 +260,6 @@ impl<'a> Writer<'a> {
             ids: csv::Writer::from_writer(Vec::new()),
             taken: reserved,
             used: BTreeSet::new(),
-            next: 0,
             folder: folder.to_owned(),
             skeleton,
         };
@@ -293,7 +297,7 @@ impl<'a> Writer<'a> {
             let key = match (row.key(), &value) {
                 (_, None) => String::new(),
                 (Some(key), _) if self.used.insert(key.to_owned()) => key.to_owned(),
-                _ => self.new_key(),
+                _ => self.new_key(&triplet),
             };
             let [source, target] = &triplet.sides;
             let mut licenses: Vec<&str> = [source, target]
@@ -329,14 +333,29 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// A running number that is free.
-    fn new_key(&mut self) -> String {
+    /// A key by what the triplet is: the same in every export of it, and no other triplet's.
+    fn new_key(&mut self, triplet: &Triplet) -> String {
+        let mut hasher = blake3::Hasher::new();
+        let mut take = |part: &str| {
+            hasher.update(&(part.len() as u64).to_le_bytes());
+            hasher.update(part.as_bytes());
+        };
+        take(&triplet.kind);
+        take(&triplet.instruction);
+        for side in &triplet.sides {
+            take(&side.id);
+            take(&side.motion.content_hash());
+        }
         loop {
-            let key = format!("{:0>KEY_DIGITS$}", self.next);
-            self.next += 1;
+            let hash = hasher.finalize();
+            let (words, _) = hash.as_bytes().as_chunks();
+            let number = u64::from_le_bytes(words[0]) % 10u64.pow(NEW_KEY_DIGITS);
+            let key = format!("{number:0>width$}", width = NEW_KEY_LEN);
             if self.taken.insert(key.clone()) {
                 return key;
             }
+            // The same triplet twice.
+            hasher.update(b"again");
         }
     }
 

@@ -2,8 +2,27 @@
 
 use std::collections::BTreeSet;
 
-/// A relative path for an id that is valid on every file system: special characters become `_`, and no
-/// component is empty or a dot path.
+/// Bytes of a name in a path. File systems take 255; a layout adds an ending, and the names of its other files.
+const MAX_NAME: usize = 200;
+
+/// Whether a name in the path of an id is cut short: its beginning is followed by a hash of all of it, so that two names
+/// stay two.
+pub(super) fn is_shortened(id: &str) -> bool {
+    id.split('/').any(|part| part.len() > MAX_NAME)
+}
+
+fn shortened(part: String) -> String {
+    if part.len() <= MAX_NAME {
+        return part;
+    }
+    let hash = blake3::hash(part.as_bytes()).to_hex();
+    let hash = &hash[..16];
+    let begin = part.floor_char_boundary(MAX_NAME - hash.len() - 1);
+    format!("{}~{hash}", &part[..begin])
+}
+
+/// A relative path for an id that is valid on every file system: special characters become `_`, no component is
+/// empty or a dot path, and long ones are shortened.
 pub(super) fn safe_path(id: &str) -> String {
     let parts: Vec<String> = id
         .split('/')
@@ -17,7 +36,7 @@ pub(super) fn safe_path(id: &str) -> String {
                 .collect();
             match safe.trim_matches(['.', ' ']) {
                 "" => "_".to_owned(),
-                _ => safe,
+                _ => shortened(safe),
             }
         })
         .collect();
@@ -67,6 +86,14 @@ mod tests {
         ] {
             assert_eq!(safe_path(id), path);
         }
+        let long = "é".repeat(125);
+        let short = safe_path(&format!("a/{long}"));
+        assert!(
+            short.len() <= 2 + MAX_NAME && short.starts_with("a/é"),
+            "{short}"
+        );
+        assert_ne!(short, safe_path(&format!("a/{long}x")));
+        assert!(is_shortened(&long) && !is_shortened("a/b"));
         for (id, ending, stem) in [
             ("a/walk.BVH", ".bvh", "a/walk"),
             ("a/walk.glb", ".bvh", "a/walk.glb"),

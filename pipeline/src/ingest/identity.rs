@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::{MotionId, Seed, Split};
 
+use super::id_list::NOT_CHOSEN;
 use super::list::path_of;
 use super::plan::{Plan, Planned, unlabelled, without_extension};
 use super::recorded::{Recorded, RecordedClip};
@@ -50,7 +51,9 @@ impl Plan {
         let quarantine: BTreeMap<(&str, &str), &QuarantineRow> = quarantine
             .map(|row| ((row.path.as_str(), row.inputs_hash.as_str()), row))
             .collect();
+        // Another choice of clips may choose what this one left out.
         let skipped = recorded.skipped.iter();
+        let skipped = skipped.filter(|row| row.reason != NOT_CHOSEN);
         let skipped: BTreeMap<(&str, &str), &SkippedRow> = skipped
             .map(|row| ((row.path.as_str(), row.inputs_hash.as_str()), row))
             .collect();
@@ -258,21 +261,35 @@ impl Plan {
                 own.or(*recorded)
                     .or(*published)
                     .or(given.get(&group).copied())
-                    .unwrap_or_else(|| Split::assign(&groups.names[group], seed))
+                    .unwrap_or_else(|| Split::assign(drawn_by(&groups.names[group]), seed))
             })
             .collect()
     }
 
+    /// The releases of the same format before one.
+    fn number_in_format(&self, release: usize) -> usize {
+        let format = self.releases[release].0;
+        let before = self.releases[..release].iter();
+        before.filter(|(other, _)| *other == format).count()
+    }
+
     /// Key of the drawn split, for clips without a published one.
     pub(super) fn split_key(&self, item: &Planned) -> String {
-        if let Some(group) = item.group.as_ref().or(item.entry.group.as_ref()) {
+        if let Some(group) = &item.group {
             return group.clone();
         }
         match item.release {
-            // Two releases of one clip share a split: the id prefix is left out.
-            Some(_) => {
+            // Two releases of one clip share a split: the id prefix is left out. Two of one format are other clips
+            // of the same names, unless their content is equal.
+            Some(release) => {
                 let id = &item.entry.id;
-                MotionId::parse(id).map_or(id.clone(), |id| id.source_clip().to_owned())
+                let clip =
+                    || MotionId::parse(id).map_or(id.clone(), |id| id.source_clip().to_owned());
+                let key = item.entry.group.clone().unwrap_or_else(clip);
+                match self.number_in_format(release) {
+                    0 => key,
+                    number => format!("{number}{AMONG_RELEASES}{key}"),
+                }
             }
             None => escaped(without_extension(unlabelled(
                 &self.labels,
@@ -280,6 +297,14 @@ impl Plan {
             ))),
         }
     }
+}
+
+/// What separates the number of a release among those of its format from a key. Names have no control characters.
+const AMONG_RELEASES: char = '\u{1f}';
+
+/// What the split of a key is drawn by: the same whether its release is alone or not.
+fn drawn_by(key: &str) -> &str {
+    key.rsplit(AMONG_RELEASES).next().unwrap_or(key)
 }
 
 /// Whether a motion of a file is the one a clip was read from, if the file is.
@@ -385,11 +410,8 @@ impl Groups {
 
     fn unite(&mut self, a: usize, b: usize) {
         let (a, b) = (self.root(a), self.root(b));
-        let (smaller, larger) = if self.names[a] <= self.names[b] {
-            (a, b)
-        } else {
-            (b, a)
-        };
+        let name = |key: usize| (drawn_by(&self.names[key]), &self.names[key]);
+        let (smaller, larger) = if name(a) <= name(b) { (a, b) } else { (b, a) };
         self.parents[larger] = smaller;
     }
 }

@@ -48,6 +48,11 @@ pub fn plan_ingest(
     let newest = Staging::newest(store.as_ref(), destination)?;
     let prepared = Prepared::of(destination, newest.as_ref(), options)?;
     let plan = prepared.plan(store, sources, progress)?;
+    if let Some(path) = plan.files.archives().unpacked() {
+        return Err(Error::PackedTar {
+            path: path.to_owned(),
+        });
+    }
     let fates = Fates::of(&plan, &prepared.base.recorded);
     // Nothing is planned for labels that may not be lost.
     labels(

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::clip::Rejected;
+use crate::source::archive::{self, Archives};
 use crate::source::text_of_name;
 
 /// Bytes looked at to recognise a file.
@@ -35,6 +36,10 @@ pub(crate) struct Listing {
     pub(crate) special: Vec<(String, String)>,
     /// Folders that cannot be listed, and why.
     pub(crate) unlisted: Vec<(String, String)>,
+    /// Archives and members of archives that cannot be used, with the hash of the archive.
+    pub(crate) refused: Vec<(String, String, Rejected)>,
+    /// Archives whose members are among the files: these can be read while this is kept.
+    pub(crate) archives: Archives,
 }
 
 /// Why a link to a folder is skipped.
@@ -79,6 +84,9 @@ pub(super) fn list_sources(sources: &[PathBuf]) -> Result<Vec<Listed>, Error> {
             is_file: metadata.is_file(),
             listing,
         });
+    }
+    for source in &mut listed {
+        source.listing.open_archives()?;
     }
     if listed.iter().all(|source| source.listing.files.is_empty()) {
         let paths: Vec<String> = sources
@@ -137,7 +145,14 @@ pub(super) fn merged(sources: Vec<Listed>, labels: &[String]) -> Listing {
             files,
             special,
             unlisted,
+            refused,
+            archives,
         } = source.listing;
+        let refused = refused.into_iter();
+        merged
+            .refused
+            .extend(refused.map(|(name, hash, why)| (labelled(label, &name), hash, why)));
+        merged.archives.add(archives);
         let files = files.into_iter();
         merged
             .files
@@ -193,6 +208,16 @@ impl Listing {
         }
     }
 
+    /// Puts the members of archives in the place of these.
+    fn open_archives(&mut self) -> Result<(), Error> {
+        let opened = archive::open_all(&mut self.files)?;
+        self.files.extend(opened.files);
+        self.special.extend(opened.special);
+        self.refused.extend(opened.refused);
+        self.archives.add(opened.archives);
+        Ok(())
+    }
+
     /// Takes an entry that is no folder.
     fn take(&mut self, path: &Path, relative: String, is_file: bool) {
         // A link to a folder could lead back here, and opening a pipe waits for ever. A dangling link
@@ -215,6 +240,9 @@ impl Listing {
     fn why_empty(&self) -> String {
         if let Some((folder, reason)) = self.unlisted.first() {
             return format!("folder {folder} cannot be listed: {reason}");
+        }
+        if let Some((name, _, rejected)) = self.refused.first() {
+            return format!("{name} cannot be read: {}", rejected.reason);
         }
         match self.special.first() {
             Some((_, reason)) => {

@@ -7,6 +7,7 @@
 mod added;
 mod equal;
 mod growth;
+mod id_list;
 mod identity;
 mod inputs;
 mod job;
@@ -42,6 +43,7 @@ use crate::Error;
 use crate::source::ReadOptions;
 
 pub use self::growth::{Growth, LostLabel};
+pub use self::id_list::IdList;
 pub use self::job::plan_ingest;
 pub(crate) use self::job::{JOB, open_job};
 pub(crate) use self::list::{labelled as with_label, read_head};
@@ -116,7 +118,17 @@ impl Prepared {
         let base = recorded.unwrap_or_default();
         let differing = match is_new {
             true => None,
-            false => settings.differing(base.settings.as_ref()),
+            false => settings.differing(base.settings.as_ref(), &|name| match name {
+                "splits" => options
+                    .splits
+                    .as_ref()
+                    .map(|list| list.changes(&base.recorded)),
+                "ids" => options
+                    .ids
+                    .as_ref()
+                    .map(|list| format!("now chooses {}", list.shown())),
+                _ => None,
+            }),
         };
         if let (Some(differing), false) = (&differing, options.new_version) {
             return Err(Error::OtherSettings {
@@ -187,6 +199,7 @@ impl Prepared {
         };
         let warning = license::warning(&report.licenses);
         let kept_seed = self.kept_seed.clone();
+        report.remarks.extend(plan.choice.iter().cloned());
         report.remarks.extend(kept_seed.into_iter().chain(warning));
         Ok(report)
     }

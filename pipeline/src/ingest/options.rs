@@ -7,6 +7,7 @@ use std::sync::Arc;
 use datasets_spec::{Fps, Resample, Seed, Skeleton};
 use serde::{Deserialize, Serialize};
 
+use super::id_list::IdList;
 use super::split_list::SplitList;
 use crate::Error;
 use crate::annotation::pairs::PairList;
@@ -45,6 +46,8 @@ pub struct IngestOptions {
     pub pairs: Option<PairList>,
     /// Splits of the user's own, which take precedence over published and drawn ones.
     pub splits: Option<SplitList>,
+    /// The clips to read; without it, all of them.
+    pub ids: Option<IdList>,
     /// Licence tag for clips whose source declares none.
     pub license: Option<String>,
     /// Keep captions that are made by rule from file names.
@@ -72,6 +75,7 @@ impl Default for IngestOptions {
             seed: Seed(0),
             pairs: None,
             splits: None,
+            ids: None,
             license: None,
             made_captions: true,
             read: ReadOptions::default(),
@@ -94,6 +98,8 @@ pub(super) struct StoredOptions {
     seed: Seed,
     pairs: Option<PairList>,
     splits: Option<SplitList>,
+    #[serde(default)]
+    ids: Option<IdList>,
     license: Option<String>,
     made_captions: bool,
     skeleton: Skeleton,
@@ -127,6 +133,7 @@ impl StoredOptions {
             seed: options.seed,
             pairs: options.pairs.clone(),
             splits: options.splits.clone(),
+            ids: options.ids.clone(),
             license: options.license.clone(),
             made_captions: options.made_captions,
             skeleton: options.read.skeleton.clone(),
@@ -173,6 +180,7 @@ impl StoredOptions {
             seed: self.seed,
             pairs: self.pairs,
             splits: self.splits,
+            ids: self.ids,
             license: self.license,
             made_captions: self.made_captions,
             read: ReadOptions {
@@ -221,6 +229,9 @@ pub(super) const PAIRS_FACT: &str = "pairs";
 /// Fact of a manifest: the settings its clips were read with, as JSON.
 pub(super) const SETTINGS_FACT: &str = "ingest_settings";
 
+/// Settings that are recorded by the hash of a file.
+const KEPT_BY_HASH: [&str; 4] = ["splits", "ids", "joint-map", "subject-models"];
+
 /// The settings that decide how a clip is read, by name. Clips of a dataset are all read with the same.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
@@ -260,6 +271,7 @@ impl Settings {
                 "splits",
                 options.splits.as_ref().map_or_else(none, SplitList::hash),
             ),
+            ("ids", options.ids.as_ref().map_or_else(none, IdList::hash)),
             ("lenient", options.read.lenient.to_string()),
             (
                 "teleports",
@@ -284,8 +296,13 @@ impl Settings {
         !a.is_empty() && a == b
     }
 
-    /// The settings that differ from recorded ones, in words; none where all are equal.
-    pub(super) fn differing(&self, recorded: Option<&String>) -> Option<String> {
+    /// The settings that differ from recorded ones, in words; none where all are equal. `in_words` says what a
+    /// setting that is kept by its hash means.
+    pub(super) fn differing(
+        &self,
+        recorded: Option<&String>,
+        in_words: &dyn Fn(&str) -> Option<String>,
+    ) -> Option<String> {
         let Some(recorded) = recorded.and_then(|text| serde_json::from_str::<Self>(text).ok())
         else {
             return Some(
@@ -300,7 +317,13 @@ impl Settings {
             .into_iter()
             .map(|name| (name, value(&recorded, name), value(self, name)))
             .filter(|(_, recorded, now)| recorded != now)
-            .map(|(name, recorded, now)| format!("{name} was {recorded} and is now {now}"))
+            .map(|(name, recorded, now)| match in_words(name) {
+                Some(words) => format!("{name} {words}"),
+                None if KEPT_BY_HASH.contains(&name.as_str()) && now == "none" => {
+                    format!("{name} was a file and is not given now")
+                }
+                None => format!("{name} was {recorded} and is now {now}"),
+            })
             .collect();
         (!differing.is_empty()).then(|| differing.join("; "))
     }

@@ -22,6 +22,7 @@ use super::split_list::{SplitList, name_of_subject};
 use crate::Error;
 use crate::annotation::pairs::{PairList, RefusedLine, names_of, originals, style_group};
 use crate::clip::Rejected;
+use crate::source::archive;
 use crate::source::labels::{self, FolderLabels};
 use crate::source::{
     Entry, Files, Format, FoundRelease, Recognised, find_releases, name_of_text, recognise,
@@ -49,6 +50,8 @@ pub(super) struct Plan {
     pub(super) staying: BTreeSet<String>,
     /// What a reader of the dataset should know about its splits.
     pub(super) remarks: Vec<String>,
+    /// What the user's choice of clips left out, and its lines that name none.
+    pub(super) choice: Vec<String>,
     /// What folders say of the motions in them.
     pub(super) folder_labels: FolderLabels,
     /// Lines of the list of splits that gave no clip a split.
@@ -112,7 +115,7 @@ impl Planned {
     }
 
     /// Names by which a list of splits means it: its id, that of its source clip, its file, its subject.
-    fn names(&self) -> BTreeSet<String> {
+    pub(super) fn names(&self) -> BTreeSet<String> {
         let (entry, subject) = (&self.entry, self.subject.as_deref());
         let file = [entry.file.as_str(), without_extension(&entry.file)];
         let mut names = BTreeSet::from([self.id.clone(), self.clip(), entry.id.clone()]);
@@ -186,15 +189,23 @@ impl Plan {
             let reason = format!("cannot list the folder: {reason}");
             quarantine_row(folder, "", String::new(), Rejected::read("E-IO", reason))
         });
-        let rejected: Vec<QuarantineRow> = unlisted.collect();
+        // Clips of an archive that cannot be read now stay, as those of such a folder do.
+        let closed: Vec<String> = listing
+            .refused
+            .iter()
+            .map(|(path, ..)| path.clone())
+            .collect();
+        let refused = listing.refused.into_iter();
+        let refused = refused.map(|(path, hash, why)| quarantine_row(&path, "", hash, why));
+        let rejected: Vec<QuarantineRow> = unlisted.chain(refused).collect();
         let unlisted = listing.unlisted.into_iter().map(|(folder, _)| folder);
-        let unlisted = unlisted.collect();
+        let unlisted = unlisted.chain(closed).collect();
         let sources = listing
             .files
             .iter()
             .filter_map(|(relative, place)| Some((relative.clone(), by_place.get(place)?.clone())));
         let sources = sources.collect();
-        let files = Files::on(store, listing.files);
+        let files = Files::on(store, listing.files).with_archives(listing.archives);
         let mut plan = Self {
             folder_labels: FolderLabels::read(&files),
             refused_splits: Vec::new(),
@@ -208,6 +219,7 @@ impl Plan {
             unlisted,
             staying: BTreeSet::new(),
             remarks: Vec::new(),
+            choice: Vec::new(),
             claimed: BTreeSet::new(),
         };
         plan.claimed = plan.take_releases(options);
@@ -215,6 +227,9 @@ impl Plan {
         plan.note_inputs();
         plan.identify(recorded, same_settings);
         plan.take_labels();
+        if let Some(list) = &options.ids {
+            plan.choose(list);
+        }
         plan.take_own_splits(options.splits.as_ref());
         if let Some(list) = &options.pairs {
             plan.follow_originals(list);
@@ -636,7 +651,11 @@ pub(super) fn source_hash(sources: &BTreeMap<String, Source>, relative: &str) ->
 /// The quarantine row of a file that could not be read while planning.
 fn unreadable(sources: &BTreeMap<String, Source>, relative: &str) -> Option<QuarantineRow> {
     let reason = sources.get(relative)?.hash.clone().err()?;
-    let rejected = Rejected::read("E-IO", format!("cannot read the file: {reason}"));
+    let code = match archive::is_in_archive(relative) {
+        true => archive::DAMAGED,
+        false => "E-IO",
+    };
+    let rejected = Rejected::read(code, format!("cannot read the file: {reason}"));
     Some(quarantine_row(relative, "", String::new(), rejected))
 }
 

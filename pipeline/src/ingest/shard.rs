@@ -37,6 +37,9 @@ pub(super) struct ShardNotes {
     pub(super) label_problems: Vec<LabelProblem>,
 }
 
+/// Bytes above which the headers of a file are looked at before it is read.
+const LARGE_LEN: usize = 64 << 20;
+
 /// Stage of a quarantined item whose piece failed as a whole.
 pub(super) const PIECE_STAGE: &str = "piece";
 
@@ -246,6 +249,11 @@ impl Plan {
         let Entry { file, key, .. } = item.entry;
         let path = Path::new(file);
         let length = bounded_length(&self.files, file)?;
+        if length > LARGE_LEN
+            && let Some(rejected) = item.format.refuse_large(self.files.open_at(file)?)
+        {
+            return Err(rejected);
+        }
         let mut opened = self.files.open(file)?;
         if let Some(outcome) = item.format.read_in_pieces(&mut *opened, length, options) {
             return Ok(label(outcome, path, companions, around));

@@ -17,6 +17,7 @@ use super::plan::{Plan, Planned};
 use super::sources::SourceLabel;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
+use crate::source::archive::Archives;
 use crate::source::labels::FolderLabels;
 use crate::source::{Entry, Files, find_releases, format_named, name_of_text, text_of_name};
 use crate::work::{absolute, read_json, write_json, write_table};
@@ -95,6 +96,8 @@ struct Rest {
     unlisted: Vec<String>,
     staying: Vec<String>,
     remarks: Vec<String>,
+    #[serde(default)]
+    choice: Vec<String>,
     refused_splits: Vec<RefusedLine>,
 }
 
@@ -123,6 +126,7 @@ impl Plan {
             unlisted: self.unlisted.clone(),
             staying: self.staying.iter().cloned().collect(),
             remarks: self.remarks.clone(),
+            choice: self.choice.clone(),
             refused_splits: self.refused_splits.clone(),
         };
         write_json(&folder.join(REST), &rest)
@@ -152,7 +156,8 @@ impl Plan {
             };
             sources.insert(row.path, source);
         }
-        let files = Files::on(store, paths);
+        let archives = Archives::of(paths.values())?;
+        let files = Files::on(store, paths).with_archives(archives);
         let rows: Vec<PlannedMotion> = read_rows(&folder.join(MOTIONS))?;
         let items = rows.into_iter().map(|row| item_of(row, folder));
         let items: Vec<Planned> = items.collect::<Result<_, Error>>()?;
@@ -186,6 +191,7 @@ impl Plan {
             unlisted: rest.unlisted,
             staying: rest.staying.into_iter().collect(),
             remarks: rest.remarks,
+            choice: rest.choice,
             refused_splits: rest.refused_splits,
             claimed,
         })

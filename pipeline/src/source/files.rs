@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use datasets_spec::store::{ByPath, Reader, Store, is_url};
 
+use super::archive::Archives;
 use crate::clip::Rejected;
 
 /// The files under the sources, by relative path with forward slashes.
@@ -16,6 +17,8 @@ pub struct Files {
     paths: BTreeMap<String, PathBuf>,
     /// Files of the folders at URLs that something was looked for in; none of those that cannot be listed.
     folders: Folders,
+    /// The archives that some of the files are in.
+    archives: Archives,
 }
 
 type Folders = Arc<Mutex<BTreeMap<PathBuf, Option<BTreeSet<PathBuf>>>>>;
@@ -32,7 +35,19 @@ impl Files {
             store,
             paths,
             folders: Folders::default(),
+            archives: Archives::default(),
         }
+    }
+
+    /// Keeps archives open as long as the files.
+    pub(crate) fn with_archives(mut self, archives: Archives) -> Self {
+        self.archives = archives;
+        self
+    }
+
+    /// The archives that some of the files are in.
+    pub(crate) fn archives(&self) -> &Archives {
+        &self.archives
     }
 
     /// BLAKE3 of a file, hexadecimal, or why it cannot be read.

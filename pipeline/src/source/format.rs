@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use datasets_spec::Split;
+use datasets_spec::store::Reader;
 
 use super::files::Files;
 use super::options::ReadOptions;
@@ -52,6 +53,12 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
             "E-INTERNAL",
             format!("{} is a format of releases, not of files", self.name()),
         ))
+    }
+
+    /// Refuses a large file by what its headers say, before all of it is read.
+    fn refuse_large(&self, file: Reader) -> Option<Rejected> {
+        let _ = file;
+        None
     }
 
     /// Reads the one motion of a file of about `length` bytes piece by piece, for formats whose files
@@ -159,6 +166,24 @@ pub struct Contents {
     pub rejected: Vec<(String, Rejected)>,
     /// What a reader of the dataset should know about the splits of its motions.
     pub remarks: Vec<String>,
+}
+
+/// Ids that a remark names as examples.
+const EXAMPLES: usize = 3;
+
+impl Contents {
+    /// Remarks on ids of a published split that have no motion.
+    pub(super) fn remark_on_listed(&mut self, release: &str, list: &str, missing: Vec<&str>) {
+        if missing.is_empty() {
+            return;
+        }
+        let examples = missing.iter().take(EXAMPLES).copied();
+        self.remarks.push(format!(
+            "{release}: {} ids of {list} have no motion (such as {})",
+            missing.len(),
+            examples.collect::<Vec<_>>().join(", ")
+        ));
+    }
 }
 
 /// A release: files that belong together and are read by their own rules.

@@ -10,6 +10,7 @@ mod names;
 mod options;
 
 pub mod amass;
+pub(crate) mod archive;
 pub mod body_model;
 pub mod bvh;
 pub mod c3d;

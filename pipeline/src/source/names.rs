@@ -5,8 +5,13 @@ use std::ffi::{OsStr, OsString};
 /// A file name as text without control characters, different for different names: bytes that are not
 /// UTF-8 and control characters become `\xNN`, a backslash is doubled.
 pub(crate) fn text_of_name(name: &OsStr) -> String {
+    text_of_bytes(name.as_encoded_bytes())
+}
+
+/// [`text_of_name`] of a name in an archive.
+pub(super) fn text_of_bytes(name: &[u8]) -> String {
     let mut text = String::with_capacity(name.len());
-    for chunk in name.as_encoded_bytes().utf8_chunks() {
+    for chunk in name.utf8_chunks() {
         for c in chunk.valid().chars() {
             match c {
                 '\\' => text += r"\\",

@@ -11,6 +11,8 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use datasets_spec::store::begin_of_name;
+
 use crate::Error;
 
 /// Writes a file whole or not at all: to a temporary name of its own beside it, synced, then renamed. Of two
@@ -23,6 +25,7 @@ pub fn replace_file(path: &Path, content: &[u8]) -> io::Result<()> {
     let name = path.file_name().ok_or(io::ErrorKind::InvalidInput)?;
     let (name, process) = (name.to_string_lossy(), std::process::id());
     let number = WRITTEN.fetch_add(1, Ordering::Relaxed);
+    let name = begin_of_name(&name);
     let staged = path.with_file_name(format!(".{name}.{process}.{number}.tmp"));
     let write = || {
         let mut file = File::create(&staged)?;

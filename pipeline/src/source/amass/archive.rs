@@ -130,6 +130,31 @@ pub(crate) fn peek<R: Read + Seek>(reader: R) -> Result<Option<(Variant, usize, 
     Ok(variant.map(|variant| (variant, num_frames, fps)))
 }
 
+/// Refuses a recording whose arrays are too large to be read, by the list of members and the headers alone.
+pub(super) fn refuse_large<R: Read + Seek>(reader: R) -> Option<Rejected> {
+    let mut archive = Archive::open(reader).ok()?;
+    for key in ["poses", "pose_body", "root_orient", "trans"] {
+        let Some(error) = archive
+            .has(key)
+            .then(|| archive.check_size(key).err())
+            .flatten()
+        else {
+            continue;
+        };
+        let mut rejected = Rejected::from(error);
+        if let (Ok(shape), Ok(fps)) = (archive.shape(key), read_fps(&mut archive)) {
+            let frames = shape.first().copied().unwrap_or(0);
+            rejected.reason = format!(
+                "{frames} frames at {fps} fps are {:.1} hours: {}; cut the recording into parts",
+                frames as f64 / fps / 3600.0,
+                rejected.reason
+            );
+        }
+        return Some(rejected);
+    }
+    None
+}
+
 fn no_poses<'a>(keys: &[String]) -> Result<Parsed<'a>, Rejected> {
     let has = |key: &str| keys.iter().any(|found| found == key);
     let list = keys.join(", ");

@@ -10,6 +10,7 @@ mod variant;
 
 use std::path::Path;
 
+use datasets_spec::store::Reader;
 use kinematics::resample;
 
 use rate::Rate;
@@ -103,6 +104,10 @@ impl SourceFormat for Amass {
             }
             _ => Recognised::Motion(FORMAT),
         })
+    }
+
+    fn refuse_large(&self, file: Reader) -> Option<Rejected> {
+        archive::refuse_large(file)
     }
 
     fn read(&self, path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {

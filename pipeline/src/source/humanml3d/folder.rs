@@ -1,6 +1,6 @@
 //! The clips of a folder: motion, captions, split and crop of each.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use datasets_spec::table::Caption;
@@ -86,8 +86,24 @@ impl Folder {
             });
             folder.clips.insert(id.clone(), clip);
         }
+        folder.remark(&layout);
         folder.pass_over(layout);
         folder
+    }
+
+    /// Remarks on listed ids without a motion. Captions without any motion may be those of clips cut from AMASS.
+    fn remark(&mut self, layout: &Layout) {
+        if self.clips.is_empty() {
+            return;
+        }
+        for (file, (split, ids)) in &layout.lists {
+            let ids = ids
+                .iter()
+                .filter(|id| split.is_some() && !layout.has_motion(id));
+            let missing: BTreeSet<&str> = ids.map(String::as_str).collect();
+            let missing = missing.into_iter().collect();
+            self.contents.remark_on_listed("HumanML3D", file, missing);
+        }
     }
 
     /// Lists the files that hold no motion.

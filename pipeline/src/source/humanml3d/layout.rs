@@ -7,6 +7,7 @@ use datasets_spec::Split;
 use super::id::is_id;
 use super::index::{IndexRow, parse_index};
 use crate::clip::Rejected;
+use crate::source::archive;
 use crate::source::files::Files;
 
 /// Folders of a release.
@@ -54,8 +55,7 @@ pub(crate) fn layouts(files: &Files) -> Vec<Layout> {
         let Some((folder, name)) = file.rsplit_once('/') else {
             continue;
         };
-        let parent = folder.rsplit_once('/').map_or(folder, |(_, parent)| parent);
-        let root = &folder[..folder.len() - parent.len()];
+        let (root, parent) = root_and_folder(folder);
         let Some((id, extension)) = name.rsplit_once('.') else {
             continue;
         };
@@ -76,6 +76,23 @@ pub(crate) fn layouts(files: &Files) -> Vec<Layout> {
             layout
         })
         .collect()
+}
+
+/// The folder that a release lies in, with a trailing slash, and which of its folders this is. The release's folders
+/// may be archives: `texts.zip` stands for `texts`, whether its members are in a folder of that name or not.
+fn root_and_folder(folder: &str) -> (&str, &str) {
+    let split = |folder: &str| folder.rfind('/').map_or(0, |slash| slash + 1);
+    let at = split(folder);
+    let (root, name) = folder.split_at(at);
+    if let Some(name) = archive::stem(name) {
+        return (root, name);
+    }
+    let above = root.strip_suffix('/').unwrap_or(root);
+    let (outer, archived) = above.split_at(split(above));
+    match archive::stem(archived) {
+        Some(stem) if stem == name => (outer, name),
+        _ => (root, name),
+    }
 }
 
 impl Layout {

@@ -5,7 +5,7 @@
 //! Repository athn-nik/motionfix: `motionfix.pth.tar` is a dictionary from ids to `motion_source`,
 //! `motion_target` (`rots`, `trans`, `joint_positions`) and `text`; SMPL-H, z up, 30 fps.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use datasets_spec::{BodyPart, Fps, Split};
@@ -49,6 +49,7 @@ const TARGET: &str = "target";
 ///
 /// A frame takes 276 bytes, so that the whole release (13,460 motions of about five seconds) takes
 /// about 570 MB while it is ingested; decoding a dump takes little more memory than its contents.
+#[derive(Clone, Debug, PartialEq)]
 struct Pair {
     source: Result<Parameters, Rejected>,
     target: Result<Parameters, Rejected>,
@@ -57,9 +58,12 @@ struct Pair {
     note: Option<String>,
 }
 
-/// A release, with its dumps decoded.
+/// The release of one folder, with its dumps decoded. Keys and split lists are those of the folder: another one may
+/// have the same keys for other pairs.
+#[derive(Default)]
 struct MotionFixRelease {
     contents: Contents,
+    /// By key; that of a pair which differs from the one of an earlier dump begins with its dump's name.
     pairs: BTreeMap<String, Pair>,
     /// Body parts by instruction.
     parts: BTreeMap<String, Vec<BodyPart>>,
@@ -91,37 +95,57 @@ impl Unlisted {
     }
 }
 
-/// The release among the files: at most one, since its ids are the same wherever it lies.
+/// The releases among the files: one in each folder with dumps.
 pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
     let dumps: Vec<&str> = files.all().filter(|file| is_dump(file)).collect();
     let labels: Vec<&str> = files.all().filter(|file| is_label(file, &dumps)).collect();
-    if dumps.is_empty() && labels.is_empty() {
-        return Vec::new();
+    let mut folders: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for dump in dumps {
+        folders.entry(folder_of(dump)).or_default().push(dump);
     }
-    let mut release = MotionFixRelease {
-        contents: Contents::default(),
-        pairs: BTreeMap::new(),
-        parts: BTreeMap::new(),
-        unlisted: BTreeMap::new(),
-    };
-    if dumps.is_empty() {
+    if folders.is_empty() {
         let reason = "MotionFix label file without motions, motionfix.pth.tar is missing";
+        let mut release = MotionFixRelease::default();
         release.contents.passed_over = labels
             .into_iter()
             .map(|file| (file.to_owned(), reason.to_owned()))
             .collect();
-        return vec![Box::new(release)];
+        return match release.contents.passed_over.is_empty() {
+            true => Vec::new(),
+            false => vec![Box::new(release)],
+        };
     }
-    let mut splits = BTreeMap::new();
-    for file in labels {
-        release.take_label(files, file, &mut splits);
+    let (own, common): (Vec<&str>, Vec<&str>) = labels
+        .into_iter()
+        .partition(|file| folders.contains_key(folder_of(file)));
+    let mut releases: Vec<Box<dyn Release>> = Vec::with_capacity(folders.len());
+    // Parts go by the words of an instruction, so a label file that lies elsewhere speaks of every folder.
+    let mut shared = MotionFixRelease::default();
+    for file in common {
+        shared.take_label(files, file, &mut Lists::new());
     }
-    for file in dumps {
-        release.take_dump(files, file, &splits);
+    for (folder, dumps) in folders {
+        let mut release = MotionFixRelease {
+            // What belongs to no folder is named once.
+            contents: std::mem::take(&mut shared.contents),
+            parts: shared.parts.clone(),
+            ..MotionFixRelease::default()
+        };
+        let mut lists = Lists::new();
+        for file in own.iter().filter(|file| folder_of(file) == folder) {
+            release.take_label(files, file, &mut lists);
+        }
+        for file in dumps {
+            release.take_dump(files, file, &lists);
+        }
+        release.remark(&lists);
+        releases.push(Box::new(release));
     }
-    release.remark();
-    vec![Box::new(release)]
+    releases
 }
+
+/// Splits by key.
+type Lists = BTreeMap<String, Split>;
 
 fn name_of(file: &str) -> &str {
     file.rsplit('/').next().unwrap_or(file)
@@ -159,7 +183,7 @@ fn padded(id: &str) -> String {
 
 impl MotionFixRelease {
     /// Reads the label files that describe motions, and skips the others.
-    fn take_label(&mut self, files: &Files, file: &str, splits: &mut BTreeMap<String, Split>) {
+    fn take_label(&mut self, files: &Files, file: &str, splits: &mut Lists) {
         let name = name_of(file);
         let has_parts = name.starts_with(PART_LABELS);
         if name != SPLITS && !has_parts {
@@ -198,8 +222,9 @@ impl MotionFixRelease {
         self.contents.passed_over.push((file.to_owned(), reason));
     }
 
-    /// Decodes a dump and plans the motions that no earlier dump had.
-    fn take_dump(&mut self, files: &Files, file: &str, splits: &BTreeMap<String, Split>) {
+    /// Decodes a dump and plans the motions that no earlier dump of the folder had. A pair that has the key of another
+    /// one and is not equal to it gets a key of its own.
+    fn take_dump(&mut self, files: &Files, file: &str, splits: &Lists) {
         let entries = match decode(files, file) {
             Ok(entries) => entries,
             Err(rejected) => {
@@ -208,35 +233,55 @@ impl MotionFixRelease {
             }
         };
         let found = entries.len();
-        let mut added = BTreeSet::new();
+        // Keys of pairs, and by which key of the list.
+        let mut added: BTreeMap<String, String> = BTreeMap::new();
+        let mut differing = 0u64;
         for (key, value) in entries {
             let id = match &key {
                 Value::Str(id) => padded(id),
                 Value::Int(id) => padded(&id.to_string()),
                 _ => continue,
             };
-            if !self.pairs.contains_key(&id) {
-                self.pairs.insert(id.clone(), Pair::of(&value));
-                added.insert(id);
-            }
+            let pair = Pair::of(&value);
+            let key = match self.pairs.get(&id) {
+                None => id.clone(),
+                Some(known) if known.is_equal(&pair) => continue,
+                Some(_) => {
+                    differing += 1;
+                    let stem = name_of(file).split('.').next().unwrap_or_default();
+                    let own = format!("{stem}/{id}");
+                    let numbered = (2..).map(|number| format!("{stem}-{number}/{id}"));
+                    let mut keys = std::iter::once(own).chain(numbered);
+                    keys.find(|key| !self.pairs.contains_key(key))
+                        .expect("numbers do not end")
+                }
+            };
+            self.pairs.insert(key.clone(), pair);
+            added.insert(key, id);
+        }
+        if differing > 0 {
+            self.contents.remarks.push(format!(
+                "MotionFix: {differing} pairs of {file} have the keys of other pairs in its folder; their ids begin \
+                 with the name of their dump, and {SPLITS} does not speak of them"
+            ));
         }
         if added.is_empty() {
             let reason = match found {
                 0 => "MotionFix dump without motions".to_owned(),
-                _ => "MotionFix dump whose motions are all in another one".to_owned(),
+                _ => "MotionFix dump whose pairs are all in another one of its folder".to_owned(),
             };
             self.contents.passed_over.push((file.to_owned(), reason));
         }
-        for id in added {
+        for (key, id) in added {
             // Both motions of a pair share a split, even if no list states it.
-            let listed = splits.get(&id).copied();
+            let listed = splits.get(&id).copied().filter(|_| key == id);
             let (split, unlisted) = match (listed, split_of_dump(file)) {
                 (Some(split), _) => (Some(split), None),
                 (None, Some(split)) => (Some(split), Some(Unlisted::FileName(split))),
                 (None, None) if splits.is_empty() => (None, Some(Unlisted::Draw)),
                 (None, None) => (Some(Split::Train), Some(Unlisted::Train)),
             };
-            if let (Some(unlisted), Some(pair)) = (unlisted, self.pairs.get_mut(&id)) {
+            if let (Some(unlisted), Some(pair)) = (unlisted, self.pairs.get_mut(&key)) {
                 *self.unlisted.entry(unlisted).or_default() += 1;
                 pair.note = Some(unlisted.note());
             }
@@ -244,17 +289,20 @@ impl MotionFixRelease {
                 .entries
                 .extend([SOURCE, TARGET].into_iter().map(|side| Entry {
                     file: file.to_owned(),
-                    key: format!("{id}/{side}"),
-                    id: motion_id(&id, side),
+                    key: format!("{key}/{side}"),
+                    id: motion_id(&key, side),
                     split,
-                    group: Some(id.clone()),
+                    group: Some(key.clone()),
                     mirrored_of: None,
                 }));
         }
     }
 
-    /// Adds remarks on the splits of pairs that no list names.
-    fn remark(&mut self) {
+    /// Adds remarks on the splits of pairs that no list names, and on listed keys without a pair.
+    fn remark(&mut self, lists: &Lists) {
+        let missing = lists.keys().filter(|key| !self.pairs.contains_key(*key));
+        let missing = missing.map(String::as_str).collect();
+        self.contents.remark_on_listed("MotionFix", SPLITS, missing);
         for (unlisted, count) in &self.unlisted {
             self.contents.remarks.push(match unlisted {
                 Unlisted::FileName(split) => format!(
@@ -288,7 +336,7 @@ impl Release for MotionFixRelease {
         entry: &Entry,
         options: &ReadOptions,
     ) -> Result<SourceClip, Rejected> {
-        let planned = entry.key.split_once('/');
+        let planned = entry.key.rsplit_once('/');
         let (id, side, pair) = planned
             .and_then(|(id, side)| Some((id, side, self.pairs.get(id)?)))
             .ok_or_else(|| {
@@ -352,6 +400,11 @@ fn decode(files: &Files, file: &str) -> Result<Vec<(Value, Value)>, Rejected> {
 }
 
 impl Pair {
+    /// Whether both are the same motions and the same words.
+    fn is_equal(&self, other: &Self) -> bool {
+        (&self.source, &self.target, &self.text) == (&other.source, &other.target, &other.text)
+    }
+
     fn of(value: &Value) -> Self {
         let side = |key: &str| {
             let motion = value.get(key).ok_or_else(|| {

@@ -63,8 +63,8 @@ impl MotionXFolder {
             }
         }
         let mut folders: Vec<Self> = roots
-            .into_iter()
-            .map(|root| Self::plan(files, root, &captions))
+            .iter()
+            .map(|root| Self::plan(files, root, &roots, &captions))
             .collect();
         // What belongs to no motion is named once.
         if let Some(first) = folders.first_mut() {
@@ -94,9 +94,14 @@ impl MotionXFolder {
         folders
     }
 
-    fn plan(files: &Files, root: &str, captions: &BTreeMap<&str, Vec<&str>>) -> Self {
+    fn plan(
+        files: &Files,
+        root: &str,
+        roots: &BTreeSet<&str>,
+        captions: &BTreeMap<&str, Vec<&str>>,
+    ) -> Self {
         let mut folder = Self::default();
-        let splits = folder.read_lists(files, root);
+        let (splits, lists) = folder.read_lists(files, root);
         let motions: Vec<(&str, &str)> = files
             .under(root)
             .filter_map(|file| Some((file, below(file, &MOTIONS, "npy")?)))
@@ -104,6 +109,15 @@ impl MotionXFolder {
             .map(|(file, (_, name))| (file, name))
             .collect();
         let names: BTreeSet<&str> = motions.iter().map(|(_, name)| *name).collect();
+        let missing = splits.keys().map(String::as_str);
+        let missing = missing.filter(|name| !names.contains(name)).collect();
+        let contents = &mut folder.contents;
+        contents.remark_on_listed("Motion-X", &lists.join(", "), missing);
+        // Captions of another copy of the release, or of another one with the same names, are not this one's.
+        let is_own = |text: &&&str| {
+            let common = |root: &&str| common_start(text, root);
+            roots.iter().map(common).max() == Some(common(&root))
+        };
         for (file, name) in motions {
             let original = original_of(name);
             let listed = splits.get(original.as_deref().unwrap_or(name));
@@ -115,7 +129,7 @@ impl MotionXFolder {
                 );
                 folder.notes.insert(file.to_owned(), note);
             }
-            let own = captions.get(name).into_iter().flatten();
+            let own = captions.get(name).into_iter().flatten().filter(is_own);
             // Of several copies of the release, the captions nearest to the motion.
             let nearest = own.max_by_key(|text| common_start(text, file));
             if let Some(text) = nearest {
@@ -137,7 +151,12 @@ impl MotionXFolder {
 
     /// The splits of the lists in the folder above the motions and those above it, by the name of the
     /// original motion. A motion in several lists keeps them all, sorted: test is the last.
-    fn read_lists(&mut self, files: &Files, root: &str) -> BTreeMap<String, BTreeSet<Split>> {
+    fn read_lists(
+        &mut self,
+        files: &Files,
+        root: &str,
+    ) -> (BTreeMap<String, BTreeSet<Split>>, Vec<String>) {
+        let mut lists = Vec::new();
         let mut splits: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
         for (name, split) in LISTS {
             let ends = root.match_indices('/').map(|(at, _)| at + 1).chain([0]);
@@ -154,13 +173,16 @@ impl MotionXFolder {
                         let original = original_of(&name).unwrap_or(name);
                         splits.entry(original).or_default().extend(split);
                     }
+                    if split.is_some() {
+                        lists.push(file.clone());
+                    }
                     let reason = "list of motions of Motion-X, no motion".to_owned();
                     self.contents.passed_over.push((file, reason));
                 }
                 Err(rejected) => self.contents.rejected.push((file, rejected)),
             }
         }
-        splits
+        (splits, lists)
     }
 }
 

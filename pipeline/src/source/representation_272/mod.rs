@@ -15,7 +15,7 @@
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::Path;
 
@@ -154,6 +154,14 @@ impl Folder {
             folder.contents.passed_over.push(passed_over);
         }
         let splits = Splits::of(lists.iter());
+        let listed = lists.iter().filter(|(split, _)| split.is_some());
+        let listed: BTreeSet<&str> = listed
+            .flat_map(|(_, ids)| ids.iter().map(String::as_str))
+            .collect();
+        let missing = listed.into_iter().filter(|id| !clips.contains_key(id));
+        let (name, lists) = ("272-d features", format!("{root}{SPLITS}"));
+        let missing = missing.collect();
+        folder.contents.remark_on_listed(name, &lists, missing);
         for (&id, &file) in clips {
             let (split, note) = splits.get(id);
             if let Some(note) = note {

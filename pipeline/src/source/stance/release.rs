@@ -102,6 +102,7 @@ impl StanceRelease {
         let mut planner = Planner::new(files, &root);
         planner.read_lists();
         planner.plan_motions();
+        planner.remark();
         planner.release
     }
 
@@ -390,6 +391,35 @@ impl<'a> Planner<'a> {
                     _ => self.plan_adjustment(file),
                 }
             }
+        }
+    }
+
+    /// Remarks on listed names without a motion. Lists of pairs may hold other things than names of files.
+    fn remark(&mut self) {
+        let stems_in = |section: &str| -> BTreeSet<&str> {
+            let prefix = format!("{}{section}/", self.root);
+            let files = self.files.all().filter(|file| file.starts_with(&prefix));
+            files.map(stem_of).collect()
+        };
+        let base: BTreeSet<String> = stems_in(BASE_MOTION).into_iter().map(motion_id).collect();
+        let sections = [
+            (BASE_MOTION, &self.base_lists),
+            (STYLE_TRANSFER, &self.style_lists),
+            (ADJUSTMENT, &self.adjustment_lists),
+        ];
+        for (section, lists) in sections {
+            let stems = stems_in(section);
+            // A part of the release may be there without the others.
+            if stems.is_empty() {
+                continue;
+            }
+            let missing = lists.missing(|name| match section {
+                BASE_MOTION => base.contains(&motion_id(name)),
+                _ => stems.contains(name) || !name.contains('_'),
+            });
+            let list = format!("{}{SPLIT}/{section}", self.root);
+            let contents = &mut self.release.contents;
+            contents.remark_on_listed("STANCE", &list, missing);
         }
     }
 

@@ -10,6 +10,7 @@ use std::path::Path;
 use datasets_spec::Fps;
 
 use self::release::Shards;
+pub(super) use self::release::is_shard;
 use super::format::boxed;
 use super::{Files, Format, Release, SourceFormat};
 

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
 
+use datasets_spec::store::{ByPath, Reader, Store};
 use datasets_spec::table::PartCaption;
 use datasets_spec::{Fps, Motion};
 use pickle::npy::read_numbers;
@@ -202,6 +204,21 @@ fn member(name: &str) -> Option<(&str, &'static str)> {
     let endings = ARRAYS.iter().map(|(ending, _)| *ending).chain([FACTS]);
     let ending = endings.into_iter().find(|known| *known == ending)?;
     (!key.is_empty()).then_some((key, ending))
+}
+
+/// Whether a tar file is a shard, by its first member.
+pub(in crate::source) fn is_shard(path: &Path) -> bool {
+    let Ok(opened) = ByPath.open_at(path) else {
+        return false;
+    };
+    let mut archive = tar::Archive::new(Reader::new(opened));
+    let first = archive
+        .entries_with_seek()
+        .ok()
+        .and_then(|mut entries| entries.next());
+    first.is_some_and(|entry| {
+        entry.is_ok_and(|entry| member(&String::from_utf8_lossy(&entry.path_bytes())).is_some())
+    })
 }
 
 /// The members of an archive, up to the first mistake in it.

@@ -1,0 +1,170 @@
+//! Clips that the user chooses: a file of ids and patterns (`ingest --ids`).
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use datasets_spec::record::SkippedRow;
+use serde::{Deserialize, Serialize};
+
+use super::list::path_of;
+use super::plan::{Plan, source_hash};
+use crate::Error;
+use crate::source::Entry;
+use crate::source::labels::{is_pattern, matches};
+
+/// The lines of a file.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IdList {
+    /// Number and name or pattern of each line.
+    lines: Vec<(u64, String)>,
+    names: BTreeSet<String>,
+}
+
+impl IdList {
+    /// Reads a list.
+    ///
+    /// # Errors
+    /// The file cannot be read, is no text, or names nothing.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        let refused = |reason: &str| Error::IdList {
+            path: path.to_owned(),
+            reason: reason.to_owned(),
+        };
+        let text = std::str::from_utf8(&bytes);
+        let list =
+            Self::parse(text.map_err(|_| refused("it is not UTF-8 text; save it as UTF-8"))?);
+        match list.lines.is_empty() {
+            true => Err(refused("it names no clip; write one id or pattern a line")),
+            false => Ok(list),
+        }
+    }
+
+    /// Parses a list: one id, source file or pattern of them (`*` any characters, `?` one) a line. What follows a `#` at
+    /// the beginning of a line, or behind white space, is a comment.
+    pub fn parse(text: &str) -> Self {
+        let lines = text.trim_start_matches('\u{feff}').lines().zip(1..);
+        let lines = lines.filter_map(|(line, number)| {
+            let comment = line.match_indices('#').map(|(at, _)| at);
+            let mut comment = comment.filter(|at| line[..*at].trim_end().len() < *at || *at == 0);
+            let name = line[..comment.next().unwrap_or(line.len())].trim();
+            (!name.is_empty()).then(|| (number, name.to_owned()))
+        });
+        let lines: Vec<(u64, String)> = lines.collect();
+        let names = lines.iter().map(|(_, name)| name.clone()).collect();
+        Self { lines, names }
+    }
+
+    /// BLAKE3 of what the lines name, hexadecimal.
+    pub(super) fn hash(&self) -> String {
+        let mut hasher = blake3::Hasher::new();
+        for name in &self.names {
+            hasher.update(name.as_bytes()).update(b"\n");
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+
+    /// What the lines name, in a few words.
+    pub(super) fn shown(&self) -> String {
+        const SHOWN: usize = 3;
+        let first: Vec<&str> = self.names.iter().take(SHOWN).map(String::as_str).collect();
+        let more = self.names.len().saturating_sub(SHOWN);
+        match more {
+            0 => first.join(", "),
+            more => format!("{} and {more} more", first.join(", ")),
+        }
+    }
+
+    /// Whether a line names a clip by one of its names.
+    pub(super) fn chooses(&self, names: &BTreeSet<String>) -> bool {
+        let mut patterns = self.lines.iter().filter(|(_, line)| is_pattern(line));
+        names.iter().any(|name| self.names.contains(name))
+            || patterns.any(|(_, line)| names.iter().any(|name| matches(line, name)))
+    }
+
+    /// The lines that name no clip of these names, by number.
+    pub(super) fn unmatched(&self, names: &BTreeSet<String>) -> Vec<(u64, &str)> {
+        let lines = self.lines.iter().filter(|(_, line)| {
+            let is_named = || names.iter().any(|name| matches(line, name));
+            !(names.contains(line) || is_pattern(line) && is_named())
+        });
+        lines
+            .map(|(number, line)| (*number, line.as_str()))
+            .collect()
+    }
+}
+
+/// Why a clip that the user does not choose is skipped.
+pub(super) const NOT_CHOSEN: &str = "clip that --ids does not choose";
+
+impl Plan {
+    /// Leaves out the clips that the user does not choose. Those that the dataset has stay as they are.
+    pub(super) fn choose(&mut self, list: &IdList) {
+        const SHOWN: usize = 10;
+        let mut known = BTreeSet::new();
+        let (mut skipped, mut stay) = (Vec::new(), 0u64);
+        let staying = &mut self.staying;
+        self.items.retain(|item| {
+            let names = item.names();
+            let is_chosen = list.chooses(&names);
+            known.extend(names);
+            if is_chosen {
+                return true;
+            }
+            let Entry { file, key, .. } = &item.entry;
+            if item.known.is_some() {
+                stay += 1;
+                staying.insert(file.clone());
+            } else {
+                skipped.push((path_of(file, key), item.inputs.clone(), file.clone()));
+            }
+            false
+        });
+        for (path, inputs_hash, file) in skipped {
+            self.skipped.push(SkippedRow {
+                path,
+                source_hash: source_hash(&self.sources, &file),
+                inputs_hash,
+                reason: NOT_CHOSEN.to_owned(),
+            });
+        }
+        if stay > 0 {
+            self.choice.push(format!(
+                "{stay} clips of the dataset are not among those of --ids; they were not read and stay as they are"
+            ));
+        }
+        let unmatched = list.unmatched(&known);
+        for (number, name) in unmatched.iter().take(SHOWN) {
+            self.choice.push(format!(
+                "line {number} of --ids: no clip is called {name:?}"
+            ));
+        }
+        if unmatched.len() > SHOWN {
+            let more = unmatched.len() - SHOWN;
+            self.choice
+                .push(format!("{more} more lines of --ids name no clip"));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_names_patterns_and_comments() {
+        let list = IdList::parse(
+            "\u{feff}# my clips\nwalk/anna_1\n\n  run/*  # all runs\nrobot.glb#Dance\ngone\n",
+        );
+        let of = |names: &[&str]| -> BTreeSet<String> {
+            names.iter().map(|name| (*name).to_owned()).collect()
+        };
+        assert!(list.chooses(&of(&["walk/anna_1"])) && list.chooses(&of(&["x", "run/bert"])));
+        assert!(list.chooses(&of(&["robot.glb#Dance"])));
+        assert!(!list.chooses(&of(&["walk/anna_10", "walk"])));
+        let names = of(&["walk/anna_1", "run/bert", "robot.glb#Dance"]);
+        assert_eq!(list.unmatched(&names), [(6, "gone")]);
+        assert_eq!(list.shown(), "gone, robot.glb#Dance, run/* and 1 more");
+        assert_ne!(list.hash(), IdList::parse("gone").hash());
+    }
+}

@@ -1,0 +1,87 @@
+//! Limits on what is read of an archive.
+
+/// Limits on one archive.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    /// Members. The largest release known to be packed as one archive has about 300,000.
+    pub(super) members: u64,
+    /// Bytes of all members. All of AMASS takes about 50 GB.
+    pub(super) bytes: u64,
+    /// Bytes of all members relative to the archive's size. Recordings pack to a tenth at best.
+    pub(super) ratio: u64,
+    /// Bytes below which the ratio does not matter.
+    pub(super) small: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            members: 1_000_000,
+            bytes: 256 << 30,
+            ratio: 200,
+            small: 64 << 20,
+        }
+    }
+}
+
+/// What is left of the limits of an archive.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Budget {
+    limits: Limits,
+    /// Size of the archive.
+    size: u64,
+    members: u64,
+    bytes: u64,
+}
+
+impl Budget {
+    pub(super) fn new(limits: Limits, size: u64) -> Self {
+        Self {
+            limits,
+            size,
+            members: 0,
+            bytes: 0,
+        }
+    }
+
+    /// Size of the archive.
+    pub(super) fn size(&self) -> u64 {
+        self.size
+    }
+
+    /// Bytes that the members may still have.
+    pub(super) fn bytes_left(&self) -> u64 {
+        let by_ratio = self.size.saturating_mul(self.limits.ratio);
+        let most = by_ratio.max(self.limits.small).min(self.limits.bytes);
+        most.saturating_sub(self.bytes)
+    }
+
+    /// Counts a member.
+    ///
+    /// # Errors
+    /// Why it is one too many, or is too large.
+    pub(super) fn take(&mut self, bytes: u64) -> Result<(), String> {
+        self.members += 1;
+        let Limits {
+            members,
+            bytes: most,
+            ratio,
+            ..
+        } = self.limits;
+        if self.members > members {
+            return Err(format!(
+                "the archive has more than {members} members; unpack it and name the folder"
+            ));
+        }
+        if bytes > self.bytes_left() {
+            return Err(format!(
+                "{} bytes unpack to more than {} bytes: the limits are {ratio} times the size of the archive and \
+                 {most} bytes; if its files are really so large, unpack it and name the folder",
+                self.size,
+                self.bytes.saturating_add(self.bytes_left())
+            ));
+        }
+        self.bytes += bytes;
+        Ok(())
+    }
+}

@@ -1,0 +1,234 @@
+//! Readers of what is packed.
+
+use std::io::{self, Read};
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use bytes::Bytes;
+use datasets_spec::store::{ReadAt, Reader};
+use flate2::read::DeflateDecoder;
+
+/// A part of a file.
+#[derive(Clone, Debug)]
+pub(super) struct Slice {
+    pub(super) file: Arc<dyn ReadAt>,
+    pub(super) start: u64,
+    pub(super) size: u64,
+}
+
+impl ReadAt for Slice {
+    fn size(&self) -> u64 {
+        self.size
+    }
+
+    fn read_exact_at(&self, buffer: &mut [u8], at: u64) -> io::Result<()> {
+        if at.saturating_add(buffer.len() as u64) > self.size {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        self.file.read_exact_at(buffer, self.start + at)
+    }
+
+    fn read_ranges(&self, ranges: &[Range<u64>]) -> io::Result<Vec<Bytes>> {
+        if ranges.iter().any(|range| range.end > self.size) {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        let moved = ranges
+            .iter()
+            .map(|range| self.start + range.start..self.start + range.end);
+        self.file.read_ranges(&moved.collect::<Vec<_>>())
+    }
+
+    fn is_distant(&self) -> bool {
+        self.file.is_distant()
+    }
+}
+
+/// Bytes at the beginning of a packed member that are read without unpacking all of it.
+const HEAD: u64 = 4096;
+
+/// A packed member that is read at any place: it is unpacked into memory, unless only its first bytes are asked for.
+#[derive(Debug)]
+pub(super) struct Packed {
+    member: Zipped,
+    whole: Mutex<Option<Arc<Vec<u8>>>>,
+}
+
+impl Packed {
+    pub(super) fn new(member: Zipped) -> Self {
+        Self {
+            member,
+            whole: Mutex::default(),
+        }
+    }
+
+    fn whole(&self) -> io::Result<Arc<Vec<u8>>> {
+        let mut whole = self.whole.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(whole) = whole.as_ref() {
+            return Ok(Arc::clone(whole));
+        }
+        let mut bytes = Vec::new();
+        self.member.open().read_to_end(&mut bytes)?;
+        Ok(Arc::clone(whole.insert(Arc::new(bytes))))
+    }
+}
+
+impl ReadAt for Packed {
+    fn size(&self) -> u64 {
+        self.member.size
+    }
+
+    fn read_exact_at(&self, buffer: &mut [u8], at: u64) -> io::Result<()> {
+        let start = usize::try_from(at).map_err(io::Error::other)?;
+        let end = at.saturating_add(buffer.len() as u64);
+        let bytes = if end <= HEAD && end <= self.member.size {
+            let mut head = Vec::new();
+            self.member.open().take(end).read_to_end(&mut head)?;
+            Arc::new(head)
+        } else {
+            self.whole()?
+        };
+        let bytes = bytes.get(start..).and_then(|rest| rest.get(..buffer.len()));
+        buffer.copy_from_slice(bytes.ok_or(io::ErrorKind::UnexpectedEof)?);
+        Ok(())
+    }
+}
+
+/// Where a member of a zip lies, and what its directory says of it.
+#[derive(Clone, Debug)]
+pub(super) struct Zipped {
+    pub(super) packed: Slice,
+    pub(super) is_stored: bool,
+    /// Bytes unpacked.
+    pub(super) size: u64,
+    pub(super) crc: u32,
+}
+
+impl Zipped {
+    /// Unpacks it from its beginning.
+    pub(super) fn open(&self) -> Box<dyn Read> {
+        let packed = Reader::new(Arc::new(self.packed.clone()));
+        match self.is_stored {
+            true => Box::new(Checked::new(packed, self.size, self.crc)),
+            false => Box::new(Checked::new(
+                DeflateDecoder::new(packed),
+                self.size,
+                self.crc,
+            )),
+        }
+    }
+}
+
+/// A member of a zip: no byte beyond its stated size is given, and its end is checked against size and CRC.
+struct Checked<R> {
+    inner: R,
+    left: u64,
+    crc: u32,
+    hasher: crc32fast::Hasher,
+}
+
+impl<R: Read> Checked<R> {
+    fn new(inner: R, size: u64, crc: u32) -> Self {
+        Self {
+            inner,
+            left: size,
+            crc,
+            hasher: crc32fast::Hasher::new(),
+        }
+    }
+}
+
+impl<R: Read> Read for Checked<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let damaged = |reason: String| io::Error::new(io::ErrorKind::InvalidData, reason);
+        if buffer.is_empty() {
+            return Ok(0);
+        }
+        if self.left == 0 {
+            if self.inner.read(&mut [0])? > 0 {
+                return Err(damaged(
+                    "it unpacks to more than its stated size".to_owned(),
+                ));
+            }
+            let found = self.hasher.clone().finalize();
+            return match found == self.crc {
+                true => Ok(0),
+                false => Err(damaged(format!(
+                    "it has the checksum {found:08x}, expected {:08x}; it is damaged",
+                    self.crc
+                ))),
+            };
+        }
+        let length = usize::try_from(self.left).map_or(buffer.len(), |left| left.min(buffer.len()));
+        let read = self.inner.read(&mut buffer[..length])?;
+        if read == 0 {
+            return Err(damaged(format!(
+                "it ends {} bytes before its stated size",
+                self.left
+            )));
+        }
+        self.hasher.update(&buffer[..read]);
+        self.left -= read as u64;
+        Ok(read)
+    }
+}
+
+/// Counts the bytes that are read.
+pub(super) struct Counting<R> {
+    inner: R,
+    count: Arc<AtomicU64>,
+}
+
+impl<R: Read> Counting<R> {
+    pub(super) fn new(inner: R) -> (Self, Arc<AtomicU64>) {
+        let count = Arc::new(AtomicU64::new(0));
+        let counting = Self {
+            inner,
+            count: Arc::clone(&count),
+        };
+        (counting, count)
+    }
+}
+
+impl<R: Read> Read for Counting<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.inner.read(buffer)?;
+        self.count.fetch_add(read as u64, Ordering::Relaxed);
+        Ok(read)
+    }
+}
+
+/// Gives no more than so many bytes, and says if there were more.
+pub(super) struct Capped<R> {
+    inner: R,
+    left: u64,
+    is_exceeded: Arc<AtomicBool>,
+}
+
+impl<R: Read> Capped<R> {
+    pub(super) fn new(inner: R, left: u64) -> (Self, Arc<AtomicBool>) {
+        let is_exceeded = Arc::new(AtomicBool::new(false));
+        let capped = Self {
+            inner,
+            left,
+            is_exceeded: Arc::clone(&is_exceeded),
+        };
+        (capped, is_exceeded)
+    }
+}
+
+impl<R: Read> Read for Capped<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.inner.read(buffer)?;
+        match self.left.checked_sub(read as u64) {
+            Some(left) => {
+                self.left = left;
+                Ok(read)
+            }
+            None => {
+                self.is_exceeded.store(true, Ordering::Relaxed);
+                Err(io::ErrorKind::FileTooLarge.into())
+            }
+        }
+    }
+}
