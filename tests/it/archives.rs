@@ -367,10 +367,9 @@ fn walk(place: &Place) -> Vec<u8> {
     fs::read(&files[0]).expect("read")
 }
 
-#[test]
-fn hostile_archives_are_quarantined_and_the_rest_goes_on() {
-    let place = Place::new(corpus(2));
-    let walk = walk(&place);
+/// Puts archives into the folder `in` that are damaged, encrypted, too large or too deep, or lead out of it.
+fn put_hostile(place: &Place) {
+    let walk = walk(place);
     let named = |names: &[&str]| -> Files {
         let files = names.iter().map(|name| ((*name).to_owned(), walk.clone()));
         files.collect()
@@ -439,7 +438,12 @@ fn hostile_archives_are_quarantined_and_the_rest_goes_on() {
     place.put("in/outer.tar.gz", packed("outer.tar.gz", &inner));
     let outer: Files = [("outer.zip".to_owned(), zipped(&inner))].into();
     place.put("in/outmost.zip", zipped(&outer));
+}
 
+#[test]
+fn hostile_archives_are_quarantined_and_the_rest_goes_on() {
+    let place = Place::new(corpus(2));
+    put_hostile(&place);
     let done = place.ingest("in", "out", 3);
     let ids: BTreeSet<String> = place.clips("out", "").into_keys().collect();
     let expected = [

@@ -12,7 +12,9 @@ use super::{Disk, Locking, NewFile, ReadAt, Store};
 static REMOTE: OnceLock<Arc<dyn Store>> = OnceLock::new();
 
 /// Stores that serve what lies below a path, by it. Of several for one path the last serves.
-static MOUNTS: RwLock<BTreeMap<PathBuf, Vec<(u64, Arc<dyn Store>)>>> = RwLock::new(BTreeMap::new());
+type Mounts = BTreeMap<PathBuf, Vec<(u64, Arc<dyn Store>)>>;
+
+static MOUNTS: RwLock<Mounts> = RwLock::new(BTreeMap::new());
 
 /// Makes a store serve all URLs of this process. A program calls it once, before it opens anything; later
 /// calls change nothing.

@@ -185,21 +185,7 @@ impl Plan {
                 reason,
             });
         let skipped = skipped.collect();
-        let unlisted = listing.unlisted.iter().map(|(folder, reason)| {
-            let reason = format!("cannot list the folder: {reason}");
-            quarantine_row(folder, "", String::new(), Rejected::read("E-IO", reason))
-        });
-        // Clips of an archive that cannot be read now stay, as those of such a folder do.
-        let closed: Vec<String> = listing
-            .refused
-            .iter()
-            .map(|(path, ..)| path.clone())
-            .collect();
-        let refused = listing.refused.into_iter();
-        let refused = refused.map(|(path, hash, why)| quarantine_row(&path, "", hash, why));
-        let rejected: Vec<QuarantineRow> = unlisted.chain(refused).collect();
-        let unlisted = listing.unlisted.into_iter().map(|(folder, _)| folder);
-        let unlisted = unlisted.chain(closed).collect();
+        let (rejected, unlisted) = unread(listing.unlisted, listing.refused);
         let sources = listing
             .files
             .iter()
@@ -603,6 +589,22 @@ impl Plan {
             })
             .collect()
     }
+}
+
+/// The rows of folders and archives that cannot be read, and their paths: clips below them stay as they are.
+fn unread(
+    folders: Vec<(String, String)>,
+    archives: Vec<(String, String, Rejected)>,
+) -> (Vec<QuarantineRow>, Vec<String>) {
+    let folders = folders.into_iter().map(|(folder, reason)| {
+        let reason = format!("cannot list the folder: {reason}");
+        (folder, String::new(), Rejected::read("E-IO", reason))
+    });
+    let rows = folders.chain(archives).map(|(path, hash, why)| {
+        let row = quarantine_row(&path, "", hash, why);
+        (row, path)
+    });
+    rows.unzip()
 }
 
 /// The path of a file without the label of its source.

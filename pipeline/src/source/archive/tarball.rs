@@ -182,16 +182,9 @@ pub(super) fn unpack(
             Ok(copied) if copied == size => {
                 content.add(name, Member::Unpacked { path: to, size });
             }
-            Ok(_) => {
-                let error = io::Error::from(io::ErrorKind::UnexpectedEof);
-                let what = broken(place().max(1), &error);
-                content
-                    .refused
-                    .push((String::new(), damaged(what, place())));
-                break;
-            }
-            Err(_) if is_exceeded.load(Ordering::Relaxed) => return Ok(Err(too_much())),
-            Err(error) => {
+            _ if is_exceeded.load(Ordering::Relaxed) => return Ok(Err(too_much())),
+            copied => {
+                let error = copied.err().unwrap_or(io::ErrorKind::UnexpectedEof.into());
                 let what = broken(place().max(1), &error);
                 content
                     .refused
