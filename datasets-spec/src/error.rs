@@ -23,6 +23,16 @@ pub enum Error {
         /// The text found.
         got: String,
     },
+    /// A dataset has no version of this number.
+    #[error("{} has no version {version}; there are {known}", path.display())]
+    NoVersion {
+        /// The dataset.
+        path: PathBuf,
+        /// The number asked for.
+        version: u64,
+        /// The numbers that would do.
+        known: String,
+    },
     /// A folder holds no test questions.
     #[error(
         "{} holds no items; draw them: stance items DATASET --out ITEMS",

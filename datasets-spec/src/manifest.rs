@@ -9,6 +9,17 @@ use crate::Split;
 /// Value of `format` in every manifest.
 pub const FORMAT: &str = "stance-dataset";
 
+/// Fact of a manifest: tables whose rows were written into other files and are the same, as JSON; see
+/// [`Manifest::content_hash`].
+pub const LAID_OUT_FACT: &str = "laid_out";
+
+/// The files that rows were written into, and those that held them before, by their BLAKE3.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct LaidOut {
+    now: Vec<String>,
+    before: Vec<String>,
+}
+
 /// One committed version of a dataset. Readers open the highest version; data files are never found by
 /// listing folders.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -107,23 +118,53 @@ impl Manifest {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// BLAKE3 over the files of some tables, in hexadecimal. It depends only on these tables.
+    /// BLAKE3 over the files of some tables, in hexadecimal. It depends only on these tables, and stays when their rows
+    /// are written into fewer files ([`Manifest::laid_out`]).
     pub fn content_hash(&self, tables: &[&str]) -> String {
         let mut hasher = blake3::Hasher::new();
         for (table, files) in &self.tables {
             if !tables.contains(&table.as_str()) {
                 continue;
             }
-            let mut files: Vec<&FileEntry> = files.iter().filter(|file| file.rows > 0).collect();
-            files.sort_by(|a, b| a.path.cmp(&b.path));
-            for file in files {
-                for part in [table.as_str(), &file.blake3] {
+            for hash in self.contents(table, files) {
+                for part in [table.as_str(), &hash] {
                     hasher.update(&(part.len() as u64).to_le_bytes());
                     hasher.update(part.as_bytes());
                 }
             }
         }
         hasher.finalize().to_hex().to_string()
+    }
+
+    /// BLAKE3 of the files that a table's rows were first written to.
+    fn contents(&self, table: &str, files: &[FileEntry]) -> Vec<String> {
+        let now = hashes(files);
+        let fact = self.facts.get(LAID_OUT_FACT);
+        let mut laid_out: BTreeMap<String, LaidOut> = fact
+            .and_then(|text| serde_json::from_str(text).ok())
+            .unwrap_or_default();
+        match laid_out.remove(table) {
+            Some(laid_out) if laid_out.now == now => laid_out.before,
+            _ => now,
+        }
+    }
+
+    /// The value of [`LAID_OUT_FACT`] in a version in which `tables` hold the rows that they hold in this one, in other
+    /// files.
+    pub fn laid_out(&self, tables: &BTreeMap<String, Vec<FileEntry>>) -> String {
+        let laid_out: BTreeMap<&String, LaidOut> = self
+            .tables
+            .iter()
+            .map(|(table, files)| {
+                let laid_out = LaidOut {
+                    now: hashes(tables.get(table).unwrap_or(files)),
+                    before: self.contents(table, files),
+                };
+                (table, laid_out)
+            })
+            .filter(|(_, laid_out)| laid_out.now != laid_out.before)
+            .collect();
+        serde_json::to_string(&laid_out).expect("texts serialise")
     }
 
     /// Rows of a table, by split if one is given.
@@ -136,4 +177,11 @@ impl Manifest {
             .map(|file| file.rows)
             .sum()
     }
+}
+
+/// BLAKE3 of the files that hold rows, in the order of their paths.
+fn hashes(files: &[FileEntry]) -> Vec<String> {
+    let mut files: Vec<&FileEntry> = files.iter().filter(|file| file.rows > 0).collect();
+    files.sort_by(|a, b| a.path.cmp(&b.path));
+    files.into_iter().map(|file| file.blake3.clone()).collect()
 }

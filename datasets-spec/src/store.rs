@@ -235,6 +235,41 @@ pub fn temporary_beside(path: &Path) -> PathBuf {
     path.with_file_name(format!(".{name}.{process:016x}-{count}.tmp"))
 }
 
+/// Where a table's file lies while the newest version of its dataset does not name it: that of
+/// `data/masks/train.parquet` is `meta/aside/masks/train`, which no search for Parquet files finds. None for files
+/// that are no table's.
+pub fn aside(path: &Path) -> Option<PathBuf> {
+    let name = path.file_name()?.to_str()?.strip_suffix(".parquet")?;
+    let table = path.parent()?;
+    let data = table.parent()?;
+    let beside = data.parent()?.join("meta").join("aside");
+    (data.file_name()? == "data").then(|| {
+        beside
+            .join(table.file_name().unwrap_or_default())
+            .join(name)
+    })
+}
+
+/// Does something with a file, wherever a commit of its dataset has moved it.
+///
+/// # Errors
+/// As `act`; the first error where the file is nowhere.
+pub fn wherever<T>(path: &Path, act: impl Fn(&Path) -> io::Result<T>) -> io::Result<T> {
+    let is_missing = |error: &io::Error| error.kind() == io::ErrorKind::NotFound;
+    let missing = match act(path) {
+        Err(error) if is_missing(&error) => error,
+        done => return done,
+    };
+    let Some(aside) = aside(path) else {
+        return Err(missing);
+    };
+    match act(&aside) {
+        // A commit may have put it in its place meanwhile.
+        Err(error) if is_missing(&error) => act(path).map_err(|_| missing),
+        done => done,
+    }
+}
+
 /// Writes a file whole or not at all.
 ///
 /// # Errors

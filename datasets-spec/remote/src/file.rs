@@ -23,6 +23,8 @@ const TAIL: u64 = 512 << 10;
 pub(crate) struct RemoteFile {
     pub(crate) client: Client,
     pub(crate) key: Key,
+    /// Where a commit moves it once the newest version of its dataset does not name it.
+    pub(crate) aside: Option<Key>,
     pub(crate) size: u64,
     /// BLAKE3 of the content, if known: what the cache knows it by.
     pub(crate) hash: Option<String>,
@@ -138,9 +140,11 @@ impl RemoteFile {
                 at = end;
             }
         }
-        let got = self
-            .client
-            .ranges(&self.key, self.tag.as_deref(), &pieces)?;
+        let read = |key: &Key| self.client.ranges(key, self.tag.as_deref(), &pieces);
+        let got = match (read(&self.key), &self.aside) {
+            (Err(error), Some(aside)) if error.kind() == io::ErrorKind::NotFound => read(aside)?,
+            (got, _) => got?,
+        };
         let mut got = got.into_iter();
         let bytes = ranges.iter().map(|range| {
             let length = range.end - range.start;

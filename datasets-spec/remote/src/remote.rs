@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use bytes::Bytes;
-use datasets_spec::store::{Disk, Locking, NewFile, ReadAt, Reader, Store};
+use datasets_spec::store::{Disk, Locking, NewFile, ReadAt, Reader, Store, aside};
 use object_store::ObjectStore;
 
 use crate::cache::Cache;
@@ -102,6 +102,7 @@ impl Remote {
         Ok(RemoteFile {
             client,
             key: place.key.clone(),
+            aside: aside(path).and_then(|aside| Some(Place::parse(&aside).ok()?.key)),
             size,
             hash: known.and_then(|known| known.hash),
             tag,
@@ -124,6 +125,7 @@ impl Remote {
         let file = RemoteFile {
             client: client.clone(),
             key: place.key.clone(),
+            aside: None,
             size,
             hash: None,
             tag,

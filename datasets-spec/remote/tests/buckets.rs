@@ -262,6 +262,33 @@ fn a_dataset_in_a_bucket_is_that_of_a_disk() {
 }
 
 #[test]
+fn who_opened_a_version_goes_on_reading_it_and_the_newest_one_alone_is_in_place() {
+    let (_, root) = bucket("v");
+    let rows: Vec<MotionRow> = (0..5).map(|index| row(index, 20)).collect();
+    let first = committed(&root, &rows);
+    let (path, _) = first.files(MotionRow::TABLE, None).remove(0);
+    let opened = ShardReader::open(&path).expect("opens");
+    committed(&root, &rows[..2]);
+    assert_eq!(
+        opened.rows_at::<MotionRow>(&[3]).expect("reads"),
+        rows[3..4]
+    );
+    assert_eq!(first.read::<MotionRow>(None).expect("reads"), rows);
+    let old = Dataset::open_version(&root, 1).expect("whole");
+    assert_eq!(old.read::<MotionRow>(None).expect("reads"), rows);
+    let in_place = ByPath.files_below(&root.join("data")).expect("listed");
+    assert_eq!(in_place.len(), 1, "{in_place:?}");
+    let restored = begin(&root).restore(old.manifest(), BTreeMap::new(), "p");
+    assert_eq!(restored.expect("commits").manifest().version, 3);
+    let newest = Dataset::open(&root).expect("opens");
+    assert_eq!(newest.read::<MotionRow>(None).expect("reads"), rows);
+    assert_eq!(
+        ByPath.files_below(&root.join("data")).expect("listed"),
+        [path]
+    );
+}
+
+#[test]
 fn a_clip_costs_one_request_after_the_footer() {
     let (bucket, root) = bucket("b");
     let rows: Vec<MotionRow> = (0..60).map(|index| row(index, 400)).collect();

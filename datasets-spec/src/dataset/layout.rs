@@ -11,6 +11,8 @@ use crate::{Error, Split};
 pub(super) const META: &str = "meta";
 pub(super) const DATA: &str = "data";
 pub(super) const STAGED: &str = "staged";
+/// Where files lie that the newest version does not name.
+pub(super) const ASIDE: &str = "meta/aside";
 /// Key of the fact that holds a skeleton that is not built in.
 pub(super) const SKELETON_FACT: &str = "skeleton_rest";
 

@@ -2,8 +2,8 @@
 //!
 //! A dataset is a folder: `data/<table>/<split>-<i>-of-<n>.parquet`, `meta/manifest-<n>.json`,
 //! and a `README.md` that the Hugging Face `datasets` library reads. A run locks the folder, writes
-//! its files to temporary names, syncs and renames them, and writes the manifest last. A reader sees
-//! the version before or the version after, never a mixture.
+//! its files aside, syncs them, writes the manifest, and then brings the files to their places and those of the
+//! version before aside. A reader sees the version before or the version after, never a mixture.
 //!
 //! A dataset may also lie at a URL. Object stores have no locks: there a run never overwrites a file, and
 //! commits by writing the manifest only if no other run has written that version.
@@ -15,6 +15,7 @@ mod shards;
 mod staging;
 #[cfg(test)]
 mod tests;
+mod tidy;
 mod transaction;
 
 pub use commit::{commit_rows, commit_table};
@@ -22,4 +23,5 @@ pub use layout::ShardName;
 pub use open::Dataset;
 pub use shards::{SHARD_ROWS, table_facts};
 pub use staging::Staging;
-pub use transaction::{Commit, Pruned, Transaction};
+pub use tidy::Pruned;
+pub use transaction::{Commit, Transaction};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::layout::{SKELETON_FACT, newest_manifest};
+use super::layout::{SKELETON_FACT, manifest_versions, newest_manifest, read_manifest};
 use crate::manifest::{FileEntry, Manifest};
 use crate::record::ItemRow;
 use crate::store::{ByPath, Store, is_url};
@@ -40,18 +40,53 @@ impl Dataset {
     /// # Errors
     /// The folder is not a dataset, has a newer format, or a file is missing or altered.
     pub fn open(root: &Path) -> Result<Self, Error> {
-        let dataset = Self::open_unverified(root)?;
-        let files: Vec<&FileEntry> = dataset.manifest.tables.values().flatten().collect();
+        Self::open_unverified(root)?.verified()
+    }
+
+    /// Opens an older version, and verifies its files as [`Dataset::open`] does.
+    ///
+    /// # Errors
+    /// There is no version of this number, or as [`Dataset::open`].
+    pub fn open_version(root: &Path, version: u64) -> Result<Self, Error> {
+        let newest = Self::open_unverified(root)?;
+        let store = newest.store;
+        let known = manifest_versions(store.as_ref(), root)?;
+        if !known.contains(&version) {
+            let known: Vec<String> = known.iter().map(u64::to_string).collect();
+            return Err(Error::NoVersion {
+                path: root.to_owned(),
+                version,
+                known: known.join(", "),
+            });
+        }
+        let manifest = read_manifest(store.as_ref(), root, version)?;
+        Self::new(root.to_owned(), manifest, store).verified()
+    }
+
+    /// The manifests of all versions that were not pruned, the oldest first.
+    ///
+    /// # Errors
+    /// The folder is not a dataset, or a manifest cannot be read.
+    pub fn versions(root: &Path) -> Result<Vec<Manifest>, Error> {
+        let newest = Self::open_unverified(root)?;
+        let store = newest.store.as_ref();
+        let versions = manifest_versions(store, root)?.into_iter();
+        versions
+            .map(|version| read_manifest(store, root, version))
+            .collect()
+    }
+
+    fn verified(self) -> Result<Self, Error> {
+        let files: Vec<&FileEntry> = self.manifest.tables.values().flatten().collect();
         files.par_iter().try_for_each(|file| {
-            let path = root.join(&file.path);
-            let store = dataset.store.as_ref();
-            let difference = store.difference(&path, file.bytes, &file.blake3);
+            let path = self.root.join(&file.path);
+            let difference = self.store.difference(&path, file.bytes, &file.blake3);
             match difference.map_err(Error::io("read", &path))? {
                 None => Ok(()),
                 Some(detail) => Err(Error::Corrupt { path, detail }),
             }
         })?;
-        Ok(dataset)
+        Ok(self)
     }
 
     /// Opens the newest committed version without reading its files.

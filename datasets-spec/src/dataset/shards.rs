@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use super::layout::{DATA, ShardName};
 use super::transaction::Transaction;
 use crate::manifest::FileEntry;
-use crate::store::{Store, is_url, write_atomically, write_new};
+use crate::store::{Store, aside, is_url, write_atomically, write_new};
 use crate::table::{self, Row};
 use crate::{Error, Skeleton, Split};
 
@@ -107,6 +107,7 @@ impl Transaction {
         let relative = shard_path(name, replaces.then(|| self.version()));
         let path = self.root.join(&relative);
         if self.is_alone() {
+            let path = aside(&path).unwrap_or(path);
             return write_shard_at(self.store.as_ref(), relative, &path, name, rows, facts);
         }
         let bytes = table::write_rows(Vec::new(), &path, rows, facts)?;

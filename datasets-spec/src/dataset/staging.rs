@@ -8,12 +8,14 @@ use std::sync::Arc;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::layout::{META, STAGED, ShardName, manifest_versions, newest_manifest, tables_until};
+use super::layout::{
+    DATA, META, STAGED, ShardName, manifest_versions, newest_manifest, tables_until,
+};
 use super::shards::{holds, shard_path, write_shard_at};
 use super::transaction::{Transaction, write_json};
 use crate::Error;
 use crate::manifest::{FileEntry, Manifest};
-use crate::store::Store;
+use crate::store::{Store, aside};
 use crate::table::Row;
 
 /// Where the shards of a plan wait for its commit.
@@ -95,8 +97,11 @@ impl Staging {
         &self.store
     }
 
+    /// No search for Parquet files finds the shards of a table that are staged.
     fn staged_path(&self, relative: &str) -> PathBuf {
-        self.folder.join(relative)
+        let is_shard = relative.starts_with(DATA);
+        let stem = relative.strip_suffix(".parquet").filter(|_| is_shard);
+        self.folder.join(stem.unwrap_or(relative))
     }
 
     /// Writes a shard whole or not at all. Its entry has the path that it gets by the commit.
@@ -115,13 +120,12 @@ impl Staging {
         write_shard_at(self.store.as_ref(), relative, &path, name, rows, facts)
     }
 
-    /// Where a file is: staged, or in its place if a commit has moved it there.
+    /// Where a file is: staged, or where a commit has moved it.
     pub fn path(&self, file: &FileEntry) -> PathBuf {
-        let staged = self.staged_path(&file.path);
-        match self.store.size(&staged) {
-            Ok(_) => staged,
-            Err(_) => self.root.join(&file.path),
-        }
+        let place = self.root.join(&file.path);
+        let mut others = std::iter::once(self.staged_path(&file.path)).chain(aside(&place));
+        let found = others.find(|path| self.store.size(path).is_ok());
+        found.unwrap_or(place)
     }
 
     /// Whether the files are present and match their sizes and hashes.
@@ -161,7 +165,7 @@ impl Transaction {
         Staging::new(self.store(), self.root(), base, plan_hash)
     }
 
-    /// Moves staged files to their places in the dataset. Files that are there already stay. Where other runs may
+    /// Moves staged files into the dataset, aside until the commit. Files that are there already stay. Where other runs may
     /// write at the same time, files are copied, and one whose name is taken gets another one, which its entry then
     /// says.
     ///
@@ -176,9 +180,10 @@ impl Transaction {
         let mut folders = BTreeSet::new();
         for file in files {
             let (staged, place) = (staging.path(file), self.root.join(&file.path));
-            if staged == place {
+            let Some(aside) = aside(&place).filter(|aside| ![aside, &place].contains(&&staged))
+            else {
                 continue;
-            }
+            };
             if !self.is_alone() {
                 match store.read(&staged) {
                     Ok(bytes) => file.path = self.add(&file.path, &bytes)?,
@@ -188,7 +193,7 @@ impl Transaction {
                 }
                 continue;
             }
-            let folder = place.parent().unwrap_or(&self.root).to_owned();
+            let folder = aside.parent().unwrap_or(&self.root).to_owned();
             if !folders.contains(&folder) {
                 store
                     .create_dir_all(&folder)
@@ -196,8 +201,8 @@ impl Transaction {
                 folders.insert(folder);
             }
             store
-                .rename(&staged, &place)
-                .map_err(Error::io("move into place", &place))?;
+                .rename(&staged, &aside)
+                .map_err(Error::io("move into place", &aside))?;
         }
         Ok(())
     }

@@ -3,8 +3,9 @@ use std::fs;
 use std::path::Path;
 
 use super::*;
+use crate::manifest::LAID_OUT_FACT;
 use crate::record::{MaskRow, MotionRow};
-use crate::store::Disk;
+use crate::store::{ByPath, Disk, Store, aside};
 use crate::table::{self, Row};
 use crate::table::{Caption, PartCaption, Quality, ShardReader};
 use crate::{Error, Skeleton, Split};
@@ -186,13 +187,18 @@ fn a_staged_shard_takes_no_lock_and_is_found_until_its_file_changes() {
     assert!(holds(&staging));
     assert!(!holds(&transaction.staging("other plan")));
 
-    // It is whole in its place too, as a commit that was killed half-way leaves it.
+    // It is whole where a run that was killed before its commit leaves it, and in its place too.
     transaction
         .adopt(&staging, std::iter::once(&mut entry.clone()))
         .expect("moves");
-    assert_eq!(staging.path(&entry), dir.path().join(&entry.path));
+    let place = dir.path().join(&entry.path);
+    let aside = aside(&place).expect("a table's file");
+    assert_eq!(staging.path(&entry), aside);
     assert!(holds(&staging));
-    fs::write(dir.path().join(&entry.path), b"cut off").expect("writes");
+    fs::rename(&aside, &place).expect("moves");
+    assert_eq!(staging.path(&entry), place);
+    assert!(holds(&staging));
+    fs::write(&place, b"cut off").expect("writes");
     assert!(!holds(&staging));
 }
 
@@ -229,12 +235,76 @@ fn a_replaced_table_keeps_the_old_version_readable() {
             .len(),
         2
     );
-    // Nothing temporary and nothing unnamed is left.
-    let names: Vec<_> = fs::read_dir(dir.path().join("data/motions"))
-        .expect("lists")
-        .map(|entry| entry.expect("entry").file_name())
-        .collect();
-    assert_eq!(names.len(), 2);
+    // Each version has its file, the new one where tools look for it, and nothing else is left.
+    let names = |folder: &str| -> Vec<String> {
+        let entries = fs::read_dir(dir.path().join(folder)).expect("lists");
+        let names = entries.map(|entry| entry.expect("entry").file_name());
+        names
+            .map(|name| name.to_string_lossy().into_owned())
+            .collect()
+    };
+    assert_eq!(names("data/motions"), ["train-00000-of-00001.v2.parquet"]);
+    assert_eq!(names("meta/aside/motions"), ["train-00000-of-00001"]);
+}
+
+#[test]
+fn an_older_version_becomes_the_newest_one() {
+    let dir = tempfile::tempdir().expect("dir");
+    let first = commit_motions(dir.path(), &[row(0)]);
+    commit_motions(dir.path(), &[row(1), row(2)]);
+    let transaction = Transaction::begin(dir.path(), "test").expect("lock");
+    let old = Dataset::open_version(dir.path(), 1).expect("there");
+    assert_eq!(old.manifest(), first.manifest());
+    let restored = transaction
+        .restore(old.manifest(), BTreeMap::new(), "p")
+        .expect("commits");
+    assert_eq!(restored.manifest().version, 3);
+    assert_eq!(restored.manifest().root_hash, first.manifest().root_hash);
+    let newest = Dataset::open(dir.path()).expect("opens");
+    assert_eq!(newest.read::<MotionRow>(None).expect("reads"), [row(0)]);
+    let place = dir.path().join("data/motions/train-00000-of-00001.parquet");
+    assert!(place.exists(), "the file is back in its place");
+    let versions = Dataset::versions(dir.path()).expect("a dataset");
+    assert_eq!(
+        versions
+            .iter()
+            .map(|manifest| manifest.version)
+            .collect::<Vec<_>>(),
+        [1, 2, 3]
+    );
+    assert!(matches!(
+        Dataset::open_version(dir.path(), 7),
+        Err(Error::NoVersion { version: 7, .. })
+    ));
+}
+
+#[test]
+fn rows_in_other_files_have_the_same_content_hash() {
+    let dir = tempfile::tempdir().expect("dir");
+    let rows = [row(0), row(1)];
+    let before = commit_motions(dir.path(), &rows);
+    let transaction = Transaction::begin(dir.path(), "test").expect("lock");
+    let files: Vec<_> = (0..2)
+        .map(|index| transaction.write_shard(&shard(index, 2), &rows[index..=index], &[]))
+        .collect::<Result<_, _>>()
+        .expect("written");
+    let tables = BTreeMap::from([(MotionRow::TABLE.to_owned(), files)]);
+    let facts = [(
+        LAID_OUT_FACT.to_owned(),
+        before.manifest().laid_out(&tables),
+    )];
+    let commit = Commit {
+        tables,
+        facts: facts.into(),
+        ..Commit::default()
+    };
+    let after = transaction.commit(commit).expect("commits");
+    let hash = |dataset: &Dataset| dataset.content_hash(&[MotionRow::TABLE]);
+    assert_eq!(hash(&after), hash(&before));
+    assert_ne!(after.manifest().root_hash, before.manifest().root_hash);
+    // Other rows have another one.
+    let other = commit_motions(dir.path(), &[row(2)]);
+    assert_ne!(hash(&other), hash(&before));
 }
 
 #[test]
@@ -271,7 +341,7 @@ fn a_table_that_comes_back_leaves_the_files_of_older_versions_as_they_are() {
 
     for (index, version) in [first, second, third].iter().enumerate() {
         for (path, file) in version.files(MotionRow::TABLE, None) {
-            let found = blake3::hash(&fs::read(&path).expect("reads"));
+            let found = blake3::hash(&ByPath.read(&path).expect("reads"));
             assert_eq!(found.to_hex().as_str(), file.blake3, "{}", file.path);
         }
         assert_eq!(

@@ -1,22 +1,21 @@
 //! Runs that change a dataset: lock, commit and clean-up.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::layout::{
-    DATA, META, SKELETON_FACT, STAGED, manifest_path, manifest_versions, newest_manifest,
-    read_manifest, tables_until,
-};
+use super::layout::{DATA, META, SKELETON_FACT, manifest_path, newest_manifest, tables_until};
 use super::open::Dataset;
 use super::staging::folder_of;
 use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest};
 use crate::store::{ByPath, Lock, Locking, Store, write_atomically, write_new};
 use crate::table::SCHEMA_VERSION;
-use crate::{Error, Skeleton, card, croissant};
+use crate::{Error, Skeleton};
+
+/// The program and its version.
+const TOOL: &str = concat!("stance ", env!("CARGO_PKG_VERSION"));
 
 /// A run that writes to a dataset. It holds the folder's lock until it is committed or dropped; at a URL
 /// there is no lock, and of two runs that commit the same version the later one fails.
@@ -51,17 +50,6 @@ pub struct Commit {
     pub fresh: bool,
     /// Tables of the version before that a fresh commit keeps as they are, with their plans.
     pub carried: BTreeSet<String>,
-}
-
-/// What [`Transaction::prune`] removed.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Pruned {
-    /// Versions that are gone.
-    pub versions: Vec<u64>,
-    /// Data files that no version names any more.
-    pub files: u64,
-    /// Their size in bytes.
-    pub bytes: u64,
 }
 
 impl Transaction {
@@ -101,8 +89,10 @@ impl Transaction {
         };
         // Where others may write, nothing of theirs is removed. Object stores have no temporary files.
         if transaction.is_alone() {
-            transaction.remove_files(|name, _| name.starts_with('.') && name.ends_with(".tmp"))?;
-            transaction.remove_half_written_cards()?;
+            transaction.remove_half_written()?;
+            if let Some(base) = &transaction.base {
+                transaction.arrange(base)?;
+            }
         }
         Ok(transaction)
     }
@@ -110,30 +100,6 @@ impl Transaction {
     /// Whether the lock keeps other runs from writing to the dataset.
     pub fn is_alone(&self) -> bool {
         self.lock.is_some()
-    }
-
-    /// Removes half-written cards and metadata. They lie in the dataset's root, where other files may be
-    /// the user's.
-    fn remove_half_written_cards(&self) -> Result<(), Error> {
-        let entries = self
-            .store
-            .list(&self.root)
-            .map_err(Error::io("list", &self.root))?;
-        for (path, _) in entries {
-            let name = path
-                .file_name()
-                .map(|name| name.to_string_lossy().into_owned())
-                .unwrap_or_default();
-            let ours = [card::FILE, croissant::FILE]
-                .iter()
-                .any(|file| name.starts_with(&format!(".{file}.")));
-            if ours && name.ends_with(".tmp") {
-                self.store
-                    .remove_file(&path)
-                    .map_err(Error::io("remove", &path))?;
-            }
-        }
-        Ok(())
     }
 
     /// The version this run starts from.
@@ -194,7 +160,7 @@ impl Transaction {
             manifest.facts.insert(SKELETON_FACT.to_owned(), rest);
         }
         manifest.version = self.version();
-        manifest.tool_version = concat!("stance ", env!("CARGO_PKG_VERSION")).to_owned();
+        manifest.tool_version = TOOL.to_owned();
         for table in commit.tables.keys() {
             manifest
                 .plans
@@ -212,10 +178,43 @@ impl Transaction {
         }
         manifest.root_hash = Manifest::compute_root_hash(&manifest.tables);
 
+        self.publish(manifest, &commit.plan_hash)
+    }
+
+    /// Makes an older version the newest one, under a new number. `tables` and their files replace those of that
+    /// version; where there are none, the version has no such table.
+    ///
+    /// # Errors
+    /// As [`Transaction::commit`].
+    pub fn restore(
+        self,
+        of: &Manifest,
+        tables: BTreeMap<String, Vec<FileEntry>>,
+        plan_hash: &str,
+    ) -> Result<Dataset, Error> {
+        let mut manifest = of.clone();
+        manifest.version = self.version();
+        manifest.tool_version = TOOL.to_owned();
+        if !tables.is_empty() {
+            manifest.schema_version = newer_version(&manifest.schema_version).to_owned();
+        }
+        for (table, files) in tables {
+            manifest.plans.insert(table.clone(), plan_hash.to_owned());
+            manifest.tables.insert(table, files);
+        }
+        manifest.tables.retain(|_, files| !files.is_empty());
+        let tables = &manifest.tables;
+        manifest.plans.retain(|table, _| tables.contains_key(table));
+        manifest.root_hash = Manifest::compute_root_hash(tables);
+        self.publish(manifest, plan_hash)
+    }
+
+    /// Writes the manifest, which makes the version, and brings all files to their places.
+    fn publish(self, manifest: Manifest, plan_hash: &str) -> Result<Dataset, Error> {
         let path = manifest_path(&self.root, manifest.version);
         if !write_new(self.store.as_ref(), &path, &json(&path, &manifest)?)? {
             // What was staged for this version serves no other one. If it cannot be removed, pruning removes it.
-            let staged = folder_of(&self.root, manifest.version - 1, &commit.plan_hash);
+            let staged = folder_of(&self.root, manifest.version - 1, plan_hash);
             let _removed = self.store.remove_dir_all(&staged);
             return Err(Error::Overtaken {
                 path: self.root,
@@ -224,154 +223,6 @@ impl Transaction {
         }
         self.settle(&manifest)?;
         Ok(Dataset::new(self.root, manifest, self.store))
-    }
-
-    /// Completes a run that was killed right after its commit: writes the files that derive from the
-    /// manifest and removes those that no manifest names.
-    ///
-    /// # Errors
-    /// A file cannot be written or removed; the dataset itself is whole.
-    pub fn finish(self) -> Result<(), Error> {
-        match &self.base {
-            Some(manifest) => self.settle(manifest),
-            None => Ok(()),
-        }
-    }
-
-    /// Removes the versions before the newest `keep`, and the data files that only they name. With
-    /// `dry_run` nothing is removed. At a URL no other run may write at the same time: its files, which no
-    /// version names yet, would be removed too.
-    ///
-    /// # Errors
-    /// A manifest cannot be read, or a file cannot be removed.
-    pub fn prune(self, keep: usize, dry_run: bool) -> Result<Pruned, Error> {
-        let store = self.store.as_ref();
-        let mut versions = manifest_versions(store, &self.root)?;
-        let kept = versions.split_off(versions.len().saturating_sub(keep.max(1)));
-        let files_of = |versions: &[u64]| -> Result<BTreeMap<String, u64>, Error> {
-            let mut files = BTreeMap::new();
-            for version in versions {
-                let manifest = read_manifest(store, &self.root, *version)?;
-                let entries = manifest.tables.into_values().flatten();
-                files.extend(entries.map(|file| (file.path, file.bytes)));
-            }
-            Ok(files)
-        };
-        let (mut old, named) = (files_of(&versions)?, files_of(&kept)?);
-        old.retain(|path, _| !named.contains_key(path));
-        if !dry_run {
-            // A version whose manifest is gone is no version, so manifests go first.
-            for version in &versions {
-                let path = manifest_path(&self.root, *version);
-                store
-                    .remove_file(&path)
-                    .map_err(Error::io("remove", &path))?;
-            }
-            self.remove_staged(None)?;
-            self.remove_unnamed()?;
-        }
-        Ok(Pruned {
-            versions,
-            files: old.len() as u64,
-            bytes: old.values().sum(),
-        })
-    }
-
-    fn settle(&self, manifest: &Manifest) -> Result<(), Error> {
-        for (name, text) in [
-            (card::FILE, card::text(manifest)),
-            (croissant::FILE, croissant::text(manifest)),
-        ] {
-            let path = self.root.join(name);
-            // An unreadable file is rewritten like one that differs.
-            if self.store.read(&path).ok().as_deref() == Some(text.as_bytes()) {
-                continue;
-            }
-            write_atomically(self.store.as_ref(), &path, |mut file| {
-                file.write_all(text.as_bytes())
-                    .map_err(Error::io("write", &path))?;
-                Ok(file)
-            })?;
-        }
-        if self.is_alone() {
-            self.remove_staged(None)?;
-            self.remove_unnamed()
-        } else {
-            // Files that no manifest names may be those of a run that has not committed yet.
-            self.remove_staged(Some(manifest))
-        }
-    }
-
-    /// Removes what is staged for plans that start from an earlier version, or only for those that a version was
-    /// made by.
-    fn remove_staged(&self, of: Option<&Manifest>) -> Result<(), Error> {
-        let newest = manifest_versions(self.store.as_ref(), &self.root)?.pop();
-        let staged = self.root.join(META).join(STAGED);
-        let folders = match self.store.list(&staged) {
-            Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
-            folders => folders.map_err(Error::io("list", &staged))?,
-        };
-        for (folder, _) in folders {
-            let name = folder.file_name().unwrap_or_default().to_string_lossy();
-            let (base, plan) = name.split_once('-').unwrap_or_default();
-            let is_over = match of {
-                Some(of) => of.plans.values().any(|made_by| made_by == plan),
-                None => base.parse().ok().is_none_or(|base| Some(base) < newest),
-            };
-            if !is_over {
-                continue;
-            }
-            match self.store.remove_dir_all(&folder) {
-                // A late worker may still write to it; what it leaves goes with the next commit.
-                Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
-                removed => removed.map_err(Error::io("remove", &folder))?,
-            }
-        }
-        Ok(())
-    }
-
-    /// Removes data files that no manifest names.
-    fn remove_unnamed(&self) -> Result<(), Error> {
-        let mut named = BTreeSet::new();
-        let store = self.store.as_ref();
-        for version in manifest_versions(store, &self.root)? {
-            let manifest = read_manifest(store, &self.root, version)?;
-            named.extend(
-                manifest
-                    .tables
-                    .into_values()
-                    .flatten()
-                    .map(|file| file.path),
-            );
-        }
-        self.remove_files(|name, relative| name.ends_with(".parquet") && !named.contains(relative))
-    }
-
-    /// Removes the files under `data/` and `meta/`, but not those that are staged, for which
-    /// `unwanted(name, relative path)` holds.
-    fn remove_files(&self, unwanted: impl Fn(&str, &str) -> bool) -> Result<(), Error> {
-        let mut folders = vec![DATA.to_owned(), META.to_owned()];
-        while let Some(folder) = folders.pop() {
-            let path = self.root.join(&folder);
-            let entries = self.store.list(&path).map_err(Error::io("list", &path))?;
-            for (path, is_dir) in entries {
-                let name = path
-                    .file_name()
-                    .map(|name| name.to_string_lossy().into_owned())
-                    .unwrap_or_default();
-                let relative = format!("{folder}/{name}");
-                if is_dir && relative == format!("{META}/{STAGED}") {
-                    // Those who make what is staged hold no lock.
-                } else if is_dir {
-                    folders.push(relative);
-                } else if unwanted(&name, &relative) {
-                    self.store
-                        .remove_file(&path)
-                        .map_err(Error::io("remove", &path))?;
-                }
-            }
-        }
-        Ok(())
     }
 }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
-use super::{Disk, Locking, NewFile, ReadAt, Store};
+use super::{Disk, Locking, NewFile, ReadAt, Store, wherever};
 
 static REMOTE: OnceLock<Arc<dyn Store>> = OnceLock::new();
 
@@ -80,7 +80,8 @@ pub fn is_url(path: &Path) -> bool {
     })
 }
 
-/// The store of each path: one that is mounted above it, that of URLs if it is one, else the disk.
+/// The store of each path: one that is mounted above it, that of URLs if it is one, else the disk. Files of a dataset are
+/// read wherever a commit has moved them, so that those who opened a version go on reading it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ByPath;
 
@@ -145,23 +146,23 @@ impl Store for ByPath {
     }
 
     fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
-        of(path)?.read(path)
+        wherever(path, |path| of(path)?.read(path))
     }
 
     fn open(&self, path: &Path) -> io::Result<Box<dyn Read>> {
-        of(path)?.open(path)
+        wherever(path, |path| of(path)?.open(path))
     }
 
     fn open_at(&self, path: &Path) -> io::Result<Arc<dyn ReadAt>> {
-        of(path)?.open_at(path)
+        wherever(path, |path| of(path)?.open_at(path))
     }
 
     fn size(&self, path: &Path) -> io::Result<u64> {
-        of(path)?.size(path)
+        wherever(path, |path| of(path)?.size(path))
     }
 
     fn hash(&self, path: &Path) -> io::Result<String> {
-        of(path)?.hash(path)
+        wherever(path, |path| of(path)?.hash(path))
     }
 
     fn list(&self, path: &Path) -> io::Result<Vec<(PathBuf, bool)>> {
@@ -181,7 +182,7 @@ impl Store for ByPath {
     }
 
     fn difference(&self, path: &Path, bytes: u64, blake3: &str) -> io::Result<Option<String>> {
-        of(path)?.difference(path, bytes, blake3)
+        wherever(path, |path| of(path)?.difference(path, bytes, blake3))
     }
 
     fn expect(&self, path: &Path, bytes: u64, blake3: &str) {

@@ -301,6 +301,18 @@ impl ShardReader {
         Ok(values)
     }
 
+    /// What the writer noted of the file: the facts of [`write_rows`].
+    pub fn facts(&self) -> Vec<(String, String)> {
+        let metadata = self.metadata.metadata().file_metadata();
+        let notes = metadata.key_value_metadata().into_iter().flatten();
+        let facts = notes.filter_map(|note| {
+            let key = note.key.strip_prefix("motion.")?;
+            let value = note.value.clone()?;
+            (key != "schema_version").then(|| (key.to_owned(), value))
+        });
+        facts.collect()
+    }
+
     pub(super) fn path(&self) -> &Path {
         &self.path
     }

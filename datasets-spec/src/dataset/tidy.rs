@@ -1,0 +1,257 @@
+//! Where the files of each version lie, and what is removed.
+//!
+//! The files of the newest version lie under `data/`, and nothing else does, so that a search for Parquet files finds
+//! its rows once. Those of older versions, and those that a run has written and not committed, lie aside (see
+//! [`aside`]). Readers find a file in either place, so a run may be killed between its commit and the moves that
+//! follow; the next run makes up for them.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::ErrorKind;
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::layout::{ASIDE, DATA, META, STAGED, manifest_path, manifest_versions, read_manifest};
+use super::transaction::Transaction;
+use crate::manifest::Manifest;
+use crate::store::{aside, write_atomically};
+use crate::{Error, card, croissant};
+
+/// What [`Transaction::prune`] removed.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Pruned {
+    /// Versions that are gone.
+    pub versions: Vec<u64>,
+    /// Data files that no version names any more.
+    pub files: u64,
+    /// Their size in bytes.
+    pub bytes: u64,
+}
+
+impl Transaction {
+    /// Completes a run that was killed right after its commit: writes the files that derive from the
+    /// manifest and removes those that no manifest names.
+    ///
+    /// # Errors
+    /// A file cannot be written or removed; the dataset itself is whole.
+    pub fn finish(self) -> Result<(), Error> {
+        match self.base() {
+            Some(manifest) => self.settle(manifest),
+            None => Ok(()),
+        }
+    }
+
+    /// Removes the versions before the newest `keep`, and the data files that only they name. With
+    /// `dry_run` nothing is removed. At a URL no other run may write at the same time: its files, which no
+    /// version names yet, would be removed too.
+    ///
+    /// # Errors
+    /// A manifest cannot be read, or a file cannot be removed.
+    pub fn prune(self, keep: usize, dry_run: bool) -> Result<Pruned, Error> {
+        let store = self.store.as_ref();
+        let mut versions = manifest_versions(store, &self.root)?;
+        let kept = versions.split_off(versions.len().saturating_sub(keep.max(1)));
+        let (mut old, named) = (self.files_of(&versions)?, self.files_of(&kept)?);
+        old.retain(|path, _| !named.contains_key(path));
+        if !dry_run {
+            // A version whose manifest is gone is no version, so manifests go first.
+            for version in &versions {
+                self.remove(&manifest_path(&self.root, *version))?;
+            }
+            self.remove_staged(None)?;
+            self.remove_unnamed()?;
+        }
+        Ok(Pruned {
+            versions,
+            files: old.len() as u64,
+            bytes: old.values().sum(),
+        })
+    }
+
+    /// The files that some versions name, with their sizes.
+    fn files_of(&self, versions: &[u64]) -> Result<BTreeMap<String, u64>, Error> {
+        let mut files = BTreeMap::new();
+        for version in versions {
+            let manifest = read_manifest(self.store.as_ref(), &self.root, *version)?;
+            let entries = manifest.tables.into_values().flatten();
+            files.extend(entries.map(|file| (file.path, file.bytes)));
+        }
+        Ok(files)
+    }
+
+    /// Brings the files of a version that was committed to their places, writes what derives from its manifest, and
+    /// removes what no version names.
+    pub(super) fn settle(&self, manifest: &Manifest) -> Result<(), Error> {
+        self.arrange(manifest)?;
+        for (name, text) in [
+            (card::FILE, card::text(manifest)),
+            (croissant::FILE, croissant::text(manifest)),
+        ] {
+            let path = self.root.join(name);
+            // An unreadable file is rewritten like one that differs.
+            if self.store.read(&path).ok().as_deref() == Some(text.as_bytes()) {
+                continue;
+            }
+            write_atomically(self.store.as_ref(), &path, |mut file| {
+                file.write_all(text.as_bytes())
+                    .map_err(Error::io("write", &path))?;
+                Ok(file)
+            })?;
+        }
+        if self.is_alone() {
+            self.remove_staged(None)?;
+            self.remove_unnamed()
+        } else {
+            // Files that no manifest names may be those of a run that has not committed yet.
+            self.remove_staged(Some(manifest))
+        }
+    }
+
+    /// Moves files that only older versions name aside, and those of the newest version to their places.
+    pub(super) fn arrange(&self, newest: &Manifest) -> Result<(), Error> {
+        let files = newest.tables.values().flatten();
+        let named: BTreeSet<&str> = files.map(|file| file.path.as_str()).collect();
+        let placed = self.files_below(DATA)?;
+        let mut others = placed
+            .into_iter()
+            .filter(|relative| relative.ends_with(".parquet") && !named.contains(relative.as_str()))
+            .peekable();
+        if others.peek().is_some() {
+            let mut versions = manifest_versions(self.store.as_ref(), &self.root)?;
+            versions.retain(|version| *version < newest.version);
+            let older = self.files_of(&versions)?;
+            for relative in others.filter(|relative| older.contains_key(relative)) {
+                let place = self.root.join(&relative);
+                if let Some(aside) = aside(&place) {
+                    self.move_file(&place, &aside)?;
+                }
+            }
+        }
+        let waiting: BTreeSet<String> = self.files_below(ASIDE)?.into_iter().collect();
+        for relative in named
+            .into_iter()
+            .filter(|path| waiting.contains(&beside(path)))
+        {
+            self.move_file(&self.root.join(beside(relative)), &self.root.join(relative))?;
+        }
+        Ok(())
+    }
+
+    fn move_file(&self, from: &Path, to: &Path) -> Result<(), Error> {
+        if let Some(folder) = to.parent() {
+            self.store
+                .create_dir_all(folder)
+                .map_err(Error::io("create folder", folder))?;
+        }
+        match self.store.rename(from, to) {
+            // Where there are no locks, another run may have moved it.
+            Err(error) if error.kind() == ErrorKind::NotFound && !self.is_alone() => Ok(()),
+            moved => moved.map_err(Error::io("move into place", to)),
+        }
+    }
+
+    /// Removes what is staged for plans that start from an earlier version, or only for those that a version was
+    /// made by.
+    fn remove_staged(&self, of: Option<&Manifest>) -> Result<(), Error> {
+        let newest = manifest_versions(self.store.as_ref(), &self.root)?.pop();
+        let staged = self.root.join(META).join(STAGED);
+        let folders = match self.store.list(&staged) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
+            folders => folders.map_err(Error::io("list", &staged))?,
+        };
+        for (folder, _) in folders {
+            let name = folder.file_name().unwrap_or_default().to_string_lossy();
+            let (base, plan) = name.split_once('-').unwrap_or_default();
+            let is_over = match of {
+                Some(of) => of.plans.values().any(|made_by| made_by == plan),
+                None => base.parse().ok().is_none_or(|base| Some(base) < newest),
+            };
+            if !is_over {
+                continue;
+            }
+            match self.store.remove_dir_all(&folder) {
+                // A late worker may still write to it; what it leaves goes with the next commit.
+                Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
+                removed => removed.map_err(Error::io("remove", &folder))?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes data files that no manifest names.
+    fn remove_unnamed(&self) -> Result<(), Error> {
+        let versions = manifest_versions(self.store.as_ref(), &self.root)?;
+        let named = self.files_of(&versions)?;
+        let aside: BTreeSet<String> = named.keys().map(|path| beside(path)).collect();
+        for relative in self.files_below(DATA)? {
+            if relative.ends_with(".parquet") && !named.contains_key(&relative) {
+                self.remove(&self.root.join(relative))?;
+            }
+        }
+        for relative in self.files_below(ASIDE)? {
+            if !aside.contains(&relative) {
+                self.remove(&self.root.join(relative))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes half-written files of a killed run. Those who make what is staged hold no lock, so theirs stay. In the
+    /// dataset's root, where other files may be the user's, only cards and metadata are ours.
+    pub(super) fn remove_half_written(&self) -> Result<(), Error> {
+        let is_half_written = |name: &str| name.starts_with('.') && name.ends_with(".tmp");
+        let ours = |name: &str| {
+            let mut files = [card::FILE, croissant::FILE].into_iter();
+            files.any(|file| name.starts_with(&format!(".{file}.")))
+        };
+        let below = [self.files_below(DATA)?, self.files_below(META)?].concat();
+        for relative in below {
+            if is_half_written(relative.rsplit('/').next().unwrap_or(&relative)) {
+                self.remove(&self.root.join(relative))?;
+            }
+        }
+        let root = self.store.list(&self.root);
+        for (path, _) in root.map_err(Error::io("list", &self.root))? {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            if is_half_written(&name) && ours(&name) {
+                self.remove(&path)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn remove(&self, path: &Path) -> Result<(), Error> {
+        self.store
+            .remove_file(path)
+            .map_err(Error::io("remove", path))
+    }
+
+    /// Paths of the files below a folder of the dataset, relative to the dataset, without those that are staged.
+    fn files_below(&self, folder: &str) -> Result<Vec<String>, Error> {
+        let mut files = Vec::new();
+        let mut folders = vec![folder.to_owned()];
+        while let Some(folder) = folders.pop() {
+            let path = self.root.join(&folder);
+            let entries = match self.store.list(&path) {
+                Err(error) if error.kind() == ErrorKind::NotFound => continue,
+                entries => entries.map_err(Error::io("list", &path))?,
+            };
+            for (path, is_dir) in entries {
+                let name = path.file_name().unwrap_or_default().to_string_lossy();
+                let relative = format!("{folder}/{name}");
+                if !is_dir {
+                    files.push(relative);
+                } else if relative != format!("{META}/{STAGED}") {
+                    folders.push(relative);
+                }
+            }
+        }
+        Ok(files)
+    }
+}
+
+/// Where a file lies aside, relative to the dataset as its own path is.
+fn beside(relative: &str) -> String {
+    let below = relative.strip_prefix(DATA).unwrap_or(relative);
+    format!("{ASIDE}{}", below.strip_suffix(".parquet").unwrap_or(below))
+}
