@@ -167,6 +167,40 @@ pub enum Error {
         /// The first of them.
         shown: String,
     },
+    /// A list names clips that are not in the dataset, or none.
+    #[error(
+        "{count} ids of {} name no clip of {}: {shown}; nothing was changed. `stance inspect {} --list` shows the ids",
+        path.display(),
+        dataset.display(),
+        dataset.display()
+    )]
+    UnknownIds {
+        /// The list.
+        path: PathBuf,
+        /// The dataset.
+        dataset: PathBuf,
+        /// Number of such ids.
+        count: usize,
+        /// The first of them.
+        shown: String,
+    },
+    /// Every clip of a dataset would be removed.
+    #[error(
+        "every clip of {} would be removed; nothing was changed. Remove the folder if that is meant",
+        path.display()
+    )]
+    AllRemoved {
+        /// The dataset.
+        path: PathBuf,
+    },
+    /// Two datasets differ in what must be one over a dataset.
+    #[error(
+        "the datasets cannot be one: {differing}; ingest one of them again with the setting of the other"
+    )]
+    CannotMerge {
+        /// The settings that differ, with both values and their datasets.
+        differing: String,
+    },
     /// A source folder or file does not exist.
     #[error("no such file or folder: {}; check the path", path.display())]
     MissingSource {

@@ -47,6 +47,7 @@ pub mod markers;
 pub mod merge;
 pub mod open;
 pub mod recording;
+mod recordings;
 pub mod reference;
 pub mod retarget;
 pub mod sidecar;
@@ -54,6 +55,7 @@ pub mod source;
 pub mod stage;
 pub mod stats;
 pub mod verify;
+pub mod versions;
 pub mod work;
 pub mod write;
 

@@ -9,13 +9,14 @@ use datasets_spec::manifest::{Accounting, FileEntry, plan_hash};
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
-use datasets_spec::table::{Row, ShardReader, read_rows};
+use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, MotionId, Progress, Split, Transaction};
 use serde::Serialize;
 
 use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipRow};
-use crate::ingest::{merged_facts, with_label};
+use crate::ingest::{merged_facts, recorded_settings, with_label};
+use crate::recordings::{Clip, Origin, Prefixes, Recording, clips, grouped, sketches, unite_alike};
 
 /// What [`merge`] did.
 #[derive(Clone, Debug, Serialize)]
@@ -26,8 +27,8 @@ pub struct Merged {
     pub shared: Vec<String>,
     /// Clips of the second dataset that got another id, because the first has another motion under theirs.
     pub renamed: BTreeMap<String, String>,
-    /// Clips of the second dataset that moved into the split of an equal motion of the first, or of the
-    /// clip they share a source with.
+    /// Clips of the second dataset that moved into the split of the first's clips of the same recording: of the same
+    /// file or clip, or with nearly the same motion.
     pub moved: BTreeMap<String, Split>,
     /// What mixing the licences of the two asks for, if anything.
     pub license_warning: Option<String>,
@@ -76,32 +77,11 @@ impl Part<'_> {
     }
 }
 
-/// Id, split and content of every clip. Captures without a motion have no content.
-fn clips(dataset: &Dataset) -> Result<Vec<(MotionId, Split, String)>, Error> {
-    let mut clips = Vec::new();
-    for (path, file) in dataset.files(MotionRow::TABLE, None) {
-        let shard = ShardReader::open(&path)?;
-        let ids = shard.column::<MotionRow, MotionId>("id")?;
-        let contents = shard.column::<MotionRow, String>("content_hash")?;
-        let split = file.split.unwrap_or(Split::Train);
-        let rows = ids.into_iter().zip(contents);
-        clips.extend(rows.map(|(id, content)| (id, split, content)));
-    }
-    let known: BTreeSet<MotionId> = clips.iter().map(|(id, ..)| id.clone()).collect();
-    for (path, file) in dataset.files(MarkerRow::TABLE, None) {
-        let ids = ShardReader::open(&path)?.column::<MarkerRow, MotionId>("id")?;
-        let split = file.split.unwrap_or(Split::Train);
-        let alone = ids.into_iter().filter(|id| !known.contains(id));
-        clips.extend(alone.map(|id| (id, split, String::new())));
-    }
-    Ok(clips)
-}
-
 /// Merges `second` into a copy of `first` and commits the result at `out`, a new folder. All clips of the
 /// first keep their ids, splits and labels.
 ///
 /// # Errors
-/// The datasets differ in their skeleton, `out` is a dataset already, or reading or writing fails.
+/// The datasets differ in their skeleton, rate, resampling or features, `out` is a dataset already, or reading or writing fails.
 pub fn merge(
     first: &Path,
     second: &Path,
@@ -118,6 +98,8 @@ pub fn merge(
             second: b.manifest().skeleton.clone(),
         });
     }
+    let clips = [clips(a)?, clips(b)?];
+    check_settings(&datasets, &clips)?;
     let transaction = Transaction::begin(out, holder)?;
     if transaction.base().is_some() {
         return Err(Error::DatasetExists {
@@ -132,7 +114,7 @@ pub fn merge(
         ids: BTreeMap::new(),
         splits: BTreeMap::new(),
     };
-    let added = added(&base, b, label)?;
+    let added = added(&datasets, &clips, label)?;
     let plan = plan_hash(
         "merge",
         &(
@@ -161,10 +143,10 @@ pub fn merge(
         }
     }
     let mut splits: BTreeMap<MotionId, Split> = BTreeMap::new();
-    for part in parts {
-        for (id, split, _) in clips(part.dataset)? {
-            let split = *part.splits.get(&id).unwrap_or(&split);
-            splits.entry(part.id(&id)).or_insert(split);
+    for (part, clips) in parts.into_iter().zip(&clips) {
+        for Origin { id, split, .. } in clips.iter().map(|clip| &clip.origin) {
+            let split = *part.splits.get(id).unwrap_or(split);
+            splits.entry(part.id(id)).or_insert(split);
         }
     }
     let labels = labels(&parts, &splits)?;
@@ -250,33 +232,68 @@ pub fn merge(
     })
 }
 
+/// Refuses to merge what must be one over a dataset and is not.
+fn check_settings(datasets: &[Dataset; 2], clips: &[Vec<Clip>; 2]) -> Result<(), Error> {
+    let recorded = datasets.each_ref().map(recorded_settings);
+    let of = |name: &str| {
+        recorded
+            .each_ref()
+            .map(|settings| settings.get(name).cloned())
+    };
+    let rates = clips.iter().flatten().filter_map(|clip| clip.fps);
+    let rates: BTreeSet<u32> = rates.map(f32::to_bits).collect();
+    let [first, second] = of("fps");
+    // Clips of their own rates may be of any; a rate that was asked for is that of all.
+    let is_own = |rate: &Option<String>| rate.as_deref().is_none_or(|rate| rate == "native");
+    let mut names = vec!["features"];
+    if rates.len() > 1 && !(is_own(&first) && is_own(&second)) {
+        names.push("fps");
+    }
+    if !(is_own(&first) && is_own(&second)) {
+        names.push("resample");
+    }
+    let mut differing = Vec::new();
+    for name in names {
+        let [Some(first), Some(second)] = of(name) else {
+            continue;
+        };
+        if first != second {
+            let [a, b] = datasets.each_ref().map(|dataset| dataset.root().display());
+            differing.push(format!("{name} is {first} in {a} and {second} in {b}"));
+        }
+    }
+    match differing.is_empty() {
+        true => Ok(()),
+        false => Err(Error::CannotMerge {
+            differing: differing.join("; "),
+        }),
+    }
+}
+
 /// The second dataset: which of its clips the first has, and the ids and splits of the others.
-fn added<'a>(base: &Part<'_>, dataset: &'a Dataset, label: String) -> Result<Part<'a>, Error> {
-    let known = clips(base.dataset)?;
+fn added<'a>(
+    [first, second]: &'a [Dataset; 2],
+    [known, own]: &[Vec<Clip>; 2],
+    label: String,
+) -> Result<Part<'a>, Error> {
     let by_id: BTreeMap<&MotionId, &str> = known
         .iter()
-        .map(|(id, _, content)| (id, content.as_str()))
+        .map(|clip| (&clip.origin.id, clip.content.as_str()))
         .collect();
-    let mut of_content: BTreeMap<&str, Split> = BTreeMap::new();
-    for (_, split, content) in known.iter().filter(|(_, _, content)| !content.is_empty()) {
-        of_content.entry(content).or_insert(*split);
-    }
-    let own = clips(dataset)?;
     let mut part = Part {
-        dataset,
+        dataset: second,
         label,
         shared: BTreeSet::new(),
         ids: BTreeMap::new(),
         splits: BTreeMap::new(),
     };
-    let mut taken: BTreeSet<MotionId> = known
-        .iter()
-        .chain(&own)
-        .map(|(id, ..)| id.clone())
-        .collect();
-    // All that is made of one source clip moves together.
-    let mut moves: BTreeMap<&str, Split> = BTreeMap::new();
-    for (id, _, content) in &own {
+    let all = known.iter().chain(own);
+    let mut taken: BTreeSet<MotionId> = all.map(|clip| clip.origin.id.clone()).collect();
+    for Clip {
+        origin, content, ..
+    } in own
+    {
+        let id = &origin.id;
         match by_id.get(id) {
             Some(known) if known == content => {
                 part.shared.insert(id.clone());
@@ -293,17 +310,58 @@ fn added<'a>(base: &Part<'_>, dataset: &'a Dataset, label: String) -> Result<Par
             }
             None => {}
         }
-        if let Some(split) = of_content.get(content.as_str()) {
-            moves.entry(id.source_clip()).or_insert(*split);
-        }
     }
-    for (id, split, _) in &own {
-        let wanted = moves.get(id.source_clip()).copied();
-        if let Some(wanted) = wanted.filter(|wanted| wanted != split) {
-            part.splits.insert(id.clone(), wanted);
-        }
+    part.splits = moved([first, second], [known, own])?;
+    for id in &part.shared {
+        part.splits.remove(id);
     }
     Ok(part)
+}
+
+/// The clips of the second dataset that get another split, because the first has clips of the same recording in it.
+fn moved(
+    datasets: [&Dataset; 2],
+    clips: [&Vec<Clip>; 2],
+) -> Result<BTreeMap<MotionId, Split>, Error> {
+    let mut recordings = Vec::new();
+    let mut sketched = Vec::new();
+    for (number, (dataset, clips)) in datasets.into_iter().zip(clips).enumerate() {
+        let prefixes = Prefixes::of(dataset);
+        let ids = clips.iter().enumerate();
+        let places: BTreeMap<&MotionId, usize> = ids
+            .map(|(place, clip)| (&clip.origin.id, recordings.len() + place))
+            .collect();
+        for (id, sketch) in sketches(dataset)? {
+            sketched.extend(places.get(&id).map(|place| (*place, sketch)));
+        }
+        recordings.extend(clips.iter().map(|clip| {
+            let mut recordings = clip.origin.recordings(&prefixes, number);
+            if !clip.content.is_empty() {
+                recordings.push(Recording::Motion(clip.content.clone()));
+            }
+            recordings
+        }));
+    }
+    let mut groups = grouped(&recordings);
+    unite_alike(&mut groups, sketched);
+    let [known, own] = clips;
+    let mut wanted: BTreeMap<usize, Vec<Split>> = BTreeMap::new();
+    for (place, clip) in known.iter().enumerate() {
+        wanted
+            .entry(groups.of(place))
+            .or_default()
+            .push(clip.origin.split);
+    }
+    let mut moved = BTreeMap::new();
+    for (place, clip) in own.iter().enumerate() {
+        // The first may have published splits that part a recording.
+        let splits = wanted.get(&groups.of(known.len() + place));
+        let splits = splits.filter(|splits| !splits.contains(&clip.origin.split));
+        if let Some(split) = splits.and_then(|splits| splits.first()) {
+            moved.insert(clip.origin.id.clone(), *split);
+        }
+    }
+    Ok(moved)
 }
 
 /// The labels of both datasets, and the ids of those whose motions are in two splits now.
@@ -365,35 +423,46 @@ fn insert<R: PartialEq>(
     rows.insert(candidate, row);
 }
 
-/// Writes a table of both datasets, a shard for each of theirs and split.
+/// Writes a table of both datasets, a shard for each of theirs and split. Markers and features lie beside their motions.
 fn shards<R: ClipRow>(
     transaction: &Transaction,
     parts: &[&Part<'_>],
     facts: &[(&str, String)],
 ) -> Result<Vec<FileEntry>, Error> {
-    let files: Vec<_> = parts
-        .iter()
-        .flat_map(|part| {
-            let files = part.dataset.files(R::TABLE, None).into_iter();
-            files.map(move |(path, _)| (part, path))
-        })
-        .collect();
+    let name = |file: &FileEntry| {
+        file.path
+            .rsplit('/')
+            .next()
+            .unwrap_or(&file.path)
+            .to_owned()
+    };
+    let mut names: Vec<(usize, String)> = Vec::new();
+    for (part, Part { dataset, .. }) in parts.iter().enumerate() {
+        let files = CLIP_TABLES.map(|table| dataset.files(table, None));
+        names.extend(files.iter().flatten().map(|(_, file)| (part, name(file))));
+    }
+    names.sort();
+    names.dedup();
     let mut entries = Vec::new();
-    for (index, (part, path)) in files.iter().enumerate() {
-        let mut by_split: BTreeMap<Split, Vec<R>> = BTreeMap::new();
-        for row in read_rows::<R>(path)? {
-            if let Some((split, row)) = part.take(row) {
-                by_split.entry(split).or_default().push(row);
+    for (number, part) in parts.iter().enumerate() {
+        for (path, file) in part.dataset.files(R::TABLE, None) {
+            let place = (number, name(file));
+            let index = names.iter().position(|name| *name == place).unwrap_or(0);
+            let mut by_split: BTreeMap<Split, Vec<R>> = BTreeMap::new();
+            for row in read_rows::<R>(&path)? {
+                if let Some((split, row)) = part.take(row) {
+                    by_split.entry(split).or_default().push(row);
+                }
             }
-        }
-        for (split, rows) in by_split {
-            let name = ShardName {
-                table: R::TABLE,
-                split: Some(split),
-                index,
-                of: files.len(),
-            };
-            entries.push(transaction.write_shard(&name, &rows, facts)?);
+            for (split, rows) in by_split {
+                let name = ShardName {
+                    table: R::TABLE,
+                    split: Some(split),
+                    index,
+                    of: names.len(),
+                };
+                entries.push(transaction.write_shard(&name, &rows, facts)?);
+            }
         }
     }
     Ok(entries)

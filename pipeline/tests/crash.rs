@@ -1,7 +1,7 @@
 //! What is left when a run is killed, or when the disk fails under it.
 //!
-//! Both tests count the file operations of a run. One makes the n-th fail, for every n; the other
-//! has the process killed right before the n-th, for fifty seeded n.
+//! The tests count the file operations of a run. Some make the n-th fail, for every n; one has the process killed
+//! right before the n-th, for fifty seeded n. `tests/kills` kills the command itself, at random moments.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -16,6 +16,7 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, NoProgress, Seed, Transaction};
 use pipeline::Error;
 use pipeline::ingest::{IngestOptions, IngestReport, ingest_in};
+use pipeline::versions::{Choice, RemoveOptions, compact_in, remove_in, restore_in};
 
 const NUM_CLIPS: usize = 18;
 /// Seed of the splits, by which the three takes of the corpus are not all of one split.
@@ -439,5 +440,95 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
             }
         }
         std::fs::remove_dir_all(&out).expect("removed");
+    }
+}
+
+/// Compacts, goes back, prunes, or removes the clips of somebody who sits, by the name of the verb.
+fn change(verb: &str, store: Arc<dyn Store>, dataset: &Path) -> Result<(), Error> {
+    let transaction = Transaction::begin_on(store, dataset, HOLDER)?;
+    match verb {
+        "compact" => compact_in(transaction, &NoProgress).map(|_| ()),
+        "restore" => restore_in(transaction, 1, true).map(|_| ()),
+        "remove" => {
+            let choice = Choice::Where("id like '%sit%'".parse()?);
+            match remove_in(transaction, &choice, RemoveOptions::default()) {
+                // They are gone already.
+                Err(Error::NoneChosen { .. }) => Ok(()),
+                done => done.map(|_| ()),
+            }
+        }
+        _ => Ok(transaction.prune(1, false).map(|_| ())?),
+    }
+}
+
+/// The Parquet files below a folder, relative to it.
+fn parquet_files(root: &Path) -> Vec<String> {
+    let mut files: Vec<String> = Disk
+        .files_below(root)
+        .expect("listed")
+        .iter()
+        .filter_map(|path| path.strip_prefix(root).ok()?.to_str().map(str::to_owned))
+        .filter(|path| path.ends_with(".parquet"))
+        .collect();
+    files.sort();
+    files
+}
+
+#[test]
+fn whichever_operation_fails_a_dataset_is_the_version_before_or_the_one_after() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let source = source(dir.path());
+    let base = dir.path().join("base");
+    // Four versions, each with files of its own.
+    let mut waiting = Vec::new();
+    let mut files: Vec<PathBuf> = Disk.files_below(&source).expect("listed");
+    files.retain(|file| file.extension().is_some_and(|end| end == "bvh"));
+    for (number, file) in files.iter().skip(1).take(3).enumerate() {
+        let aside = dir.path().join(format!("waits{number}"));
+        std::fs::rename(file, &aside).expect("moved");
+        waiting.push((aside, file));
+    }
+    run(Disk::store(), &source, &base, false).expect("a healthy disk");
+    for (aside, file) in waiting {
+        std::fs::rename(aside, file).expect("moved");
+        run(Disk::store(), &source, &base, false).expect("a healthy disk");
+    }
+    let before = Dataset::open(&base).expect("whole").manifest().clone();
+    assert_eq!(before.version, 4);
+    for verb in ["compact", "restore", "remove", "prune"] {
+        let clean = dir.path().join(verb);
+        copied(&base, &clean);
+        let (store, count) = Doomed::store(usize::MAX, Fate::Kill);
+        change(verb, store, &clean).expect("a healthy disk");
+        let after = Dataset::open(&clean).expect("whole").manifest().clone();
+        for at in 0..count.load(Ordering::SeqCst) {
+            let out = dir.path().join(format!("{verb}{at}"));
+            copied(&base, &out);
+            let (store, _) = Doomed::store(at, Fate::Fail(io::ErrorKind::StorageFull));
+            let failed = change(verb, store, &out).is_err();
+            let found = Dataset::open(&out)
+                .expect("a whole version")
+                .manifest()
+                .clone();
+            let is_one = found == before || found == after;
+            assert!(is_one, "{verb}, operation {at}");
+            assert!(
+                failed || found == after,
+                "{verb}, operation {at}: nothing was said"
+            );
+            change(verb, Disk::store(), &out).expect("the disk is healthy");
+            let done = Dataset::open(&out).expect("whole");
+            // Going back once more, or compacting what is compact, changes nothing.
+            assert_eq!(
+                done.manifest().tables,
+                after.tables,
+                "{verb}, operation {at}"
+            );
+            let named = done.manifest().tables.values().flatten();
+            let mut named: Vec<String> = named.map(|file| file.path.clone()).collect();
+            named.sort();
+            assert_eq!(parquet_files(&out), named, "{verb}, operation {at}");
+            std::fs::remove_dir_all(&out).expect("removed");
+        }
     }
 }

@@ -1,5 +1,8 @@
 //! `stance dataset`
 
+mod choose;
+mod versions;
+
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
@@ -13,7 +16,9 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// Merge two datasets, or remove versions that are no longer needed.
+/// Versions of a dataset, and datasets made of others.
+///
+/// Every change of a dataset is a new version, and the one before stays until it is pruned.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -22,15 +27,22 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    Merge(Merge),
+    Versions(versions::Versions),
+    Restore(versions::Restore),
+    Compact(versions::Compact),
     Prune(Prune),
+    Merge(Merge),
+    Select(choose::Select),
+    Remove(choose::Remove),
 }
 
 /// Merge two datasets into a new one.
 ///
 /// Clips of the first keep their ids, splits, masks and pairs. A clip of the second that the first has
-/// too is taken once; one whose id is taken by another motion gets the name of its dataset before it;
-/// one that is equal to a clip of the first goes into that clip's split.
+/// too is taken once; one whose id is taken by another motion gets the name of its dataset before it.
+/// Clips of one recording share a split: those of the second go into the split of the first's clips that were read from
+/// the same file, mirror them, or have nearly the same motion. Datasets of different skeletons, rates,
+/// resampling or features cannot be merged.
 #[derive(clap::Args, Debug)]
 struct Merge {
     /// Dataset folder whose clips keep their ids and splits
@@ -59,8 +71,13 @@ struct Prune {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     match &args.what {
-        What::Merge(args) => merged(args, global),
+        What::Versions(args) => args.run(global),
+        What::Restore(args) => args.run(global),
+        What::Compact(args) => args.run(global),
         What::Prune(args) => pruned(args, global),
+        What::Merge(args) => merged(args, global),
+        What::Select(args) => args.run(global),
+        What::Remove(args) => args.run(global),
     }
 }
 

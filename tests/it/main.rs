@@ -31,3 +31,4 @@ mod texts;
 mod train;
 mod util;
 mod variants;
+mod versions;

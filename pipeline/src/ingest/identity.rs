@@ -11,6 +11,7 @@ use super::plan::{Plan, Planned, unlabelled, without_extension};
 use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
 use crate::source::{Entry, Format, escaped};
+use crate::versions::taken_out;
 
 impl Plan {
     /// Finds the motions that the dataset has, and gives the others ids.
@@ -32,6 +33,7 @@ impl Plan {
             !stays
         });
         let mut items = std::mem::take(&mut self.items);
+        self.leave_out(&mut items, recorded);
         if same_settings {
             self.refuse_again(&mut items, recorded);
         }
@@ -53,7 +55,7 @@ impl Plan {
             .collect();
         // Another choice of clips may choose what this one left out.
         let skipped = recorded.skipped.iter();
-        let skipped = skipped.filter(|row| row.reason != NOT_CHOSEN);
+        let skipped = skipped.filter(|row| row.reason != NOT_CHOSEN && taken_out(row).is_none());
         let skipped: BTreeMap<(&str, &str), &SkippedRow> = skipped
             .map(|row| ((row.path.as_str(), row.inputs_hash.as_str()), row))
             .collect();

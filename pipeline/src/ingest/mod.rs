@@ -22,6 +22,7 @@ mod shard;
 mod sources;
 mod split_list;
 mod stored;
+mod taken_out;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -48,7 +49,8 @@ pub use self::job::plan_ingest;
 pub(crate) use self::job::{JOB, open_job};
 pub(crate) use self::list::{labelled as with_label, read_head};
 pub use self::options::{IngestOptions, REMARKS_FACT};
-pub(crate) use self::recorded::merged_facts;
+pub(crate) use self::plan::SHARD_SOURCES as SHARD_CLIPS;
+pub(crate) use self::recorded::{merged_facts, recorded_settings};
 pub use self::report::IngestReport;
 pub(crate) use self::sources::list_files;
 pub use self::split_list::SplitList;

@@ -30,7 +30,7 @@ use crate::source::{
 };
 
 /// Source items per shard: few enough that every thread can hold a shard in memory.
-pub(super) const SHARD_SOURCES: usize = 256;
+pub(crate) const SHARD_SOURCES: usize = 256;
 
 /// Everything a run will do, known before any motion is read.
 pub(super) struct Plan {

@@ -204,6 +204,13 @@ fn clips_of(root: &Path, shard: &RecordedShard, index: usize) -> Result<Vec<Reco
     Ok(clips)
 }
 
+/// The settings that a dataset's clips were read with, by name; none where they are not recorded.
+pub(crate) fn recorded_settings(dataset: &Dataset) -> BTreeMap<String, String> {
+    let text = dataset.manifest().facts.get(SETTINGS_FACT);
+    text.and_then(|text| serde_json::from_str(text).ok())
+        .unwrap_or_default()
+}
+
 /// Facts of two merged datasets: those on which they agree, and the sources of both. Also returns what the
 /// paths of the second begin with.
 pub(crate) fn merged_facts(

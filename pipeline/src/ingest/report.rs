@@ -16,6 +16,7 @@ use super::shard::ShardNotes;
 use crate::Error;
 use crate::annotation::pairs::{ListedPairs, PairList, RefusedLine};
 use crate::clip::LabelProblem;
+use crate::versions::taken_out;
 
 /// The report of a run.
 #[derive(Clone, Debug)]
@@ -223,11 +224,15 @@ impl Tally {
     }
 }
 
-/// Number of skipped items by reason.
+/// Number of skipped items by reason. Clips that their owner took out have one reason each, which names them.
 pub(super) fn counted(skipped: &[SkippedRow]) -> BTreeMap<String, u64> {
     let mut counts = BTreeMap::new();
     for row in skipped {
-        *counts.entry(row.reason.clone()).or_default() += 1;
+        let reason = match taken_out(row) {
+            Some(id) => format!("clip that{}", &row.reason[id.len()..]),
+            None => row.reason.clone(),
+        };
+        *counts.entry(reason).or_default() += 1;
     }
     counts
 }

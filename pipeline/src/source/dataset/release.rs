@@ -120,7 +120,9 @@ impl StoredDataset {
             if of_dataset && !release.shards.contains_key(file) {
                 let reason = match name {
                     _ if listed.contains(file) => "table of a dataset, read with its motions",
-                    _ if name.starts_with("data/") => "file of an older version of a dataset",
+                    _ if name.starts_with("data/") || name.starts_with("meta/aside/") => {
+                        "file of an older version of a dataset"
+                    }
                     _ => "description of a dataset, read with its motions",
                 };
                 let passed_over = (file.to_owned(), reason.to_owned());

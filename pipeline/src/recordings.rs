@@ -1,0 +1,294 @@
+//! Which clips come of one recording. They share a split, whatever their ids and however they were read.
+//!
+//! * Clips with the id of one source clip: crops, mirrored copies, several motions of a file; and the clip that one says
+//!   it mirrors.
+//! * Clips of one file, by its hash, where the format has a recording in each file.
+//! * In a release, whose list names the recordings and may hold thousands in one file: clips of one file and one name.
+//!   Two names of a release are two recordings even if their files are equal, because its published splits hold.
+//! * Then equal and nearly equal motions ([`crate::likeness`]).
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+use datasets_spec::record::{MarkerRow, MotionRow};
+use datasets_spec::table::{Row, ShardReader};
+use datasets_spec::{Dataset, MotionId, Split};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::likeness::{Sketch, near_pairs};
+
+/// Formats of single files, each of which holds one recording. Every other format is of releases.
+const OF_FILES: [&str; 6] = ["amass", "bvh", "c3d", "fbx", "gltf", "trc"];
+
+/// What a clip says of its origin.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Origin {
+    pub(crate) id: MotionId,
+    pub(crate) split: Split,
+    /// Format that it was read in.
+    pub(crate) source: String,
+    /// Empty where it is not known.
+    pub(crate) source_hash: String,
+    pub(crate) mirrored_of: Option<String>,
+}
+
+/// What names a recording.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Recording {
+    /// Source clip of an id, in one dataset.
+    Clip(usize, String),
+    /// A file, by its hash.
+    File(String),
+    /// A file of a release, and the name of a clip in the release.
+    Member(String, String),
+    /// A motion, by its hash.
+    Motion(String),
+}
+
+impl Recording {
+    /// What it means that two clips have it, for a finding.
+    pub(crate) fn says(&self) -> &'static str {
+        match self {
+            Self::Clip(..) => "made of the same source clip",
+            Self::File(_) | Self::Member(..) => "read from the same file",
+            Self::Motion(_) => "the same motion",
+        }
+    }
+}
+
+/// What the ids of each source of a dataset begin with.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Prefixes(Vec<String>);
+
+impl Prefixes {
+    pub(crate) fn of(dataset: &Dataset) -> Self {
+        let fact = dataset.manifest().facts.get("sources");
+        let sources: Vec<serde_json::Value> = fact
+            .and_then(|text| serde_json::from_str(text).ok())
+            .unwrap_or_default();
+        let prefixes = sources
+            .iter()
+            .filter_map(|source| source.get("label")?.as_str());
+        let mut prefixes: Vec<String> = prefixes
+            .filter(|label| !label.is_empty())
+            .map(|label| format!("{label}/"))
+            .collect();
+        prefixes.sort_by_key(|prefix| std::cmp::Reverse(prefix.len()));
+        Self(prefixes)
+    }
+
+    /// An id without what tells its source.
+    fn strip<'a>(&self, id: &'a str) -> &'a str {
+        let mut found = self.0.iter().filter_map(|prefix| id.strip_prefix(prefix));
+        found.next().unwrap_or(id)
+    }
+}
+
+impl Origin {
+    /// The recordings that a clip of a dataset belongs to. `number` tells datasets apart.
+    pub(crate) fn recordings(&self, prefixes: &Prefixes, number: usize) -> Vec<Recording> {
+        let source_clip =
+            |id: &str| MotionId::parse(id).map_or(id.to_owned(), |id| id.source_clip().to_owned());
+        let own = source_clip(self.id.as_str());
+        let original = self.mirrored_of.as_deref().map(source_clip);
+        let name = original.clone().unwrap_or_else(|| own.clone());
+        let mut recordings = vec![Recording::Clip(number, own)];
+        recordings.extend(original.map(|original| Recording::Clip(number, original)));
+        let hash = self.source_hash.clone();
+        if OF_FILES.contains(&self.source.as_str()) && !hash.is_empty() {
+            recordings.push(Recording::File(hash));
+        } else if !hash.is_empty() {
+            recordings.push(Recording::Member(hash, prefixes.strip(&name).to_owned()));
+        }
+        recordings
+    }
+}
+
+/// Puts clips into groups, those with a recording in common into one. Returns a number for each.
+pub(crate) fn grouped(recordings: &[Vec<Recording>]) -> Groups {
+    let mut groups = Groups((0..recordings.len()).collect());
+    let mut first: BTreeMap<&Recording, usize> = BTreeMap::new();
+    for (clip, recordings) in recordings.iter().enumerate() {
+        for recording in recordings {
+            let first = *first.entry(recording).or_insert(clip);
+            groups.unite(first, clip);
+        }
+    }
+    groups
+}
+
+/// Groups of numbers.
+pub(crate) struct Groups(Vec<usize>);
+
+impl Groups {
+    /// The smallest number of a group.
+    pub(crate) fn of(&self, mut number: usize) -> usize {
+        while self.0[number] != number {
+            number = self.0[number];
+        }
+        number
+    }
+
+    pub(crate) fn unite(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.of(a), self.of(b));
+        self.0[a.max(b)] = a.min(b);
+    }
+}
+
+/// A clip of a dataset: what it says of its origin, and the hash of its motion, which is empty for captures without one.
+pub(crate) struct Clip {
+    pub(crate) origin: Origin,
+    pub(crate) content: String,
+    /// Rate of the motion, in 1/s.
+    pub(crate) fps: Option<f32>,
+}
+
+/// The clips of a dataset, without their frames.
+pub(crate) fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
+    let mut clips = Vec::new();
+    for (path, file) in dataset.files(MotionRow::TABLE, None) {
+        let shard = ShardReader::open(&path)?;
+        let text = |name| shard.column::<MotionRow, String>(name);
+        let ids = shard.column::<MotionRow, MotionId>("id")?;
+        let mirrored = shard.column::<MotionRow, Option<String>>("mirrored_of")?;
+        let rates = shard.column::<MotionRow, f32>("fps")?;
+        let split = file.split.unwrap_or(Split::Train);
+        let columns = ids.into_iter().zip(mirrored).zip(rates);
+        let texts = text("source")?.into_iter().zip(text("source_hash")?);
+        let texts = texts.zip(text("content_hash")?);
+        clips.extend(columns.zip(texts).map(
+            |(((id, mirrored_of), fps), ((source, source_hash), content))| Clip {
+                origin: Origin {
+                    id,
+                    split,
+                    source,
+                    source_hash,
+                    mirrored_of,
+                },
+                content,
+                fps: Some(fps),
+            },
+        ));
+    }
+    let known: BTreeSet<MotionId> = clips.iter().map(|clip| clip.origin.id.clone()).collect();
+    for (path, file) in dataset.files(MarkerRow::TABLE, None) {
+        let shard = ShardReader::open(&path)?;
+        let ids = shard.column::<MarkerRow, MotionId>("id")?;
+        let hashes = shard.column::<MarkerRow, String>("source_hash")?;
+        let split = file.split.unwrap_or(Split::Train);
+        let alone = ids
+            .into_iter()
+            .zip(hashes)
+            .filter(|(id, _)| !known.contains(id));
+        clips.extend(alone.map(|(id, source_hash)| Clip {
+            origin: Origin {
+                id,
+                split,
+                // Markers come from C3D files.
+                source: "c3d".to_owned(),
+                source_hash,
+                mirrored_of: None,
+            },
+            content: String::new(),
+            fps: None,
+        }));
+    }
+    Ok(clips)
+}
+
+/// Sketches of the motions of a dataset, in the order of its files.
+pub(crate) fn sketches(dataset: &Dataset) -> Result<Vec<(MotionId, Sketch)>, Error> {
+    let skeleton = dataset.skeleton()?;
+    let files: Vec<PathBuf> = dataset
+        .files(MotionRow::TABLE, None)
+        .into_iter()
+        .map(|(path, _)| path)
+        .collect();
+    let sketched = files.par_iter().map(|path| {
+        let rows: Vec<MotionRow> = ShardReader::open(path)?.rows()?;
+        let sketch = |row: MotionRow| Ok((row.id.clone(), Sketch::of(&row.motion()?, &skeleton)));
+        rows.into_iter()
+            .map(sketch)
+            .collect::<Result<Vec<_>, Error>>()
+    });
+    let sketched: Vec<Vec<(MotionId, Sketch)>> = sketched.collect::<Result<_, _>>()?;
+    Ok(sketched.into_iter().flatten().collect())
+}
+
+/// Unites the groups of nearly equal motions. `sketches` name the number of their clip.
+pub(crate) fn unite_alike(groups: &mut Groups, sketches: Vec<(usize, Sketch)>) {
+    let numbers: Vec<usize> = sketches.iter().map(|(number, _)| *number).collect();
+    let of_group: Vec<(usize, Sketch)> = sketches
+        .into_iter()
+        .map(|(number, sketch)| (groups.of(number), sketch))
+        .collect();
+    for (a, b, _) in near_pairs(&of_group) {
+        groups.unite(numbers[a], numbers[b]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::FORMATS;
+
+    fn origin(id: &str, source: &str, hash: &str) -> Origin {
+        Origin {
+            id: MotionId::parse(id).expect("valid"),
+            split: Split::Train,
+            source: source.to_owned(),
+            source_hash: hash.to_owned(),
+            mirrored_of: None,
+        }
+    }
+
+    fn are_one(a: &Origin, b: &Origin) -> bool {
+        let prefixes = Prefixes(vec!["b/".to_owned()]);
+        let recordings = [a.recordings(&prefixes, 0), b.recordings(&prefixes, 0)];
+        let groups = grouped(&recordings);
+        groups.of(0) == groups.of(1)
+    }
+
+    #[test]
+    fn clips_of_one_file_are_one_recording_unless_a_release_names_them() {
+        let bvh = |id, hash| origin(id, "bvh", hash);
+        assert!(are_one(&bvh("a", "1"), &bvh("b/c", "1")));
+        assert!(!are_one(&bvh("a", "1"), &bvh("b/c", "2")));
+        assert!(!are_one(&bvh("a", ""), &bvh("b/c", "")));
+        assert!(are_one(&bvh("take#1", "1"), &bvh("take#2", "2")));
+        let mut mirrored = bvh("other", "2");
+        mirrored.mirrored_of = Some("a".to_owned());
+        assert!(are_one(&bvh("a", "1"), &mirrored));
+        // Thousands of recordings lie in one file of a release, and its splits are published.
+        let fix = |id| origin(id, "motionfix", "1");
+        assert!(!are_one(&fix("000001"), &fix("000002")));
+        assert!(are_one(&fix("000001"), &fix("b/000001")));
+        assert!(!are_one(
+            &fix("000001"),
+            &origin("b/000001", "motionfix", "2")
+        ));
+    }
+
+    #[test]
+    fn every_format_is_of_files_or_of_releases() {
+        let releases = [
+            "272",
+            "bones-seed",
+            "dataset",
+            "humanml3d",
+            "humanml3d-amass",
+            "motion-x",
+            "motionfix",
+            "stance",
+            "webdataset",
+        ];
+        for format in FORMATS {
+            let name = format.as_str();
+            assert!(
+                OF_FILES.contains(&name) != releases.contains(&name),
+                "{name}: is a file of it one recording?"
+            );
+        }
+    }
+}

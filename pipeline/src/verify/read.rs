@@ -1,0 +1,351 @@
+//! The contents of one file.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use datasets_spec::manifest::FileEntry;
+use datasets_spec::record::{
+    EditRow, HumanMl3dRow, ItemRow, MarkerRow, MaskRow, MotionRow, NormalizerRow, PairRow,
+    QuarantineRow, ScoreRow, SkippedRow, TripletRow, WindowRow,
+};
+use datasets_spec::store::{ByPath, Store};
+use datasets_spec::table::{Row, read_rows};
+use datasets_spec::{MotionId, Skeleton, Split};
+
+use super::answers::{Answer, Asked};
+use super::{Check, Finding};
+use crate::compose::{check_mask, check_pair};
+use crate::likeness::Sketch;
+use crate::recordings::Origin;
+
+/// A motion or capture, for comparison with others.
+pub(super) struct Met {
+    pub(super) origin: Origin,
+    /// Rate of the motion in 1/s, and its sketch; none for captures.
+    pub(super) fps: Option<f32>,
+    pub(super) sketch: Option<Sketch>,
+}
+
+/// A row that names a motion.
+pub(super) struct Named {
+    table: &'static str,
+    row: String,
+    motion: String,
+    split: Split,
+}
+
+impl Named {
+    pub(super) fn check(&self, motions: &BTreeMap<MotionId, Split>) -> Option<Finding> {
+        let item = format!("{} of {}", self.row, self.table);
+        let found = MotionId::parse(&self.motion)
+            .ok()
+            .and_then(|id| motions.get(&id));
+        match found {
+            Some(split) if *split == self.split => None,
+            Some(split) => Some(Finding {
+                check: Check::Splits,
+                item,
+                problem: format!(
+                    "is in {} and names {}, which is in {split}",
+                    self.split, self.motion
+                ),
+            }),
+            None => Some(Finding {
+                check: Check::References,
+                item,
+                problem: format!("names {}, which is not in the dataset", self.motion),
+            }),
+        }
+    }
+}
+
+/// Identity of a mask or pair.
+struct Label<'a> {
+    id: &'a str,
+    split: Split,
+    motions: Vec<&'a MotionId>,
+    /// Whether the composer accepts it.
+    usable: Result<(), crate::compose::Error>,
+}
+
+/// Contents of one file.
+#[derive(Default)]
+pub(super) struct Read {
+    pub(super) rows: u64,
+    pub(super) met: Vec<Met>,
+    pub(super) named: Vec<Named>,
+    /// Table, id and split of masks and pairs.
+    pub(super) labels: Vec<(&'static str, String, Split)>,
+    pub(super) items: Vec<(String, Asked)>,
+    pub(super) answers: Vec<Answer>,
+    /// Recipes of features, and a motion of each.
+    pub(super) recipes: BTreeMap<String, MotionId>,
+    pub(super) findings: Vec<Finding>,
+}
+
+impl Read {
+    pub(super) fn of(root: &Path, table: &str, file: &FileEntry, skeleton: &Skeleton) -> Self {
+        let mut read = Self::default();
+        if let Err(problem) = check_file(root, file) {
+            read.find(Check::Files, &file.path, problem);
+            return read;
+        }
+        let path = root.join(&file.path);
+        let reader = match table {
+            MotionRow::TABLE => read.motions(&path, file, skeleton),
+            MaskRow::TABLE => read.labels_of(&path, file, |row: &MaskRow| Label {
+                id: &row.id,
+                split: row.split,
+                motions: vec![&row.motion_id],
+                usable: check_mask(row),
+            }),
+            PairRow::TABLE => read.labels_of(&path, file, |row: &PairRow| Label {
+                id: &row.id,
+                split: row.split,
+                motions: vec![&row.source_id, &row.target_id],
+                usable: check_pair(row),
+            }),
+            HumanMl3dRow::TABLE => read.features(&path, file),
+            MarkerRow::TABLE => read.captures(&path, file),
+            TripletRow::TABLE => read.rows_of(&path, file, |_: &TripletRow| Vec::new()),
+            NormalizerRow::TABLE => read.rows_of(&path, file, |_: &NormalizerRow| Vec::new()),
+            WindowRow::TABLE => read.rows_of(&path, file, |_: &WindowRow| Vec::new()),
+            ItemRow::TABLE => read.items(&path, file),
+            EditRow::TABLE => read.edits(&path, file),
+            ScoreRow::TABLE => read.rows_of(&path, file, |_: &ScoreRow| Vec::new()),
+            QuarantineRow::TABLE => read.rows_of(&path, file, |_: &QuarantineRow| Vec::new()),
+            SkippedRow::TABLE => read.rows_of(&path, file, |_: &SkippedRow| Vec::new()),
+            other => Err(format!("no table is called {other}")),
+        };
+        if let Err(problem) = reader {
+            read.find(Check::Schema, &file.path, problem);
+        }
+        read
+    }
+
+    fn find(&mut self, check: Check, item: &str, problem: String) {
+        self.findings.push(Finding {
+            check,
+            item: item.to_owned(),
+            problem,
+        });
+    }
+
+    /// Decodes the rows of a table and collects the motions they name.
+    fn rows_of<R: Row>(
+        &mut self,
+        path: &Path,
+        file: &FileEntry,
+        names: impl Fn(&R) -> Vec<(String, String, Split)>,
+    ) -> Result<(), String> {
+        let rows = self.decoded::<R>(path, file)?;
+        for (row, motion, split) in rows.iter().flat_map(names) {
+            self.named.push(Named {
+                table: R::TABLE,
+                row,
+                motion,
+                split,
+            });
+        }
+        Ok(())
+    }
+
+    /// Decodes features, and collects their motions and recipes.
+    fn features(&mut self, path: &Path, file: &FileEntry) -> Result<(), String> {
+        for row in self.decoded::<HumanMl3dRow>(path, file)? {
+            self.named.push(Named {
+                table: HumanMl3dRow::TABLE,
+                row: row.id.to_string(),
+                motion: row.id.to_string(),
+                split: row.split,
+            });
+            self.recipes.entry(row.recipe).or_insert(row.id);
+        }
+        Ok(())
+    }
+
+    fn captures(&mut self, path: &Path, file: &FileEntry) -> Result<(), String> {
+        for row in self.decoded::<MarkerRow>(path, file)? {
+            self.met.push(Met {
+                origin: Origin {
+                    id: row.id,
+                    split: row.split,
+                    // Markers come from C3D files.
+                    source: "c3d".to_owned(),
+                    source_hash: row.source_hash,
+                    mirrored_of: None,
+                },
+                fps: None,
+                sketch: None,
+            });
+        }
+        Ok(())
+    }
+
+    /// Decodes masks or pairs: whether the composer accepts them, and the motions they name.
+    fn labels_of<R: Row>(
+        &mut self,
+        path: &Path,
+        file: &FileEntry,
+        label: impl Fn(&R) -> Label<'_>,
+    ) -> Result<(), String> {
+        for row in &self.decoded::<R>(path, file)? {
+            let Label {
+                id,
+                split,
+                motions,
+                usable,
+            } = label(row);
+            let item = format!("{id} of {}", R::TABLE);
+            if let Err(error) = usable {
+                let cause = std::error::Error::source(&error);
+                let cause = cause.map_or(String::new(), |cause| format!(": {cause}"));
+                self.find(Check::Contents, &item, format!("{error}{cause}"));
+            }
+            if file.split != Some(split) {
+                let problem = format!("says {split} and lies in {}", file.path);
+                self.find(Check::Splits, &item, problem);
+            }
+            self.labels.push((R::TABLE, id.to_owned(), split));
+            self.named.extend(motions.into_iter().map(|motion| Named {
+                table: R::TABLE,
+                row: id.to_owned(),
+                motion: motion.to_string(),
+                split,
+            }));
+        }
+        Ok(())
+    }
+
+    fn decoded<R: Row>(&mut self, path: &Path, file: &FileEntry) -> Result<Vec<R>, String> {
+        let rows: Vec<R> = read_rows(path).map_err(|error| error.to_string())?;
+        if rows.len() as u64 != file.rows {
+            let problem = format!("holds {} rows, the manifest says {}", rows.len(), file.rows);
+            self.find(Check::Contents, &file.path, problem);
+        }
+        self.rows += rows.len() as u64;
+        Ok(rows)
+    }
+
+    /// Checks that every item matches its id.
+    fn items(&mut self, path: &Path, file: &FileEntry) -> Result<(), String> {
+        for row in self.decoded::<ItemRow>(path, file)? {
+            if let Err(error) = row.check() {
+                self.find(Check::Contents, &row.id, error.to_string());
+            }
+            let asked = Asked {
+                split: row.split,
+                task: row.task,
+                instruction: row.instruction,
+            };
+            self.items.push((row.id, asked));
+        }
+        Ok(())
+    }
+
+    /// Checks that edits are motions, and that their settings match their hash.
+    fn edits(&mut self, path: &Path, file: &FileEntry) -> Result<(), String> {
+        for row in self.decoded::<EditRow>(path, file)? {
+            let item = format!("{} of {}", row.id, row.system);
+            match row.motion() {
+                Err(error) => self.find(Check::Contents, &item, error.to_string()),
+                Ok(motion) if usize::try_from(row.n_frames) != Ok(motion.len()) => {
+                    let frames = motion.len();
+                    let problem = format!("has {frames} frames, recorded {}", row.n_frames);
+                    self.find(Check::Contents, &item, problem);
+                }
+                Ok(_) => {}
+            }
+            let hash = blake3::hash(row.settings.as_bytes()).to_hex().to_string();
+            // Tables made before settings were recorded have neither.
+            let is_old = row.settings.is_empty() && row.settings_hash.is_empty();
+            if !is_old && hash != row.settings_hash {
+                let problem = format!(
+                    "its settings have the hash {hash}, recorded {:?}",
+                    row.settings_hash
+                );
+                self.find(Check::Contents, &item, problem);
+            }
+            self.answers.push(Answer {
+                id: row.id,
+                asked: Asked {
+                    split: row.split,
+                    task: row.kind,
+                    instruction: row.instruction,
+                },
+                system: row.system,
+                checkpoint_hash: row.checkpoint_hash,
+                settings_hash: row.settings_hash,
+                seed: row.seed,
+            });
+        }
+        Ok(())
+    }
+
+    fn motions(
+        &mut self,
+        path: &Path,
+        file: &FileEntry,
+        skeleton: &Skeleton,
+    ) -> Result<(), String> {
+        for row in self.decoded::<MotionRow>(path, file)? {
+            let id = row.id.as_str();
+            let mut sketch = None;
+            match row.motion() {
+                Err(error) => self.find(Check::Contents, id, error.to_string()),
+                Ok(motion) => {
+                    sketch = Some(Sketch::of(&motion, skeleton));
+                    let (hash, frames) = (motion.content_hash(), motion.len());
+                    if hash != row.content_hash {
+                        let problem = format!("its hash is {hash}, recorded {}", row.content_hash);
+                        self.find(Check::Contents, id, problem);
+                    }
+                    if usize::try_from(row.n_frames) != Ok(frames) {
+                        let problem = format!("has {frames} frames, recorded {}", row.n_frames);
+                        self.find(Check::Contents, id, problem);
+                    }
+                }
+            }
+            if row.skeleton != skeleton.name() {
+                let (found, expected) = (&row.skeleton, skeleton.name());
+                let problem = format!("is posed on {found}, the dataset on {expected}");
+                self.find(Check::Contents, id, problem);
+            }
+            if file.split != Some(row.split) {
+                let problem = format!("says {} and lies in {}", row.split, file.path);
+                self.find(Check::Splits, id, problem);
+            }
+            self.met.push(Met {
+                origin: Origin {
+                    id: row.id,
+                    split: row.split,
+                    source: row.source,
+                    source_hash: row.source_hash,
+                    mirrored_of: row.mirrored_of,
+                },
+                fps: Some(row.fps),
+                sketch,
+            });
+        }
+        Ok(())
+    }
+}
+
+fn check_file(root: &Path, file: &FileEntry) -> Result<(), String> {
+    let path = root.join(&file.path);
+    let size = ByPath.size(&path).map_err(|error| error.to_string())?;
+    if size != file.bytes {
+        return Err(format!(
+            "has {size} bytes, the manifest says {}",
+            file.bytes
+        ));
+    }
+    let hash = ByPath.hash(&path).map_err(|error| error.to_string())?;
+    if hash != file.blake3 {
+        return Err(format!(
+            "BLAKE3 is {hash}, the manifest says {}",
+            file.blake3
+        ));
+    }
+    Ok(())
+}

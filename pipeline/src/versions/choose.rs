@@ -1,0 +1,151 @@
+//! Which clips of a dataset somebody means, and what is left of them in the accounts.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::manifest::Accounting;
+use datasets_spec::record::{MarkerRow, MotionRow, SkippedRow};
+use datasets_spec::table::{Row, ShardReader};
+use datasets_spec::{Dataset, MotionId};
+
+use crate::Error;
+use crate::filter::{Clips, Filter};
+
+/// Ids named in an error.
+const SHOWN: usize = 5;
+
+/// What follows the id in the reason of a clip that its owner removed.
+pub(super) const REMOVED: &str = " was removed by its owner";
+/// What follows the id in the reason of a clip that is not in a selection.
+pub(super) const NOT_SELECTED: &str = " was not selected";
+
+/// Clips that somebody means.
+#[derive(Clone, Debug)]
+pub enum Choice {
+    /// Those for which a condition holds.
+    Where(Filter),
+    /// Those whose ids a file lists, one a line.
+    Ids {
+        /// The file, for errors.
+        path: PathBuf,
+        /// The ids.
+        ids: BTreeSet<String>,
+    },
+}
+
+impl Choice {
+    /// Reads a list of ids: one a line; empty lines are passed over.
+    ///
+    /// # Errors
+    /// The file cannot be read or is not text.
+    pub fn ids(path: &Path) -> Result<Self, Error> {
+        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+        let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
+        Ok(Self::Ids {
+            path: path.to_owned(),
+            ids: lines.map(str::to_owned).collect(),
+        })
+    }
+
+    /// The clips of a dataset that are meant.
+    ///
+    /// # Errors
+    /// None is, an id is not in the dataset, or a file cannot be read.
+    pub(super) fn of(&self, dataset: &Dataset) -> Result<BTreeSet<MotionId>, Error> {
+        match self {
+            Self::Where(filter) => {
+                let mut ids = BTreeSet::new();
+                for shard in Clips::chosen(dataset, filter)?.shards(None) {
+                    ids.extend(shard.column::<MotionId>("id")?);
+                }
+                Ok(ids)
+            }
+            Self::Ids { path, ids } => {
+                let mut known = BTreeSet::new();
+                for (file, _) in dataset.files(MotionRow::TABLE, None) {
+                    known.extend(ShardReader::open(&file)?.column::<MotionRow, MotionId>("id")?);
+                }
+                for (file, _) in dataset.files(MarkerRow::TABLE, None) {
+                    known.extend(ShardReader::open(&file)?.column::<MarkerRow, MotionId>("id")?);
+                }
+                let (chosen, unknown): (Vec<&String>, Vec<&String>) = ids
+                    .iter()
+                    .partition(|id| MotionId::parse(id).is_ok_and(|id| known.contains(&id)));
+                if !unknown.is_empty() || chosen.is_empty() {
+                    let shown: Vec<&str> =
+                        unknown.iter().take(SHOWN).map(|id| id.as_str()).collect();
+                    return Err(Error::UnknownIds {
+                        path: path.clone(),
+                        dataset: dataset.root().to_owned(),
+                        count: unknown.len(),
+                        shown: shown.join(", "),
+                    });
+                }
+                known.retain(|id| ids.contains(id.as_str()));
+                Ok(known)
+            }
+        }
+    }
+}
+
+/// The id of a clip that a row accounts for, where its owner removed it or did not select it: ingestion leaves the clip
+/// out while its file is as it was.
+pub fn taken_out(row: &SkippedRow) -> Option<&str> {
+    let reason = row.reason.as_str();
+    let id = reason.strip_suffix(REMOVED);
+    id.or_else(|| reason.strip_suffix(NOT_SELECTED))
+}
+
+/// Rows that account for clips that are left out.
+pub(super) fn left_out(
+    dataset: &Dataset,
+    leaves: impl Fn(&MotionId) -> bool,
+    reason: &str,
+) -> Result<Vec<SkippedRow>, Error> {
+    let mut rows = Vec::new();
+    let mut met = BTreeSet::new();
+    let mut take = |id: MotionId, path: String, source_hash: String, inputs_hash: String| {
+        if leaves(&id) && met.insert(id.clone()) {
+            rows.push(SkippedRow {
+                path,
+                source_hash,
+                inputs_hash,
+                reason: format!("{id}{reason}"),
+            });
+        }
+    };
+    for (file, _) in dataset.files(MotionRow::TABLE, None) {
+        let shard = ShardReader::open(&file)?;
+        let ids = shard.column::<MotionRow, MotionId>("id")?;
+        let text = |name| shard.column::<MotionRow, String>(name);
+        // Datasets of older formats lack the column.
+        let inputs = text("inputs_hash").unwrap_or_else(|_| vec![String::new(); ids.len()]);
+        let columns = text("source_path")?.into_iter().zip(text("source_hash")?);
+        for ((id, (path, hash)), inputs) in ids.into_iter().zip(columns).zip(inputs) {
+            take(id, path, hash, inputs);
+        }
+    }
+    for (file, _) in dataset.files(MarkerRow::TABLE, None) {
+        let shard = ShardReader::open(&file)?;
+        let ids = shard.column::<MarkerRow, MotionId>("id")?;
+        let text = |name| shard.column::<MarkerRow, String>(name);
+        let columns = text("source_path")?.into_iter().zip(text("source_hash")?);
+        for (id, (path, hash)) in ids.into_iter().zip(columns) {
+            take(id, path, hash, String::new());
+        }
+    }
+    rows.sort_by(|a, b| (&a.path, &a.reason).cmp(&(&b.path, &b.reason)));
+    Ok(rows)
+}
+
+/// The accounts after clips were left out, each of them a source that is skipped now.
+pub(super) fn accounting(before: &Accounting, left_out: u64) -> Accounting {
+    let ingested = before.ingested.saturating_sub(left_out);
+    let skipped = before.skipped + left_out;
+    Accounting {
+        sources: ingested + before.quarantined + skipped,
+        ingested,
+        skipped,
+        ..before.clone()
+    }
+}

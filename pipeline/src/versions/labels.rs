@@ -1,0 +1,118 @@
+//! Labels of clips that come back, change or go: which of them people made.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use datasets_spec::record::{MaskRow, PairRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Skeleton, Split, Transaction};
+use serde::Serialize;
+
+use crate::Error;
+use crate::annotation::masks::AUTHOR;
+use crate::annotation::pairs::is_from_labels;
+use crate::ingest::LostLabel;
+use crate::source::format_named;
+
+/// Labels named in an error.
+const SHOWN: usize = 5;
+
+/// A label that stays.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct KeptLabel {
+    /// The table: masks or pairs.
+    pub table: String,
+    /// Id of the row.
+    pub id: String,
+}
+
+/// Masks and pairs by their ids.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Labels {
+    pub(super) masks: BTreeMap<String, MaskRow>,
+    pub(super) pairs: BTreeMap<String, PairRow>,
+}
+
+impl Labels {
+    pub(super) fn read(dataset: &Dataset) -> Result<Self, Error> {
+        let (masks, pairs): (Vec<MaskRow>, Vec<PairRow>) =
+            (dataset.read(None)?, dataset.read(None)?);
+        Ok(Self {
+            masks: masks.into_iter().map(|row| (row.id.clone(), row)).collect(),
+            pairs: pairs.into_iter().map(|row| (row.id.clone(), row)).collect(),
+        })
+    }
+
+    /// Writes those tables that differ from `before`. A table without rows has no files.
+    pub(super) fn write(
+        &self,
+        before: &Self,
+        transaction: &Transaction,
+        skeleton: &Skeleton,
+        plan: &str,
+    ) -> Result<BTreeMap<String, Vec<datasets_spec::manifest::FileEntry>>, Error> {
+        let mut tables = BTreeMap::new();
+        if self.masks != before.masks {
+            let rows: Vec<MaskRow> = self.masks.values().cloned().collect();
+            let split: fn(&MaskRow) -> Split = |row| row.split;
+            let files = match rows.is_empty() {
+                true => Vec::new(),
+                false => transaction.write_rows(&rows, Some(split), skeleton, plan)?,
+            };
+            tables.insert(MaskRow::TABLE.to_owned(), files);
+        }
+        if self.pairs != before.pairs {
+            let rows: Vec<PairRow> = self.pairs.values().cloned().collect();
+            let split: fn(&PairRow) -> Split = |row| row.split;
+            let files = match rows.is_empty() {
+                true => Vec::new(),
+                false => transaction.write_rows(&rows, Some(split), skeleton, plan)?,
+            };
+            tables.insert(PairRow::TABLE.to_owned(), files);
+        }
+        Ok(tables)
+    }
+}
+
+/// Whether a person made or judged a mask: no stage derives it again, and reading its source does not bring it back.
+pub(super) fn is_mask_of_people(mask: &MaskRow) -> bool {
+    let from_source = mask.text_origin == "imported" && format_named(&mask.author).is_some();
+    let derived = mask.text_origin != "human" && mask.author == AUTHOR;
+    !from_source && !derived && mask.text_origin != "automatic"
+}
+
+/// Whether a person made a pair; see [`is_mask_of_people`].
+pub(super) fn is_pair_of_people(pair: &PairRow) -> bool {
+    format_named(&pair.source).is_none() && !is_from_labels(pair)
+}
+
+pub(super) fn lost(table: &str, id: &str, reason: String) -> LostLabel {
+    LostLabel {
+        table: table.to_owned(),
+        id: id.to_owned(),
+        reason,
+    }
+}
+
+/// Refuses to lose labels, unless that is allowed.
+///
+/// # Errors
+/// Some would be lost.
+pub(super) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> Result<(), Error> {
+    if drop_labels || lost.is_empty() {
+        return Ok(());
+    }
+    let mut shown: Vec<String> = lost
+        .iter()
+        .take(SHOWN)
+        .map(|label| format!("{} of {} ({})", label.id, label.table, label.reason))
+        .collect();
+    if lost.len() > SHOWN {
+        shown.push("others".to_owned());
+    }
+    Err(Error::LabelsLost {
+        path: root.to_owned(),
+        count: lost.len(),
+        shown: shown.join(", "),
+    })
+}

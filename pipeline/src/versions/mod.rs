@@ -1,0 +1,105 @@
+//! Versions of a dataset: which there are, going back to one, and versions with fewer files or fewer clips.
+//!
+//! Every change of a dataset is a new version, and the one before stays until it is pruned. Nothing that people made
+//! is lost unless the caller says so: labels of clips that are not there any more are listed, and the change is refused
+//! until it is allowed to drop them.
+
+mod choose;
+mod compact;
+mod labels;
+mod remove;
+mod restore;
+mod rows;
+mod select;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use datasets_spec::Dataset;
+use datasets_spec::manifest::Manifest;
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::Row;
+use serde::Serialize;
+
+use crate::Error;
+
+pub use self::choose::{Choice, taken_out};
+pub use self::compact::{Compacted, Layout, compact, compact_in};
+pub use self::labels::KeptLabel;
+pub use self::remove::{RemoveOptions, Removed, remove, remove_in};
+pub use self::restore::{Restored, restore, restore_in};
+pub use self::select::{SELECTED_FACT, Selected, select};
+
+/// A version of a dataset.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Version {
+    /// Its number.
+    pub version: u64,
+    /// Whether readers of the dataset get this one.
+    pub current: bool,
+    /// Clips.
+    pub clips: u64,
+    /// Rows of each table.
+    pub tables: BTreeMap<String, u64>,
+    /// Files of all tables.
+    pub files: u64,
+    /// Their size in bytes.
+    pub bytes: u64,
+    /// Tables whose files are others than in the version before, with their rows then and now; all of the oldest one.
+    pub changed: BTreeMap<String, [u64; 2]>,
+    /// The program that wrote it.
+    pub tool_version: String,
+    /// Hash of all it holds.
+    pub root_hash: String,
+}
+
+/// The versions of a dataset that were not pruned, the oldest first.
+///
+/// # Errors
+/// The folder is no dataset, or a manifest cannot be read.
+pub fn list(root: &Path) -> Result<Vec<Version>, Error> {
+    let manifests = Dataset::versions(root)?;
+    let before = std::iter::once(None).chain(manifests.iter().map(Some));
+    let newest = manifests.last().map_or(0, |newest| newest.version);
+    let versions = manifests.iter().zip(before);
+    Ok(versions
+        .map(|(manifest, before)| Version::of(manifest, before, newest))
+        .collect())
+}
+
+impl Version {
+    fn of(manifest: &Manifest, before: Option<&Manifest>, newest: u64) -> Self {
+        let files = manifest.tables.values().flatten();
+        let names = |manifest: &Manifest| manifest.tables.keys().cloned().collect::<Vec<_>>();
+        let mut tables = names(manifest);
+        tables.extend(before.map(names).unwrap_or_default());
+        let was = |table: &str| before.and_then(|before| before.tables.get(table));
+        let changed = tables
+            .into_iter()
+            .filter(|table| was(table) != manifest.tables.get(table))
+            .map(|table| {
+                let then = before.map_or(0, |before| before.rows(&table, None));
+                let now = manifest.rows(&table, None);
+                (table, [then, now])
+            });
+        Self {
+            version: manifest.version,
+            current: manifest.version == newest,
+            clips: manifest.rows(MotionRow::TABLE, None),
+            tables: rows_of(manifest),
+            files: files.clone().count() as u64,
+            bytes: files.map(|file| file.bytes).sum(),
+            changed: changed.collect(),
+            tool_version: manifest.tool_version.clone(),
+            root_hash: manifest.root_hash.clone(),
+        }
+    }
+}
+
+/// Rows of each table.
+fn rows_of(manifest: &Manifest) -> BTreeMap<String, u64> {
+    let tables = manifest.tables.keys();
+    tables
+        .map(|table| (table.clone(), manifest.rows(table, None)))
+        .collect()
+}

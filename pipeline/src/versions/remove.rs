@@ -1,0 +1,278 @@
+//! A version without some clips.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use datasets_spec::dataset::{Commit, ShardName, table_facts};
+use datasets_spec::license::{self, LICENSES_FACT};
+use datasets_spec::manifest::{FileEntry, plan_hash};
+use datasets_spec::record::{HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, SkippedRow};
+use datasets_spec::table::{Row, ShardReader};
+use datasets_spec::{Dataset, MotionId, Split, Transaction};
+use serde::Serialize;
+
+use super::choose::{REMOVED, accounting, left_out};
+use super::labels::{Labels, check_lost, is_mask_of_people, is_pair_of_people, lost};
+use super::select::{composed, json};
+use super::{Choice, rows_of};
+use crate::Error;
+use crate::clip_table::{CLIP_TABLES, ClipRow};
+use crate::ingest::LostLabel;
+
+/// What [`remove`] did, or would do.
+#[derive(Clone, Debug, Serialize)]
+pub struct Removed {
+    /// The clips.
+    pub removed: Vec<String>,
+    /// Clips of the result.
+    pub clips: u64,
+    /// Labels that people made of the removed clips. The version before keeps them.
+    pub lost: Vec<LostLabel>,
+    /// Other masks and pairs of the removed clips, by table.
+    pub dropped: BTreeMap<String, u64>,
+    /// Tables made of all clips, which the result has not; their commands make them again.
+    pub left_tables: Vec<String>,
+    /// Whether nothing was changed, because only a report was asked for.
+    pub dry_run: bool,
+    /// Rows of each table of the result; of the version there is after a dry run.
+    pub tables: BTreeMap<String, u64>,
+    /// Hash of the newest version.
+    pub root_hash: String,
+}
+
+/// How clips are removed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RemoveOptions {
+    /// Go on although labels that people made are lost.
+    pub drop_labels: bool,
+    /// Only report.
+    pub dry_run: bool,
+}
+
+/// Makes a version without the chosen clips. The version before keeps them, and ingestion leaves them out while their
+/// files are as they were.
+///
+/// # Errors
+/// No clip is chosen, or all are; labels would be lost and the options do not allow it; or the folder is locked or cannot
+/// be written.
+pub fn remove(
+    root: &Path,
+    choice: &Choice,
+    options: RemoveOptions,
+    holder: &str,
+) -> Result<Removed, Error> {
+    // Locking would make the folder.
+    Dataset::open_unverified(root)?;
+    remove_in(Transaction::begin(root, holder)?, choice, options)
+}
+
+/// [`remove`] within a transaction that has begun.
+///
+/// # Errors
+/// As [`remove`].
+pub fn remove_in(
+    transaction: Transaction,
+    choice: &Choice,
+    options: RemoveOptions,
+) -> Result<Removed, Error> {
+    let root = &transaction.root().to_owned();
+    let dataset = Dataset::open(root)?;
+    let chosen = choice.of(&dataset)?;
+    let manifest = dataset.manifest();
+    let before = Labels::read(&dataset)?;
+    let (labels, lost, dropped) = without(&before, &chosen);
+    let left = left_out(&dataset, |id| chosen.contains(id), REMOVED)?;
+    let mut shards = Shards::read(&dataset)?;
+    if shards.num_clips() <= left.len() {
+        return Err(Error::AllRemoved {
+            path: root.to_owned(),
+        });
+    }
+    let mut report = Removed {
+        removed: chosen.iter().map(ToString::to_string).collect(),
+        clips: (shards.num_clips() - left.len()) as u64,
+        lost,
+        dropped,
+        left_tables: composed(&dataset),
+        dry_run: options.dry_run,
+        tables: rows_of(manifest),
+        root_hash: manifest.root_hash.clone(),
+    };
+    if options.dry_run {
+        return Ok(report);
+    }
+    check_lost(root, &report.lost, options.drop_labels)?;
+    let skeleton = dataset.skeleton()?;
+    let plan = plan_hash("remove", &(&manifest.root_hash, &report.removed));
+    let mut tables = shards.without(&transaction, &chosen)?;
+    let written = labels.write(&before, &transaction, &skeleton, &plan)?;
+    let mut skipped: Vec<SkippedRow> = dataset.read(None)?;
+    let num_left = left.len() as u64;
+    skipped.extend(left);
+    let facts = table_facts(&skeleton, &plan);
+    tables.insert(
+        SkippedRow::TABLE.to_owned(),
+        transaction.write_shards(None, &skipped, &facts)?,
+    );
+    tables.extend(written);
+    let changed: BTreeSet<String> = tables.keys().cloned().collect();
+    let mut plans = manifest.plans.clone();
+    plans.retain(|table, _| !changed.contains(table) && !report.left_tables.contains(table));
+    for (table, files) in &manifest.tables {
+        if !report.left_tables.contains(table) {
+            tables.entry(table.clone()).or_insert_with(|| files.clone());
+        }
+    }
+    tables.retain(|table, files| !files.is_empty() || table == MotionRow::TABLE);
+    let motions = tables.get(MotionRow::TABLE).into_iter().flatten();
+    let licenses = license::count(root, motions)?;
+    let mut facts = manifest.facts.clone();
+    facts.insert(LICENSES_FACT.to_owned(), json(&licenses));
+    let done = transaction.commit(Commit {
+        tables,
+        plan_hash: plan,
+        plans,
+        skeleton,
+        accounting: Some(accounting(&manifest.accounting, num_left)),
+        facts,
+        fresh: true,
+        ..Commit::default()
+    })?;
+    report.tables = rows_of(done.manifest());
+    report.root_hash.clone_from(&done.manifest().root_hash);
+    Ok(report)
+}
+
+/// Labels without those of some clips; those of them that people made, and the number of others by table.
+fn without(
+    before: &Labels,
+    chosen: &BTreeSet<MotionId>,
+) -> (Labels, Vec<LostLabel>, BTreeMap<String, u64>) {
+    let mut labels = before.clone();
+    let mut gone = Vec::new();
+    let mut dropped: BTreeMap<String, u64> = BTreeMap::new();
+    let mut leaves = |table: &str, id: &str, clips: &[&MotionId], of_people: bool| {
+        let Some(clip) = clips.iter().find(|clip| chosen.contains(**clip)) else {
+            return false;
+        };
+        match of_people {
+            true => gone.push(lost(table, id, format!("{clip} is to be removed"))),
+            false => *dropped.entry(table.to_owned()).or_default() += 1,
+        }
+        true
+    };
+    labels.masks.retain(|id, mask| {
+        !leaves(
+            MaskRow::TABLE,
+            id,
+            &[&mask.motion_id],
+            is_mask_of_people(mask),
+        )
+    });
+    labels.pairs.retain(|id, pair| {
+        let clips = [&pair.source_id, &pair.target_id];
+        !leaves(PairRow::TABLE, id, &clips, is_pair_of_people(pair))
+    });
+    (labels, gone, dropped)
+}
+
+/// A file of a table of clips, and the ids of its rows.
+type File = (&'static str, FileEntry, Vec<MotionId>);
+
+/// The shards of clips by the name of their files: motions, with their markers and features beside them.
+struct Shards(BTreeMap<String, (Split, Vec<File>)>);
+
+impl Shards {
+    fn read(dataset: &Dataset) -> Result<Self, Error> {
+        let mut shards = BTreeMap::new();
+        for table in CLIP_TABLES {
+            for (path, file) in dataset.files(table, None) {
+                let reader = ShardReader::open(&path)?;
+                let ids: Vec<MotionId> = match table {
+                    MotionRow::TABLE => reader.column::<MotionRow, _>("id")?,
+                    MarkerRow::TABLE => reader.column::<MarkerRow, _>("id")?,
+                    _ => reader.column::<HumanMl3dRow, _>("id")?,
+                };
+                let name = file
+                    .path
+                    .rsplit('/')
+                    .next()
+                    .unwrap_or(&file.path)
+                    .to_owned();
+                let split = file.split.unwrap_or(Split::Train);
+                let (_, files) = shards.entry(name).or_insert_with(|| (split, Vec::new()));
+                files.push((table, file.clone(), ids));
+            }
+        }
+        Ok(Self(shards))
+    }
+
+    fn num_clips(&self) -> usize {
+        let files = self.0.values().flat_map(|(_, files)| files);
+        let ids = files.flat_map(|(_, _, ids)| ids);
+        ids.collect::<BTreeSet<_>>().len()
+    }
+
+    /// The files of all shards without some clips. Shards that hold none of them stay as they are.
+    fn without(
+        &mut self,
+        transaction: &Transaction,
+        chosen: &BTreeSet<MotionId>,
+    ) -> Result<BTreeMap<String, Vec<FileEntry>>, Error> {
+        let is_broken = |files: &[File]| {
+            let mut ids = files.iter().flat_map(|(_, _, ids)| ids);
+            ids.any(|id| chosen.contains(id))
+        };
+        let mut of: BTreeMap<Split, usize> = BTreeMap::new();
+        for (split, files) in self.0.values() {
+            *of.entry(*split).or_default() += usize::from(is_broken(files));
+        }
+        let mut next: BTreeMap<Split, usize> = BTreeMap::new();
+        let mut tables: BTreeMap<String, Vec<FileEntry>> = BTreeMap::new();
+        for (split, files) in self.0.values() {
+            let broken = is_broken(files);
+            let index = next.get(split).copied().unwrap_or(0);
+            for (table, file, _) in files {
+                let entries = tables.entry((*table).to_owned()).or_default();
+                if !broken {
+                    entries.push(file.clone());
+                    continue;
+                }
+                let name = ShardName {
+                    table,
+                    split: Some(*split),
+                    index,
+                    of: of.get(split).copied().unwrap_or(1),
+                };
+                entries.extend(match *table {
+                    MotionRow::TABLE => rewrite::<MotionRow>(transaction, &name, file, chosen),
+                    MarkerRow::TABLE => rewrite::<MarkerRow>(transaction, &name, file, chosen),
+                    _ => rewrite::<HumanMl3dRow>(transaction, &name, file, chosen),
+                }?);
+            }
+            *next.entry(*split).or_default() += usize::from(broken);
+        }
+        Ok(tables)
+    }
+}
+
+/// Writes the rows of a file without those of some clips, if any are left.
+fn rewrite<R: ClipRow>(
+    transaction: &Transaction,
+    name: &ShardName,
+    file: &FileEntry,
+    chosen: &BTreeSet<MotionId>,
+) -> Result<Option<FileEntry>, Error> {
+    let shard = ShardReader::open(&transaction.root().join(&file.path))?;
+    let facts = shard.facts();
+    let facts: Vec<(&str, String)> = facts
+        .iter()
+        .map(|(key, value)| (key.as_str(), value.clone()))
+        .collect();
+    let mut rows: Vec<R> = shard.rows()?;
+    rows.retain(|row| !chosen.contains(row.id()));
+    if rows.is_empty() {
+        return Ok(None);
+    }
+    Ok(Some(transaction.write_shard(name, &rows, &facts)?))
+}

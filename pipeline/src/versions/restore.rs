@@ -1,0 +1,217 @@
+//! Going back to an older version.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use datasets_spec::manifest::{Manifest, plan_hash};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{Row, ShardReader};
+use datasets_spec::{Dataset, MotionId, Split, Transaction};
+use serde::Serialize;
+
+use super::labels::{KeptLabel, Labels, check_lost, is_mask_of_people, is_pair_of_people, lost};
+use crate::Error;
+use crate::ingest::LostLabel;
+
+/// What [`restore`] did.
+#[derive(Clone, Debug, Serialize)]
+pub struct Restored {
+    /// The version that was gone back to.
+    pub restored: u64,
+    /// Number of the version that was made; that of the newest one where nothing had to change.
+    pub version: u64,
+    /// Whether the newest version was this one already.
+    pub is_current: bool,
+    /// Clips of the result.
+    pub clips: u64,
+    /// Rows of each table.
+    pub tables: BTreeMap<String, u64>,
+    /// Labels that people made since, whose clips are there with the same motion.
+    pub kept: Vec<KeptLabel>,
+    /// Labels that people made since and whose clips are not there, or differ. The version before keeps them.
+    pub lost: Vec<LostLabel>,
+    /// Tables of the version before that the result has not.
+    pub left_tables: Vec<String>,
+    /// Hash of the result.
+    pub root_hash: String,
+}
+
+/// Motion and split of every clip.
+type Clips = BTreeMap<MotionId, (String, Split)>;
+
+fn clips(dataset: &Dataset) -> Result<Clips, Error> {
+    let mut clips = Clips::new();
+    for (path, file) in dataset.files(MotionRow::TABLE, None) {
+        let shard = ShardReader::open(&path)?;
+        let ids = shard.column::<MotionRow, MotionId>("id")?;
+        let contents = shard.column::<MotionRow, String>("content_hash")?;
+        let split = file.split.unwrap_or(Split::Train);
+        let rows = ids.into_iter().zip(contents);
+        clips.extend(rows.map(|(id, content)| (id, (content, split))));
+    }
+    Ok(clips)
+}
+
+/// Makes an older version the newest one, under a new number. Labels that people made since stay where their clips are
+/// there with the same motion.
+///
+/// # Errors
+/// There is no such version, one of its files is damaged, labels would be lost and `drop_labels` does not allow it,
+/// or the folder is locked or cannot be written.
+pub fn restore(
+    root: &Path,
+    version: u64,
+    drop_labels: bool,
+    holder: &str,
+) -> Result<Restored, Error> {
+    // Locking would make the folder.
+    Dataset::open_unverified(root)?;
+    restore_in(Transaction::begin(root, holder)?, version, drop_labels)
+}
+
+/// [`restore`] within a transaction that has begun.
+///
+/// # Errors
+/// As [`restore`].
+pub fn restore_in(
+    transaction: Transaction,
+    version: u64,
+    drop_labels: bool,
+) -> Result<Restored, Error> {
+    let root = &transaction.root().to_owned();
+    let now = Dataset::open_unverified(root)?;
+    let old = Dataset::open_version(root, version)?;
+    let before = Labels::read(&old)?;
+    let mut merge = Merge {
+        old: clips(&old)?,
+        now: clips(&now)?,
+        labels: before.clone(),
+        kept: Vec::new(),
+        lost: Vec::new(),
+    };
+    let current = Labels::read(&now)?;
+    merge.take(current.clone());
+    let Merge {
+        labels, kept, lost, ..
+    } = merge;
+    check_lost(root, &lost, drop_labels)?;
+    let left = now.manifest().tables.keys();
+    let left = left.filter(|table| !old.manifest().tables.contains_key(*table));
+    let left_tables = left
+        .filter(|table| *table != MaskRow::TABLE || labels.masks.is_empty())
+        .filter(|table| *table != PairRow::TABLE || labels.pairs.is_empty())
+        .cloned()
+        .collect();
+    let is_current = labels == current && is_alike(old.manifest(), now.manifest());
+    let dataset = if is_current {
+        transaction.finish()?;
+        now
+    } else {
+        let plan = plan_hash(
+            "restore",
+            &(&old.manifest().root_hash, &labels.masks, &labels.pairs),
+        );
+        let tables = labels.write(&before, &transaction, &old.skeleton()?, &plan)?;
+        transaction.restore(old.manifest(), tables, &plan)?
+    };
+    let manifest = dataset.manifest();
+    Ok(Restored {
+        restored: version,
+        version: manifest.version,
+        is_current,
+        clips: manifest.rows(MotionRow::TABLE, None),
+        tables: super::rows_of(manifest),
+        kept,
+        lost,
+        left_tables,
+        root_hash: manifest.root_hash.clone(),
+    })
+}
+
+/// Whether two versions are the same but for their labels.
+fn is_alike(a: &Manifest, b: &Manifest) -> bool {
+    let tables = |manifest: &Manifest| {
+        let mut tables = manifest.tables.clone();
+        tables.retain(|table, _| ![MaskRow::TABLE, PairRow::TABLE].contains(&table.as_str()));
+        tables
+    };
+    (tables(a), &a.facts, &a.skeleton) == (tables(b), &b.facts, &b.skeleton)
+}
+
+/// The labels of an older version, into which those come that people made since.
+struct Merge {
+    old: Clips,
+    now: Clips,
+    labels: Labels,
+    kept: Vec<KeptLabel>,
+    lost: Vec<LostLabel>,
+}
+
+impl Merge {
+    fn take(&mut self, now: Labels) {
+        for mut mask in now.masks.into_values().filter(is_mask_of_people) {
+            match self.split_of(&[&mask.motion_id]) {
+                Err(reason) => self.lost.push(lost(MaskRow::TABLE, &mask.id, reason)),
+                Ok(split) => {
+                    mask.split = split;
+                    self.insert_mask(mask);
+                }
+            }
+        }
+        for mut pair in now.pairs.into_values().filter(is_pair_of_people) {
+            match self.split_of(&[&pair.source_id, &pair.target_id]) {
+                Err(reason) => self.lost.push(lost(PairRow::TABLE, &pair.id, reason)),
+                Ok(split) => {
+                    pair.split = split;
+                    if self.labels.pairs.get(&pair.id) != Some(&pair) {
+                        self.keep(PairRow::TABLE, &pair.id);
+                        self.labels.pairs.insert(pair.id.clone(), pair);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Adds a mask. It takes the place of an automatic one of the same parts, as it did when it was made.
+    fn insert_mask(&mut self, mask: MaskRow) {
+        if self.labels.masks.get(&mask.id) == Some(&mask) {
+            return;
+        }
+        self.labels.masks.retain(|_, other| {
+            is_mask_of_people(other)
+                || other.motion_id != mask.motion_id
+                || other.parts != mask.parts
+        });
+        self.keep(MaskRow::TABLE, &mask.id);
+        self.labels.masks.insert(mask.id.clone(), mask);
+    }
+
+    fn keep(&mut self, table: &str, id: &str) {
+        self.kept.push(KeptLabel {
+            table: table.to_owned(),
+            id: id.to_owned(),
+        });
+    }
+
+    /// The split of the clips of a label in the older version.
+    ///
+    /// # Errors
+    /// One of them is not there, has another motion, or they are in two splits.
+    fn split_of(&self, ids: &[&MotionId]) -> Result<Split, String> {
+        let mut splits = Vec::new();
+        for id in ids {
+            let (old, split) = self
+                .old
+                .get(id)
+                .ok_or_else(|| format!("{id} is not in that version"))?;
+            if self.now.get(id).is_some_and(|(now, _)| now != old) {
+                return Err(format!("{id} has another motion in that version"));
+            }
+            splits.push(*split);
+        }
+        match splits.first() {
+            Some(first) if splits.iter().all(|split| split == first) => Ok(*first),
+            _ => Err("its clips are in two splits in that version".to_owned()),
+        }
+    }
+}

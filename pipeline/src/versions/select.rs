@@ -1,0 +1,186 @@
+//! A new dataset of some clips of another one.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use datasets_spec::dataset::{Commit, table_facts};
+use datasets_spec::license::{self, LICENSES_FACT};
+use datasets_spec::manifest::{LAID_OUT_FACT, plan_hash};
+use datasets_spec::record::{
+    HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
+};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, MotionId, Progress, Transaction};
+use serde::{Deserialize, Serialize};
+
+use super::choose::{NOT_SELECTED, accounting, left_out};
+use super::labels::Labels;
+use super::rows::ClipIndex;
+use super::{Choice, rows_of};
+use crate::Error;
+use crate::filter::Filter;
+
+/// Fact of a manifest: the datasets and conditions that its clips were selected from and by, as JSON.
+pub const SELECTED_FACT: &str = "selected";
+
+/// Where a dataset's clips were selected from.
+#[derive(Debug, Serialize, Deserialize)]
+struct Origin {
+    /// Root hash of the dataset.
+    root_hash: String,
+    /// The condition.
+    #[serde(rename = "where")]
+    condition: String,
+}
+
+/// What [`select`] did.
+#[derive(Clone, Debug, Serialize)]
+pub struct Selected {
+    /// Clips of the result.
+    pub clips: u64,
+    /// Clips that it has not.
+    pub left: u64,
+    /// Captures without a motion, for which no condition holds; they are among those left.
+    pub left_captures: u64,
+    /// Rows of each table.
+    pub tables: BTreeMap<String, u64>,
+    /// Masks of clips that are left.
+    pub left_masks: u64,
+    /// Pairs whose clips are both left.
+    pub left_pairs: u64,
+    /// Pairs of which one clip is selected and the other is not; the result has none of them.
+    pub parted_pairs: Vec<String>,
+    /// Tables made of all clips, which the result has not; their commands make them again.
+    pub left_tables: Vec<String>,
+    /// Hash of the result.
+    pub root_hash: String,
+}
+
+/// Writes the clips for which a condition holds to a new dataset at `out`, with all that belongs to them. They keep their
+/// ids and splits.
+///
+/// # Errors
+/// The condition holds for no clip, `out` is a dataset already, or reading or writing fails.
+pub fn select(
+    root: &Path,
+    filter: &Filter,
+    out: &Path,
+    holder: &str,
+    progress: &dyn Progress,
+) -> Result<Selected, Error> {
+    let dataset = Dataset::open(root)?;
+    let chosen = Choice::Where(filter.clone()).of(&dataset)?;
+    let transaction = Transaction::begin(out, holder)?;
+    if transaction.base().is_some() {
+        return Err(Error::DatasetExists {
+            path: out.to_owned(),
+        });
+    }
+    let manifest = dataset.manifest();
+    let skeleton = dataset.skeleton()?;
+    let plan = plan_hash("select", &(&manifest.root_hash, filter.text()));
+    let mut index = ClipIndex::read(&dataset)?;
+    let captures = index.clips.iter().filter(|clip| !clip.has_motion()).count() as u64;
+    index.clips.retain(|clip| chosen.contains(&clip.id));
+    let mut tables = index.write(&transaction, progress)?;
+    let all = Labels::read(&dataset)?;
+    let (labels, mut report) = belonging(&all, &chosen);
+    let written = labels.write(&Labels::default(), &transaction, &skeleton, &plan)?;
+    tables.extend(written);
+    let facts = table_facts(&skeleton, &plan);
+    let quarantine: Vec<QuarantineRow> = dataset.read(None)?;
+    let mut skipped: Vec<SkippedRow> = dataset.read(None)?;
+    let left = left_out(&dataset, |id| !chosen.contains(id), NOT_SELECTED)?;
+    let num_left = left.len() as u64;
+    skipped.extend(left);
+    let quarantine = transaction.write_shards(None, &quarantine, &facts)?;
+    tables.insert(QuarantineRow::TABLE.to_owned(), quarantine);
+    let skipped = transaction.write_shards(None, &skipped, &facts)?;
+    tables.insert(SkippedRow::TABLE.to_owned(), skipped);
+    let motions = tables.get(MotionRow::TABLE).into_iter().flatten();
+    let licenses = license::count(transaction.root(), motions)?;
+    let mut facts = manifest.facts.clone();
+    facts.remove(LAID_OUT_FACT);
+    facts.insert(LICENSES_FACT.to_owned(), json(&licenses));
+    facts.insert(SELECTED_FACT.to_owned(), selected_from(&dataset, filter));
+    let left_tables = composed(&dataset);
+    let done = transaction.commit(Commit {
+        tables,
+        plan_hash: plan,
+        skeleton,
+        accounting: Some(accounting(&manifest.accounting, num_left)),
+        facts,
+        ..Commit::default()
+    })?;
+    report.clips = done.manifest().rows(MotionRow::TABLE, None);
+    report.left = num_left;
+    report.left_captures = captures;
+    report.tables = rows_of(done.manifest());
+    report.left_tables = left_tables;
+    report.root_hash.clone_from(&done.manifest().root_hash);
+    Ok(report)
+}
+
+/// The selections that led to a dataset, with this one.
+fn selected_from(dataset: &Dataset, filter: &Filter) -> String {
+    let manifest = dataset.manifest();
+    let earlier = manifest.facts.get(SELECTED_FACT);
+    let mut selections: Vec<Origin> = earlier
+        .and_then(|text| serde_json::from_str(text).ok())
+        .unwrap_or_default();
+    selections.push(Origin {
+        root_hash: manifest.root_hash.clone(),
+        condition: filter.text().to_owned(),
+    });
+    json(&selections)
+}
+
+/// The labels of some clips, and a report of the others.
+fn belonging(all: &Labels, chosen: &BTreeSet<MotionId>) -> (Labels, Selected) {
+    let mut labels = all.clone();
+    labels
+        .masks
+        .retain(|_, mask| chosen.contains(&mask.motion_id));
+    let sides = |pair: &PairRow| [&pair.source_id, &pair.target_id].map(|id| chosen.contains(id));
+    labels.pairs.retain(|_, pair| sides(pair) == [true, true]);
+    let parted = all.pairs.values().filter(|pair| {
+        let [source, target] = sides(pair);
+        source != target
+    });
+    let parted_pairs: Vec<String> = parted.map(|pair| pair.id.clone()).collect();
+    let left_pairs = all.pairs.len() - labels.pairs.len() - parted_pairs.len();
+    let report = Selected {
+        clips: 0,
+        left: 0,
+        left_captures: 0,
+        tables: BTreeMap::new(),
+        left_masks: (all.masks.len() - labels.masks.len()) as u64,
+        left_pairs: left_pairs as u64,
+        parted_pairs,
+        left_tables: Vec::new(),
+        root_hash: String::new(),
+    };
+    (labels, report)
+}
+
+/// Tables that stages make of all clips of a dataset.
+pub(super) fn composed(dataset: &Dataset) -> Vec<String> {
+    const OF_CLIPS: [&str; 7] = [
+        MotionRow::TABLE,
+        MarkerRow::TABLE,
+        HumanMl3dRow::TABLE,
+        MaskRow::TABLE,
+        PairRow::TABLE,
+        QuarantineRow::TABLE,
+        SkippedRow::TABLE,
+    ];
+    let tables = dataset.manifest().tables.keys();
+    tables
+        .filter(|table| !OF_CLIPS.contains(&table.as_str()))
+        .cloned()
+        .collect()
+}
+
+pub(super) fn json<T: Serialize>(value: &T) -> String {
+    serde_json::to_string(value).expect("texts and counts serialise")
+}

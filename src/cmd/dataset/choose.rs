@@ -1,0 +1,139 @@
+//! `stance dataset select` and `remove`
+
+use std::path::PathBuf;
+
+use datasets_spec::Dataset;
+use pipeline::filter::Filter;
+use pipeline::versions::{Choice, RemoveOptions, Removed, Selected, remove, select};
+
+use super::versions::{listing, lost_labels};
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::report;
+
+/// Write the clips for which a condition holds to a new dataset.
+///
+/// They keep their ids and splits, and their masks, pairs, markers and features go with them. Pairs of which one clip is
+/// selected and the other is not are listed; the new dataset has none of them. Clips that are not selected are listed
+/// as skipped there, so that a later ingest does not bring them in. The dataset itself stays as it is.
+#[derive(clap::Args, Debug)]
+pub(super) struct Select {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// Condition on the clips, such as "split = 'train' and not flags.poor_fit"
+    #[arg(long = "where", value_name = "CONDITION")]
+    condition: Filter,
+    /// Folder of the new dataset
+    #[arg(long)]
+    out: PathBuf,
+}
+
+/// Make a version of a dataset without some clips.
+///
+/// The version before keeps them until `stance dataset prune`, and `stance dataset restore` brings them back. A later
+/// ingest leaves them out while their files are as they were. Nothing is changed if masks or pairs that people made
+/// would be lost, unless --drop-labels is given.
+#[derive(clap::Args, Debug)]
+pub(super) struct Remove {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// Remove the clips for which a condition holds, such as "flags.poor_fit"
+    #[arg(
+        long = "where",
+        value_name = "CONDITION",
+        required_unless_present = "ids"
+    )]
+    condition: Option<Filter>,
+    /// Remove the clips that a file lists by their ids, one a line
+    #[arg(long, value_name = "FILE", conflicts_with = "condition")]
+    ids: Option<PathBuf>,
+    /// Go on although labels that people made are lost
+    #[arg(long)]
+    drop_labels: bool,
+    /// Only say what would be removed
+    #[arg(long)]
+    dry_run: bool,
+}
+
+impl Select {
+    pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
+        Dataset::open_unverified(&self.dataset)?;
+        let (holder, bars) = (global.holder(), global.bars());
+        let done = select(&self.dataset, &self.condition, &self.out, &holder, &bars)?;
+        if global.json {
+            report::json(&done)?;
+        } else {
+            report::text(&selected(&done));
+        }
+        Ok(Exit::Done)
+    }
+}
+
+fn selected(done: &Selected) -> String {
+    let mut text = format!("{} clips selected, {} left\n", done.clips, done.left);
+    if done.left_captures > 0 {
+        text += &format!(
+            "  {} of those left are captures without a motion, for which no condition holds\n",
+            done.left_captures
+        );
+    }
+    for (count, what) in [(done.left_masks, "masks"), (done.left_pairs, "pairs")] {
+        if count > 0 {
+            text += &format!("{count} {what} belong to clips that are left\n");
+        }
+    }
+    if !done.parted_pairs.is_empty() {
+        let count = done.parted_pairs.len();
+        text += &format!("{count} pairs have one clip that is selected and one that is not\n");
+        text += &listing(&done.parted_pairs);
+    }
+    text += &left_tables(&done.left_tables);
+    text + &format!("root hash {}\n", done.root_hash)
+}
+
+fn left_tables(tables: &[String]) -> String {
+    match tables.is_empty() {
+        true => String::new(),
+        false => format!(
+            "tables made of all clips are left; make them again: {}\n",
+            tables.join(", ")
+        ),
+    }
+}
+
+impl Remove {
+    pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
+        Dataset::open_unverified(&self.dataset)?;
+        let choice = match (&self.condition, &self.ids) {
+            (Some(condition), _) => Choice::Where(condition.clone()),
+            (None, Some(file)) => Choice::ids(file)?,
+            (None, None) => unreachable!("one of the two is required"),
+        };
+        let options = RemoveOptions {
+            drop_labels: self.drop_labels,
+            dry_run: self.dry_run,
+        };
+        let done = remove(&self.dataset, &choice, options, &global.holder())?;
+        if global.json {
+            report::json(&done)?;
+        } else {
+            report::text(&removed(&done));
+        }
+        Ok(Exit::Done)
+    }
+}
+
+fn removed(done: &Removed) -> String {
+    let verb = if done.dry_run { "to remove" } else { "removed" };
+    let mut text = format!("{} clips {verb}, {} stay\n", done.removed.len(), done.clips);
+    text += &listing(&done.removed);
+    text += &lost_labels(&done.lost);
+    for (table, count) in &done.dropped {
+        text += &format!("{count} {table} of them that no person made go as well\n");
+    }
+    text += &left_tables(&done.left_tables);
+    if done.dry_run {
+        return text + "nothing was changed\n";
+    }
+    text + &format!("root hash {}\n", done.root_hash)
+}

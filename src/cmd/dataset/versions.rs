@@ -1,0 +1,189 @@
+//! `stance dataset versions`, `restore` and `compact`
+
+use std::path::PathBuf;
+
+use pipeline::ingest::LostLabel;
+use pipeline::versions::{self, Compacted, Restored, Version};
+
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::report;
+
+/// List the versions of a dataset that were not pruned, with what each changed.
+#[derive(clap::Args, Debug)]
+pub(super) struct Versions {
+    /// Dataset folder
+    dataset: PathBuf,
+}
+
+/// Go back to an older version of a dataset.
+///
+/// The result is a new version with the clips, skeleton and settings of the old one; no version goes. Masks and pairs that
+/// people made since stay where their clips are there with the same motion, and are listed. Where they are not,
+/// nothing is changed unless --drop-labels is given; the version before keeps such labels.
+#[derive(clap::Args, Debug)]
+pub(super) struct Restore {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// Number of the version; `stance dataset versions` lists them
+    #[arg(long, value_name = "VERSION")]
+    to: u64,
+    /// Go on although labels are left behind whose clips the old version has not, or has with another motion
+    #[arg(long)]
+    drop_labels: bool,
+}
+
+/// Write the rows of a dataset into as few files as a new dataset has.
+///
+/// Every growth adds files. Rows, their order, labels and what stages recorded of them stay the same, so nothing has to be
+/// composed or trained again. The version before keeps its files until `stance dataset prune`.
+#[derive(clap::Args, Debug)]
+pub(super) struct Compact {
+    /// Dataset folder
+    dataset: PathBuf,
+}
+
+impl Versions {
+    pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
+        let versions = versions::list(&self.dataset)?;
+        if global.json {
+            report::json(&versions)?;
+        } else {
+            report::text(&versions.iter().map(line).collect::<String>());
+        }
+        Ok(Exit::Done)
+    }
+}
+
+fn line(version: &Version) -> String {
+    let mark = if version.current { "*" } else { " " };
+    let mut text = format!(
+        "{mark} {:<4} {} clips, {} files, {:.1} MB, {}, root hash {}\n",
+        version.version,
+        version.clips,
+        version.files,
+        version.bytes as f64 / 1e6,
+        version.tool_version,
+        version.root_hash
+    );
+    let changes: Vec<String> = version
+        .changed
+        .iter()
+        .map(|(table, [then, now])| match then == now {
+            true => format!("{table} {now}"),
+            false => format!("{table} {then} to {now}"),
+        })
+        .collect();
+    if !changes.is_empty() {
+        text += &format!("       rows: {}\n", changes.join(", "));
+    }
+    text
+}
+
+impl Restore {
+    pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
+        let holder = global.holder();
+        let done = versions::restore(&self.dataset, self.to, self.drop_labels, &holder)?;
+        if global.json {
+            report::json(&done)?;
+        } else {
+            report::text(&restored(&done));
+        }
+        Ok(Exit::Done)
+    }
+}
+
+fn restored(done: &Restored) -> String {
+    if done.is_current {
+        return format!(
+            "version {} holds what version {} holds; nothing to do\n",
+            done.version, done.restored
+        );
+    }
+    let mut text = format!(
+        "version {} has the content of version {}: {} clips\n",
+        done.version, done.restored, done.clips
+    );
+    if !done.kept.is_empty() {
+        text += &format!("{} labels that people made since stay\n", done.kept.len());
+        let ids: Vec<String> = done
+            .kept
+            .iter()
+            .map(|kept| format!("{} of {}", kept.id, kept.table))
+            .collect();
+        text += &listing(&ids);
+    }
+    text += &lost_labels(&done.lost);
+    if !done.left_tables.is_empty() {
+        text += &format!(
+            "tables of the version before that this one has not: {}\n",
+            done.left_tables.join(", ")
+        );
+    }
+    text + &format!("root hash {}\n", done.root_hash)
+}
+
+impl Compact {
+    pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
+        let done = versions::compact(&self.dataset, &global.holder(), &global.bars())?;
+        if global.json {
+            report::json(&done)?;
+        } else {
+            report::text(&compacted(&done));
+        }
+        Ok(Exit::Done)
+    }
+}
+
+fn compacted(done: &Compacted) -> String {
+    let megabytes = |bytes: u64| bytes as f64 / 1e6;
+    if done.already_compact {
+        return format!(
+            "{} files, {:.1} MB; fewer are not possible\n",
+            done.before.files,
+            megabytes(done.before.bytes)
+        );
+    }
+    let mut text = format!(
+        "version {}: {} files, {:.1} MB; before {} files, {:.1} MB\n",
+        done.version,
+        done.after.files,
+        megabytes(done.after.bytes),
+        done.before.files,
+        megabytes(done.before.bytes)
+    );
+    for (table, now) in &done.after.tables {
+        let then = done.before.tables.get(table).copied().unwrap_or(0);
+        if then != *now {
+            text += &format!("  {table} {then} to {now}\n");
+        }
+    }
+    text + &format!("root hash {}\n", done.root_hash)
+}
+
+/// Labels that are left behind, with why.
+pub(super) fn lost_labels(lost: &[LostLabel]) -> String {
+    if lost.is_empty() {
+        return String::new();
+    }
+    let lines: Vec<String> = lost
+        .iter()
+        .map(|label| format!("{} of {}: {}", label.id, label.table, label.reason))
+        .collect();
+    let said = "labels that people made are left behind; the version before keeps them";
+    format!("{} {said}\n", lost.len()) + &listing(&lines)
+}
+
+/// The first of some lines.
+pub(super) fn listing(lines: &[String]) -> String {
+    const SHOWN: usize = 10;
+    let mut text: String = lines
+        .iter()
+        .take(SHOWN)
+        .map(|line| format!("  {line}\n"))
+        .collect();
+    if lines.len() > SHOWN {
+        text += &format!("  and {} more; --json lists all\n", lines.len() - SHOWN);
+    }
+    text
+}
