@@ -12,6 +12,7 @@ use divan::counter::{BytesCount, ItemsCount};
 use divan::{Bencher, black_box};
 use pipeline::check::check;
 use pipeline::retarget;
+use pipeline::source::ReadOptions;
 use pipeline::source::bvh::BvhFile;
 
 /// Frames of the synthetic file: a clip of half a minute.
@@ -95,7 +96,7 @@ fn parse(bencher: Bencher) {
 
 fn motion_of(text: &str) -> Motion {
     let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
-    let clip = retarget::clip(&bvh, &Skeleton::smplx_neutral(), None).expect("a body");
+    let clip = retarget::clip(&bvh, &ReadOptions::default()).expect("a body");
     clip.motion
 }
 

@@ -200,7 +200,7 @@ pub struct Markers {
     /// The known set the labels belong to.
     pub set: Option<String>,
     /// Root-mean-square distance in metres between the markers seen in a frame and those of the
-    /// solved body, `[T]`; empty if no body was solved.
+    /// solved body, `[T]`; empty until a body is solved.
     pub fit_residuals: Vec<f32>,
 }
 
@@ -252,13 +252,6 @@ pub struct MadeMask {
 pub enum Outcome {
     /// It is a clip.
     Clip(Box<SourceClip>),
-    /// It is a capture whose markers belong to no known set, so that no body was solved.
-    Markers {
-        /// The capture.
-        markers: Box<Markers>,
-        /// Why it has no motion.
-        reason: String,
-    },
     /// It is no motion, though it looked like one.
     Skipped {
         /// Why.

@@ -85,9 +85,7 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<Motion, Error> {
     match outcomes.into_iter().next().map(|(_, outcome)| outcome) {
         None => Err(refused(NO_MOTION, "it holds no motion".to_owned())),
         Some(Outcome::Clip(clip)) => Ok(clip.motion),
-        Some(Outcome::Markers { reason, .. } | Outcome::Skipped { reason }) => {
-            Err(refused(NO_MOTION, reason))
-        }
+        Some(Outcome::Skipped { reason }) => Err(refused(NO_MOTION, reason)),
         Some(Outcome::Rejected(rejected)) => Err(refused(rejected.code, rejected.to_string())),
     }
 }
@@ -127,7 +125,7 @@ pub fn read_file(
     let folder = path.parent().unwrap_or(Path::new("."));
     let companions = |name: &str| ByPath.read(&folder.join(name)).ok();
     let around = ClipLabels::default();
-    let mut keys = format.keys(&bytes);
+    let mut keys = format.keys(&bytes, options);
     if keys.is_empty() {
         keys.push(String::new());
     }

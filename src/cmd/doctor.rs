@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use pipeline::doctor::examine;
+use pipeline::source::{ReadOptions, Unit};
 
+use crate::cmd::ingest::read_markers;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
@@ -11,7 +13,8 @@ use crate::report;
 /// Report what folders hold, before any work: formats, releases, their missing files and where to get
 /// them, and the cost of ingestion.
 ///
-/// Files are listed; their first bytes, labels and licences are read; nothing is written.
+/// Files are listed; their first bytes, labels and licences are read, and captures of markers whole; nothing is
+/// written.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Files and folders to look at
@@ -20,10 +23,21 @@ pub(crate) struct Args {
     /// HumanML3D's index.csv, to say which AMASS recordings it needs are missing
     #[arg(long, value_name = "CSV")]
     humanml3d_index: Option<PathBuf>,
+    /// Marker set in JSON that captures will be ingested with
+    #[arg(long, value_name = "JSON")]
+    markers: Option<PathBuf>,
+    /// Unit that captures will be ingested with, whatever they state
+    #[arg(long)]
+    unit: Option<Unit>,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let diagnosis = examine(&args.sources, args.humanml3d_index.as_deref())?;
+    let options = ReadOptions {
+        markers: args.markers.as_deref().map(read_markers).transpose()?,
+        unit: args.unit,
+        ..ReadOptions::default()
+    };
+    let diagnosis = examine(&args.sources, args.humanml3d_index.as_deref(), &options)?;
     if global.json {
         report::json(&diagnosis)?;
     } else {

@@ -15,9 +15,10 @@ use pipeline::clip::LabelProblem;
 use pipeline::ingest::{
     Growth, IdList, IngestOptions, IngestReport, SplitList, ingest, plan_ingest,
 };
+use pipeline::markers::MarkerSet;
 use pipeline::retarget::UserMap;
 use pipeline::source::body_model::{Subjects, read_skeleton};
-use pipeline::source::{FORMATS, Format, ReadOptions, format_named};
+use pipeline::source::{FORMATS, Format, ReadOptions, Unit, format_named};
 use pipeline::work::Plan;
 use serde::Serialize;
 
@@ -28,7 +29,7 @@ use crate::report;
 
 /// Turn motion files into one checked dataset.
 ///
-/// BVH, C3D, TRC, glTF and AMASS files are found by their content, and the folders of the HumanML3D, STANCE,
+/// BVH, C3D, TRC, glTF, FBX and AMASS files are found by their content, and the folders of the HumanML3D, STANCE,
 /// MotionFix, Motion-X and BONES-SEED releases by their layout, in archives too: a zip, tar, tar.gz, tar.bz2 or tar.xz
 /// acts as a folder of its name. A file that cannot be used is listed in the
 /// `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run again, it
@@ -69,6 +70,12 @@ pub(crate) struct Args {
     /// Joint map in JSON, for a skeleton whose joint names are unknown
     #[arg(long, value_name = "JSON")]
     joint_map: Option<PathBuf>,
+    /// Marker set in JSON, for captures whose labels are unknown
+    #[arg(long, value_name = "JSON")]
+    markers: Option<PathBuf>,
+    /// Unit of C3D, TRC, BVH and FBX files, whatever they state: mm, cm, dm, m, in, ft or a number of metres
+    #[arg(long)]
+    unit: Option<Unit>,
     /// Store the features of this recipe beside the motions
     #[arg(long, value_enum)]
     features: Option<FeaturesArg>,
@@ -243,12 +250,19 @@ fn without_motions(done: &IngestReport) -> Option<Failure> {
     }
     let accounting = &done.accounting;
     let root = done.dataset.root().display().to_string();
+    let lists = [
+        ("quarantine", accounting.quarantined),
+        ("skipped", accounting.skipped),
+    ];
+    let lists = lists.into_iter().filter(|(_, rows)| *rows > 0);
+    let lists = lists.map(|(list, _)| format!("`stance inspect {root} --list {list}`"));
     Some(Failure {
         code: "E-NO-MOTION",
         reason: format!(
-            "the dataset has no motion: {} sources were rejected and {} skipped; see \
-             `stance inspect {root} --list quarantine` and `--list skipped`",
-            accounting.quarantined, accounting.skipped
+            "the dataset has no motion: {} sources were rejected and {} skipped; see {}",
+            accounting.quarantined,
+            accounting.skipped,
+            lists.collect::<Vec<_>>().join(" and ")
         ),
         item: Some(root),
     })
@@ -270,6 +284,7 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
         }
         None => None,
     };
+    let markers = args.markers.as_deref().map(read_markers).transpose()?;
     let subjects = match &args.subject_models {
         Some(folder) => {
             let subjects = Subjects::read(folder)
@@ -281,10 +296,19 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
     Ok(ReadOptions {
         skeleton,
         user_map,
+        markers,
+        unit: args.unit,
         subjects,
         lenient: args.lenient,
         ..ReadOptions::default()
     })
+}
+
+/// Reads a marker set of the user.
+pub(crate) fn read_markers(path: &Path) -> anyhow::Result<MarkerSet> {
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    MarkerSet::parse(&text).with_context(|| format!("{} is no marker set", path.display()))
 }
 
 fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {

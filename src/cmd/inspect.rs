@@ -509,10 +509,6 @@ impl ForeignMotion {
                 motion.captions = stated.chain(made).collect();
                 motion.notes = clip.notes;
             }
-            Outcome::Markers { markers, reason } => {
-                fact("markers", markers.labels.join(" "));
-                fact("no motion", reason);
-            }
             Outcome::Skipped { reason } => fact("skipped", reason),
             Outcome::Rejected(rejected) => {
                 fact("rejected", rejected.to_string());

@@ -8,23 +8,22 @@ use std::path::Path;
 use std::sync::Arc;
 
 use arrow_array::{ArrayRef, BooleanArray, RecordBatch, StringArray};
-use datasets_spec::record::{MarkerRow, MotionRow, QuarantineRow, SkippedRow};
+use datasets_spec::record::{MotionRow, QuarantineRow, SkippedRow};
 use datasets_spec::{Dataset, Pose, Skeleton};
 use glam::{DQuat, DVec3, EulerRot};
 use parquet::arrow::ArrowWriter;
-use pipeline::markers::{MARKER_SETS, placement};
 use serde::Deserialize;
 
 use crate::util::{arg, stance};
 
 /// What `ingest --json` says, as far as it matters here.
 #[derive(Debug, Deserialize)]
-struct Ingested {
-    sources: u64,
-    ingested: u64,
-    quarantined: u64,
-    skipped: u64,
-    codes: BTreeMap<String, u64>,
+pub(crate) struct Ingested {
+    pub(crate) sources: u64,
+    pub(crate) ingested: u64,
+    pub(crate) quarantined: u64,
+    pub(crate) skipped: u64,
+    pub(crate) codes: BTreeMap<String, u64>,
     label_problems: Vec<serde_json::Value>,
 }
 
@@ -35,7 +34,11 @@ pub(crate) fn put(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) {
 }
 
 /// Ingests a folder, verifies the dataset, and opens it.
-fn ingested(source: &Path, more: &[&str], code: i32) -> (Ingested, Dataset, std::path::PathBuf) {
+pub(crate) fn ingested(
+    source: &Path,
+    more: &[&str],
+    code: i32,
+) -> (Ingested, Dataset, std::path::PathBuf) {
     let out = source.with_extension("dataset");
     let mut args = vec!["--json", "ingest", arg(source), "--out", arg(&out)];
     args.extend(more);
@@ -50,14 +53,20 @@ fn ingested(source: &Path, more: &[&str], code: i32) -> (Ingested, Dataset, std:
     (done, dataset, out)
 }
 
+/// A list that puts all clips into one split, for sources that show one motion several times.
+pub(crate) fn all_in_train(folder: &Path) -> std::path::PathBuf {
+    put(folder, "splits.csv", "clip,split\n*,train\n");
+    folder.join("splits.csv")
+}
+
 /// What `inspect` says of a clip.
-fn inspected(dataset: &Path, id: &str) -> serde_json::Value {
+pub(crate) fn inspected(dataset: &Path, id: &str) -> serde_json::Value {
     let ran = stance(&["--json", "inspect", arg(dataset), "--clip", id]);
     ran.expect_code(0).json()
 }
 
 /// A body that swings arms and legs, bends knees and elbows, and moves ahead.
-fn walk(num_frames: usize, fps: f64) -> Vec<Pose> {
+pub(crate) fn walk(num_frames: usize, fps: f64) -> Vec<Pose> {
     let pose = |frame: usize| {
         let secs = frame as f64 / fps;
         let (sin, cos) = (5.0 * secs).sin_cos();
@@ -90,6 +99,18 @@ type Rig = Vec<(String, String, Option<usize>)>;
 /// A BVH file of a rig whose zero pose is the rest pose of the body, in centimetres. Joints named in
 /// `six_channels` have positions too.
 fn bvh(rig: &Rig, six_channels: &[&str], poses: &[Pose], frame_time: &str, ends: bool) -> String {
+    bvh_in(100.0, rig, six_channels, poses, frame_time, ends)
+}
+
+/// The same in another unit, of which a metre has so many.
+fn bvh_in(
+    per_metre: f64,
+    rig: &Rig,
+    six_channels: &[&str],
+    poses: &[Pose],
+    frame_time: &str,
+    ends: bool,
+) -> String {
     let skeleton = Skeleton::smplx_neutral();
     let index_of = |name: &str| rig.iter().position(|(joint, ..)| joint == name);
     let place = |index: usize| rig[index].2.map(|joint| skeleton.rest(joint));
@@ -110,7 +131,7 @@ fn bvh(rig: &Rig, six_channels: &[&str], poses: &[Pose], frame_time: &str, ends:
             text.push_str("}\n");
         }
         let above = index_of(parent).map(nearest);
-        let offset = above.map_or(DVec3::ZERO, |above| (nearest(index) - above) * 100.0);
+        let offset = above.map_or(DVec3::ZERO, |above| (nearest(index) - above) * per_metre);
         let keyword = if parent.is_empty() { "ROOT" } else { "JOINT" };
         let channels = match six_channels.contains(&name.as_str()) {
             true => "6 Xposition Yposition Zposition",
@@ -139,7 +160,7 @@ fn bvh(rig: &Rig, six_channels: &[&str], poses: &[Pose], frame_time: &str, ends:
             let (name, _, joint) = &rig[index];
             if six_channels.contains(&name.as_str()) {
                 let at = match joint {
-                    Some(0) => (pose.transl + skeleton.rest(0)) * 100.0,
+                    Some(0) => (pose.transl + skeleton.rest(0)) * per_metre,
                     _ => DVec3::ZERO,
                 };
                 let _ = write!(text, "{:.6} {:.6} {:.6} ", at.x, at.y, at.z);
@@ -564,121 +585,62 @@ fn motion_x_is_ingested_with_captions_and_splits() {
     assert!(ran.stdout.contains("motion-x"), "{}", ran.stdout);
 }
 
-/// A capture of the CMU set in TRC, 60 fps.
-fn trc(poses: &[Pose]) -> String {
-    let skeleton = Skeleton::smplx_neutral();
-    let labels = MARKER_SETS[0].labels();
-    let mut text = format!(
-        "PathFileType\t4\t(X/Y/Z)\twalk.trc\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\t\
-         OrigDataStartFrame\tOrigNumFrames\n60\t60\t{0}\t{1}\tmm\t60\t1\t{0}\nFrame#\tTime",
-        poses.len(),
-        labels.len()
-    );
-    for label in &labels {
-        let _ = write!(text, "\t{label}\t\t");
-    }
-    text.push_str("\n\t");
-    for marker in 1..=labels.len() {
-        let _ = write!(text, "\tX{marker}\tY{marker}\tZ{marker}");
-    }
-    text.push_str("\n\n");
-    for (frame, pose) in poses.iter().enumerate() {
-        let (points, rotations) = (skeleton.keypoints(pose), skeleton.global_rotations(pose));
-        let _ = write!(text, "{}\t{:.5}", frame + 1, frame as f64 / 60.0);
-        for (marker, label) in labels.iter().enumerate() {
-            // One marker is not seen in every fifth frame.
-            if marker == 3 && frame % 5 == 0 {
-                text.push_str("\t\t\t");
-                continue;
-            }
-            let place = placement(label).expect("a label of the set");
-            let joint = place.joint.index();
-            let at = (points[joint] + rotations[joint] * place.offset) * 1000.0;
-            let _ = write!(text, "\t{:.4}\t{:.4}\t{:.4}", at.x, at.y, at.z);
-        }
-        text.push('\n');
-    }
-    text
-}
-
 #[test]
-fn trc_captures_are_ingested_as_markers_and_motions() {
+fn bvh_is_one_motion_in_any_unit_and_a_wrong_unit_is_refused() {
     let dir = tempfile::tempdir().expect("a temporary folder");
-    let source = dir.path().join("captures");
-    let poses = walk(60, 60.0);
-    let text = trc(&poses);
-    put(&source, "walk.trc", &text);
-    put(
-        &source,
-        "renamed.trc",
-        trc(&walk(60, 35.0))
-            .replace("LFHD", "M1")
-            .replace("CLAV", "M2"),
-    );
-    put(
-        &source,
-        "unknown.trc",
-        text.replace("\tL", "\tq").replace("\tR", "\tp"),
-    );
-    put(&source, "cut.trc", &text[..text.len() * 3 / 4]);
-    put(
-        &source,
-        "count.trc",
-        text.replacen("\t41\tmm", "\t40\tmm", 1),
-    );
-    put(
-        &source,
-        "inf.trc",
-        text.replacen("\t0.01667\t", "\t0.01667\tinf", 1),
-    );
-    let (done, dataset, out) = ingested(&source, &[], 3);
-    assert_eq!((done.ingested, done.quarantined), (3, 3), "{done:?}");
-    let rows: Vec<MotionRow> = dataset.read(None).expect("rows");
-    let row = rows
-        .iter()
-        .find(|row| row.id.as_str() == "walk")
-        .expect("the capture");
-    let skeleton = Skeleton::smplx_neutral();
-    let points = skeleton
-        .motion_keypoints(&row.motion().expect("valid"))
-        .points;
-    let lift = points[0][0].y - skeleton.keypoints(&poses[0])[0].y;
-    for (found, pose) in points.iter().zip(poses.iter().step_by(3)) {
-        let expected = skeleton.keypoints(pose);
-        for joint in [0, 1, 2, 4, 5, 7, 8, 16, 17, 18, 19] {
-            let apart = found[joint].distance(expected[joint] + DVec3::Y * lift);
-            assert!(apart < 0.04, "joint {joint} is off by {apart} m");
-        }
+    let source = dir.path().join("units");
+    let poses = walk(40, 60.0);
+    for (name, per_metre) in [("cm", 100.0), ("m", 1.0), ("in", 39.370_079)] {
+        let text = bvh_in(
+            per_metre,
+            &soma(),
+            &["Root", "Hips"],
+            &poses,
+            "0.016666667",
+            false,
+        );
+        put(&source, &format!("{name}.bvh"), text);
     }
-    let markers: Vec<MarkerRow> = dataset.read(None).expect("rows");
-    assert_eq!(markers.len(), 3);
-    let shown = inspected(&out, "walk").to_string();
-    assert!(shown.contains("markers cmu-41"), "{shown}");
-    let quarantine: Vec<QuarantineRow> = dataset.read(None).expect("rows");
-    let found: Vec<(&str, &str, bool)> = quarantine
-        .iter()
-        .map(|row| {
-            (
-                row.path.as_str(),
-                row.code.as_str(),
-                row.byte_offset.is_some(),
-            )
-        })
-        .collect();
-    assert_eq!(
-        found,
-        [
-            ("count.trc", "E-TRC-NAMES", true),
-            ("cut.trc", "E-TRC-ROW", true),
-            ("inf.trc", "E-TRC-NUMBER", true),
-        ]
+    let splits = all_in_train(dir.path());
+    let more = ["--splits", arg(&splits), "--fps", "native"];
+    let (_, dataset, out) = ingested(&source, &more, 0);
+    let rows: Vec<MotionRow> = dataset.read(None).expect("rows");
+    assert_eq!(rows.len(), 3);
+    for row in &rows {
+        assert_shows(row, &poses, 1);
+    }
+    // A short person in centimetres is as good, and that is said.
+    for (id, words) in [
+        ("cm", "unit centimetres (a leg measures"),
+        ("m", "unit metres (a leg measures"),
+        ("in", "unit inches (a leg measures"),
+        ("in", "centimetres would make it 0.3"),
+    ] {
+        let said = inspected(&out, id).to_string();
+        assert!(said.contains(words), "{id}: {words}: {said}");
+    }
+    fs::remove_dir_all(&out).expect("removed");
+    let (done, dataset, out) = ingested(&source, &[&more[..], &["--unit", "cm"]].concat(), 3);
+    assert_eq!((done.ingested, done.quarantined), (2, 1), "{done:?}");
+    assert!(
+        inspected(&out, "cm")
+            .to_string()
+            .contains("unit cm, as --unit says")
     );
-    let ran = stance(&["inspect", arg(&source.join("cut.trc"))]).expect_code(3);
-    assert!(ran.stdout.contains("E-TRC-ROW"), "{}", ran.stdout);
+    let quarantine: Vec<QuarantineRow> = dataset.read(None).expect("rows");
+    assert_eq!(
+        (quarantine[0].path.as_str(), quarantine[0].code.as_str()),
+        ("m.bvh", "E-UNIT")
+    );
+    assert!(
+        quarantine[0].reason.contains("likely m (1."),
+        "{}",
+        quarantine[0].reason
+    );
 }
 
 #[test]
-fn motions_of_robots_and_fbx_are_skipped_as_what_they_are() {
+fn motions_of_robots_are_skipped_as_what_they_are() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let source = dir.path().join("robots");
     let row = format!("0.1,0.0,0.8,0.0,0.0,0.6,0.8{}", ",0.5".repeat(29));
@@ -695,7 +657,6 @@ fn motions_of_robots_and_fbx_are_skipped_as_what_they_are() {
     let entries = entries.map(|(key, value)| (pickle::Value::text(key), value));
     let gmr = pickle::encode(&pickle::Value::Dict(entries.to_vec()));
     put(&source, "gmr/walk.pkl", &gmr);
-    put(&source, "walk.fbx", b"Kaydara FBX Binary  \0\x1a\0");
     put(
         &source,
         "walk.bvh",
@@ -710,19 +671,10 @@ fn motions_of_robots_and_fbx_are_skipped_as_what_they_are() {
     let (done, dataset, _) = ingested(&source, &[], 0);
     assert_eq!(
         (done.ingested, done.quarantined, done.skipped),
-        (1, 0, 3),
+        (1, 0, 2),
         "{done:?}"
     );
     let skipped: Vec<SkippedRow> = dataset.read(None).expect("rows");
-    let fbx = skipped
-        .iter()
-        .find(|row| row.path == "walk.fbx")
-        .expect("a row");
-    assert!(
-        fbx.reason.contains("save it as GLB or BVH"),
-        "{}",
-        fbx.reason
-    );
     for (path, words) in [
         ("lafan1/walk.csv", "Unitree G1 robot, 36 columns"),
         ("gmr/walk.pkl", "as GMR writes it"),

@@ -444,8 +444,8 @@ fn problems_of_labels_stay_listed_while_a_dataset_grows() {
 }
 
 #[test]
-fn captures_without_a_motion_have_a_licence_too() {
-    let Some(data) = real_data("captures_without_a_motion_have_a_licence_too") else {
+fn markers_of_captures_have_a_licence_too() {
+    let Some(data) = real_data("markers_of_captures_have_a_licence_too") else {
         return;
     };
     let dir = tempfile::tempdir().expect("a temporary folder");

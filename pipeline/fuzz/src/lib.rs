@@ -19,12 +19,12 @@ use pipeline::source::c3d::C3dFile;
 use pipeline::source::labels::parse_captions;
 use pipeline::source::seed::Timelines;
 use pipeline::source::trc::TrcFile;
-use pipeline::source::{ReadOptions, amass, gltf, motionx, representation_272, stance};
+use pipeline::source::{ReadOptions, amass, fbx, gltf, motionx, representation_272, stance};
 
 /// Parses and retargets a BVH file.
 pub fn bvh(bytes: &[u8]) {
     if let Ok(bvh) = BvhFile::parse(bytes) {
-        let _clip = retarget::clip(&bvh, &Skeleton::smplx_neutral(), None);
+        let _clip = retarget::clip(&bvh, &ReadOptions::default());
     }
 }
 
@@ -45,6 +45,16 @@ pub fn captions(bytes: &[u8]) {
     let (captions, num_other) = parse_captions(&text);
     assert!(captions.len() + num_other <= text.lines().count());
     let _sidecar = serde_json::from_slice::<Sidecar>(bytes);
+}
+
+/// Reads every take of an FBX file.
+pub fn fbx(bytes: &[u8]) {
+    let options = ReadOptions::default();
+    let mut keys = fbx::keys(bytes);
+    keys.push(String::new());
+    for key in keys {
+        let _content = fbx::read(bytes, &key, &options);
+    }
 }
 
 /// Reads every animation of a GLB or glTF file.
@@ -97,13 +107,15 @@ mod tests {
 
     #[test]
     fn no_target_panics_on_the_beginnings_of_files() {
-        let targets = [bvh, c3d, captions, glb, manifest, npz, pickle, trc];
-        let seeds: [&[u8]; 9] = [
+        let targets = [bvh, c3d, captions, fbx, glb, manifest, npz, pickle, trc];
+        let seeds: [&[u8]; 11] = [
             b"",
             b"HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 3 Xrotation",
             b"\x02\x50\x01\x00",
             b"PathFileType\t4\nDataRate\tNumFrames\tNumMarkers\n1\t1\t1\nFrame#\tTime\tA",
             b"a#a/DET#0.0#0.0\n{}",
+            b"Kaydara FBX Binary  \0\x1a\0\xe8\x1c\0\0\xff\0\0\0\x01\0\0\0",
+            b"; FBX 7.4.0 project file\nObjects:  {\n\tModel: 1, \"Model::Hips\", \"LimbNode\" {",
             b"glTF\x02\x00\x00\x00\x0c\x00\x00\x00",
             b"{\"format\": \"stance-dataset\"}",
             b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8'",

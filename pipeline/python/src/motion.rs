@@ -205,9 +205,7 @@ impl Motion {
         let inner = work::quick(py, || {
             match amass::read(Path::new("motion.npz"), bytes, &ReadOptions::default())? {
                 Outcome::Clip(clip) => Ok(clip.motion),
-                Outcome::Markers { reason, .. } | Outcome::Skipped { reason } => {
-                    Err(Failure::new(reason))
-                }
+                Outcome::Skipped { reason } => Err(Failure::new(reason)),
                 Outcome::Rejected(rejected) => Err(rejected.into()),
             }
         })?;

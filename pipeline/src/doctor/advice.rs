@@ -37,6 +37,19 @@ pub(super) fn advise(
             }
         }
         advise_labels(&path.to_string(), source, &mut advice);
+        for found in &source.captures {
+            let examples = found.examples.iter();
+            let examples: Vec<String> = examples
+                .map(|(file, reason)| format!("{file}: {reason}"))
+                .collect();
+            advice.push(format!(
+                "{} motions of {} captures in {path} would be quarantined as {}, such as {}",
+                found.motions,
+                found.captures,
+                found.code,
+                examples.join("; ")
+            ));
+        }
         if source.lfs_pointers > 0 {
             advice.push(format!(
                 "{} files of {path} are Git LFS pointers: run `git lfs pull` there",

@@ -53,6 +53,8 @@ pub struct Findings {
     pub stance: Vec<ReleaseFindings>,
     /// Folders of the MotionFix release.
     pub motionfix: Vec<ReleaseFindings>,
+    /// Captures of markers that give no motion, by code.
+    pub captures: Vec<CaptureFindings>,
     /// Licences that its folders state.
     pub licenses: Vec<LicenseFindings>,
     /// Files of labels, and lines of them, that cannot be used.
@@ -61,6 +63,19 @@ pub struct Findings {
     pub dataset: Option<String>,
     /// Estimate of the ingest.
     pub estimate: Estimate,
+}
+
+/// Captures of markers that ingestion would refuse for one reason.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct CaptureFindings {
+    /// Code that they would be quarantined with.
+    pub code: String,
+    /// Motions that are refused.
+    pub motions: u64,
+    /// Captures of the source in all.
+    pub captures: u64,
+    /// Some of the files, and why each is refused.
+    pub examples: Vec<(String, String)>,
 }
 
 /// The licence that a folder states for the motions in it and below.

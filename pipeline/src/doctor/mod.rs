@@ -1,8 +1,9 @@
 //! Diagnosis of sources before ingesting: what is there and what is missing. Of motions only names and
-//! first bytes are read.
+//! first bytes are read, but captures of markers, whose labels and unit decide whether they give motions.
 
 mod advice;
 mod amass;
+mod captures;
 mod crop_list;
 mod display;
 mod findings;
@@ -31,19 +32,23 @@ use crate::catalogue::other_than_motions;
 use crate::ingest::list_files;
 use crate::source::humanml3d::{FORMAT as HUMANML3D, layouts, parse_index};
 use crate::source::labels::FolderLabels;
-use crate::source::{Files, Recognised, motionfix, stance};
+use crate::source::{Files, ReadOptions, Recognised, motionfix, stance};
 
 pub use findings::{
-    Diagnosis, Estimate, Findings, HumanMl3dFindings, IndexFindings, IndexSubset, Kind,
-    LicenseFindings, ListFindings, Part, ReleaseFindings, SubsetFindings,
+    CaptureFindings, Diagnosis, Estimate, Findings, HumanMl3dFindings, IndexFindings, IndexSubset,
+    Kind, LicenseFindings, ListFindings, Part, ReleaseFindings, SubsetFindings,
 };
 
 /// Examines the sources. `index` is HumanML3D's crop list; without it, the first one among the
-/// sources is used.
+/// sources is used. `options` are those that the sources will be read with.
 ///
 /// # Errors
 /// A source does not exist, holds no files or cannot be listed, or the index cannot be read.
-pub fn examine(sources: &[PathBuf], index: Option<&Path>) -> Result<Diagnosis, Error> {
+pub fn examine(
+    sources: &[PathBuf],
+    index: Option<&Path>,
+    options: &ReadOptions,
+) -> Result<Diagnosis, Error> {
     let mut findings = Vec::new();
     let mut unlisted = Vec::new();
     for source in sources {
@@ -67,7 +72,7 @@ pub fn examine(sources: &[PathBuf], index: Option<&Path>) -> Result<Diagnosis, E
         }));
         let looked = look(&listing.files);
         let files = Files::new(listing.files).with_archives(listing.archives);
-        findings.push(find(source, &files, &looked));
+        findings.push(find(source, &files, &looked, options));
     }
     let listing = list_files(sources)?;
     let files = Files::new(listing.files).with_archives(listing.archives);
@@ -98,7 +103,7 @@ pub fn examine(sources: &[PathBuf], index: Option<&Path>) -> Result<Diagnosis, E
     })
 }
 
-fn find(source: &Path, files: &Files, looked: &[Looked]) -> Findings {
+fn find(source: &Path, files: &Files, looked: &[Looked], options: &ReadOptions) -> Findings {
     let layouts = layouts(files);
     let claimed: BTreeSet<&str> = layouts.iter().flat_map(files_of).collect();
     let rest: Vec<&Looked> = looked
@@ -113,6 +118,7 @@ fn find(source: &Path, files: &Files, looked: &[Looked]) -> Findings {
     estimate.add(estimate_others(&rest));
     let labels = FolderLabels::read(files);
     Findings {
+        captures: captures::captures(&rest, options),
         licenses: licenses(source, &labels),
         label_problems: labels.unread().to_vec(),
         path: source.to_owned(),

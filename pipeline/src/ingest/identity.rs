@@ -98,7 +98,7 @@ impl Plan {
             let Some(index) = found else { return };
             let clip = &recorded.clips[index];
             item.known = Some(index);
-            item.is_kept = same_settings && !moved && self.is_unchanged(item, clip);
+            item.is_kept = same_settings && !moved && Self::is_unchanged(item, clip);
             item.id = clip.id.to_string();
             if item.release.is_some() {
                 let prefix = item.id.strip_suffix(&item.entry.id);
@@ -118,12 +118,9 @@ impl Plan {
         }
     }
 
-    fn is_unchanged(&self, item: &Planned, clip: &RecordedClip) -> bool {
-        if clip.has_motion() {
-            item.inputs == clip.inputs
-        } else {
-            self.hash_of(item) == clip.hash
-        }
+    /// Captures without a motion, which earlier versions kept, are read again.
+    fn is_unchanged(item: &Planned, clip: &RecordedClip) -> bool {
+        clip.has_motion() && item.inputs == clip.inputs
     }
 
     pub(super) fn hash_of(&self, item: &Planned) -> &str {

@@ -13,9 +13,10 @@ use crate::Error;
 use crate::annotation::pairs::PairList;
 use crate::check::Teleports;
 use crate::feature::humanml3d;
+use crate::markers::MarkerSet;
 use crate::retarget::UserMap;
 use crate::source::body_model::Subjects;
-use crate::source::{Format, ReadOptions, format_named};
+use crate::source::{Format, ReadOptions, Unit, format_named};
 use crate::work::{absolute, hash_file};
 
 /// Version of the code that turns files into rows. A dataset made by an older version is read again.
@@ -104,6 +105,8 @@ pub(super) struct StoredOptions {
     made_captions: bool,
     skeleton: Skeleton,
     user_map: Option<UserMap>,
+    markers: Option<MarkerSet>,
+    unit: Option<Unit>,
     lenient: bool,
     /// Folder and hash.
     subjects: Option<(PathBuf, String)>,
@@ -138,6 +141,8 @@ impl StoredOptions {
             made_captions: options.made_captions,
             skeleton: options.read.skeleton.clone(),
             user_map: options.read.user_map.clone(),
+            markers: options.read.markers.clone(),
+            unit: options.read.unit,
             lenient: options.read.lenient,
             subjects: subjects.transpose()?,
             humanml3d_index: index.transpose()?,
@@ -186,6 +191,8 @@ impl StoredOptions {
             read: ReadOptions {
                 skeleton: self.skeleton,
                 user_map: self.user_map,
+                markers: self.markers,
+                unit: self.unit,
                 lenient: self.lenient,
                 subjects,
                 ..ReadOptions::default()
@@ -242,6 +249,8 @@ impl Settings {
         let none = || "none".to_owned();
         let skeleton = &options.read.skeleton;
         let map = options.read.user_map.as_ref();
+        let markers = options.read.markers.as_ref();
+        let unit = options.read.unit;
         let subjects = options.read.subjects.as_ref();
         let features = options.humanml3d_features.then_some(humanml3d::RECIPE);
         let values = [
@@ -261,6 +270,8 @@ impl Settings {
                 format!("{} {}", skeleton.name(), skeleton.hash()),
             ),
             ("joint-map", map.map_or_else(none, UserMap::hash)),
+            ("markers", markers.map_or_else(none, MarkerSet::hash)),
+            ("unit", unit.map_or_else(none, |unit| unit.to_string())),
             (
                 "subject-models",
                 subjects.map_or_else(none, |subjects| subjects.hash().to_owned()),

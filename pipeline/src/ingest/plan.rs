@@ -25,8 +25,8 @@ use crate::clip::Rejected;
 use crate::source::archive;
 use crate::source::labels::{self, FolderLabels};
 use crate::source::{
-    Entry, Files, Format, FoundRelease, Recognised, find_releases, name_of_text, recognise,
-    refuse_pointer,
+    Entry, Files, Format, FoundRelease, ReadOptions, Recognised, find_releases, name_of_text,
+    recognise, refuse_pointer,
 };
 
 /// Source items per shard: few enough that every thread can hold a shard in memory.
@@ -309,7 +309,7 @@ impl Plan {
                 skipped.push((relative.clone(), reason));
                 continue;
             }
-            let keys = match keys_of(format, &self.files, relative) {
+            let keys = match keys_of(format, &self.files, relative, &options.read) {
                 Ok(keys) => keys,
                 Err(rejected) => {
                     self.rejected
@@ -617,14 +617,19 @@ pub(super) fn unlabelled<'a>(sources: &[(SourceLabel, bool)], file: &'a str) -> 
 
 /// Keys of the motions of a single file. The key is empty if the file holds one motion or is damaged; the
 /// reader then reports the error.
-fn keys_of(format: Format, files: &Files, relative: &str) -> Result<Vec<String>, Rejected> {
+fn keys_of(
+    format: Format,
+    files: &Files,
+    relative: &str,
+    options: &ReadOptions,
+) -> Result<Vec<String>, Rejected> {
     let whole = || vec![String::new()];
     if !format.may_hold_several() {
         return Ok(whole());
     }
     bounded_length(files, relative)?;
     let bytes = files.read(relative)?;
-    let keys = std::panic::catch_unwind(AssertUnwindSafe(|| format.keys(&bytes)));
+    let keys = std::panic::catch_unwind(AssertUnwindSafe(|| format.keys(&bytes, options)));
     let keys = keys.unwrap_or_default();
     Ok(if keys.is_empty() { whole() } else { keys })
 }
@@ -683,7 +688,7 @@ mod tests {
         large.set_len(MAX_FILE_LEN + 1).expect("enlarged");
         let files = Files::new(["large.glb", "gone.glb"].map(place).into());
         let code = |name| {
-            keys_of(gltf::FORMAT, &files, name)
+            keys_of(gltf::FORMAT, &files, name, &ReadOptions::default())
                 .expect_err("no keys")
                 .code
         };

@@ -62,7 +62,7 @@ pub(super) struct Recorded {
     pub(super) skipped: Vec<SkippedRow>,
 }
 
-/// A clip, or a capture that has only markers.
+/// A clip, or a capture that has only markers, which versions before kept.
 #[derive(Clone, Debug)]
 pub(super) struct RecordedClip {
     pub(super) id: MotionId,

@@ -91,7 +91,6 @@ pub(super) struct Tally {
     /// Clips of this run that moved into the split of an equal one.
     pub(super) moves: BTreeMap<String, Split>,
     pub(super) ingested: BTreeSet<String>,
-    pub(super) markers_only: u64,
     pub(super) pairs: Vec<PairRow>,
     pub(super) dropped_pairs: u64,
     pub(super) masks: Vec<MaskRow>,
@@ -109,7 +108,6 @@ impl Tally {
         self.skipped.extend(notes.skipped);
         self.quarantine.extend(notes.quarantine);
         self.ingested.extend(notes.ingested);
-        self.markers_only += notes.markers_only;
         self.pairs.extend(notes.pairs);
         self.dropped_pairs += notes.dropped_pairs;
         self.masks.extend(notes.masks);
@@ -154,7 +152,7 @@ impl Tally {
         }
         Accounting {
             sources: num_items + num_elsewhere + num_rejected as u64,
-            ingested: (self.staying.len() + self.ingested.len()) as u64 + self.markers_only,
+            ingested: (self.staying.len() + self.ingested.len()) as u64,
             quarantined: self.quarantine.len() as u64,
             skipped: self.skipped.len() as u64,
             codes,

@@ -38,7 +38,7 @@ pub(super) fn frames(count: usize) -> i32 {
     i32::try_from(count).unwrap_or(i32::MAX)
 }
 
-pub(super) fn marker_row(
+fn marker_row(
     markers: Markers,
     id: MotionId,
     item: &Item,

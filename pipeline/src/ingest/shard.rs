@@ -6,7 +6,7 @@ use std::path::Path;
 use datasets_spec::Progress;
 use datasets_spec::dataset::{ShardName, Staging};
 use datasets_spec::manifest::FileEntry;
-use datasets_spec::record::{MarkerRow, MaskRow, PairRow, QuarantineRow, SkippedRow};
+use datasets_spec::record::{MaskRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::list::{path_of, quarantine_row};
 use super::options::IngestOptions;
 use super::plan::{Item, Plan, bounded_length, source_hash};
-use super::rows::{ClipRows, clip_rows, marker_row, mask_row, pair_row};
+use super::rows::{ClipRows, clip_rows, mask_row, pair_row};
 use crate::Error;
 use crate::clip::{LabelProblem, Outcome, Rejected};
 use crate::source::labels::{self, ClipLabels};
@@ -27,8 +27,6 @@ pub(super) struct ShardNotes {
     pub(super) skipped: Vec<SkippedRow>,
     /// Files of other tables that were written with the shard.
     pub(super) beside: Vec<(String, FileEntry)>,
-    /// Items that have only a row of `markers`.
-    pub(super) markers_only: u64,
     pub(super) ingested: Vec<String>,
     pub(super) pairs: Vec<PairRow>,
     /// Pairs whose other motion has no usable id.
@@ -70,7 +68,6 @@ impl ShardNotes {
 /// Outcome of one item.
 pub(super) enum Done {
     Clip(Box<ClipRows>, Vec<LabelProblem>),
-    Markers(Box<MarkerRow>),
     Skipped(String),
     Rejected(QuarantineRow),
 }
@@ -116,10 +113,6 @@ impl Plan {
                     marker_rows.extend(markers);
                     feature_rows.extend(features);
                     rows.push(motion);
-                }
-                Done::Markers(row) => {
-                    notes.markers_only += 1;
-                    marker_rows.push(*row);
                 }
                 Done::Skipped(reason) => notes.skipped.push(self.skipped_row(item, reason)),
                 Done::Rejected(rejection) => notes.quarantine.push(rejection),
@@ -204,11 +197,6 @@ impl Plan {
         };
         let mut clip = match outcome {
             Outcome::Clip(clip) => *clip,
-            Outcome::Markers { markers, .. } => {
-                let license = around.license().or(options.license.as_ref()).cloned();
-                let row = marker_row(*markers, id, item, source_hash, license);
-                return Ok(Done::Markers(Box::new(row)));
-            }
             Outcome::Skipped { reason } => return Ok(Done::Skipped(reason)),
             Outcome::Rejected(rejected) => return Err(rejected),
         };

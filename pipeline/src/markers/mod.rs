@@ -1,9 +1,16 @@
 //! From the markers of an optical capture to a body.
 
-mod outcome;
-mod placement;
+mod capture;
+mod error;
+mod label;
+mod part;
+mod set;
 mod solve;
+mod worn;
 
-pub(crate) use outcome::{metres_of_unit, outcome, unique_labels};
-pub use placement::{MARKER_SETS, MarkerSet, Placement, bare_label, is_model_output, placement};
-pub use solve::{SolveError, Solved, solve};
+pub use capture::CaptureUnit;
+pub(crate) use capture::{Capture, UNIT_CODE, unique_labels};
+pub(crate) use label::keys;
+pub use label::{bare_label, is_model_output};
+pub use part::Part;
+pub use set::{MarkerSet, MarkerSetError, Placement, marker_sets};

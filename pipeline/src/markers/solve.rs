@@ -8,20 +8,24 @@
 //! The alternation is that of MoSh (Loper et al. 2014) without body shape: the store has one body,
 //! so the capture is scaled to it instead.
 
+use std::collections::BTreeSet;
+
 use datasets_spec::{Motion, Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation::{from_axis_angle, slerp, to_axis_angle};
 use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
-use super::placement::{MARKER_SETS, bare_label, placement};
+use super::error::{SolveError, some_of};
+use super::label::Subject;
+use super::part::{self, Part};
+use super::set::{MarkerSet, marker_sets, nearest};
+use super::worn::{Frames, LabelledMarkers, MIN_SEEN};
 use crate::clip::Markers;
 use crate::floor;
+use crate::retarget::body_height;
+use crate::source::ReadOptions;
+use crate::source::unit::PERSON_M;
 
-/// Share of a set's labels that must be there for the set to be recognised.
-const MIN_SHARE: f64 = 0.7;
-/// Markers that must be seen in a frame for its pose to be solved, and their share of all.
-const MIN_SEEN: usize = 6;
-const MIN_SEEN_SHARE: f64 = 0.5;
 /// Frames from which offsets and size are found, and how often.
 const CALIBRATION_FRAMES: usize = 60;
 const CALIBRATION_ROUNDS: usize = 4;
@@ -44,247 +48,182 @@ const SMALL_STEP: f64 = 1e-5;
 /// Distance in metres beyond which the pull of a marker is constant: it may be mislabelled.
 const OUTLIER_M: f64 = 0.15;
 
-/// Why no body was solved.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SolveError {
-    /// The labels match no known marker set.
-    #[error("{found} of {labels} labels are of a known marker set; no set is whole")]
-    UnknownSet {
-        /// Labels with a known place.
-        found: usize,
-        /// Labels in all.
-        labels: usize,
-    },
-    /// No frame has enough markers.
-    #[error("no frame shows enough markers of the set {set}")]
-    NotSeen {
-        /// The set.
-        set: &'static str,
-    },
-    /// The markers do not fit a body.
-    #[error("the markers of the set {set} do not lie as on a standing or moving body")]
-    NoBody {
-        /// The set.
-        set: &'static str,
-    },
-}
-
 /// A body solved from markers.
 #[derive(Clone, Debug)]
-pub struct Solved {
-    /// The set the labels belong to.
-    pub set: &'static str,
+pub(super) struct Solved {
     /// The motion, y up, on the floor.
-    pub motion: Motion,
-    /// Root-mean-square distance in metres between the markers seen in a frame, scaled to the body,
-    /// and those of the body, `[T]`.
-    pub fit_residuals: Vec<f32>,
+    pub(super) motion: Motion,
     /// Frames whose pose was interpolated because too few markers were seen.
-    pub gaps: usize,
-    /// The markers, turned y up, in the size they were captured.
-    pub markers: Markers,
+    pub(super) gaps: usize,
+    /// The markers, turned y up, in the size they were captured, with the set and the distances from those of the
+    /// body.
+    pub(super) markers: Markers,
     /// Decisions a reader may want to check.
-    pub notes: Vec<String>,
+    pub(super) notes: Vec<String>,
 }
 
-/// Solves the body in a capture.
-///
-/// # Errors
-/// The labels are of no known set, or the markers do not fit a body.
-pub fn solve(markers: &Markers, skeleton: &Skeleton) -> Result<Solved, SolveError> {
-    let set = recognise(&markers.labels)?;
-    let mut markers = markers.clone();
-    let worn = LabelledMarkers::of(&markers);
-    let (turn, up) = up_turn(&markers, &worn).ok_or(SolveError::NoBody { set })?;
-    for position in &mut markers.positions {
-        let turned = turn * DVec3::from_array(position.map(f64::from));
-        *position = turned.as_vec3().to_array();
-    }
-    let frames = Frames::of(&markers, &worn);
-    let usable: Vec<usize> = (0..frames.len())
-        .filter(|frame| frames.usable(*frame))
-        .collect();
-    if usable.len() < 2 {
-        return Err(SolveError::NotSeen { set });
-    }
-    let mut solver = Solver {
-        skeleton,
-        joints: worn.joints.clone(),
-        offsets: worn.offsets.clone(),
-        first_offsets: worn.offsets.clone(),
-        scale: 1.0,
-    };
-    solver.scale = solver
-        .first_scale(&frames, &usable)
-        .ok_or(SolveError::NoBody { set })?;
-    solver
-        .calibrate(&frames, &usable)
-        .ok_or(SolveError::NoBody { set })?;
-    let (mut poses, fit_residuals, gaps) = solver
-        .all(&frames, &usable)
-        .ok_or(SolveError::NoBody { set })?;
-    floor::put_on_floor(&mut poses, markers.fps, skeleton);
-    let motion = Motion::from_poses(markers.fps, &poses).map_err(|_| SolveError::NoBody { set })?;
-    let notes = vec![
-        format!(
-            "markers {set}, {} of {} labels worn; {up} is up in the file",
-            worn.columns.len(),
-            markers.labels.len()
-        ),
-        format!("captured person scaled by {:.3} to the body", solver.scale),
-    ];
-    markers.set = Some(set.to_owned());
-    markers.fit_residuals = fit_residuals.clone();
-    Ok(Solved {
-        set,
-        motion,
-        fit_residuals,
-        gaps,
-        markers,
-        notes,
-    })
+/// A capture that a body can be solved in.
+pub(super) struct Solvable<'a> {
+    set: &'a MarkerSet,
+    worn: LabelledMarkers,
+    /// The markers, y up.
+    markers: Markers,
+    frames: Frames,
+    /// Frames with enough markers.
+    usable: Vec<usize>,
+    /// Axis that is up in the file.
+    up: &'static str,
+    /// Height of the captured person as a multiple of the body's.
+    tall: f64,
+    headless: bool,
 }
 
-/// The known set with the largest fraction of its labels present.
-fn recognise(labels: &[String]) -> Result<&'static str, SolveError> {
-    let bare: Vec<String> = labels.iter().map(|label| bare_label(label)).collect();
-    let mut best = (0.0, "");
-    for set in MARKER_SETS {
-        let wanted = set.labels();
-        let found = wanted.iter().filter(|label| bare.contains(label)).count();
-        let share = found as f64 / wanted.len() as f64;
-        if share > best.0 {
-            best = (share, set.name);
+impl<'a> Solvable<'a> {
+    /// Looks at the markers of a subject in a capture.
+    ///
+    /// # Errors
+    /// The labels are of no known set, tell too little of a body, or the markers do not lie as on one.
+    pub(super) fn find(
+        mut markers: Markers,
+        subject: &Subject,
+        options: &'a ReadOptions,
+    ) -> Result<Self, SolveError> {
+        let skeleton = &options.skeleton;
+        let set = recognise(subject, options.markers.as_ref())?;
+        let name = || set.name().to_owned();
+        let worn = LabelledMarkers::of(subject, set);
+        let frames = Frames::of(&markers, &worn);
+        let headless = check_parts(&worn.seen_joints(&frames), set)?;
+        let no_body = || SolveError::NoBody { set: name() };
+        let (turn, up) = frames.up_turn(&worn).ok_or_else(no_body)?;
+        for position in &mut markers.positions {
+            let turned = turn * DVec3::from_array(position.map(f64::from));
+            *position = turned.as_vec3().to_array();
         }
+        let frames = Frames::of(&markers, &worn);
+        let usable: Vec<usize> = (0..frames.len())
+            .filter(|frame| frames.usable(*frame))
+            .collect();
+        if usable.len() < 2 {
+            return Err(SolveError::NotSeen {
+                set: name(),
+                frames: usable.len(),
+            });
+        }
+        let tall = Solver::of(skeleton, &worn).first_height(&frames, &usable);
+        let tall = tall.ok_or_else(no_body)?;
+        let metres = tall * body_height(skeleton);
+        if !PERSON_M.contains(&metres) {
+            return Err(SolveError::Height {
+                set: name(),
+                metres,
+            });
+        }
+        Ok(Self {
+            set,
+            worn,
+            markers,
+            frames,
+            usable,
+            up,
+            tall,
+            headless,
+        })
     }
-    if best.0 >= MIN_SHARE {
-        return Ok(best.1);
-    }
-    Err(SolveError::UnknownSet {
-        found: bare
-            .iter()
-            .filter(|label| placement(label).is_some())
-            .count(),
-        labels: labels.len(),
-    })
-}
 
-/// The markers with a known placement.
-struct LabelledMarkers {
-    /// Column of each among the labels.
-    columns: Vec<usize>,
-    names: Vec<String>,
-    joints: Vec<usize>,
-    offsets: Vec<DVec3>,
-}
-
-impl LabelledMarkers {
-    fn of(markers: &Markers) -> Self {
-        let mut worn = Self {
-            columns: Vec::new(),
-            names: Vec::new(),
-            joints: Vec::new(),
-            offsets: Vec::new(),
+    /// Solves the body.
+    ///
+    /// # Errors
+    /// The markers do not fit a body.
+    pub(super) fn solve(self, skeleton: &Skeleton) -> Result<Solved, SolveError> {
+        let Self {
+            set,
+            worn,
+            mut markers,
+            frames,
+            usable,
+            up,
+            tall,
+            headless,
+        } = self;
+        let no_body = || SolveError::NoBody {
+            set: set.name().to_owned(),
         };
-        for (column, label) in markers.labels.iter().enumerate() {
-            let name = bare_label(label);
-            // Of repeated labels, the first is used.
-            if let Some(place) = placement(label).filter(|_| !worn.names.contains(&name)) {
-                worn.columns.push(column);
-                worn.names.push(name);
-                worn.joints.push(place.joint.index());
-                worn.offsets.push(place.offset);
-            }
+        let mut solver = Solver::of(skeleton, &worn);
+        solver.scale = 1.0 / tall;
+        solver.calibrate(&frames, &usable).ok_or_else(no_body)?;
+        let solved = solver.all(&frames, &usable);
+        let (mut poses, fit_residuals, gaps) = solved.ok_or_else(no_body)?;
+        floor::put_on_floor(&mut poses, markers.fps, skeleton);
+        let motion = Motion::from_poses(markers.fps, &poses).map_err(|_| no_body())?;
+        let mut notes = vec![
+            format!(
+                "markers {}, {} of {} labels worn; {up} is up in the file",
+                set.name(),
+                worn.columns.len(),
+                markers.labels.len()
+            ),
+            format!("captured person scaled by {:.3} to the body", solver.scale),
+        ];
+        if headless {
+            notes.push("no marker is on the head: it follows the trunk".to_owned());
         }
-        worn
+        if !set.at_rest().is_empty() {
+            let parts = part::names(set.at_rest());
+            notes.push(format!("as at rest where no marker tells: {parts}"));
+        }
+        markers.set = Some(set.name().to_owned());
+        markers.fit_residuals = fit_residuals;
+        Ok(Solved {
+            motion,
+            gaps,
+            markers,
+            notes,
+        })
     }
 }
 
-/// Positions of the labelled markers, frame by frame; none where a marker was not seen.
-struct Frames {
-    points: Vec<Vec<Option<DVec3>>>,
-}
-
-impl Frames {
-    fn of(markers: &Markers, worn: &LabelledMarkers) -> Self {
-        let count = markers.labels.len().max(1);
-        let points = markers
-            .positions
-            .chunks_exact(count)
-            .zip(markers.residuals.chunks_exact(count))
-            .map(|(positions, residuals)| {
-                worn.columns
-                    .iter()
-                    .map(|&column| {
-                        (residuals[column] >= 0.0)
-                            .then(|| DVec3::from_array(positions[column].map(f64::from)))
-                    })
-                    .collect()
-            })
-            .collect();
-        Self { points }
-    }
-
-    fn len(&self) -> usize {
-        self.points.len()
-    }
-
-    fn usable(&self, frame: usize) -> bool {
-        let points = &self.points[frame];
-        let seen = points.iter().flatten().count();
-        seen >= MIN_SEEN && seen as f64 >= MIN_SEEN_SHARE * points.len() as f64
-    }
-}
-
-/// The rotation to y up, from the direction of the upper markers from the lower ones, and the file's up
-/// axis.
-fn up_turn(markers: &Markers, worn: &LabelledMarkers) -> Option<(DQuat, &'static str)> {
-    let frames = Frames::of(markers, worn);
-    // Heads, chests and hips are above feet; use those that are present.
-    let level = |joint: usize| match joint {
-        7 | 8 | 10 | 11 => -1.0,
-        4 | 5 => -0.4,
-        0..=2 => 0.3,
-        3 | 6 | 9 | 12..=15 => 1.0,
-        _ => 0.0,
+/// The set of a subject's markers.
+fn recognise<'a>(
+    subject: &Subject,
+    own: Option<&'a MarkerSet>,
+) -> Result<&'a MarkerSet, SolveError> {
+    let bare: BTreeSet<String> = subject.bare.iter().cloned().collect();
+    let Some(found) = nearest(&bare, own) else {
+        let sets = own.into_iter().chain(marker_sets());
+        let sets: Vec<&str> = sets.map(MarkerSet::name).collect();
+        return Err(SolveError::NoSet {
+            count: subject.bare.len(),
+            labels: some_of(subject.bare.iter().map(String::as_str)),
+            sets: sets.join(", "),
+        });
     };
-    let mut sum = DVec3::ZERO;
-    for points in &frames.points {
-        let seen: Vec<(f64, DVec3)> = points
-            .iter()
-            .zip(&worn.joints)
-            .filter_map(|(point, joint)| Some((level(*joint), (*point)?)))
-            .collect();
-        let count = seen.len().max(1) as f64;
-        let middle = seen.iter().map(|(level, _)| level).sum::<f64>() / count;
-        let direction: DVec3 = seen
-            .iter()
-            .map(|(level, point)| *point * (level - middle))
-            .sum();
-        sum += direction.normalize_or_zero();
+    if found.is_whole() {
+        return Ok(found.set);
     }
-    let axis = sum.abs();
-    let largest = axis.max_element();
-    if largest <= 0.0 || !largest.is_finite() {
-        return None;
-    }
-    Some(if axis.z == largest {
-        if sum.z > 0.0 {
-            (DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2), "z")
-        } else {
-            (DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2), "-z")
-        }
-    } else if axis.y == largest {
-        if sum.y > 0.0 {
-            (DQuat::IDENTITY, "y")
-        } else {
-            (DQuat::from_rotation_x(std::f64::consts::PI), "-y")
-        }
-    } else if sum.x > 0.0 {
-        (DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2), "x")
-    } else {
-        (DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2), "-x")
+    let of_set = |bare: &&String| found.set.placement(bare).is_none();
+    Err(SolveError::NotWhole {
+        set: found.set.name().to_owned(),
+        found: found.found,
+        of: found.set.labels().count(),
+        missing: some_of(found.missing.iter().copied()),
+        count: subject.bare.len(),
+        others: some_of(subject.bare.iter().filter(of_set).map(String::as_str)),
     })
+}
+
+/// Refuses markers that do not tell the pose of a whole body; whether the head has none.
+fn check_parts(joints: &[usize], set: &MarkerSet) -> Result<bool, SolveError> {
+    let mut untold = Part::untold(joints);
+    untold.retain(|part| !set.at_rest().contains(part));
+    let headless = untold.remove(&Part::Head);
+    match untold.is_empty() {
+        true => Ok(headless),
+        false => Err(SolveError::Parts {
+            set: set.name().to_owned(),
+            parts: part::names(&untold),
+        }),
+    }
 }
 
 struct Solver<'a> {
@@ -325,9 +264,20 @@ impl Body {
     }
 }
 
-impl Solver<'_> {
-    /// The ratio of the body's height between its markers at rest to that of the capture in its tallest frames.
-    fn first_scale(&self, frames: &Frames, usable: &[usize]) -> Option<f64> {
+impl<'a> Solver<'a> {
+    /// A solver for markers where their set has them, on a person of the body's size.
+    fn of(skeleton: &'a Skeleton, worn: &LabelledMarkers) -> Self {
+        Self {
+            skeleton,
+            joints: worn.joints.clone(),
+            offsets: worn.offsets.clone(),
+            first_offsets: worn.offsets.clone(),
+            scale: 1.0,
+        }
+    }
+
+    /// The ratio of the capture's height between its markers in its tallest frames to that of the body at rest.
+    fn first_height(&self, frames: &Frames, usable: &[usize]) -> Option<f64> {
         let rest = Body::posed(
             self.skeleton.rest(0),
             [DQuat::IDENTITY; NUM_BODY_JOINTS],
@@ -361,11 +311,7 @@ impl Solver<'_> {
         }
         ratios.sort_by(f64::total_cmp);
         // People stand in the tallest frames; the very tallest may contain a mislabelled marker.
-        let tall = *ratios.get(ratios.len().checked_sub(1)? * 9 / 10)?;
-        let scale = 1.0 / tall;
-        /// Limits on the height of a person.
-        const BELIEVABLE: std::ops::Range<f64> = 0.5..2.5;
-        BELIEVABLE.contains(&scale).then_some(scale)
+        ratios.get(ratios.len().checked_sub(1)? * 9 / 10).copied()
     }
 
     /// An initial pose for a frame: the rest pose, rotated so that left, right and up fit.
@@ -723,108 +669,4 @@ fn cholesky_solve(matrix: &mut [[f64; UNKNOWNS]], right: &mut [f64; UNKNOWNS]) -
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::retarget::tests::walk;
-    use datasets_spec::Fps;
-
-    /// Markers of a walk: worn a little elsewhere than the set says, on a person of another size,
-    /// z up.
-    fn captured(num_frames: usize, height: f64) -> (Vec<Pose>, Markers) {
-        let skeleton = Skeleton::smplx_neutral();
-        let poses = walk(num_frames);
-        let labels: Vec<String> = MARKER_SETS[0]
-            .labels()
-            .iter()
-            .map(|label| format!("Anna:{label}"))
-            .collect();
-        let z_up = DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
-        let mut positions = Vec::new();
-        for pose in &poses {
-            let body = Body::posed(pose.transl + skeleton.rest(0), pose.rotations, &skeleton);
-            for (index, label) in labels.iter().enumerate() {
-                let place = placement(label).expect("of the set");
-                let skew = DVec3::new(
-                    (index as f64).sin(),
-                    (2.0 * index as f64).cos(),
-                    (3.0 * index as f64).sin(),
-                ) * 0.008;
-                let joint = place.joint.index();
-                let at = body.points[joint] + body.globals[joint] * (place.offset + skew);
-                positions.push((z_up * at * height).as_vec3().to_array());
-            }
-        }
-        let markers = Markers {
-            fps: Fps::new(60.0).expect("a rate"),
-            residuals: vec![0.0; positions.len()],
-            labels,
-            positions,
-            set: None,
-            fit_residuals: Vec::new(),
-        };
-        (poses, markers)
-    }
-
-    /// Mean distance between the joints of two motions, both about their pelvis.
-    fn apart(a: &Pose, b: &Pose) -> f64 {
-        let skeleton = Skeleton::smplx_neutral();
-        let (a, b) = (skeleton.keypoints(a), skeleton.keypoints(b));
-        (0..22)
-            .map(|joint| ((a[joint] - a[0]) - (b[joint] - b[0])).length())
-            .sum::<f64>()
-            / 22.0
-    }
-
-    #[test]
-    fn a_known_walk_is_found_in_its_markers() {
-        let (poses, markers) = captured(90, 1.12);
-        let solved = solve(&markers, &Skeleton::smplx_neutral()).expect("a body");
-        assert_eq!((solved.set, solved.gaps), ("cmu-41", 0));
-        let mean_residual =
-            solved.fit_residuals.iter().sum::<f32>() / solved.fit_residuals.len() as f32;
-        // Markers are worn up to 14 mm from where the set has them, and that is found.
-        assert!(mean_residual < 0.01, "{mean_residual}");
-        let mean = (0..90)
-            .map(|frame| apart(&solved.motion.pose(frame), &poses[frame]))
-            .sum::<f64>()
-            / 90.0;
-        assert!(mean < 0.03, "{mean}");
-    }
-
-    #[test]
-    fn gaps_are_bridged_and_counted() {
-        let (poses, mut markers) = captured(60, 1.0);
-        let count = markers.labels.len();
-        // One marker is lost for a while, and all are for five frames.
-        for frame in 10..40 {
-            markers.residuals[frame * count + 7] = -1.0;
-        }
-        for frame in 30..35 {
-            markers.residuals[frame * count..(frame + 1) * count].fill(-1.0);
-        }
-        let solved = solve(&markers, &Skeleton::smplx_neutral()).expect("a body");
-        assert_eq!(solved.gaps, 5);
-        assert_eq!(solved.fit_residuals[32], -1.0);
-        assert!(apart(&solved.motion.pose(32), &poses[32]) < 0.06);
-    }
-
-    #[test]
-    fn what_is_no_known_set_or_no_body_says_so() {
-        let (_, mut markers) = captured(20, 1.0);
-        let skeleton = Skeleton::smplx_neutral();
-        let mut none_seen = markers.clone();
-        none_seen.residuals.fill(-1.0);
-        assert!(solve(&none_seen, &skeleton).is_err());
-        for label in &mut markers.labels {
-            label.insert(0, 'Q');
-            *label = label.replace(':', "");
-        }
-        assert!(matches!(
-            solve(&markers, &skeleton),
-            Err(SolveError::UnknownSet {
-                found: 0,
-                labels: 41
-            })
-        ));
-    }
-}
+mod tests;

@@ -10,11 +10,13 @@ mod joint_map;
 mod rig;
 mod topology;
 mod track;
+mod unit;
 mod user_map;
 
 pub(crate) use joint_map::bare;
 pub use joint_map::{JOINT_MAPS, JointMap, Mapping, Origin};
 pub use rig::{Bone, Placed, Rest, Rig};
+pub(crate) use unit::body_height;
 pub use user_map::{UserMap, UserMapError};
 
 use datasets_spec::{Motion, Pose, Skeleton};
@@ -30,27 +32,16 @@ use self::user_map::{RestPose, Up};
 use crate::check::FLAG_REFERENCE_DROPPED;
 use crate::clip::{Rejected, RotationSource, SourceClip};
 use crate::floor;
+use crate::source::ReadOptions;
 
-/// Units of motion files in metres. The CMU unit is 1/0.45 inch, the scale of the original ASF files.
-const UNITS: [(&str, f64); 5] = [
-    ("metres", 1.0),
-    ("CMU units of 5.64 cm", 0.0254 / 0.45),
-    ("inches", 0.0254),
-    ("centimetres", 0.01),
-    ("millimetres", 0.001),
-];
-
-/// Retargets a parsed file to the body. The user's `joint_map` takes precedence over
+/// Retargets a parsed file to the body of the options. The user's joint map takes precedence over
 /// known ones if the file has its joints.
 ///
 /// # Errors
 /// The rig's code for skeletons if its skeleton is not a body, `E-NOT-FINITE` if joint positions are not
-/// finite.
-pub fn clip(
-    rig: &impl Rig,
-    skeleton: &Skeleton,
-    joint_map: Option<&UserMap>,
-) -> Result<SourceClip, Rejected> {
+/// finite, `E-UNIT` if the user states a unit in which the skeleton is no person.
+pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejected> {
+    let (skeleton, joint_map) = (&options.skeleton, options.user_map.as_ref());
     let bones = rig.bones();
     let rests = rig.rests();
     let reject = |reason: String| Rejected::retarget(rig.skeleton_code(), reason);
@@ -94,10 +85,7 @@ pub fn clip(
         }
     };
     let body_leg = leg_length(|joint| skeleton.rest(joint));
-    notes.push(match user_map.and_then(UserMap::unit) {
-        Some(metres) => stated_unit_note(&track, metres),
-        None => unit_note(&track, body_leg),
-    });
+    notes.push(unit::note(rig, &track, body_leg, user_map, options)?);
 
     let carrier = Carrier {
         track: &track,
@@ -205,36 +193,6 @@ fn feet_point_backwards(track: &Track) -> bool {
         })
         .sum();
     ahead < 0.0
-}
-
-/// The unit that the leg's length suggests, for a note only: the motion is scaled by the ratio of the legs.
-fn unit_note(track: &Track, body_leg: f64) -> String {
-    /// Largest ratio of a person's leg to the body's.
-    const PLAUSIBLE: f64 = 1.45;
-    let misfit = |metres: f64| (track.leg_length() * metres / body_leg).ln().abs();
-    let (name, metres) = UNITS.into_iter().fold(UNITS[0], |best, unit| {
-        if misfit(unit.1) < misfit(best.1) {
-            unit
-        } else {
-            best
-        }
-    });
-    let leg = track.leg_length();
-    if misfit(metres) > PLAUSIBLE.ln() {
-        return format!("unit unknown (a leg measures {leg:.3}), scaled to the body's leg");
-    }
-    format!(
-        "unit {name} (a leg measures {leg:.3}, that is {:.2} m)",
-        leg * metres
-    )
-}
-
-fn stated_unit_note(track: &Track, metres: f64) -> String {
-    let leg = track.leg_length();
-    format!(
-        "unit {metres} m by the joint map (a leg measures {leg:.3}, that is {:.2} m)",
-        leg * metres
-    )
 }
 
 /// Retargets the frames of a track to the body.
@@ -545,9 +503,16 @@ pub(crate) mod tests {
             .collect()
     }
 
+    fn with_map(map: &UserMap) -> ReadOptions {
+        ReadOptions {
+            user_map: Some(map.clone()),
+            ..ReadOptions::default()
+        }
+    }
+
     fn retarget(text: &str) -> SourceClip {
         let bvh = BvhFile::parse(text.as_bytes()).expect("the test writes valid files");
-        clip(&bvh, &Skeleton::smplx_neutral(), None).expect("the test writes bodies")
+        clip(&bvh, &ReadOptions::default()).expect("the test writes bodies")
     }
 
     pub(crate) fn assert_same_motion(clip: &SourceClip, poses: &[Pose]) {
@@ -687,7 +652,7 @@ pub(crate) mod tests {
 
     fn rejected(text: &str) -> Rejected {
         let bvh = BvhFile::parse(text.as_bytes()).expect("a valid file");
-        clip(&bvh, &Skeleton::smplx_neutral(), None).expect_err("no body")
+        clip(&bvh, &ReadOptions::default()).expect_err("no body")
     }
 
     #[test]
@@ -760,7 +725,7 @@ pub(crate) mod tests {
         let map = UserMap::parse(&map).expect("a map");
         let read = |text: &str| {
             let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
-            clip(&bvh, &skeleton, Some(&map)).expect("a body")
+            clip(&bvh, &with_map(&map)).expect("a body")
         };
         let found = read(&text);
         assert_same_motion(&found, &poses);
@@ -770,7 +735,7 @@ pub(crate) mod tests {
             found
                 .notes
                 .iter()
-                .any(|note| note.starts_with("unit 1 m by the joint map"))
+                .any(|note| note.starts_with("unit m, as the joint map says"))
         );
         // Where its joints are not there, the file speaks for itself.
         let other = read(&Dialect::default().write(&poses, &skeleton));
@@ -799,7 +764,7 @@ pub(crate) mod tests {
         );
         let map = UserMap::parse(&map).expect("a map");
         let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
-        let clip = clip(&bvh, &skeleton, Some(&map)).expect("a body");
+        let clip = clip(&bvh, &with_map(&map)).expect("a body");
         assert!(
             clip.notes
                 .iter()
@@ -915,7 +880,7 @@ pub(crate) mod tests {
                     bytes[at] = b'e';
                 }
             }
-            if let Ok(clip) = BvhFile::parse(&bytes).and_then(|bvh| clip(&bvh, &Skeleton::smplx_neutral(), None)) {
+            if let Ok(clip) = BvhFile::parse(&bytes).and_then(|bvh| clip(&bvh, &ReadOptions::default())) {
                 prop_assert!(clip.motion.fps() <= Fps::new(1e4).expect("valid"));
                 prop_assert!(clip.fit_error_m.is_some());
             }

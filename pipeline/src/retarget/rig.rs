@@ -5,6 +5,8 @@ use std::ops::Range;
 use datasets_spec::Fps;
 use glam::{DQuat, DVec3};
 
+use crate::source::Unit;
+
 /// A bone of a source skeleton.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bone<'a> {
@@ -58,6 +60,11 @@ pub trait Rig {
 
     /// The up axis that the format specifies; none if it varies among files.
     fn up(&self) -> Option<DVec3> {
+        None
+    }
+
+    /// The unit that the file states; none if its format has none, or files do not keep to it.
+    fn unit(&self) -> Option<Unit> {
         None
     }
 

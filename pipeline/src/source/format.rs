@@ -41,8 +41,8 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
     }
 
     /// Names of the motions in a file; empty if it holds one, or cannot be read.
-    fn keys(&self, bytes: &[u8]) -> Vec<String> {
-        let _ = bytes;
+    fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+        let _ = (bytes, options);
         Vec::new()
     }
 

@@ -15,6 +15,7 @@ pub mod body_model;
 pub mod bvh;
 pub mod c3d;
 pub mod dataset;
+pub mod fbx;
 pub mod gltf;
 pub mod humanml3d;
 pub mod humanml3d_amass;
@@ -27,6 +28,7 @@ pub mod seed;
 pub(crate) mod smpl;
 pub mod stance;
 pub mod trc;
+pub(crate) mod unit;
 pub mod webdataset;
 
 use std::path::Path;
@@ -35,8 +37,9 @@ pub use self::files::Files;
 pub(crate) use self::files::{is_pointer, refuse_pointer};
 pub use self::format::{Contents, Entry, Format, Recognised, Release, SourceFormat};
 use self::labels::ClipLabels;
-pub(crate) use self::names::{escaped, name_of_text, text_of_name};
+pub(crate) use self::names::{escaped, name_of_text, text_of_name, unique_keys};
 pub use self::options::ReadOptions;
+pub use self::unit::{Unit, UnitError};
 use crate::clip::Outcome;
 
 /// Every source format, in the order in which releases are looked for. To add one, write a folder
@@ -47,6 +50,7 @@ pub const FORMATS: &[Format] = &[
     c3d::FORMAT,
     trc::FORMAT,
     gltf::FORMAT,
+    fbx::FORMAT,
     // These two before `humanml3d`, which would list their captions as captions without a motion.
     humanml3d_amass::FORMAT,
     representation_272::FORMAT,
@@ -121,13 +125,6 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
         }
         _ => {}
     }
-    if extension == "fbx" || FBX_STARTS.iter().any(|start| head.starts_with(start)) {
-        return not_motion(
-            "FBX, which is not read; save it as GLB or BVH, for example with Blender (File > Import > \
-             FBX, then File > Export > glTF 2.0)"
-                .to_owned(),
-        );
-    }
     if let Some(kind) = archive_kind(&name, &extension, head) {
         return not_motion(format!("{kind} archive; unpack it"));
     }
@@ -138,9 +135,6 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
         None => not_motion(format!("{extension} is no known motion format")),
     }
 }
-
-/// First bytes of FBX files, binary and text.
-const FBX_STARTS: [&[u8]; 2] = [b"Kaydara FBX Binary  \0", b"; FBX "];
 
 /// Kind of an archive, by its name or its first bytes.
 fn archive_kind(name: &str, extension: &str, head: &[u8]) -> Option<&'static str> {
@@ -246,27 +240,19 @@ mod tests {
             ("a/noextension", b"PathFileType\t4\t", Some(trc::FORMAT)),
             ("a/robot.glb", b"glTF", Some(gltf::FORMAT)),
             ("a/noextension", b"glTF\x02", Some(gltf::FORMAT)),
+            ("a/WALK.FBX", b"", Some(fbx::FORMAT)),
+            ("a/walk", b"Kaydara FBX Binary  \0\x1a\0", Some(fbx::FORMAT)),
+            (
+                "a/walk.dat",
+                b"; FBX 7.4.0 project file\n",
+                Some(fbx::FORMAT),
+            ),
             ("a/weights.pth", b"\x80\x04", None),
             ("a/walks.zip", b"PK\x03\x04", None),
             ("a/walks.tar", b"", None),
             ("", b"", None),
         ] {
             assert_eq!(motion_format(path, head), format, "{path}");
-        }
-    }
-
-    #[test]
-    fn fbx_files_are_skipped_with_what_to_do() {
-        for (path, head) in [
-            ("a/walk.fbx", &b""[..]),
-            ("a/WALK.FBX", b"Kaydara FBX Binary  \0\x1a\0"),
-            ("a/walk", b"Kaydara FBX Binary  \0\x1a\0"),
-            ("a/walk.dat", b"; FBX 7.4.0 project file\n"),
-        ] {
-            let Recognised::NotMotion { reason } = recognise(Path::new(path), head) else {
-                panic!("{path} is no motion");
-            };
-            assert!(reason.contains("save it as GLB or BVH"), "{path}: {reason}");
         }
     }
 
@@ -481,7 +467,7 @@ mod tests {
                         );
                     }
                     Some(Outcome::Skipped { reason }) => panic!("{}: {reason}", path.display()),
-                    Some(Outcome::Clip(_) | Outcome::Markers { .. }) | None => {}
+                    Some(Outcome::Clip(_)) | None => {}
                 }
             }
         }

@@ -1,5 +1,6 @@
 //! File names as text.
 
+use std::collections::BTreeSet;
 use std::ffi::{OsStr, OsString};
 
 /// A file name as text without control characters, different for different names: bytes that are not
@@ -22,6 +23,30 @@ pub(super) fn text_of_bytes(name: &[u8]) -> String {
         escape(chunk.invalid(), &mut text);
     }
     text
+}
+
+/// Names of the motions in a file as keys, each different and without control characters. `unnamed` makes up the
+/// key of a motion without a name.
+pub(crate) fn unique_keys(
+    names: impl Iterator<Item = impl AsRef<str>>,
+    unnamed: impl Fn(usize) -> String,
+) -> Vec<String> {
+    /// Longest part of a name that is kept, in characters: keys become parts of ids.
+    const LONGEST: usize = 64;
+    let mut taken = BTreeSet::new();
+    let keys = names.enumerate().map(|(index, name)| {
+        let name = name.as_ref().chars().filter(|c| !c.is_control());
+        let name: String = name.take(LONGEST).collect();
+        let mut key = match name.trim() {
+            "" => unnamed(index),
+            name => name.to_owned(),
+        };
+        while !taken.insert(key.clone()) {
+            key = format!("{key}.{index}");
+        }
+        key
+    });
+    keys.collect()
 }
 
 fn escape(bytes: &[u8], text: &mut String) {

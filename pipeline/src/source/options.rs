@@ -5,6 +5,8 @@ use std::sync::Arc;
 use datasets_spec::{Fps, Skeleton};
 
 use super::body_model::Subjects;
+use super::unit::Unit;
+use crate::markers::MarkerSet;
 use crate::retarget::UserMap;
 
 /// How files are turned into clips.
@@ -14,10 +16,14 @@ pub struct ReadOptions {
     pub skeleton: Skeleton,
     /// The user's joint names, which take precedence over known ones.
     pub user_map: Option<UserMap>,
+    /// The user's marker set, which takes precedence over known ones.
+    pub markers: Option<MarkerSet>,
+    /// Unit of the files, whatever they state.
+    pub unit: Option<Unit>,
     /// The wanted rate, interpolated at exact times. Readers that can skip frames use it; the others keep the
     /// file's own rate.
     pub rate: Option<Fps>,
-    /// Accept a BVH file whose number of rows differs from what its header says.
+    /// Accept a BVH or TRC file whose number of rows differs from what its header says.
     pub lenient: bool,
     /// Body models by gender, to compute features of AMASS on each subject's own body.
     pub subjects: Option<Arc<Subjects>>,
@@ -28,6 +34,8 @@ impl Default for ReadOptions {
         Self {
             skeleton: Skeleton::smplx_neutral(),
             user_map: None,
+            markers: None,
+            unit: None,
             rate: None,
             lenient: false,
             subjects: None,

@@ -276,7 +276,9 @@ mod tests {
         crate::floor::put_on_floor(&mut poses, Fps::STORE, &skeleton);
         let motion = Motion::from_poses(Fps::STORE, &poses).expect("valid");
         let bvh = crate::source::bvh::BvhFile::parse(encode(&motion, &skeleton).as_bytes());
-        let clip = crate::retarget::clip(&bvh.expect("valid"), &skeleton, None).expect("a body");
+        let clip =
+            crate::retarget::clip(&bvh.expect("valid"), &crate::source::ReadOptions::default())
+                .expect("a body");
         assert_eq!((clip.motion.fps(), clip.motion.len()), (Fps::STORE, 50));
         let (found, expected) = (
             skeleton.motion_keypoints(&clip.motion),

@@ -77,7 +77,7 @@ pub(super) fn read(
     options: &ReadOptions,
 ) -> Result<SourceClip, Rejected> {
     let bvh = BvhFile::read(file, length, options.lenient)?;
-    let mut clip = retarget::clip(&bvh, &options.skeleton, options.user_map.as_ref())?;
+    let mut clip = retarget::clip(&bvh, options)?;
     if bvh.num_rows != bvh.stated_frames {
         clip.flags |= FLAG_ROW_COUNT;
         clip.notes.push(format!(

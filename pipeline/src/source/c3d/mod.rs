@@ -18,8 +18,9 @@ use glam::DVec3;
 use self::parameters::Parameters;
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
+use super::unit::Unit;
 use crate::clip::{MAX_FPS, MIN_FPS, Markers, Outcome, Rejected};
-use crate::markers::{self, is_model_output};
+use crate::markers::{self, Capture, CaptureUnit, is_model_output};
 
 /// Bytes of a block.
 const BLOCK: usize = 512;
@@ -86,6 +87,8 @@ pub struct C3dFile {
     pub integer: bool,
     /// The markers in metres, in the file's own axes.
     pub markers: Markers,
+    /// The unit they were in.
+    pub unit: CaptureUnit,
     /// Points that are not markers but angles, forces and the like, by name.
     pub model_outputs: Vec<String>,
     /// Decisions a reader may want to check.
@@ -100,45 +103,59 @@ impl C3dFile {
     /// Parses a file. None if it holds no points.
     ///
     /// # Errors
-    /// `E-C3D-TRUNCATED`, `E-C3D-HEADER`, `E-C3D-PARAM` or `E-C3D-ENDIAN`, with the byte offset
-    /// where there is one.
+    /// `E-C3D-TRUNCATED`, `E-C3D-HEADER`, `E-C3D-PARAM`, `E-C3D-ENDIAN`, `E-C3D-ZERO` or `E-UNIT`, with the byte
+    /// offset where there is one.
     pub fn parse(bytes: &[u8]) -> Result<Option<Self>, Rejected> {
-        if bytes.len() < BLOCK {
-            return Err(Rejected::read(
-                "E-C3D-TRUNCATED",
-                format!("found {} bytes, expected a header of {BLOCK}", bytes.len()),
-            )
-            .at(bytes.len()));
-        }
-        if bytes[1] != MAGIC {
-            return Err(header_error(
-                1,
-                format!("found 0x{:02x}, expected 0x{MAGIC:02x}", bytes[1]),
-            ));
-        }
-        let start = usize::from(bytes[0]).saturating_sub(1) * BLOCK;
-        let section = bytes.get(start..start + 4).filter(|_| start > 0);
-        let Some(&[_, _, _, code]) = section else {
-            return Err(header_error(
-                0,
-                format!(
-                    "the parameters are said to be in block {}, which is none",
-                    bytes[0]
-                ),
-            ));
-        };
-        let processor = Processor::of(code).ok_or_else(|| {
-            header_error(
-                start + 3,
-                format!("found processor {code}, expected 84 (Intel), 85 (DEC) or 86 (MIPS)"),
-            )
-        })?;
-        let parameters = Parameters::parse(bytes, start, processor)?;
+        Self::read(bytes, None)
+    }
+
+    /// Parses a file whose numbers are in this unit, if one is given, whatever it states.
+    ///
+    /// # Errors
+    /// As [`C3dFile::parse`].
+    pub fn read(bytes: &[u8], unit: Option<Unit>) -> Result<Option<Self>, Rejected> {
+        let (processor, parameters) = parameters(bytes)?;
         let header = Header::read(bytes, processor);
         Layout::find(bytes, &header, &parameters)?
-            .map(|layout| layout.read(bytes, processor, &parameters))
+            .map(|layout| layout.read(bytes, processor, &parameters, unit))
             .transpose()
     }
+}
+
+/// The processor of a file and its parameters.
+fn parameters(bytes: &[u8]) -> Result<(Processor, Parameters), Rejected> {
+    if bytes.len() < BLOCK {
+        return Err(Rejected::read(
+            "E-C3D-TRUNCATED",
+            format!("found {} bytes, expected a header of {BLOCK}", bytes.len()),
+        )
+        .at(bytes.len()));
+    }
+    if bytes[1] != MAGIC {
+        return Err(header_error(
+            1,
+            format!("found 0x{:02x}, expected 0x{MAGIC:02x}", bytes[1]),
+        ));
+    }
+    let start = usize::from(bytes[0]).saturating_sub(1) * BLOCK;
+    let section = bytes.get(start..start + 4).filter(|_| start > 0);
+    let Some(&[_, _, _, code]) = section else {
+        return Err(header_error(
+            0,
+            format!(
+                "the parameters are said to be in block {}, which is none",
+                bytes[0]
+            ),
+        ));
+    };
+    let processor = Processor::of(code).ok_or_else(|| {
+        header_error(
+            start + 3,
+            format!("found processor {code}, expected 84 (Intel), 85 (DEC) or 86 (MIPS)"),
+        )
+    })?;
+    let parameters = Parameters::parse(bytes, start, processor)?;
+    Ok((processor, parameters))
 }
 
 /// Contents of the header block.
@@ -262,29 +279,28 @@ impl Layout {
         bytes: &[u8],
         processor: Processor,
         parameters: &Parameters,
+        unit: Option<Unit>,
     ) -> Result<C3dFile, Rejected> {
-        let labels = labels(parameters, self.points);
-        let outputs = parameters.model_outputs();
-        let kept: Vec<usize> = (0..self.points)
-            .filter(|point| !outputs.contains(&labels[*point]) && !is_model_output(&labels[*point]))
-            .collect();
-        let units = parameters.text("POINT", "UNITS").unwrap_or_default();
+        let (labels, kept) = labels_of_markers(parameters, self.points);
         let raw = self.raw_positions(bytes, processor);
-        let metres = metres_of(units.trim(), &raw, &mut self.notes);
+        let unit = self.unit(parameters, &raw, unit);
+        let metres = unit.unit.metres();
 
         let mut positions = Vec::with_capacity(self.frames * kept.len());
         let mut residuals = Vec::with_capacity(self.frames * kept.len());
-        let (mut seen, mut implausible) = (0usize, 0usize);
+        let (mut seen, mut implausible, mut at_origin) = (0usize, 0usize, 0usize);
         for frame in raw.chunks_exact(self.points) {
             for &point in &kept {
                 let Point { at, residual } = frame[point];
+                let is_seen = frame[point].is_seen();
                 let place = at * metres;
                 let plausible = place.is_finite() && place.length() < MAX_DISTANCE_M;
-                if residual >= 0.0 {
+                at_origin += usize::from(residual >= 0.0 && !is_seen);
+                if is_seen {
                     seen += 1;
                     implausible += usize::from(!plausible);
                 }
-                if residual >= 0.0 && plausible {
+                if is_seen && plausible {
                     positions.push(place.as_vec3().to_array());
                     residuals.push((residual * metres) as f32);
                 } else {
@@ -294,6 +310,15 @@ impl Layout {
             }
         }
         if implausible as f64 > MAX_IMPLAUSIBLE * seen as f64 {
+            let frames = raw.chunks_exact(self.points).map(|frame| {
+                let markers = kept.iter().map(|point| frame[*point]);
+                markers
+                    .filter(|point| point.is_seen())
+                    .map(|point| point.at)
+            });
+            if let Some(rejected) = unit.doubt(frames) {
+                return Err(rejected);
+            }
             return Err(Rejected::read(
                 "E-C3D-ENDIAN",
                 format!(
@@ -318,9 +343,13 @@ impl Layout {
                 "{implausible} positions farther than {MAX_DISTANCE_M} m count as not seen"
             ));
         }
-        let labels: Vec<String> = kept.iter().map(|point| labels[*point].clone()).collect();
+        if at_origin > 0 {
+            let note = format!("{at_origin} positions at the origin count as not seen");
+            self.notes.push(note);
+        }
         Ok(C3dFile {
             processor,
+            unit,
             integer: self.scale > 0.0,
             markers: Markers {
                 fps: self.fps,
@@ -330,9 +359,28 @@ impl Layout {
                 set: None,
                 fit_residuals: Vec::new(),
             },
-            model_outputs: outputs,
+            model_outputs: parameters.model_outputs(),
             notes: self.notes,
         })
+    }
+
+    /// The unit of the file, or the one that the user states.
+    fn unit(
+        &mut self,
+        parameters: &Parameters,
+        points: &[Point],
+        by_user: Option<Unit>,
+    ) -> CaptureUnit {
+        let largest = || {
+            let seen = points.iter().filter(|point| point.residual >= 0.0);
+            seen.fold(0.0, |largest: f64, point| {
+                largest.max(point.at.abs().max_element())
+            })
+        };
+        let stated = parameters.text("POINT", "UNITS").unwrap_or_default();
+        let (unit, note) = CaptureUnit::find(by_user, stated.trim(), largest);
+        self.notes.extend(note);
+        unit
     }
 
     /// Every point of every frame in the file's unit.
@@ -359,6 +407,13 @@ impl Layout {
 struct Point {
     at: DVec3,
     residual: f64,
+}
+
+impl Point {
+    /// Some programs write points that were not seen at the origin, as if they were.
+    fn is_seen(self) -> bool {
+        self.residual >= 0.0 && self.at != DVec3::ZERO
+    }
 }
 
 fn real_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
@@ -462,36 +517,24 @@ fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
     markers::unique_labels((0..points).map(label))
 }
 
-/// The file's unit in metres.
-fn metres_of(units: &str, points: &[Point], notes: &mut Vec<String>) -> f64 {
-    let largest = || {
-        let seen = points.iter().filter(|point| point.residual >= 0.0);
-        seen.fold(0.0, |largest: f64, point| {
-            largest.max(point.at.abs().max_element())
-        })
-    };
-    let (metres, note) = markers::metres_of_unit(units, largest);
-    notes.extend(note);
-    metres
+/// Names of the points that are markers, and which points these are.
+fn labels_of_markers(parameters: &Parameters, points: usize) -> (Vec<String>, Vec<usize>) {
+    let labels = labels(parameters, points);
+    let outputs = parameters.model_outputs();
+    let is_marker = |label: &String| !outputs.contains(label) && !is_model_output(label);
+    let kept: Vec<usize> = (0..points)
+        .filter(|point| is_marker(&labels[*point]))
+        .collect();
+    let labels = kept.iter().map(|point| labels[*point].clone()).collect();
+    (labels, kept)
 }
 
-/// Reads a capture: a clip where the markers are of a known set, otherwise the markers alone.
-pub fn read(bytes: &[u8], options: &ReadOptions) -> Outcome {
-    let capture = match C3dFile::parse(bytes) {
-        Ok(Some(capture)) => capture,
-        Ok(None) => {
-            return Outcome::Skipped {
-                reason: "C3D without marker data".to_owned(),
-            };
-        }
-        Err(rejected) => return Outcome::Rejected(rejected),
-    };
-    if capture.markers.labels.is_empty() {
-        return Outcome::Skipped {
-            reason: "C3D without marker data".to_owned(),
-        };
-    }
-    markers::outcome(capture.markers, capture.notes, 0, options)
+/// Names of the markers of a file; none if it cannot be read.
+fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
+    let (processor, parameters) = parameters(bytes).ok()?;
+    let header = Header::read(bytes, processor);
+    let layout = Layout::find(bytes, &header, &parameters).ok()??;
+    Some(labels_of_markers(&parameters, layout.points).0)
 }
 
 /// C3D: marker positions of an optical capture.
@@ -514,259 +557,37 @@ impl SourceFormat for C3d {
         (extension == "c3d").then_some(Recognised::Motion(FORMAT))
     }
 
-    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        read(bytes, options)
+    fn may_hold_several(&self) -> bool {
+        true
     }
+
+    fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+        let labels = marker_labels(bytes).unwrap_or_default();
+        markers::keys(&labels, options.markers.as_ref())
+    }
+
+    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        match capture(bytes, options) {
+            Ok(Some(capture)) => capture.clip(key, options).into(),
+            Ok(None) => Outcome::Skipped {
+                reason: "C3D without marker data".to_owned(),
+            },
+            Err(rejected) => Outcome::Rejected(rejected),
+        }
+    }
+}
+
+/// The markers of a file; none if it has none.
+pub(crate) fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Option<Capture>, Rejected> {
+    let file = C3dFile::read(bytes, options.unit)?;
+    let file = file.filter(|file| !file.markers.labels.is_empty());
+    Ok(file.map(|file| Capture {
+        markers: file.markers,
+        unit: file.unit,
+        notes: file.notes,
+        flags: 0,
+    }))
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    /// A small file of one group, one labelled point and three frames.
-    fn file(processor: u8, integer: bool) -> Vec<u8> {
-        let big = processor == 86;
-        let word = |number: u16| {
-            if big {
-                number.to_be_bytes()
-            } else {
-                number.to_le_bytes()
-            }
-        };
-        let real = |number: f32| match processor {
-            86 => number.to_be_bytes(),
-            85 => {
-                let [a, b, c, d] = (number * 4.0).to_be_bytes();
-                if number == 0.0 { [0; 4] } else { [b, a, d, c] }
-            }
-            _ => number.to_le_bytes(),
-        };
-        let scale: f32 = if integer { 0.5 } else { -0.5 };
-        let mut bytes = vec![0u8; 2 * BLOCK];
-        bytes[..2].copy_from_slice(&[2, MAGIC]);
-        for (number, value) in [(2, 1u16), (3, 2), (4, 1), (5, 3), (9, 3)] {
-            bytes[2 * (number - 1)..2 * number].copy_from_slice(&word(value));
-        }
-        bytes[12..16].copy_from_slice(&real(scale));
-        bytes[20..24].copy_from_slice(&real(100.0));
-        let mut parameters = vec![1, MAGIC, 1, processor];
-        let mut put = |id: i8, name: &str, content: &[u8]| {
-            parameters.push(name.len() as u8);
-            parameters.push(id as u8);
-            parameters.extend(name.as_bytes());
-            parameters.extend(word(u16::try_from(2 + content.len()).expect("short")));
-            parameters.extend(content);
-        };
-        put(-1, "POINT", &[0]);
-        put(1, "LABELS", b"\xff\x02\x04\x01LKNE\x00");
-        put(1, "UNITS", b"\xff\x01\x02mm\x00");
-        parameters.extend([0, 0]);
-        bytes[BLOCK..BLOCK + parameters.len()].copy_from_slice(&parameters);
-        for frame in 0..3u16 {
-            let at = [100.0, -20.0, 10.0 * f32::from(frame)];
-            for coordinate in at {
-                if integer {
-                    bytes.extend(word((coordinate / scale) as i16 as u16));
-                } else {
-                    bytes.extend(real(coordinate));
-                }
-            }
-            // Cameras 1 and 2 and a residual of 4; the last frame was not seen.
-            let packed: i16 = if frame == 2 { -1 } else { 0x0304 };
-            if integer {
-                bytes.extend(word(packed as u16));
-                bytes.extend([0; 4]);
-            } else {
-                bytes.extend(real(packed.into()));
-                bytes.extend([0; 8]);
-            }
-        }
-        bytes
-    }
-
-    #[test]
-    fn three_processors_and_two_storages_say_the_same() {
-        for processor in [84, 85, 86] {
-            for integer in [true, false] {
-                let capture = C3dFile::parse(&file(processor, integer))
-                    .expect("a good file")
-                    .expect("with a point");
-                let markers = &capture.markers;
-                assert_eq!(capture.integer, integer);
-                assert_eq!(markers.labels, ["LKNE"]);
-                assert_eq!(markers.fps.get(), 100.0);
-                assert_eq!(markers.positions[1], [0.1, -0.02, 0.01], "{processor}");
-                assert_eq!(
-                    markers.residuals,
-                    [0.002, 0.002, -1.0],
-                    "{processor} {integer}"
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn numbers_of_another_processor_are_found_out() {
-        let mut wrong = file(86, false);
-        wrong[BLOCK + 3] = 84;
-        let code = C3dFile::parse(&wrong).expect_err("nonsense").code;
-        assert!(
-            ["E-C3D-ENDIAN", "E-C3D-HEADER", "E-C3D-PARAM"].contains(&code),
-            "{code}"
-        );
-        // Only the frames are another processor's.
-        let mut frames = file(84, false);
-        for value in frames[2 * BLOCK..].chunks_exact_mut(4) {
-            value.copy_from_slice(&1e30f32.to_le_bytes());
-        }
-        assert_eq!(
-            C3dFile::parse(&frames).expect_err("nonsense").code,
-            "E-C3D-ENDIAN"
-        );
-    }
-
-    /// A file as some programs on MIPS machines wrote it: the link of LABELS to the next parameter
-    /// leads out of the section, into the frames or beyond the file.
-    #[test]
-    fn a_link_out_of_the_section_does_not_end_the_file() {
-        let labels = b"\x06\x01LABELS";
-        for processor in [84, 85, 86] {
-            for link in [BLOCK as u16 + 16, 0x7000, 0xfff0] {
-                let mut bytes = file(processor, false);
-                let found = bytes.windows(labels.len()).position(|name| name == labels);
-                let at = found.expect("labels") + labels.len();
-                let link = match processor {
-                    86 => link.to_be_bytes(),
-                    _ => link.to_le_bytes(),
-                };
-                bytes[at..at + 2].copy_from_slice(&link);
-                let capture = C3dFile::parse(&bytes).expect("good").expect("with a point");
-                let reference = C3dFile::parse(&file(processor, false))
-                    .expect("good")
-                    .expect("with a point");
-                assert_eq!(capture.markers, reference.markers, "{processor}");
-            }
-        }
-    }
-
-    #[test]
-    fn a_capture_of_zeros_is_refused() {
-        let mut bytes = file(84, false);
-        for frame in bytes[2 * BLOCK..].chunks_exact_mut(24) {
-            frame[..12].fill(0);
-        }
-        let rejected = C3dFile::parse(&bytes).expect_err("all zero");
-        assert_eq!(
-            (rejected.code, rejected.byte_offset),
-            ("E-C3D-ZERO", Some(1024))
-        );
-    }
-
-    /// The header counts frames in sixteen bits; longer captures say how many in two words of TRIAL.
-    #[test]
-    fn captures_of_more_than_65535_frames_are_read_whole() {
-        const FRAMES: u32 = 70_000;
-        let mut bytes = file(84, true);
-        let mut parameters = Vec::new();
-        let mut put = |id: i8, name: &str, content: &[u8]| {
-            parameters.push(name.len() as u8);
-            parameters.push(id as u8);
-            parameters.extend(name.as_bytes());
-            parameters.extend(
-                u16::try_from(2 + content.len())
-                    .expect("short")
-                    .to_le_bytes(),
-            );
-            parameters.extend(content);
-        };
-        let words = |number: u32| [&[2, 1, 2][..], &number.to_le_bytes(), &[0]].concat();
-        put(-1, "TRIAL", &[0]);
-        put(1, "ACTUAL_START_FIELD", &words(1));
-        put(1, "ACTUAL_END_FIELD", &words(FRAMES));
-        parameters.extend([0, 0]);
-        bytes[BLOCK + 4..BLOCK + 4 + parameters.len()].copy_from_slice(&parameters);
-        let frame = bytes[2 * BLOCK..2 * BLOCK + 12].to_vec();
-        bytes.truncate(2 * BLOCK);
-        bytes.extend(frame.repeat(FRAMES as usize));
-        let capture = C3dFile::parse(&bytes).expect("good").expect("with a point");
-        assert_eq!(capture.markers.positions.len(), FRAMES as usize);
-        // With room for fewer frames than the words claim, the header's three are believed.
-        bytes.truncate(2 * BLOCK + 12 * 1000);
-        let capture = C3dFile::parse(&bytes).expect("good").expect("with a point");
-        assert_eq!(capture.markers.positions.len(), 3);
-        assert!(!capture.notes.is_empty());
-    }
-
-    #[test]
-    fn what_is_missing_is_named() {
-        let good = file(84, true);
-        let code = |bytes: &[u8]| C3dFile::parse(bytes).expect_err("broken").code;
-        assert_eq!(code(b""), "E-C3D-TRUNCATED");
-        assert_eq!(code(&good[..good.len() - 30]), "E-C3D-TRUNCATED");
-        let mut no_magic = good.clone();
-        no_magic[1] = 0;
-        assert_eq!(code(&no_magic), "E-C3D-HEADER");
-        let mut no_section = good.clone();
-        no_section[0] = 99;
-        assert_eq!(code(&no_section), "E-C3D-HEADER");
-        let mut empty = good;
-        empty[2..4].copy_from_slice(&[0, 0]);
-        assert!(C3dFile::parse(&empty).expect("fine").is_none());
-    }
-
-    proptest! {
-        #[test]
-        fn damaged_files_never_panic(at in 0usize..1100, value in any::<u8>(), integer in any::<bool>()) {
-            let mut bytes = file(84, integer);
-            let at = at % bytes.len();
-            bytes[at] = value;
-            let _parsed = C3dFile::parse(&bytes);
-        }
-    }
-
-    /// The sample files of c3d.org hold one capture in six encodings.
-    #[test]
-    fn real_encodings_agree() {
-        let Some(root) = std::env::var_os("STANCE_TEST_DATA").map(std::path::PathBuf::from) else {
-            skipped();
-            return;
-        };
-        let folder = root.join("c3d/c3d.org_sample01");
-        let read = |name: &str| {
-            let bytes = std::fs::read(folder.join(name)).expect("a sample file");
-            C3dFile::parse(&bytes)
-                .expect("good")
-                .expect("with points")
-                .markers
-        };
-        let reference = read("Eb015pi.c3d");
-        assert_eq!(
-            (reference.fps.get(), reference.positions.len()),
-            (50.0, 450 * 26)
-        );
-        for other in [
-            "Eb015pr.c3d",
-            "Eb015si.c3d",
-            "Eb015sr.c3d",
-            "Eb015vi.c3d",
-            "Eb015vr.c3d",
-        ] {
-            let other = read(other);
-            assert_eq!(other.labels, reference.labels);
-            for (a, b) in reference.positions.iter().zip(&other.positions) {
-                // A step of the integer encoding is 0.0833 mm.
-                let apart = (0..3).map(|k| (a[k] - b[k]).abs()).fold(0.0, f32::max);
-                assert!(apart < 1e-4, "{a:?} and {b:?}");
-            }
-        }
-    }
-
-    #[expect(
-        clippy::print_stderr,
-        reason = "a test that checks nothing must say so"
-    )]
-    fn skipped() {
-        eprintln!("SKIPPED: STANCE_TEST_DATA names no folder with the sample files of c3d.org");
-    }
-}
+mod tests;

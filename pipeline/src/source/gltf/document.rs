@@ -1,13 +1,12 @@
 //! A glTF document: its JSON, its buffers, and the numbers that its accessors describe.
 
-use std::collections::BTreeSet;
-
 use gltf::json;
 use gltf::json::accessor::{ComponentType, Type};
 use gltf::json::validation::Checked;
 
 use super::container::{Buffer, buffer_bytes, chunks, little_endian, part};
 use crate::clip::Rejected;
+use crate::source::names::unique_keys;
 
 pub(super) struct Document<'a> {
     pub(super) root: json::Root,
@@ -36,27 +35,9 @@ impl<'a> Document<'a> {
     }
 
     pub(super) fn keys(&self) -> Vec<String> {
-        /// Longest part of a name that is kept, in characters: keys become parts of ids.
-        const LONGEST: usize = 64;
-        let mut taken = BTreeSet::new();
-        let mut keys = Vec::with_capacity(self.root.animations.len());
-        for (index, animation) in self.root.animations.iter().enumerate() {
-            let name = animation.name.as_deref().unwrap_or_default();
-            let name: String = name
-                .chars()
-                .filter(|c| !c.is_control())
-                .take(LONGEST)
-                .collect();
-            let mut key = match name.trim() {
-                "" => index.to_string(),
-                name => name.to_owned(),
-            };
-            while !taken.insert(key.clone()) {
-                key = format!("{key}.{index}");
-            }
-            keys.push(key);
-        }
-        keys
+        let names = self.root.animations.iter();
+        let names = names.map(|animation| animation.name.as_deref().unwrap_or_default());
+        unique_keys(names, |index| index.to_string())
     }
 
     /// The bytes of a part of a buffer view.

@@ -80,7 +80,7 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
     let Some(performance) = Performance::of(&skeleton, &document, animation)? else {
         return no_motion("the animation moves no joint of the skin");
     };
-    let mut clip = retarget::clip(&performance, &options.skeleton, options.user_map.as_ref())?;
+    let mut clip = retarget::clip(&performance, options)?;
     clip.notes.push(format!("animation {}", names[index]));
     if !performance.on_keys {
         clip.notes.push(format!(
@@ -119,7 +119,7 @@ impl SourceFormat for Gltf {
         true
     }
 
-    fn keys(&self, bytes: &[u8]) -> Vec<String> {
+    fn keys(&self, bytes: &[u8], _options: &ReadOptions) -> Vec<String> {
         keys(bytes)
     }
 

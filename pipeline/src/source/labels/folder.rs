@@ -49,14 +49,6 @@ pub(crate) struct ClipLabels {
     pub(crate) failed: Option<Rejected>,
 }
 
-impl ClipLabels {
-    /// The licence that the folders state.
-    pub(crate) fn license(&self) -> Option<&String> {
-        let of_folder = self.of_folder.license.as_ref();
-        self.of_clip.license.as_ref().or(of_folder)
-    }
-}
-
 /// The labels of every folder among the files.
 #[derive(Debug, Default)]
 pub(crate) struct FolderLabels {

@@ -2,6 +2,7 @@
 
 use super::{Line, Lines, MAGIC};
 use crate::clip::{MAX_FPS, MIN_FPS, Rejected};
+use crate::markers::unique_labels;
 
 /// The only type of TRC file in use: trajectories.
 const TRAJECTORIES: &str = "4";
@@ -33,6 +34,11 @@ fn shown(cell: &[u8]) -> String {
 }
 
 impl Header {
+    /// Names of the markers, each different.
+    pub(super) fn labels(&self) -> Vec<String> {
+        unique_labels(self.names.iter().cloned())
+    }
+
     pub(super) fn parse(lines: &mut Lines<'_>) -> Result<Self, Rejected> {
         let end = lines.bytes.len();
         let mut next = |what: &str| {

@@ -19,9 +19,10 @@ use self::rows::Rows;
 use super::files::UTF8_BOM;
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
+use super::unit::Unit;
 use crate::check::{FLAG_FPS_DOUBTFUL, FLAG_ROW_COUNT};
 use crate::clip::{Markers, Outcome, Rejected};
-use crate::markers;
+use crate::markers::{self, Capture, CaptureUnit, UNIT_CODE};
 
 /// Maximum distance in metres of a marker from the origin: a plausibility test for the unit.
 const MAX_DISTANCE_M: f64 = 100.0;
@@ -35,6 +36,8 @@ const MAGIC: &[u8] = b"PathFileType";
 pub struct TrcFile {
     /// The markers in metres, in the file's own axes.
     pub markers: Markers,
+    /// The unit they were in.
+    pub unit: CaptureUnit,
     /// Decisions a reader may want to check.
     pub notes: Vec<String>,
     /// Quality flags of [`crate::check`].
@@ -47,8 +50,16 @@ impl TrcFile {
     ///
     /// # Errors
     /// `E-TRC-HEADER`, `E-TRC-NAMES`, `E-TRC-ROW`, `E-TRC-NUMBER`, `E-TRC-TIME` or `E-TRC-FRAMES`, each with
-    /// the byte offset of what is wrong; `E-TRC-UNIT`, `E-TRC-EMPTY` or `E-TOO-SHORT`.
+    /// the byte offset of what is wrong; `E-UNIT`, `E-TRC-EMPTY` or `E-TOO-SHORT`.
     pub fn parse(bytes: &[u8], lenient: bool) -> Result<Self, Rejected> {
+        Self::read(bytes, lenient, None)
+    }
+
+    /// Parses a file whose numbers are in this unit, if one is given, whatever it states.
+    ///
+    /// # Errors
+    /// As [`TrcFile::parse`].
+    pub fn read(bytes: &[u8], lenient: bool, unit: Option<Unit>) -> Result<Self, Rejected> {
         let mut lines = Lines::of(bytes);
         let header = Header::parse(&mut lines)?;
         let mut rows = Rows::parse(&mut lines, &header)?;
@@ -88,8 +99,9 @@ impl TrcFile {
                 largest.max(point.abs().max_element())
             })
         };
-        let (metres, note) = markers::metres_of_unit(&header.unit, largest);
+        let (unit, note) = CaptureUnit::find(unit, &header.unit, largest);
         notes.extend(note);
+        let metres = unit.unit.metres();
         let mut positions = Vec::with_capacity(rows.positions.len());
         let mut residuals = Vec::with_capacity(rows.positions.len());
         let (mut seen, mut far) = (0usize, 0usize);
@@ -102,15 +114,17 @@ impl TrcFile {
             residuals.push(if plausible.is_some() { 0.0 } else { -1.0 });
         }
         if far as f64 > MAX_IMPLAUSIBLE * seen as f64 {
-            return Err(Rejected::read(
-                "E-TRC-UNIT",
-                format!(
-                    "found {far} of {seen} positions farther than {MAX_DISTANCE_M} m; the file says \
-                     {:?}, and its numbers are in another unit",
-                    header.unit
-                ),
-            )
-            .at(header.unit_at));
+            let frames = rows.positions.chunks(header.names.len().max(1));
+            let frames = frames.map(|frame| frame.iter().flatten().copied());
+            let found = || {
+                let reason =
+                    format!("found {far} of {seen} positions farther than {MAX_DISTANCE_M} m");
+                Rejected::read(
+                    UNIT_CODE,
+                    format!("{reason} in {}, {}", unit.unit, unit.said),
+                )
+            };
+            return Err(unit.doubt(frames).unwrap_or_else(found).at(header.unit_at));
         }
         if far == seen {
             return Err(Rejected::read(
@@ -137,12 +151,13 @@ impl TrcFile {
         Ok(Self {
             markers: Markers {
                 fps: rate.fps,
-                labels: markers::unique_labels(header.names.into_iter()),
+                labels: header.labels(),
                 positions,
                 residuals,
                 set: None,
                 fit_residuals: Vec::new(),
             },
+            unit,
             notes,
             flags,
         })
@@ -247,10 +262,29 @@ impl SourceFormat for Trc {
         text.trim_ascii_start().starts_with(MAGIC)
     }
 
-    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        match TrcFile::parse(bytes, options.lenient) {
-            Ok(capture) => markers::outcome(capture.markers, capture.notes, capture.flags, options),
-            Err(rejected) => Outcome::Rejected(rejected),
-        }
+    fn may_hold_several(&self) -> bool {
+        true
     }
+
+    fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+        let header = Header::parse(&mut Lines::of(bytes));
+        let labels = header.map(|header| header.labels()).unwrap_or_default();
+        markers::keys(&labels, options.markers.as_ref())
+    }
+
+    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        let clip = capture(bytes, options).and_then(|capture| capture.clip(key, options));
+        clip.into()
+    }
+}
+
+/// The markers of a file.
+pub(crate) fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected> {
+    let file = TrcFile::read(bytes, options.lenient, options.unit)?;
+    Ok(Capture {
+        markers: file.markers,
+        unit: file.unit,
+        notes: file.notes,
+        flags: file.flags,
+    })
 }

@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3};
 use proptest::prelude::*;
 
 use super::*;
-use crate::markers::{MARKER_SETS, MarkerSet, placement};
+use crate::markers::{MarkerSet, marker_sets};
 
 /// Two markers in three frames; the second marker is not seen in the second.
 const SMALL: &str = "PathFileType\t4\t(X/Y/Z)\twalk.trc\n\
@@ -176,7 +176,7 @@ fn what_is_wrong_is_rejected_with_its_place() {
         ("\t1001.0\t", "\t\t", "E-TRC-ROW", "101.0\t\t-"),
         ("\t1001.0\t", "\t", "E-TRC-ROW", "2\t0.010\t"),
         ("\t1001.0\t", "\t7\t1001.0\t", "E-TRC-ROW", "-21.5\t\t\t"),
-        ("\tmm\t", "\tm\t", "E-TRC-UNIT", "m\t100.00"),
+        ("\tmm\t", "\tm\t", "E-UNIT", "m\t100.00"),
     ] {
         assert_eq!(
             rejection(&SMALL.replacen(from, to, 1)),
@@ -212,7 +212,7 @@ fn rows_that_differ_from_the_header_are_read_leniently() {
 /// A capture of a known set: a person who stands with the right forearm bent upward, y up.
 fn capture(set: &MarkerSet, num_frames: usize) -> (String, Vec<Pose>) {
     let skeleton = Skeleton::smplx_neutral();
-    let labels = set.labels();
+    let labels: Vec<&str> = set.labels().collect();
     let mut text = format!(
         "PathFileType\t4\t(X/Y/Z)\ta.trc\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\n\
          100\t100\t{num_frames}\t{}\tmm\nFrame#\tTime",
@@ -239,7 +239,7 @@ fn capture(set: &MarkerSet, num_frames: usize) -> (String, Vec<Pose>) {
         let (points, rotations) = (skeleton.keypoints(&pose), skeleton.global_rotations(&pose));
         let _ = write!(text, "{}\t{:.3}", frame + 1, 0.01 * frame as f64);
         for label in &labels {
-            let place = placement(label).expect("known");
+            let place = set.placement(label).expect("of the set");
             let joint = place.joint.index();
             let at = (points[joint] + rotations[joint] * place.offset) * 1000.0;
             let _ = write!(text, "\t{:.4}\t{:.4}\t{:.4}", at.x, at.y, at.z);
@@ -254,11 +254,9 @@ fn capture(set: &MarkerSet, num_frames: usize) -> (String, Vec<Pose>) {
 fn a_capture_of_a_known_set_becomes_the_motion_it_shows() {
     let options = ReadOptions::default();
     let skeleton = &options.skeleton;
-    let whole = [0, 1, 2, 4, 5, 7, 8, 15, 16, 17, 18, 19, 20, 21];
-    // The set of OpenSim has no markers on the arms.
-    let trunk_and_legs = [0, 1, 2, 4, 5, 7, 8, 15];
-    for (name, joints) in [("cmu-41", &whole[..]), ("opensim-gait", &trunk_and_legs)] {
-        let set = MARKER_SETS.iter().find(|set| set.name == name).expect(name);
+    for name in ["cmu-41", "qualisys-animation"] {
+        let mut sets = marker_sets().iter();
+        let set = sets.find(|set| set.name() == name).expect(name);
         let (text, poses) = capture(set, 60);
         let outcome = FORMAT.read(Path::new("a.trc"), "", text.as_bytes(), &options);
         let Outcome::Clip(clip) = outcome else {
@@ -271,19 +269,30 @@ fn a_capture_of_a_known_set_becomes_the_motion_it_shows() {
         let lift = found[0][0].y - skeleton.keypoints(&poses[0])[0].y;
         for (found, pose) in found.iter().zip(&poses) {
             let expected = skeleton.keypoints(pose);
-            for &joint in joints {
+            for joint in [0, 1, 2, 4, 5, 7, 8, 15, 16, 17, 18, 19, 20, 21] {
                 let apart = found[joint].distance(expected[joint] + DVec3::Y * lift);
                 assert!(apart < 0.03, "{name}: joint {joint} is off by {apart} m");
             }
         }
     }
-    // Of an unknown set, the markers remain.
+    // Of an unknown set, there is no motion.
     let outcome = FORMAT.read(Path::new("a.trc"), "", SMALL.as_bytes(), &options);
-    let Outcome::Markers { markers, reason } = outcome else {
+    let Outcome::Rejected(rejected) = outcome else {
         panic!("{outcome:?}");
     };
-    assert_eq!(markers.labels.len(), 2);
-    assert!(reason.contains("known marker set"), "{reason}");
+    assert_eq!(rejected.code, "E-MARKERS");
+    let opensim = marker_sets()
+        .iter()
+        .find(|set| set.name() == "opensim-gait");
+    let (text, _) = capture(opensim.expect("built in"), 20);
+    let outcome = FORMAT.read(Path::new("a.trc"), "", text.as_bytes(), &options);
+    let Outcome::Rejected(rejected) = outcome else {
+        panic!("{outcome:?}");
+    };
+    assert!(
+        rejected.reason.contains("on the left arm, the right arm"),
+        "{rejected}"
+    );
 }
 
 proptest! {

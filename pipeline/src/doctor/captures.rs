@@ -1,0 +1,74 @@
+//! Captures of markers that ingestion would refuse.
+
+use std::collections::BTreeMap;
+
+use datasets_spec::store::{ByPath, Store};
+use rayon::prelude::*;
+
+use super::findings::{CaptureFindings, EXAMPLES};
+use super::listed::Looked;
+use crate::clip::Rejected;
+use crate::source::{ReadOptions, Recognised, c3d, trc};
+
+/// Reads the captures among the files as ingestion would, short of solving, and says which give no motion.
+pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFindings> {
+    let captures: Vec<&&Looked> = rest
+        .iter()
+        .filter(|file| !file.is_pointer && is_capture(&file.kind))
+        .collect();
+    let refused: Vec<Vec<Rejected>> = captures
+        .par_iter()
+        .map(|file| refused(file, options))
+        .collect();
+    let mut by_code: BTreeMap<&str, CaptureFindings> = BTreeMap::new();
+    for (file, refused) in captures.iter().zip(refused) {
+        for rejected in refused {
+            let found = by_code
+                .entry(rejected.code)
+                .or_insert_with(|| CaptureFindings {
+                    code: rejected.code.to_owned(),
+                    motions: 0,
+                    captures: captures.len() as u64,
+                    examples: Vec::new(),
+                });
+            found.motions += 1;
+            if found.examples.len() < EXAMPLES {
+                found
+                    .examples
+                    .push((file.relative.clone(), rejected.reason));
+            }
+        }
+    }
+    by_code.into_values().collect()
+}
+
+fn is_capture(kind: &Recognised) -> bool {
+    [c3d::FORMAT, trc::FORMAT]
+        .into_iter()
+        .any(|format| *kind == Recognised::Motion(format))
+}
+
+/// Why motions of a capture are refused, one for each.
+fn refused(file: &Looked, options: &ReadOptions) -> Vec<Rejected> {
+    // What cannot be read is found out by ingestion, with its reason.
+    let Ok(bytes) = ByPath.read(&file.path) else {
+        return Vec::new();
+    };
+    let Recognised::Motion(format) = file.kind else {
+        return Vec::new();
+    };
+    let mut keys = format.keys(&bytes, options);
+    if keys.is_empty() {
+        keys.push(String::new());
+    }
+    let check = |key: String| {
+        let capture = match format == trc::FORMAT {
+            true => trc::capture(&bytes, options).map(Some),
+            false => c3d::capture(&bytes, options),
+        };
+        capture?.map_or(Ok(()), |capture| capture.check(&key, options))
+    };
+    keys.into_iter()
+        .filter_map(|key| check(key).err())
+        .collect()
+}

@@ -1,0 +1,202 @@
+//! Labels of points, and the subjects they name.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::set::{MarkerSet, marker_sets};
+use crate::source::unique_keys;
+
+/// A label without the subject before a colon, in upper case.
+pub fn bare_label(label: &str) -> String {
+    let bare = label.rsplit(':').next().unwrap_or(label);
+    bare.trim().to_uppercase()
+}
+
+/// Whether a point is a model output and not a marker: an angle, a force, or an axis of a segment such as
+/// `LFEA`.
+pub fn is_model_output(label: &str) -> bool {
+    const QUANTITIES: [&str; 6] = ["ANGLE", "POWER", "FORCE", "MOMENT", "GRF", "CENTREOFMASS"];
+    const SEGMENTS: [&str; 10] = [
+        "HED", "CLO", "LCL", "RCL", "PEL", "TRX", "FE", "FO", "TI", "TO",
+    ];
+    const LIMBS: [&str; 7] = ["HN", "HU", "RA", "FE", "FO", "TI", "TO"];
+    let bare = bare_label(label);
+    if QUANTITIES.iter().any(|quantity| bare.contains(quantity)) {
+        return true;
+    }
+    let Some(segment) = bare.strip_suffix(['O', 'A', 'L', 'P']) else {
+        return false;
+    };
+    let of_limb = segment
+        .strip_prefix(['L', 'R'])
+        .is_some_and(|limb| LIMBS.contains(&limb));
+    // A toe marker is not a segment axis.
+    segment.len() == 3 && (SEGMENTS.contains(&segment) || of_limb) && !is_known(&bare, None)
+}
+
+/// Whether any set has a bare label.
+fn is_known(bare: &str, own: Option<&MarkerSet>) -> bool {
+    let mut sets = own.into_iter().chain(marker_sets());
+    sets.any(|set| set.placement(bare).is_some())
+}
+
+/// The markers of one subject: columns of a capture, with the bare label of each.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Subject {
+    /// Name before the labels; empty for labels without one.
+    pub(super) name: String,
+    pub(super) columns: Vec<usize>,
+    pub(super) bare: Vec<String>,
+}
+
+/// Name of the motion whose labels have no subject, among others that have one.
+const UNNAMED: &str = "unnamed";
+/// Known labels that make a subject a person, and markers that may be one with unknown labels: fewer are an
+/// object.
+const MIN_KNOWN: usize = 6;
+const MIN_MARKERS: usize = 12;
+
+/// The subjects of a capture, and the points that are of none of them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Subjects {
+    pub(super) people: Vec<Subject>,
+    /// Labels of points that belong to objects, or to nothing.
+    pub(super) others: Vec<String>,
+}
+
+impl Subjects {
+    /// Sorts the labels of a capture by subject. A capture of one person keeps all its columns.
+    pub(super) fn of(labels: &[String], own: Option<&MarkerSet>) -> Self {
+        let by_underscore = underscored(labels, own);
+        let mut subjects: BTreeMap<&str, Subject> = BTreeMap::new();
+        for (column, label) in labels.iter().enumerate() {
+            let (name, rest) = match label.rsplit_once(':') {
+                Some((name, rest)) => (name.trim(), rest),
+                None => match label.split_once('_') {
+                    Some((name, rest)) if by_underscore.contains(name) => (name, rest),
+                    _ => ("", label.as_str()),
+                },
+            };
+            let subject = subjects.entry(name).or_default();
+            name.clone_into(&mut subject.name);
+            subject.columns.push(column);
+            subject.bare.push(bare_label(rest));
+        }
+        let is_person = |subject: &Subject| {
+            let known = subject.bare.iter().filter(|bare| is_known(bare, own));
+            let may_be = !subject.name.is_empty() && subject.bare.len() >= MIN_MARKERS;
+            may_be || known.count() >= MIN_KNOWN
+        };
+        let (people, others): (Vec<_>, Vec<_>) = subjects.into_values().partition(is_person);
+        match people.len() {
+            // None stands out, or one: the whole capture is one's.
+            0 => Self {
+                people: vec![Subject {
+                    name: String::new(),
+                    columns: (0..labels.len()).collect(),
+                    bare: labels.iter().map(|label| bare_label(label)).collect(),
+                }],
+                others: Vec::new(),
+            },
+            _ => {
+                let columns = others.iter().flat_map(|subject| &subject.columns);
+                let columns: BTreeSet<usize> = columns.copied().collect();
+                let others = columns.into_iter().map(|column| labels[column].clone());
+                Self {
+                    others: others.collect(),
+                    people,
+                }
+            }
+        }
+    }
+
+    /// Keys of the motions, in the order of [`Subjects::people`]; empty where there is one person.
+    pub(super) fn keys(&self) -> Vec<String> {
+        if self.people.len() < 2 {
+            return Vec::new();
+        }
+        let names = self.people.iter().map(|subject| &subject.name);
+        unique_keys(names, |_| UNNAMED.to_owned())
+    }
+}
+
+/// Keys of the motions in a capture with these labels: its subjects where it has several.
+pub(crate) fn keys(labels: &[String], own: Option<&MarkerSet>) -> Vec<String> {
+    Subjects::of(labels, own).keys()
+}
+
+/// Words before an underscore that stand for subjects: most labels behind them are known, and the labels as
+/// they are written are not.
+fn underscored<'a>(labels: &'a [String], own: Option<&MarkerSet>) -> BTreeSet<&'a str> {
+    let mut counts: BTreeMap<&str, (usize, usize)> = BTreeMap::new();
+    let plain = labels.iter().filter(|label| !label.contains(':'));
+    for (label, (name, rest)) in plain.filter_map(|label| Some((label, label.split_once('_')?))) {
+        if !name.is_empty() && !is_known(&bare_label(label), own) {
+            let (all, known) = counts.entry(name).or_default();
+            *all += 1;
+            *known += usize::from(is_known(&bare_label(rest), own));
+        }
+    }
+    let of_people = counts.into_iter();
+    let of_people = of_people.filter(|(_, (all, known))| *known >= MIN_KNOWN && 2 * known >= *all);
+    of_people.map(|(name, _)| name).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keys(labels: &[String]) -> Vec<String> {
+        super::keys(labels, None)
+    }
+
+    fn worn(prefix: &str, count: usize) -> Vec<String> {
+        let labels = marker_sets()[0].labels().take(count);
+        labels.map(|label| format!("{prefix}{label}")).collect()
+    }
+
+    #[test]
+    fn subjects_are_told_by_their_names() {
+        let one = worn("Anna:", 41);
+        assert!(keys(&one).is_empty());
+        let two = [worn("Anna:", 41), worn("Ben:", 41)].concat();
+        assert_eq!(keys(&two), ["Anna", "Ben"]);
+        let underscored = [worn("Anna_", 41), worn("Ben_", 41), worn("Dan:", 20)].concat();
+        assert_eq!(keys(&underscored), ["Anna", "Ben", "Dan"]);
+        let mixed = [worn("", 41), worn("Ben:", 41)].concat();
+        assert_eq!(keys(&mixed), ["unnamed", "Ben"]);
+        // Somebody whose labels are unknown is not lost.
+        let strange: Vec<String> = (0..41).map(|number| format!("Ben:M{number}")).collect();
+        assert_eq!(keys(&[one.clone(), strange].concat()), ["Anna", "Ben"]);
+    }
+
+    #[test]
+    fn objects_are_nobody() {
+        let one = worn("Anna:", 41);
+        let object: Vec<String> = (0..5).map(|number| format!("Box:B{number}")).collect();
+        let loose: Vec<String> = (0..50).map(|number| format!("*{number}")).collect();
+        let labels = [one, object, loose].concat();
+        let subjects = Subjects::of(&labels, None);
+        assert!(subjects.keys().is_empty());
+        assert_eq!(subjects.people[0].name, "Anna");
+        assert_eq!(subjects.people[0].columns.len(), 41);
+        assert_eq!(subjects.others.len(), 55);
+        assert!(keys(&["a_b".to_owned(), "c_d".to_owned()]).is_empty());
+    }
+
+    #[test]
+    fn outputs_of_models_are_told_from_markers() {
+        for output in [
+            "LHipAngles",
+            "PELO",
+            "RFEA",
+            "LTOP",
+            "TRXL",
+            "RGroundReactionForce",
+        ] {
+            assert!(is_model_output(output), "{output}");
+        }
+        for marker in ["LTOE", "RASI", "CLAV", "C7", "LTHI", "point3", "RHEE"] {
+            assert!(!is_model_output(marker), "{marker}");
+        }
+    }
+}

@@ -1,0 +1,248 @@
+use super::*;
+use proptest::prelude::*;
+
+/// A small file of one group, one labelled point and three frames.
+fn file(processor: u8, integer: bool) -> Vec<u8> {
+    let big = processor == 86;
+    let word = |number: u16| {
+        if big {
+            number.to_be_bytes()
+        } else {
+            number.to_le_bytes()
+        }
+    };
+    let real = |number: f32| match processor {
+        86 => number.to_be_bytes(),
+        85 => {
+            let [a, b, c, d] = (number * 4.0).to_be_bytes();
+            if number == 0.0 { [0; 4] } else { [b, a, d, c] }
+        }
+        _ => number.to_le_bytes(),
+    };
+    let scale: f32 = if integer { 0.5 } else { -0.5 };
+    let mut bytes = vec![0u8; 2 * BLOCK];
+    bytes[..2].copy_from_slice(&[2, MAGIC]);
+    for (number, value) in [(2, 1u16), (3, 2), (4, 1), (5, 3), (9, 3)] {
+        bytes[2 * (number - 1)..2 * number].copy_from_slice(&word(value));
+    }
+    bytes[12..16].copy_from_slice(&real(scale));
+    bytes[20..24].copy_from_slice(&real(100.0));
+    let mut parameters = vec![1, MAGIC, 1, processor];
+    let mut put = |id: i8, name: &str, content: &[u8]| {
+        parameters.push(name.len() as u8);
+        parameters.push(id as u8);
+        parameters.extend(name.as_bytes());
+        parameters.extend(word(u16::try_from(2 + content.len()).expect("short")));
+        parameters.extend(content);
+    };
+    put(-1, "POINT", &[0]);
+    put(1, "LABELS", b"\xff\x02\x04\x01LKNE\x00");
+    put(1, "UNITS", b"\xff\x01\x02mm\x00");
+    parameters.extend([0, 0]);
+    bytes[BLOCK..BLOCK + parameters.len()].copy_from_slice(&parameters);
+    for frame in 0..3u16 {
+        let at = [100.0, -20.0, 10.0 * f32::from(frame)];
+        for coordinate in at {
+            if integer {
+                bytes.extend(word((coordinate / scale) as i16 as u16));
+            } else {
+                bytes.extend(real(coordinate));
+            }
+        }
+        // Cameras 1 and 2 and a residual of 4; the last frame was not seen.
+        let packed: i16 = if frame == 2 { -1 } else { 0x0304 };
+        if integer {
+            bytes.extend(word(packed as u16));
+            bytes.extend([0; 4]);
+        } else {
+            bytes.extend(real(packed.into()));
+            bytes.extend([0; 8]);
+        }
+    }
+    bytes
+}
+
+#[test]
+fn three_processors_and_two_storages_say_the_same() {
+    for processor in [84, 85, 86] {
+        for integer in [true, false] {
+            let capture = C3dFile::parse(&file(processor, integer))
+                .expect("a good file")
+                .expect("with a point");
+            let markers = &capture.markers;
+            assert_eq!(capture.integer, integer);
+            assert_eq!(markers.labels, ["LKNE"]);
+            assert_eq!(markers.fps.get(), 100.0);
+            assert_eq!(markers.positions[1], [0.1, -0.02, 0.01], "{processor}");
+            assert_eq!(
+                markers.residuals,
+                [0.002, 0.002, -1.0],
+                "{processor} {integer}"
+            );
+        }
+    }
+}
+
+#[test]
+fn numbers_of_another_processor_are_found_out() {
+    let mut wrong = file(86, false);
+    wrong[BLOCK + 3] = 84;
+    let code = C3dFile::parse(&wrong).expect_err("nonsense").code;
+    assert!(
+        ["E-C3D-ENDIAN", "E-C3D-HEADER", "E-C3D-PARAM"].contains(&code),
+        "{code}"
+    );
+    // Only the frames are another processor's.
+    let mut frames = file(84, false);
+    for value in frames[2 * BLOCK..].chunks_exact_mut(4) {
+        value.copy_from_slice(&1e30f32.to_le_bytes());
+    }
+    assert_eq!(
+        C3dFile::parse(&frames).expect_err("nonsense").code,
+        "E-C3D-ENDIAN"
+    );
+}
+
+/// A file as some programs on MIPS machines wrote it: the link of LABELS to the next parameter
+/// leads out of the section, into the frames or beyond the file.
+#[test]
+fn a_link_out_of_the_section_does_not_end_the_file() {
+    let labels = b"\x06\x01LABELS";
+    for processor in [84, 85, 86] {
+        for link in [BLOCK as u16 + 16, 0x7000, 0xfff0] {
+            let mut bytes = file(processor, false);
+            let found = bytes.windows(labels.len()).position(|name| name == labels);
+            let at = found.expect("labels") + labels.len();
+            let link = match processor {
+                86 => link.to_be_bytes(),
+                _ => link.to_le_bytes(),
+            };
+            bytes[at..at + 2].copy_from_slice(&link);
+            let capture = C3dFile::parse(&bytes).expect("good").expect("with a point");
+            let reference = C3dFile::parse(&file(processor, false))
+                .expect("good")
+                .expect("with a point");
+            assert_eq!(capture.markers, reference.markers, "{processor}");
+        }
+    }
+}
+
+#[test]
+fn a_capture_of_zeros_is_refused() {
+    let mut bytes = file(84, false);
+    for frame in bytes[2 * BLOCK..].chunks_exact_mut(24) {
+        frame[..12].fill(0);
+    }
+    let rejected = C3dFile::parse(&bytes).expect_err("all zero");
+    assert_eq!(
+        (rejected.code, rejected.byte_offset),
+        ("E-C3D-ZERO", Some(1024))
+    );
+}
+
+/// The header counts frames in sixteen bits; longer captures say how many in two words of TRIAL.
+#[test]
+fn captures_of_more_than_65535_frames_are_read_whole() {
+    const FRAMES: u32 = 70_000;
+    let mut bytes = file(84, true);
+    let mut parameters = Vec::new();
+    let mut put = |id: i8, name: &str, content: &[u8]| {
+        parameters.push(name.len() as u8);
+        parameters.push(id as u8);
+        parameters.extend(name.as_bytes());
+        parameters.extend(
+            u16::try_from(2 + content.len())
+                .expect("short")
+                .to_le_bytes(),
+        );
+        parameters.extend(content);
+    };
+    let words = |number: u32| [&[2, 1, 2][..], &number.to_le_bytes(), &[0]].concat();
+    put(-1, "TRIAL", &[0]);
+    put(1, "ACTUAL_START_FIELD", &words(1));
+    put(1, "ACTUAL_END_FIELD", &words(FRAMES));
+    parameters.extend([0, 0]);
+    bytes[BLOCK + 4..BLOCK + 4 + parameters.len()].copy_from_slice(&parameters);
+    let frame = bytes[2 * BLOCK..2 * BLOCK + 12].to_vec();
+    bytes.truncate(2 * BLOCK);
+    bytes.extend(frame.repeat(FRAMES as usize));
+    let capture = C3dFile::parse(&bytes).expect("good").expect("with a point");
+    assert_eq!(capture.markers.positions.len(), FRAMES as usize);
+    // With room for fewer frames than the words claim, the header's three are believed.
+    bytes.truncate(2 * BLOCK + 12 * 1000);
+    let capture = C3dFile::parse(&bytes).expect("good").expect("with a point");
+    assert_eq!(capture.markers.positions.len(), 3);
+    assert!(!capture.notes.is_empty());
+}
+
+#[test]
+fn what_is_missing_is_named() {
+    let good = file(84, true);
+    let code = |bytes: &[u8]| C3dFile::parse(bytes).expect_err("broken").code;
+    assert_eq!(code(b""), "E-C3D-TRUNCATED");
+    assert_eq!(code(&good[..good.len() - 30]), "E-C3D-TRUNCATED");
+    let mut no_magic = good.clone();
+    no_magic[1] = 0;
+    assert_eq!(code(&no_magic), "E-C3D-HEADER");
+    let mut no_section = good.clone();
+    no_section[0] = 99;
+    assert_eq!(code(&no_section), "E-C3D-HEADER");
+    let mut empty = good;
+    empty[2..4].copy_from_slice(&[0, 0]);
+    assert!(C3dFile::parse(&empty).expect("fine").is_none());
+}
+
+proptest! {
+    #[test]
+    fn damaged_files_never_panic(at in 0usize..1100, value in any::<u8>(), integer in any::<bool>()) {
+        let mut bytes = file(84, integer);
+        let at = at % bytes.len();
+        bytes[at] = value;
+        let _parsed = C3dFile::parse(&bytes);
+    }
+}
+
+/// The sample files of c3d.org hold one capture in six encodings.
+#[test]
+fn real_encodings_agree() {
+    let Some(root) = std::env::var_os("STANCE_TEST_DATA").map(std::path::PathBuf::from) else {
+        skipped();
+        return;
+    };
+    let folder = root.join("c3d/c3d.org_sample01");
+    let read = |name: &str| {
+        let bytes = std::fs::read(folder.join(name)).expect("a sample file");
+        C3dFile::parse(&bytes)
+            .expect("good")
+            .expect("with points")
+            .markers
+    };
+    let reference = read("Eb015pi.c3d");
+    assert_eq!(
+        (reference.fps.get(), reference.positions.len()),
+        (50.0, 450 * 26)
+    );
+    for other in [
+        "Eb015pr.c3d",
+        "Eb015si.c3d",
+        "Eb015sr.c3d",
+        "Eb015vi.c3d",
+        "Eb015vr.c3d",
+    ] {
+        let other = read(other);
+        assert_eq!(other.labels, reference.labels);
+        for (a, b) in reference.positions.iter().zip(&other.positions) {
+            // A step of the integer encoding is 0.0833 mm.
+            let apart = (0..3).map(|k| (a[k] - b[k]).abs()).fold(0.0, f32::max);
+            assert!(apart < 1e-4, "{a:?} and {b:?}");
+        }
+    }
+}
+
+#[expect(
+    clippy::print_stderr,
+    reason = "a test that checks nothing must say so"
+)]
+fn skipped() {
+    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder with the sample files of c3d.org");
+}

@@ -1,0 +1,151 @@
+//! Documents of FBX, written as text and in binary.
+
+use std::fmt::Write;
+
+use glam::DVec3;
+
+/// A value of a node.
+#[derive(Clone)]
+pub(super) enum Value {
+    Text(String),
+    Long(i64),
+    Real(f64),
+    Longs(Vec<i64>),
+    Floats(Vec<f32>),
+}
+
+/// A node of an FBX document.
+#[derive(Clone)]
+pub(super) struct Record {
+    pub(super) name: &'static str,
+    pub(super) values: Vec<Value>,
+    pub(super) children: Vec<Record>,
+}
+
+pub(super) fn record(name: &'static str, values: Vec<Value>, children: Vec<Record>) -> Record {
+    Record {
+        name,
+        values,
+        children,
+    }
+}
+
+pub(super) fn text(text: &str) -> Value {
+    Value::Text(text.to_owned())
+}
+
+/// A property: its name, its types, and its values.
+pub(super) fn property(name: &str, kind: &str, more: &str, values: Vec<Value>) -> Record {
+    let mut all = vec![text(name), text(kind), text(more), text("A")];
+    all.extend(values);
+    record("P", all, Vec::new())
+}
+
+pub(super) fn vector(name: &str, at: DVec3) -> Record {
+    property(name, name, "", at.to_array().map(Value::Real).to_vec())
+}
+
+/// As text.
+pub(super) fn ascii(records: &[Record]) -> Vec<u8> {
+    fn write(record: &Record, depth: usize, text: &mut String) {
+        let indent = "\t".repeat(depth);
+        let _ = write!(text, "{indent}{}:", record.name);
+        for (number, value) in record.values.iter().enumerate() {
+            text.push_str(if number == 0 { " " } else { ", " });
+            let _ = match value {
+                // The class of an object comes first here, behind its name in binary files.
+                Value::Text(value) => match value.split_once("\0\u{1}") {
+                    Some((name, class)) => write!(text, "\"{class}::{name}\""),
+                    None => write!(text, "\"{value}\""),
+                },
+                Value::Long(value) => write!(text, "{value}"),
+                Value::Real(value) => write!(text, "{value:?}"),
+                Value::Longs(values) => {
+                    let words: Vec<String> = values.iter().map(i64::to_string).collect();
+                    let (count, words) = (values.len(), words.join(","));
+                    write!(text, "*{count} {{\n{indent}\ta: {words}\n{indent}}}")
+                }
+                Value::Floats(values) => {
+                    let words: Vec<String> = values.iter().map(f32::to_string).collect();
+                    let (count, words) = (values.len(), words.join(","));
+                    write!(text, "*{count} {{\n{indent}\ta: {words}\n{indent}}}")
+                }
+            };
+        }
+        if !record.children.is_empty() {
+            text.push_str(" {\n");
+            for child in &record.children {
+                write(child, depth + 1, text);
+            }
+            let _ = write!(text, "{indent}}}");
+        }
+        text.push('\n');
+    }
+    let mut text = "; FBX 7.4.0 project file\n".to_owned();
+    for record in records {
+        write(record, 0, &mut text);
+    }
+    text.into_bytes()
+}
+
+/// As binary data of version 7.4.
+pub(super) fn binary(records: &[Record]) -> Vec<u8> {
+    fn write(record: &Record, bytes: &mut Vec<u8>) {
+        let start = bytes.len();
+        bytes.extend([0; 12]);
+        bytes.push(record.name.len() as u8);
+        bytes.extend(record.name.as_bytes());
+        let values_at = bytes.len();
+        for value in &record.values {
+            match value {
+                Value::Text(value) => {
+                    bytes.push(b'S');
+                    bytes.extend((value.len() as u32).to_le_bytes());
+                    bytes.extend(value.as_bytes());
+                }
+                Value::Long(value) => {
+                    bytes.push(b'L');
+                    bytes.extend(value.to_le_bytes());
+                }
+                Value::Real(value) => {
+                    bytes.push(b'D');
+                    bytes.extend(value.to_le_bytes());
+                }
+                Value::Longs(values) => {
+                    let content: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+                    array(b'l', values.len(), &content, bytes);
+                }
+                Value::Floats(values) => {
+                    let content: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+                    array(b'f', values.len(), &content, bytes);
+                }
+            }
+        }
+        let values_len = bytes.len() - values_at;
+        if !record.children.is_empty() {
+            for child in &record.children {
+                write(child, bytes);
+            }
+            bytes.extend([0; 13]);
+        }
+        let numbers = [bytes.len(), record.values.len(), values_len];
+        for (number, place) in numbers.iter().zip(0..) {
+            let at = start + 4 * place;
+            bytes[at..at + 4].copy_from_slice(&(*number as u32).to_le_bytes());
+        }
+    }
+    fn array(kind: u8, count: usize, content: &[u8], bytes: &mut Vec<u8>) {
+        bytes.push(kind);
+        for number in [count, 0, content.len()] {
+            bytes.extend((number as u32).to_le_bytes());
+        }
+        bytes.extend(content);
+    }
+    let mut bytes = b"Kaydara FBX Binary  \0\x1a\0".to_vec();
+    bytes.extend(7400u32.to_le_bytes());
+    for record in records {
+        write(record, &mut bytes);
+    }
+    bytes.extend([0; 13]);
+    bytes
+}

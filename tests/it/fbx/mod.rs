@@ -1,0 +1,675 @@
+//! FBX through the command: files written here, in binary and in text, whose skeleton follows poses in closed form.
+
+mod file;
+
+use std::collections::BTreeMap;
+
+use datasets_spec::record::{MotionRow, QuarantineRow, SkippedRow};
+use datasets_spec::{Dataset, Joint, Pose, Skeleton};
+use glam::{DQuat, DVec3, EulerRot};
+
+use self::file::{Record, Value, ascii, binary, property, record, text, vector};
+use crate::formats::{all_in_train, ingested, inspected, put, walk};
+use crate::util::{arg, stance};
+
+/// Ticks of a second.
+const TICKS: i64 = 46_186_158_000;
+
+/// A take: its name, and the poses of the body in its frames.
+type Take<'a> = (&'a str, &'a [Pose]);
+
+/// A scene whose skeleton is the body.
+struct Scene {
+    /// Metres of the unit.
+    metres: f64,
+    /// Whether z is up; the front is then -y.
+    z_up: bool,
+    fps: f64,
+    /// What the names of bones begin with.
+    prefix: &'static str,
+    /// Whether joints have frames of their own, as pre-rotations.
+    joint_frames: bool,
+    /// Scale of a node above the skeleton, which the skeleton's own size makes up for.
+    scale: f64,
+    /// Scale of the spine, which its children do not inherit.
+    scaled_spine: bool,
+    /// Whether the file states a bind pose, and the nodes are stored in another one.
+    bind_pose: bool,
+}
+
+impl Default for Scene {
+    fn default() -> Self {
+        Self {
+            metres: 0.01,
+            z_up: false,
+            fps: 30.0,
+            prefix: "mixamorig:",
+            joint_frames: false,
+            scale: 1.0,
+            scaled_spine: false,
+            bind_pose: false,
+        }
+    }
+}
+
+/// Mixamo's names of the joints of the body.
+const NAMES: [&str; 22] = [
+    "Hips",
+    "LeftUpLeg",
+    "RightUpLeg",
+    "Spine",
+    "LeftLeg",
+    "RightLeg",
+    "Spine1",
+    "LeftFoot",
+    "RightFoot",
+    "Spine2",
+    "LeftToeBase",
+    "RightToeBase",
+    "Neck",
+    "LeftShoulder",
+    "RightShoulder",
+    "Head",
+    "LeftArm",
+    "RightArm",
+    "LeftForeArm",
+    "RightForeArm",
+    "LeftHand",
+    "RightHand",
+];
+
+/// The joint that may be scaled.
+const SPINE: usize = 3;
+
+fn degrees(turn: DQuat) -> DVec3 {
+    // FBX turns about x first, then y, then z, all about fixed axes.
+    let (z, y, x) = turn.to_euler(EulerRot::ZYX);
+    DVec3::new(x.to_degrees(), y.to_degrees(), z.to_degrees())
+}
+
+impl Scene {
+    /// From y up in metres to the file's axes and unit.
+    fn world(&self) -> DQuat {
+        match self.z_up {
+            true => DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
+            false => DQuat::IDENTITY,
+        }
+    }
+
+    /// Frame of a joint within the body's own.
+    fn frame(&self, joint: usize) -> DQuat {
+        match self.joint_frames {
+            true => {
+                let axis = DVec3::new(1.0, -0.7, 0.4).normalize();
+                DQuat::from_axis_angle(axis, 0.3 + 0.2 * joint as f64)
+            }
+            false => DQuat::IDENTITY,
+        }
+    }
+
+    fn parent(joint: usize) -> Option<usize> {
+        (joint > 0).then(|| kinematics::skeleton::parent_of(joint))
+    }
+
+    /// Place of a joint in its parent, and its turn there between the parent's frame and its own.
+    fn local(&self, joint: usize, pose: &Pose) -> (DVec3, DQuat) {
+        let skeleton = Skeleton::smplx_neutral();
+        let size = 1.0 / (self.metres * self.scale);
+        match Self::parent(joint) {
+            None => {
+                let at = self.world() * (pose.transl + skeleton.rest(0)) * size;
+                (at, self.world() * pose.rotations[0] * self.frame(0))
+            }
+            Some(above) => {
+                let frame = self.frame(above).inverse();
+                // Places in a scaled bone are scaled, whoever inherits it.
+                let scale = if self.scaled_spine && above == SPINE {
+                    2.0
+                } else {
+                    1.0
+                };
+                let at = frame * skeleton.offset(joint) * size / scale;
+                (at, frame * pose.rotations[joint] * self.frame(joint))
+            }
+        }
+    }
+
+    /// The part of the turn that a pre-rotation holds: the one at rest.
+    fn pre(&self, joint: usize) -> DQuat {
+        match self.joint_frames {
+            true => self.local(joint, &Pose::REST).1,
+            false => DQuat::IDENTITY,
+        }
+    }
+
+    fn settings(&self) -> Record {
+        let long =
+            |name: &str, value: i64| property(name, "int", "Integer", vec![Value::Long(value)]);
+        let (up, front, front_sign) = if self.z_up { (2, 1, -1) } else { (1, 2, 1) };
+        let real =
+            |name: &str, value: f64| property(name, "double", "Number", vec![Value::Real(value)]);
+        let properties = vec![
+            long("UpAxis", up),
+            long("UpAxisSign", 1),
+            long("FrontAxis", front),
+            long("FrontAxisSign", front_sign),
+            long("CoordAxis", 0),
+            long("CoordAxisSign", 1),
+            real("UnitScaleFactor", self.metres * 100.0),
+            // 14: the rate is stated.
+            property("TimeMode", "enum", "", vec![Value::Long(14)]),
+            real("CustomFrameRate", self.fps),
+        ];
+        let children = vec![
+            record("Version", vec![Value::Long(1000)], Vec::new()),
+            record("Properties70", Vec::new(), properties),
+        ];
+        record("GlobalSettings", Vec::new(), children)
+    }
+
+    /// The document.
+    fn records(&self, takes: &[Take<'_>]) -> Vec<Record> {
+        let (mut objects, mut links) = (Vec::new(), Vec::new());
+        let mut link = |from: i64, to: i64, property: Option<&str>| {
+            let kind = if property.is_some() { "OP" } else { "OO" };
+            let mut values = vec![text(kind), Value::Long(from), Value::Long(to)];
+            values.extend(property.map(text));
+            links.push(record("C", values, Vec::new()));
+        };
+        let model = |id: i64, name: &str, kind: &str, properties: Vec<Record>| {
+            let values = vec![
+                Value::Long(id),
+                text(&format!("{name}\0\u{1}Model")),
+                text(kind),
+            ];
+            let version = record("Version", vec![Value::Long(232)], Vec::new());
+            let properties = record("Properties70", Vec::new(), properties);
+            record("Model", values, vec![version, properties])
+        };
+        const ARMATURE: i64 = 900;
+        let bone = |joint: usize| 1000 + joint as i64;
+        let above = vector("Lcl Scaling", DVec3::splat(self.scale));
+        objects.push(model(ARMATURE, "Armature", "Null", vec![above]));
+        link(ARMATURE, 0, None);
+        let stored = match self.bind_pose {
+            true => walk(7, 30.0)[6].clone(),
+            false => Pose::REST,
+        };
+        for joint in 0..22 {
+            let (at, turn) = self.local(joint, &stored);
+            let pre = self.pre(joint);
+            let mut properties = vec![
+                vector("Lcl Translation", at),
+                vector("Lcl Rotation", degrees(pre.inverse() * turn)),
+                vector("PreRotation", degrees(pre)),
+                property("RotationActive", "bool", "", vec![Value::Long(1)]),
+                // 1: scale is inherited; 2: it is not.
+                property(
+                    "InheritType",
+                    "enum",
+                    "",
+                    vec![Value::Long(1 + i64::from(self.scaled_spine))],
+                ),
+            ];
+            if self.scaled_spine && joint == SPINE {
+                properties.push(vector("Lcl Scaling", DVec3::splat(2.0)));
+            }
+            let name = format!("{}{}", self.prefix, NAMES[joint]);
+            objects.push(model(bone(joint), &name, "LimbNode", properties));
+            let attribute = vec![
+                Value::Long(2000 + joint as i64),
+                text("\0\u{1}NodeAttribute"),
+                text("LimbNode"),
+            ];
+            let flags = record("TypeFlags", vec![text("Skeleton")], Vec::new());
+            objects.push(record("NodeAttribute", attribute, vec![flags]));
+            link(2000 + joint as i64, bone(joint), None);
+            link(
+                bone(joint),
+                Self::parent(joint).map_or(ARMATURE, bone),
+                None,
+            );
+        }
+        if self.bind_pose {
+            objects.push(self.pose(&bone));
+        }
+        for (number, (name, poses)) in takes.iter().enumerate() {
+            let base = 100_000 * (1 + number as i64);
+            objects.extend(self.take(base, name, poses, &bone, &mut link));
+        }
+        vec![
+            record(
+                "FBXHeaderExtension",
+                Vec::new(),
+                vec![
+                    record("FBXHeaderVersion", vec![Value::Long(1003)], Vec::new()),
+                    record("FBXVersion", vec![Value::Long(7400)], Vec::new()),
+                ],
+            ),
+            self.settings(),
+            record("Objects", Vec::new(), objects),
+            record("Connections", Vec::new(), links),
+        ]
+    }
+
+    /// The bind pose: the body at rest.
+    fn pose(&self, bone: &dyn Fn(usize) -> i64) -> Record {
+        let skeleton = Skeleton::smplx_neutral();
+        let mut children = vec![
+            record("Type", vec![text("BindPose")], Vec::new()),
+            record("Version", vec![Value::Long(100)], Vec::new()),
+        ];
+        for joint in 0..22 {
+            let turn = glam::DMat3::from_quat(self.world() * self.frame(joint));
+            let at = self.world() * skeleton.rest(joint) / self.metres;
+            let matrix = glam::DMat4::from_mat3_translation(turn, at);
+            // Arrays are of floats here; the format takes them for numbers as well.
+            let matrix = matrix.to_cols_array().map(|number| number as f32).to_vec();
+            children.push(record(
+                "PoseNode",
+                Vec::new(),
+                vec![
+                    record("Node", vec![Value::Long(bone(joint))], Vec::new()),
+                    record("Matrix", vec![Value::Floats(matrix)], Vec::new()),
+                ],
+            ));
+        }
+        let values = vec![Value::Long(800), text("Bind\0\u{1}Pose"), text("BindPose")];
+        record("Pose", values, children)
+    }
+
+    /// The objects of a take.
+    fn take(
+        &self,
+        base: i64,
+        name: &str,
+        poses: &[Pose],
+        bone: &dyn Fn(usize) -> i64,
+        link: &mut dyn FnMut(i64, i64, Option<&str>),
+    ) -> Vec<Record> {
+        let tick = |frame: usize| (frame as f64 / self.fps * TICKS as f64).round() as i64;
+        let time = |name: &str, at: i64| property(name, "KTime", "Time", vec![Value::Long(at)]);
+        let (stack, layer) = (base, base + 1);
+        let last = tick(poses.len().saturating_sub(1));
+        let times = vec![time("LocalStart", 0), time("LocalStop", last)];
+        let object = |id: i64, name: &str, class: &str| {
+            vec![
+                Value::Long(id),
+                text(&format!("{name}\0\u{1}{class}")),
+                text(""),
+            ]
+        };
+        let mut objects = vec![
+            record(
+                "AnimationStack",
+                object(stack, name, "AnimStack"),
+                vec![record("Properties70", Vec::new(), times)],
+            ),
+            record(
+                "AnimationLayer",
+                object(layer, "Base", "AnimLayer"),
+                Vec::new(),
+            ),
+        ];
+        link(layer, stack, None);
+        if poses.is_empty() {
+            return objects;
+        }
+        let mut next = base + 2;
+        for joint in 0..22 {
+            let locals: Vec<(DVec3, DQuat)> =
+                poses.iter().map(|pose| self.local(joint, pose)).collect();
+            let pre = self.pre(joint).inverse();
+            let turns = locals
+                .iter()
+                .map(|(_, turn)| degrees(pre * *turn))
+                .collect();
+            let mut curves: Vec<(&str, Vec<DVec3>)> = vec![("Lcl Rotation", turns)];
+            if joint == 0 {
+                curves.push((
+                    "Lcl Translation",
+                    locals.iter().map(|(at, _)| *at).collect(),
+                ));
+            }
+            for (property, values) in curves {
+                let node = next;
+                next += 1;
+                objects.push(record(
+                    "AnimationCurveNode",
+                    object(node, "T", "AnimCurveNode"),
+                    Vec::new(),
+                ));
+                link(node, layer, None);
+                link(node, bone(joint), Some(property));
+                for (axis, name) in ["d|X", "d|Y", "d|Z"].into_iter().enumerate() {
+                    let curve = next;
+                    next += 1;
+                    let keys = (0..poses.len()).map(tick).collect();
+                    let numbers = values.iter().map(|value| value[axis] as f32).collect();
+                    objects.push(record(
+                        "AnimationCurve",
+                        object(curve, "", "AnimCurve"),
+                        vec![
+                            record("KeyVer", vec![Value::Long(4008)], Vec::new()),
+                            record("KeyTime", vec![Value::Longs(keys)], Vec::new()),
+                            record("KeyValueFloat", vec![Value::Floats(numbers)], Vec::new()),
+                            // 4: linear between keys.
+                            record("KeyAttrFlags", vec![Value::Longs(vec![4])], Vec::new()),
+                            record(
+                                "KeyAttrDataFloat",
+                                vec![Value::Floats(vec![0.0; 4])],
+                                Vec::new(),
+                            ),
+                            record(
+                                "KeyAttrRefCount",
+                                vec![Value::Longs(vec![poses.len() as i64])],
+                                Vec::new(),
+                            ),
+                        ],
+                    ));
+                    link(curve, node, Some(name));
+                }
+            }
+        }
+        objects
+    }
+}
+
+fn rows(dataset: &Dataset) -> BTreeMap<String, MotionRow> {
+    let rows: Vec<MotionRow> = dataset.read(None).expect("rows");
+    rows.into_iter()
+        .map(|row| (row.id.to_string(), row))
+        .collect()
+}
+
+/// Checks the joints of a stored motion at the rate of the file against those of its poses.
+fn assert_shows(row: &MotionRow, poses: &[Pose]) {
+    let skeleton = Skeleton::smplx_neutral();
+    let motion = row.motion().expect("valid");
+    let points = skeleton.motion_keypoints(&motion).points;
+    assert_eq!(points.len(), poses.len(), "{}", row.id);
+    let lift = points[0][0].y - skeleton.keypoints(&poses[0])[0].y;
+    for (found, pose) in points.iter().zip(poses) {
+        let expected = skeleton.keypoints(pose);
+        for joint in 0..22 {
+            let apart = found[joint].distance(expected[joint] + DVec3::Y * lift);
+            assert!(
+                apart < 2e-3,
+                "{}: joint {joint} is off by {apart} m",
+                row.id
+            );
+        }
+    }
+}
+
+#[test]
+fn fbx_files_are_the_motions_they_show_in_any_unit_and_axes() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let source = dir.path().join("fbx");
+    let poses = walk(40, 30.0);
+    let takes: [Take<'_>; 1] = [("mixamo.com", &poses)];
+    let scenes = [
+        ("plain", Scene::default()),
+        (
+            "metres",
+            Scene {
+                metres: 1.0,
+                ..Scene::default()
+            },
+        ),
+        (
+            "inches",
+            Scene {
+                metres: 0.0254,
+                prefix: "",
+                ..Scene::default()
+            },
+        ),
+        (
+            "z_up",
+            Scene {
+                z_up: true,
+                ..Scene::default()
+            },
+        ),
+        (
+            "joint_frames",
+            Scene {
+                joint_frames: true,
+                ..Scene::default()
+            },
+        ),
+        (
+            "scaled",
+            Scene {
+                scale: 100.0,
+                z_up: true,
+                ..Scene::default()
+            },
+        ),
+        (
+            "scale_not_inherited",
+            Scene {
+                scaled_spine: true,
+                ..Scene::default()
+            },
+        ),
+        (
+            "bind_pose",
+            Scene {
+                bind_pose: true,
+                ..Scene::default()
+            },
+        ),
+    ];
+    for (name, scene) in &scenes {
+        let records = scene.records(&takes);
+        put(&source, &format!("{name}.fbx"), binary(&records));
+        put(&source, &format!("text/{name}.fbx"), ascii(&records));
+    }
+    let splits = all_in_train(dir.path());
+    let more = ["--fps", "native", "--splits", arg(&splits)];
+    let (done, dataset, out) = ingested(&source, &more, 0);
+    assert_eq!(done.ingested, 2 * scenes.len() as u64, "{done:?}");
+    // One take has the id of its file, whatever its name.
+    let rows = rows(&dataset);
+    for (name, _) in &scenes {
+        for id in [(*name).to_owned(), format!("text/{name}")] {
+            let row = rows.get(&id).unwrap_or_else(|| panic!("{id}"));
+            assert_eq!(
+                (row.source.as_str(), row.fps, row.fps_source),
+                ("fbx", 30.0, 30.0)
+            );
+            assert_shows(row, &poses);
+        }
+    }
+    for (id, words) in [
+        ("plain", "unit cm of the file"),
+        ("metres", "unit m of the file"),
+        ("inches", "unit in of the file"),
+        ("plain", "take mixamo.com"),
+        ("bind_pose", "joint frames from the bind pose"),
+        ("joint_frames", "joint frames from the zero pose"),
+    ] {
+        let said = inspected(&out, id).to_string();
+        assert!(said.contains(words), "{id}: {words}: {said}");
+    }
+}
+
+#[test]
+fn every_take_is_a_clip_of_one_split() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let source = dir.path().join("fbx");
+    let [walks, runs, jogs] = [walk(40, 30.0), walk(50, 20.0), walk(45, 24.0)];
+    let scene = Scene {
+        fps: 60.0,
+        ..Scene::default()
+    };
+    let takes: [Take<'_>; 3] = [("Walk", &walks), ("Run", &runs), ("Take 001", &[])];
+    put(&source, "all.fbx", binary(&scene.records(&takes)));
+    // A take without curves is no motion, and the other one keeps the id of the file.
+    let jog: [Take<'_>; 2] = [("Jog", &jogs), ("Take 001", &[])];
+    put(&source, "mixamo.fbx", ascii(&scene.records(&jog)));
+    put(&source, "still.fbx", binary(&scene.records(&takes[2..])));
+    put(&source, "nothing.fbx", binary(&scene.records(&[])));
+    let (done, dataset, out) = ingested(&source, &["--fps", "native"], 0);
+    assert_eq!((done.ingested, done.skipped), (3, 2), "{done:?}");
+    let rows = rows(&dataset);
+    assert_shows(&rows["all#Walk"], &walks);
+    assert_shows(&rows["all#Run"], &runs);
+    assert_shows(&rows["mixamo"], &jogs);
+    assert_eq!(rows["all#Walk"].split, rows["all#Run"].split);
+    let said = inspected(&out, "mixamo").to_string();
+    assert!(
+        said.contains("takes that move no skeleton: Take 001"),
+        "{said}"
+    );
+    let skipped: Vec<SkippedRow> = dataset.read(None).expect("rows");
+    let reasons = skipped
+        .iter()
+        .map(|row| (row.path.as_str(), row.reason.as_str()));
+    let reasons: BTreeMap<&str, &str> = reasons.collect();
+    assert_eq!(reasons["still.fbx"], "no take moves a skeleton");
+    assert_eq!(reasons["nothing.fbx"], "no take in the file");
+    let ran = stance(&["doctor", arg(&source)]).expect_code(0).stdout;
+    assert!(ran.contains("fbx") && !ran.contains("Blender"), "{ran}");
+    let only = ["ingest", arg(&source), "--format", "bvh", "--out"];
+    let made = dir.path().join("none");
+    stance(&[&only[..], &[arg(&made)]].concat()).expect_code(1);
+}
+
+#[test]
+fn a_rig_with_its_own_names_is_read_by_a_joint_map() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let source = dir.path().join("fbx");
+    let poses = walk(30, 30.0);
+    let scene = Scene {
+        prefix: "q",
+        ..Scene::default()
+    };
+    put(&source, "own.fbx", binary(&scene.records(&[("a", &poses)])));
+    let names = Joint::ALL.iter().take(22).zip(NAMES);
+    let joints: BTreeMap<&str, String> = names
+        .map(|(joint, name)| (joint.name(), format!("q{name}")))
+        .collect();
+    let map = serde_json::json!({"name": "own", "joints": joints});
+    put(dir.path(), "map.json", map.to_string());
+    let map = dir.path().join("map.json");
+    let more = ["--fps", "native", "--joint-map", arg(&map)];
+    let (_, dataset, out) = ingested(&source, &more, 0);
+    assert_shows(&rows(&dataset)["own"], &poses);
+    assert!(
+        inspected(&out, "own")
+            .to_string()
+            .contains("skeleton map own of the user")
+    );
+}
+
+#[test]
+fn broken_fbx_files_are_quarantined() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let source = dir.path().join("fbx");
+    let poses = walk(10, 30.0);
+    let records = Scene::default().records(&[("a", &poses)]);
+    let whole = binary(&records);
+    put(&source, "empty.fbx", b"");
+    put(&source, "cut.fbx", &whole[..whole.len() / 2]);
+    put(
+        &source,
+        "noise.fbx",
+        [b"Kaydara FBX Binary  \0\x1a\0".as_slice(), &[0xa5; 300]].concat(),
+    );
+    put(
+        &source,
+        "words.fbx",
+        b"; FBX 7.4.0 project file\nObjects: {{{\n",
+    );
+    put(
+        &source,
+        "once.fbx",
+        binary(&Scene::default().records(&[("a", &poses[..1])])),
+    );
+    let mut box_of_bones = Scene::default().records(&[("a", &poses)]);
+    // Bones that all lie in one place are no body.
+    for object in &mut box_of_bones[2].children {
+        if let Some(properties) = object.children.get_mut(1) {
+            properties.children.retain(
+                |p| !matches!(&p.values[0], Value::Text(name) if name == "Lcl Translation"),
+            );
+        }
+    }
+    put(&source, "bones.fbx", ascii(&box_of_bones));
+    put(&source, "good.fbx", &whole);
+    let (done, dataset, _) = ingested(&source, &[], 3);
+    assert_eq!(done.ingested, 1, "{done:?}");
+    let rows: Vec<QuarantineRow> = dataset.read(None).expect("rows");
+    let codes = rows
+        .iter()
+        .map(|row| (row.path.as_str(), row.code.as_str()));
+    let codes: BTreeMap<&str, &str> = codes.collect();
+    let expected = BTreeMap::from([
+        ("bones.fbx", "E-FBX-SKELETON"),
+        ("cut.fbx", "E-FBX-SYNTAX"),
+        ("empty.fbx", "E-FBX-TRUNCATED"),
+        ("noise.fbx", "E-FBX-VERSION"),
+        ("once.fbx", "E-TOO-SHORT"),
+        ("words.fbx", "E-FBX-SYNTAX"),
+    ]);
+    assert_eq!(codes, expected);
+}
+
+/// Bytes changed, cut and doubled at places that a seed decides: every file is accounted for, and none ends the run.
+#[test]
+fn damaged_fbx_files_never_end_a_run() {
+    const FILES: u64 = 150;
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let source = dir.path().join("fbx");
+    let poses = walk(5, 30.0);
+    let scene = Scene {
+        bind_pose: true,
+        ..Scene::default()
+    };
+    let records = scene.records(&[("a", &poses), ("b", &poses[1..])]);
+    let whole = [binary(&records), ascii(&records)];
+    let mut state = 7u64;
+    let mut draw = |below: usize| {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below
+    };
+    for number in 0..FILES {
+        let mut bytes = whole[number as usize % 2].clone();
+        for _ in 0..1 + draw(8) {
+            let at = draw(bytes.len());
+            match draw(4) {
+                0 => bytes[at] = draw(256) as u8,
+                1 => bytes[at] ^= 1 << draw(8),
+                2 => {
+                    let end = (at + draw(64)).min(bytes.len());
+                    bytes.drain(at..end);
+                }
+                _ => {
+                    let end = (at + draw(64)).min(bytes.len());
+                    let again = bytes[at..end].to_vec();
+                    bytes.splice(at..at, again);
+                }
+            }
+        }
+        put(&source, &format!("{number:04}.fbx"), bytes);
+    }
+    let out = dir.path().join("out");
+    let ran = stance(&["--json", "ingest", arg(&source), "--out", arg(&out)]);
+    assert!(
+        ran.code == 3 || ran.code == 0,
+        "{}\n{}",
+        ran.code,
+        ran.stderr
+    );
+    let done: serde_json::Value = ran.json();
+    assert_eq!(done["files"], FILES, "{done}");
+    assert!(done["codes"].get("E-INTERNAL").is_none(), "{done}");
+    let count = |name: &str| done[name].as_u64().expect("a count");
+    let counted = count("ingested") + count("quarantined") + count("skipped");
+    assert_eq!(count("sources"), counted);
+}
