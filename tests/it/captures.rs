@@ -168,7 +168,8 @@ fn apart(row: &MotionRow, poses: &[Pose]) -> (f64, f64) {
     let motion = row.motion().expect("valid");
     let points = skeleton.motion_keypoints(&motion).points;
     assert_eq!(points.len(), poses.len().div_ceil(3));
-    let lift = DVec3::Y * (points[0][0].y - skeleton.keypoints(&poses[0])[0].y);
+    // The capture is scaled to the body, and with it the distance from the origin.
+    let lift = points[0][0] - skeleton.keypoints(&poses[0])[0];
     let mut all = Vec::new();
     for (found, pose) in points.iter().zip(poses.iter().step_by(3)) {
         let expected = skeleton.keypoints(pose);

@@ -30,10 +30,15 @@ pub(super) enum SolveError {
     },
     /// The markers leave parts of the body to guesswork.
     #[error(
-        "too few markers of the set {set} are seen on {parts} for the pose of a whole body; `stance ingest --markers \
-         FILE` can name further markers, or say with at_rest that these parts may stay as at rest"
+        "too few markers of the set {set} are seen on {parts} for the pose of a whole body; of its labels, missing are: \
+         {missing}; `stance ingest --markers FILE` can name further markers, or say with at_rest that these parts \
+         may stay as at rest"
     )]
-    Parts { set: String, parts: String },
+    Parts {
+        set: String,
+        parts: String,
+        missing: String,
+    },
     /// Too few frames have enough markers.
     #[error("{frames} frames show half of the markers of the set {set}, expected at least 2")]
     NotSeen { set: String, frames: usize },

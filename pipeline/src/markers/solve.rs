@@ -18,7 +18,7 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 use super::error::{SolveError, some_of};
 use super::label::Subject;
 use super::part::{self, Part};
-use super::set::{MarkerSet, marker_sets, nearest};
+use super::set::{MarkerSet, Match, marker_sets, nearest};
 use super::worn::{Frames, LabelledMarkers, MIN_SEEN};
 use crate::clip::Markers;
 use crate::floor;
@@ -89,11 +89,11 @@ impl<'a> Solvable<'a> {
         options: &'a ReadOptions,
     ) -> Result<Self, SolveError> {
         let skeleton = &options.skeleton;
-        let set = recognise(subject, options.markers.as_ref())?;
+        let Match { set, missing, .. } = recognise(subject, options.markers.as_ref())?;
         let name = || set.name().to_owned();
         let worn = LabelledMarkers::of(subject, set);
         let frames = Frames::of(&markers, &worn);
-        let headless = check_parts(&worn.seen_joints(&frames), set)?;
+        let headless = check_parts(&worn.seen_joints(&frames), set, &missing)?;
         let no_body = || SolveError::NoBody { set: name() };
         let (turn, up) = frames.up_turn(&worn).ok_or_else(no_body)?;
         for position in &mut markers.positions {
@@ -184,10 +184,7 @@ impl<'a> Solvable<'a> {
 }
 
 /// The set of a subject's markers.
-fn recognise<'a>(
-    subject: &Subject,
-    own: Option<&'a MarkerSet>,
-) -> Result<&'a MarkerSet, SolveError> {
+fn recognise<'a>(subject: &Subject, own: Option<&'a MarkerSet>) -> Result<Match<'a>, SolveError> {
     let bare: BTreeSet<String> = subject.bare.iter().cloned().collect();
     let Some(found) = nearest(&bare, own) else {
         let sets = own.into_iter().chain(marker_sets());
@@ -199,7 +196,7 @@ fn recognise<'a>(
         });
     };
     if found.is_whole() {
-        return Ok(found.set);
+        return Ok(found);
     }
     let of_set = |bare: &&String| found.set.placement(bare).is_none();
     Err(SolveError::NotWhole {
@@ -213,7 +210,7 @@ fn recognise<'a>(
 }
 
 /// Refuses markers that do not tell the pose of a whole body; whether the head has none.
-fn check_parts(joints: &[usize], set: &MarkerSet) -> Result<bool, SolveError> {
+fn check_parts(joints: &[usize], set: &MarkerSet, missing: &[&str]) -> Result<bool, SolveError> {
     let mut untold = Part::untold(joints);
     untold.retain(|part| !set.at_rest().contains(part));
     let headless = untold.remove(&Part::Head);
@@ -222,6 +219,7 @@ fn check_parts(joints: &[usize], set: &MarkerSet) -> Result<bool, SolveError> {
         false => Err(SolveError::Parts {
             set: set.name().to_owned(),
             parts: part::names(&untold),
+            missing: some_of(missing.iter().copied()),
         }),
     }
 }
