@@ -449,7 +449,7 @@ fn each_person_of_a_capture_is_a_clip() {
             .find(|row| row.id.as_str() == id)
             .expect("a row")
     };
-    assert_eq!(of("take#Ben").labels.len(), 39);
+    assert_eq!(of("take#Ben").labels.len(), 35);
     assert_eq!(of("alone").labels.len(), 42);
     assert!(
         inspected(&out, "alone")

@@ -371,14 +371,14 @@ mod tests {
     fn built_in_sets_are_whole_and_have_two_sides() {
         for (name, size) in [
             ("cmu-41", 41),
-            ("plug-in-gait", 39),
+            ("plug-in-gait", 35),
             ("vicon-front-waist-53", 53),
             ("plug-in-gait-lower-body", 16),
             ("opensim-gait", 27),
             ("helen-hayes", 21),
             ("helen-hayes-c3d", 21),
             ("helen-hayes-lower-body", 15),
-            ("qualisys-animation", 41),
+            ("qualisys-animation", 44),
             ("qualisys-sports", 41),
         ] {
             assert_eq!(named(name).labels().count(), size, "{name}");

@@ -192,10 +192,10 @@ impl Scene {
         objects.push(model(ARMATURE, "Armature", "Null", vec![above]));
         link(ARMATURE, 0, None);
         let stored = match self.bind_pose {
-            true => walk(7, 30.0)[6].clone(),
+            true => walk(7, 30.0)[6],
             false => Pose::REST,
         };
-        for joint in 0..22 {
+        for (joint, name) in NAMES.iter().enumerate() {
             let (at, turn) = self.local(joint, &stored);
             let pre = self.pre(joint);
             let mut properties = vec![
@@ -214,7 +214,7 @@ impl Scene {
             if self.scaled_spine && joint == SPINE {
                 properties.push(vector("Lcl Scaling", DVec3::splat(2.0)));
             }
-            let name = format!("{}{}", self.prefix, NAMES[joint]);
+            let name = format!("{}{name}", self.prefix);
             objects.push(model(bone(joint), &name, "LimbNode", properties));
             let attribute = vec![
                 Value::Long(2000 + joint as i64),
