@@ -458,7 +458,7 @@ fn each_person_of_a_capture_is_a_clip() {
     );
     assert_eq!(refused(&dataset)["strange.c3d#Ben"].0, "E-MARKERS");
     let file = format!("{}#Ben", arg(&source.join("take.c3d")));
-    let made = dir.path().join("ben.html");
+    let made = dir.path().join("ben.svg");
     stance(&["render", &file, "--out", arg(&made)]).expect_code(0);
 }
 
