@@ -3,9 +3,9 @@
 use std::fmt;
 use std::ops::Range;
 
-use datasets_spec::record::HUMANML3D_WIDTH;
+use datasets_spec::record::{HUMANML3D_WIDTH, MaskRow, PairRow};
 use datasets_spec::table::{Caption, PartCaption};
-use datasets_spec::{BlendMask, BodyPart, Fps, Motion, Skeleton};
+use datasets_spec::{BodyPart, Fps, Motion, Skeleton};
 use serde::{Deserialize, Serialize};
 
 /// Where the rotations of a clip come from.
@@ -205,7 +205,7 @@ pub struct Markers {
 }
 
 /// The edit that leads to a clip from another one.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct EditOf {
     /// Id of the motion before the edit.
     pub source_id: String,
@@ -217,34 +217,52 @@ pub struct EditOf {
     pub parts: Vec<BodyPart>,
     /// Instruction of the edit; empty if the source has none.
     pub instruction: String,
-    /// What the edit changes, for pairs of a dataset of this program.
-    pub edit_type: Option<String>,
-    /// How an annotator's answer was accepted, for pairs of a dataset of this program.
-    pub accepted_by: Option<String>,
+    /// The pair that it was in a dataset of this program; others follow from the fields above.
+    pub made: Option<PairRow>,
 }
 
 /// A body-part mask that a source comes with.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SourceMask {
     /// The parts it is made of.
     pub parts: Vec<BodyPart>,
     /// What the masked parts do; empty if the source does not say.
     pub text: String,
-    /// How it was made, for masks of a dataset of this program; others follow from their parts.
-    pub made: Option<MadeMask>,
+    /// The mask that it was in a dataset of this program; others follow from their parts.
+    pub made: Option<MaskRow>,
 }
 
-/// How a mask of a dataset was made.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct MadeMask {
-    /// Its joints, which an annotator may have changed.
-    pub blend: BlendMask,
-    /// human, draft, imported or automatic.
-    pub text_origin: String,
-    /// Who or what made it.
-    pub author: String,
-    /// How an annotator's answer was accepted.
-    pub accepted_by: Option<String>,
+impl EditOf {
+    /// The edit of a pair of a dataset.
+    pub(crate) fn of_row(row: PairRow) -> Self {
+        let kinds = ["style", "fine-grained", "semantic"];
+        Self {
+            source_id: row.source_id.to_string(),
+            kind: kinds
+                .into_iter()
+                .find(|kind| *kind == row.kind)
+                .unwrap_or_default(),
+            style: row.style.clone(),
+            parts: parts_of(&row.parts),
+            instruction: row.instruction.clone(),
+            made: Some(row),
+        }
+    }
+}
+
+impl SourceMask {
+    /// A mask of a dataset.
+    pub(crate) fn of_row(row: MaskRow) -> Self {
+        Self {
+            parts: parts_of(&row.parts),
+            text: row.text.clone(),
+            made: Some(row),
+        }
+    }
+}
+
+fn parts_of(names: &[String]) -> Vec<BodyPart> {
+    names.iter().filter_map(|name| name.parse().ok()).collect()
 }
 
 /// Outcome of a source item.

@@ -12,7 +12,7 @@ use annotate::drafting::{self, Drafted};
 use annotate::http::{PATIENCE, Server, ServerConfig, TrustedProxy, UPLOAD_PATIENCE};
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
-use annotate::store::{self, Store, TokenUse, Who};
+use annotate::store::{self, MotionRecord, Store, TokenUse, Who};
 use annotate::transfer::{self, Selection, Taken};
 use annotate::wire::{
     BulkAction, BulkDone, BulkRequest, ExportFormat, Role, RuleUndone, RulesApplied, TaskFilter,
@@ -21,6 +21,7 @@ use annotate::wire::{
 use anyhow::{Context, bail};
 use datasets_spec::{Dataset, Progress as _, Split};
 use pipeline::compose::Phrases;
+use pipeline::source::stance::exported_labels;
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
@@ -108,8 +109,8 @@ enum Action {
     /// Annotations become accepted answers of tasks that nobody has worked on. Those of other tasks are left out; if
     /// they differ, they are listed.
     Import {
-        /// Folder of a STANCE release with mask_all.json and part_annotations.json, or of an export, or its
-        /// annotations.parquet [default: the dataset]
+        /// Folder of a STANCE release with mask_all.json and part_annotations.json, of an export of answers or of a
+        /// dataset (`stance export --to stance`), or an annotations.parquet [default: the dataset]
         file: Option<PathBuf>,
     },
     /// List tasks with answers about a clip that was ingested anew since, with other content, or decide about them
@@ -828,6 +829,47 @@ fn read_json(path: &Path) -> anyhow::Result<serde_json::Value> {
     serde_json::from_slice(&bytes).with_context(|| format!("{} is not JSON", path.display()))
 }
 
+/// Imports the labels of a folder: of an export of answers, of an exported dataset, or of a STANCE release.
+fn import_folder(
+    args: &Args,
+    store: &Store,
+    motions: &BTreeMap<String, MotionRecord>,
+    folder: &Path,
+) -> anyhow::Result<Taken> {
+    transfer::check_files(folder)?;
+    let annotations = folder.join(ANNOTATIONS);
+    if annotations.is_file() {
+        return Ok(transfer::from_annotations(
+            store,
+            motions,
+            &annotations,
+            None,
+            now(),
+        )?);
+    }
+    if let Some(labels) = exported_labels(folder)? {
+        let dataset = &args.dataset;
+        return Ok(transfer::from_labels(store, dataset, &labels, None, now())?);
+    }
+    let mut both = serde_json::Map::new();
+    for name in ["mask_all", "part_annotations", "accepted_by", "pairs"] {
+        let path = [folder.to_owned(), folder.join("regen")]
+            .into_iter()
+            .map(|folder| folder.join(format!("{name}.json")))
+            .find(|path| path.is_file());
+        if let Some(path) = path {
+            both.insert(name.to_owned(), read_json(&path)?);
+        }
+    }
+    Ok(transfer::from_release(
+        store,
+        motions,
+        &both.into(),
+        None,
+        now(),
+    )?)
+}
+
 fn import(
     args: &Args,
     store: &Store,
@@ -844,28 +886,12 @@ fn import(
                 .into_iter()
                 .map(|motion| (motion.id.clone(), motion))
                 .collect();
-            let annotations = file.join(ANNOTATIONS);
-            let mut taken = if annotations.is_file() {
-                transfer::from_annotations(store, &motions, &annotations, None, now())?
-            } else if file.is_dir() {
-                let mut both = serde_json::Map::new();
-                for name in ["mask_all", "part_annotations", "accepted_by", "pairs"] {
-                    let path = [file.to_owned(), file.join("regen")]
-                        .into_iter()
-                        .map(|folder| folder.join(format!("{name}.json")))
-                        .find(|path| path.is_file());
-                    if let Some(path) = path {
-                        both.insert(name.to_owned(), read_json(&path)?);
-                    }
+            let mut taken = match file.is_dir() {
+                true => import_folder(args, store, &motions, file)?,
+                false if file.extension().is_some_and(|found| found == "parquet") => {
+                    transfer::from_annotations(store, &motions, file, None, now())?
                 }
-                transfer::from_release(store, &motions, &both.into(), None, now())?
-            } else if file
-                .extension()
-                .is_some_and(|extension| extension == "parquet")
-            {
-                transfer::from_annotations(store, &motions, file, None, now())?
-            } else {
-                transfer::from_release(store, &motions, &read_json(file)?, None, now())?
+                false => transfer::from_release(store, &motions, &read_json(file)?, None, now())?,
             };
             taken.messages.splice(..0, messages);
             taken

@@ -7,7 +7,8 @@ use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, TripletRow};
 use datasets_spec::table::Row;
 use pipeline::export::{
-    Exported, Layout, Sides, before, export, export_edits, export_triplets, plan_export,
+    Counts, Exported, Layout, Sides, before, export, export_edits, export_triplets, plan_export,
+    untagged_captions,
 };
 use pipeline::filter::{Clips, Filter};
 use pipeline::work::Plan;
@@ -136,10 +137,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 args.dataset.display()
             );
         }
-        Exported {
-            clips: export_triplets(&dataset, &args.out, &bars)?,
-            ..Exported::default()
-        }
+        export_triplets(&dataset, &args.out, &bars)?
     } else if has(MotionRow::TABLE) {
         if sides != Sides::default() {
             bail!(
@@ -152,6 +150,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             None => Clips::all(&dataset),
         };
         remarks = before(layout, &clips)?;
+        remarks.extend(remark_on_tags(untagged_captions(layout, &clips)));
         for remark in &remarks {
             report::note(remark);
         }
@@ -175,31 +174,73 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         export(&Clips::all(&dataset), layout, &args.out, &bars)?
     };
     if global.json {
+        let made = done.left_out.get("made_captions").copied().unwrap_or(0);
         report::json(&serde_json::json!({
             "out": args.out,
             "layout": layout.as_str(),
             "clips": done.clips,
-            "made_captions_left_out": done.made_captions_left_out,
+            "left_out": done.left_out,
+            "beside": done.beside,
+            "left_by_others": done.left_by_others,
+            "made_captions_left_out": made,
             "remarks": remarks,
         }))?;
     } else {
-        let mut text = format!(
-            "{} {} written as {} to {}",
+        let what = match layout {
+            Layout::MotionFix => "triplets",
+            _ => "clips",
+        };
+        let mut lines = vec![format!(
+            "{} {what} written as {layout} to {}",
             done.clips,
-            match layout {
-                Layout::MotionFix => "triplets",
-                _ => "clips",
-            },
-            layout.as_str(),
             args.out.display()
-        );
-        if done.made_captions_left_out > 0 {
-            text += &format!(
-                "\n{} captions made from file names were left out, because the layout cannot mark them",
-                done.made_captions_left_out
-            );
-        }
-        report::text(&text);
+        )];
+        lines.extend(said(&done));
+        report::text(&lines.join("\n"));
     }
     Ok(Exit::Done)
+}
+
+/// What the evaluators of HumanML3D's layout would read in place of tags.
+fn remark_on_tags(untagged: u64) -> Option<String> {
+    (untagged > 0).then(|| {
+        format!(
+            "{untagged} captions have no tokens with part-of-speech tags (a/DET man/NOUN walk/VERB ...). Their words are \
+             written in lower case, not as lemmas, and each with the tag OTHER. The evaluators of text-to-motion that \
+             were trained on HumanML3D read lemmas and tags, so their scores on these texts do not compare with \
+             published ones; put tokens into the texts beside the motions (text#tokens#from#to), and ingest them again"
+        )
+    })
+}
+
+/// What was left out, and what lies beside the layout.
+pub(crate) fn said(done: &Exported) -> Vec<String> {
+    let list = |counts: &Counts| {
+        let named = counts.iter().map(|(name, count)| match name.as_str() {
+            "made_captions" => format!("{count} captions made from file names"),
+            "accepted_by" => format!("{count} notes of how a pair was accepted"),
+            name => format!("{count} {}", name.replace('_', " ")),
+        });
+        named.collect::<Vec<_>>().join(", ")
+    };
+    let mut lines = Vec::new();
+    if !done.left_out.is_empty() {
+        lines.push(format!(
+            "left out, because the layout has no place for them: {}",
+            list(&done.left_out)
+        ));
+    }
+    if !done.beside.is_empty() {
+        lines.push(format!(
+            "in masks.jsonl and pairs.jsonl alone, which other loaders of the layout do not read: {}",
+            list(&done.beside)
+        ));
+    }
+    for folder in &done.left_by_others {
+        lines.push(format!(
+            "{} is a part of an export of another machine; remove it if nothing there is at work on it",
+            folder.display()
+        ));
+    }
+    lines
 }

@@ -8,9 +8,11 @@ use std::time::Instant;
 
 use anyhow::{Context, bail};
 use datasets_spec::store::temporary_beside;
+use pipeline::export::Exported;
 use pipeline::work::{
     self, CommitOptions, Failed, Jobs, Outcome, Piece, Plan, Record, Sample, Worker,
 };
+use pipeline::write::NewFolder;
 use serde::{Deserialize, Serialize};
 use train::sample::EditTimes;
 use train::work::{Surroundings, device_of, edits, variants};
@@ -218,16 +220,13 @@ fn dry_run(
 ) -> anyhow::Result<Exit> {
     /// Items of a sample.
     const SAMPLE: u64 = 16;
-    let folder = temporary_beside(&std::env::temp_dir().join("stance-plan"));
-    let ended = (|| {
-        let plan = make(&folder)?;
-        let worker = Worker::with_jobs(&folder, jobs())?;
-        let sample = worker.sample(SAMPLE).map_err(failure)?;
-        say(&plan, None, sample, global)
-    })();
-    // Where it was not made there is nothing to remove.
-    let _removed = std::fs::remove_dir_all(&folder);
-    ended
+    let folder = NewFolder::beside(&temporary_beside(&std::env::temp_dir().join("stance")))?;
+    // A plan is written where nothing is.
+    let place = folder.path().join("plan");
+    let plan = make(&place)?;
+    let worker = Worker::with_jobs(&place, jobs())?;
+    let sample = worker.sample(SAMPLE).map_err(failure)?;
+    say(&plan, None, sample, global)
 }
 
 fn failure(failed: Failed) -> anyhow::Error {
@@ -470,6 +469,11 @@ fn commit(args: &CommitArgs, global: &Global) -> anyhow::Result<Exit> {
         }
         for (table, rows) in &done.tables {
             text += &format!("{table:<12} {rows:>8} rows\n");
+        }
+        if let Ok(export) = Exported::deserialize(&done.notes) {
+            for line in cmd::export::said(&export) {
+                text += &format!("{line}\n");
+            }
         }
         text += &format!(
             "{} with root hash {}\n",

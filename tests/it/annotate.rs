@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use annotate::store::{Claimed, NewTask, ReviewClaimed, open_sqlite};
+use annotate::store::{Claimed, NewTask, ReviewClaimed, Store, open_sqlite};
 use annotate::transfer::AnnotationRow;
 use annotate::wire::{
     Answer, EditType, EventResults, MaskAnswer, Next, ReviewNext, ReviewQueue, Role, Settings,
@@ -203,7 +203,7 @@ fn events(view: &TaskView, key: &str, answer: &Answer) -> Value {
 }
 
 /// One answer for each task and no draws; a reviewer may accept answers of their own.
-fn settings() -> Settings {
+pub(crate) fn settings() -> Settings {
     Settings {
         blind_percent: 0,
         gold_percent: 0,
@@ -319,40 +319,48 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
     .expect_code(0);
 }
 
-/// Answers some tasks of a store and accepts the answers, without a server. The reviewer accepts an answer of her own
-/// of each kind.
+/// Answers the next task of a kind and accepts the answer, without a server.
+pub(crate) fn accept(
+    store: &Store,
+    (author, reviewer): (i64, i64),
+    kind: TaskKind,
+    answer: Answer,
+) {
+    let claimed = store.claim(author, kind, 0, 0).expect("claims");
+    let Claimed::Task { detail, .. } = claimed else {
+        panic!("a task of kind {kind}")
+    };
+    let epoch = detail.lease.map_or(0, |lease| lease.epoch);
+    let submit = json!({ "idem_key": format!("submit-{}", detail.task.id), "kind": "submit",
+        "lease_epoch": epoch, "answer": answer });
+    let submit = serde_json::from_value(submit).expect("an event");
+    let done = store
+        .append(author, detail.task.id, vec![submit], 0)
+        .expect("takes events");
+    assert_eq!(done[0].status, 200, "{:?}", done[0].problem);
+    let next = store
+        .review_next(reviewer, ReviewQueue::Sample, None, 0)
+        .expect("claims");
+    let ReviewClaimed::Task(review) = next else {
+        panic!("a task to review")
+    };
+    let accept = json!({ "idem_key": format!("accept-{}", review.task.id), "task": review.task.id,
+        "lease_epoch": review.lease.epoch, "decision": "accept", "author": author });
+    let accept = serde_json::from_value(accept).expect("a review");
+    store.review(reviewer, accept, 0).expect("accepts");
+}
+
+/// Answers some tasks of a store and accepts the answers. The reviewer accepts an answer of her own of each kind.
 fn answer_and_accept(file: &Path) {
     let store = open_sqlite(file).expect("a store");
     let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
     let (ann, eve) = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
-    for (kind, answer, count) in [
-        (TaskKind::MaskText, masks("testing"), 4),
-        (TaskKind::Pair, pair(), 4),
+    for (kind, answer) in [
+        (TaskKind::MaskText, masks("testing")),
+        (TaskKind::Pair, pair()),
     ] {
-        for number in 0..count {
-            let author = if number == 0 { eve } else { ann };
-            let claimed = store.claim(author, kind, 0, 0).expect("claims");
-            let Claimed::Task { detail, .. } = claimed else {
-                panic!("a task of kind {kind}")
-            };
-            let epoch = detail.lease.map_or(0, |lease| lease.epoch);
-            let submit = json!({ "idem_key": format!("submit-{}", detail.task.id), "kind": "submit",
-                "lease_epoch": epoch, "answer": answer });
-            let submit = serde_json::from_value(submit).expect("an event");
-            let done = store
-                .append(author, detail.task.id, vec![submit], 0)
-                .expect("takes events");
-            assert_eq!(done[0].status, 200, "{number}: {:?}", done[0].problem);
-            let next = store
-                .review_next(eve, ReviewQueue::Sample, None, 0)
-                .expect("claims");
-            let ReviewClaimed::Task(review) = next else {
-                panic!("a task to review")
-            };
-            let accept = json!({ "idem_key": format!("accept-{}", review.task.id), "task": review.task.id,
-                "lease_epoch": review.lease.epoch, "decision": "accept", "author": author });
-            let accept = serde_json::from_value(accept).expect("a review");
-            store.review(eve, accept, 0).expect("accepts");
+        for author in [eve, ann, ann, ann] {
+            accept(store.as_ref(), (author, eve), kind, answer.clone());
         }
     }
 }

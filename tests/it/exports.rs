@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use datasets_spec::Dataset;
 use datasets_spec::dataset::commit_rows;
@@ -10,7 +11,7 @@ use datasets_spec::record::MotionRow;
 use pickle::npz::Archive;
 use serde_json::Value;
 
-use crate::util::{arg, corpus, files_with_extension, real_data, stance};
+use crate::util::{arg, command, corpus, files_with_extension, real_data, stance};
 
 const LAYOUTS: [&str; 11] = [
     "amass",
@@ -483,4 +484,87 @@ fn a_dataset_among_the_sources_keeps_its_markers() {
     });
     assert!(!before.is_empty());
     assert_eq!(after, before);
+}
+
+#[test]
+fn captions_without_tags_are_said_before_anything_is_written() {
+    let dir = corpus(12);
+    let (dataset, rows) = dataset(dir.path(), &[]);
+    let untagged: usize = rows
+        .values()
+        .map(|row| {
+            row.stated_captions()
+                .filter(|said| said.tokens.is_empty())
+                .count()
+        })
+        .sum();
+    assert!(untagged > 0);
+    let export = |layout: &str, out: &Path| {
+        stance(&["export", arg(&dataset), "--to", layout, "--out", arg(out)])
+    };
+    let said = format!("{untagged} captions have no tokens with part-of-speech tags");
+    // The folder cannot be made, and yet it is said.
+    let file = dir.path().join("file");
+    std::fs::write(&file, "").expect("written");
+    let refused = export("humanml3d", &file.join("out")).expect_code(1);
+    assert!(refused.stderr.contains(&said), "{}", refused.stderr);
+    let done = export("bvh", &dir.path().join("bvh")).expect_code(0);
+    assert!(!done.stderr.contains("part-of-speech"), "{}", done.stderr);
+}
+
+#[test]
+fn what_a_killed_export_left_is_removed_by_the_next_one() {
+    let dir = corpus(60);
+    let (dataset, _) = dataset(dir.path(), &[]);
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let home = dir.path().join("exports");
+    std::fs::create_dir(&home).expect("made");
+    let partial = || -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(&home).expect("listed");
+        let paths = entries.map(|entry| entry.expect("readable").path());
+        paths
+            .filter(|path| path.extension().is_some_and(|found| found == "partial"))
+            .collect()
+    };
+    let mut left = 0;
+    for number in 0..20 {
+        let out = home.join(number.to_string());
+        let mut child = command(&["export", arg(&dataset), "--to", "gltf", "--out", arg(&out)])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("stance starts");
+        while partial().is_empty() && child.try_wait().expect("a state").is_none() {
+            std::hint::spin_loop();
+        }
+        child.kill().expect("killed or over");
+        child.wait().expect("an end");
+        left = partial().len();
+        if left > 0 {
+            break;
+        }
+    }
+    assert!(left > 0, "every export was faster than the kill");
+    let out = home.join("out");
+    stance(&["export", arg(&dataset), "--to", "bvh", "--out", arg(&out)]).expect_code(0);
+    assert_eq!(partial(), Vec::<PathBuf>::new());
+    // Items and edits are written the same way.
+    let dead = home.join(".stance.0-0.partial");
+    std::fs::create_dir_all(dead.join("new")).expect("made");
+    std::fs::write(dead.join("LOCK"), "").expect("written");
+    let items = dir.path().join("items");
+    stance(&[
+        "items",
+        arg(&dataset),
+        "--split",
+        "train",
+        "--count",
+        "4",
+        "--out",
+        arg(&items),
+    ])
+    .expect_code(0);
+    let out = home.join("items");
+    stance(&["items", "export", arg(&items), "--out", arg(&out)]).expect_code(0);
+    assert_eq!(partial(), Vec::<PathBuf>::new());
 }

@@ -26,6 +26,7 @@ mod pairs;
 mod reasons;
 mod remote;
 mod results;
+mod round_trips;
 mod seams;
 mod stage;
 mod tables;

@@ -1,22 +1,20 @@
-//! Import of tasks from the motions, masks and pairs of a dataset, and of annotations from files.
+//! Import of tasks from the motions, masks and pairs of a dataset, and of labels from a release or an exported dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, MotionRow, PairRow};
-use datasets_spec::table::{Caption, Row, read_column, read_rows};
-use datasets_spec::{BodyPart, Dataset, MASK_DEF_VERSION, MotionId, Split};
+use datasets_spec::table::{Caption, Row, read_column};
+use datasets_spec::{Dataset, MotionId, Split};
+use pipeline::source::stance::ExportedLabels;
 use serde::Serialize;
 use serde_json::Value;
 
 use super::release::{self, SaidPair};
-use super::tables::AnnotationRow;
 use crate::Error;
 use crate::answer::completion;
 use crate::store::{Credit, Imported, Millis, MotionRecord, NewSuggestion, NewTask, Store};
-use crate::wire::{
-    Answer, BUNDLE, CountReason, EditType, Extent, MaskAnswer, SuggestionSource, TaskKind, Verdict,
-};
+use crate::wire::{Answer, BUNDLE, EditType, MaskAnswer, SuggestionSource, TaskKind, Verdict};
 
 /// Value of column `source` for pairs written by this program.
 pub(crate) const PAIR_SOURCE: &str = "annotate";
@@ -25,9 +23,9 @@ const VARIANT_SOURCE: &str = "variants-";
 /// Fact of the manifest of a dataset that `stance variants` made.
 const VARIANTS_FACT: &str = "variants";
 /// Begin of the key of a candidate pair, and of its id in table `pairs`.
-const CANDIDATE: &str = "takes:";
+pub(super) const CANDIDATE: &str = "takes:";
 /// Begin of the key of other pairs; the rest is the id of the pair.
-const PAIR: &str = "pair:";
+pub(super) const PAIR: &str = "pair:";
 /// Conflicts that an import lists by name.
 const LISTED_CONFLICTS: usize = 50;
 
@@ -46,7 +44,7 @@ impl Taken {
     }
 
     /// Takes the result of an import of answers.
-    fn take(&mut self, done: Imported) {
+    pub(super) fn take(&mut self, done: Imported) {
         self.count("new_tasks", done.new);
         self.count("filled_tasks", done.filled);
         self.count("known_tasks", done.known);
@@ -65,7 +63,7 @@ impl Taken {
     }
 }
 
-fn task(key: String, kind: TaskKind, motion: &MotionRecord) -> NewTask {
+pub(super) fn task(key: String, kind: TaskKind, motion: &MotionRecord) -> NewTask {
     NewTask {
         key,
         kind,
@@ -111,14 +109,6 @@ fn key_of_pair(id: &str) -> String {
 /// Id in table `pairs` of the pair that a task with this key judges.
 pub(super) fn pair_id(key: &str) -> &str {
     key.strip_prefix(PAIR).unwrap_or(key)
-}
-
-/// The key that a task of an export has today. Earlier versions exported a candidate that came back from the dataset
-/// under a second key.
-fn current_key(key: &str) -> &str {
-    key.strip_prefix(PAIR)
-        .filter(|id| id.starts_with(CANDIDATE))
-        .unwrap_or(key)
 }
 
 struct Clip {
@@ -240,49 +230,8 @@ pub fn from_dataset(
             tasks.push(new);
         }
     }
-    let missing = pairs.iter().filter(|pair| {
-        !by_id.contains_key(pair.source_id.as_str()) || !by_id.contains_key(pair.target_id.as_str())
-    });
-    let missing = missing.count() as i64;
-    if missing > 0 {
-        taken.count("pairs_without_motion", missing);
-        taken.messages.push(format!(
-            "{missing} pairs name a missing or repeated motion and get no task"
-        ));
-    }
-    let mut fine: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
-    for pair in &pairs {
-        let (Some(source), Some(target)) = (
-            by_id.get(pair.source_id.as_str()),
-            by_id.get(pair.target_id.as_str()),
-        ) else {
-            continue;
-        };
-        let kind = match pair.kind.as_str() {
-            "fine-grained" => TaskKind::Pair,
-            "style" => TaskKind::Style,
-            _ => {
-                taken.count("semantic_pairs", 1);
-                continue;
-            }
-        };
-        let mut new = task(pair_key(pair), kind, &source.record);
-        new.target = Some(target.record.hash.clone());
-        new.style.clone_from(&pair.style);
-        if pair.source == PAIR_SOURCE {
-            new.accepted = Some(accepted_pair(pair, kind));
-            new.credit = credit("", false, pair.accepted_by.as_deref());
-        } else if !pair.instruction.trim().is_empty() {
-            new.hint = Some(pair.instruction.clone());
-        }
-        match kind {
-            TaskKind::Pair => fine
-                .entry(new.hint.clone().unwrap_or_default())
-                .or_default()
-                .push(new),
-            TaskKind::Style | TaskKind::MaskText => tasks.push(new),
-        }
-    }
+    let (fine, styles) = tasks_of_pairs(pairs.iter(), &by_id, &mut taken);
+    tasks.extend(styles);
     let mut candidates = candidates(&clips);
     // Two clips are judged only once. A pair of the dataset is no candidate, and neither is one that people judged
     // unusable, which is no longer in the dataset.
@@ -317,6 +266,138 @@ pub fn from_dataset(
         seen += chunk.len() as i64;
         progress(seen, total);
     }
+    Ok(taken)
+}
+
+/// Tasks of the pairs whose motions are there: of fine-grained ones by their hint, and of style pairs.
+fn tasks_of_pairs<'a>(
+    pairs: impl Iterator<Item = &'a PairRow>,
+    by_id: &BTreeMap<&str, &Clip>,
+    taken: &mut Taken,
+) -> (BTreeMap<String, Vec<NewTask>>, Vec<NewTask>) {
+    let mut missing = 0;
+    let (mut fine, mut styles) = (BTreeMap::<String, Vec<NewTask>>::new(), Vec::new());
+    for pair in pairs {
+        let (Some(source), Some(target)) = (
+            by_id.get(pair.source_id.as_str()),
+            by_id.get(pair.target_id.as_str()),
+        ) else {
+            missing += 1;
+            continue;
+        };
+        let kind = match pair.kind.as_str() {
+            "fine-grained" => TaskKind::Pair,
+            "style" => TaskKind::Style,
+            _ => {
+                taken.count("semantic_pairs", 1);
+                continue;
+            }
+        };
+        let mut new = task(pair_key(pair), kind, &source.record);
+        new.target = Some(target.record.hash.clone());
+        new.style.clone_from(&pair.style);
+        if pair.source == PAIR_SOURCE {
+            new.accepted = Some(accepted_pair(pair, kind));
+            new.credit = credit("", false, pair.accepted_by.as_deref());
+        } else if !pair.instruction.trim().is_empty() {
+            new.hint = Some(pair.instruction.clone());
+        }
+        match kind {
+            TaskKind::Pair => fine
+                .entry(new.hint.clone().unwrap_or_default())
+                .or_default()
+                .push(new),
+            TaskKind::Style | TaskKind::MaskText => styles.push(new),
+        }
+    }
+    if missing > 0 {
+        taken.count("pairs_without_motion", missing);
+        taken.messages.push(format!(
+            "{missing} pairs name a missing or repeated motion and get no task"
+        ));
+    }
+    (fine, styles)
+}
+
+/// Imports the masks and pairs of an exported dataset (`stance export --to stance`) into the tasks of the same motions.
+/// Those that people made become accepted answers of tasks that nobody has worked on; masks by people whose task has
+/// another answer are left out and reported, and so are labels of motions that this dataset lacks.
+///
+/// # Errors
+/// A motion has another content in the dataset than in the export, the dataset cannot be read, or the store fails.
+pub fn from_labels(
+    store: &Store,
+    root: &Path,
+    labels: &ExportedLabels,
+    actor: Option<i64>,
+    now: Millis,
+) -> Result<Taken, Error> {
+    let mut taken = Taken::default();
+    let clips = clips(&Dataset::open(root)?)?;
+    let mut by_id: BTreeMap<&str, &Clip> = BTreeMap::new();
+    let mut by_hash: BTreeSet<&str> = BTreeSet::new();
+    for clip in &clips {
+        let (id, hash) = (clip.record.id.as_str(), clip.record.hash.as_str());
+        let exported = labels.motions.get(id);
+        if let Some(exported) = exported.filter(|hashes| !hashes.contains(hash)) {
+            let exported: Vec<&str> = exported.iter().map(String::as_str).collect();
+            return Err(Error::Import {
+                what: format!("the labels of motion {id:?}"),
+                problem: format!(
+                    "its content is {hash} in this dataset and {} in the export; import them into the dataset that was \
+                     exported, or ingest the export",
+                    exported.join(" or ")
+                ),
+            });
+        }
+        if by_hash.insert(hash) {
+            by_id.insert(id, clip);
+        }
+    }
+    let mut masks: BTreeMap<&str, Vec<MaskRow>> = BTreeMap::new();
+    for row in &labels.masks {
+        let of_motion = masks.entry(row.motion_id.as_str()).or_default();
+        of_motion.push(row.clone());
+    }
+    let mut tasks = Vec::new();
+    for (id, rows) in &masks {
+        match by_id.get(id) {
+            Some(clip) => {
+                let new = mask_task(&clip.record, rows);
+                // As in the tasks of a dataset: a mirrored copy says nothing that its original does not.
+                if new.accepted.is_some() || !clip.mirrored {
+                    tasks.push(new);
+                }
+            }
+            None => {
+                taken.count("masks_without_motion", rows.len() as i64);
+                taken.messages.push(format!(
+                    "motion {id:?} is missing or repeated in this dataset; its {} masks are left out",
+                    rows.len()
+                ));
+            }
+        }
+    }
+    let split = |id: &MotionId| by_id.get(id.as_str()).map(|clip| &clip.record.split);
+    let is_across = |pair: &&PairRow| {
+        let sides = split(&pair.source_id).zip(split(&pair.target_id));
+        sides.is_some_and(|(source, target)| source != target)
+    };
+    let (across, pairs): (Vec<&PairRow>, Vec<&PairRow>) = labels.pairs.iter().partition(is_across);
+    if let Some(first) = across.first() {
+        taken.count("pairs_across_splits", across.len() as i64);
+        taken.messages.push(format!(
+            "{} pairs have their motions in two splits of this dataset and are left out, such as {:?}",
+            across.len(),
+            first.id
+        ));
+    }
+    let (fine, styles) = tasks_of_pairs(pairs.into_iter(), &by_id, &mut taken);
+    tasks.extend(styles);
+    for (name, list) in fine {
+        tasks.extend(bundled(&name, list));
+    }
+    taken.take(store.import(actor, tasks, now)?);
     Ok(taken)
 }
 
@@ -388,7 +469,7 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow]) -> NewTask {
 
 /// What a file says of an answer, if it says anything. Authors who are no pseudonyms of this program are not carried
 /// into exports.
-fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> Option<Credit> {
+pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> Option<Credit> {
     let is_pseudonym = author.strip_prefix('a').is_some_and(|rest| {
         let (number, store) = rest.split_once('-').unwrap_or((rest, "0"));
         number.len() >= 3
@@ -405,7 +486,7 @@ fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> Option<Credi
 }
 
 /// Whether the parts have a soft ring.
-fn has_ring(parts: &[String]) -> bool {
+pub(super) fn has_ring(parts: &[String]) -> bool {
     !crate::answer::mask_of(parts, true).soft().is_empty()
 }
 
@@ -509,123 +590,6 @@ fn bundled(name: &str, mut tasks: Vec<NewTask>) -> Vec<NewTask> {
         *place += 1;
     }
     tasks
-}
-
-/// Imports the table `annotations` of an export: every answer fills its task if nobody has worked on it, or becomes a
-/// new, accepted task. Answers to tasks with another answer are left out and reported.
-///
-/// # Errors
-/// The file cannot be read, names an unknown motion, or holds an invalid answer; then nothing is imported.
-pub fn from_annotations(
-    store: &Store,
-    motions: &BTreeMap<String, MotionRecord>,
-    path: &Path,
-    actor: Option<i64>,
-    now: Millis,
-) -> Result<Taken, Error> {
-    let rows: Vec<AnnotationRow> = read_rows(path)?;
-    let mut taken = Taken::default();
-    let mut tasks = Vec::new();
-    for group in rows.chunk_by(|a, b| a.task == b.task) {
-        tasks.push(
-            annotation_task(group, motions).map_err(|problem| Error::Import {
-                what: format!("task {:?} of {}", group[0].task, path.display()),
-                problem,
-            })?,
-        );
-    }
-    taken.take(store.import(actor, tasks, now)?);
-    Ok(taken)
-}
-
-fn annotation_task(
-    rows: &[AnnotationRow],
-    motions: &BTreeMap<String, MotionRecord>,
-) -> Result<NewTask, String> {
-    let first = &rows[0];
-    let find = |id: &str| {
-        motions
-            .get(id)
-            .ok_or_else(|| format!("motion {id:?} is not known; import its dataset first"))
-    };
-    let kind = TaskKind::parse(&first.kind)
-        .ok_or_else(|| format!("kind {:?} is not known", first.kind))?;
-    let source = find(&first.motion_id)?;
-    let mut new = task(current_key(&first.task).to_owned(), kind, source);
-    new.target = match &first.target_id {
-        Some(id) => Some(find(id)?.hash.clone()),
-        None => None,
-    };
-    new.category.clone_from(&first.category);
-    new.hint.clone_from(&first.hint);
-    new.style.clone_from(&first.source_style);
-    new.extra = first
-        .extra
-        .as_ref()
-        .map(|text| serde_json::from_str(text))
-        .transpose()
-        .map_err(|error| error.to_string())?;
-    for row in rows {
-        if row.mask_def_version != MASK_DEF_VERSION {
-            return Err(format!(
-                "its masks have definition version {}, this program has version {MASK_DEF_VERSION}",
-                row.mask_def_version
-            ));
-        }
-        for part in &row.parts {
-            part.parse::<BodyPart>()
-                .map_err(|error| error.to_string())?;
-        }
-    }
-    let verdict = || {
-        let text = first.verdict.as_deref().unwrap_or_default();
-        Verdict::parse(text).ok_or_else(|| format!("verdict {text:?} is not known"))
-    };
-    fn known<T>(text: Option<&String>, parse: fn(&str) -> Option<T>) -> Result<Option<T>, String> {
-        text.map(|text| parse(text).ok_or_else(|| format!("{text:?} is not known")))
-            .transpose()
-    }
-    let answer = match kind {
-        TaskKind::MaskText => Answer::MaskText {
-            masks: rows
-                .iter()
-                .filter(|row| row.count > 0)
-                .map(|row| MaskAnswer {
-                    parts: row.parts.clone(),
-                    soft: !row.soft_joints.is_empty() || !has_ring(&row.parts),
-                    text: row.text.clone(),
-                    suggestion: None,
-                })
-                .collect(),
-            count_reason: known(first.count_reason.as_ref(), CountReason::parse)?,
-            note: first.note.clone(),
-        },
-        TaskKind::Pair => Answer::Pair {
-            verdict: verdict()?,
-            parts: first.parts.clone(),
-            edit_type: known(first.edit_type.as_ref(), EditType::parse)?,
-            text: first.text.clone(),
-            suggestion: None,
-            note: first.note.clone(),
-        },
-        TaskKind::Style => Answer::Style {
-            verdict: verdict()?,
-            parts: first.parts.clone(),
-            style: first.style.clone(),
-            extent: known(first.extent.as_ref(), Extent::parse)?,
-            text: first.text.clone(),
-            suggestion: None,
-            note: first.note.clone(),
-        },
-    };
-    crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
-    new.accepted = Some(answer);
-    new.credit = credit(
-        &first.author,
-        first.merged != 0,
-        first.accepted_by.as_deref(),
-    );
-    Ok(new)
 }
 
 /// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, and `accepted_by.json` and `pairs.json` of an

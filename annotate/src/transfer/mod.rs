@@ -1,10 +1,12 @@
 //! Import of tasks and annotations, and export of answers.
 
+mod annotations;
 mod export;
 mod import;
 mod release;
 mod tables;
 
-pub use export::{Exported, Selection, export};
-pub use import::{Taken, from_annotations, from_dataset, from_release};
+pub use annotations::from_annotations;
+pub use export::{Exported, Selection, check_files, export};
+pub use import::{Taken, from_dataset, from_labels, from_release};
 pub use tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};

@@ -10,8 +10,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::paths::{safe_path, unique};
-use super::{Layout, Staging, amass, item_stem};
-use crate::{Error, write};
+use super::{Layout, amass, item_stem, write_json};
+use crate::Error;
+use crate::write::{self, NewFolder};
 
 const LIST: &str = "edits.json";
 
@@ -78,7 +79,7 @@ pub fn export_edits(
     };
     let edits = dataset.read::<EditRow>(None)?;
     let items = dataset.read::<ItemRow>(None)?;
-    let folder = Staging::beside(out)?;
+    let folder = NewFolder::beside(out)?;
     let mut taken = BTreeSet::new();
     let clips = clips(&edits, &items, sides)?;
     let named: Vec<(String, Clip<'_>)> = clips
@@ -98,7 +99,7 @@ pub fn export_edits(
     let said: Vec<Said<'_>> = named
         .into_par_iter()
         .map(|(file, mut clip)| {
-            let path = folder.path.join(&file);
+            let path = folder.path().join(&file);
             if layout == Layout::Amass {
                 clip.motion = write::amass::at_rate_of_recordings(&clip.motion)?;
                 clip.said.fps = clip.motion.fps().get() as f32;
@@ -113,8 +114,8 @@ pub fn export_edits(
             Ok(Said { file, ..clip.said })
         })
         .collect::<Result<_, Error>>()?;
-    folder.write_json(LIST, &said)?;
-    folder.publish(out)?;
+    write_json(folder.path(), LIST, &said)?;
+    folder.publish()?;
     progress.finish(&format!("{} motions", said.len()));
     Ok(said.len() as u64)
 }

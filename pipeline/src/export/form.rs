@@ -8,7 +8,7 @@ use super::by_clip::ByClip;
 use super::clips::Files;
 use super::features::{self, FeatureFolder};
 use super::humanml3d::HumanMl3dFolder;
-use super::{Layout, lerobot, motionfix, stance, webdataset};
+use super::{Exported, Layout, lerobot, motionfix, stance, webdataset};
 use crate::Error;
 use crate::filter::Clips;
 
@@ -17,7 +17,7 @@ pub(super) enum Form {
     /// Clip by clip.
     ByClip(Box<dyn ByClip>),
     /// In one go, because they depend on each other.
-    Whole(fn(&Clips, &Path, &dyn Progress) -> Result<u64, Error>),
+    Whole(fn(&Clips, &Path, &dyn Progress) -> Result<Exported, Error>),
 }
 
 impl Form {

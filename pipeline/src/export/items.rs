@@ -8,8 +8,9 @@ use datasets_spec::{Motion, Progress, Skeleton};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::Staging;
+use super::write_json;
 use crate::Error;
+use crate::write::NewFolder;
 
 const LIST: &str = "items.json";
 const SOURCES: &str = "sources";
@@ -68,14 +69,14 @@ pub fn export_items(
     progress: &dyn Progress,
 ) -> Result<u64, Error> {
     items.iter().try_for_each(ItemRow::check)?;
-    let folder = Staging::beside(out)?;
+    let folder = NewFolder::beside(out)?;
     let sides: &[&str] = if with_targets {
         &[SOURCES, TARGETS]
     } else {
         &[SOURCES]
     };
     for side in sides {
-        let path = folder.path.join(side);
+        let path = folder.path().join(side);
         fs::create_dir_all(&path).map_err(Error::io("create folder", &path))?;
     }
     progress.begin("export items", Some(items.len() as u64));
@@ -84,7 +85,7 @@ pub fn export_items(
         .map(|item| {
             let put = |side: &str, motion: &Motion| -> Result<File, Error> {
                 let file = format!("{side}/{}.npz", item_stem(&item.id));
-                let path = folder.path.join(&file);
+                let path = folder.path().join(&file);
                 let bytes = crate::write::amass::encode_with_keypoints(motion, skeleton)
                     .map_err(Error::io("encode", &path))?;
                 fs::write(&path, bytes).map_err(Error::io("write", &path))?;
@@ -121,8 +122,8 @@ pub fn export_items(
         up: "z",
         items: written,
     };
-    folder.write_json(LIST, &list)?;
-    folder.publish(out)?;
+    write_json(folder.path(), LIST, &list)?;
+    folder.publish()?;
     progress.finish(&format!("{} items", items.len()));
     Ok(motions)
 }

@@ -16,14 +16,14 @@ use serde_json::{Value, json};
 
 use super::by_clip::{Note, PART_CLIPS};
 use super::form::Form;
-use super::{Layout, made_captions_left_out};
+use super::{Exported, Layout};
 use crate::Error;
 use crate::filter::{Clips, Filter, Part, Shard};
 use crate::work::{
     self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, absolute,
     hash_file,
 };
-use crate::write::is_occupied;
+use crate::write::{NewFolder, is_occupied};
 
 /// Name of the job.
 pub(crate) const JOB: &str = "export";
@@ -227,11 +227,16 @@ impl Export {
             (Form::ByClip(form), Some(part)) => Ok(Written {
                 clips: part.clips.len() as u64,
                 notes: form.write(clips.read(part)?, folder, &NoProgress)?,
+                whole: Exported::default(),
             }),
-            (Form::Whole(write), None) => Ok(Written {
-                clips: write(clips, folder, &NoProgress)?,
-                notes: Vec::new(),
-            }),
+            (Form::Whole(write), None) => {
+                let whole = write(clips, folder, &NoProgress)?;
+                Ok(Written {
+                    clips: whole.clips,
+                    notes: Vec::new(),
+                    whole,
+                })
+            }
             _ => Err(Error::BadPlan {
                 path: PathBuf::from(JOB),
                 reason: "its pieces are those of another layout; plan again".to_owned(),
@@ -246,6 +251,9 @@ impl Export {
 struct Written {
     clips: u64,
     notes: Vec<Note>,
+    /// What an export in one piece says. Pieces of earlier versions say nothing.
+    #[serde(default)]
+    whole: Exported,
 }
 
 /// The files below a folder with their sizes and hashes, sorted by path. Paths begin with `prefix`.
@@ -304,12 +312,8 @@ impl Job for Export {
             Some(_) => self.clips(),
             None => self.clips().first(count),
         };
-        let made = temporary_beside(&std::env::temp_dir().join("stance-sample"));
-        fs::create_dir_all(&made).map_err(Error::io("create folder", &made))?;
-        let written = self.write(&clips, part.as_ref(), &made);
-        // The system removes it otherwise.
-        let _removed = fs::remove_dir_all(&made);
-        written?;
+        let made = NewFolder::beside(&temporary_beside(&std::env::temp_dir().join("stance")))?;
+        self.write(&clips, part.as_ref(), made.path())?;
         Ok(part.map_or(clips.len(), |part| part.clips.len() as u64))
     }
 
@@ -342,10 +346,8 @@ impl Job for Export {
             .map_err(Error::io("remove", &result))?;
         fs::create_dir_all(&result).map_err(Error::io("create folder", &result))?;
         let staging = plan.staging();
-        let mut all = Written {
-            clips: 0,
-            notes: Vec::new(),
-        };
+        let mut notes = Vec::new();
+        let mut done = Exported::default();
         for Finished { piece, made } in pieces {
             // A layout has no table of what is missing.
             let made = made.map_err(|Failed { code, reason }| Error::Job {
@@ -362,25 +364,25 @@ impl Job for Export {
                 link(&staging.path(file), &result.join(name))?;
             }
             let written: Written = work::notes(plan, &piece, made.notes)?;
-            all.clips += written.clips;
-            all.notes.extend(written.notes);
+            done.add(written.whole);
+            notes.extend(written.notes);
         }
         let clips = self.clips();
-        let written = match &self.form {
-            Form::ByClip(form) => form.finish(&clips, &all.notes, &result)?,
-            Form::Whole(_) => all.clips,
-        };
+        if let Form::ByClip(form) = &self.form {
+            done.clips = form.finish(&clips, &notes, &result)?;
+        }
+        done.complete(self.layout, &clips)?;
         let committed = Committed {
             destination: out.to_owned(),
             already_committed: false,
             pieces: plan.pieces().len() as u64,
             failed: 0,
-            tables: [("clips".to_owned(), written)].into(),
+            tables: [("clips".to_owned(), done.clips)].into(),
             accounting: None,
             root_hash: hash_of(&files_in(&result, "")?),
-            notes: match made_captions_left_out(self.layout, &clips)? {
-                0 => Value::Null,
-                count => json!({ "made_captions_left_out": count }),
+            notes: match done.left_out.is_empty() && done.beside.is_empty() {
+                true => Value::Null,
+                false => json!({ "left_out": done.left_out, "beside": done.beside }),
             },
         };
         plan.publish(&committed)?;

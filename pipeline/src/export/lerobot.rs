@@ -30,6 +30,7 @@ use parquet::file::properties::WriterProperties;
 use serde_json::json;
 
 use self::statistics::Statistics;
+use super::Exported;
 use crate::Error;
 use crate::filter::Clips;
 
@@ -44,11 +45,15 @@ const CHUNK_FILES: usize = 1000;
 /// Task of a clip without a caption.
 const NO_TASK: &str = "move";
 
-/// Writes the data set and returns the number of clips.
+/// Writes the data set.
 ///
 /// # Errors
 /// The dataset cannot be read, its clips differ in frame rate, or a file cannot be written.
-pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
+pub(super) fn write(
+    clips: &Clips,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<Exported, Error> {
     progress.begin("export lerobot", Some(clips.len()));
     let robot_type = &clips.dataset().manifest().skeleton;
     let mut writer = Writer::new(robot_type, folder);
@@ -67,7 +72,7 @@ pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Re
     }
     writer.finish(&splits)?;
     progress.finish(&format!("{} episodes", clips.len()));
-    Ok(clips.len())
+    Ok(Exported::of(clips.len()))
 }
 
 /// A clip, and the location of its frames.
@@ -483,7 +488,7 @@ mod tests {
         let out = dir.path().join("out");
         assert_eq!(
             write(&Clips::all(&dataset), &out, &NoProgress).expect("written"),
-            2
+            Exported::of(2)
         );
 
         let data = table(&out.join("data/chunk-000/file-000.parquet"));

@@ -14,24 +14,24 @@ mod form;
 mod humanml3d;
 mod items;
 mod job;
+mod left_out;
 mod lerobot;
 mod motionfix;
 mod paths;
 mod stance;
 mod webdataset;
 
-use std::ffi::OsString;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use datasets_spec::Progress;
-use datasets_spec::record::{CAPTION_BY_RULE, MotionRow};
+use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use serde::Serialize;
 
 use crate::Error;
 use crate::filter::Clips;
-use crate::write::{self, is_occupied};
+use crate::write::NewFolder;
 
 use self::by_clip::PART_CLIPS;
 use self::form::Form;
@@ -41,6 +41,7 @@ pub use items::export_items;
 pub(crate) use items::item_stem;
 pub use job::plan_export;
 pub(crate) use job::{JOB, open_job};
+pub use left_out::{Counts, Exported, untagged_captions};
 pub use motionfix::export_triplets;
 
 /// A layout to export to.
@@ -114,15 +115,6 @@ impl Layout {
     }
 }
 
-/// Result of an export.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Exported {
-    /// Clips in it.
-    pub clips: u64,
-    /// Captions made from file names that were left out, because the layout cannot mark them.
-    pub made_captions_left_out: u64,
-}
-
 /// Writes clips to a new folder in another layout.
 ///
 /// # Errors
@@ -140,108 +132,31 @@ pub fn export(
             path: dataset.root().to_owned(),
         });
     }
-    let folder = Staging::beside(out)?;
-    let num_clips = match Form::of(layout, clips)? {
-        Form::Whole(write) => write(clips, &folder.path, progress)?,
+    let folder = NewFolder::beside(out)?;
+    let mut done = match Form::of(layout, clips)? {
+        Form::Whole(write) => write(clips, folder.path(), progress)?,
         Form::ByClip(form) => {
             progress.begin("export", Some(clips.len()));
             let mut notes = Vec::new();
             for part in clips.parts(PART_CLIPS) {
-                notes.extend(form.write(clips.read(&part)?, &folder.path, progress)?);
+                notes.extend(form.write(clips.read(&part)?, folder.path(), progress)?);
             }
-            let written = form.finish(clips, &notes, &folder.path)?;
+            let written = form.finish(clips, &notes, folder.path())?;
             progress.finish(&format!("{written} clips"));
-            written
+            Exported::of(written)
         }
     };
-    folder.publish(out)?;
-    Ok(Exported {
-        clips: num_clips,
-        made_captions_left_out: made_captions_left_out(layout, clips)?,
-    })
+    done.complete(layout, clips)?;
+    done.left_by_others = folder.left_by_others();
+    folder.publish()?;
+    Ok(done)
 }
 
-/// Captions made from file names that a layout leaves out.
-fn made_captions_left_out(layout: Layout, clips: &Clips) -> Result<u64, Error> {
-    let marks_captions = match layout {
-        Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::WebDataset | Layout::Stance => true,
-        // Its texts are instructions.
-        Layout::MotionFix => true,
-        Layout::HumanMl3d
-        | Layout::LeRobot
-        | Layout::HumanMl3d272
-        | Layout::Babel272
-        | Layout::MotionMillion
-        | Layout::HyMotion => false,
-    };
-    match marks_captions {
-        true => Ok(0),
-        false => made_captions(clips),
-    }
-}
-
-/// Captions made from file names. Only the column of their origins is read.
-fn made_captions(clips: &Clips) -> Result<u64, Error> {
-    let mut count = 0;
-    for shard in clips.shards(None) {
-        // Tables older than 1.5.0 have no such column.
-        let origins = shard.column::<Vec<String>>("caption_origins");
-        let origins = origins.unwrap_or_default().into_iter().flatten();
-        count += origins.filter(|origin| origin == CAPTION_BY_RULE).count() as u64;
-    }
-    Ok(count)
-}
-
-/// A temporary folder that is removed unless it is published.
-struct Staging {
-    path: PathBuf,
-    published: bool,
-}
-
-impl Staging {
-    fn beside(out: &Path) -> Result<Self, Error> {
-        if is_occupied(out) {
-            return Err(Error::Occupied {
-                path: out.to_owned(),
-            });
-        }
-        let mut name = OsString::from(".");
-        name.push(out.file_name().unwrap_or("export".as_ref()));
-        name.push(format!(".{}.partial", std::process::id()));
-        let path = out.with_file_name(name);
-        fs::create_dir_all(&path).map_err(Error::io("create folder", &path))?;
-        Ok(Self {
-            path,
-            published: false,
-        })
-    }
-
-    /// Writes a JSON document, indented and with a line end.
-    fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), Error> {
-        let path = self.path.join(name);
-        let mut text = serde_json::to_vec_pretty(value).map_err(|source| {
-            Error::from(datasets_spec::Error::Json {
-                path: path.clone(),
-                source,
-            })
-        })?;
-        text.push(b'\n');
-        fs::write(&path, text).map_err(Error::io("write", &path))
-    }
-
-    fn publish(mut self, out: &Path) -> Result<(), Error> {
-        write::publish(&self.path, out)?;
-        self.published = true;
-        Ok(())
-    }
-}
-
-impl Drop for Staging {
-    fn drop(&mut self) {
-        if !self.published {
-            // A failure to remove the folder cannot be reported from here; the error that led here
-            // is reported.
-            let _ = fs::remove_dir_all(&self.path);
-        }
-    }
+/// Writes a JSON document, indented and with a line end.
+fn write_json(folder: &Path, name: &str, value: &impl Serialize) -> Result<(), Error> {
+    let path = folder.join(name);
+    let mut text = serde_json::to_vec_pretty(value)
+        .map_err(|error| Error::io("write", &path)(error.into()))?;
+    text.push(b'\n');
+    fs::write(&path, text).map_err(Error::io("write", &path))
 }

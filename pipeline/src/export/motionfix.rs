@@ -16,12 +16,13 @@ use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Motion, MotionId, Progress, Skeleton, Split};
 use pickle::{DictWriter, Value};
 use rayon::prelude::*;
-use serde::Serialize;
 
-use super::Staging;
+use super::left_out::{PAIRS, put};
+use super::{Exported, write_json};
 use crate::Error;
 use crate::compose::style_instruction;
 use crate::filter::Clips;
+use crate::write::NewFolder;
 use crate::write::motionfix::Parameters;
 
 const ALL: &str = "motionfix.pth.tar";
@@ -51,8 +52,7 @@ impl Side {
     }
 }
 
-/// Writes the recorded triplets of a dataset, or else its items with a target, to a new folder, and returns their
-/// number.
+/// Writes the recorded triplets of a dataset, or else its items with a target, to a new folder.
 ///
 /// # Errors
 /// There are none, the folder exists and is not empty, the dataset cannot be read, or writing fails; nothing is left
@@ -61,12 +61,13 @@ pub fn export_triplets(
     dataset: &Dataset,
     out: &Path,
     progress: &dyn Progress,
-) -> Result<u64, Error> {
-    let staging = Staging::beside(out)?;
+) -> Result<Exported, Error> {
+    let folder = NewFolder::beside(out)?;
     let skeleton = dataset.skeleton()?;
-    let mut writer = Writer::new(&staging.path, &skeleton, BTreeSet::new())?;
+    let mut writer = Writer::new(folder.path(), &skeleton, BTreeSet::new())?;
     let tables = &dataset.manifest().tables;
     progress.begin("export motionfix", None);
+    let mut done = Exported::default();
     if tables.contains_key(TripletRow::TABLE) {
         for (path, _) in dataset.files(TripletRow::TABLE, None) {
             let rows: Vec<TripletRow> = read_rows(&path)?;
@@ -75,17 +76,26 @@ pub fn export_triplets(
     } else {
         for (path, _) in dataset.files(ItemRow::TABLE, None) {
             let mut rows: Vec<ItemRow> = read_rows(&path)?;
+            let all = rows.len();
             rows.retain(|item| item.target_frames > 0);
+            let without_target = all - rows.len();
+            put(
+                &mut done.left_out,
+                "items_without_target",
+                without_target as u64,
+            );
             writer.take(&rows, &of_item)?;
         }
     }
-    let written = writer.finish()?;
-    if written == 0 {
+    put(&mut done.left_out, "without_instruction", writer.wordless);
+    done.clips = writer.finish()?;
+    if done.clips == 0 {
         return Err(none(dataset));
     }
-    staging.publish(out)?;
-    progress.finish(&format!("{written} triplets"));
-    Ok(written)
+    done.left_by_others = folder.left_by_others();
+    folder.publish()?;
+    progress.finish(&format!("{} triplets", done.clips));
+    Ok(done)
 }
 
 fn none(dataset: &Dataset) -> Error {
@@ -94,12 +104,16 @@ fn none(dataset: &Dataset) -> Error {
     }
 }
 
-/// Writes the pairs whose motions are both among the clips, and returns their number. A style pair without words
-/// gets those of its style; other pairs without words are left out.
+/// Writes the pairs whose motions are both among the clips. A style pair without words gets those of its style; other
+/// pairs without words are left out.
 ///
 /// # Errors
 /// There is no such pair, the dataset cannot be read or a file cannot be written.
-pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
+pub(super) fn write(
+    clips: &Clips,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<Exported, Error> {
     let dataset = clips.dataset();
     let skeleton = dataset.skeleton()?;
     let pairs = dataset.read::<PairRow>(None)?;
@@ -127,12 +141,35 @@ pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Re
         writer.take(pairs, &|pair| of_pair(pair, &motions))?;
         progress.advance(pairs.len() as u64);
     }
-    let written = writer.finish()?;
-    progress.finish(&format!("{written} pairs"));
-    match written {
-        0 => Err(none(dataset)),
-        _ => Ok(written),
+    let mut done = Exported::default();
+    put(&mut done.left_out, PAIRS, writer.wordless);
+    done.clips = writer.finish()?;
+    progress.finish(&format!("{} pairs", done.clips));
+    if done.clips == 0 {
+        return Err(none(dataset));
     }
+    let is_written = |pair: &&&PairRow| !pair.instruction.trim().is_empty() || pair.style.is_some();
+    let written: Vec<&&PairRow> = pairs.iter().filter(is_written).collect();
+    let paired = written
+        .iter()
+        .flat_map(|pair| [&pair.source_id, &pair.target_id]);
+    let paired: BTreeSet<&MotionId> = paired.collect();
+    put(
+        &mut done.left_out,
+        "clips",
+        clips.len() - paired.len() as u64,
+    );
+    let says: [(&str, fn(&PairRow) -> bool); 4] = [
+        ("pair_styles", |pair| pair.style.is_some()),
+        ("pair_parts", |pair| !pair.parts.is_empty()),
+        ("edit_types", |pair| pair.edit_type.is_some()),
+        ("accepted_by", |pair| pair.accepted_by.is_some()),
+    ];
+    for (name, is_said) in says {
+        let said = written.iter().filter(|pair| is_said(pair));
+        put(&mut done.left_out, name, said.count() as u64);
+    }
+    Ok(done)
 }
 
 fn of_triplet(row: &TripletRow) -> Result<Triplet, Error> {
@@ -232,6 +269,8 @@ struct Writer<'a> {
     taken: BTreeSet<String>,
     /// Published keys that have their pair.
     used: BTreeSet<String>,
+    /// Triplets that were left out, because they have no words.
+    wordless: u64,
 }
 
 impl<'a> Writer<'a> {
@@ -260,6 +299,7 @@ impl<'a> Writer<'a> {
             ids: csv::Writer::from_writer(Vec::new()),
             taken: reserved,
             used: BTreeSet::new(),
+            wordless: 0,
             folder: folder.to_owned(),
             skeleton,
         };
@@ -305,6 +345,7 @@ impl<'a> Writer<'a> {
                 .filter_map(|side| side.license.as_deref())
                 .collect();
             licenses.dedup();
+            self.wordless += u64::from(value.is_none());
             let left_out = if value.is_none() {
                 "no instruction"
             } else {
@@ -370,7 +411,7 @@ impl<'a> Writer<'a> {
             dump.finish().map_err(Error::io("write", &self.folder))?;
         }
         let count = self.splits.values().map(Vec::len).sum::<usize>();
-        put(&self.folder, "splits.json", &self.splits)?;
+        write_json(&self.folder, "splits.json", &self.splits)?;
         let path = self.folder.join("ids.csv");
         let lines = self.ids.into_inner().unwrap_or_default();
         fs::write(&path, lines).map_err(Error::io("write", &path))?;
@@ -392,13 +433,6 @@ impl Keyed for &PairRow {
     fn key(&self) -> Option<&str> {
         published_key(self)
     }
-}
-
-fn put(folder: &Path, name: &str, value: &impl Serialize) -> Result<(), Error> {
-    let path = folder.join(name);
-    let text = serde_json::to_vec_pretty(value)
-        .map_err(|error| Error::io("write", &path)(error.into()))?;
-    fs::write(&path, text).map_err(Error::io("write", &path))
 }
 
 #[cfg(test)]

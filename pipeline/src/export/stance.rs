@@ -1,8 +1,8 @@
 //! The layout of the STANCE release: pickles of 20 fps and the lists that go with them.
 //!
-//! The release numbers its files by HumanML3D's clips. Other motions get higher numbers. Metadata that the
-//! layout cannot hold (ids, splits, captions) is in `origin.json`, which the reader of this crate uses and
-//! other readers may ignore.
+//! The release numbers its files by HumanML3D's clips. Other motions get higher numbers. What the layout has no place for
+//! (ids, splits, captions, and masks and pairs as the dataset has them) is in `origin.json`, `masks.jsonl` and
+//! `pairs.jsonl`, which the reader of this crate uses and other readers may ignore.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -13,35 +13,41 @@ use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::PartCaption;
 use datasets_spec::{BodyPart, Fps, Motion, Progress, Resample, Split};
 use serde::Serialize;
-use serde_json::json;
 
+use super::left_out::{Exported, put};
 use crate::Error;
 use crate::filter::Clips;
-use crate::source::stance::origin::{self, Origin, Origins};
+use crate::source::stance::origin::{self, Origin, Record};
 use crate::source::stance::{
     ADJUSTMENT, BASE_MOTION, FIRST_FREE_NUMBER, REGEN, SPLIT, STYLE_TRANSFER, file_stem,
 };
 use pickle::{self, Array, Value};
 
-/// Writes the motions, pairs and masks of a dataset into an empty folder, and returns the number of
-/// motions.
+/// Writes the motions, pairs and masks of a dataset into an empty folder.
 ///
-/// Semantic pairs and masks without named parts are left out, because the release cannot hold them. Motions
-/// of other rates than 20 fps are resampled.
+/// The layout of the release has no place for semantic pairs, for some styles of styles, for masks without named parts
+/// and for those of other motions than base motions: [`Exported::beside`] counts them. All masks and pairs are in files
+/// of this program. Motions of other rates than 20 fps are resampled.
 ///
 /// # Errors
 /// The dataset cannot be read or the folder cannot be written.
-pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
+pub(super) fn write(
+    clips: &Clips,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<Exported, Error> {
+    let labels = Labels::of(clips)?;
     let mut annotations = Annotations::default();
-    for mask in clips.dataset().read::<MaskRow>(None)? {
-        annotations.take_mask(&mask);
+    for mask in &labels.masks {
+        annotations.take_mask(mask);
     }
     let annotated = annotations.by_id.keys().cloned().collect();
-    let plan = Plan::make(clips, &annotated)?;
+    let plan = Plan::make(&labels, &annotated);
+    let manifest = clips.dataset().manifest();
     let mut writer = Writer {
         folder,
         plan: &plan,
-        origins: Origins::new(),
+        record: Record::new(&manifest.root_hash, &manifest.skeleton),
         annotations,
         waiting: BTreeMap::new(),
     };
@@ -58,11 +64,46 @@ pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Re
         }
     }
     writer.finish()?;
-    let written = plan.places.len() as u64;
+    save_rows(&folder.join(origin::MASKS), &labels.masks)?;
+    save_rows(&folder.join(origin::PAIRS), &labels.pairs)?;
+    let mut done = Exported::of(plan.places.len() as u64);
+    let placed = labels.masks.iter().filter(|mask| plan.has_place(mask));
+    let masks = labels.masks.len() - placed.count();
+    put(&mut done.beside, "masks", masks as u64);
+    let pairs = labels.pairs.len() - plan.num_pairs();
+    put(&mut done.beside, "pairs", pairs as u64);
     progress.finish(&format!(
-        "{written} motions in the layout of the STANCE release"
+        "{} motions in the layout of the STANCE release",
+        done.clips
     ));
-    Ok(written)
+    Ok(done)
+}
+
+/// The labels of the chosen clips, in an order that does not depend on the tables.
+struct Labels {
+    ids: BTreeSet<String>,
+    masks: Vec<MaskRow>,
+    /// Pairs of which both motions are chosen.
+    pairs: Vec<PairRow>,
+}
+
+impl Labels {
+    fn of(clips: &Clips) -> Result<Self, Error> {
+        let mut ids: BTreeSet<String> = BTreeSet::new();
+        for shard in clips.shards(None) {
+            ids.extend(shard.column::<String>("id")?);
+        }
+        let mut masks = clips.dataset().read::<MaskRow>(None)?;
+        masks.retain(|mask| ids.contains(mask.motion_id.as_str()));
+        masks.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
+        let mut pairs = clips.dataset().read::<PairRow>(None)?;
+        pairs.retain(|pair| {
+            let both = [&pair.source_id, &pair.target_id];
+            both.iter().all(|id| ids.contains(id.as_str()))
+        });
+        pairs.sort_by(|a, b| a.id.cmp(&b.id));
+        Ok(Self { ids, masks, pairs })
+    }
 }
 
 /// An adjustment to be written: its file, motions and texts.
@@ -83,25 +124,16 @@ struct Plan {
 
 impl Plan {
     /// `annotated` motions need their own file, so that annotations can name it.
-    fn make(clips: &Clips, annotated: &BTreeSet<String>) -> Result<Self, Error> {
-        let mut ids: BTreeSet<String> = BTreeSet::new();
-        for shard in clips.shards(None) {
-            ids.extend(shard.column::<String>("id")?);
-        }
-        let pairs = clips.dataset().read::<PairRow>(None)?;
+    fn make(labels: &Labels, annotated: &BTreeSet<String>) -> Self {
         let (mut styled, mut adjusted) = (BTreeMap::new(), Vec::new());
-        for pair in pairs {
-            let both = [&pair.source_id, &pair.target_id];
-            if !both.iter().all(|id| ids.contains(id.as_str())) {
-                continue;
-            }
+        for pair in &labels.pairs {
             match (pair.kind.as_str(), &pair.style) {
                 ("style", Some(style)) => {
                     let source = pair.source_id.as_str().to_owned();
                     let target = pair.target_id.as_str().to_owned();
                     styled.insert(target, (source, style.clone()));
                 }
-                ("fine-grained", _) => adjusted.push(pair),
+                ("fine-grained", _) => adjusted.push(pair.clone()),
                 _ => {}
             }
         }
@@ -114,9 +146,22 @@ impl Plan {
             uses: BTreeMap::new(),
         };
         plan.place_adjustments(adjusted);
-        plan.place_base(&ids, &styled, &bases, annotated);
+        plan.place_base(&labels.ids, &styled, &bases, annotated);
         plan.place_styled(&styled);
-        Ok(plan)
+        plan
+    }
+
+    /// Whether the lists of the release have a place for a mask.
+    fn has_place(&self, mask: &MaskRow) -> bool {
+        let place = self.places.get(mask.motion_id.as_str());
+        is_named(mask) && matches!(place, Some(Some((BASE_MOTION, _))))
+    }
+
+    /// Pairs that are files of the release.
+    fn num_pairs(&self) -> usize {
+        let places = self.places.values().flatten();
+        let styled = places.filter(|(section, _)| *section == STYLE_TRANSFER);
+        styled.count() + self.adjustments.len()
     }
 
     fn place_adjustments(&mut self, pairs: Vec<PairRow>) {
@@ -201,6 +246,12 @@ fn file_name(text: &str) -> String {
         .collect()
 }
 
+/// Whether a mask is made of named parts.
+fn is_named(mask: &MaskRow) -> bool {
+    let mut parts = mask.parts.iter();
+    !mask.parts.is_empty() && parts.all(|part| part.parse::<BodyPart>().is_ok())
+}
+
 /// Part annotations of each motion: masks and their texts, alternating.
 #[derive(Default)]
 struct Annotations {
@@ -209,11 +260,7 @@ struct Annotations {
 
 impl Annotations {
     fn take_mask(&mut self, mask: &MaskRow) {
-        let known = mask
-            .parts
-            .iter()
-            .all(|part| part.parse::<BodyPart>().is_ok());
-        if known && !mask.parts.is_empty() {
+        if is_named(mask) {
             self.put(
                 mask.motion_id.as_str(),
                 mask.parts.join("+"),
@@ -243,7 +290,7 @@ impl Annotations {
 struct Writer<'a> {
     folder: &'a Path,
     plan: &'a Plan,
-    origins: Origins,
+    record: Record,
     annotations: Annotations,
     /// Motions of adjustments, kept until all their pairs are written.
     waiting: BTreeMap<String, Waiting>,
@@ -263,12 +310,12 @@ impl Writer<'_> {
             self.annotations.take_caption(&id, caption);
         }
         let value = motion_value(&motion);
-        let origin = origin_of(row);
+        let origin = origin_of(row, &motion);
         if let Some(Some((section, stem))) = self.plan.places.get(&id) {
             let path = self.folder.join(section).join(format!("{stem}.pkl"));
             save(&path, &pickle::encode(&value))?;
-            self.origins
-                .insert(format!("{section}/{stem}"), origin.clone());
+            let name = format!("{section}/{stem}");
+            self.record.motions.insert(name, origin.clone());
         }
         if let Some(uses) = self.plan.uses.get(&id) {
             let waiting = Waiting {
@@ -299,7 +346,8 @@ impl Writer<'_> {
             ]);
             for (key, waiting) in [("src", source), ("tgt", target)] {
                 let name = format!("{ADJUSTMENT}/{stem}#{key}");
-                self.origins.insert(name, waiting.origin.clone());
+                let origin = waiting.origin.clone();
+                self.record.motions.insert(name, origin);
             }
             let path = self.folder.join(ADJUSTMENT).join(format!("{stem}.pkl"));
             save(&path, &pickle::encode(&content))?;
@@ -316,7 +364,7 @@ impl Writer<'_> {
         Ok(())
     }
 
-    fn finish(&self) -> Result<(), Error> {
+    fn finish(&mut self) -> Result<(), Error> {
         let (mut masks, mut texts) = (BTreeMap::new(), BTreeMap::new());
         for (id, said) in &self.annotations.by_id {
             let Some(Some((BASE_MOTION, stem))) = self.plan.places.get(id) else {
@@ -329,13 +377,22 @@ impl Writer<'_> {
             masks.insert(stem, parts);
             texts.insert(stem, says);
         }
-        let regen = self.folder.join(REGEN);
-        save_json(&regen.join("mask_all.json"), &masks)?;
-        save_json(&regen.join("part_annotations.json"), &texts)?;
-        save_json(&self.folder.join(origin::FILE_NAME), &self.origins)?;
+        for (name, content) in [
+            ("mask_all.json", json_text(&masks)),
+            ("part_annotations.json", json_text(&texts)),
+        ] {
+            let name = format!("{REGEN}/{name}");
+            save(&self.folder.join(&name), &content)?;
+            let hash = blake3::hash(&content).to_hex().to_string();
+            self.record.lists.insert(name, hash);
+        }
+        save(
+            &self.folder.join(origin::FILE_NAME),
+            &json_text(&self.record),
+        )?;
         for split in [Split::Val, Split::Test] {
             let names = |section: &str| -> BTreeSet<&str> {
-                let names = self.origins.iter();
+                let names = self.record.motions.iter();
                 let names = names.filter(|(_, origin)| origin.split == split);
                 names
                     .filter_map(|(name, _)| {
@@ -351,7 +408,7 @@ impl Writer<'_> {
             save(&base, lines.join("\n").as_bytes())?;
             for section in [STYLE_TRANSFER, ADJUSTMENT] {
                 let list = folder.join(section).join(format!("{split}.json"));
-                save_json(&list, &json!(names(section)))?;
+                save(&list, &json_text(&names(section)))?;
             }
         }
         Ok(())
@@ -371,11 +428,17 @@ fn motion_value(motion: &Motion) -> Value {
     ])
 }
 
-fn origin_of(row: MotionRow) -> Origin {
+fn origin_of(row: MotionRow, written: &Motion) -> Origin {
     let origins = row.captions_by_origin();
     let caption_origins = origins.map(|(_, origin)| origin.to_owned()).collect();
+    let content_hash = written.content_hash();
     Origin {
         caption_origins,
+        stored_hash: (content_hash != row.content_hash).then_some(row.content_hash),
+        content_hash: Some(content_hash),
+        rotation_source: row.rotation_source,
+        fit_error_m: row.fit_error_m,
+        part_captions: row.part_captions,
         subject: row.subject,
         id: row.id.into(),
         split: row.split,
@@ -395,10 +458,18 @@ fn save(path: &Path, content: &[u8]) -> Result<(), Error> {
     fs::write(path, content).map_err(Error::io("write", path))
 }
 
-fn save_json(path: &Path, content: &impl Serialize) -> Result<(), Error> {
-    let text = serde_json::to_vec_pretty(content)
-        .map_err(|error| Error::io("write", path)(error.into()))?;
-    save(path, &text)
+fn json_text(content: &impl Serialize) -> Vec<u8> {
+    serde_json::to_vec_pretty(content).expect("texts and numbers serialise")
+}
+
+/// Writes rows, one in each line.
+fn save_rows(path: &Path, rows: &[impl Serialize]) -> Result<(), Error> {
+    let mut lines = Vec::new();
+    for row in rows {
+        serde_json::to_writer(&mut lines, row).expect("texts and numbers serialise");
+        lines.push(b'\n');
+    }
+    save(path, &lines)
 }
 
 #[cfg(test)]

@@ -12,6 +12,7 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::{Progress, Split};
 use serde_json::json;
 
+use super::Exported;
 use crate::Error;
 use crate::filter::Clips;
 use pickle::npy;
@@ -22,11 +23,15 @@ const SHARD_BYTES: u64 = 256 << 20;
 /// Permissions of a member.
 const MODE: u32 = 0o644;
 
-/// Writes the shards of every split and returns the number of clips.
+/// Writes the shards of every split.
 ///
 /// # Errors
 /// The dataset cannot be read or a shard cannot be written.
-pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Result<u64, Error> {
+pub(super) fn write(
+    clips: &Clips,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<Exported, Error> {
     progress.begin("export webdataset", Some(clips.len()));
     for split in Split::ALL {
         let mut shards = Shards {
@@ -44,7 +49,7 @@ pub(super) fn write(clips: &Clips, folder: &Path, progress: &dyn Progress) -> Re
         shards.close()?;
     }
     progress.finish(&format!("{} clips", clips.len()));
-    Ok(clips.len())
+    Ok(Exported::of(clips.len()))
 }
 
 struct Shards<'a> {

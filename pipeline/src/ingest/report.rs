@@ -193,16 +193,28 @@ impl Tally {
         list.pairs(&motions, known)
     }
 
-    /// The masks that stay and those that came with clips of this run.
+    /// The masks that stay and those that came with clips of this run. A mask that is there already under its id, where
+    /// people may have changed it since, stays as it is.
     pub(super) fn masks(&self, mut masks: Vec<MaskRow>) -> Vec<MaskRow> {
-        let mut taken: BTreeSet<String> = masks.iter().map(|mask| mask.id.clone()).collect();
+        let taken = masks.iter().map(|mask| (&mask.id, &mask.motion_id));
+        let mut taken: BTreeMap<String, MotionId> = taken
+            .map(|(id, motion)| (id.clone(), motion.clone()))
+            .collect();
         for (number, mask) in self.masks.iter().enumerate() {
-            let mut numbered = (number..).map(|number| format!("{}/{number}", mask.id));
-            let id = numbered.find(|id| taken.insert(id.clone()));
-            masks.push(MaskRow {
-                id: id.expect("numbers do not end"),
-                ..mask.clone()
-            });
+            let own = (!mask.id.is_empty()).then(|| mask.id.clone());
+            if own.as_ref().and_then(|id| taken.get(id)) == Some(&mask.motion_id) {
+                continue;
+            }
+            let base = match &own {
+                Some(id) => id.clone(),
+                None => format!("{}/{}", mask.motion_id, mask.parts.join("+")),
+            };
+            let numbered = (number..).map(|number| format!("{base}/{number}"));
+            let mut ids = own.into_iter().chain(numbered);
+            let id = ids.find(|id| !taken.contains_key(id));
+            let id = id.expect("numbers do not end");
+            taken.insert(id.clone(), mask.motion_id.clone());
+            masks.push(MaskRow { id, ..mask.clone() });
         }
         masks
     }

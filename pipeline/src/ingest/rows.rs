@@ -13,7 +13,7 @@ use crate::check::{
     FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, FLAG_REFERENCE_DROPPED, Teleports,
     check_with, starts_apart,
 };
-use crate::clip::{EditOf, MadeMask, Markers, Rejected, SourceClip, SourceMask, check_resampled};
+use crate::clip::{EditOf, Markers, Rejected, SourceClip, SourceMask, check_resampled};
 use crate::feature::humanml3d::{self, Features};
 use crate::feature::smpl_body;
 
@@ -236,6 +236,15 @@ pub(super) fn said_flags(clip: &SourceClip, duration_secs: f32) -> u32 {
 /// is in the dataset is known once every shard is done.
 pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<PairRow> {
     let source_id = MotionId::parse(&format!("{}{}", item.prefix, edit.source_id)).ok()?;
+    if let Some(row) = edit.made {
+        return Some(PairRow {
+            id: format!("{}{}", item.prefix, row.id),
+            split: item.split,
+            source_id,
+            target_id: target.clone(),
+            ..row
+        });
+    }
     Some(PairRow {
         id: format!("{source_id}+{target}"),
         split: item.split,
@@ -246,31 +255,33 @@ pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<P
         style: edit.style,
         parts: part_names(&edit.parts),
         instruction: edit.instruction,
-        edit_type: edit.edit_type,
-        accepted_by: edit.accepted_by,
+        edit_type: None,
+        accepted_by: None,
     })
 }
 
-/// A mask that comes with a clip. Its id gets a number once every shard is done.
+/// A mask that comes with a clip. One without an id of its own gets it once every shard is done.
 pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> MaskRow {
-    let made = mask.made.unwrap_or_else(|| MadeMask {
-        blend: BlendMask::of_parts(&mask.parts),
+    if let Some(row) = mask.made {
+        return MaskRow {
+            id: format!("{}{}", item.prefix, row.id),
+            motion_id: motion.clone(),
+            split: item.split,
+            ..row
+        };
+    }
+    let blend = BlendMask::of_parts(&mask.parts);
+    MaskRow {
+        id: String::new(),
+        motion_id: motion.clone(),
+        split: item.split,
+        parts: part_names(&mask.parts),
+        hard_joints: blend.hard().names(),
+        soft_joints: blend.soft().names(),
+        mask_def_version: MASK_DEF_VERSION,
+        text: mask.text,
         text_origin: "imported".to_owned(),
         author: item.format.as_str().to_owned(),
         accepted_by: None,
-    });
-    let parts = part_names(&mask.parts);
-    MaskRow {
-        id: format!("{motion}/{}", parts.join("+")),
-        motion_id: motion.clone(),
-        split: item.split,
-        parts,
-        hard_joints: made.blend.hard().names(),
-        soft_joints: made.blend.soft().names(),
-        mask_def_version: MASK_DEF_VERSION,
-        text: mask.text,
-        text_origin: made.text_origin,
-        author: made.author,
-        accepted_by: made.accepted_by,
     }
 }

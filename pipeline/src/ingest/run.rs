@@ -75,6 +75,29 @@ fn by_content(file: &FileEntry) -> (&str, &str) {
     (&file.path, &file.blake3)
 }
 
+/// The pairs that stay, by id, and those that came with clips. A pair that is there already under its id, where people may
+/// have changed it since, stays as it is; one that says something else under an id that is taken gets another.
+fn with_made(staying: Vec<PairRow>, made: Vec<PairRow>) -> BTreeMap<String, PairRow> {
+    let mut rows: BTreeMap<String, PairRow> = BTreeMap::new();
+    rows.extend(staying.into_iter().map(|row| (row.id.clone(), row)));
+    let stays: BTreeSet<String> = rows.keys().cloned().collect();
+    for row in made {
+        let is_known = |there: &PairRow| {
+            let sides = |row: &PairRow| (row.source_id.clone(), row.target_id.clone());
+            *there == row || (stays.contains(&row.id) && sides(there) == sides(&row))
+        };
+        if rows.get(&row.id).is_some_and(is_known) {
+            continue;
+        }
+        let numbered = (2..).map(|number| format!("{}/{number}", row.id));
+        let mut ids = std::iter::once(row.id.clone()).chain(numbered);
+        let id = ids.find(|id| !rows.contains_key(id));
+        let id = id.expect("numbers do not end");
+        rows.insert(id.clone(), PairRow { id, ..row });
+    }
+    rows
+}
+
 /// The pairs of the dataset, and what became of the others.
 struct Pairs {
     rows: Vec<PairRow>,
@@ -243,9 +266,7 @@ impl<'a> Run<'a> {
     /// The pairs that stay, those that came with clips of this run, and those of the list.
     fn pairs(&self, staying: Vec<PairRow>, tally: &Tally, shards: &Shards<'_>) -> Pairs {
         let (made, dropped) = tally.pairs(shards);
-        let mut rows: BTreeMap<String, PairRow> = BTreeMap::new();
-        let known = staying.into_iter().chain(made);
-        rows.extend(known.map(|row| (row.id.clone(), row)));
+        let mut rows = with_made(staying, made);
         let known: Vec<PairRow> = rows.values().cloned().collect();
         let listed = tally.listed_pairs(shards, self.options.pairs.as_ref(), &known);
         rows.extend(listed.rows.into_iter().map(|row| (row.id.clone(), row)));

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use datasets_spec::dataset::{Staging, Transaction};
 use datasets_spec::manifest::Manifest;
-use datasets_spec::store::{ByPath, Store, is_url, temporary_beside};
+use datasets_spec::store::{ByPath, Store, is_url};
 use datasets_spec::table::{Row, read_rows, write_rows};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,7 @@ use serde_json::Value;
 use super::piece::Piece;
 use super::record::{CommitOptions, Committed};
 use crate::Error;
-use crate::write::{is_occupied, publish, replace_file};
+use crate::write::{NewFolder, is_occupied, publish, replace_file};
 
 /// Value of `format` in every plan.
 const FORMAT: &str = "stance-plan";
@@ -101,33 +101,26 @@ impl Draft {
                 }
             }
         }
-        let folder = temporary_beside(&absolute(out)?);
-        fs::create_dir_all(&folder).map_err(Error::io("create folder", &folder))?;
-        let write = || {
-            tables(&folder)?;
-            let pieces = folder.join(PIECES);
-            write_table(&pieces, &self.pieces)?;
-            let header = Header {
-                format: FORMAT.to_owned(),
-                version: VERSION,
-                tool_version: TOOL_VERSION.to_owned(),
-                job: self.job.to_owned(),
-                settings: self.settings,
-                destination,
-                is_dataset: self.is_dataset,
-                plan_hash: self.plan_hash,
-                base: self.base.0,
-                base_tables: self.base.1,
-                pieces: self.pieces.len() as u64,
-                pieces_hash: hash_file(&pieces)?,
-            };
-            write_json(&folder.join(HEADER), &header)?;
-            fs::rename(&folder, out).map_err(Error::io("rename to", out))
+        let folder = NewFolder::beside(&absolute(out)?)?;
+        tables(folder.path())?;
+        let pieces = folder.path().join(PIECES);
+        write_table(&pieces, &self.pieces)?;
+        let header = Header {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            tool_version: TOOL_VERSION.to_owned(),
+            job: self.job.to_owned(),
+            settings: self.settings,
+            destination,
+            is_dataset: self.is_dataset,
+            plan_hash: self.plan_hash,
+            base: self.base.0,
+            base_tables: self.base.1,
+            pieces: self.pieces.len() as u64,
+            pieces_hash: hash_file(&pieces)?,
         };
-        write().inspect_err(|_: &Error| {
-            // What matters is reported already.
-            let _removed = fs::remove_dir_all(&folder);
-        })?;
+        write_json(&folder.path().join(HEADER), &header)?;
+        folder.publish()?;
         Plan::open(out)
     }
 }

@@ -3,6 +3,7 @@
 
 pub mod amass;
 pub mod bvh;
+mod folder;
 pub mod gltf;
 pub mod motionfix;
 
@@ -14,6 +15,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use datasets_spec::store::begin_of_name;
 
 use crate::Error;
+
+pub use self::folder::NewFolder;
 
 /// Writes a file whole or not at all: to a temporary name of its own beside it, synced, then renamed. Of two
 /// writers the later one wins.

@@ -6,11 +6,12 @@ mod exporter;
 mod release;
 mod tables;
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use datasets_spec::Dataset;
 use datasets_spec::dataset::Transaction;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use exporter::Exporter;
 pub use exporter::{Exported, Selection};
@@ -69,6 +70,7 @@ pub fn export(
         "format": selection.format,
         "splits": selection.splits,
         "counts": exporter.done.counts,
+        "blake3": hashes(folder, &exporter.done.files)?,
         "tool": format!("stance {}", env!("CARGO_PKG_VERSION")),
     });
     write_file(folder, STAMP, |file, path| {
@@ -77,4 +79,47 @@ pub fn export(
     })?;
     exporter.done.files.push(STAMP.to_owned());
     Ok(exporter.done)
+}
+
+/// BLAKE3 of files of a folder, by their names.
+fn hashes(folder: &Path, names: &[String]) -> Result<BTreeMap<String, String>, Error> {
+    let hash = |name: &String| {
+        let path = folder.join(name);
+        let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+        Ok((name.clone(), blake3::hash(&bytes).to_hex().to_string()))
+    };
+    names.iter().map(hash).collect()
+}
+
+/// Refuses the files of an export of which one was changed since: the table holds what the lists say, and nothing tells
+/// which of them counts. Folders without a stamp, or with one of an earlier version, are not checked.
+///
+/// # Errors
+/// A file has another content than it was written with, or cannot be read.
+pub fn check_files(folder: &Path) -> Result<(), Error> {
+    let path = folder.join(STAMP);
+    if !path.is_file() {
+        return Ok(());
+    }
+    let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+    let refused = |problem: String| Error::Import {
+        what: format!("the export in {}", folder.display()),
+        problem,
+    };
+    let stamp: Value =
+        serde_json::from_slice(&bytes).map_err(|error| refused(format!("{STAMP}: {error}")))?;
+    let written = stamp["blake3"].as_object().into_iter().flatten();
+    for (name, written) in written {
+        if !folder.join(name).is_file() {
+            continue;
+        }
+        let found = hashes(folder, std::slice::from_ref(name))?;
+        if found.get(name).map(String::as_str) != written.as_str() {
+            return Err(refused(format!(
+                "{name} was changed since the export; restore it, or remove {STAMP} and the files that are not to count: \
+                 where annotations.parquet is there, it alone is read"
+            )));
+        }
+    }
+    Ok(())
 }

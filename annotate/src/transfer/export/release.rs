@@ -1,4 +1,5 @@
-//! Layout `stance`: the JSON files of the STANCE release, written value by value.
+//! Layout `stance`: the JSON files of the STANCE release, written value by value, and the table `annotations`, which holds
+//! what they have no place for.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -13,6 +14,9 @@ use crate::Error;
 use crate::transfer::import::pair_id;
 use crate::transfer::release;
 use crate::wire::{Answer, Verdict};
+
+/// The table beside the files of the layout.
+const TABLE: &str = "annotations.parquet";
 
 /// Writes JSON value by value.
 type JsonWriter<'a> =
@@ -56,7 +60,8 @@ fn write_json(
 }
 
 impl Exporter<'_> {
-    /// Writes four files in one pass: masks by motion, their texts, how they were accepted, and pairs.
+    /// Writes four files in one pass: masks by motion, their texts, how they were accepted, and pairs. The table holds all
+    /// of it, and what is counted as left out of them.
     pub(super) fn stance(&mut self, folder: &Path) -> Result<(), Error> {
         let names = ["mask_all", "part_annotations", "accepted_by", "pairs"]
             .map(|name| format!("{name}.json"));
@@ -79,7 +84,7 @@ impl Exporter<'_> {
             Ok(SerializeMap::end(masks)?)
         })?;
         self.done.files.extend(names);
-        Ok(())
+        self.annotation_table(folder)
     }
 
     fn released(
@@ -89,7 +94,7 @@ impl Exporter<'_> {
         marks_file: &mut impl SerializeMap<Error = serde_json::Error>,
         pairs_file: &mut impl SerializeSeq<Error = serde_json::Error>,
     ) -> Result<(), JsonError> {
-        let mut hard_only = 0;
+        let (mut hard_only, mut rejected, mut extents) = (0, 0, 0);
         for what in ["motions", "pairs"] {
             self.done.count(what, 0);
         }
@@ -123,8 +128,10 @@ impl Exporter<'_> {
                     parts,
                     text,
                     style,
+                    extent,
                     ..
                 } => {
+                    extents += usize::from(extent.is_some());
                     let style = style.unwrap_or_default();
                     json!({
                         "id": id, "kind": "style", "name": format!("{motion}_{style}"), "src": motion, "tgt": target,
@@ -133,7 +140,7 @@ impl Exporter<'_> {
                     })
                 }
                 Answer::Pair { .. } | Answer::Style { .. } => {
-                    exporter.done.count("rejected_pairs", 1);
+                    rejected += 1;
                     return Ok(());
                 }
             };
@@ -141,11 +148,17 @@ impl Exporter<'_> {
             exporter.done.count("pairs", 1);
             Ok(())
         })?;
-        if hard_only > 0 {
-            self.done.count("masks_without_ring", hard_only);
-            self.done.messages.push(format!(
-                "{hard_only} masks have no soft ring, which this layout cannot represent"
-            ));
+        for (count, name, what) in [
+            (hard_only, "masks_without_ring", "masks have no soft ring"),
+            (rejected, "rejected_pairs", "pairs are judged not usable"),
+            (extents, "extents", "style pairs have an extent"),
+        ] {
+            if count > 0 {
+                self.done.count(name, count);
+                self.done.messages.push(format!(
+                    "{count} {what}, for which the layout has no place: {TABLE} alone says so"
+                ));
+            }
         }
         Ok(())
     }

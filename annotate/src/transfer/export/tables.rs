@@ -19,7 +19,7 @@ type Put<'a, R> = &'a mut dyn FnMut(R) -> Result<(), Error>;
 
 impl Exporter<'_> {
     pub(super) fn parquet(&mut self, folder: &Path, events: bool) -> Result<(), Error> {
-        self.table(folder, Self::annotations)?;
+        self.annotation_table(folder)?;
         self.table(folder, Self::labels)?;
         self.table(folder, Self::rejects)?;
         let agreement = agreement_rows(&Figures::of(self.store)?);
@@ -28,6 +28,11 @@ impl Exporter<'_> {
             self.table(folder, Self::events)?;
         }
         Ok(())
+    }
+
+    /// Writes the table of accepted answers.
+    pub(super) fn annotation_table(&mut self, folder: &Path) -> Result<(), Error> {
+        self.table(folder, Self::annotations)
     }
 
     /// Writes a table row by row.

@@ -9,10 +9,10 @@ use datasets_spec::record::{
     CAPTION_BY_RULE, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow,
 };
 use datasets_spec::table::{Row, SCHEMA_VERSION, ShardReader, read_rows};
-use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Split};
+use datasets_spec::{Fps, Split};
 
 use crate::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
-use crate::clip::{EditOf, MadeMask, Markers, Rejected, RotationSource, SourceClip, SourceMask};
+use crate::clip::{EditOf, Markers, Rejected, RotationSource, SourceClip, SourceMask};
 use crate::source::format::check_skeleton;
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
 
@@ -215,21 +215,7 @@ impl StoredDataset {
 
     fn edits(&self, id: &str) -> Vec<EditOf> {
         let pairs = self.pairs.get(id).into_iter().flatten();
-        pairs
-            .filter_map(|pair| {
-                Some(EditOf {
-                    source_id: pair.source_id.to_string(),
-                    kind: ["style", "fine-grained", "semantic"]
-                        .into_iter()
-                        .find(|kind| *kind == pair.kind)?,
-                    style: pair.style.clone(),
-                    parts: parts_of(&pair.parts),
-                    instruction: pair.instruction.clone(),
-                    edit_type: pair.edit_type.clone(),
-                    accepted_by: pair.accepted_by.clone(),
-                })
-            })
-            .collect()
+        pairs.cloned().map(EditOf::of_row).collect()
     }
 }
 
@@ -280,7 +266,8 @@ impl Release for StoredDataset {
                 .get(&entry.id)
                 .into_iter()
                 .flatten()
-                .map(source_mask)
+                .cloned()
+                .map(SourceMask::of_row)
                 .collect(),
             edits: self.edits(&entry.id),
             markers: markers.map(stored_markers).transpose()?,
@@ -309,26 +296,4 @@ fn stored_markers(row: MarkerRow) -> Result<Markers, Rejected> {
         set: row.marker_set,
         fit_residuals: row.fit_residuals.into_iter().map(|[value]| value).collect(),
     })
-}
-
-fn parts_of(names: &[String]) -> Vec<BodyPart> {
-    names.iter().filter_map(|name| name.parse().ok()).collect()
-}
-
-fn source_mask(row: &MaskRow) -> SourceMask {
-    let joints = |names: &[String]| JointSet::try_from(names.to_vec()).ok();
-    let parts = parts_of(&row.parts);
-    let blend = joints(&row.hard_joints)
-        .zip(joints(&row.soft_joints))
-        .and_then(|(hard, soft)| BlendMask::new(hard, soft).ok());
-    SourceMask {
-        made: Some(MadeMask {
-            blend: blend.unwrap_or_else(|| BlendMask::of_parts(&parts)),
-            text_origin: row.text_origin.clone(),
-            author: row.author.clone(),
-            accepted_by: row.accepted_by.clone(),
-        }),
-        parts,
-        text: row.text.clone(),
-    }
 }

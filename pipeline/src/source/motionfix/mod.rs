@@ -366,8 +366,7 @@ impl Release for MotionFixRelease {
                 style: None,
                 parts: self.parts.get(&pair.text).cloned().unwrap_or_default(),
                 instruction: pair.text.clone(),
-                edit_type: None,
-                accepted_by: None,
+                made: None,
             });
         }
         Ok(clip)

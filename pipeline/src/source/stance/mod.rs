@@ -6,6 +6,7 @@
 //! world coordinates.
 
 mod annotation;
+mod labels;
 mod motion;
 mod name;
 pub(crate) mod origin;
@@ -20,20 +21,17 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use super::files::Files;
 use super::format::{Format, Recognised, Release, SourceFormat, boxed};
 use super::options::ReadOptions;
-use crate::clip::{Outcome, Rejected};
+use crate::clip::Outcome;
 
 pub use motion::read_pickle_motion;
 pub(crate) use name::{FIRST_FREE_NUMBER, file_stem};
+pub use origin::{ExportedLabels, exported_labels};
 pub(crate) use release::{ADJUSTMENT, BASE_MOTION, REGEN, SPLIT, STYLE_TRANSFER};
 
 /// The releases among the files.
 pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
     let roots = release::roots(files).into_iter();
     boxed(roots.map(|root| release::StanceRelease::plan(files, root)))
-}
-
-fn rejected_json(file: &str, error: &serde_json::Error) -> Rejected {
-    Rejected::read("E-STANCE-JSON", format!("{file} is no such list ({error})"))
 }
 
 /// A folder of the STANCE release.

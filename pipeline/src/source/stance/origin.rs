@@ -1,17 +1,48 @@
-//! The file `origin.json` of an export: metadata that the release's layout cannot hold.
+//! What an export says beside the layout of the release: `origin.json`, `masks.jsonl` and `pairs.jsonl`.
+//!
+//! `origin.json` names the motion of each file, by its id in the dataset, and says what the layout has no place for.
+//! `masks.jsonl` and `pairs.jsonl` hold the masks and pairs of the dataset, a row of its tables in each line, as
+//! `datasets-spec/README.md` describes them. Loaders of the release read none of the three.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use datasets_spec::Split;
-use datasets_spec::table::Caption;
+use datasets_spec::record::{MaskRow, PairRow};
+use datasets_spec::table::{Caption, PartCaption};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
-/// Name of the file at the root of an export.
+use crate::Error;
+
+/// Names of the files at the root of an export.
 pub(crate) const FILE_NAME: &str = "origin.json";
+pub(crate) const MASKS: &str = "masks.jsonl";
+pub(crate) const PAIRS: &str = "pairs.jsonl";
+
+/// Value of `format`. Exports of earlier versions hold the motions alone.
+const FORMAT: &str = "stance-export";
+/// Version of the three files.
+const VERSION: u32 = 2;
 
 /// The origins of an export, by the file's path without extension (`base_motion/029232`), with
 /// `#src` and `#tgt` for the motions of an adjustment.
 pub(crate) type Origins = BTreeMap<String, Origin>;
+
+/// `origin.json`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Record {
+    format: String,
+    version: u32,
+    /// Root hash of the dataset.
+    pub(crate) dataset: String,
+    /// Skeleton the parameters drive.
+    pub(crate) skeleton: String,
+    /// BLAKE3 of the files of the release that say in part what the other two say, by path.
+    pub(crate) lists: BTreeMap<String, String>,
+    pub(crate) motions: Origins,
+}
 
 /// Where an exported motion comes from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,6 +51,18 @@ pub(crate) struct Origin {
     pub(crate) id: String,
     /// Split in the dataset.
     pub(crate) split: Split,
+    /// Hash of the motion in the file, as column `content_hash` has it. Exports of earlier versions say nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) content_hash: Option<String>,
+    /// Hash of the motion in the dataset, where it was resampled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) stored_hash: Option<String>,
+    /// Where its rotations come from.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub(crate) rotation_source: String,
+    /// How far they are from what they were fitted to, in metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) fit_error_m: Option<f32>,
     /// Id of the motion it mirrors.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) mirrored_of: Option<String>,
@@ -29,6 +72,9 @@ pub(crate) struct Origin {
     /// Who wrote each of the captions.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) caption_origins: Vec<String>,
+    /// What single body parts do.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) part_captions: Vec<PartCaption>,
     /// Who performs it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) subject: Option<String>,
@@ -41,4 +87,149 @@ pub(crate) struct Origin {
     /// Licence tag.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) license: Option<String>,
+}
+
+impl Record {
+    /// The record of a dataset whose motions are not written yet.
+    pub(crate) fn new(dataset: &str, skeleton: &str) -> Self {
+        Self {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            dataset: dataset.to_owned(),
+            skeleton: skeleton.to_owned(),
+            lists: BTreeMap::new(),
+            motions: Origins::new(),
+        }
+    }
+}
+
+/// What `origin.json` says: a record, or the motions alone as earlier versions wrote them.
+pub(crate) enum Parsed {
+    Record(Record),
+    Motions(Origins),
+}
+
+/// Reads `origin.json`.
+///
+/// # Errors
+/// It is no such file, or one of a later version.
+pub(crate) fn parse(bytes: &[u8]) -> Result<Parsed, String> {
+    let text = |error: serde_json::Error| error.to_string();
+    let value: Value = serde_json::from_slice(bytes).map_err(text)?;
+    if value.get("format").is_none_or(Value::is_object) {
+        return serde_json::from_value(value)
+            .map(Parsed::Motions)
+            .map_err(text);
+    }
+    if value["format"] != FORMAT || value["version"] != VERSION {
+        return Err(format!(
+            "format {} of version {}, this program reads {FORMAT:?} of version {VERSION}",
+            value["format"], value["version"]
+        ));
+    }
+    serde_json::from_value(value)
+        .map(Parsed::Record)
+        .map_err(text)
+}
+
+/// Reads rows, one in each line.
+///
+/// # Errors
+/// A line is no row; its number is named.
+pub(crate) fn rows<R: DeserializeOwned>(bytes: &[u8]) -> Result<Vec<R>, String> {
+    let text = str::from_utf8(bytes).map_err(|error| error.to_string())?;
+    let lines = text.lines().enumerate();
+    let lines = lines.filter(|(_, line)| !line.trim().is_empty());
+    lines
+        .map(|(number, line)| {
+            serde_json::from_str(line).map_err(|error| format!("line {}: {error}", number + 1))
+        })
+        .collect()
+}
+
+/// The labels of an exported dataset, for whoever has its motions already.
+#[derive(Clone, Debug)]
+pub struct ExportedLabels {
+    /// Hashes of each motion by its id: in the dataset, and as it was written.
+    pub motions: BTreeMap<String, BTreeSet<String>>,
+    /// Masks.
+    pub masks: Vec<MaskRow>,
+    /// Pairs.
+    pub pairs: Vec<PairRow>,
+}
+
+/// Reads the labels of a folder that `stance export --to stance` wrote; none if it has no `origin.json`, or one of a
+/// version that has no labels.
+///
+/// # Errors
+/// A file of it cannot be read, or is broken.
+pub fn exported_labels(folder: &Path) -> Result<Option<ExportedLabels>, Error> {
+    let path = folder.join(FILE_NAME);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let read = |name: &str| {
+        let path = folder.join(name);
+        std::fs::read(&path).map_err(Error::io("read", &path))
+    };
+    let broken = |name: &str, reason: String| Error::UnusableFile {
+        path: folder.join(name),
+        code: "E-STANCE-ORIGIN",
+        reason,
+    };
+    let Parsed::Record(record) =
+        parse(&read(FILE_NAME)?).map_err(|reason| broken(FILE_NAME, reason))?
+    else {
+        return Ok(None);
+    };
+    let mut motions: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for origin in record.motions.into_values() {
+        let hashes = motions.entry(origin.id).or_default();
+        hashes.extend(origin.content_hash.into_iter().chain(origin.stored_hash));
+    }
+    Ok(Some(ExportedLabels {
+        motions,
+        masks: rows(&read(MASKS)?).map_err(|reason| broken(MASKS, reason))?,
+        pairs: rows(&read(PAIRS)?).map_err(|reason| broken(PAIRS, reason))?,
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_of_either_version_is_read_and_others_are_refused() {
+        let record = Record::new("d1", "body");
+        let text = serde_json::to_vec(&record).expect("JSON");
+        assert!(matches!(parse(&text), Ok(Parsed::Record(read)) if read.dataset == "d1"));
+        // A file of an earlier version may be named as one of the fields.
+        let older = br#"{"base_motion/1": {"id": "a", "split": "test"}, "format": {"id": "b", "split": "val"}}"#;
+        assert!(matches!(parse(older), Ok(Parsed::Motions(motions)) if motions.len() == 2));
+        for (text, said) in [
+            (
+                r#"{"format": "stance-export", "version": 3}"#,
+                "of version 3",
+            ),
+            (r#"{"format": "other", "version": 2}"#, "\"other\""),
+            (
+                r#"{"format": "stance-export", "version": 2}"#,
+                "missing field",
+            ),
+            ("[]", "map"),
+            ("{", "EOF"),
+        ] {
+            let refused = parse(text.as_bytes()).err().expect("refused");
+            assert!(refused.contains(said), "{refused}");
+        }
+    }
+
+    #[test]
+    fn a_broken_line_is_named() {
+        let read = rows::<u32>(b"1\n\n2\n").expect("numbers");
+        assert_eq!(read, [1, 2]);
+        let refused = rows::<u32>(b"1\n2\nx\n").expect_err("refused");
+        assert!(refused.starts_with("line 3: "), "{refused}");
+        assert!(rows::<u32>(b"\xff").is_err());
+    }
 }

@@ -6,14 +6,14 @@ use datasets_spec::record::CAPTION_BY_RULE;
 use serde_json::Value as Json;
 
 use super::annotation::{Annotations, parse_parts};
+use super::labels::Labels;
 use super::motion::release_clip;
 use super::name::{listed_name, motion_id, original_of};
-use super::origin::{self, Origin, Origins};
-use super::rejected_json;
+use super::origin::{self, Origin, Origins, Parsed};
 use super::split::{ClipSplits, Lists};
 use crate::clip::{EditOf, Rejected, SourceClip};
 use crate::source::files::{Files, refuse_pointer};
-use crate::source::format::{Contents, Entry, Release};
+use crate::source::format::{Contents, Entry, Release, check_skeleton};
 use crate::source::options::ReadOptions;
 use pickle::Value;
 use pickle::joblib;
@@ -29,6 +29,9 @@ const FOLDERS: [&str; 5] = [BASE_MOTION, STYLE_TRANSFER, ADJUSTMENT, REGEN, SPLI
 /// Keys of the two motions of an adjustment.
 const SOURCE_KEY: &str = "src";
 const TARGET_KEY: &str = "tgt";
+
+/// Code of what an export says of itself.
+pub(super) const CODE_OF_ORIGIN: &str = "E-STANCE-ORIGIN";
 
 /// Largest pickle read, in bytes: an hour at 20 fps takes 20 MB.
 const MAX_PICKLE_LEN: u64 = 256 << 20;
@@ -78,6 +81,17 @@ enum Role {
     },
 }
 
+impl Role {
+    /// The motion in the pickle.
+    fn motion<'a>(&self, pickle: &'a Value) -> Result<&'a Value, Rejected> {
+        match self {
+            Self::Base | Self::Styled { .. } => Ok(pickle),
+            Self::Source => of_pair(pickle, SOURCE_KEY),
+            Self::Target { .. } => of_pair(pickle, TARGET_KEY),
+        }
+    }
+}
+
 /// Data of a motion beside its entry.
 #[derive(Clone, Debug)]
 struct Detail {
@@ -95,15 +109,57 @@ pub(super) struct StanceRelease {
     annotations: Annotations,
     /// Body part and text of adjustments whose pickle lacks them, by file stem.
     adjustments: Json,
+    /// What an export says of its motions, in place of what its files and lists say.
+    labels: Option<Labels>,
 }
 
 impl StanceRelease {
     pub(super) fn plan(files: &Files, root: String) -> Self {
         let mut planner = Planner::new(files, &root);
+        planner.read_origin();
         planner.read_lists();
         planner.plan_motions();
+        planner.note_missing();
         planner.remark();
         planner.release
+    }
+
+    /// Adds what the files and lists of a release say of a motion.
+    fn describe(
+        &self,
+        files: &Files,
+        (entry, detail): (&Entry, &Detail),
+        pickle: &Value,
+        clip: &mut SourceClip,
+    ) -> Result<(), Rejected> {
+        match &detail.role {
+            Role::Base => {
+                let named = motion_id(stem_of(&entry.file));
+                self.annotations.attach(&named, clip);
+            }
+            Role::Styled { source_id, style } => {
+                clip.style = Some(style.clone());
+                clip.edits.push(EditOf {
+                    source_id: source_id.clone(),
+                    kind: "style",
+                    style: Some(style.clone()),
+                    parts: Vec::new(),
+                    instruction: text_of(pickle, "text"),
+                    made: None,
+                });
+            }
+            Role::Source => {}
+            Role::Target { source_id } => {
+                let edit = self.edit_of(pickle, &entry.file, source_id, &mut clip.notes);
+                clip.edits.push(edit);
+            }
+        }
+        for (file, source_id) in &detail.edited_in {
+            let pair = read_pickle(files, file)?;
+            let edit = self.edit_of(&pair, file, source_id, &mut clip.notes);
+            clip.edits.push(edit);
+        }
+        Ok(())
     }
 
     /// The edit that an adjustment describes.
@@ -127,8 +183,7 @@ impl StanceRelease {
             style: None,
             parts,
             instruction: said("text"),
-            edit_type: None,
-            accepted_by: None,
+            made: None,
         }
     }
 }
@@ -142,7 +197,7 @@ impl Release for StanceRelease {
         &self,
         files: &Files,
         entry: &Entry,
-        _options: &ReadOptions,
+        options: &ReadOptions,
     ) -> Result<SourceClip, Rejected> {
         let detail = self
             .details
@@ -150,40 +205,15 @@ impl Release for StanceRelease {
             .ok_or_else(|| {
                 Rejected::read("E-IO", format!("{} is not in the release", entry.file))
             })?;
-        let value = read_pickle(files, &entry.file)?;
-        let mut clip = match &detail.role {
-            Role::Base => {
-                let mut clip = release_clip(&value)?;
-                let named = motion_id(stem_of(&entry.file));
-                self.annotations.attach(&named, &mut clip);
-                clip
+        let pickle = read_pickle(files, &entry.file)?;
+        let mut clip = release_clip(detail.role.motion(&pickle)?)?;
+        match (&self.labels, &detail.origin) {
+            (Some(labels), Some(origin)) => {
+                labels.check(entry, origin, &clip)?;
+                check_skeleton(labels.skeleton(), options)?;
+                labels.attach(origin, &mut clip);
             }
-            Role::Styled { source_id, style } => {
-                let mut clip = release_clip(&value)?;
-                clip.style = Some(style.clone());
-                clip.edits.push(EditOf {
-                    source_id: source_id.clone(),
-                    kind: "style",
-                    style: Some(style.clone()),
-                    parts: Vec::new(),
-                    instruction: text_of(&value, "text"),
-                    edit_type: None,
-                    accepted_by: None,
-                });
-                clip
-            }
-            Role::Source => release_clip(of_pair(&value, SOURCE_KEY)?)?,
-            Role::Target { source_id } => {
-                let mut clip = release_clip(of_pair(&value, TARGET_KEY)?)?;
-                let edit = self.edit_of(&value, &entry.file, source_id, &mut clip.notes);
-                clip.edits.push(edit);
-                clip
-            }
-        };
-        for (file, source_id) in &detail.edited_in {
-            let pair = read_pickle(files, file)?;
-            let edit = self.edit_of(&pair, file, source_id, &mut clip.notes);
-            clip.edits.push(edit);
+            _ => self.describe(files, (entry, detail), &pickle, &mut clip)?,
         }
         let stem = stem_of(&entry.file);
         if motion_id(stem) != stem {
@@ -270,6 +300,7 @@ impl<'a> Planner<'a> {
                 details: BTreeMap::new(),
                 annotations: Annotations::default(),
                 adjustments: Json::Null,
+                labels: None,
             },
             base_lists: Lists::default(),
             style_lists: Lists::default(),
@@ -279,13 +310,82 @@ impl<'a> Planner<'a> {
         }
     }
 
+    /// Reads what an export says beside the layout.
+    fn read_origin(&mut self) {
+        let at = |name: &str| format!("{}{name}", self.root);
+        let [file, masks, pairs] = [origin::FILE_NAME, origin::MASKS, origin::PAIRS].map(at);
+        if !self.files.contains(&file) {
+            return;
+        }
+        let mut labels = [&masks, &pairs].into_iter();
+        let lost = labels.find(|file| !self.files.contains(file)).cloned();
+        let parsed = self.take(&file, |bytes| {
+            let parsed = origin::parse(bytes)?;
+            match (&parsed, lost) {
+                (Parsed::Record(_), Some(lost)) => {
+                    Err(format!("{lost} is missing, with the labels of the motions"))
+                }
+                _ => Ok(parsed),
+            }
+        });
+        let record = match parsed {
+            None => return,
+            Some(Parsed::Motions(motions)) => {
+                self.origins = motions;
+                return;
+            }
+            Some(Parsed::Record(record)) => record,
+        };
+        let ids: BTreeSet<&str> = record.motions.values().map(|origin| &*origin.id).collect();
+        let masks = self.take(&masks, |bytes| Labels::masks(bytes, &ids));
+        let pairs = self.take(&pairs, |bytes| Labels::pairs(bytes, &ids));
+        self.origins.clone_from(&record.motions);
+        let labels = Labels::new(record, masks.unwrap_or_default(), pairs.unwrap_or_default());
+        self.release.labels = Some(labels);
+    }
+
+    /// Whether a list of an export is as it was written. What it says is read from the files beside it.
+    fn is_as_written(&mut self, file: &str) -> bool {
+        let name = file.strip_prefix(self.root).unwrap_or(file);
+        let labels = self.release.labels.as_ref();
+        let Some(written) = labels.and_then(|labels| labels.list(name)) else {
+            return true;
+        };
+        let found = self.files.read(file);
+        let found = found.map(|bytes| blake3::hash(&bytes).to_hex().to_string());
+        if found.is_ok_and(|found| found == written) {
+            return true;
+        }
+        let reason = format!(
+            "was changed since the export, of which {} holds the masks; change them there, or remove {} to read the \
+             folder as a release",
+            origin::MASKS,
+            origin::FILE_NAME
+        );
+        let rejected = Rejected::read(CODE_OF_ORIGIN, reason);
+        self.release
+            .contents
+            .rejected
+            .push((file.to_owned(), rejected));
+        false
+    }
+
+    /// Notes motions of an export without a file.
+    fn note_missing(&mut self) {
+        let Some(labels) = &self.release.labels else {
+            return;
+        };
+        if let Some(remark) = labels.missing(|id| self.taken.contains_key(id)) {
+            self.release.contents.remarks.push(remark);
+        }
+    }
+
     /// Reads the lists and annotations.
     fn read_lists(&mut self) {
         let (mut masks, mut texts) = (Json::Null, Json::Null);
         let files: Vec<&str> = self.files.under(self.root).collect();
         for file in files {
-            if file.strip_prefix(self.root) == Some(origin::FILE_NAME) {
-                self.origins = self.json(file).unwrap_or_default();
+            if !self.is_as_written(file) {
                 continue;
             }
             let Some((root, folder, rest)) = place(file) else {
@@ -348,9 +448,20 @@ impl<'a> Planner<'a> {
 
     /// The content of a JSON file of the release; none if it is broken, which is recorded.
     fn json<T: serde::de::DeserializeOwned>(&mut self, file: &str) -> Option<T> {
+        let parse = |bytes: &[u8]| serde_json::from_slice(bytes).map_err(|error| error.to_string());
+        self.take(file, parse)
+    }
+
+    /// What a file of the release says; none if it is broken, which is recorded.
+    fn take<T>(&mut self, file: &str, parse: impl FnOnce(&[u8]) -> Result<T, String>) -> Option<T> {
         let read = self.files.read(file).and_then(|bytes| {
             refuse_pointer(&bytes)?;
-            serde_json::from_slice(&bytes).map_err(|error| rejected_json(file, &error))
+            let code = match file.ends_with(origin::FILE_NAME) || file.ends_with(".jsonl") {
+                true => CODE_OF_ORIGIN,
+                false => "E-STANCE-JSON",
+            };
+            let broken = |error| Rejected::read(code, format!("{file} is no such list ({error})"));
+            parse(&bytes).map_err(broken)
         });
         match read {
             Ok(value) => {

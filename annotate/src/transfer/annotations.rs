@@ -1,0 +1,138 @@
+//! Import of the table `annotations` of an export.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use datasets_spec::table::read_rows;
+use datasets_spec::{BodyPart, MASK_DEF_VERSION};
+
+use super::import::{CANDIDATE, PAIR, Taken, credit, has_ring, task};
+use super::tables::AnnotationRow;
+use crate::Error;
+use crate::store::{Millis, MotionRecord, NewTask, Store};
+use crate::wire::{Answer, CountReason, EditType, Extent, MaskAnswer, TaskKind, Verdict};
+
+/// Imports the table `annotations` of an export: every answer fills its task if nobody has worked on it, or becomes a
+/// new, accepted task. Answers to tasks with another answer are left out and reported.
+///
+/// # Errors
+/// The file cannot be read, names an unknown motion, or holds an invalid answer; then nothing is imported.
+pub fn from_annotations(
+    store: &Store,
+    motions: &BTreeMap<String, MotionRecord>,
+    path: &Path,
+    actor: Option<i64>,
+    now: Millis,
+) -> Result<Taken, Error> {
+    let rows: Vec<AnnotationRow> = read_rows(path)?;
+    let mut taken = Taken::default();
+    let mut tasks = Vec::new();
+    for group in rows.chunk_by(|a, b| a.task == b.task) {
+        tasks.push(
+            annotation_task(group, motions).map_err(|problem| Error::Import {
+                what: format!("task {:?} of {}", group[0].task, path.display()),
+                problem,
+            })?,
+        );
+    }
+    taken.take(store.import(actor, tasks, now)?);
+    Ok(taken)
+}
+
+fn annotation_task(
+    rows: &[AnnotationRow],
+    motions: &BTreeMap<String, MotionRecord>,
+) -> Result<NewTask, String> {
+    let first = &rows[0];
+    let find = |id: &str| {
+        motions
+            .get(id)
+            .ok_or_else(|| format!("motion {id:?} is not known; import its dataset first"))
+    };
+    let kind = TaskKind::parse(&first.kind)
+        .ok_or_else(|| format!("kind {:?} is not known", first.kind))?;
+    let source = find(&first.motion_id)?;
+    let mut new = task(current_key(&first.task).to_owned(), kind, source);
+    new.target = match &first.target_id {
+        Some(id) => Some(find(id)?.hash.clone()),
+        None => None,
+    };
+    new.category.clone_from(&first.category);
+    new.hint.clone_from(&first.hint);
+    new.style.clone_from(&first.source_style);
+    new.extra = first
+        .extra
+        .as_ref()
+        .map(|text| serde_json::from_str(text))
+        .transpose()
+        .map_err(|error| error.to_string())?;
+    for row in rows {
+        if row.mask_def_version != MASK_DEF_VERSION {
+            return Err(format!(
+                "its masks have definition version {}, this program has version {MASK_DEF_VERSION}",
+                row.mask_def_version
+            ));
+        }
+        for part in &row.parts {
+            part.parse::<BodyPart>()
+                .map_err(|error| error.to_string())?;
+        }
+    }
+    let verdict = || {
+        let text = first.verdict.as_deref().unwrap_or_default();
+        Verdict::parse(text).ok_or_else(|| format!("verdict {text:?} is not known"))
+    };
+    fn known<T>(text: Option<&String>, parse: fn(&str) -> Option<T>) -> Result<Option<T>, String> {
+        text.map(|text| parse(text).ok_or_else(|| format!("{text:?} is not known")))
+            .transpose()
+    }
+    let answer = match kind {
+        TaskKind::MaskText => Answer::MaskText {
+            masks: rows
+                .iter()
+                .filter(|row| row.count > 0)
+                .map(|row| MaskAnswer {
+                    parts: row.parts.clone(),
+                    soft: !row.soft_joints.is_empty() || !has_ring(&row.parts),
+                    text: row.text.clone(),
+                    suggestion: None,
+                })
+                .collect(),
+            count_reason: known(first.count_reason.as_ref(), CountReason::parse)?,
+            note: first.note.clone(),
+        },
+        TaskKind::Pair => Answer::Pair {
+            verdict: verdict()?,
+            parts: first.parts.clone(),
+            edit_type: known(first.edit_type.as_ref(), EditType::parse)?,
+            text: first.text.clone(),
+            suggestion: None,
+            note: first.note.clone(),
+        },
+        TaskKind::Style => Answer::Style {
+            verdict: verdict()?,
+            parts: first.parts.clone(),
+            style: first.style.clone(),
+            extent: known(first.extent.as_ref(), Extent::parse)?,
+            text: first.text.clone(),
+            suggestion: None,
+            note: first.note.clone(),
+        },
+    };
+    crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
+    new.accepted = Some(answer);
+    new.credit = credit(
+        &first.author,
+        first.merged != 0,
+        first.accepted_by.as_deref(),
+    );
+    Ok(new)
+}
+
+/// The key that a task of an export has today. Earlier versions exported a candidate that came back from the dataset
+/// under a second key.
+fn current_key(key: &str) -> &str {
+    key.strip_prefix(PAIR)
+        .filter(|id| id.starts_with(CANDIDATE))
+        .unwrap_or(key)
+}

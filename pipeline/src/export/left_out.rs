@@ -1,0 +1,300 @@
+//! What an export holds, and what its layout has no place for, by number.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+use datasets_spec::record::{CAPTION_BY_RULE, HumanMl3dRow, MarkerRow, MaskRow, PairRow};
+use datasets_spec::table::{Caption, Cell, PartCaption, Row, read_column};
+use datasets_spec::{Dataset, Fps};
+use serde::{Deserialize, Serialize};
+
+use super::Layout;
+use crate::Error;
+use crate::feature::released_fps;
+use crate::filter::{Clips, Shard};
+
+/// Numbers by name, such as `masks`.
+pub type Counts = BTreeMap<String, u64>;
+
+/// Result of an export.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Exported {
+    /// Clips in it, or triplets.
+    pub clips: u64,
+    /// What was left out, because the layout has no place for it.
+    pub left_out: Counts,
+    /// What lies in files of this program beside the published layout.
+    pub beside: Counts,
+    /// Partial folders beside it of another machine, which may be at work on them.
+    pub left_by_others: Vec<PathBuf>,
+}
+
+impl Exported {
+    /// An export of some clips that leaves nothing out.
+    pub(super) fn of(clips: u64) -> Self {
+        Self {
+            clips,
+            ..Self::default()
+        }
+    }
+
+    /// Adds what the layout has no place for, and clips that the writer left out.
+    ///
+    /// # Errors
+    /// The dataset cannot be read.
+    pub(super) fn complete(&mut self, layout: Layout, clips: &Clips) -> Result<(), Error> {
+        for (name, count) in left_out(layout, clips)? {
+            put(&mut self.left_out, &name, count);
+        }
+        // Its entries are pairs, and the writer counts clips that are in none.
+        if layout != Layout::MotionFix {
+            let left = clips.len().saturating_sub(self.clips);
+            put(&mut self.left_out, "clips", left);
+        }
+        Ok(())
+    }
+
+    /// Adds what another part of the same export says.
+    pub(super) fn add(&mut self, other: Self) {
+        self.clips += other.clips;
+        for (name, count) in other.left_out {
+            put(&mut self.left_out, &name, count);
+        }
+        for (name, count) in other.beside {
+            put(&mut self.beside, &name, count);
+        }
+        self.left_by_others.extend(other.left_by_others);
+    }
+}
+
+/// Adds a number; nothing is said of none.
+pub(super) fn put(counts: &mut Counts, name: &str, count: u64) {
+    if count > 0 {
+        *counts.entry(name.to_owned()).or_default() += count;
+    }
+}
+
+const CAPTIONS: &str = "captions";
+const CAPTION_TIMES: &str = "caption_times";
+const CAPTION_TOKENS: &str = "caption_tokens";
+const MADE_CAPTIONS: &str = "made_captions";
+const PART_CAPTIONS: &str = "part_captions";
+const SUBJECTS: &str = "subjects";
+const ACTIONS: &str = "actions";
+const STYLES: &str = "styles";
+const LICENSES: &str = "licenses";
+const MIRROR_LINKS: &str = "mirror_links";
+const MASKS: &str = "masks";
+pub(super) const PAIRS: &str = "pairs";
+const FEATURES: &str = "humanml3d_features";
+
+/// What a layout has a place for. Splits have one in every layout, and markers in none.
+fn held(layout: Layout) -> &'static [&'static str] {
+    match layout {
+        Layout::Amass | Layout::Bvh | Layout::Gltf => &[
+            CAPTIONS,
+            CAPTION_TIMES,
+            CAPTION_TOKENS,
+            MADE_CAPTIONS,
+            PART_CAPTIONS,
+            SUBJECTS,
+            ACTIONS,
+            STYLES,
+            LICENSES,
+        ],
+        Layout::WebDataset => &[
+            CAPTIONS,
+            CAPTION_TIMES,
+            CAPTION_TOKENS,
+            MADE_CAPTIONS,
+            PART_CAPTIONS,
+            SUBJECTS,
+            ACTIONS,
+            STYLES,
+            LICENSES,
+            MIRROR_LINKS,
+        ],
+        Layout::Stance => &[
+            CAPTIONS,
+            CAPTION_TIMES,
+            CAPTION_TOKENS,
+            MADE_CAPTIONS,
+            PART_CAPTIONS,
+            SUBJECTS,
+            ACTIONS,
+            STYLES,
+            LICENSES,
+            MIRROR_LINKS,
+            MASKS,
+            PAIRS,
+        ],
+        Layout::HumanMl3d => &[
+            CAPTIONS,
+            CAPTION_TIMES,
+            CAPTION_TOKENS,
+            LICENSES,
+            MIRROR_LINKS,
+            FEATURES,
+        ],
+        Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion => &[
+            CAPTIONS,
+            CAPTION_TIMES,
+            CAPTION_TOKENS,
+            LICENSES,
+            MIRROR_LINKS,
+        ],
+        // A caption of a part of a clip has no place.
+        Layout::MotionMillion => &[CAPTIONS, LICENSES],
+        Layout::LeRobot => &[CAPTIONS, ACTIONS, STYLES, LICENSES],
+        Layout::MotionFix => &[LICENSES, PAIRS],
+    }
+}
+
+/// The rate to which a layout brings every motion, if it has one. The frames that a clip of another rate has do not come
+/// back.
+fn rate(layout: Layout) -> Option<Fps> {
+    match layout {
+        Layout::HumanMl3d | Layout::Stance => Some(Fps::STORE),
+        Layout::HumanMl3d272
+        | Layout::Babel272
+        | Layout::MotionMillion
+        | Layout::HyMotion
+        | Layout::MotionFix => Some(released_fps()),
+        Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::WebDataset | Layout::LeRobot => None,
+    }
+}
+
+/// Counts what a layout has no place for. Only columns of labels are read.
+///
+/// # Errors
+/// The dataset cannot be read.
+fn left_out(layout: Layout, clips: &Clips) -> Result<Counts, Error> {
+    let mut counts = Counts::new();
+    let held = held(layout);
+    let has = |name: &str| held.contains(&name);
+    let mut ids: BTreeSet<String> = BTreeSet::new();
+    for shard in clips.shards(None) {
+        ids.extend(shard.column::<String>("id")?);
+        captions(shard, layout, &mut counts);
+        if !has(PART_CAPTIONS) {
+            let parts = newer::<Vec<PartCaption>>(shard, "part_captions");
+            put(
+                &mut counts,
+                PART_CAPTIONS,
+                parts.iter().map(Vec::len).sum::<usize>() as u64,
+            );
+        }
+        for (name, column) in [
+            (SUBJECTS, "subject"),
+            (ACTIONS, "action"),
+            (STYLES, "style"),
+            (LICENSES, "license"),
+            (MIRROR_LINKS, "mirrored_of"),
+        ] {
+            if !has(name) {
+                let labels = newer::<Option<String>>(shard, column);
+                put(&mut counts, name, labels.iter().flatten().count() as u64);
+            }
+        }
+        if let Some(rate) = rate(layout) {
+            let rates = shard.column::<f32>("fps")?.into_iter();
+            let others = rates.filter(|fps| f64::from(*fps) != rate.get());
+            put(&mut counts, "resampled_clips", others.count() as u64);
+        }
+    }
+    let dataset = clips.dataset();
+    if !has(MASKS) {
+        let masks = column::<MaskRow, String>(dataset, "motion_id")?;
+        let masks = masks.iter().filter(|id| ids.contains(*id));
+        put(&mut counts, MASKS, masks.count() as u64);
+    }
+    let sources = column::<PairRow, String>(dataset, "source_id")?;
+    let targets = column::<PairRow, String>(dataset, "target_id")?;
+    // A pair needs both of its clips.
+    let lost = sources.iter().zip(&targets).filter(|(source, target)| {
+        let there = [ids.contains(*source), ids.contains(*target)];
+        there != [false; 2] && (!has(PAIRS) || there != [true; 2])
+    });
+    put(&mut counts, PAIRS, lost.count() as u64);
+    if !has(FEATURES) {
+        let features = column::<HumanMl3dRow, String>(dataset, "id")?;
+        let features = features.iter().filter(|id| ids.contains(*id));
+        put(&mut counts, FEATURES, features.count() as u64);
+    }
+    let markers = column::<MarkerRow, String>(dataset, "id")?;
+    let of_clips = markers.iter().filter(|id| ids.contains(*id)).count();
+    put(&mut counts, "markers", of_clips as u64);
+    let all = Clips::all(dataset);
+    if clips.len() == all.len() {
+        put(
+            &mut counts,
+            "captures_without_motion",
+            (markers.len() - of_clips) as u64,
+        );
+    }
+    Ok(counts)
+}
+
+/// The captions of the clips of a file, and whether each was made from a file name.
+fn said(shard: &Shard) -> impl Iterator<Item = (Caption, bool)> {
+    let captions = newer::<Vec<Caption>>(shard, "captions").into_iter();
+    let mut origins = newer::<Vec<String>>(shard, "caption_origins").into_iter();
+    captions.flat_map(move |captions| {
+        let origins = origins.next().unwrap_or_default();
+        let captions = captions.into_iter().enumerate();
+        captions.map(move |(number, caption)| {
+            let origin = origins.get(number);
+            (
+                caption,
+                origin.is_some_and(|origin| origin == CAPTION_BY_RULE),
+            )
+        })
+    })
+}
+
+/// Counts the captions of a file that have no place, and what is lost of the others.
+fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
+    let held = held(layout);
+    for (caption, is_made) in said(shard) {
+        let is_timed = caption.from_s != 0.0 || caption.to_s != 0.0;
+        let name = if is_made { MADE_CAPTIONS } else { CAPTIONS };
+        let is_out = layout == Layout::MotionMillion && is_timed;
+        if is_out || !held.contains(&name) {
+            put(counts, name, 1);
+            continue;
+        }
+        for (name, is_there) in [
+            (CAPTION_TIMES, is_timed),
+            (CAPTION_TOKENS, !caption.tokens.is_empty()),
+        ] {
+            if is_there && !held.contains(&name) {
+                put(counts, name, 1);
+            }
+        }
+    }
+}
+
+/// Captions without tokens, whose words get the tag `OTHER` in the layout of HumanML3D; none in other layouts.
+pub fn untagged_captions(layout: Layout, clips: &Clips) -> u64 {
+    if layout != Layout::HumanMl3d {
+        return 0;
+    }
+    let captions = clips.shards(None).flat_map(said);
+    let untagged = captions.filter(|(caption, is_made)| caption.tokens.is_empty() && !is_made);
+    untagged.count() as u64
+}
+
+/// A column of the clips that older tables lack.
+fn newer<T: Cell>(shard: &Shard, name: &'static str) -> Vec<T> {
+    shard.column(name).unwrap_or_default()
+}
+
+/// A column of a table of the dataset.
+fn column<R: Row, T: Cell>(dataset: &Dataset, name: &'static str) -> Result<Vec<T>, Error> {
+    let mut values = Vec::new();
+    for (path, _) in dataset.files(R::TABLE, None) {
+        values.extend(read_column::<R, T>(&path, name)?);
+    }
+    Ok(values)
+}

@@ -1,0 +1,654 @@
+//! What leaves a dataset or a project comes back, and what cannot is counted.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use annotate::store::open_sqlite;
+use annotate::transfer::AnnotationRow;
+use annotate::wire::{Answer, EditType, Extent, MaskAnswer, Role, TaskKind, Verdict};
+use datasets_spec::dataset::commit_rows;
+use datasets_spec::record::{HumanMl3dRow, MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{Row, read_rows};
+use datasets_spec::{Dataset, Split};
+use serde_json::Value;
+
+use crate::annotate::{accept, settings};
+use crate::util::{arg, stance};
+
+/// Rejected pairs among the answers.
+const REJECTED: usize = 5;
+
+/// A folder with a dataset of masks and pairs.
+struct Labelled {
+    dir: tempfile::TempDir,
+}
+
+impl Labelled {
+    /// A dataset of the built-in corpus with automatic masks, style pairs and fine-grained pairs, and a store of answers
+    /// beside it: masks of motions of all kinds, pairs of which [`REJECTED`] are not usable, and styles with an extent.
+    fn new() -> Self {
+        let made = Self {
+            dir: tempfile::tempdir().expect("a temporary folder"),
+        };
+        let (source, dataset) = (made.path("corpus"), made.path("dataset"));
+        let corpus = [
+            "corpus",
+            "--clips",
+            "36",
+            "--adjusted",
+            "1",
+            "--out",
+            arg(&source),
+        ];
+        stance(&corpus).expect_code(0);
+        let pairs = source.join("pairs.csv");
+        let ingest = [
+            "ingest",
+            arg(&source),
+            "--out",
+            arg(&dataset),
+            "--pairs",
+            arg(&pairs),
+        ];
+        stance(&ingest).expect_code(0);
+        stance(&["pairs", arg(&dataset)]).expect_code(0);
+        stance(&["masks", arg(&dataset)]).expect_code(0);
+        let store = open_sqlite(&made.path("store.sqlite")).expect("a store");
+        store.put_settings(1, settings(), 0).expect("settings");
+        made.annotate("store.sqlite", &["import"]);
+        let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
+        let (ann, eve) = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
+        for number in 0..20 {
+            accept(
+                store.as_ref(),
+                (ann, eve),
+                TaskKind::MaskText,
+                masks(number),
+            );
+        }
+        for number in 0..12 {
+            accept(store.as_ref(), (ann, eve), TaskKind::Pair, pair(number));
+        }
+        for number in 0..6 {
+            accept(store.as_ref(), (eve, eve), TaskKind::Style, style(number));
+        }
+        made
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    fn rows<R: Row>(&self, dataset: &str) -> Vec<R> {
+        let dataset = Dataset::open(&self.path(dataset)).expect("a dataset");
+        dataset.read(None).expect("rows")
+    }
+
+    fn annotate_of(&self, dataset: &str, store: &str, words: &[&str]) -> Value {
+        let (dataset, store) = (self.path(dataset), self.path(store));
+        let options = ["annotate", arg(&dataset), "--store", arg(&store), "--json"];
+        let ran = stance(&[&options[..], words].concat());
+        ran.expect_code(0).json()
+    }
+
+    fn annotate(&self, store: &str, words: &[&str]) -> Value {
+        self.annotate_of("dataset", store, words)
+    }
+
+    /// The accepted answers of a store.
+    fn answers(&self, dataset: &str, store: &str) -> Vec<AnnotationRow> {
+        let to = self.path(&format!("{store}-answers"));
+        let export = ["export", "--format", "parquet", "--to", arg(&to)];
+        self.annotate_of(dataset, store, &export);
+        read_rows(&to.join("annotations.parquet")).expect("rows")
+    }
+
+    fn export(&self, layout: &str) -> Value {
+        let (dataset, out) = (self.path("dataset"), self.path(layout));
+        let export = [
+            "--json",
+            "export",
+            arg(&dataset),
+            "--to",
+            layout,
+            "--out",
+            arg(&out),
+        ];
+        stance(&export).expect_code(0).json()
+    }
+
+    fn ingest(&self, source: &str, out: &str, more: &[&str], code: i32) -> Value {
+        let (source, out) = (self.path(source), self.path(out));
+        let ingest = ["--json", "ingest", arg(&source), "--out", arg(&out)];
+        stance(&[&ingest[..], more].concat())
+            .expect_code(code)
+            .json()
+    }
+
+    /// Answers go into the dataset, and labels that only other programs make: a mask without named parts and one of
+    /// altered joints, a semantic pair, and a motion that is the style of two others.
+    fn with_all_labels(&self) {
+        self.annotate("store.sqlite", &["export"]);
+        let dataset = Dataset::open(&self.path("dataset")).expect("a dataset");
+        let mut masks: Vec<MaskRow> = self.rows("dataset");
+        let mut bare = masks[0].clone();
+        bare.id = "own/joints".to_owned();
+        bare.parts.clear();
+        bare.text = "The person nods.".to_owned();
+        masks[1].hard_joints.truncate(1);
+        masks.push(bare);
+        let mut pairs: Vec<PairRow> = self.rows("dataset");
+        let style = pairs
+            .iter()
+            .find(|pair| pair.kind == "style")
+            .expect("styles");
+        let more = |id: &str, kind: &str, source: &PairRow| PairRow {
+            id: id.to_owned(),
+            kind: kind.to_owned(),
+            ..source.clone()
+        };
+        let (semantic, mut second) = (
+            more("own/a", "semantic", style),
+            more("own/b", "style", style),
+        );
+        let of_split = pairs.iter().filter(|pair| pair.split == style.split);
+        let mut sources = of_split.map(|pair| &pair.source_id);
+        second.source_id = sources
+            .find(|id| **id != style.source_id && **id != style.target_id)
+            .expect("another source")
+            .clone();
+        pairs.extend([semantic, second]);
+        let skeleton = dataset.skeleton().expect("a skeleton");
+        let root = self.path("dataset");
+        let of_mask: fn(&MaskRow) -> Split = |row| row.split;
+        let of_pair: fn(&PairRow) -> Split = |row| row.split;
+        commit_rows(&root, &masks, Some(of_mask), &skeleton, "masks", "test").expect("masks");
+        commit_rows(&root, &pairs, Some(of_pair), &skeleton, "pairs", "test").expect("pairs");
+    }
+}
+
+fn parts(names: &[&str]) -> Vec<String> {
+    names.iter().map(|name| (*name).to_owned()).collect()
+}
+
+fn masks(number: usize) -> Answer {
+    let mask = |names: &[&str], soft| MaskAnswer {
+        parts: parts(names),
+        soft,
+        text: format!(
+            "moving {number} times with {}",
+            names.join(" and ").to_lowercase()
+        ),
+        suggestion: None,
+    };
+    Answer::MaskText {
+        masks: vec![
+            mask(&["LEFT_ARM"], number % 3 > 0),
+            mask(&["LOWER_BODY", "HEAD"], true),
+        ],
+        count_reason: None,
+        note: String::new(),
+    }
+}
+
+fn pair(number: usize) -> Answer {
+    let verdicts = [Verdict::Unnatural, Verdict::Unclear, Verdict::Identical];
+    if number < REJECTED {
+        return Answer::Pair {
+            verdict: verdicts[number % 3],
+            parts: Vec::new(),
+            edit_type: None,
+            text: String::new(),
+            suggestion: None,
+            note: format!("of take {number}"),
+        };
+    }
+    Answer::Pair {
+        verdict: Verdict::Keep,
+        parts: parts(&["RIGHT_ARM"]),
+        edit_type: Some(EditType::Speed),
+        text: format!("move the right arm {number} times faster"),
+        suggestion: None,
+        note: String::new(),
+    }
+}
+
+fn style(number: usize) -> Answer {
+    let extents = [Extent::Lower, Extent::Upper, Extent::Whole];
+    Answer::Style {
+        verdict: Verdict::Keep,
+        parts: if number % 2 == 0 {
+            Vec::new()
+        } else {
+            parts(&["UPPER_BODY"])
+        },
+        style: Some("proud".to_owned()),
+        extent: Some(extents[number % 3]),
+        text: format!("walk as proudly as {number} lions"),
+        suggestion: None,
+        note: String::new(),
+    }
+}
+
+/// What people and sources say of the motions, in lines.
+fn said(rows: Vec<MotionRow>) -> BTreeSet<String> {
+    let line = |row: MotionRow| {
+        let MotionRow {
+            id,
+            split,
+            content_hash,
+            mirrored_of,
+            captions,
+            caption_origins,
+            part_captions,
+            subject,
+            action,
+            style,
+            license,
+            rotation_source,
+            fit_error_m,
+            ..
+        } = row;
+        format!(
+            "{id} {split} {content_hash} {mirrored_of:?} {captions:?} {caption_origins:?} {part_captions:?} {subject:?} \
+             {action:?} {style:?} {license:?} {rotation_source} {fit_error_m:?}"
+        )
+    };
+    rows.into_iter().map(line).collect()
+}
+
+fn sorted<R: Row>(mut rows: Vec<R>, id: impl Fn(&R) -> String) -> Vec<R> {
+    rows.sort_by_key(id);
+    rows
+}
+
+#[test]
+fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
+    let made = Labelled::new();
+    made.with_all_labels();
+    let export = made.export("stance");
+    assert_eq!(export["left_out"], serde_json::json!({}), "{export}");
+    let report = made.ingest("stance", "again", &[], 0);
+    assert_eq!(report["quarantined"], 0, "{report}");
+    assert_eq!(said(made.rows("again")), said(made.rows("dataset")));
+    let masks = |name: &str| sorted(made.rows::<MaskRow>(name), |row| row.id.clone());
+    let people: BTreeSet<String> = masks("dataset")
+        .into_iter()
+        .map(|mask| mask.text_origin)
+        .collect();
+    assert_eq!(people.len(), 3, "{people:?}");
+    assert_eq!(masks("again"), masks("dataset"));
+    let pairs = |name: &str| sorted(made.rows::<PairRow>(name), |row| row.id.clone());
+    let kinds: BTreeSet<String> = pairs("dataset").into_iter().map(|pair| pair.kind).collect();
+    assert_eq!(kinds.len(), 3, "{kinds:?}");
+    assert_eq!(pairs("again"), pairs("dataset"));
+
+    // What only files of this program hold is counted.
+    let list = std::fs::read(made.path("stance/regen/mask_all.json")).expect("written");
+    let list: BTreeMap<String, Vec<String>> = serde_json::from_slice(&list).expect("JSON");
+    let listed: usize = list.values().map(Vec::len).sum();
+    let beside = masks("dataset").len() - listed;
+    assert!(beside > 1, "styles have masks too");
+    assert_eq!(export["beside"]["masks"], beside, "{export}");
+    assert!(export["beside"]["pairs"].as_u64() >= Some(2), "{export}");
+    // And once more.
+    let out = made.path("exported-again");
+    let again = made.path("again");
+    stance(&["export", arg(&again), "--to", "stance", "--out", arg(&out)]).expect_code(0);
+    for name in ["masks.jsonl", "pairs.jsonl", "regen/mask_all.json"] {
+        let read = |folder: &Path| std::fs::read(folder.join(name)).expect("written");
+        assert!(read(&out) == read(&made.path("stance")), "{name}");
+    }
+}
+
+#[test]
+fn an_exported_dataset_gives_its_answers_to_a_project() {
+    let made = Labelled::new();
+    made.annotate("store.sqlite", &["export"]);
+    made.export("stance");
+    let folder = made.path("stance");
+    // A dataset of the same motions without labels, and its project.
+    let pairs = made.path("corpus/pairs.csv");
+    made.ingest("corpus", "plain", &["--pairs", arg(&pairs)], 0);
+    let filled = made.annotate_of("plain", "plain.sqlite", &["import", arg(&folder)]);
+    assert_eq!(filled["counts"]["conflicts"], 0, "{filled}");
+    // The old ids hold in a dataset of the export, whose own tables have the answers already.
+    made.ingest("stance", "again", &[], 0);
+    made.annotate_of("again", "again.sqlite", &["import", arg(&folder)]);
+    let kept = |rows: Vec<AnnotationRow>| -> Vec<AnnotationRow> {
+        let rows = rows
+            .into_iter()
+            .filter(|row| row.verdict.as_deref().unwrap_or("keep") == "keep");
+        rows.collect()
+    };
+    let plain = |rows: Vec<AnnotationRow>| -> Vec<String> {
+        let rows = rows.into_iter();
+        let line = |row: AnnotationRow| {
+            format!(
+                "{} {} {:?} {} {:?} {:?} {} {:?} {}",
+                row.kind,
+                row.motion_id,
+                row.target_id,
+                row.split,
+                row.hard_joints,
+                row.soft_joints,
+                row.text,
+                row.edit_type,
+                row.author
+            )
+        };
+        rows.map(line).collect()
+    };
+    let answers = plain(kept(made.answers("dataset", "store.sqlite")));
+    assert!(answers.len() > 40, "{}", answers.len());
+    let masks = |rows: &[String]| -> Vec<String> {
+        let masks = rows.iter().filter(|row| row.starts_with("mask_text"));
+        masks.cloned().collect()
+    };
+    for (dataset, store) in [("plain", "plain.sqlite"), ("again", "again.sqlite")] {
+        let found = plain(made.answers(dataset, store));
+        assert_eq!(masks(&found), masks(&answers), "{store}");
+        assert_eq!(found.len(), answers.len(), "{store}");
+    }
+    // Labels of another motion of the same name are refused.
+    let other = made.path("other");
+    stance(&[
+        "corpus",
+        "--clips",
+        "36",
+        "--adjusted",
+        "1",
+        "--seed",
+        "9",
+        "--out",
+        arg(&other),
+    ])
+    .expect_code(0);
+    made.ingest("other", "other-dataset", &[], 0);
+    let (dataset, store) = (made.path("other-dataset"), made.path("other.sqlite"));
+    let import = [
+        "annotate",
+        arg(&dataset),
+        "--store",
+        arg(&store),
+        "import",
+        arg(&folder),
+    ];
+    let refused = stance(&import).expect_code(1);
+    assert!(
+        refused.stderr.contains("its content is"),
+        "{}",
+        refused.stderr
+    );
+}
+
+#[test]
+fn an_export_that_was_changed_is_refused_with_both_names() {
+    let made = Labelled::new();
+    made.export("stance");
+    let folder = made.path("stance");
+    let record = std::fs::read(folder.join("origin.json")).expect("written");
+    let record: Value = serde_json::from_slice(&record).expect("JSON");
+    let motions = record["motions"].as_object().expect("an object");
+    // A motion of an adjustment is in other files too.
+    let mut places: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for (place, origin) in motions {
+        let id = origin["id"].as_str().expect("an id");
+        places.entry(id).or_default().push(place);
+    }
+    let mut alone = places.iter().filter_map(|(id, places)| match places[..] {
+        [place] if !place.contains('#') => Some((*id, folder.join(format!("{place}.pkl")))),
+        _ => None,
+    });
+    let [first, second] = [(); 2].map(|()| alone.next().expect("two motions"));
+    std::fs::copy(&first.1, &second.1).expect("copied");
+    std::fs::write(folder.join("regen/mask_all.json"), "{}").expect("written");
+    let report = made.ingest("stance", "again", &[], 3);
+    assert_eq!(report["codes"]["E-STANCE-ORIGIN"], 2, "{report}");
+    let again = made.path("again");
+    let listed = stance(&["inspect", arg(&again), "--list", "quarantine"])
+        .expect_code(0)
+        .stdout;
+    for id in [first.0, second.0] {
+        assert!(listed.contains(id), "{listed}");
+    }
+    assert!(listed.contains("masks.jsonl holds the masks"), "{listed}");
+    // The other motions are as they were.
+    let motions: Vec<MotionRow> = made.rows("again");
+    let all: Vec<MotionRow> = made.rows("dataset");
+    assert_eq!(motions.len() + 1, all.len());
+    // A motion without a file is missed.
+    std::fs::remove_file(&second.1).expect("removed");
+    let report = made.ingest("stance", "third", &[], 3);
+    assert!(
+        report["remarks"].to_string().contains("have no file"),
+        "{report}"
+    );
+}
+
+#[test]
+fn every_answer_of_a_project_comes_back_by_way_of_the_stance_layout() {
+    let made = Labelled::new();
+    let to = made.path("answers");
+    let export = ["export", "--format", "stance", "--to", arg(&to)];
+    let done = made.annotate("store.sqlite", &export);
+    assert_eq!(done["counts"]["rejected_pairs"], REJECTED, "{done}");
+    assert_eq!(done["counts"]["extents"], 6, "{done}");
+    let filled = made.annotate("fresh.sqlite", &["import", arg(&to)]);
+    assert_eq!(filled["counts"]["conflicts"], 0, "{filled}");
+    let answers = made.answers("dataset", "store.sqlite");
+    let has = |name: &str| {
+        answers
+            .iter()
+            .filter(|row| row.verdict.as_deref() == Some(name))
+            .count()
+    };
+    assert_eq!(
+        has("unnatural") + has("unclear") + has("identical"),
+        REJECTED
+    );
+    assert_eq!(answers.iter().filter(|row| row.extent.is_some()).count(), 6);
+    assert_eq!(made.answers("dataset", "fresh.sqlite"), answers);
+    // Lists that say something else than the table are not passed over in silence.
+    std::fs::write(to.join("mask_all.json"), "{}").expect("written");
+    let (dataset, store) = (made.path("dataset"), made.path("third.sqlite"));
+    let import = [
+        "annotate",
+        arg(&dataset),
+        "--store",
+        arg(&store),
+        "import",
+        arg(&to),
+    ];
+    let refused = stance(&import).expect_code(1);
+    assert!(
+        refused
+            .stderr
+            .contains("mask_all.json was changed since the export"),
+        "{}",
+        refused.stderr
+    );
+}
+
+#[test]
+fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
+    let made = Labelled::new();
+    made.with_all_labels();
+    let rows: Vec<MotionRow> = made.rows("dataset");
+    let masks = made.rows::<MaskRow>("dataset").len();
+    let pairs: Vec<PairRow> = made.rows("dataset");
+    let count = |has: &dyn Fn(&MotionRow) -> bool| rows.iter().filter(|row| has(row)).count();
+    let made_captions = |row: &MotionRow| {
+        row.caption_origins
+            .iter()
+            .filter(|by| *by == "rule")
+            .count()
+    };
+    let made_captions: usize = rows.iter().map(made_captions).sum();
+    let part_captions: usize = rows.iter().map(|row| row.part_captions.len()).sum();
+    let both = [("masks", masks), ("pairs", pairs.len())];
+    let labels = [
+        ("made_captions", made_captions),
+        ("part_captions", part_captions),
+        ("subjects", count(&|row| row.subject.is_some())),
+        ("actions", count(&|row| row.action.is_some())),
+        ("styles", count(&|row| row.style.is_some())),
+    ];
+    let mirrored = [("mirror_links", count(&|row| row.mirrored_of.is_some()))];
+    let expected: [(&str, Vec<(&str, usize)>); 5] = [
+        ("amass", [&both[..], &mirrored].concat()),
+        ("bvh", [&both[..], &mirrored].concat()),
+        ("gltf", [&both[..], &mirrored].concat()),
+        ("webdataset", both.to_vec()),
+        ("humanml3d", [&both[..], &labels].concat()),
+    ];
+    let texts = |rows: Vec<MotionRow>| -> Vec<String> {
+        let mut texts: Vec<String> = rows
+            .iter()
+            .flat_map(|row| {
+                row.stated_captions()
+                    .map(|caption| format!("{} {}", row.split, caption.text))
+            })
+            .collect();
+        texts.sort();
+        texts
+    };
+    let names = |rows: Vec<MotionRow>| -> Vec<String> {
+        let mut names: Vec<String> = rows
+            .iter()
+            .map(|row| {
+                format!(
+                    "{} {:?} {:?} {:?} {:?} {:?}",
+                    row.split, row.action, row.style, row.subject, row.license, row.part_captions
+                )
+            })
+            .collect();
+        names.sort();
+        names
+    };
+    for (layout, expected) in expected {
+        let said = made.export(layout);
+        let expected: BTreeMap<&str, usize> = expected
+            .into_iter()
+            .filter(|(_, count)| *count > 0)
+            .collect();
+        assert_eq!(said["left_out"], serde_json::json!(expected), "{layout}");
+        assert_eq!(said["beside"], serde_json::json!({}), "{layout}");
+        made.ingest(layout, &format!("{layout}-again"), &[], 0);
+        let again: Vec<MotionRow> = made.rows(&format!("{layout}-again"));
+        assert_eq!(again.len(), rows.len(), "{layout}");
+        assert_eq!(texts(again.clone()), texts(rows.clone()), "{layout}");
+        if layout != "humanml3d" {
+            assert_eq!(names(again), names(rows.clone()), "{layout}");
+        }
+    }
+    // People read it too.
+    let (dataset, out) = (made.path("dataset"), made.path("text"));
+    let text = stance(&["export", arg(&dataset), "--to", "bvh", "--out", arg(&out)]).expect_code(0);
+    let line = format!("left out, because the layout has no place for them: {masks} masks");
+    assert!(text.stdout.contains(&line), "{}", text.stdout);
+}
+
+#[test]
+fn pairs_with_words_come_back_by_way_of_motionfix_and_the_rest_is_counted() {
+    let made = Labelled::new();
+    made.with_all_labels();
+    let rows: Vec<MotionRow> = made.rows("dataset");
+    let masks = made.rows::<MaskRow>("dataset").len();
+    let pairs: Vec<PairRow> = made.rows("dataset");
+    let said = made.export("motionfix");
+    let worded = pairs
+        .iter()
+        .filter(|pair| !pair.instruction.is_empty() || pair.style.is_some());
+    let worded = worded.count();
+    assert_eq!(said["clips"], worded, "{said}");
+    let left_out = |name: &str| said["left_out"][name].as_u64().unwrap_or(0) as usize;
+    assert_eq!(left_out("pairs"), pairs.len() - worded);
+    assert_eq!(left_out("masks"), masks);
+    assert_eq!(
+        left_out("captions") + left_out("made_captions"),
+        rows.iter().map(|row| row.captions.len()).sum::<usize>()
+    );
+    assert_eq!(
+        left_out("edit_types"),
+        pairs.iter().filter(|pair| pair.edit_type.is_some()).count()
+    );
+    let sides = pairs
+        .iter()
+        .flat_map(|pair| [&pair.source_id, &pair.target_id]);
+    let sides: BTreeSet<_> = sides.collect();
+    assert_eq!(left_out("clips"), rows.len() - sides.len());
+    made.ingest("motionfix", "motionfix-again", &["--fps", "30"], 0);
+    let mut instructions: Vec<String> = made
+        .rows::<PairRow>("motionfix-again")
+        .into_iter()
+        .map(|pair| pair.instruction)
+        .collect();
+    instructions.retain(|said| pairs.iter().any(|pair| pair.instruction.trim() == said));
+    let with_words = pairs
+        .iter()
+        .filter(|pair| !pair.instruction.trim().is_empty());
+    assert_eq!(instructions.len(), with_words.count());
+}
+
+#[test]
+fn features_and_chosen_clips_are_counted_too() {
+    let made = Labelled::new();
+    let dataset = made.path("features");
+    let source = made.path("corpus");
+    stance(&[
+        "ingest",
+        arg(&source),
+        "--features",
+        "humanml3d",
+        "--out",
+        arg(&dataset),
+    ])
+    .expect_code(0);
+    let rows = made.rows::<HumanMl3dRow>("features").len();
+    let export = |dataset: &Path, layout: &str, out: &str, more: &[&str]| -> Value {
+        let out = made.path(out);
+        let export = [
+            "--json",
+            "export",
+            arg(dataset),
+            "--to",
+            layout,
+            "--out",
+            arg(&out),
+        ];
+        stance(&[&export[..], more].concat()).expect_code(0).json()
+    };
+    let said = export(&dataset, "stance", "a", &[]);
+    assert_eq!(said["left_out"]["humanml3d_features"], rows, "{said}");
+    // A pair of which one motion is not chosen.
+    let pairs: Vec<PairRow> = made.rows("dataset");
+    let chosen = format!("id = '{}'", pairs[0].source_id);
+    let touched = pairs
+        .iter()
+        .filter(|pair| [&pair.source_id, &pair.target_id].contains(&&pairs[0].source_id));
+    let said = export(&made.path("dataset"), "stance", "b", &["--where", &chosen]);
+    assert_eq!(said["left_out"]["pairs"], touched.count(), "{said}");
+    // Plans say it as well.
+    let (plan, out) = (made.path("plan"), made.path("planned"));
+    let dataset = made.path("dataset");
+    let words = [
+        "stage",
+        "plan",
+        "export",
+        arg(&dataset),
+        "--to",
+        "bvh",
+        "--into",
+        arg(&out),
+        "--out",
+        arg(&plan),
+    ];
+    stance(&words).expect_code(0);
+    stance(&["stage", "work", arg(&plan)]).expect_code(0);
+    let done: Value = stance(&["--json", "stage", "commit", arg(&plan)])
+        .expect_code(0)
+        .json();
+    let masks = made.rows::<MaskRow>("dataset").len();
+    assert_eq!(done["notes"]["left_out"]["masks"], masks, "{done}");
+}
