@@ -195,6 +195,7 @@ fn a_staged_shard_takes_no_lock_and_is_found_until_its_file_changes() {
     let aside = aside(&place).expect("a table's file");
     assert_eq!(staging.path(&entry), aside);
     assert!(holds(&staging));
+    fs::create_dir_all(place.parent().expect("a folder")).expect("made");
     fs::rename(&aside, &place).expect("moves");
     assert_eq!(staging.path(&entry), place);
     assert!(holds(&staging));
