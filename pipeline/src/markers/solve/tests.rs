@@ -127,7 +127,7 @@ fn what_is_no_known_set_or_no_body_says_so() {
         }
     }
     assert!(refused(&legless).contains("seen on the left leg for"));
-    for (factor, words) in [(1e-3, "0.0017"), (1e3, "17"), (0.2, "on a person of 0.3")] {
+    for (factor, words) in [(1e-3, "of 0.0016"), (1e3, "of 16"), (0.2, "of 0.3")] {
         let mut scaled = markers.clone();
         for number in scaled.positions.iter_mut().flatten() {
             *number *= factor;
