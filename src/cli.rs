@@ -74,7 +74,7 @@ enum Command {
     Build(cmd::build::Args),
     Corpus(cmd::corpus::Args),
     Doctor(cmd::doctor::Args),
-    Ingest(cmd::ingest::Args),
+    Ingest(cmd::ingest::RunArgs),
     Inspect(cmd::inspect::Args),
     Verify(cmd::verify::Args),
     Dataset(cmd::dataset::Args),

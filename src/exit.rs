@@ -2,13 +2,15 @@
 
 use std::process::ExitCode;
 
-/// How a command ended. Usage errors exit with 2 before any command runs.
+/// How a command ended. A command line that cannot be parsed exits with 2 before any command runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Exit {
     /// Done.
     Done,
     /// Could not finish.
     Failed,
+    /// The command line leaves open what is meant.
+    Usage,
     /// Finished, some items quarantined.
     Quarantined,
     /// Ended by an interrupt, with what was done saved (128 and the number of the signal).
@@ -38,6 +40,12 @@ impl Exit {
                 }
                 || matches!(cause.downcast_ref(), Some(eval::Error::Spec(error)) if is_lock(error))
         });
+        let asked = error.chain().any(|cause| {
+            matches!(
+                cause.downcast_ref::<pipeline::Error>(),
+                Some(pipeline::Error::AskedSource { .. })
+            )
+        });
         let stopped = error.chain().any(|cause| {
             matches!(
                 cause.downcast_ref::<train::Error>(),
@@ -48,6 +56,8 @@ impl Exit {
             Self::Locked
         } else if stopped {
             Self::Interrupted
+        } else if asked {
+            Self::Usage
         } else {
             Self::Failed
         }
@@ -60,6 +70,7 @@ impl Exit {
         match self {
             Self::Done => 0,
             Self::Failed => 1,
+            Self::Usage => 2,
             Self::Quarantined => 3,
             Self::Locked => 75,
             Self::Interrupted => 130,

@@ -9,7 +9,7 @@ use eval::answers::{Answered, Scores};
 use eval::protocol::Protocol;
 use eval::times::WindowTimes;
 use pipeline::compose::ItemConfig;
-use pipeline::ingest::{IngestReport, ingest};
+use pipeline::ingest::{IngestReport, SourceArg, ingest};
 use pipeline::stage::{self, IngestConfig};
 use train::registry::open_system;
 use train::sample::EditTimes;
@@ -24,7 +24,7 @@ use crate::session::with_session;
 
 /// Ingests folders, or continues.
 pub(crate) fn ingested(
-    sources: &[PathBuf],
+    sources: &[SourceArg],
     root: &Path,
     config: &IngestConfig,
     seed: Seed,

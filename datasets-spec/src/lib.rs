@@ -14,6 +14,7 @@
 //! # let folder = tempfile::tempdir()?;
 //! let row = QuarantineRow {
 //!     path: "walk.bvh".to_owned(),
+//!     source_name: String::new(),
 //!     source_hash: String::new(),
 //!     inputs_hash: String::new(),
 //!     code: "E-BVH-FRAMES".to_owned(),

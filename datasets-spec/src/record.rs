@@ -23,6 +23,8 @@ table! {
         pub split: Split [""],
         /// Kind of source the clip came from, such as amass or bvh
         pub source: String [""],
+        /// Name of the source it came from, one of the manifest's `sources`; empty where there was none, and in files of earlier formats
+        pub source_name: String ["", newer],
         /// Path of the source file relative to the ingested root
         pub source_path: String [""],
         /// BLAKE3 of the source file, hexadecimal
@@ -71,6 +73,12 @@ table! {
         pub notes: Vec<String> ["", newer],
         /// BLAKE3 of rate and motion columns, hexadecimal
         pub content_hash: String [""],
+        /// Mean place of the body joints in eight frames along x, seen from where the motion begins: nearly equal motions have nearly equal ones; missing in files of earlier formats
+        pub centre_x: Option<f32> ["m", newer],
+        /// The same along y
+        pub centre_y: Option<f32> ["m", newer],
+        /// The same along z
+        pub centre_z: Option<f32> ["m", newer],
         /// Findings of the quality checks
         pub quality: Quality [""],
     }
@@ -141,6 +149,8 @@ table! {
         pub id: MotionId [""],
         /// Split of the capture
         pub split: Split [""],
+        /// Name of the source it came from, one of the manifest's `sources`; empty where there was none, and in files of earlier formats
+        pub source_name: String ["", newer],
         /// Path of the source file relative to the ingested root
         pub source_path: String [""],
         /// BLAKE3 of the source file, hexadecimal
@@ -470,6 +480,8 @@ table! {
     pub struct QuarantineRow = "quarantine" {
         /// Path of the source file relative to the ingested root
         pub path: String [""],
+        /// Name of the source it came from, one of the manifest's `sources`; empty where there was none, and in files of earlier formats
+        pub source_name: String ["", newer],
         /// BLAKE3 of the source file, hexadecimal; empty if it could not be read
         pub source_hash: String [""],
         /// BLAKE3 of all files that decide about the item, hexadecimal: it is read again when they change
@@ -491,6 +503,8 @@ table! {
     pub struct SkippedRow = "skipped" {
         /// Path of the source file relative to the ingested root
         pub path: String [""],
+        /// Name of the source it came from, one of the manifest's `sources`; empty where there was none, and in files of earlier formats
+        pub source_name: String ["", newer],
         /// BLAKE3 of the source file, hexadecimal; empty for what is not a file
         pub source_hash: String [""],
         /// BLAKE3 of all files that decide about the item, hexadecimal: it is read again when they change
@@ -515,6 +529,7 @@ impl MotionRow {
             id,
             split,
             source: String::new(),
+            source_name: String::new(),
             source_path: String::new(),
             source_hash: String::new(),
             inputs_hash: String::new(),
@@ -539,6 +554,9 @@ impl MotionRow {
             style: None,
             notes: Vec::new(),
             content_hash: motion.content_hash(),
+            centre_x: None,
+            centre_y: None,
+            centre_z: None,
             quality: Quality::default(),
         }
     }

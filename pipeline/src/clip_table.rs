@@ -18,6 +18,11 @@ pub(crate) trait ClipRow: Row {
     /// Gives the clip another id and split.
     fn place(&mut self, id: MotionId, split: Split);
 
+    /// Name of the source that the clip came from, where the table has it.
+    fn source_name(&mut self) -> Option<&mut String> {
+        None
+    }
+
     /// The path of the file that the clip was read from, where the table has it.
     fn source_path(&mut self) -> Option<&mut String> {
         None
@@ -42,6 +47,10 @@ impl ClipRow for MotionRow {
         (self.id, self.split) = (id, split);
     }
 
+    fn source_name(&mut self) -> Option<&mut String> {
+        Some(&mut self.source_name)
+    }
+
     fn source_path(&mut self) -> Option<&mut String> {
         Some(&mut self.source_path)
     }
@@ -62,6 +71,10 @@ impl ClipRow for MarkerRow {
 
     fn place(&mut self, id: MotionId, split: Split) {
         (self.id, self.split) = (id, split);
+    }
+
+    fn source_name(&mut self) -> Option<&mut String> {
+        Some(&mut self.source_name)
     }
 
     fn source_path(&mut self) -> Option<&mut String> {

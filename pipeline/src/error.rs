@@ -136,6 +136,28 @@ pub enum Error {
         /// The settings that differ, with both values.
         differing: String,
     },
+    /// It cannot be known which source is meant.
+    #[error("{reason}")]
+    AskedSource {
+        /// What cannot be known, and how to say it.
+        reason: String,
+    },
+    /// Clips would stay as they were while settings change that all clips of a dataset share.
+    #[error(
+        "{count} clips of {} cannot be read again with the new settings ({differing}): {shown}; nothing was changed. \
+         Put their files back, keep the settings, or pass --prune to leave these clips out",
+        path.display()
+    )]
+    Mixture {
+        /// The dataset.
+        path: PathBuf,
+        /// Number of clips.
+        count: usize,
+        /// The first of them.
+        shown: String,
+        /// The settings, with both values.
+        differing: String,
+    },
     /// Two datasets are posed on different skeletons.
     #[error(
         "the datasets are posed on different bodies: {first} and {second}; ingest one of them again with the \
@@ -400,6 +422,8 @@ impl Error {
             }
             Self::Io { path, .. } => ("E-IO", path),
             Self::MissingSource { path } => ("E-MISSING", path),
+            Self::Mixture { path, .. } => ("E-MIXTURE", path),
+            Self::AskedSource { .. } => return Some(("E-SOURCE-NAME", None)),
             Self::Occupied { path } => ("E-OCCUPIED", path),
             Self::IdList { path, .. } => ("E-ID-LIST", path),
             Self::PackedTar { path } => ("E-PACKED-TAR", path),

@@ -54,6 +54,15 @@ impl Sketch {
         }
     }
 
+    /// Mean of all points, in metres. Those of nearly equal motions differ by no more than their points.
+    pub fn centre(&self) -> [f32; 3] {
+        let count = self.points.len().max(1) as f64;
+        [0, 1, 2].map(|axis| {
+            let sum: f64 = self.points.iter().map(|point| f64::from(point[axis])).sum();
+            (sum / count) as f32
+        })
+    }
+
     /// Mean distance of the joints, in metres; none for motions whose lengths differ by more than a frame.
     pub fn distance(&self, other: &Self) -> Option<f64> {
         if self.num_frames.abs_diff(other.num_frames) > 1 {

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipRow};
-use crate::ingest::{merged_facts, recorded_settings, with_label};
+use crate::ingest::{MergedSources, recorded_settings, with_label};
 use crate::recordings::{Clip, Origin, Prefixes, Recording, clips, grouped, sketches, unite_alike};
 
 /// What [`merge`] did.
@@ -41,6 +41,9 @@ pub struct Merged {
 /// A dataset that takes part, and what becomes of the ids and splits of its clips.
 struct Part<'a> {
     dataset: &'a Dataset,
+    /// 0 for the first dataset, 1 for the second.
+    number: usize,
+    sources: &'a MergedSources,
     /// What its paths begin with in the result.
     label: String,
     /// Clips that the other has.
@@ -63,8 +66,13 @@ impl Part<'_> {
         if self.shared.contains(row.id()) {
             return None;
         }
+        let name = row.source_name().cloned().unwrap_or_default();
         if let Some(path) = row.source_path() {
+            let name = self.sources.name(self.number, &name, path);
             *path = self.path(path);
+            if let Some(own) = row.source_name() {
+                *own = name;
+            }
         }
         if let Some(mirrored) = row.mirrored_of()
             && let Ok(id) = MotionId::parse(mirrored)
@@ -106,15 +114,18 @@ pub fn merge(
             path: out.to_owned(),
         });
     }
-    let (mut facts, label) = merged_facts(a, b);
+    let sources = MergedSources::of(a, b);
+    let mut facts = sources.facts.clone();
     let base = Part {
         dataset: a,
+        number: 0,
+        sources: &sources,
         label: String::new(),
         shared: BTreeSet::new(),
         ids: BTreeMap::new(),
         splits: BTreeMap::new(),
     };
-    let added = added(&datasets, &clips, label)?;
+    let added = added(&datasets, &clips, &sources)?;
     let plan = plan_hash(
         "merge",
         &(
@@ -172,16 +183,19 @@ pub fn merge(
     for part in parts {
         let rows = part.dataset.read::<QuarantineRow>(None)?.into_iter();
         quarantine.extend(rows.map(|row| QuarantineRow {
+            source_name: sources.name(part.number, &row.source_name, &row.path),
             path: part.path(&row.path),
             ..row
         }));
         let rows = part.dataset.read::<SkippedRow>(None)?.into_iter();
         skipped.extend(rows.map(|row| SkippedRow {
+            source_name: sources.name(part.number, &row.source_name, &row.path),
             path: part.path(&row.path),
             ..row
         }));
         skipped.extend(part.shared.iter().map(|id| SkippedRow {
             path: part.path(id.as_str()),
+            source_name: String::new(),
             source_hash: String::new(),
             inputs_hash: String::new(),
             reason: "clip of both merged datasets".to_owned(),
@@ -201,6 +215,9 @@ pub fn merge(
         SkippedRow::TABLE.to_owned(),
         transaction.write_shards(None, &skipped, &shard_facts)?,
     );
+    let store = transaction.store();
+    let places = sources.places(store.as_ref(), [first, second])?;
+    places.write(store.as_ref(), transaction.root())?;
     let dataset = transaction.commit(Commit {
         tables,
         plan_hash: plan,
@@ -274,7 +291,7 @@ fn check_settings(datasets: &[Dataset; 2], clips: &[Vec<Clip>; 2]) -> Result<(),
 fn added<'a>(
     [first, second]: &'a [Dataset; 2],
     [known, own]: &[Vec<Clip>; 2],
-    label: String,
+    sources: &'a MergedSources,
 ) -> Result<Part<'a>, Error> {
     let by_id: BTreeMap<&MotionId, &str> = known
         .iter()
@@ -282,7 +299,9 @@ fn added<'a>(
         .collect();
     let mut part = Part {
         dataset: second,
-        label,
+        number: 1,
+        sources,
+        label: sources.label.clone(),
         shared: BTreeSet::new(),
         ids: BTreeMap::new(),
         splits: BTreeMap::new(),

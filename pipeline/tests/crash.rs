@@ -421,7 +421,7 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
     let clean = grow(store, &dir.path().join("clean")).expect("a healthy disk");
     let growth = clean.growth.expect("it grew");
     assert_eq!(
-        (growth.new, growth.gone.len(), growth.read_again.len()),
+        (growth.new, growth.missing.len(), growth.read_again.len()),
         (1, 1, 1)
     );
     let clean = clean.dataset.manifest().root_hash.clone();

@@ -10,6 +10,7 @@ use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::ComposeConfig;
 use pipeline::export::{Layout, export};
 use pipeline::filter::Clips;
+use pipeline::ingest::SourceArg;
 use pipeline::recording::{self, Kind, Settings};
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
@@ -27,9 +28,9 @@ pub(crate) struct Args {
     /// Configuration file
     #[arg(long)]
     config: PathBuf,
-    /// Files and folders to ingest, in place of those of the configuration
-    #[arg(long, num_args = 1..)]
-    sources: Vec<PathBuf>,
+    /// Files, folders and URLs to ingest, in place of those of the configuration
+    #[arg(long, num_args = 1.., value_name = "[NAME=]SOURCE", value_parser = super::ingest::parse_source())]
+    sources: Vec<SourceArg>,
     /// Folder for everything, in place of that of the configuration
     #[arg(long, value_parser = crate::local::path())]
     out: Option<PathBuf>,
@@ -39,7 +40,8 @@ pub(crate) struct Args {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BuildConfig {
-    sources: Vec<PathBuf>,
+    /// Files, folders and URLs to ingest, each as NAME=PATH or a path.
+    sources: Vec<SourceArg>,
     out: PathBuf,
     /// Triplets recorded.
     #[serde(default = "default_triplets")]
@@ -158,8 +160,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 fn read(args: &Args) -> anyhow::Result<BuildConfig> {
     let mut config: BuildConfig = settings::read(&args.config)?;
     let base = args.config.parent().unwrap_or(Path::new("."));
-    let folders = config.sources.iter_mut().chain([&mut config.out]);
-    for path in folders.chain(&mut config.ingest.pairs) {
+    let sources = config.sources.into_iter();
+    config.sources = sources.map(|source| source.below(base)).collect();
+    for path in [&mut config.out]
+        .into_iter()
+        .chain(&mut config.ingest.pairs)
+    {
         *path = base.join(&*path);
     }
     if !args.sources.is_empty() {

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use corpus::{CLIPS_PER_TAKE, CorpusOptions, PAIR_LIST, write_corpus};
 use datasets_spec::Seed;
 use pipeline::compose::ItemCount;
+use pipeline::ingest::SourceArg;
 use train::config::{Preset, RunLength, TrainConfig};
 
 use crate::cmd::run::{Plan, RunConfig, finish};
@@ -58,7 +59,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     write_corpus(&folder, &corpus, &global.bars())?;
 
     let pairs = folder.join(PAIR_LIST);
-    let mut config = RunConfig::new(vec![folder], args.out.clone());
+    // A folder of a demo that was moved or copied is the same source.
+    let source = SourceArg {
+        name: Some("corpus".to_owned()),
+        path: folder,
+    };
+    let mut config = RunConfig::new(vec![source], args.out.clone());
     config.ingest.pairs = Some(pairs);
     config.stages.without_mcm = true;
     config.items.count = ItemCount::Exactly(if args.quick { QUICK_ITEMS } else { ITEMS });

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::builder::{OsStringValueParser, PossibleValuesParser, TypedValueParser};
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use datasets_spec::{Fps, Resample, Skeleton};
@@ -13,7 +13,8 @@ use pipeline::annotation::pairs::{PairList, RefusedLine};
 use pipeline::check::Teleports;
 use pipeline::clip::LabelProblem;
 use pipeline::ingest::{
-    Growth, IdList, IngestOptions, IngestReport, SplitList, ingest, plan_ingest,
+    AlikeClips, Forecast, Growth, IdList, IngestOptions, IngestReport, SourceArg, SplitList,
+    forecast, ingest, plan_ingest,
 };
 use pipeline::markers::MarkerSet;
 use pipeline::retarget::UserMap;
@@ -27,24 +28,13 @@ use crate::failure::Failure;
 use crate::global::Global;
 use crate::report;
 
-/// Turn motion files into one checked dataset.
-///
-/// BVH, C3D, TRC, glTF, FBX and AMASS files are found by their content, and the folders of the HumanML3D, STANCE,
-/// MotionFix, Motion-X and BONES-SEED releases by their layout, in archives too: a zip, tar, tar.gz, tar.bz2 or tar.xz
-/// acts as a folder of its name. A file that cannot be used is listed in the
-/// `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run again, it
-/// continues; run again after success, it changes nothing.
-///
-/// A dataset that exists grows: files that are new or changed are read, clips whose files are gone
-/// leave, and sources that are not given stay as they are. Clips keep their ids, splits, masks and pairs.
-///
-/// Splits are published lists where there are any, else drawn from the source clip with `--seed`
-/// when the dataset is made. A dataset that exists keeps the seed of its splits.
+/// Turn motion files into one checked dataset, with the options of `stance ingest`.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// Files, folders and URLs to read
-    #[arg(required = true)]
-    sources: Vec<PathBuf>,
+    /// Files, folders and URLs to read, each with a name or without. What stands before the first = is a name unless
+    /// it holds a slash
+    #[arg(required = true, value_name = "[NAME=]SOURCE", value_parser = parse_source())]
+    sources: Vec<SourceArg>,
     /// Dataset folder or URL to write
     #[arg(long)]
     out: PathBuf,
@@ -86,9 +76,13 @@ pub(crate) struct Args {
     /// flagged
     #[arg(long)]
     lenient: bool,
-    /// Read everything again where settings differ from those the dataset was made with
+    /// Read everything again where settings differ from those the dataset was made with. Sources that are not given
+    /// are read where they were found before
     #[arg(long)]
     new_version: bool,
+    /// Let clips leave whose files are gone, or are there and give them no more
+    #[arg(long)]
+    prune: bool,
     /// Go on although masks or pairs are lost, because their clips changed or went; the version before
     /// keeps them
     #[arg(long)]
@@ -114,6 +108,39 @@ pub(crate) struct Args {
     /// Exit with 0 although up to N files, or P%, were quarantined
     #[arg(long, value_name = "N|P%", value_parser = parse_allowance)]
     allow_quarantine: Option<Allowance>,
+}
+
+/// Turn motion files into one checked dataset.
+///
+/// BVH, C3D, TRC, glTF, FBX and AMASS files are found by their content, and the folders of the HumanML3D, STANCE,
+/// MotionFix, Motion-X and BONES-SEED releases by their layout, in archives too: a zip, tar, tar.gz, tar.bz2 or tar.xz
+/// acts as a folder of its name. A file that cannot be used is listed in the
+/// `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run again, it
+/// continues; run again after success, it changes nothing.
+///
+/// A dataset that exists grows: files that are new or changed are read, and everything else stays, also sources that
+/// are not given and clips whose files are gone. Clips keep their ids, splits, masks and pairs. Nothing leaves without
+/// --prune, and no label that a person made without --drop-labels. --dry-run tells what would happen.
+///
+/// Each source has a name, NAME=PATH, or else that of its folder. A dataset knows a source by its name, or by the place
+/// where it found it before: a folder that moved is given as NAME=PATH, and a new folder needs a name of its own. Where
+/// it cannot be known which source is meant, the command asks and changes nothing.
+///
+/// Splits are published lists where there are any, else drawn from the source clip with `--seed`
+/// when the dataset is made. A dataset that exists keeps the seed of its splits.
+#[derive(clap::Args, Debug)]
+pub(crate) struct RunArgs {
+    #[command(flatten)]
+    args: Args,
+    /// Tell what would happen and write nothing: clips by source that are new, changed, missing and so on, settings
+    /// that differ, and labels that would be lost. Exits with 1 where the run would be refused
+    #[arg(long)]
+    dry_run: bool,
+}
+
+/// Parses a source with a name or without.
+pub(crate) fn parse_source() -> impl TypedValueParser<Value = SourceArg> {
+    OsStringValueParser::new().try_map(|given| SourceArg::parse(&given))
 }
 
 fn format_parser() -> impl TypedValueParser<Value = Format> {
@@ -201,6 +228,7 @@ fn options(args: &Args, global: &Global) -> anyhow::Result<IngestOptions> {
         format: args.format,
         humanml3d_index: args.humanml3d_index.clone(),
         new_version: args.new_version,
+        prune: args.prune,
         drop_labels: args.drop_labels,
         teleports: match args.teleports {
             TeleportsArg::Quarantine => Teleports::Quarantine,
@@ -218,8 +246,12 @@ fn options(args: &Args, global: &Global) -> anyhow::Result<IngestOptions> {
     })
 }
 
-pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+pub(crate) fn run(args: &RunArgs, global: &Global) -> anyhow::Result<Exit> {
+    let RunArgs { args, dry_run } = args;
     let options = options(args, global)?;
+    if *dry_run {
+        return tell(args, &options, global);
+    }
     let done = ingest(
         &args.sources,
         &args.out,
@@ -241,6 +273,110 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         None => exit(&done, args.allow_quarantine),
     })
+}
+
+/// Tells what a run would do.
+fn tell(args: &Args, options: &IngestOptions, global: &Global) -> anyhow::Result<Exit> {
+    /// The `--json` document of a dry run.
+    #[derive(Serialize)]
+    struct Told<'a> {
+        dataset: &'a Path,
+        dry_run: bool,
+        #[serde(flatten)]
+        forecast: &'a Forecast,
+    }
+    let told = forecast(&args.sources, &args.out, options, &global.bars())
+        .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
+    if global.json {
+        report::json(&Told {
+            dataset: &args.out,
+            dry_run: true,
+            forecast: &told,
+        })?;
+    } else {
+        report::text(&foreseen(&told));
+    }
+    Ok(match told.refusals.is_empty() {
+        true => Exit::Done,
+        false => Exit::Failed,
+    })
+}
+
+/// A forecast in words.
+fn foreseen(told: &Forecast) -> String {
+    let mut text = "nothing was written\n".to_owned();
+    for source in &told.sources {
+        let is_new = if source.is_new { ", a new source" } else { "" };
+        text += &format!("source {}{is_new}\n", source.name);
+        let moved: Vec<String> = source
+            .moved
+            .iter()
+            .map(|(id, path)| format!("{id} to {path}"))
+            .collect();
+        text += &listed("new", &source.new);
+        text += &listed("changed", &source.changed);
+        text += &listed("read again", &source.read_again);
+        text += &listed("moved", &moved);
+        text += &counted("equal", source.equal.len());
+        text += &listed(MISSING, &source.missing);
+        text += &listed(UNUSABLE, &source.kept_unusable);
+        text += &listed("pruned", &source.pruned);
+        text += &counted(
+            "quarantined",
+            usize::try_from(source.quarantined).unwrap_or(usize::MAX),
+        );
+        text += &counted(
+            "skipped",
+            usize::try_from(source.skipped).unwrap_or(usize::MAX),
+        );
+    }
+    if let Some(settings) = &told.settings {
+        text += &format!("settings differ: {settings}\n");
+    }
+    for lost in &told.lost {
+        text += &format!(
+            "would be lost: {} of {} ({})\n",
+            lost.id, lost.table, lost.reason
+        );
+    }
+    for line in &told.refused_splits {
+        text += &format!("line of the splits without a clip: {line}\n");
+    }
+    for remark in &told.remarks {
+        text += &format!("note: {remark}\n");
+    }
+    for refusal in &told.refusals {
+        text += &format!("the run would be refused: {refusal}\n");
+    }
+    text
+}
+
+/// What is said of clips that stay although their files are gone, or give them no more.
+const MISSING: &str = "missing, kept; --prune removes them";
+const UNUSABLE: &str = "kept as they were, their files give them no more; --prune removes them";
+
+/// A count of clips; nothing for none.
+fn counted(what: &str, count: usize) -> String {
+    match count {
+        0 => String::new(),
+        count => format!("  {count:>6} {what}\n"),
+    }
+}
+
+/// A count of clips with the first of them; nothing for none.
+fn listed(what: &str, clips: &[String]) -> String {
+    const SHOWN: usize = 5;
+    let mut text = counted(what, clips.len());
+    for clip in clips.iter().take(SHOWN) {
+        text += &format!("         {clip}\n");
+    }
+    if clips.len() > SHOWN {
+        text += &format!(
+            "         and {} more; --json lists all\n",
+            clips.len() - SHOWN
+        );
+    }
+    text
 }
 
 /// The failure of a run whose dataset has no motion.
@@ -349,6 +485,7 @@ struct Document<'a> {
     label_problems: &'a [LabelProblem],
     licenses: &'a BTreeMap<String, u64>,
     remarks: &'a [String],
+    alike: &'a [AlikeClips],
     growth: Option<&'a Growth>,
     root_hash: &'a str,
 }
@@ -374,6 +511,7 @@ impl<'a> Document<'a> {
             label_problems: &done.label_problems,
             licenses: &done.licenses,
             remarks: &done.remarks,
+            alike: &done.alike,
             growth: done.growth.as_ref(),
             root_hash: &done.dataset.manifest().root_hash,
         }
@@ -468,6 +606,7 @@ pub(crate) fn summary(done: &IngestReport) -> String {
         let tag = if tag.is_empty() { "not stated" } else { tag };
         text += &format!("licence {tag:<20} {clips:>8} clips\n");
     }
+    text += &alike_clips(&done.alike);
     if let Some(growth) = &done.growth {
         text += &grown(growth);
     }
@@ -478,29 +617,56 @@ pub(crate) fn summary(done: &IngestReport) -> String {
     text
 }
 
+/// Clips that are alike.
+fn alike_clips(alike: &[AlikeClips]) -> String {
+    const SHOWN: usize = 5;
+    let (together, apart): (Vec<&AlikeClips>, Vec<&AlikeClips>) =
+        alike.iter().partition(|alike| alike.splits.len() == 1);
+    let mut text = String::new();
+    for (clips, what) in [
+        (together, "are nearly equal and share a split"),
+        (
+            apart,
+            "are alike and in several splits, because a list or an earlier version puts them there; \
+             `stance verify` reports them",
+        ),
+    ] {
+        for alike in clips.iter().take(SHOWN) {
+            let ids: Vec<&str> = alike.clips.iter().take(SHOWN).map(String::as_str).collect();
+            let more = match alike.clips.len() - ids.len() {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
+            text += &format!("{}{more} {what}\n", ids.join(", "));
+        }
+        if clips.len() > SHOWN {
+            text += &format!(
+                "and {} more groups that {what}; --json lists all\n",
+                clips.len() - SHOWN
+            );
+        }
+    }
+    text
+}
+
 /// What became of the clips and labels that the dataset had.
 fn grown(growth: &Growth) -> String {
-    const SHOWN: usize = 3;
     let mut text = format!(
-        "{} clips are new, {} changed, {} were read again, {} moved, {} are gone, {} stay as they are\n",
+        "{} clips are new, {} changed, {} were read again, {} moved, {} stay as they are\n",
         growth.new,
         growth.changed.len(),
         growth.read_again.len(),
         growth.moved.len(),
-        growth.gone.len(),
         growth.kept
     );
     for (what, clips) in [
         ("changed", &growth.changed),
         ("moved", &growth.moved),
-        ("gone", &growth.gone),
+        (MISSING, &growth.missing),
+        (UNUSABLE, &growth.kept_unusable),
+        ("pruned", &growth.pruned),
     ] {
-        for clip in clips.iter().take(SHOWN) {
-            text += &format!("  {what}: {clip}\n");
-        }
-        if clips.len() > SHOWN {
-            text += &format!("  and {} more\n", clips.len() - SHOWN);
-        }
+        text += &listed(what, clips);
     }
     for (table, count) in &growth.labels {
         text += &format!("{count} {table} stay\n");

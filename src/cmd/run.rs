@@ -16,7 +16,7 @@ use eval::report::{Card, Chart, Details, Report, Strip};
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
 use pipeline::compose::{ComposeConfig, ItemConfig};
-use pipeline::ingest::IngestReport;
+use pipeline::ingest::{IngestReport, SourceArg};
 use pipeline::recording::{self, Kind, Settings};
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
@@ -61,8 +61,8 @@ pub(crate) struct Args {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RunConfig {
-    /// Files and folders to ingest.
-    sources: Vec<PathBuf>,
+    /// Files, folders and URLs to ingest, each as NAME=PATH or a path.
+    sources: Vec<SourceArg>,
     /// Folder for everything the run makes.
     out: PathBuf,
     /// Named settings of the models.
@@ -147,7 +147,7 @@ fn default_triplets() -> u64 {
 
 impl RunConfig {
     /// The default settings for these sources.
-    pub(crate) fn new(sources: Vec<PathBuf>, out: PathBuf) -> Self {
+    pub(crate) fn new(sources: Vec<SourceArg>, out: PathBuf) -> Self {
         Self {
             sources,
             out,
@@ -223,8 +223,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     args.trainings.choose()?;
     let mut config: RunConfig = settings::read(&args.config)?;
     let base = args.config.parent().unwrap_or(Path::new("."));
-    let folders = config.sources.iter_mut().chain([&mut config.out]);
-    let files = folders.chain(&mut config.ingest.pairs);
+    let sources = config.sources.into_iter();
+    config.sources = sources.map(|source| source.below(base)).collect();
+    let files = [&mut config.out]
+        .into_iter()
+        .chain(&mut config.ingest.pairs);
     for path in files.chain(&mut config.text_encoder) {
         *path = base.join(&*path);
     }

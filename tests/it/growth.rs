@@ -8,9 +8,10 @@ use datasets_spec::record::{MaskRow, MotionRow, PairRow, SkippedRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
+use crate::sources::{everything, predicted};
 use crate::util::{arg, corpus, stance};
 
-fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
+pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
     let mut args = vec!["--json", "ingest"];
     args.extend(sources.iter().map(|source| arg(source)));
     args.extend(["--out", arg(out)]);
@@ -38,13 +39,13 @@ fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
     stance(&args).expect_code(1).stderr
 }
 
-fn motions(dataset: &Path) -> Vec<MotionRow> {
+pub(crate) fn motions(dataset: &Path) -> Vec<MotionRow> {
     let dataset = Dataset::open(dataset).expect("a dataset");
     dataset.read(None).expect("rows")
 }
 
 /// Split and content of every clip.
-fn clips(dataset: &Path) -> BTreeMap<String, (Split, String)> {
+pub(crate) fn clips(dataset: &Path) -> BTreeMap<String, (Split, String)> {
     let rows = motions(dataset).into_iter();
     rows.map(|row| (row.id.to_string(), (row.split, row.content_hash)))
         .collect()
@@ -67,18 +68,18 @@ fn equal_motions_share_a_split(dataset: &Path) -> usize {
     repeated.filter(|splits| splits[0] != Split::Train).count()
 }
 
-fn masks(dataset: &Path) -> BTreeMap<String, MaskRow> {
+pub(crate) fn masks(dataset: &Path) -> BTreeMap<String, MaskRow> {
     let dataset = Dataset::open(dataset).expect("a dataset");
     let rows: Vec<MaskRow> = dataset.read(None).expect("rows");
     rows.into_iter().map(|row| (row.id.clone(), row)).collect()
 }
 
-fn verified(dataset: &Path) {
+pub(crate) fn verified(dataset: &Path) {
     stance(&["verify", arg(dataset)]).expect_code(0);
 }
 
 /// The motion files of a corpus, sorted.
-fn files(folder: &Path) -> Vec<PathBuf> {
+pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in fs::read_dir(folder).expect("listed") {
         let path = entry.expect("an entry").path();
@@ -96,7 +97,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 }
 
 /// Moves motion files with the files of the same name beside them.
-fn move_files(files: &[PathBuf], to: &Path) {
+pub(crate) fn move_files(files: &[PathBuf], to: &Path) {
     fs::create_dir_all(to).expect("made");
     for file in files {
         let stem = file
@@ -120,7 +121,7 @@ fn move_files(files: &[PathBuf], to: &Path) {
 }
 
 /// A corpus in two folders of half the clips each, in all its formats.
-fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
+pub(crate) fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
     let dir = corpus(clips);
     let (first, second) = (dir.path().join("corpus"), dir.path().join("more"));
     let files = files(&first);
@@ -130,7 +131,7 @@ fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
 }
 
 /// Accepts every automatic mask in the name of a person.
-fn judge(dataset: &Path, dir: &Path) -> BTreeMap<String, MaskRow> {
+pub(crate) fn judge(dataset: &Path, dir: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset)]).expect_code(0);
     let file = dir.join("judged.jsonl");
     stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
@@ -201,7 +202,9 @@ fn a_source_that_is_added_changes_no_id_and_no_split() {
     fs::create_dir(&moved).expect("made");
     let moved = moved.join("corpus");
     fs::rename(&source, &moved).expect("moved");
-    for sources in [vec![more.as_path(), &moved], vec![&moved], vec![&more]] {
+    let named = format!("corpus={}", arg(&moved));
+    let named = Path::new(&named);
+    for sources in [vec![more.as_path(), named], vec![&moved], vec![&more]] {
         let again = ingest(&sources, &dataset, &[], 0);
         assert_eq!(again["already_complete"], true, "{sources:?}");
     }
@@ -222,7 +225,7 @@ fn a_folder_may_be_given_alone_and_the_others_stay() {
     ingest(&[&source], &dataset, &[], 0);
     let before = clips(&dataset);
     let grown = ingest(&[&more], &dataset, &[], 0);
-    assert_eq!(grown["growth"]["gone"], serde_json::json!([]));
+    assert_eq!(grown["growth"]["missing"], serde_json::json!([]));
     let after = clips(&dataset);
     assert_eq!(after.len(), 12);
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
@@ -264,7 +267,7 @@ fn a_file_of_the_same_name_takes_nobodys_id() {
 }
 
 #[test]
-fn two_folders_of_one_name_are_told_apart_by_what_they_hold() {
+fn two_folders_of_one_name_are_told_apart_by_the_names_they_are_given() {
     let (dir, source, more) = halves(12);
     let [one, two] = ["one", "two"].map(|name| {
         let folder = dir.path().join(name);
@@ -274,26 +277,34 @@ fn two_folders_of_one_name_are_told_apart_by_what_they_hold() {
     fs::rename(&source, &one).expect("moved");
     fs::rename(&more, &two).expect("moved");
     let dataset = dir.path().join("dataset");
-    ingest(&[&one, &two], &dataset, &[], 0);
+    let named = |name: &str, path: &Path| PathBuf::from(format!("{name}={}", arg(path)));
+    let sources = [named("one", &one), named("two", &two)];
+    let [a, b] = sources.each_ref().map(PathBuf::as_path);
+    ingest(&[a, b], &dataset, &[], 0);
     let before = clips(&dataset);
     assert!(
         before
             .keys()
-            .all(|id| id.starts_with("one/data/") || id.starts_with("two/data/"))
+            .all(|id| id.starts_with("one/") || id.starts_with("two/"))
     );
-    let again = ingest(&[&two, &one], &dataset, &[], 0);
-    assert_eq!(again["already_complete"], true);
-    // The folders swap their places, not their clips.
+    for sources in [[b, a], [&two, &one]] {
+        let again = ingest(&sources, &dataset, &[], 0);
+        assert_eq!(again["already_complete"], true);
+    }
+    // The folders swap their places, and their names go with them.
     let aside = dir.path().join("aside");
     for (from, to) in [(&one, &aside), (&two, &one), (&aside, &two)] {
         fs::rename(from, to).expect("moved");
     }
-    ingest(&[&one, &two], &dataset, &[], 0);
+    let sources = [named("one", &two), named("two", &one)];
+    let [a, b] = sources.each_ref().map(PathBuf::as_path);
+    let again = ingest(&[a, b], &dataset, &[], 0);
+    assert_eq!(again["already_complete"], true);
     assert_eq!(clips(&dataset), before);
     // A new dataset does not depend on the order either.
-    let [ab, ba] = [[&one, &two], [&two, &one]].map(|sources| {
-        let out = dir.path().join(format!("fresh-{}", sources[0] == &one));
-        ingest(&sources.map(PathBuf::as_path), &out, &[], 0);
+    let [ab, ba] = [[a, b], [b, a]].map(|sources| {
+        let out = dir.path().join(format!("fresh-{}", sources[0] == a));
+        ingest(&sources, &out, &[], 0);
         clips(&out)
     });
     assert_eq!(ab, ba);
@@ -380,7 +391,7 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
 }
 
 #[test]
-fn a_file_that_moves_keeps_its_clip_and_one_that_goes_takes_it_along() {
+fn a_file_that_moves_keeps_its_clip_and_so_does_one_that_goes() {
     let dir = corpus(12);
     let source = dir.path().join("corpus");
     let dataset = dir.path().join("dataset");
@@ -397,11 +408,21 @@ fn a_file_that_moves_keeps_its_clip_and_one_that_goes_takes_it_along() {
     assert_eq!(grown["growth"]["new"], 0);
     assert_eq!(clips(&dataset), before);
     assert_eq!(masks(&dataset), judged);
-    // A file goes.
+    // A file goes. Its clip stays until pruning is asked for, with its labels until that is said too.
     fs::remove_file(&all[3]).expect("removed");
-    refused(&[&source], &dataset, &[]);
-    let grown = ingest(&[&source], &dataset, &["--drop-labels"], 0);
-    assert_eq!(grown["growth"]["gone"].as_array().expect("a list").len(), 1);
+    let kept = ingest(&[&source], &dataset, &[], 0);
+    assert_eq!(
+        kept["growth"]["missing"].as_array().expect("a list").len(),
+        1
+    );
+    assert_eq!(clips(&dataset), before);
+    refused(&[&source], &dataset, &["--prune"]);
+    let more = ["--prune", "--drop-labels"];
+    let grown = ingest(&[&source], &dataset, &more, 0);
+    assert_eq!(
+        grown["growth"]["pruned"].as_array().expect("a list").len(),
+        1
+    );
     assert_eq!(clips(&dataset).len(), before.len() - 1);
     verified(&dataset);
 }
@@ -512,10 +533,10 @@ fn equal_files_share_a_split_wherever_they_lie() {
     // Copies that come later follow the clips that are there.
     let grown = dir.path().join("grown");
     ingest(&[&source], &grown, &[], 0);
-    // Alone, a folder with the same files is the source under another name.
-    let renamed = ingest(&[&copies], &grown, &[], 0);
-    assert_eq!(renamed["growth"]["new"], 0);
-    ingest(&[&source, &copies], &grown, &[], 0);
+    // A folder with the same files is another source.
+    let added = ingest(&[&copies], &grown, &[], 0);
+    assert_eq!(added["growth"]["new"], 48);
+    assert_eq!(added["growth"]["missing"], serde_json::json!([]));
     assert!(equal_motions_share_a_split(&grown) > 0);
     verified(&grown);
 }
@@ -689,12 +710,47 @@ fn old_versions_go_only_when_asked() {
     assert_eq!(again["versions"], serde_json::json!([]));
 }
 
+/// Copies motions to a folder under the names of others of the same kind.
+fn copy_twins(names: &[PathBuf], motions: &[PathBuf], from: &Path, to: &Path) {
+    for (number, name) in names.iter().enumerate() {
+        let place = to.join(name.strip_prefix(from).expect("below the source"));
+        let mut twins = motions
+            .iter()
+            .filter(|twin| twin.extension() == name.extension());
+        let twin = twins.nth(number % 3).expect("enough motions");
+        fs::create_dir_all(place.parent().expect("a folder")).expect("made");
+        fs::copy(twin, place).expect("copied");
+    }
+}
+
 /// Ten days in the life of a dataset. Every label that a person made is there after each of them.
 #[test]
 fn ten_days_end_with_every_label_that_a_person_made() {
     let (dir, source, more) = halves(24);
     let dataset = dir.path().join("dataset");
-    let judged = |expected: &BTreeMap<String, MaskRow>, day: u32| {
+    // Every change is told before it is made.
+    let grow = |sources: &[&Path], more: &[&str]| {
+        let mut args = vec!["--json", "ingest", "--dry-run", "--out", arg(&dataset)];
+        args.extend(sources.iter().map(|source| arg(source)));
+        args.extend(more);
+        let before = everything(&dataset);
+        let told: Value = stance(&args).expect_code(0).json();
+        assert_eq!(everything(&dataset), before);
+        let totals = clips(&dataset).len();
+        let done = ingest(sources, &dataset, more, 0);
+        predicted(&told, &done);
+        let growth = &done["growth"];
+        let pruned = growth["pruned"].as_array().expect("a list").len();
+        let new = usize::try_from(growth["new"].as_u64().expect("a count")).expect("few");
+        assert_eq!(clips(&dataset).len(), totals + new - pruned);
+        done
+    };
+    let mut splits: BTreeMap<String, Split> = BTreeMap::new();
+    let mut judged = |expected: &BTreeMap<String, MaskRow>, day: u32| {
+        for (id, (split, _)) in clips(&dataset) {
+            let before = *splits.entry(id.clone()).or_insert(split);
+            assert_eq!(split, before, "day {day}: {id}");
+        }
         let found = masks(&dataset);
         for (id, mask) in expected {
             assert_eq!(found.get(id), Some(mask), "day {day}");
@@ -712,10 +768,25 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     // 4 add files, 5 add a source.
     let later = files(&more);
     move_files(&later[..3], &source);
-    ingest(&[&source], &dataset, &[], 0);
+    grow(&[&source], &[]);
     judged(&by_people, 4);
-    ingest(&[&source, &more], &dataset, &[], 0);
+    grow(&[&source, &more], &[]);
     judged(&by_people, 5);
+    // A second person's folder, whose takes have the names of the first one's.
+    let theirs = dir.path().join("friend/corpus");
+    copy_twins(&files(&source)[..4], &files(&more), &source, &theirs);
+    let bare = ["ingest", arg(&theirs), "--out", arg(&dataset)];
+    stance(&bare).expect_code(2);
+    let named = format!("friend={}", arg(&theirs));
+    grow(&[Path::new(&named)], &[]);
+    judged(&by_people, 5);
+    assert_eq!(
+        motions(&dataset)
+            .iter()
+            .filter(|row| row.source_name == "friend")
+            .count(),
+        4
+    );
     // 6 change a file that people have labelled: refused until they say so.
     let row = motions(&dataset).into_iter().find(|row| {
         row.source_path.ends_with(".npz") && by_people.values().any(|mask| mask.motion_id == row.id)
@@ -729,7 +800,7 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     fs::copy(another.expect("another archive"), &archive).expect("copied");
     refused(&[&source, &more], &dataset, &[]);
     judged(&by_people, 6);
-    ingest(&[&source, &more], &dataset, &["--drop-labels"], 0);
+    grow(&[&source, &more], &["--drop-labels"]);
     by_people.retain(|_, mask| mask.motion_id != row.id);
     judged(&by_people, 6);
     // 7 remove a file without labels, 8 rename one with labels.
@@ -739,7 +810,31 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     });
     let bare = bare.expect("an unlabelled clip");
     fs::remove_file(dir.path().join(&bare.source_path)).expect("removed");
-    ingest(&[&source, &more], &dataset, &[], 0);
+    grow(&[&source, &more], &[]);
+    judged(&by_people, 7);
+    grow(&[&source, &more], &["--prune"]);
+    judged(&by_people, 7);
+    // The disk of a source is missing for a day.
+    let aside = dir.path().join("unplugged");
+    fs::rename(&more, &aside).expect("moved");
+    fs::create_dir(&more).expect("an empty mount");
+    let total = clips(&dataset).len();
+    let missed = grow(&[&source, &more], &[]);
+    assert!(
+        !missed["growth"]["missing"]
+            .as_array()
+            .expect("a list")
+            .is_empty()
+    );
+    assert_eq!(clips(&dataset).len(), total);
+    judged(&by_people, 7);
+    fs::remove_dir(&more).expect("removed");
+    fs::rename(&aside, &more).expect("moved");
+    let back = grow(&[&source, &more], &[]);
+    for what in ["missing", "changed", "read_again", "kept_unusable"] {
+        assert_eq!(back["growth"][what], serde_json::json!([]), "{what}");
+    }
+    assert_eq!(back["growth"]["kept"], total);
     judged(&by_people, 7);
     let named = motions(&dataset).into_iter().find(|row| {
         source.join(&row.source_path).exists()
@@ -747,7 +842,17 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     });
     let named = source.join(named.expect("a labelled clip").source_path);
     move_files(&[named], &source.join("renamed"));
-    ingest(&[&source, &more], &dataset, &[], 0);
+    grow(&[&source, &more], &[]);
+    judged(&by_people, 8);
+    // The whole folder moves.
+    let moved = dir.path().join("archive/corpus");
+    fs::create_dir(dir.path().join("archive")).expect("made");
+    fs::rename(&source, &moved).expect("moved");
+    let bare = ["ingest", arg(&moved), "--out", arg(&dataset)];
+    stance(&bare).expect_code(2);
+    let named = format!("corpus={}", arg(&moved));
+    let same = grow(&[Path::new(&named), &more], &[]);
+    assert_eq!(same["already_complete"], true);
     judged(&by_people, 8);
     // 9 merge with the dataset of a colleague.
     let (colleague, theirs) = (dir.path().join("colleague"), corpus(30));

@@ -36,6 +36,8 @@ struct Ingested {
     licenses: BTreeMap<String, u64>,
     remarks: Vec<String>,
     #[expect(dead_code, reason = "part of the contract")]
+    alike: Vec<serde_json::Value>,
+    #[expect(dead_code, reason = "part of the contract")]
     growth: Option<serde_json::Value>,
     root_hash: String,
 }

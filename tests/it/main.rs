@@ -2,6 +2,7 @@
 //! binary, a module per topic.
 
 mod accounting;
+mod alike;
 mod annotate;
 mod answers;
 mod archives;
@@ -28,6 +29,7 @@ mod remote;
 mod results;
 mod round_trips;
 mod seams;
+mod sources;
 mod stage;
 mod tables;
 mod texts;

@@ -286,7 +286,7 @@ fn a_dataset_that_grows_in_pieces_is_that_of_one_process() {
     fs::write(&files[1], &text).expect("written");
     fs::remove_file(&files[2]).expect("removed");
     fs::write(source.join("new.bvh"), &text).expect("written");
-    let verb = ["ingest", arg(&source), "--drop-labels"];
+    let verb = ["ingest", arg(&source), "--prune", "--drop-labels"];
     let clean = root_hash(&verb, &first);
     let plan = place.at("plan");
     planned(&verb, &second, &plan);
@@ -667,6 +667,7 @@ fn windows_and_triplets_in_pieces_are_those_of_one_process() {
         arg(&source),
         "--out",
         arg(&dataset),
+        "--prune",
         "--drop-labels",
     ];
     stance(&args).expect_code(0);

@@ -452,6 +452,7 @@ fn an_altered_file_is_found_when_it_is_read_whole() {
     let rows: Vec<QuarantineRow> = (0..3)
         .map(|index| QuarantineRow {
             path: format!("{index}.bvh"),
+            source_name: String::new(),
             source_hash: String::new(),
             inputs_hash: String::new(),
             code: "E-IO".to_owned(),

@@ -6,7 +6,7 @@ use ::corpus::{CorpusOptions, write_corpus};
 use datasets_spec::{Fps, Resample, Seed};
 use pipeline::annotation::pairs::PairList;
 use pipeline::check::Teleports;
-use pipeline::ingest::{IngestOptions, SplitList, ingest as run};
+use pipeline::ingest::{IngestOptions, SourceArg, SplitList, ingest as run};
 use pipeline::source::{ReadOptions, format_named};
 use pyo3::prelude::*;
 
@@ -34,7 +34,7 @@ fn one_of<T: Copy>(what: &str, name: &str, known: &[(&str, T)]) -> Result<T, Fai
 #[pyo3(signature = (
     sources, out, *, fps = Some(20.0), resample = "exact", format = None, seed = 0, license = None, features = None,
     teleports = "quarantine", lenient = false, made_captions = true, pairs = None, splits = None,
-    new_version = false, drop_labels = false, progress = true,
+    new_version = false, prune = false, drop_labels = false, progress = true,
 ))]
 #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
 pub(crate) fn ingest(
@@ -53,6 +53,7 @@ pub(crate) fn ingest(
     pairs: Option<PathBuf>,
     splits: Option<PathBuf>,
     new_version: bool,
+    prune: bool,
     drop_labels: bool,
     progress: bool,
 ) -> PyResult<String> {
@@ -80,6 +81,7 @@ pub(crate) fn ingest(
         teleports: one_of("teleports", teleports, &jumps)?,
         made_captions,
         new_version,
+        prune,
         drop_labels,
         read: ReadOptions {
             lenient,
@@ -87,6 +89,10 @@ pub(crate) fn ingest(
         },
         ..IngestOptions::default()
     };
+    let sources = sources
+        .iter()
+        .map(|source| SourceArg::parse(source.as_os_str()));
+    let sources: Vec<SourceArg> = sources.collect::<Result<_, _>>().map_err(Failure::new)?;
     work::long(py, progress, |progress| {
         // Anew for each call: a process that was forked has no threads of its parent, so none of its connections.
         remote_store::register()?;

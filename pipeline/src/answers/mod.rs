@@ -531,6 +531,7 @@ fn refuse_repeated(found: &mut [Found]) {
 fn quarantined(file: &str, source_hash: String, rejected: &Rejected) -> QuarantineRow {
     QuarantineRow {
         path: file.to_owned(),
+        source_name: String::new(),
         source_hash,
         inputs_hash: String::new(),
         code: rejected.code.to_owned(),

@@ -29,7 +29,8 @@ use release::{is_stance, motionfix_folders, stance_folders};
 
 use crate::Error;
 use crate::catalogue::other_than_motions;
-use crate::ingest::list_files;
+use crate::ingest::{list_each, with_label};
+use crate::source::archive::Archives;
 use crate::source::humanml3d::{FORMAT as HUMANML3D, layouts, parse_index};
 use crate::source::labels::FolderLabels;
 use crate::source::{Files, ReadOptions, Recognised, motionfix, stance};
@@ -51,8 +52,11 @@ pub fn examine(
 ) -> Result<Diagnosis, Error> {
     let mut findings = Vec::new();
     let mut unlisted = Vec::new();
-    for source in sources {
-        let listing = list_files(std::slice::from_ref(source))?;
+    let mut all = BTreeMap::new();
+    let mut archives = Archives::default();
+    for (source, label, listing) in list_each(sources)? {
+        let files = listing.files.iter();
+        all.extend(files.map(|(path, place)| (with_label(&label, path), place.clone())));
         unlisted.extend(listing.unlisted.iter().map(|(folder, reason)| {
             format!(
                 "folder {folder} of {} cannot be listed: {reason}",
@@ -70,12 +74,12 @@ pub fn examine(
                 rejected.reason
             )
         }));
+        archives.add(listing.archives.clone());
         let looked = look(&listing.files);
         let files = Files::new(listing.files).with_archives(listing.archives);
         findings.push(find(source, &files, &looked, options));
     }
-    let listing = list_files(sources)?;
-    let files = Files::new(listing.files).with_archives(listing.archives);
+    let files = Files::new(all).with_archives(archives);
     let asked = index.is_some();
     let index = match index {
         Some(path) => {

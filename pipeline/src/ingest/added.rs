@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use super::deal::Item;
 use super::list::labelled;
-use super::plan::{Item, Plan};
-use super::sources::below;
+use super::plan::Plan;
 use crate::source::labels::{names_beside, names_in_folder};
 use crate::source::name_of_text;
 
@@ -49,17 +49,10 @@ impl Plan {
         None
     }
 
-    /// Label of the folder that is the source of a file; none if the file is a source of its own.
+    /// Label of the folder that is the source of a file; none if the file was given alone.
     fn top(&self, file: &str) -> Option<&str> {
-        let is_it = |label: &str, name: &str| below(label, file) == Some(name);
-        let mut files = self.labels.iter().filter(|(_, is_file)| *is_file);
-        if files.any(|(source, _)| is_it(&source.label, &source.name)) {
-            return None;
-        }
-        let folders = self.labels.iter().filter(|(_, is_file)| !is_file);
-        let labels = folders.map(|(source, _)| source.label.as_str());
-        let labels = labels.filter(|label| below(label, file).is_some());
-        labels.max_by_key(|label| label.len())
+        let source = self.source_of(file).filter(|source| source.is_whole);
+        source.map(|source| source.label.label.as_str())
     }
 
     /// Whether something of this name was listed. File systems that do not tell upper from lower case find a file

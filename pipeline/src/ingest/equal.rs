@@ -1,40 +1,26 @@
-//! Equal motions of different files share a split. That they are equal is known once they are read, so rows
-//! move between the shards that were written.
+//! Motions that are alike share a split. That they are is known once they are read, so rows move between the shards
+//! that were written.
 
 use std::collections::BTreeMap;
 
 use datasets_spec::dataset::{ShardName, Staging};
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{HumanMl3dRow, MarkerRow, MotionRow};
-use datasets_spec::table::{ShardReader, read_rows};
-use datasets_spec::{MotionId, Split, Transaction};
+use datasets_spec::table::read_rows;
+use datasets_spec::{Split, Transaction};
 
-use super::growth::Files;
+use super::fates::Files;
 use crate::Error;
 use crate::clip_table::ClipRow;
 
-/// Hash of every motion in some shards, by id.
-pub(super) fn contents(
-    staging: &Staging,
-    shards: &[(ShardName, FileEntry)],
-) -> Result<BTreeMap<String, String>, Error> {
-    let mut contents = BTreeMap::new();
-    for (_, file) in shards {
-        let shard = ShardReader::open(&staging.path(file))?;
-        let ids = shard.column::<MotionRow, MotionId>("id")?;
-        let hashes = shard.column::<MotionRow, String>("content_hash")?;
-        contents.extend(ids.into_iter().map(String::from).zip(hashes));
-    }
-    Ok(contents)
-}
-
 /// Moves rows to the splits that `moves` gives their motions. `shards` are those of motions that were staged, and
-/// `files` the tables that they belong to. Staged files stay as they are, so that this can be done again.
+/// `files` the tables that they belong to; `of` counts the shards of every split. Staged files stay as they are, so that
+/// this can be done again.
 pub(super) fn move_rows(
     (transaction, staging): (&Transaction, &Staging),
     shards: &[(ShardName, FileEntry)],
     files: &mut Files,
-    moves: &BTreeMap<String, Split>,
+    (moves, of): (&BTreeMap<String, Split>, &BTreeMap<Split, usize>),
     facts: &[(&str, String)],
 ) -> Result<(), Error> {
     let run = Run {
@@ -42,6 +28,7 @@ pub(super) fn move_rows(
         staging,
         shards,
         moves,
+        of,
         facts,
     };
     run.table::<MotionRow>(files)?;
@@ -54,6 +41,7 @@ struct Run<'a> {
     staging: &'a Staging,
     shards: &'a [(ShardName, FileEntry)],
     moves: &'a BTreeMap<String, Split>,
+    of: &'a BTreeMap<Split, usize>,
     facts: &'a [(&'a str, String)],
 }
 
@@ -94,11 +82,7 @@ impl Run<'_> {
             }
         }
         for (split, rows) in moved {
-            let own = self
-                .shards
-                .iter()
-                .filter(|(name, _)| name.split == Some(split));
-            let index = own.map(|(name, _)| name.of).max().unwrap_or(0);
+            let index = self.of.get(&split).copied().unwrap_or(0);
             let name = ShardName {
                 table: R::TABLE,
                 split: Some(split),

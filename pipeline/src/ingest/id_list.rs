@@ -123,6 +123,7 @@ impl Plan {
         for (path, inputs_hash, file) in skipped {
             self.skipped.push(SkippedRow {
                 path,
+                source_name: self.source_name(&file).to_owned(),
                 source_hash: source_hash(&self.sources, &file),
                 inputs_hash,
                 reason: NOT_CHOSEN.to_owned(),

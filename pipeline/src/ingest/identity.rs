@@ -5,9 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::{MotionId, Seed, Split};
 
+use super::alike::Alike;
 use super::id_list::NOT_CHOSEN;
 use super::list::path_of;
-use super::plan::{Plan, Planned, unlabelled, without_extension};
+use super::plan::{Plan, Planned, without_extension};
 use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
 use crate::source::{Entry, Format, escaped};
@@ -16,8 +17,8 @@ use crate::versions::taken_out;
 impl Plan {
     /// Finds the motions that the dataset has, and gives the others ids.
     ///
-    /// A motion is the clip that was read from the same path, else one whose file had the same content
-    /// and is no longer where it was. Motions that the dataset quarantined or skipped are so again while
+    /// A motion is the clip that was read from the same path, else the one whose file had the same content in the same
+    /// source and is no longer where it was. Motions that the dataset quarantined or skipped are so again while
     /// nothing they are read from has changed.
     pub(super) fn identify(&mut self, recorded: &Recorded, same_settings: bool) {
         // A clip whose file cannot be read now stays as it is.
@@ -71,11 +72,10 @@ impl Plan {
 
     fn recognise(&self, items: &mut [Planned], recorded: &Recorded, same_settings: bool) {
         let mut by_path: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
-        let mut by_hash: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for (index, clip) in recorded.clips.iter().enumerate() {
             by_path.entry(&clip.path).or_default().push(index);
-            by_hash.entry(&clip.hash).or_default().push(index);
         }
+        let moved = self.moved_files(items, recorded);
         let clips = recorded.clips.iter().enumerate();
         let by_id: BTreeMap<&str, usize> = clips
             .map(|(index, clip)| (clip.id.as_str(), index))
@@ -91,9 +91,7 @@ impl Plan {
                 .chain(candidates.into_iter().flatten().copied());
             let found = candidates.find(|&index| {
                 let clip = &recorded.clips[index];
-                is_same_motion(item, clip)
-                    && !(moved && self.sources.contains_key(&clip.path))
-                    && claimed.insert(index)
+                is_same_motion(item, clip) && claimed.insert(index)
             });
             let Some(index) = found else { return };
             let clip = &recorded.clips[index];
@@ -112,10 +110,49 @@ impl Plan {
             claim(item, candidates, false);
         }
         for item in items.iter_mut().filter(|item| item.known.is_none()) {
-            let hash = self.hash_of(item);
-            let candidates = by_hash.get(hash).filter(|_| !hash.is_empty());
+            let from = moved.get(item.entry.file.as_str());
+            let candidates = from.and_then(|from| by_path.get(from.as_str()));
             claim(item, candidates, true);
         }
+    }
+
+    /// Files that lie elsewhere in their source than before, with the paths where they lay. A file is one that was
+    /// recorded if its content is, nothing lies at the recorded path, and no other file could be meant.
+    fn moved_files(&self, items: &[Planned], recorded: &Recorded) -> BTreeMap<String, String> {
+        let known: BTreeSet<&str> = recorded
+            .clips
+            .iter()
+            .map(|clip| clip.path.as_str())
+            .collect();
+        let mut gone: BTreeMap<(&str, &str), BTreeSet<&str>> = BTreeMap::new();
+        for clip in &recorded.clips {
+            let name = recorded.sources[clip.source].name.as_str();
+            let is_gone =
+                !self.sources.contains_key(&clip.path) && self.is_of_run(name, &clip.path);
+            if is_gone && !clip.hash.is_empty() {
+                gone.entry((name, &clip.hash))
+                    .or_default()
+                    .insert(&clip.path);
+            }
+        }
+        let mut new: BTreeMap<(&str, &str), BTreeSet<&str>> = BTreeMap::new();
+        for item in items
+            .iter()
+            .filter(|item| !known.contains(item.entry.file.as_str()))
+        {
+            let file = item.entry.file.as_str();
+            let place = (self.source_name(file), self.hash_of(item));
+            new.entry(place).or_default().insert(file);
+        }
+        let moved = new.into_iter().filter_map(|(place, files)| {
+            let before = gone
+                .get(&place)
+                .filter(|before| before.len() == 1)?
+                .first()?;
+            let now = files.first().filter(|_| files.len() == 1)?;
+            Some(((*now).to_owned(), (*before).to_owned()))
+        });
+        moved.collect()
     }
 
     /// Captures without a motion, which earlier versions kept, are read again.
@@ -162,7 +199,7 @@ impl Plan {
     /// from the smallest of their keys. A key depends on neither the label of the source nor the files
     /// beside it, so that growth cannot change it.
     pub(super) fn assign_splits(&mut self, recorded: &Recorded, seed: Seed) {
-        let splits = self.splits(recorded, seed, &BTreeMap::new());
+        let splits = self.splits(recorded, seed, &Alike::default());
         for (item, split) in self.items.iter_mut().zip(splits) {
             let before = item.known.map(|index| recorded.clips[index].split);
             item.is_kept &= before.is_none_or(|before| before == split);
@@ -170,15 +207,15 @@ impl Plan {
         }
     }
 
-    /// The motions of this run whose split changes now that the content of every motion is known, by id: equal
-    /// motions share a split, whatever their files.
+    /// The motions of this run whose split changes now that every motion is known, by id: motions that are alike share
+    /// a split, whatever their files.
     pub(super) fn moves(
         &self,
         recorded: &Recorded,
         seed: Seed,
-        contents: &BTreeMap<String, String>,
+        alike: &Alike,
     ) -> BTreeMap<String, Split> {
-        let splits = self.splits(recorded, seed, contents);
+        let splits = self.splits(recorded, seed, alike);
         let items = self.items.iter().zip(splits);
         items
             .filter(|(item, split)| !item.is_kept && item.split != *split)
@@ -186,13 +223,8 @@ impl Plan {
             .collect()
     }
 
-    /// The splits of all motions. `contents` are the hashes of motions by id, as far as they are known.
-    fn splits(
-        &self,
-        recorded: &Recorded,
-        seed: Seed,
-        contents: &BTreeMap<String, String>,
-    ) -> Vec<Split> {
+    /// The splits of all motions. `alike` are those that are equal or nearly so, as far as that is known.
+    fn splits(&self, recorded: &Recorded, seed: Seed, alike: &Alike) -> Vec<Split> {
         let mut groups = Groups::default();
         let mut of_content: BTreeMap<(&str, &str), Option<Split>> = BTreeMap::new();
         for clip in &recorded.clips {
@@ -201,13 +233,8 @@ impl Plan {
                 .or_default();
             split.get_or_insert(clip.split);
         }
-        let with_motion = recorded.clips.iter().filter(|clip| clip.has_motion());
-        let recorded_contents: BTreeMap<&str, Split> = with_motion
-            .rev()
-            .map(|clip| (clip.content.as_str(), clip.split))
-            .collect();
         let mut first_key: BTreeMap<(&str, &str), usize> = BTreeMap::new();
-        let mut first_content: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut first_alike: BTreeMap<usize, usize> = BTreeMap::new();
         let keys: Vec<usize> = self
             .items
             .iter()
@@ -222,8 +249,8 @@ impl Plan {
                     let first = *first_key.entry((hash, motion)).or_insert(key);
                     groups.unite(first, key);
                 }
-                if let Some(content) = contents.get(&item.id) {
-                    let first = *first_content.entry(content.as_str()).or_insert(key);
+                if let Some(class) = alike.class(&item.id) {
+                    let first = *first_alike.entry(class).or_insert(key);
                     groups.unite(first, key);
                 }
                 key
@@ -238,9 +265,8 @@ impl Plan {
                 let content = (self.hash_of(item), item.entry.key.as_str());
                 let single = item.release.is_none() && !content.0.is_empty();
                 let copied = of_content.get(&content).copied().flatten();
-                let equal = contents.get(&item.id);
-                let equal = equal.and_then(|content| recorded_contents.get(content.as_str()));
-                let copied = copied.filter(|_| single).or(equal.copied());
+                let alike = alike.class(&item.id).and_then(|class| alike.split(class));
+                let copied = copied.filter(|_| single).or(alike);
                 [item.own_split, recorded, item.entry.split, copied]
             })
             .collect();
@@ -290,10 +316,7 @@ impl Plan {
                     number => format!("{number}{AMONG_RELEASES}{key}"),
                 }
             }
-            None => escaped(without_extension(unlabelled(
-                &self.labels,
-                &item.entry.file,
-            ))),
+            None => escaped(without_extension(self.unlabelled(&item.entry.file))),
         }
     }
 }

@@ -197,6 +197,7 @@ mod tests {
         let inputs = |content: &str| {
             let source = |file: &&str| {
                 let source = Source {
+                    of: 0,
                     hash: Ok(if *file == changed {
                         content
                     } else {

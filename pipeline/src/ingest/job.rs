@@ -8,13 +8,14 @@ use datasets_spec::store::ByPath;
 use datasets_spec::{NoProgress, Progress, Split};
 use serde::{Deserialize, Serialize};
 
-use super::growth::Fates;
+use super::deal::Dealt;
+use super::fates::Fates;
 use super::inputs;
 use super::options::{IngestOptions, StoredOptions};
-use super::plan::{Dealt, Plan, Planned};
-use super::run::{Pieces, labels, piece, shard_facts};
+use super::plan::{Plan, Planned};
+use super::run::{Pieces, foreseen, labels, piece, refuse_loss, refuse_mixture, shard_facts};
 use super::shard::ShardNotes;
-use super::{Prepared, effective};
+use super::{Prepared, SourceArg, effective};
 use crate::Error;
 use crate::work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece};
 
@@ -37,31 +38,32 @@ struct Detail {
 ///
 /// # Errors
 /// As [`ingest`](super::ingest), or the folder of the plan is occupied.
-pub fn plan_ingest(
-    sources: &[PathBuf],
+pub fn plan_ingest<S: Clone + Into<SourceArg>>(
+    sources: &[S],
     destination: &Path,
     options: &IngestOptions,
     out: &Path,
     progress: &dyn Progress,
 ) -> Result<work::Plan, Error> {
     let store = ByPath::store();
+    let listed = super::listed(sources, destination)?;
     let newest = Staging::newest(store.as_ref(), destination)?;
-    let prepared = Prepared::of(destination, newest.as_ref(), options)?;
-    let plan = prepared.plan(store, sources, progress)?;
+    let prepared = Prepared::of(store.as_ref(), destination, newest.as_ref(), options)?;
+    prepared.refuse_other_settings(destination)?;
+    let plan = prepared.plan(store, destination, listed, progress)?;
     if let Some(path) = plan.files.archives().unpacked() {
         return Err(Error::PackedTar {
             path: path.to_owned(),
         });
     }
-    let fates = Fates::of(&plan, &prepared.base.recorded);
-    // Nothing is planned for labels that may not be lost.
-    labels(
-        destination,
-        &prepared.base,
-        &fates,
-        options.drop_labels,
-        None,
-    )?;
+    let fates = Fates::of(&plan, &prepared.base.recorded, options.prune);
+    // Nothing is planned for clips that cannot stay, or for labels that may not be lost.
+    if let Some(differing) = prepared.must_agree() {
+        refuse_mixture(destination, &fates, differing)?;
+    }
+    let foreseen = foreseen(&plan, &prepared.base, &fates, &prepared.options);
+    let labels = labels(&prepared.base, &foreseen);
+    refuse_loss(destination, &labels, options.drop_labels)?;
     let version = newest.as_ref().map_or(0, |base| base.version);
     let plan_hash = plan.hash(&prepared.settings, &prepared.options, version);
     let draft = Draft {
@@ -243,7 +245,9 @@ impl Job for Ingestion {
         progress: &dyn Progress,
     ) -> Result<Committed, Error> {
         let transaction = plan.begin(options)?;
-        let prepared = Prepared::of(plan.destination(), transaction.base(), &self.given)?;
+        let (store, root) = (transaction.store(), plan.destination());
+        let prepared = Prepared::of(store.as_ref(), root, transaction.base(), &self.given)?;
+        prepared.refuse_other_settings(root)?;
         let version = transaction.base().map_or(0, |base| base.version);
         if self
             .plan

@@ -9,6 +9,8 @@ use datasets_spec::record::QuarantineRow;
 use datasets_spec::store::{ByPath, Store, is_url};
 use rayon::prelude::*;
 
+use super::places::{self, Kind, Places};
+use super::sources::{SourceArg, name_of_folder};
 use crate::Error;
 use crate::clip::Rejected;
 use crate::source::archive::{self, Archives};
@@ -20,6 +22,8 @@ pub(super) const HEAD_BYTES: usize = 512;
 /// A source file in the plan.
 #[derive(Clone, Debug)]
 pub(super) struct Source {
+    /// The source it is of, by its place in [`Plan::given`](super::plan::Plan).
+    pub(super) of: usize,
     pub(super) hash: Result<String, String>,
     pub(super) head: Vec<u8>,
     /// Size; 0 if it is not known.
@@ -47,43 +51,273 @@ const FOLDER_LINK: &str =
     "link to a folder, not followed; name the folder it leads to as a source of its own";
 
 /// The files of one source.
-pub(super) struct Listed {
-    /// The folder or file, as an absolute path without links where that can be had.
-    pub(super) path: PathBuf,
-    pub(super) is_file: bool,
+pub(crate) struct Listed {
+    /// The name that was given.
+    pub(super) name: Option<String>,
+    /// The path as it was given; of several files, the first.
+    pub(super) given: PathBuf,
+    /// The folder, without links where that can be had, as text.
+    pub(super) place: String,
+    /// The folder.
+    folder: PathBuf,
+    /// Whether all below the folder is listed; else only the files that were given.
+    pub(super) is_whole: bool,
+    /// What is recorded of where it is.
+    pub(super) places: Vec<(String, Kind)>,
+    /// Folders that are left out because they are datasets, and whether each is the one that is written.
+    left_out: BTreeMap<String, bool>,
     pub(super) listing: Listing,
 }
 
-/// The files of every source, by their paths relative to it. A source that is given twice is listed once.
-pub(super) fn list_sources(sources: &[PathBuf]) -> Result<Vec<Listed>, Error> {
-    let mut listed: Vec<Listed> = Vec::new();
-    for source in sources {
-        if is_url(source) {
-            let found = list_url(source)?;
-            if !listed.iter().any(|earlier| earlier.path == found.path) {
-                listed.push(found);
-            }
-            continue;
-        }
-        let metadata = fs::metadata(source).map_err(|_| Error::MissingSource {
-            path: source.clone(),
-        })?;
-        let path = fs::canonicalize(source).unwrap_or_else(|_| source.clone());
-        if listed.iter().any(|earlier| earlier.path == path) {
-            continue;
-        }
-        let mut listing = Listing::default();
-        if metadata.is_file() {
-            let name = text_of_name(path.file_name().unwrap_or_default());
-            listing.files.insert(name, source.clone());
+/// A source that was found.
+struct Located<'a> {
+    arg: &'a SourceArg,
+    /// The folder, or that of the file, resolved.
+    folder: PathBuf,
+    /// The file, resolved.
+    file: Option<PathBuf>,
+}
+
+impl<'a> Located<'a> {
+    fn find(arg: &'a SourceArg) -> Result<Self, Error> {
+        use std::io::ErrorKind::NotFound;
+
+        let missing = || Error::MissingSource {
+            path: arg.path.clone(),
+        };
+        let (path, is_file) = if is_url(&arg.path) {
+            let text = arg.path.to_string_lossy();
+            let path = PathBuf::from(text.trim_end_matches('/'));
+            let is_file = match ByPath.size(&path) {
+                Ok(_) => true,
+                Err(error) if error.kind() == NotFound => false,
+                Err(error) => return Err(Error::io("read", &arg.path)(error)),
+            };
+            (path, is_file)
         } else {
-            listing.walk(source, String::new());
+            let metadata = fs::metadata(&arg.path).map_err(|_| missing())?;
+            let path = fs::canonicalize(&arg.path).unwrap_or_else(|_| arg.path.clone());
+            (path, metadata.is_file())
+        };
+        let (folder, file) = match is_file {
+            true => (path.parent().unwrap_or(&path).to_owned(), Some(path)),
+            false => (path, None),
+        };
+        Ok(Self { arg, folder, file })
+    }
+
+    /// Whether it is in a source that is listed already.
+    fn is_in(&self, listed: &Listed) -> bool {
+        let name = self.arg.name.as_ref();
+        let is_named = name.is_none() || listed.name.as_ref() == name;
+        is_named
+            && listed.folder == self.folder
+            && (listed.is_whole || self.file.is_some() && listed.name.as_ref() == name)
+    }
+
+    fn list(&self, out: Option<&Path>) -> Result<Listed, Error> {
+        let mut listed = Listed {
+            name: self.arg.name.clone(),
+            given: self.arg.path.clone(),
+            place: text_of_name(self.folder.as_os_str()),
+            folder: self.folder.clone(),
+            is_whole: self.file.is_none(),
+            places: Vec::new(),
+            left_out: BTreeMap::new(),
+            listing: Listing::default(),
+        };
+        if listed.is_whole {
+            listed.places.push((listed.place.clone(), Kind::Folder));
+            match is_url(&self.folder) {
+                true => listed.listing.list_url(&self.folder, &self.arg.path)?,
+                false => listed.listing.walk(&self.arg.path, String::new()),
+            }
+            listed.leave_datasets_out(out)?;
         }
-        listed.push(Listed {
-            path,
-            is_file: metadata.is_file(),
-            listing,
+        Ok(listed)
+    }
+}
+
+impl Listed {
+    /// The name of its folder.
+    pub(super) fn own_name(&self) -> String {
+        name_of_folder(&self.folder)
+    }
+
+    /// The names of its folder and the one above.
+    pub(super) fn longer_name(&self) -> String {
+        let above = self.folder.parent().map(name_of_folder);
+        match above.filter(|above| !above.is_empty()) {
+            Some(above) => format!("{above}-{}", self.own_name()),
+            None => self.own_name(),
+        }
+    }
+
+    /// Names under which its place is recorded.
+    pub(super) fn names_in<'a>(&self, places: &'a Places) -> BTreeSet<&'a str> {
+        let files = self
+            .listing
+            .files
+            .keys()
+            .map(|file| format!("{}/{file}", self.place));
+        let mut of_files = files.map(|file| places.names_at(&file, &[Kind::File]));
+        let of_folder = || places.names_at(&self.place, &[Kind::Folder, Kind::Files]);
+        match of_files.next().filter(|_| !self.is_whole) {
+            Some(first) if !first.is_empty() && of_files.all(|names| names == first) => first,
+            _ => of_folder(),
+        }
+    }
+
+    /// Whether something can be listed at the place of a source.
+    pub(super) fn is_there(arg: &SourceArg) -> bool {
+        let holds_files = |folder: &Path| {
+            // Whether there is something at a URL is known once it is listed.
+            is_url(folder) || fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some())
+        };
+        Located::find(arg)
+            .is_ok_and(|located| located.file.is_some() || holds_files(&located.folder))
+    }
+
+    /// Keeps only these files, as if they alone had been given.
+    pub(super) fn keep_files(&mut self, files: &BTreeSet<&str>) {
+        self.listing
+            .files
+            .retain(|file, _| files.contains(file.as_str()));
+        self.is_whole = false;
+        self.places = vec![(self.place.clone(), Kind::Files)];
+    }
+
+    /// Adds a file that was given.
+    fn add(&mut self, located: &Located<'_>) {
+        let Some(file) = &located.file else { return };
+        if self.is_whole {
+            return;
+        }
+        let name = text_of_name(file.file_name().unwrap_or_default());
+        let place = match located.arg.name {
+            Some(_) => (text_of_name(file.as_os_str()), Kind::File),
+            None => (self.place.clone(), Kind::Files),
+        };
+        if !self.places.contains(&place) {
+            self.places.push(place);
+        }
+        let path = match is_url(file) {
+            true => file.clone(),
+            false => located.arg.path.clone(),
+        };
+        self.listing.files.entry(name).or_insert(path);
+    }
+
+    /// Leaves datasets out that lie in the folder. A dataset that is itself the source is read.
+    ///
+    /// # Errors
+    /// The dataset to be written is the source.
+    fn leave_datasets_out(&mut self, out: Option<&Path>) -> Result<(), Error> {
+        let out = out.map(resolved);
+        let own = out.and_then(|out| {
+            let relative = out.strip_prefix(&self.folder).ok()?;
+            let names: Vec<String> = relative.iter().map(text_of_name).collect();
+            Some(names.join("/"))
         });
+        if own.as_deref() == Some("") {
+            return Err(Error::AskedSource {
+                reason: format!(
+                    "{} is the dataset and its source at the same time; write the dataset to another folder",
+                    self.given.display()
+                ),
+            });
+        }
+        let roots = self
+            .listing
+            .files
+            .keys()
+            .filter_map(|file| root_of_dataset(file));
+        self.left_out = roots.map(|root| (root.to_owned(), false)).collect();
+        self.left_out.extend(own.map(|own| (own, true)));
+        let left_out = &self.left_out;
+        let is_in = |path: &str| {
+            if path
+                .split_once('/')
+                .is_some_and(|(first, _)| first == places::FOLDER)
+            {
+                return true;
+            }
+            let ends = path.match_indices('/').map(|(end, _)| end);
+            let mut folders = ends.chain([path.len()]).map(|end| &path[..end]);
+            folders.any(|folder| left_out.contains_key(folder))
+        };
+        let listing = &mut self.listing;
+        listing.files.retain(|file, _| !is_in(file));
+        listing.special.retain(|(path, _)| !is_in(path));
+        listing.unlisted.retain(|(folder, _)| !is_in(folder));
+        Ok(())
+    }
+
+    /// What was left out, in words. `name` is that of the source.
+    pub(super) fn left_out_remarks(&self, name: &str) -> Vec<String> {
+        let left_out = self.left_out.iter();
+        let remarks = left_out.map(|(folder, is_own)| match is_own {
+            true => format!("folder {folder} of source {name} is the dataset that is written and was left out"),
+            false => format!(
+                "folder {folder} of source {name} is a dataset and was left out; give it as a source to read it"
+            ),
+        });
+        remarks.collect()
+    }
+}
+
+/// The folder of a dataset, by the path of its manifest; none for a dataset that is the source itself.
+fn root_of_dataset(file: &str) -> Option<&str> {
+    let (meta, name) = file.rsplit_once('/')?;
+    let number = name.strip_prefix("manifest-")?.strip_suffix(".json")?;
+    number.parse::<u64>().ok()?;
+    meta.strip_suffix("/meta")
+}
+
+/// A path without links, as far as it exists.
+fn resolved(path: &Path) -> PathBuf {
+    if is_url(path) {
+        return PathBuf::from(path.to_string_lossy().trim_end_matches('/'));
+    }
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    for above in path.ancestors() {
+        if let (Ok(found), Ok(rest)) = (fs::canonicalize(above), path.strip_prefix(above)) {
+            return found.join(rest);
+        }
+    }
+    path
+}
+
+/// The files of every source, by their paths relative to it. A source that is given twice is listed once. Files of
+/// one folder are one source. `out` is the dataset that will be written.
+///
+/// # Errors
+/// A source does not exist or cannot be listed, or there is no file at all.
+pub(crate) fn list_sources(
+    sources: &[SourceArg],
+    out: Option<&Path>,
+) -> Result<Vec<Listed>, Error> {
+    let located: Vec<Located> = sources
+        .iter()
+        .map(Located::find)
+        .collect::<Result<_, _>>()?;
+    let mut listed: Vec<Listed> = Vec::new();
+    let order = [(false, true), (false, false), (true, true), (true, false)];
+    for (is_file, is_named) in order {
+        let of_kind = located.iter().filter(|located| {
+            (located.file.is_some(), located.arg.name.is_some()) == (is_file, is_named)
+        });
+        for source in of_kind {
+            let known = listed.iter().position(|listed| source.is_in(listed));
+            let place = match known {
+                Some(place) => place,
+                None => {
+                    listed.push(source.list(out)?);
+                    listed.len() - 1
+                }
+            };
+            listed[place].add(source);
+        }
     }
     for source in &mut listed {
         source.listing.open_archives()?;
@@ -91,80 +325,40 @@ pub(super) fn list_sources(sources: &[PathBuf]) -> Result<Vec<Listed>, Error> {
     if listed.iter().all(|source| source.listing.files.is_empty()) {
         let paths: Vec<String> = sources
             .iter()
-            .map(|path| path.display().to_string())
+            .map(|source| source.path.display().to_string())
             .collect();
         return Err(Error::NoFiles {
             paths: paths.join(", "),
-            hint: listed[0].listing.why_empty(),
+            hint: listed
+                .first()
+                .map_or_else(String::new, |source| source.listing.why_empty()),
         });
     }
     Ok(listed)
 }
 
-/// The files at a URL: the object of that name, or those below it.
-fn list_url(source: &Path) -> Result<Listed, Error> {
-    use std::io::ErrorKind::NotFound;
-
-    let missing = || Error::MissingSource {
-        path: source.to_owned(),
-    };
-    let text = source.to_string_lossy();
-    let path = PathBuf::from(text.trim_end_matches('/'));
-    let mut listing = Listing::default();
-    let is_file = match ByPath.size(&path) {
-        Ok(_) => true,
-        Err(error) if error.kind() == NotFound => false,
-        Err(error) => return Err(Error::io("read", source)(error)),
-    };
-    if is_file {
-        let name = text_of_name(path.file_name().unwrap_or_default());
-        listing.files.insert(name, path.clone());
-    } else {
-        let files = ByPath.files_below(&path);
-        for file in files.map_err(Error::io("list", source))? {
-            let parts = file.strip_prefix(&path).unwrap_or(&file).iter();
-            let names: Vec<String> = parts.map(text_of_name).collect();
-            listing.files.insert(names.join("/"), file);
-        }
-        if listing.files.is_empty() {
-            return Err(missing());
-        }
-    }
-    Ok(Listed {
-        path,
-        is_file,
-        listing,
-    })
-}
-
 /// The files of all sources. Each path begins with the label of its source.
-pub(super) fn merged(sources: Vec<Listed>, labels: &[String]) -> Listing {
+pub(super) fn merged(sources: impl IntoIterator<Item = (Listing, String)>) -> Listing {
     let mut merged = Listing::default();
-    for (source, label) in sources.into_iter().zip(labels) {
-        let Listing {
-            files,
-            special,
-            unlisted,
-            refused,
-            archives,
-        } = source.listing;
-        let refused = refused.into_iter();
+    for (listing, label) in sources {
+        let behind = |name: &str| labelled(&label, name);
+        let refused = listing.refused.into_iter();
         merged
             .refused
-            .extend(refused.map(|(name, hash, why)| (labelled(label, &name), hash, why)));
-        merged.archives.add(archives);
-        let files = files.into_iter();
+            .extend(refused.map(|(name, hash, why)| (behind(&name), hash, why)));
+        merged.archives.add(listing.archives);
+        let files = listing.files.into_iter();
         merged
             .files
-            .extend(files.map(|(name, path)| (labelled(label, &name), path)));
-        let special = special.into_iter();
+            .extend(files.map(|(name, path)| (behind(&name), path)));
+        let special = listing.special.into_iter();
         merged
             .special
-            .extend(special.map(|(name, reason)| (labelled(label, &name), reason)));
-        let unlisted = unlisted.into_iter();
+            .extend(special.map(|(name, reason)| (behind(&name), reason)));
+        let unlisted = listing.unlisted.into_iter();
         merged
             .unlisted
-            .extend(unlisted.map(|(name, reason)| (labelled(label, &name), reason)));
+            .extend(unlisted.map(|(name, reason)| (behind(&name), reason)));
     }
     merged
 }
@@ -178,6 +372,22 @@ pub(crate) fn labelled(label: &str, name: &str) -> String {
 }
 
 impl Listing {
+    /// Lists the files below a URL.
+    fn list_url(&mut self, folder: &Path, given: &Path) -> Result<(), Error> {
+        let files = ByPath.files_below(folder);
+        for file in files.map_err(Error::io("list", given))? {
+            let parts = file.strip_prefix(folder).unwrap_or(&file).iter();
+            let names: Vec<String> = parts.map(text_of_name).collect();
+            self.files.insert(names.join("/"), file);
+        }
+        match self.files.is_empty() {
+            true => Err(Error::MissingSource {
+                path: given.to_owned(),
+            }),
+            false => Ok(()),
+        }
+    }
+
     fn walk(&mut self, source: &Path, prefix: String) {
         let mut folders = vec![(source.to_owned(), prefix)];
         while let Some((folder, relative)) = folders.pop() {
@@ -256,31 +466,28 @@ impl Listing {
 /// Files at URLs that are hashed at the same time.
 const NUM_REQUESTS: usize = 32;
 
-/// Hashes and first bytes of all files, by their place on the disk.
+/// Hashes and first bytes of files, which are given with the numbers of their sources.
 pub(super) fn hash_files(
     store: &dyn Store,
-    listed: &[Listed],
+    files: &BTreeMap<String, (PathBuf, usize)>,
     progress: &dyn Progress,
-) -> BTreeMap<PathBuf, Source> {
-    let places = listed
-        .iter()
-        .flat_map(|source| source.listing.files.values());
-    let places: BTreeSet<&PathBuf> = places.collect();
-    progress.begin("plan", Some(places.len() as u64));
-    let hash = |path: &PathBuf| {
+) -> BTreeMap<String, Source> {
+    progress.begin("plan", Some(files.len() as u64));
+    let hash = |(relative, (path, of)): (&String, &(PathBuf, usize))| {
         let source = Source {
+            of: *of,
             hash: store.hash(path).map_err(|error| error.to_string()),
             head: read_head(path),
             bytes: store.size(path).unwrap_or(0),
         };
         progress.advance(1);
-        (path.clone(), source)
+        (relative.clone(), source)
     };
-    let hash = || places.par_iter().map(|path| hash(path)).collect();
+    let hash = || files.par_iter().map(hash).collect();
     // Files at URLs are waited for, not worked on.
     let waiting = rayon::ThreadPoolBuilder::new().num_threads(NUM_REQUESTS);
-    let sources: BTreeMap<PathBuf, Source> = match waiting.build() {
-        Ok(pool) if places.iter().any(|path| is_url(path)) => pool.install(hash),
+    let sources: BTreeMap<String, Source> = match waiting.build() {
+        Ok(pool) if files.values().any(|(path, _)| is_url(path)) => pool.install(hash),
         _ => hash(),
     };
     progress.finish(&format!("{} files", sources.len()));
@@ -303,11 +510,13 @@ pub(crate) fn read_head(path: &Path) -> Vec<u8> {
 pub(super) fn quarantine_row(
     file: &str,
     key: &str,
+    source_name: &str,
     source_hash: String,
     rejected: Rejected,
 ) -> QuarantineRow {
     QuarantineRow {
         path: path_of(file, key),
+        source_name: source_name.to_owned(),
         source_hash,
         inputs_hash: String::new(),
         code: rejected.code.to_owned(),
@@ -334,7 +543,7 @@ mod tests {
     fn names_of_motions_are_listed_without_control_characters() {
         let row = |key| {
             let rejected = Rejected::read("E-PATH", "unusable");
-            quarantine_row("a.glb", key, String::new(), rejected).path
+            quarantine_row("a.glb", key, "a", String::new(), rejected).path
         };
         assert_eq!(row(""), "a.glb");
         assert_eq!(row("Walk A"), "a.glb#Walk A");

@@ -5,7 +5,11 @@
 //! the run was interrupted. A bad file becomes a row of the `quarantine` table and the rest goes on.
 
 mod added;
+mod alike;
+mod deal;
 mod equal;
+mod fates;
+mod forecast;
 mod growth;
 mod id_list;
 mod identity;
@@ -13,6 +17,7 @@ mod inputs;
 mod job;
 mod list;
 mod options;
+mod places;
 mod plan;
 mod recorded;
 mod report;
@@ -24,84 +29,123 @@ mod split_list;
 mod stored;
 mod taken_out;
 
-use std::path::{Path, PathBuf};
+use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::Arc;
 
+use datasets_spec::dataset::Staging;
 use datasets_spec::license;
 use datasets_spec::manifest::Manifest;
 use datasets_spec::record::MotionRow;
-use datasets_spec::store::Store;
+use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::Row;
 use datasets_spec::{Progress, Resample, Seed, Transaction};
 
-use self::growth::Fates;
-use self::options::{SEED_FACT, Settings};
+use self::fates::Fates;
+use self::list::{Listed, list_sources};
+use self::options::{SEED_FACT, SHARED_SETTINGS, Settings};
+use self::places::Places;
 use self::plan::Plan;
-use self::recorded::Base;
+use self::recorded::{Base, Recorded};
 use self::report::already_complete;
 use self::run::{Pieces, Run};
+use self::sources::Known;
 use crate::Error;
 use crate::source::ReadOptions;
 
+pub use self::alike::AlikeClips;
+pub(crate) use self::deal::SHARD_SOURCES as SHARD_CLIPS;
+pub use self::forecast::{Forecast, SourceForecast, forecast};
 pub use self::growth::{Growth, LostLabel};
 pub use self::id_list::IdList;
 pub use self::job::plan_ingest;
 pub(crate) use self::job::{JOB, open_job};
 pub(crate) use self::list::{labelled as with_label, read_head};
 pub use self::options::{IngestOptions, REMARKS_FACT};
-pub(crate) use self::plan::SHARD_SOURCES as SHARD_CLIPS;
-pub(crate) use self::recorded::{merged_facts, recorded_settings};
+pub(crate) use self::recorded::{MergedSources, recorded_settings};
 pub use self::report::IngestReport;
-pub(crate) use self::sources::list_files;
+pub use self::sources::SourceArg;
+pub(crate) use self::sources::{list_each, list_files};
 pub use self::split_list::SplitList;
 pub use self::stored::{PlannedMotion, PlannedSource};
 
 /// Reads every motion under `sources` and commits them as a dataset at `out`.
 ///
 /// Run again after an interruption it continues; run again after success it changes nothing. Where the
-/// dataset exists, it grows: only files that are new or changed are read, clips keep their ids, splits and
-/// labels, and sources that are not given stay as they are.
+/// dataset exists, it grows: only files that are new or changed are read, and clips keep their ids, splits and
+/// labels. Sources that are not given stay as they are, and clips whose files are gone stay unless
+/// [`IngestOptions::prune`] says otherwise.
 /// `holder` is what another run is told while this one holds the lock.
 ///
 /// # Errors
-/// A source does not exist, there is no file at all, the dataset is locked or was made with other
-/// settings, labels would be lost, or writing fails. Faulty files are listed in the report and are no error.
-pub fn ingest(
-    sources: &[PathBuf],
+/// A source does not exist, or it cannot be known which one it is; there is no file at all; the dataset is locked or
+/// was made with other settings; labels would be lost; or writing fails. Faulty files are listed in the report and are
+/// no error.
+pub fn ingest<S: Clone + Into<SourceArg>>(
+    sources: &[S],
     out: &Path,
     options: &IngestOptions,
     holder: &str,
     progress: &dyn Progress,
 ) -> Result<IngestReport, Error> {
+    let listed = listed(sources, out)?;
     // A run with nothing to read leaves no folder behind.
-    list_files(sources)?;
+    if Staging::newest_version(&ByPath, out)? == 0 {
+        let known = Known {
+            out,
+            recorded: &Recorded::default(),
+            places: &Places::default(),
+        };
+        known.names(&listed, &mut Vec::new())?;
+    }
     let transaction = Transaction::begin(out, holder)?;
-    ingest_in(transaction, sources, options, progress)
+    ingest_listed(transaction, listed, options, progress)
 }
 
 /// [`ingest`] within a transaction that has begun.
 ///
 /// # Errors
 /// As [`ingest`].
-pub fn ingest_in(
+pub fn ingest_in<S: Clone + Into<SourceArg>>(
     transaction: Transaction,
-    sources: &[PathBuf],
+    sources: &[S],
     options: &IngestOptions,
     progress: &dyn Progress,
 ) -> Result<IngestReport, Error> {
-    let prepared = Prepared::of(transaction.root(), transaction.base(), options)?;
-    let plan = prepared.plan(transaction.store(), sources, progress)?;
+    let listed = listed(sources, transaction.root())?;
+    ingest_listed(transaction, listed, options, progress)
+}
+
+fn listed<S: Clone + Into<SourceArg>>(sources: &[S], out: &Path) -> Result<Vec<Listed>, Error> {
+    let sources: Vec<SourceArg> = sources.iter().cloned().map(Into::into).collect();
+    list_sources(&sources, Some(out))
+}
+
+fn ingest_listed(
+    transaction: Transaction,
+    listed: Vec<Listed>,
+    options: &IngestOptions,
+    progress: &dyn Progress,
+) -> Result<IngestReport, Error> {
+    let (store, root) = (transaction.store(), transaction.root());
+    let prepared = Prepared::of(store.as_ref(), root, transaction.base(), options)?;
+    prepared.refuse_other_settings(root)?;
+    let plan = prepared.plan(store, root, listed, progress)?;
     prepared.conclude(transaction, &plan, Pieces::Make, progress)
 }
 
-/// What a run knows before it lists its sources.
+/// What a run knows before it identifies its sources.
 struct Prepared {
     options: IngestOptions,
     settings: Settings,
     base: Base,
+    /// Where the sources of the dataset were found.
+    places: Places,
     is_new: bool,
-    /// Whether the dataset was made with the same settings.
-    is_same: bool,
+    /// The settings that differ from those the dataset was made with, in words.
+    differing: Option<String>,
+    /// Those of them that are one for all clips of a dataset.
+    must_agree: Option<String>,
     /// A remark where the dataset keeps another seed than the one asked for.
     kept_seed: Option<String>,
 }
@@ -110,59 +154,110 @@ impl Prepared {
     /// Reads what the dataset at `root` holds.
     ///
     /// # Errors
-    /// It was made with other settings, or cannot be read.
-    fn of(root: &Path, base: Option<&Manifest>, options: &IngestOptions) -> Result<Self, Error> {
+    /// It cannot be read.
+    fn of(
+        store: &dyn Store,
+        root: &Path,
+        base: Option<&Manifest>,
+        options: &IngestOptions,
+    ) -> Result<Self, Error> {
         options.fps.map_or(Ok(()), IngestOptions::check_fps)?;
         let (options, kept_seed) = effective(base, options);
         let settings = Settings::of(&options);
         let recorded = Base::read(root, base)?;
         let is_new = recorded.is_none();
         let base = recorded.unwrap_or_default();
-        let differing = match is_new {
+        let differing = |only| match is_new {
             true => None,
-            false => settings.differing(base.settings.as_ref(), &|name| match name {
-                "splits" => options
-                    .splits
-                    .as_ref()
-                    .map(|list| list.changes(&base.recorded)),
-                "ids" => options
-                    .ids
-                    .as_ref()
-                    .map(|list| format!("now chooses {}", list.shown())),
-                _ => None,
-            }),
+            false => {
+                let in_words = |name: &str| match name {
+                    "splits" => options
+                        .splits
+                        .as_ref()
+                        .map(|list| list.changes(&base.recorded)),
+                    "ids" => options
+                        .ids
+                        .as_ref()
+                        .map(|list| format!("now chooses {}", list.shown())),
+                    _ => None,
+                };
+                settings.differing(base.settings.as_ref(), only, &in_words)
+            }
         };
-        if let (Some(differing), false) = (&differing, options.new_version) {
-            return Err(Error::OtherSettings {
-                path: root.to_owned(),
-                differing: differing.clone(),
-            });
-        }
+        let mut places = match is_new {
+            true => Places::default(),
+            false => Places::read(store, root)?,
+        };
+        let names = base
+            .recorded
+            .sources
+            .iter()
+            .map(|source| source.name.as_str());
+        places.retain(&names.collect());
         Ok(Self {
+            differing: differing(None),
+            must_agree: differing(Some(&SHARED_SETTINGS[..])),
             options,
             settings,
             base,
+            places,
             is_new,
-            is_same: differing.is_none(),
             kept_seed,
         })
+    }
+
+    /// Refuses other settings than those of the dataset, unless a new version was asked for.
+    fn refuse_other_settings(&self, root: &Path) -> Result<(), Error> {
+        match &self.differing {
+            Some(differing) if !self.options.new_version => Err(Error::OtherSettings {
+                path: root.to_owned(),
+                differing: differing.clone(),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// The settings that differ and that are one for all clips of a dataset, in words.
+    fn must_agree(&self) -> Option<&str> {
+        self.must_agree.as_deref()
     }
 
     fn plan(
         &self,
         store: Arc<dyn Store>,
-        sources: &[PathBuf],
+        out: &Path,
+        listed: Vec<Listed>,
         progress: &dyn Progress,
     ) -> Result<Plan, Error> {
         let recorded = &self.base.recorded;
+        let known = Known {
+            out,
+            recorded,
+            places: &self.places,
+        };
+        let (mut sources, mut remarks) = known.identify(listed)?;
+        if self.differing.is_some() && self.options.new_version {
+            // Clips of a dataset are all read with the same settings.
+            let (others, said) = known.others(&sources)?;
+            sources.extend(others);
+            sources.sort_by(|(a, _), (b, _)| a.label.name.cmp(&b.label.name));
+            remarks.extend(said);
+        }
         Plan::make(
             store,
-            sources,
+            (sources, remarks),
             &self.options,
             recorded,
-            self.is_same,
+            self.differing.is_none(),
             progress,
         )
+    }
+
+    /// The places of the sources, with those of a plan.
+    fn places_with(&self, plan: &Plan) -> Places {
+        let mut places = self.places.clone();
+        places.record(&plan.given);
+        places
     }
 
     /// Carries a plan out.
@@ -174,26 +269,35 @@ impl Prepared {
         progress: &dyn Progress,
     ) -> Result<IngestReport, Error> {
         let recorded = &self.base.recorded;
-        let fates = Fates::of(plan, recorded);
+        let fates = Fates::of(plan, recorded, self.options.prune);
+        let places = self.places_with(plan);
         let outside = plan.outside(recorded);
-        let is_as_before = self.is_same && fates.nothing_changed();
+        let is_same = self.differing.is_none();
+        let pairs = self
+            .options
+            .pairs
+            .as_ref()
+            .map(|list| list.hash().to_owned());
         let is_complete = !self.is_new
-            && is_as_before
+            && is_same
+            && fates.nothing_changed()
             && plan.items.iter().all(|item| item.is_kept)
             && plan.has_rejected(recorded, &outside)
-            && self.base.pairs
-                == self
-                    .options
-                    .pairs
-                    .as_ref()
-                    .map(|list| list.hash().to_owned());
+            && plan.has_known_sources(recorded)
+            && self.base.pairs == pairs;
         let mut report = if is_complete {
             let out = transaction.root().to_owned();
+            places.write(transaction.store().as_ref(), &out)?;
             transaction.finish()?;
-            already_complete(&out, plan)?
+            let mut growth = fates.report(plan, &BTreeSet::new());
+            growth.count(&run::labels(&self.base, &fates));
+            IngestReport {
+                growth: Some(growth),
+                ..already_complete(&out, plan)?
+            }
         } else {
-            let run = Run::new(transaction, &self, plan, &fates);
-            let (report, growth) = run.finish(outside, is_as_before, pieces, progress)?;
+            let run = Run::new(transaction, &self, plan, (fates, &places));
+            let (report, growth) = run.finish(outside, is_same, pieces, progress)?;
             IngestReport {
                 growth: (!self.is_new).then_some(growth),
                 ..report

@@ -63,6 +63,8 @@ pub struct IngestOptions {
     pub teleports: Teleports,
     /// Read everything again where the settings differ from those the dataset was made with.
     pub new_version: bool,
+    /// Clips leave whose files are gone or give them no more.
+    pub prune: bool,
     /// Commit although labels are lost, because their clips changed or went.
     pub drop_labels: bool,
 }
@@ -84,6 +86,7 @@ impl Default for IngestOptions {
             humanml3d_features: false,
             teleports: Teleports::default(),
             new_version: false,
+            prune: false,
             drop_labels: false,
         }
     }
@@ -115,6 +118,7 @@ pub(super) struct StoredOptions {
     humanml3d_features: bool,
     teleports: Teleports,
     new_version: bool,
+    prune: bool,
     drop_labels: bool,
 }
 
@@ -149,6 +153,7 @@ impl StoredOptions {
             humanml3d_features: options.humanml3d_features,
             teleports: options.teleports,
             new_version: options.new_version,
+            prune: options.prune,
             drop_labels: options.drop_labels,
         })
     }
@@ -201,6 +206,7 @@ impl StoredOptions {
             humanml3d_features: self.humanml3d_features,
             teleports: self.teleports,
             new_version: self.new_version,
+            prune: self.prune,
             drop_labels: self.drop_labels,
         })
     }
@@ -238,6 +244,8 @@ pub(super) const SETTINGS_FACT: &str = "ingest_settings";
 
 /// Settings that are recorded by the hash of a file.
 const KEPT_BY_HASH: [&str; 4] = ["splits", "ids", "joint-map", "subject-models"];
+/// Settings that are one for all clips of a dataset.
+pub(super) const SHARED_SETTINGS: [&str; 4] = ["fps", "resample", "skeleton", "features"];
 
 /// The settings that decide how a clip is read, by name. Clips of a dataset are all read with the same.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -307,11 +315,12 @@ impl Settings {
         !a.is_empty() && a == b
     }
 
-    /// The settings that differ from recorded ones, in words; none where all are equal. `in_words` says what a
-    /// setting that is kept by its hash means.
+    /// The settings that differ from recorded ones, in words; none where all are equal. With `only`, those of these
+    /// names. `in_words` says what a setting that is kept by its hash means.
     pub(super) fn differing(
         &self,
         recorded: Option<&String>,
+        only: Option<&[&str]>,
         in_words: &dyn Fn(&str) -> Option<String>,
     ) -> Option<String> {
         let Some(recorded) = recorded.and_then(|text| serde_json::from_str::<Self>(text).ok())
@@ -326,6 +335,7 @@ impl Settings {
         };
         let differing: Vec<String> = names
             .into_iter()
+            .filter(|name| only.is_none_or(|only| only.contains(&name.as_str())))
             .map(|name| (name, value(&recorded, name), value(self, name)))
             .filter(|(_, recorded, now)| recorded != now)
             .map(|(name, recorded, now)| match in_words(name) {

@@ -1,4 +1,4 @@
-//! The plan of a run: which motions are read, under which ids, in which splits and shards.
+//! The plan of a run: which motions are read, under which ids, in which splits.
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -6,31 +6,26 @@ use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use datasets_spec::dataset::ShardName;
-use datasets_spec::record::{MotionRow, QuarantineRow, SkippedRow};
+use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
-use datasets_spec::table::Row;
 use datasets_spec::{MotionId, Progress, Split};
 use rayon::prelude::*;
 
 use super::inputs;
-use super::list::{self, Source, hash_files, list_sources, quarantine_row};
+use super::list::{self, Source, hash_files, quarantine_row};
 use super::options::{IngestOptions, Settings};
 use super::recorded::Recorded;
-use super::sources::{self, SourceLabel};
+use super::sources::{self, Given, Identified};
 use super::split_list::{SplitList, name_of_subject};
 use crate::Error;
 use crate::annotation::pairs::{PairList, RefusedLine, names_of, originals, style_group};
 use crate::clip::Rejected;
-use crate::source::archive;
+use crate::source::archive::{self, Archives};
 use crate::source::labels::{self, FolderLabels};
 use crate::source::{
     Entry, Files, Format, FoundRelease, ReadOptions, Recognised, find_releases, name_of_text,
     recognise, refuse_pointer,
 };
-
-/// Source items per shard: few enough that every thread can hold a shard in memory.
-pub(crate) const SHARD_SOURCES: usize = 256;
 
 /// Everything a run will do, known before any motion is read.
 pub(super) struct Plan {
@@ -38,8 +33,8 @@ pub(super) struct Plan {
     pub(super) sources: BTreeMap<String, Source>,
     pub(super) releases: Vec<FoundRelease>,
     pub(super) items: Vec<Planned>,
-    /// The sources, and whether each is a single file.
-    pub(super) labels: Vec<(SourceLabel, bool)>,
+    /// The sources.
+    pub(super) given: Vec<Given>,
     /// Files without a motion.
     pub(super) skipped: Vec<SkippedRow>,
     /// Files found broken while planning, and folders that cannot be listed.
@@ -52,6 +47,8 @@ pub(super) struct Plan {
     pub(super) remarks: Vec<String>,
     /// What the user's choice of clips left out, and its lines that name none.
     pub(super) choice: Vec<String>,
+    /// How the sources were recognised, and what was left out of them.
+    pub(super) said: Vec<String>,
     /// What folders say of the motions in them.
     pub(super) folder_labels: FolderLabels,
     /// Lines of the list of splits that gave no clip a split.
@@ -125,91 +122,72 @@ impl Planned {
     }
 }
 
-/// A motion assigned to a shard.
-pub(super) struct Item<'a> {
-    pub(super) entry: &'a Entry,
-    pub(super) prefix: &'a str,
-    pub(super) inputs: &'a str,
-    pub(super) format: Format,
-    pub(super) release: Option<usize>,
-    pub(super) split: Split,
-    pub(super) id: Result<MotionId, String>,
-}
-
-/// The place of a motion in [`Plan::items`], and its id.
-type Placed = (usize, Result<MotionId, String>);
-
-/// A shard, and the places of its motions in [`Plan::items`] with their ids.
-pub(super) struct Dealt {
-    pub(super) name: ShardName,
-    pub(super) items: Vec<Placed>,
-}
-
-pub(super) type Shards<'a> = Vec<(ShardName, Vec<Item<'a>>)>;
-
 impl Plan {
-    /// Lists and identifies everything under the sources. `recorded` is what the dataset holds; with
-    /// `same_settings` its clips are kept where their files are as they were.
+    /// Identifies everything under the sources. `recorded` is what the dataset holds; with `same_settings` its clips
+    /// are kept where their files are as they were.
     pub(super) fn make(
         store: Arc<dyn Store>,
-        paths: &[PathBuf],
+        (sources, said): Identified,
         options: &IngestOptions,
         recorded: &Recorded,
         same_settings: bool,
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
-        let listed = list_sources(paths)?;
-        let by_place = hash_files(store.as_ref(), &listed, progress);
-        let names = listed.iter().map(sources::name);
-        let given = if recorded.sources.is_empty() {
-            sources::labels(&listed)
-        } else {
-            let hash_of = |place: &Path| by_place.get(place)?.hash.clone().ok();
-            sources::known_labels(&listed, &recorded.sources, &hash_of, &recorded.hashes())
-        };
-        let labels = std::iter::zip(&given, names)
-            .zip(&listed)
-            .map(|((label, name), source)| {
-                let label = label.clone();
-                (SourceLabel { label, name }, source.is_file)
-            })
-            .collect();
-        let listing = list::merged(listed, &given);
-        let skipped = listing
-            .special
-            .into_iter()
-            .map(|(path, reason)| SkippedRow {
-                path,
-                source_hash: String::new(),
-                inputs_hash: String::new(),
-                reason,
-            });
-        let skipped = skipped.collect();
-        let (rejected, unlisted) = unread(listing.unlisted, listing.refused);
-        let sources = listing
-            .files
-            .iter()
-            .filter_map(|(relative, place)| Some((relative.clone(), by_place.get(place)?.clone())));
-        let sources = sources.collect();
-        let files = Files::on(store, listing.files).with_archives(listing.archives);
+        let (mut skipped, mut rejected) = (Vec::new(), Vec::new());
+        let (mut given, mut unlisted) = (Vec::new(), Vec::new());
+        let mut files: BTreeMap<String, (PathBuf, usize)> = BTreeMap::new();
+        let mut archives = Archives::default();
+        for (source, listing) in sources {
+            let (name, of) = (source.label.name.as_str(), given.len());
+            let behind = |path: &str| list::labelled(&source.label.label, path);
+            skipped.extend(
+                listing
+                    .special
+                    .into_iter()
+                    .map(|(path, reason)| SkippedRow {
+                        path: behind(&path),
+                        source_name: name.to_owned(),
+                        source_hash: String::new(),
+                        inputs_hash: String::new(),
+                        reason,
+                    }),
+            );
+            for (path, hash, why) in unread(listing.unlisted, listing.refused) {
+                let path = behind(&path);
+                rejected.push(quarantine_row(&path, "", name, hash, why));
+                unlisted.push(path);
+            }
+            archives.add(listing.archives);
+            let own = listing.files.into_iter();
+            files.extend(own.map(|(path, place)| (behind(&path), (place, of))));
+            given.push(source);
+        }
+        let sources = hash_files(store.as_ref(), &files, progress);
+        let files = files.into_iter().map(|(path, (place, _))| (path, place));
+        let files = Files::on(store, files.collect()).with_archives(archives);
         let mut plan = Self {
             folder_labels: FolderLabels::read(&files),
             refused_splits: Vec::new(),
             releases: find_releases(&files, options.humanml3d_index.as_deref())?,
             files,
             sources,
-            labels,
+            given,
             items: Vec::new(),
             skipped,
             rejected,
             unlisted,
             staying: BTreeSet::new(),
             remarks: Vec::new(),
+            said,
             choice: Vec::new(),
             claimed: BTreeSet::new(),
         };
         plan.claimed = plan.take_releases(options);
         plan.take_single_files(options);
+        for source in plan.sources.values_mut() {
+            // Files are recognised now.
+            source.head = Vec::new();
+        }
         plan.note_inputs();
         plan.identify(recorded, same_settings);
         plan.take_labels();
@@ -228,10 +206,48 @@ impl Plan {
     fn skip(&mut self, path: &str, reason: String) {
         self.skipped.push(SkippedRow {
             path: path.to_owned(),
+            source_name: self.source_name(path).to_owned(),
             source_hash: source_hash(&self.sources, path),
             inputs_hash: String::new(),
             reason,
         });
+    }
+
+    /// The source of a file.
+    pub(super) fn source_of(&self, file: &str) -> Option<&Given> {
+        let source = self.sources.get(file);
+        source.and_then(|source| self.given.get(source.of))
+    }
+
+    /// Name of the source of a file.
+    pub(super) fn source_name(&self, file: &str) -> &str {
+        self.source_of(file)
+            .map_or("", |source| source.label.name.as_str())
+    }
+
+    /// The row of a file of this run that was rejected.
+    pub(super) fn rejected_row(&self, file: &str, key: &str, rejected: Rejected) -> QuarantineRow {
+        let hash = source_hash(&self.sources, file);
+        quarantine_row(file, key, self.source_name(file), hash, rejected)
+    }
+
+    /// The row of a file that could not be read while planning.
+    fn unreadable(&self, file: &str) -> Option<QuarantineRow> {
+        let reason = self.sources.get(file)?.hash.clone().err()?;
+        let code = match archive::is_in_archive(file) {
+            true => archive::DAMAGED,
+            false => "E-IO",
+        };
+        let rejected = Rejected::read(code, format!("cannot read the file: {reason}"));
+        Some(self.rejected_row(file, "", rejected))
+    }
+
+    /// The path of a file without the label of its source.
+    pub(super) fn unlabelled<'a>(&self, file: &'a str) -> &'a str {
+        let label = self
+            .source_of(file)
+            .map_or("", |source| source.label.label.as_str());
+        sources::below(label, file).unwrap_or(file)
     }
 
     /// Plans the motions of the releases, and returns the files that are theirs.
@@ -260,15 +276,14 @@ impl Plan {
                 if !claimed.insert(file.clone()) {
                     continue;
                 }
-                match unreadable(&self.sources, file) {
+                match self.unreadable(file) {
                     Some(row) => self.rejected.push(row),
                     None => passed_over.push((file.clone(), reason.clone())),
                 }
             }
             for (file, rejected) in &release.rejected {
                 if claimed.insert(file.clone()) {
-                    let hash = source_hash(&self.sources, file);
-                    let row = quarantine_row(file, "", hash, rejected.clone());
+                    let row = self.rejected_row(file, "", rejected.clone());
                     self.rejected.push(row);
                 }
             }
@@ -287,14 +302,13 @@ impl Plan {
                 continue;
             }
             // Do not guess the format of an unreadable file from its name.
-            if let Some(row) = unreadable(&self.sources, relative) {
+            if let Some(row) = self.unreadable(relative) {
                 self.rejected.push(row);
                 continue;
             }
-            let hash = || source.hash.clone().unwrap_or_default();
             if let Err(rejected) = refuse_pointer(&source.head) {
                 self.rejected
-                    .push(quarantine_row(relative, "", hash(), rejected));
+                    .push(self.rejected_row(relative, "", rejected));
                 continue;
             }
             let format = match recognise(Path::new(relative), &source.head) {
@@ -313,7 +327,7 @@ impl Plan {
                 Ok(keys) => keys,
                 Err(rejected) => {
                     self.rejected
-                        .push(quarantine_row(relative, "", hash(), rejected));
+                        .push(self.rejected_row(relative, "", rejected));
                     continue;
                 }
             };
@@ -369,13 +383,8 @@ impl Plan {
     /// group of their original. A motion is rejected if labels beside it or in its folders cannot be read now:
     /// they may be next time, and the clip might change its split.
     fn take_labels(&mut self) {
-        let Self {
-            files,
-            items,
-            folder_labels,
-            labels: sources,
-            ..
-        } = self;
+        let mut items = std::mem::take(&mut self.items);
+        let (files, folder_labels) = (&self.files, &self.folder_labels);
         let unreadable: Vec<Option<Rejected>> = items
             .par_iter_mut()
             .map(|item| {
@@ -400,29 +409,29 @@ impl Plan {
                 let stated = labels::stated(Path::new(file), Some(&companions), &around);
                 let styled = stated.action.zip(stated.style);
                 item.group = styled
-                    .map(|(action, style)| style_group(unlabelled(sources, file), &action, &style));
+                    .map(|(action, style)| style_group(self.unlabelled(file), &action, &style));
                 (item.labelled_split, item.subject) = (stated.split, stated.subject);
                 failed.into_inner().or(around.failed)
             })
             .collect();
         let mut unreadable = unreadable.into_iter();
-        let (sources, rejected) = (&self.sources, &mut self.rejected);
-        let (remarks, staying) = (&mut self.remarks, &mut self.staying);
-        self.items.retain(|item| match unreadable.next().flatten() {
+        items.retain(|item| match unreadable.next().flatten() {
             None => true,
             // A clip that the dataset has stays as it is.
             Some(reason) if item.known.is_some() => {
-                remarks.push(format!("{} stays as it was: {}", item.id, reason.reason));
-                staying.insert(item.entry.file.clone());
+                let remark = format!("{} stays as it was: {}", item.id, reason.reason);
+                self.remarks.push(remark);
+                self.staying.insert(item.entry.file.clone());
                 false
             }
             Some(reason) => {
                 let Entry { file, key, .. } = &item.entry;
-                let row = quarantine_row(file, key, source_hash(sources, file), reason);
-                rejected.push(row);
+                let row = self.rejected_row(file, key, reason);
+                self.rejected.push(row);
                 false
             }
         });
+        self.items = items;
     }
 
     /// Gives clips the splits that the user states: those of the list, else those of their labels. All
@@ -492,6 +501,11 @@ impl Plan {
         self.items = items;
     }
 
+    /// Remarks on the dataset and on this run.
+    pub(super) fn all_remarks(&self) -> Vec<String> {
+        [&self.remarks[..], &self.said].concat()
+    }
+
     /// Source items: motions, and files without one.
     pub(super) fn num_items(&self) -> u64 {
         (self.items.len() + self.rejected.len() + self.skipped.len()) as u64
@@ -506,6 +520,12 @@ impl Plan {
         };
         take(&settings.text());
         take(&base.to_string());
+        take(if options.prune { "prune" } else { "" });
+        for source in &self.given {
+            take(&source.label.name);
+            take(&source.label.label);
+            take(if source.is_whole { "whole" } else { "" });
+        }
         for (relative, source) in &self.sources {
             take(relative);
             take(source.hash.as_deref().unwrap_or(""));
@@ -526,93 +546,19 @@ impl Plan {
         }
         hasher.finalize().to_hex().to_string()
     }
-
-    /// Deals the motions that are read into shards by split. `before` is the number of shards of a split that
-    /// are written before them.
-    pub(super) fn deal(&self, before: &BTreeMap<Split, usize>) -> Vec<Dealt> {
-        let mut by_split: BTreeMap<Split, Vec<Placed>> = BTreeMap::new();
-        let mut seen = BTreeSet::new();
-        for (place, planned) in self.items.iter().enumerate() {
-            let id = MotionId::parse(&planned.id)
-                .map_err(|error| error.to_string())
-                .and_then(|id| match seen.insert(&planned.id) {
-                    true => Ok(id),
-                    false => Err(format!("another motion has the id {id} already")),
-                });
-            if !planned.is_kept {
-                by_split.entry(planned.split).or_default().push((place, id));
-            }
-        }
-        let mut shards = Vec::new();
-        for (split, mut items) in by_split {
-            let first = before.get(&split).copied().unwrap_or(0);
-            let of = first + items.len().div_ceil(SHARD_SOURCES);
-            for index in first..of {
-                let rest = items.split_off(items.len().min(SHARD_SOURCES));
-                let name = ShardName {
-                    table: MotionRow::TABLE,
-                    split: Some(split),
-                    index,
-                    of,
-                };
-                let items = std::mem::replace(&mut items, rest);
-                shards.push(Dealt { name, items });
-            }
-        }
-        shards
-    }
-
-    /// The motions of a shard.
-    pub(super) fn items_of(&self, shard: &Dealt) -> Vec<Item<'_>> {
-        let items = shard.items.iter().map(|(place, id)| {
-            let planned = &self.items[*place];
-            Item {
-                entry: &planned.entry,
-                prefix: &planned.prefix,
-                inputs: &planned.inputs,
-                format: planned.format,
-                release: planned.release,
-                split: planned.split,
-                id: id.clone(),
-            }
-        });
-        items.collect()
-    }
-
-    /// The shards of a run with their motions; see [`Plan::deal`].
-    pub(super) fn shards(&self, before: &BTreeMap<Split, usize>) -> Shards<'_> {
-        let dealt = self.deal(before).into_iter();
-        dealt
-            .map(|shard| {
-                let items = self.items_of(&shard);
-                (shard.name, items)
-            })
-            .collect()
-    }
 }
 
-/// The rows of folders and archives that cannot be read, and their paths: clips below them stay as they are.
+/// Folders and archives that cannot be read, with the hash of the archive and the reason: clips below them stay as they
+/// are.
 fn unread(
     folders: Vec<(String, String)>,
     archives: Vec<(String, String, Rejected)>,
-) -> (Vec<QuarantineRow>, Vec<String>) {
+) -> impl Iterator<Item = (String, String, Rejected)> {
     let folders = folders.into_iter().map(|(folder, reason)| {
         let reason = format!("cannot list the folder: {reason}");
         (folder, String::new(), Rejected::read("E-IO", reason))
     });
-    let rows = folders.chain(archives).map(|(path, hash, why)| {
-        let row = quarantine_row(&path, "", hash, why);
-        (row, path)
-    });
-    rows.unzip()
-}
-
-/// The path of a file without the label of its source.
-pub(super) fn unlabelled<'a>(sources: &[(SourceLabel, bool)], file: &'a str) -> &'a str {
-    let below = sources
-        .iter()
-        .filter_map(|(source, _)| sources::below(&source.label, file));
-    below.min_by_key(|name| name.len()).unwrap_or(file)
+    folders.chain(archives)
 }
 
 /// Keys of the motions of a single file. The key is empty if the file holds one motion or is damaged; the
@@ -653,17 +599,6 @@ pub(super) fn bounded_length(files: &Files, relative: &str) -> Result<usize, Rej
 pub(super) fn source_hash(sources: &BTreeMap<String, Source>, relative: &str) -> String {
     let hash = sources.get(relative).map(|source| source.hash.clone());
     hash.and_then(Result::ok).unwrap_or_default()
-}
-
-/// The quarantine row of a file that could not be read while planning.
-fn unreadable(sources: &BTreeMap<String, Source>, relative: &str) -> Option<QuarantineRow> {
-    let reason = sources.get(relative)?.hash.clone().err()?;
-    let code = match archive::is_in_archive(relative) {
-        true => archive::DAMAGED,
-        false => "E-IO",
-    };
-    let rejected = Rejected::read(code, format!("cannot read the file: {reason}"));
-    Some(quarantine_row(relative, "", String::new(), rejected))
 }
 
 pub(super) fn without_extension(relative: &str) -> &str {

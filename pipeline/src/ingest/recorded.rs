@@ -5,12 +5,14 @@ use std::path::Path;
 
 use datasets_spec::manifest::{FileEntry, Manifest};
 use datasets_spec::record::{MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
+use datasets_spec::store::Store;
 use datasets_spec::table::{Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, MotionId, Split};
 
 use super::list::labelled;
 use super::options::{LABEL_PROBLEMS_FACT, PAIRS_FACT, SEED_FACT, SETTINGS_FACT, Settings};
-use super::sources::{SOURCES_FACT, SourceLabel, lies_in};
+use super::places::Places;
+use super::sources::{SOURCES_FACT, SourceLabel, UNNAMED, below, free, of_path, with_names};
 use crate::Error;
 use crate::clip::LabelProblem;
 use crate::clip_table::CLIP_TABLES;
@@ -67,12 +69,18 @@ pub(super) struct Recorded {
 pub(super) struct RecordedClip {
     pub(super) id: MotionId,
     pub(super) split: Split,
+    /// Its source, by its place in [`Recorded::sources`].
+    pub(super) source: usize,
     pub(super) path: String,
     pub(super) hash: String,
     /// Empty for captures without a motion, and in datasets of older formats.
     pub(super) inputs: String,
     /// Hash of the motion; empty for captures without one.
     pub(super) content: String,
+    /// Stored frames; 0 for captures without a motion.
+    pub(super) num_frames: i32,
+    /// Columns `centre_x` to `centre_z`; none in files of older formats.
+    pub(super) centre: Option<[f32; 3]>,
     /// Its place in [`Recorded::shards`].
     pub(super) shard: usize,
 }
@@ -95,11 +103,8 @@ impl Recorded {
         if !base.tables.contains_key(MotionRow::TABLE) {
             return Ok(None);
         }
-        let sources = base.facts.get(SOURCES_FACT);
         let mut recorded = Self {
-            sources: sources
-                .and_then(|text| serde_json::from_str(text).ok())
-                .unwrap_or_default(),
+            sources: with_names(sources_of(&base.facts)),
             quarantine: rows(root, base)?,
             skipped: rows(root, base)?,
             ..Self::default()
@@ -117,27 +122,51 @@ impl Recorded {
             }
         }
         recorded.shards = shards.into_values().collect();
+        let mut sources = Sources(recorded.sources);
         for (index, shard) in recorded.shards.iter().enumerate() {
-            recorded.clips.extend(clips_of(root, shard, index)?);
+            let clips = clips_of(root, shard, index, &mut sources)?;
+            recorded.clips.extend(clips);
         }
         recorded.clips.sort_by(|a, b| a.id.cmp(&b.id));
+        for row in &mut recorded.quarantine {
+            row.source_name = sources.name_of(&row.source_name, &row.path);
+        }
+        for row in &mut recorded.skipped {
+            row.source_name = sources.name_of(&row.source_name, &row.path);
+        }
+        recorded.sources = sources.0;
         Ok(Some(recorded))
     }
+}
 
-    /// Hash of every source file by its path.
-    pub(super) fn hashes(&self) -> BTreeMap<String, String> {
-        let clips = self.clips.iter().map(|clip| (&clip.path, &clip.hash));
-        let rejected = self
-            .quarantine
-            .iter()
-            .map(|row| (&row.path, &row.source_hash));
-        let skipped = self.skipped.iter().map(|row| (&row.path, &row.source_hash));
-        clips
-            .chain(rejected)
-            .chain(skipped)
-            .filter(|(_, hash)| !hash.is_empty())
-            .map(|(path, hash)| (path.clone(), hash.clone()))
-            .collect()
+/// The sources that a manifest records.
+fn sources_of(facts: &BTreeMap<String, String>) -> Vec<SourceLabel> {
+    let text = facts.get(SOURCES_FACT);
+    text.and_then(|text| serde_json::from_str(text).ok())
+        .unwrap_or_default()
+}
+
+/// The sources of a dataset, by which rows find theirs.
+struct Sources(Vec<SourceLabel>);
+
+impl Sources {
+    /// The source of a row with this name and path. Rows of older formats have no name, and their path tells.
+    fn index_of(&mut self, name: &str, path: &str) -> usize {
+        let named = self.0.iter().position(|source| source.name == name);
+        if let Some(index) = named.or_else(|| of_path(&self.0, path)) {
+            return index;
+        }
+        let is_free = |name: &str| self.0.iter().all(|source| source.name != name);
+        self.0.push(SourceLabel {
+            label: String::new(),
+            name: free(UNNAMED, is_free),
+        });
+        self.0.len() - 1
+    }
+
+    fn name_of(&mut self, name: &str, path: &str) -> String {
+        let index = self.index_of(name, path);
+        self.0[index].name.clone()
     }
 }
 
@@ -149,53 +178,103 @@ fn rows<R: Row>(root: &Path, base: &Manifest) -> Result<Vec<R>, Error> {
     Ok(rows)
 }
 
+/// Columns of a clip.
+struct Columns {
+    ids: Vec<MotionId>,
+    /// Name of the source, path, hash, inputs, content.
+    texts: [Vec<String>; 5],
+    num_frames: Vec<i32>,
+    centres: [Vec<Option<f32>>; 3],
+}
+
+impl Columns {
+    fn read<R: Row>(path: &Path, has_motions: bool) -> Result<Self, Error> {
+        let reader = ShardReader::open(path)?;
+        let ids = reader.column::<R, MotionId>("id")?;
+        let count = ids.len();
+        let text = |name| reader.column::<R, String>(name);
+        // Files of older formats lack the columns that are newer. Without `inputs_hash` their clips are read again.
+        let newer = |name| text(name).unwrap_or_else(|_| vec![String::new(); count]);
+        let number = |name| {
+            let numbers = reader.column::<R, Option<f32>>(name);
+            numbers.unwrap_or_else(|_| vec![None; count])
+        };
+        let none = || vec![String::new(); count];
+        let [source, path, hash] = [
+            newer("source_name"),
+            text("source_path")?,
+            text("source_hash")?,
+        ];
+        let texts = match has_motions {
+            true => [
+                source,
+                path,
+                hash,
+                newer("inputs_hash"),
+                text("content_hash")?,
+            ],
+            false => [source, path, hash, none(), none()],
+        };
+        Ok(Self {
+            texts,
+            num_frames: match has_motions {
+                true => reader.column::<R, i32>("n_frames")?,
+                false => vec![0; count],
+            },
+            centres: match has_motions {
+                true => ["centre_x", "centre_y", "centre_z"].map(number),
+                false => [const { Vec::new() }; 3],
+            },
+            ids,
+        })
+    }
+}
+
 /// The clips of a shard, and its captures without a motion.
-fn clips_of(root: &Path, shard: &RecordedShard, index: usize) -> Result<Vec<RecordedClip>, Error> {
+fn clips_of(
+    root: &Path,
+    shard: &RecordedShard,
+    index: usize,
+    sources: &mut Sources,
+) -> Result<Vec<RecordedClip>, Error> {
     let mut clips = Vec::new();
     let mut met = BTreeSet::new();
     for (table, file) in &shard.files {
         let path = root.join(&file.path);
-        let reader = ShardReader::open(&path)?;
-        let (ids, columns): (Vec<MotionId>, [Vec<String>; 4]) = match *table {
-            MotionRow::TABLE => {
-                let text = |name| reader.column::<MotionRow, String>(name);
-                let ids = reader.column::<MotionRow, MotionId>("id")?;
-                // Datasets of older formats lack the column, so that their clips are read again.
-                let inputs = text("inputs_hash").unwrap_or_else(|_| vec![String::new(); ids.len()]);
-                let columns = [
-                    text("source_path")?,
-                    text("source_hash")?,
-                    inputs,
-                    text("content_hash")?,
-                ];
-                (ids, columns)
-            }
-            MarkerRow::TABLE => {
-                let text = |name| reader.column::<MarkerRow, String>(name);
-                let ids = reader.column::<MarkerRow, MotionId>("id")?;
-                let none = vec![String::new(); ids.len()];
-                let columns = [
-                    text("source_path")?,
-                    text("source_hash")?,
-                    none.clone(),
-                    none,
-                ];
-                (ids, columns)
-            }
+        let columns = match *table {
+            MotionRow::TABLE => Columns::read::<MotionRow>(&path, true)?,
+            MarkerRow::TABLE => Columns::read::<MarkerRow>(&path, false)?,
             _ => continue,
         };
-        let [paths, hashes, inputs, contents] = columns;
-        let columns = paths.into_iter().zip(hashes).zip(inputs).zip(contents);
-        for (id, (((path, hash), inputs), content)) in ids.into_iter().zip(columns) {
+        let Columns {
+            ids,
+            texts: [names, paths, hashes, inputs, contents],
+            num_frames,
+            centres,
+        } = columns;
+        let texts = names
+            .into_iter()
+            .zip(paths)
+            .zip(hashes)
+            .zip(inputs)
+            .zip(contents);
+        let rows = ids.into_iter().zip(texts).zip(num_frames).enumerate();
+        for (row, ((id, ((((name, path), hash), inputs), content)), num_frames)) in rows {
             // The markers of a clip with a motion have its id.
             if met.insert(id.clone()) {
+                let [x, y, z] = centres
+                    .each_ref()
+                    .map(|column| column.get(row).copied().flatten());
                 clips.push(RecordedClip {
                     id,
                     split: shard.split,
+                    source: sources.index_of(&name, &path),
                     path,
                     hash,
                     inputs,
                     content,
+                    num_frames,
+                    centre: x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]),
                     shard: index,
                 });
             }
@@ -211,45 +290,91 @@ pub(crate) fn recorded_settings(dataset: &Dataset) -> BTreeMap<String, String> {
         .unwrap_or_default()
 }
 
-/// Facts of two merged datasets: those on which they agree, and the sources of both. Also returns what the
-/// paths of the second begin with.
-pub(crate) fn merged_facts(
-    first: &Dataset,
-    second: &Dataset,
-) -> (BTreeMap<String, String>, String) {
-    let (a, b) = (&first.manifest().facts, &second.manifest().facts);
-    let mut facts: BTreeMap<String, String> = a
-        .iter()
-        .filter(|(name, value)| match b.get(*name) {
+/// What merging two datasets makes of their sources.
+pub(crate) struct MergedSources {
+    /// Facts of the result: those on which the two agree, and the sources of both.
+    pub(crate) facts: BTreeMap<String, String>,
+    /// What the paths of the second begin with in the result.
+    pub(crate) label: String,
+    names: [SourceNames; 2],
+}
+
+/// Names of the sources of a dataset in the result of a merge.
+struct SourceNames {
+    sources: Vec<SourceLabel>,
+    renamed: BTreeMap<String, String>,
+}
+
+impl MergedSources {
+    /// Joins the sources of two datasets. Those of the second keep their names unless the first has them.
+    pub(crate) fn of(first: &Dataset, second: &Dataset) -> Self {
+        let (a, b) = (&first.manifest().facts, &second.manifest().facts);
+        let facts = a.iter().filter(|(name, value)| match b.get(*name) {
             _ if *name == SEED_FACT => true,
             Some(other) if *name == SETTINGS_FACT => Settings::read_alike(value, other),
             other => other == Some(value),
-        })
-        .map(|(name, value)| (name.clone(), value.clone()))
-        .collect();
-    let sources = |facts: &BTreeMap<String, String>| -> Vec<SourceLabel> {
-        let text = facts.get(SOURCES_FACT);
-        text.and_then(|text| serde_json::from_str(text).ok())
-            .unwrap_or_default()
-    };
-    let mut all = sources(a);
-    let name = second
-        .root()
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy();
-    let numbered = (2..).map(|number| format!("{name}-{number}"));
-    let mut candidates = std::iter::once(name.clone().into_owned()).chain(numbered);
-    let is_free = |label: &String| !all.iter().any(|source| lies_in(label, &source.label, &[]));
-    let label = candidates.find(is_free).expect("numbers do not end");
-    all.extend(sources(b).into_iter().map(|source| SourceLabel {
-        label: match source.label.as_str() {
-            "" => label.clone(),
-            own => labelled(&label, own),
-        },
-        ..source
-    }));
-    let text = serde_json::to_string(&all).expect("texts serialise");
-    facts.insert(SOURCES_FACT.to_owned(), text);
-    (facts, label)
+        });
+        let mut facts: BTreeMap<String, String> = facts
+            .map(|(name, value)| (name.clone(), value.clone()))
+            .collect();
+        let [own, mut others] = [a, b].map(|facts| with_names(sources_of(facts)));
+        if others.is_empty() {
+            others.push(SourceLabel {
+                label: String::new(),
+                name: UNNAMED.to_owned(),
+            });
+        }
+        let folder = second.root().file_name().unwrap_or_default();
+        let folder = folder.to_string_lossy().into_owned();
+        let is_free = |label: &str| {
+            !own.iter()
+                .any(|source| below(label, &source.label).is_some())
+        };
+        let label = free(&folder, is_free);
+        let mut all = own.clone();
+        let mut renamed = BTreeMap::new();
+        for source in &others {
+            let is_free = |name: &str| all.iter().all(|other| other.name != name);
+            let name = match is_free(&source.name) {
+                true => source.name.clone(),
+                false => free(&format!("{label}-{}", source.name), is_free),
+            };
+            renamed.insert(source.name.clone(), name.clone());
+            let label = match source.label.as_str() {
+                "" => label.clone(),
+                own => labelled(&label, own),
+            };
+            all.push(SourceLabel { label, name });
+        }
+        let text = serde_json::to_string(&all).expect("texts serialise");
+        facts.insert(SOURCES_FACT.to_owned(), text);
+        let names = [(own, BTreeMap::new()), (others, renamed)];
+        let names = names.map(|(sources, renamed)| SourceNames { sources, renamed });
+        Self {
+            facts,
+            label,
+            names,
+        }
+    }
+
+    /// The name in the result of the source of a row. `part` is 0 for the first dataset and 1 for the second; `name`
+    /// and `path` are those of the row there.
+    pub(crate) fn name(&self, part: usize, name: &str, path: &str) -> String {
+        let SourceNames { sources, renamed } = &self.names[part];
+        let name = match name {
+            "" => of_path(sources, path).map_or("", |index| sources[index].name.as_str()),
+            name => name,
+        };
+        renamed.get(name).map_or(name, String::as_str).to_owned()
+    }
+
+    /// Where the sources of both were found.
+    ///
+    /// # Errors
+    /// They are recorded and cannot be read.
+    pub(crate) fn places(&self, store: &dyn Store, roots: [&Path; 2]) -> Result<Places, Error> {
+        let mut places = Places::read(store, roots[0])?;
+        places.extend(Places::read(store, roots[1])?, &self.names[1].renamed);
+        Ok(places)
+    }
 }

@@ -9,9 +9,11 @@ use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedR
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
 
+use super::alike::{Alike, AlikeClips};
+use super::deal::Shards;
 use super::growth::{Growth, Outside};
 use super::options::{LABEL_PROBLEMS_FACT, REFUSED_PAIRS_FACT};
-use super::plan::{Plan, Shards};
+use super::plan::Plan;
 use super::shard::ShardNotes;
 use crate::Error;
 use crate::annotation::pairs::{ListedPairs, PairList, RefusedLine};
@@ -47,6 +49,8 @@ pub struct IngestReport {
     pub resumed_shards: usize,
     /// Whether the dataset was already complete and nothing was done.
     pub already_complete: bool,
+    /// Motions of this run that are nearly equal to others, and equal ones in several splits.
+    pub alike: Vec<AlikeClips>,
     /// What became of the clips and labels that were there; none for a new dataset.
     pub growth: Option<Growth>,
 }
@@ -61,7 +65,7 @@ pub(super) fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, 
         refused_pairs: refused
             .and_then(|lines| serde_json::from_str(lines).ok())
             .unwrap_or_default(),
-        remarks: plan.remarks.clone(),
+        remarks: plan.all_remarks(),
         refused_splits: plan.refused_splits.clone(),
         label_problems: facts
             .get(LABEL_PROBLEMS_FACT)
@@ -75,6 +79,7 @@ pub(super) fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, 
         skipped: counted(&dataset.read::<SkippedRow>(None)?),
         resumed_shards: 0,
         already_complete: true,
+        alike: Vec::new(),
         growth: None,
         dataset,
     })
@@ -91,6 +96,8 @@ pub(super) struct Tally {
     /// Clips of this run that moved into the split of an equal one.
     pub(super) moves: BTreeMap<String, Split>,
     pub(super) ingested: BTreeSet<String>,
+    /// Motions that are alike.
+    pub(super) alike: Alike,
     pub(super) pairs: Vec<PairRow>,
     pub(super) dropped_pairs: u64,
     pub(super) masks: Vec<MaskRow>,
@@ -133,13 +140,13 @@ impl Tally {
         self.moves = moves;
     }
 
-    /// Counts of the source items: `num_items` of this run, and those of sources that are not of it, of
-    /// which the rejected ones, `outside`, are added to the lists.
+    /// Counts of the source items: `num_items` of this run, `num_beside` clips that stay without being among them, and
+    /// the rejected items of other sources, `outside`, which are added to the lists.
     pub(super) fn accounting(
         &mut self,
         num_items: u64,
         outside: Outside,
-        num_elsewhere: u64,
+        num_beside: u64,
     ) -> Accounting {
         let num_rejected = outside.quarantine.len() + outside.skipped.len();
         self.quarantine.extend(outside.quarantine);
@@ -151,7 +158,7 @@ impl Tally {
             *codes.entry(row.code.clone()).or_default() += 1;
         }
         Accounting {
-            sources: num_items + num_elsewhere + num_rejected as u64,
+            sources: num_items + num_beside + num_rejected as u64,
             ingested: (self.staying.len() + self.ingested.len()) as u64,
             quarantined: self.quarantine.len() as u64,
             skipped: self.skipped.len() as u64,

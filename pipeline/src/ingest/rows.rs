@@ -7,8 +7,8 @@ use datasets_spec::{
     BlendMask, BodyPart, MASK_DEF_VERSION, Motion, MotionId, Resample, Skeleton, Split,
 };
 
+use super::deal::Item;
 use super::options::IngestOptions;
-use super::plan::Item;
 use crate::check::{
     FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, FLAG_REFERENCE_DROPPED, Teleports,
     check_with, starts_apart,
@@ -16,6 +16,7 @@ use crate::check::{
 use crate::clip::{EditOf, Markers, Rejected, SourceClip, SourceMask, check_resampled};
 use crate::feature::humanml3d::{self, Features};
 use crate::feature::smpl_body;
+use crate::likeness::Sketch;
 
 /// Mean distance in metres between source and stored joints that is worth a flag: retargeted
 /// captures of people measure 0.01 to 0.04.
@@ -48,6 +49,7 @@ fn marker_row(
     MarkerRow {
         id,
         split: item.split,
+        source_name: item.source_name.to_owned(),
         source_path: item.entry.file.clone(),
         source_hash,
         license,
@@ -122,6 +124,9 @@ pub(super) fn clip_rows(
         let (id, hash) = (id.clone(), source_hash.clone());
         marker_row(markers, id, item, hash, license.clone())
     });
+    let [centre_x, centre_y, centre_z] = Sketch::of(&motion, &options.read.skeleton)
+        .centre()
+        .map(Some);
     let origins = [CAPTION_BY_SOURCE, CAPTION_BY_RULE];
     let counts = [clip.captions.len(), clip.made_captions.len()];
     let caption_origins = origins.into_iter().zip(counts);
@@ -129,6 +134,7 @@ pub(super) fn clip_rows(
         id,
         split: item.split,
         source: item.format.as_str().to_owned(),
+        source_name: item.source_name.to_owned(),
         source_path: entry.file.clone(),
         source_hash,
         license,
@@ -158,6 +164,9 @@ pub(super) fn clip_rows(
         style: clip.style,
         notes: clip.notes,
         content_hash: motion.content_hash(),
+        centre_x,
+        centre_y,
+        centre_z,
         quality,
     };
     Ok(ClipRows {

@@ -8,20 +8,24 @@ use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{Accounting, FileEntry};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Progress, Split, Transaction};
+use datasets_spec::{NoProgress, Progress, Split, Transaction};
 use serde::Serialize;
 
 use super::Prepared;
+use super::alike::Alike;
+use super::deal::{Item, Shards};
 use super::equal;
-use super::growth::{Fates, Files, Growth, Labels, LostLabel, Outside};
+use super::fates::{Fates, Files};
+use super::growth::{Growth, Labels, LostLabel, Outside};
 use super::options::{
     IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
     SETTINGS_FACT, Settings, rate_name,
 };
-use super::plan::{Item, Plan, Shards};
+use super::places::Places;
+use super::plan::Plan;
 use super::recorded::Base;
 use super::report::{IngestReport, Tally, counted};
-use super::shard::ShardNotes;
+use super::shard::{Done, ShardNotes};
 use super::sources::SOURCES_FACT;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
@@ -35,8 +39,11 @@ pub(super) struct Run<'a> {
     options: &'a IngestOptions,
     settings: &'a Settings,
     base: &'a Base,
+    places: &'a Places,
+    /// The settings that differ and that are one for all clips of a dataset, in words.
+    must_agree: Option<&'a str>,
     plan: &'a Plan,
-    fates: &'a Fates<'a>,
+    fates: Fates<'a>,
     pub(super) plan_hash: String,
     /// Facts of every file.
     facts: [(&'static str, String); 6],
@@ -110,7 +117,7 @@ impl<'a> Run<'a> {
         transaction: Transaction,
         prepared: &'a Prepared,
         plan: &'a Plan,
-        fates: &'a Fates<'a>,
+        (fates, places): (Fates<'a>, &'a Places),
     ) -> Self {
         let Prepared {
             options,
@@ -126,6 +133,8 @@ impl<'a> Run<'a> {
             options,
             settings,
             base,
+            places,
+            must_agree: prepared.must_agree(),
             plan,
             fates,
             plan_hash,
@@ -134,53 +143,66 @@ impl<'a> Run<'a> {
     }
 
     /// Reads what is new or changed, or takes the shards that were made of it, and commits it with what stays.
-    /// `outside` are rejected items of sources that are not of this run; tables composed of the clips stay where
-    /// all `is_as_before`.
+    /// `outside` are rejected items of sources that are not of this run. Tables composed of the clips stay where no
+    /// clip changes and `is_same` says that the settings did not.
     pub(super) fn finish(
-        self,
+        mut self,
         outside: Outside,
-        is_as_before: bool,
+        is_same: bool,
         pieces: Pieces,
         progress: &dyn Progress,
     ) -> Result<(IngestReport, Growth), Error> {
-        // Nothing is read for labels that may not be lost.
-        self.labels(None)?;
+        // Nothing is read for clips that cannot stay, or for labels that may not be lost.
+        self.refuse_mixture()?;
+        let foreseen = foreseen(self.plan, self.base, &self.fates, self.options);
+        self.refuse_loss(&labels(self.base, &foreseen))?;
         let shards = self.plan.shards(&self.fates.rewritten());
         let mut tally = self.read(&shards, pieces, progress)?;
-        let num_elsewhere = self.fates.num_elsewhere();
-        let accounting = tally.accounting(self.plan.num_items(), outside, num_elsewhere);
+        let num_beside = self.fates.num_beside();
+        let accounting = tally.accounting(self.plan.num_items(), outside, num_beside);
         progress.finish(&format!(
             "{} sources: {} ingested, {} quarantined, {} skipped",
             accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
         ));
-        let labels = self.labels(Some((&tally, &shards)))?;
+        let mut labels = labels(self.base, &self.fates);
+        labels.follow(&tally.splits(&shards));
+        self.refuse_loss(&labels)?;
         let mut growth = self.fates.report(self.plan, &tally.ingested);
         growth.count(&labels);
+        let alike = tally.alike.report(&tally.splits(&shards));
         let masks = tally.masks(labels.masks);
         let pairs = self.pairs(labels.pairs, &tally, &shards);
         let tables = self.tables(&mut tally, &masks, &pairs.rows)?;
         let mut carried = self.composed();
-        if !is_as_before {
+        if !is_same || !self.fates.nothing_changed() {
             growth.dropped_tables = std::mem::take(&mut carried).into_iter().collect();
         }
         let report = self.commit(tables, carried, accounting, tally, pairs)?;
-        Ok((report, growth))
+        Ok((IngestReport { alike, ..report }, growth))
+    }
+
+    /// Refuses clips that stay as they were while settings change that all clips of a dataset share.
+    fn refuse_mixture(&self) -> Result<(), Error> {
+        let Some(differing) = self.must_agree else {
+            return Ok(());
+        };
+        refuse_mixture(self.transaction.root(), &self.fates, differing)
     }
 
     /// Reads the shards, or takes those that were made.
     fn read(
-        &self,
+        &mut self,
         shards: &Shards<'_>,
         pieces: Pieces,
         progress: &dyn Progress,
     ) -> Result<Tally, Error> {
+        let plan = self.plan;
         let Self {
             transaction,
-            plan,
             plan_hash,
             facts,
             ..
-        } = self;
+        } = &*self;
         let mut tally = Tally {
             skipped: plan.skipped.clone(),
             quarantine: plan.rejected.clone(),
@@ -191,7 +213,6 @@ impl<'a> Run<'a> {
         let mut num_shards = self.fates.rewritten();
         let names = shards.iter().map(|(name, _)| name);
         num_shards.extend(names.filter_map(|name| Some((name.split?, name.of))));
-        tally.tables = self.fates.shards(transaction, &num_shards, facts)?;
         let staging = transaction.staging(plan_hash);
         let (mut made, mut staged) = (Vec::new(), Vec::new());
         let mut taken = match pieces {
@@ -238,11 +259,25 @@ impl<'a> Run<'a> {
             staged.extend(notes.files(&entry).cloned());
             tally.take(entry, notes);
         }
-        let contents = equal::contents(&staging, &made)?;
-        let moves = plan.moves(&self.base.recorded, self.options.seed, &contents);
+        self.fates.settle(|id| tally.ingested.contains(id));
+        self.refuse_mixture()?;
+        let Self {
+            transaction, facts, ..
+        } = &*self;
+        let mut tables = self.fates.shards(transaction, &mut num_shards, facts)?;
+        for (table, files) in std::mem::take(&mut tally.tables) {
+            tables.entry(table).or_default().extend(files);
+        }
+        tally.tables = tables;
+        let recorded = &self.base.recorded;
+        let skeleton = &self.options.read.skeleton;
+        let staying = (transaction.root(), recorded, &self.fates);
+        tally.alike = Alike::find((&staging, &made), staying, skeleton)?;
+        let moves = plan.moves(recorded, self.options.seed, &tally.alike);
         if !moves.is_empty() {
             let places = (transaction, &staging);
-            equal::move_rows(places, &made, &mut tally.tables, &moves, facts)?;
+            let moved = (&moves, &num_shards);
+            equal::move_rows(places, &made, &mut tally.tables, moved, facts)?;
             tally.follow(moves);
         }
         let staged: BTreeSet<(&str, &str)> = staged.iter().map(by_content).collect();
@@ -250,17 +285,14 @@ impl<'a> Run<'a> {
         let files = files.filter(|file| staged.contains(&by_content(file)));
         transaction.adopt(&staging, files)?;
         let staying = self.fates.staying();
-        tally.staying = staying.map(|(id, split)| (id.to_string(), split)).collect();
+        tally.staying = staying
+            .map(|clip| (clip.id.to_string(), clip.split))
+            .collect();
         Ok(tally)
     }
 
-    /// The labels that stay. Before reading, all clips that are read again are taken to be usable.
-    ///
-    /// # Errors
-    /// Some are lost, and the options do not allow it.
-    fn labels(&self, read: Option<(&Tally, &Shards<'_>)>) -> Result<Labels, Error> {
-        let root = self.transaction.root();
-        labels(root, self.base, self.fates, self.options.drop_labels, read)
+    fn refuse_loss(&self, labels: &Labels) -> Result<(), Error> {
+        refuse_loss(self.transaction.root(), labels, self.options.drop_labels)
     }
 
     /// The pairs that stay, those that came with clips of this run, and those of the list.
@@ -307,7 +339,7 @@ impl<'a> Run<'a> {
     fn label_problems(&self, tally: &Tally) -> Vec<LabelProblem> {
         let mut problems = tally.label_problems(self.plan);
         let recorded = self.base.label_problems.clone();
-        problems.extend(self.fates.label_problems(self.plan, recorded));
+        problems.extend(self.plan.recorded_problems(&self.base.recorded, recorded));
         problems.sort();
         problems.dedup();
         problems
@@ -354,6 +386,9 @@ impl<'a> Run<'a> {
         if !pairs.refused.is_empty() {
             facts.insert(REFUSED_PAIRS_FACT.to_owned(), json(&pairs.refused));
         }
+        // Entries of sources that no manifest names have no effect.
+        let (store, root) = (self.transaction.store(), self.transaction.root());
+        self.places.write(store.as_ref(), root)?;
         let dataset = self.transaction.commit(Commit {
             tables,
             plan_hash: self.plan_hash,
@@ -370,7 +405,7 @@ impl<'a> Run<'a> {
             files: plan.files.len() as u64,
             dropped_pairs: pairs.dropped,
             refused_pairs: pairs.refused,
-            remarks: plan.remarks.clone(),
+            remarks: plan.all_remarks(),
             refused_splits: plan.refused_splits.clone(),
             label_problems,
             licenses,
@@ -378,6 +413,7 @@ impl<'a> Run<'a> {
             quarantine: tally.quarantine,
             resumed_shards: tally.resumed_shards,
             already_complete: false,
+            alike: Vec::new(),
             growth: None,
         })
     }
@@ -394,24 +430,56 @@ fn is_composed(table: &str) -> bool {
     !CLIP_TABLES.contains(&table) && !of_ingestion.contains(&table)
 }
 
-/// The labels of the dataset at `root` that stay; see [`Run::labels`].
-pub(super) fn labels(
-    root: &Path,
+/// The labels of a dataset that stay, and those that are lost.
+pub(super) fn labels(base: &Base, fates: &Fates<'_>) -> Labels {
+    fates.labels(base.masks.clone(), base.label_pairs.clone())
+}
+
+/// The fates as far as they can be foreseen: of changed clips whose labels would be lost, the files are read, because a
+/// clip whose file gives it no more stays with its labels.
+pub(super) fn foreseen<'a>(
+    plan: &Plan,
     base: &Base,
-    fates: &Fates<'_>,
-    drop_labels: bool,
-    read: Option<(&Tally, &Shards<'_>)>,
-) -> Result<Labels, Error> {
-    let (masks, pairs) = (base.masks.clone(), base.label_pairs.clone());
-    let ingested = read.map(|(tally, _)| &tally.ingested);
-    let mut labels = fates.labels(masks, pairs, ingested);
-    if let Some((tally, shards)) = read {
-        labels.follow(&tally.splits(shards));
+    fates: &Fates<'a>,
+    options: &IngestOptions,
+) -> Fates<'a> {
+    let mut foreseen = fates.clone();
+    let lost = labels(base, fates).lost;
+    let clips: BTreeSet<&str> = lost.iter().map(|label| label.clip.as_str()).collect();
+    let items = plan.items_with_ids(&clips);
+    let done = plan.read_items(&items, options, &NoProgress);
+    let failed: BTreeSet<&str> = std::iter::zip(&items, done)
+        .filter(|(_, done)| !matches!(done, Done::Clip(..)))
+        .filter_map(|(item, _)| Some(item.id.as_ref().ok()?.as_str()))
+        .collect();
+    if !failed.is_empty() {
+        foreseen.settle(|id| !failed.contains(id));
     }
-    if labels.lost.is_empty() || drop_labels {
-        return Ok(labels);
+    foreseen
+}
+
+/// Refuses the loss of labels unless it was asked for.
+pub(super) fn refuse_loss(root: &Path, labels: &Labels, drop_labels: bool) -> Result<(), Error> {
+    match labels.lost.is_empty() || drop_labels {
+        true => Ok(()),
+        false => Err(labels_lost(root, &labels.lost)),
     }
-    Err(labels_lost(root, &labels.lost))
+}
+
+/// Refuses clips that stay as they were while settings change that all clips of a dataset share.
+pub(super) fn refuse_mixture(root: &Path, fates: &Fates<'_>, differing: &str) -> Result<(), Error> {
+    const SHOWN: usize = 5;
+    let staying = fates.not_read_again();
+    if staying.is_empty() {
+        return Ok(());
+    }
+    let shown: Vec<&str> = staying.iter().take(SHOWN).map(|id| id.as_str()).collect();
+    Err(Error::Mixture {
+        path: root.to_owned(),
+        count: staying.len(),
+        shown: shown.join(", "),
+        differing: differing.to_owned(),
+    })
 }
 
 fn labels_lost(root: &Path, lost: &[LostLabel]) -> Error {

@@ -11,9 +11,10 @@ use datasets_spec::table::Row;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::list::{path_of, quarantine_row};
+use super::deal::Item;
+use super::list::path_of;
 use super::options::IngestOptions;
-use super::plan::{Item, Plan, bounded_length, source_hash};
+use super::plan::{Plan, bounded_length, source_hash};
 use super::rows::{ClipRows, clip_rows, mask_row, pair_row};
 use crate::Error;
 use crate::clip::{LabelProblem, Outcome, Rejected};
@@ -46,6 +47,7 @@ impl ShardNotes {
     pub(super) fn failed(plan: &Plan, items: &[Item], code: &str, reason: &str) -> Self {
         let rows = items.iter().map(|item| QuarantineRow {
             path: path_of(&item.entry.file, &item.entry.key),
+            source_name: item.source_name.to_owned(),
             source_hash: source_hash(&plan.sources, &item.entry.file),
             inputs_hash: item.inputs.to_owned(),
             code: code.to_owned(),
@@ -157,16 +159,16 @@ impl Plan {
             ),
         };
         let entry = item.entry;
-        let hash = source_hash(&self.sources, &entry.file);
         Done::Rejected(QuarantineRow {
             inputs_hash: item.inputs.to_owned(),
-            ..quarantine_row(&entry.file, &entry.key, hash, rejected)
+            ..self.rejected_row(&entry.file, &entry.key, rejected)
         })
     }
 
     fn skipped_row(&self, item: &Item, reason: String) -> SkippedRow {
         SkippedRow {
             path: path_of(&item.entry.file, &item.entry.key),
+            source_name: item.source_name.to_owned(),
             source_hash: source_hash(&self.sources, &item.entry.file),
             inputs_hash: item.inputs.to_owned(),
             reason,

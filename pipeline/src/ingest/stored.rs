@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::list::Source;
 use super::options::IngestOptions;
 use super::plan::{Plan, Planned};
-use super::sources::SourceLabel;
+use super::sources::Given;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 use crate::source::archive::Archives;
@@ -33,6 +33,8 @@ datasets_spec::table! {
     pub struct PlannedSource = "sources" {
         /// Path relative to its source, behind the label of the source
         pub path: String [""],
+        /// Number of its source
+        pub source: u32 [""],
         /// Where it is; bytes that are not UTF-8 are written as \xNN, a backslash is doubled
         pub place: String [""],
         /// Size
@@ -92,10 +94,11 @@ datasets_spec::table! {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Rest {
-    labels: Vec<(SourceLabel, bool)>,
+    given: Vec<Given>,
     unlisted: Vec<String>,
     staying: Vec<String>,
     remarks: Vec<String>,
+    said: Vec<String>,
     #[serde(default)]
     choice: Vec<String>,
     refused_splits: Vec<RefusedLine>,
@@ -108,6 +111,7 @@ impl Plan {
             let place = absolute(self.files.path(path).unwrap_or(Path::new("")))?;
             Ok(PlannedSource {
                 path: path.clone(),
+                source: u32::try_from(source.of).unwrap_or(u32::MAX),
                 place: text_of_name(place.as_os_str()),
                 bytes: source.bytes,
                 hash: source.hash.clone().unwrap_or_default(),
@@ -122,10 +126,11 @@ impl Plan {
         write_table(&folder.join(SKIPPED), &self.skipped)?;
         write_table(&folder.join(REJECTED), &self.rejected)?;
         let rest = Rest {
-            labels: self.labels.clone(),
+            given: self.given.clone(),
             unlisted: self.unlisted.clone(),
             staying: self.staying.iter().cloned().collect(),
             remarks: self.remarks.clone(),
+            said: self.said.clone(),
             choice: self.choice.clone(),
             refused_splits: self.refused_splits.clone(),
         };
@@ -150,6 +155,7 @@ impl Plan {
         for row in rows {
             paths.insert(row.path.clone(), PathBuf::from(name_of_text(&row.place)));
             let source = Source {
+                of: row.source as usize,
                 hash: row.unreadable.map_or(Ok(row.hash), Err),
                 head: Vec::new(),
                 bytes: row.bytes,
@@ -185,12 +191,13 @@ impl Plan {
             sources,
             releases,
             items,
-            labels: rest.labels,
+            given: rest.given,
             skipped,
             rejected,
             unlisted: rest.unlisted,
             staying: rest.staying.into_iter().collect(),
             remarks: rest.remarks,
+            said: rest.said,
             choice: rest.choice,
             refused_splits: rest.refused_splits,
             claimed,

@@ -104,10 +104,11 @@ pub(super) fn left_out(
 ) -> Result<Vec<SkippedRow>, Error> {
     let mut rows = Vec::new();
     let mut met = BTreeSet::new();
-    let mut take = |id: MotionId, path: String, source_hash: String, inputs_hash: String| {
+    let mut take = |id: MotionId, [path, source_name, source_hash, inputs_hash]: [String; 4]| {
         if leaves(&id) && met.insert(id.clone()) {
             rows.push(SkippedRow {
                 path,
+                source_name,
                 source_hash,
                 inputs_hash,
                 reason: format!("{id}{reason}"),
@@ -118,20 +119,23 @@ pub(super) fn left_out(
         let shard = ShardReader::open(&file)?;
         let ids = shard.column::<MotionRow, MotionId>("id")?;
         let text = |name| shard.column::<MotionRow, String>(name);
-        // Datasets of older formats lack the column.
-        let inputs = text("inputs_hash").unwrap_or_else(|_| vec![String::new(); ids.len()]);
+        // Datasets of older formats lack these columns.
+        let newer = |name| text(name).unwrap_or_else(|_| vec![String::new(); ids.len()]);
+        let (names, inputs) = (newer("source_name"), newer("inputs_hash"));
         let columns = text("source_path")?.into_iter().zip(text("source_hash")?);
-        for ((id, (path, hash)), inputs) in ids.into_iter().zip(columns).zip(inputs) {
-            take(id, path, hash, inputs);
+        let columns = columns.zip(names).zip(inputs);
+        for (id, (((path, hash), name), inputs)) in ids.into_iter().zip(columns) {
+            take(id, [path, name, hash, inputs]);
         }
     }
     for (file, _) in dataset.files(MarkerRow::TABLE, None) {
         let shard = ShardReader::open(&file)?;
         let ids = shard.column::<MarkerRow, MotionId>("id")?;
         let text = |name| shard.column::<MarkerRow, String>(name);
+        let names = text("source_name").unwrap_or_else(|_| vec![String::new(); ids.len()]);
         let columns = text("source_path")?.into_iter().zip(text("source_hash")?);
-        for (id, (path, hash)) in ids.into_iter().zip(columns) {
-            take(id, path, hash, String::new());
+        for (id, ((path, hash), name)) in ids.into_iter().zip(columns.zip(names)) {
+            take(id, [path, name, hash, String::new()]);
         }
     }
     rows.sort_by(|a, b| (&a.path, &a.reason).cmp(&(&b.path, &b.reason)));

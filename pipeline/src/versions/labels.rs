@@ -5,7 +5,7 @@ use std::path::Path;
 
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Skeleton, Split, Transaction};
+use datasets_spec::{Dataset, MotionId, Skeleton, Split, Transaction};
 use serde::Serialize;
 
 use crate::Error;
@@ -86,10 +86,11 @@ pub(super) fn is_pair_of_people(pair: &PairRow) -> bool {
     format_named(&pair.source).is_none() && !is_from_labels(pair)
 }
 
-pub(super) fn lost(table: &str, id: &str, reason: String) -> LostLabel {
+pub(super) fn lost(table: &str, id: &str, clip: &MotionId, reason: String) -> LostLabel {
     LostLabel {
         table: table.to_owned(),
         id: id.to_owned(),
+        clip: clip.to_string(),
         reason,
     }
 }

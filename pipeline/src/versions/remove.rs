@@ -156,7 +156,7 @@ fn without(
             return false;
         };
         match of_people {
-            true => gone.push(lost(table, id, format!("{clip} is to be removed"))),
+            true => gone.push(lost(table, id, clip, format!("{clip} is to be removed"))),
             false => *dropped.entry(table.to_owned()).or_default() += 1,
         }
         true

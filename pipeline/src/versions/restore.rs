@@ -150,8 +150,11 @@ struct Merge {
 impl Merge {
     fn take(&mut self, now: Labels) {
         for mut mask in now.masks.into_values().filter(is_mask_of_people) {
-            match self.split_of(&[&mask.motion_id]) {
-                Err(reason) => self.lost.push(lost(MaskRow::TABLE, &mask.id, reason)),
+            match self.split_of((&mask.motion_id, &[])) {
+                Err((clip, reason)) => {
+                    self.lost
+                        .push(lost(MaskRow::TABLE, &mask.id, &clip, reason))
+                }
                 Ok(split) => {
                     mask.split = split;
                     self.insert_mask(mask);
@@ -159,8 +162,11 @@ impl Merge {
             }
         }
         for mut pair in now.pairs.into_values().filter(is_pair_of_people) {
-            match self.split_of(&[&pair.source_id, &pair.target_id]) {
-                Err(reason) => self.lost.push(lost(PairRow::TABLE, &pair.id, reason)),
+            match self.split_of((&pair.source_id, &[&pair.target_id])) {
+                Err((clip, reason)) => {
+                    self.lost
+                        .push(lost(PairRow::TABLE, &pair.id, &clip, reason))
+                }
                 Ok(split) => {
                     pair.split = split;
                     if self.labels.pairs.get(&pair.id) != Some(&pair) {
@@ -197,21 +203,27 @@ impl Merge {
     ///
     /// # Errors
     /// One of them is not there, has another motion, or they are in two splits.
-    fn split_of(&self, ids: &[&MotionId]) -> Result<Split, String> {
-        let mut splits = Vec::new();
-        for id in ids {
-            let (old, split) = self
-                .old
-                .get(id)
-                .ok_or_else(|| format!("{id} is not in that version"))?;
-            if self.now.get(id).is_some_and(|(now, _)| now != old) {
-                return Err(format!("{id} has another motion in that version"));
+    fn split_of(
+        &self,
+        (first, others): (&MotionId, &[&MotionId]),
+    ) -> Result<Split, (MotionId, String)> {
+        let found = |id: &MotionId| {
+            let because = |reason: String| (id.clone(), reason);
+            let old = self.old.get(id);
+            let (old, split) =
+                old.ok_or_else(|| because(format!("{id} is not in that version")))?;
+            match self.now.get(id).is_some_and(|(now, _)| now != old) {
+                true => Err(because(format!("{id} has another motion in that version"))),
+                false => Ok(*split),
             }
-            splits.push(*split);
+        };
+        let split = found(first)?;
+        for id in others {
+            if found(id)? != split {
+                let reason = "its clips are in two splits in that version".to_owned();
+                return Err(((*id).clone(), reason));
+            }
         }
-        match splits.first() {
-            Some(first) if splits.iter().all(|split| split == first) => Ok(*first),
-            _ => Err("its clips are in two splits in that version".to_owned()),
-        }
+        Ok(split)
     }
 }

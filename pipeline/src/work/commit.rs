@@ -220,6 +220,7 @@ impl Quarantine {
                 Ok(result) => made.push((piece, result)),
                 Err(Failed { code, reason }) => quarantine.rows.push(QuarantineRow {
                     path: piece.name,
+                    source_name: String::new(),
                     source_hash: String::new(),
                     inputs_hash: String::new(),
                     code,

@@ -71,7 +71,7 @@ def ingest(sources: _Path | _Iterable[_Path], out: _Path, **options: _Any) -> di
 
     ``options``: ``fps`` (20; ``None`` keeps each clip's own), ``resample`` (``exact`` or ``humanml3d``), ``format``,
     ``seed``, ``license``, ``features`` (``humanml3d``), ``teleports`` (``quarantine``, ``trim`` or ``keep``),
-    ``lenient``, ``made_captions``, ``pairs``, ``splits``, ``new_version``, ``drop_labels``, ``progress``.
+    ``lenient``, ``made_captions``, ``pairs``, ``splits``, ``new_version``, ``prune``, ``drop_labels``, ``progress``.
 
     Returns the counts: ``sources`` is always ``ingested + quarantined + skipped``, and ``quarantine`` lists what was
     rejected, with code, reason and byte offset. A bad file is no exception.

@@ -1,0 +1,116 @@
+//! Motions of a plan that are dealt into shards.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use datasets_spec::dataset::ShardName;
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::Row;
+use datasets_spec::{MotionId, Split};
+
+use super::plan::Plan;
+use crate::source::{Entry, Format};
+
+/// Source items per shard: few enough that every thread can hold a shard in memory.
+pub(crate) const SHARD_SOURCES: usize = 256;
+
+/// A motion assigned to a shard.
+pub(super) struct Item<'a> {
+    pub(super) entry: &'a Entry,
+    pub(super) source_name: &'a str,
+    pub(super) prefix: &'a str,
+    pub(super) inputs: &'a str,
+    pub(super) format: Format,
+    pub(super) release: Option<usize>,
+    pub(super) split: Split,
+    pub(super) id: Result<MotionId, String>,
+}
+
+/// The place of a motion in [`Plan::items`], and its id.
+type Placed = (usize, Result<MotionId, String>);
+
+/// A shard, and the places of its motions in [`Plan::items`] with their ids.
+pub(super) struct Dealt {
+    pub(super) name: ShardName,
+    pub(super) items: Vec<Placed>,
+}
+
+pub(super) type Shards<'a> = Vec<(ShardName, Vec<Item<'a>>)>;
+
+impl Plan {
+    /// Deals the motions that are read into shards by split. `before` is the number of shards of a split that
+    /// are written before them.
+    pub(super) fn deal(&self, before: &BTreeMap<Split, usize>) -> Vec<Dealt> {
+        let mut by_split: BTreeMap<Split, Vec<Placed>> = BTreeMap::new();
+        let mut seen = BTreeSet::new();
+        for (place, planned) in self.items.iter().enumerate() {
+            let id = MotionId::parse(&planned.id)
+                .map_err(|error| error.to_string())
+                .and_then(|id| match seen.insert(&planned.id) {
+                    true => Ok(id),
+                    false => Err(format!("another motion has the id {id} already")),
+                });
+            if !planned.is_kept {
+                by_split.entry(planned.split).or_default().push((place, id));
+            }
+        }
+        let mut shards = Vec::new();
+        for (split, mut items) in by_split {
+            let first = before.get(&split).copied().unwrap_or(0);
+            let of = first + items.len().div_ceil(SHARD_SOURCES);
+            for index in first..of {
+                let rest = items.split_off(items.len().min(SHARD_SOURCES));
+                let name = ShardName {
+                    table: MotionRow::TABLE,
+                    split: Some(split),
+                    index,
+                    of,
+                };
+                let items = std::mem::replace(&mut items, rest);
+                shards.push(Dealt { name, items });
+            }
+        }
+        shards
+    }
+
+    /// The motions of a shard.
+    pub(super) fn items_of(&self, shard: &Dealt) -> Vec<Item<'_>> {
+        let items = shard.items.iter();
+        items
+            .map(|(place, id)| self.item(*place, id.clone()))
+            .collect()
+    }
+
+    /// The motions with these ids that are read.
+    pub(super) fn items_with_ids(&self, ids: &BTreeSet<&str>) -> Vec<Item<'_>> {
+        let items = self.items.iter().enumerate();
+        let items = items.filter(|(_, item)| !item.is_kept && ids.contains(item.id.as_str()));
+        items
+            .filter_map(|(place, item)| Some(self.item(place, Ok(MotionId::parse(&item.id).ok()?))))
+            .collect()
+    }
+
+    fn item(&self, place: usize, id: Result<MotionId, String>) -> Item<'_> {
+        let planned = &self.items[place];
+        Item {
+            entry: &planned.entry,
+            source_name: self.source_name(&planned.entry.file),
+            prefix: &planned.prefix,
+            inputs: &planned.inputs,
+            format: planned.format,
+            release: planned.release,
+            split: planned.split,
+            id,
+        }
+    }
+
+    /// The shards of a run with their motions; see [`Plan::deal`].
+    pub(super) fn shards(&self, before: &BTreeMap<Split, usize>) -> Shards<'_> {
+        let dealt = self.deal(before).into_iter();
+        dealt
+            .map(|shard| {
+                let items = self.items_of(&shard);
+                (shard.name, items)
+            })
+            .collect()
+    }
+}

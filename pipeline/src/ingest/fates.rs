@@ -1,0 +1,340 @@
+//! What becomes of the clips of a dataset that grows. A clip leaves only if its owner says so.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use datasets_spec::dataset::ShardName;
+use datasets_spec::manifest::FileEntry;
+use datasets_spec::record::{HumanMl3dRow, MarkerRow, MotionRow};
+use datasets_spec::table::{Row, read_rows};
+use datasets_spec::{MotionId, Split, Transaction};
+
+use super::growth::Growth;
+use super::plan::Plan;
+use super::recorded::{Recorded, RecordedClip};
+use crate::Error;
+use crate::clip_table::ClipRow;
+
+/// What becomes of a recorded clip.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fate {
+    /// Its source is not among those of this run, or cannot be read now.
+    Elsewhere,
+    Kept,
+    /// It is read again; whether its file is the same.
+    ReadAgain {
+        is_same_file: bool,
+    },
+    /// Its file is not there, and it stays.
+    Missing,
+    /// Its file is there and gives it no more, and it stays as it was.
+    Unusable,
+    /// It leaves, because its file is gone, or is there and gives it no more.
+    Pruned {
+        is_there: bool,
+    },
+}
+
+/// The fates of all recorded clips.
+#[derive(Clone)]
+pub(super) struct Fates<'a> {
+    recorded: &'a Recorded,
+    fates: Vec<Fate>,
+    of_id: BTreeMap<&'a str, usize>,
+    /// Whether clips leave whose files give them no more.
+    prune: bool,
+    /// Shards that were planned to be written again, in their order.
+    rewritten: Vec<usize>,
+}
+
+/// Files of tables that are written shard by shard, by table.
+pub(super) type Files = BTreeMap<String, Vec<FileEntry>>;
+
+impl<'a> Fates<'a> {
+    pub(super) fn of(plan: &Plan, recorded: &'a Recorded, prune: bool) -> Self {
+        let clips = recorded.clips.iter();
+        let mut fates: Vec<Fate> = clips.map(|clip| plan.fate(recorded, clip, prune)).collect();
+        for item in &plan.items {
+            let Some(index) = item.known else { continue };
+            fates[index] = match item.is_kept {
+                true => Fate::Kept,
+                false => Fate::ReadAgain {
+                    is_same_file: plan.hash_of(item) == recorded.clips[index].hash,
+                },
+            };
+        }
+        let clips = recorded.clips.iter().enumerate();
+        let mut fates = Self {
+            recorded,
+            fates,
+            of_id: clips
+                .map(|(index, clip)| (clip.id.as_str(), index))
+                .collect(),
+            prune,
+            rewritten: Vec::new(),
+        };
+        fates.rewritten = fates.broken().into_iter().map(|(shard, _)| shard).collect();
+        fates
+    }
+
+    /// Settles what was read again: clips that were not ingested stay as they were, or are pruned.
+    pub(super) fn settle(&mut self, ingested: impl Fn(&str) -> bool) {
+        for (clip, fate) in self.recorded.clips.iter().zip(&mut self.fates) {
+            if matches!(fate, Fate::ReadAgain { .. }) && !ingested(clip.id.as_str()) {
+                *fate = match self.prune {
+                    true => Fate::Pruned { is_there: true },
+                    false => Fate::Unusable,
+                };
+            }
+        }
+    }
+
+    /// What becomes of a clip; none if the dataset did not have it.
+    pub(super) fn of_clip(&self, id: &MotionId) -> Option<Fate> {
+        self.of_id.get(id.as_str()).map(|&index| self.fates[index])
+    }
+
+    fn stays(&self, index: usize) -> bool {
+        !matches!(
+            self.fates[index],
+            Fate::ReadAgain { .. } | Fate::Pruned { .. }
+        )
+    }
+
+    /// The clips that stay as they are.
+    pub(super) fn staying(&self) -> impl Iterator<Item = &'a RecordedClip> + '_ {
+        let clips = self.recorded.clips.iter().enumerate();
+        clips
+            .filter(|(index, _)| self.stays(*index))
+            .map(|(_, clip)| clip)
+    }
+
+    /// Number of clips that stay without being among the items of this run.
+    pub(super) fn num_beside(&self) -> u64 {
+        let beside = self
+            .fates
+            .iter()
+            .filter(|fate| matches!(fate, Fate::Elsewhere | Fate::Missing | Fate::Unusable));
+        beside.count() as u64
+    }
+
+    /// Clips that stay as they were although the files of the others are read anew.
+    pub(super) fn not_read_again(&self) -> Vec<&'a MotionId> {
+        let clips = self.recorded.clips.iter().zip(&self.fates);
+        let stay = clips
+            .filter(|(_, fate)| matches!(fate, Fate::Elsewhere | Fate::Missing | Fate::Unusable));
+        stay.map(|(clip, _)| &clip.id).collect()
+    }
+
+    pub(super) fn nothing_changed(&self) -> bool {
+        (0..self.fates.len()).all(|index| self.stays(index))
+    }
+
+    /// The shards of which some clips stay and others do not, with those that stay.
+    fn broken(&self) -> Vec<(usize, BTreeSet<&'a str>)> {
+        let mut staying: BTreeMap<usize, BTreeSet<&str>> = BTreeMap::new();
+        let mut broken = BTreeSet::new();
+        for (index, clip) in self.recorded.clips.iter().enumerate() {
+            let staying = staying.entry(clip.shard).or_default();
+            if self.stays(index) {
+                staying.insert(clip.id.as_str());
+            } else {
+                broken.insert(clip.shard);
+            }
+        }
+        staying.retain(|shard, _| broken.contains(shard));
+        staying
+            .into_iter()
+            .filter(|(_, ids)| !ids.is_empty())
+            .collect()
+    }
+
+    /// Number of shards of each split that are planned to be written again.
+    pub(super) fn rewritten(&self) -> BTreeMap<Split, usize> {
+        let mut counts = BTreeMap::new();
+        for shard in &self.rewritten {
+            *counts
+                .entry(self.recorded.shards[*shard].split)
+                .or_default() += 1;
+        }
+        counts
+    }
+
+    /// The files of the clips that stay. Shards of which all clips stay are kept; of others, the rows that stay are
+    /// written anew: under the number that was planned for the shard, or behind all others where none of its clips
+    /// was planned to stay. `of` is the number of shards by split that this run writes.
+    pub(super) fn shards(
+        &self,
+        transaction: &Transaction,
+        of: &mut BTreeMap<Split, usize>,
+        facts: &[(&str, String)],
+    ) -> Result<Files, Error> {
+        let mut files = Files::new();
+        let planned: BTreeSet<usize> = self.rewritten.iter().copied().collect();
+        let mut rest: BTreeMap<usize, Staying<'_>> = BTreeMap::new();
+        for clip in self.staying() {
+            let staying = rest.entry(clip.shard).or_default();
+            staying.insert(clip.id.as_str(), clip.source);
+        }
+        let broken: BTreeSet<usize> = self.broken().into_iter().map(|(shard, _)| shard).collect();
+        let is_whole = |shard: &usize| !broken.contains(shard) && !planned.contains(shard);
+        for shard in rest.keys().filter(|shard| is_whole(shard)) {
+            for (table, file) in &self.recorded.shards[*shard].files {
+                let files = files.entry((*table).to_owned()).or_default();
+                files.push(file.clone());
+            }
+        }
+        let writer = Rewriter {
+            recorded: self.recorded,
+            transaction,
+            facts,
+        };
+        let mut next: BTreeMap<Split, usize> = BTreeMap::new();
+        for shard in &self.rewritten {
+            let split = self.recorded.shards[*shard].split;
+            let index = next.entry(split).or_default();
+            let ids = rest.get(shard).cloned().unwrap_or_default();
+            let number = (*index, of.get(&split).copied().unwrap_or(0));
+            writer.write(*shard, number, &ids, &mut files)?;
+            *index += 1;
+        }
+        for (shard, ids) in rest {
+            if broken.contains(&shard) && !planned.contains(&shard) {
+                let split = self.recorded.shards[shard].split;
+                let next = of.entry(split).or_default();
+                writer.write(shard, (*next, *next + 1), &ids, &mut files)?;
+                *next += 1;
+            }
+        }
+        Ok(files)
+    }
+
+    /// What became of the clips. `plan` is the one the fates are of.
+    pub(super) fn report(&self, plan: &Plan, ingested: &BTreeSet<String>) -> Growth {
+        let with = |wanted: fn(Fate) -> bool| -> Vec<String> {
+            let clips = self.recorded.clips.iter().zip(&self.fates);
+            let found = clips.filter(|(_, fate)| wanted(**fate));
+            found.map(|(clip, _)| clip.id.to_string()).collect()
+        };
+        let moved = plan.items.iter().filter(|item| {
+            let clip = item.known.map(|index| &self.recorded.clips[index]);
+            let is_elsewhere = clip.is_some_and(|clip| clip.path != item.entry.file);
+            is_elsewhere && ingested.contains(&item.id)
+        });
+        let new = ingested
+            .iter()
+            .filter(|id| !self.of_id.contains_key(id.as_str()));
+        Growth {
+            new: new.count() as u64,
+            kept: self.staying().count() as u64,
+            read_again: with(|fate| fate == Fate::ReadAgain { is_same_file: true }),
+            changed: with(|fate| {
+                fate == Fate::ReadAgain {
+                    is_same_file: false,
+                }
+            }),
+            moved: moved.map(|item| item.id.clone()).collect(),
+            missing: with(|fate| fate == Fate::Missing),
+            kept_unusable: with(|fate| fate == Fate::Unusable),
+            pruned: with(|fate| matches!(fate, Fate::Pruned { .. })),
+            ..Growth::default()
+        }
+    }
+}
+
+impl Plan {
+    /// What becomes of a recorded clip that is none of the items of this run.
+    fn fate(&self, recorded: &Recorded, clip: &RecordedClip, prune: bool) -> Fate {
+        let leaves = |is_there: bool, stays: Fate| match prune {
+            true => Fate::Pruned { is_there },
+            false => stays,
+        };
+        match self.is_of_run(&recorded.sources[clip.source].name, &clip.path) {
+            false => Fate::Elsewhere,
+            true if self.sources.contains_key(&clip.path) => leaves(true, Fate::Unusable),
+            true => leaves(false, Fate::Missing),
+        }
+    }
+
+    /// Whether a recorded path is of one of the sources of this run, and can be read if it is there. `name` is that
+    /// of its source.
+    pub(super) fn is_of_run(&self, name: &str, path: &str) -> bool {
+        let mut given = self.given.iter();
+        let Some(given) = given.find(|given| given.label.name == name) else {
+            return false;
+        };
+        match self.sources.get(path) {
+            Some(source) => source.hash.is_ok() && !self.staying.contains(path),
+            None => given.is_whole && !self.is_unlisted(path),
+        }
+    }
+
+    /// Whether a path lies in a folder that could not be listed.
+    fn is_unlisted(&self, path: &str) -> bool {
+        self.unlisted.iter().any(|folder| {
+            let folder = folder.strip_suffix('.').unwrap_or(folder);
+            folder.is_empty() || path.starts_with(&format!("{}/", folder.trim_end_matches('/')))
+        })
+    }
+}
+
+/// Clips that stay, with the numbers of their sources.
+type Staying<'a> = BTreeMap<&'a str, usize>;
+
+/// Writes rows of recorded shards anew.
+struct Rewriter<'a> {
+    recorded: &'a Recorded,
+    transaction: &'a Transaction,
+    facts: &'a [(&'a str, String)],
+}
+
+impl Rewriter<'_> {
+    /// Writes the rows of the clips `staying` of a shard.
+    fn write(
+        &self,
+        shard: usize,
+        (index, of): (usize, usize),
+        staying: &Staying<'_>,
+        files: &mut Files,
+    ) -> Result<(), Error> {
+        let shard = &self.recorded.shards[shard];
+        for (table, file) in &shard.files {
+            let name = ShardName {
+                table,
+                split: Some(shard.split),
+                index,
+                of,
+            };
+            let written = match *table {
+                MotionRow::TABLE => self.rows::<MotionRow>(&name, file, staying),
+                MarkerRow::TABLE => self.rows::<MarkerRow>(&name, file, staying),
+                _ => self.rows::<HumanMl3dRow>(&name, file, staying),
+            };
+            files
+                .entry((*table).to_owned())
+                .or_default()
+                .extend(written?);
+        }
+        Ok(())
+    }
+
+    fn rows<R: ClipRow>(
+        &self,
+        name: &ShardName,
+        file: &FileEntry,
+        staying: &Staying<'_>,
+    ) -> Result<Option<FileEntry>, Error> {
+        let mut rows: Vec<R> = read_rows(&self.transaction.root().join(&file.path))?;
+        rows.retain(|row| staying.contains_key(row.id().as_str()));
+        for row in &mut rows {
+            let source = staying[row.id().as_str()];
+            // Files of older formats lack the column.
+            if let Some(name) = row.source_name().filter(|name| name.is_empty()) {
+                name.clone_from(&self.recorded.sources[source].name);
+            }
+        }
+        if rows.is_empty() {
+            return Ok(None);
+        }
+        Ok(Some(self.transaction.write_shard(name, &rows, self.facts)?))
+    }
+}

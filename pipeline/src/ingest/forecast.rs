@@ -1,0 +1,165 @@
+//! What a run would do, told without writing anything.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use datasets_spec::Progress;
+use datasets_spec::dataset::Staging;
+use datasets_spec::store::ByPath;
+use serde::Serialize;
+
+use super::fates::{Fate, Fates};
+use super::growth::LostLabel;
+use super::plan::Plan;
+use super::recorded::Recorded;
+use super::run::{foreseen, labels, refuse_loss, refuse_mixture};
+use super::{IngestOptions, Prepared, SourceArg, listed};
+use crate::Error;
+use crate::annotation::pairs::RefusedLine;
+
+/// What a run would do.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Forecast {
+    /// Every source that would be read.
+    pub sources: Vec<SourceForecast>,
+    /// Settings that differ from those the dataset was made with, with both values.
+    pub settings: Option<String>,
+    /// Masks and pairs that would be lost, with the clip and what happens to it.
+    pub lost: Vec<LostLabel>,
+    /// Lines of the list of splits that would give no clip a split.
+    pub refused_splits: Vec<RefusedLine>,
+    /// Remarks on sources and splits.
+    pub remarks: Vec<String>,
+    /// Why the run would be refused as it was asked for.
+    pub refusals: Vec<String>,
+}
+
+/// What would become of the clips of a source. Files are compared by their hashes and not read as motions, so some
+/// clips may be quarantined yet.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct SourceForecast {
+    /// Its name.
+    pub name: String,
+    /// Whether the dataset does not have it yet.
+    pub is_new: bool,
+    /// Files without a motion.
+    pub skipped: u64,
+    /// Files that are rejected without being read as motions.
+    pub quarantined: u64,
+    /// Clips that the dataset does not have.
+    pub new: Vec<String>,
+    /// Clips whose files changed.
+    pub changed: Vec<String>,
+    /// Clips that are read again although their files did not change.
+    pub read_again: Vec<String>,
+    /// Clips whose files lie elsewhere now, with the new paths.
+    pub moved: BTreeMap<String, String>,
+    /// Clips that stay as they are.
+    pub equal: Vec<String>,
+    /// Clips whose files are not there any more. They stay.
+    pub missing: Vec<String>,
+    /// Clips whose files are there and give them no more. They stay.
+    pub kept_unusable: Vec<String>,
+    /// Clips that would leave.
+    pub pruned: Vec<String>,
+}
+
+/// Tells what [`ingest`](super::ingest) would do with the same arguments. Nothing is written, and nothing is locked.
+///
+/// # Errors
+/// A source does not exist, it cannot be known which one it is, or the dataset cannot be read. What would make the run
+/// refuse beside this is told in [`Forecast::refusals`].
+pub fn forecast<S: Clone + Into<SourceArg>>(
+    sources: &[S],
+    out: &Path,
+    options: &IngestOptions,
+    progress: &dyn Progress,
+) -> Result<Forecast, Error> {
+    let listed = listed(sources, out)?;
+    let store = ByPath::store();
+    let newest = Staging::newest(store.as_ref(), out)?;
+    let prepared = Prepared::of(store.as_ref(), out, newest.as_ref(), options)?;
+    let plan = prepared.plan(store, out, listed, progress)?;
+    let recorded = &prepared.base.recorded;
+    let fates = Fates::of(&plan, recorded, options.prune);
+    let fates = foreseen(&plan, &prepared.base, &fates, &prepared.options);
+    let lost = labels(&prepared.base, &fates);
+    let mut refusals = Vec::new();
+    let mut refuse = |checked: Result<(), Error>| {
+        refusals.extend(checked.err().map(|error| error.to_string()));
+    };
+    refuse(prepared.refuse_other_settings(out));
+    if let Some(differing) = prepared.must_agree().filter(|_| options.new_version) {
+        refuse(refuse_mixture(out, &fates, differing));
+    }
+    refuse(refuse_loss(out, &lost, options.drop_labels));
+    Ok(Forecast {
+        sources: plan.forecast(recorded, &fates),
+        settings: prepared.differing,
+        lost: lost.lost,
+        refused_splits: plan.refused_splits.clone(),
+        remarks: plan
+            .all_remarks()
+            .into_iter()
+            .chain(prepared.kept_seed)
+            .collect(),
+        refusals,
+    })
+}
+
+impl Plan {
+    fn forecast(&self, recorded: &Recorded, fates: &Fates<'_>) -> Vec<SourceForecast> {
+        let mut sources: BTreeMap<&str, SourceForecast> = BTreeMap::new();
+        for given in &self.given {
+            let name = given.label.name.as_str();
+            let source = SourceForecast {
+                name: name.to_owned(),
+                is_new: !recorded.sources.contains(&given.label),
+                ..SourceForecast::default()
+            };
+            sources.insert(name, source);
+        }
+        for item in self.items.iter().filter(|item| item.known.is_none()) {
+            if let Some(source) = sources.get_mut(self.source_name(&item.entry.file)) {
+                source.new.push(item.id.clone());
+            }
+        }
+        let known = self
+            .items
+            .iter()
+            .filter_map(|item| Some((item.known?, item)));
+        let known: BTreeMap<usize, _> = known.collect();
+        for (index, clip) in recorded.clips.iter().enumerate() {
+            let name = recorded.sources[clip.source].name.as_str();
+            let Some(source) = sources.get_mut(name) else {
+                continue;
+            };
+            let id = clip.id.to_string();
+            if let Some(item) = known
+                .get(&index)
+                .filter(|item| item.entry.file != clip.path)
+            {
+                source.moved.insert(id.clone(), item.entry.file.clone());
+            }
+            match fates.of_clip(&clip.id) {
+                Some(Fate::Kept | Fate::Elsewhere) | None => source.equal.push(id),
+                Some(Fate::ReadAgain { is_same_file: true }) => source.read_again.push(id),
+                Some(Fate::ReadAgain { .. }) => source.changed.push(id),
+                Some(Fate::Missing) => source.missing.push(id),
+                Some(Fate::Unusable) => source.kept_unusable.push(id),
+                Some(Fate::Pruned { .. }) => source.pruned.push(id),
+            }
+        }
+        for row in &self.rejected {
+            if let Some(source) = sources.get_mut(row.source_name.as_str()) {
+                source.quarantined += 1;
+            }
+        }
+        for row in &self.skipped {
+            if let Some(source) = sources.get_mut(row.source_name.as_str()) {
+                source.skipped += 1;
+            }
+        }
+        sources.into_values().collect()
+    }
+}
