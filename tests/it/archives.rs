@@ -347,7 +347,7 @@ fn shards_and_dumps_that_are_named_like_archives_are_read_as_what_they_are() {
     place.put("weights/weights.pth.tar", b"\x80\x04.");
     place.put(
         "weights/walk.npz",
-        &files_with_extension(&place.path("corpus"), "npz")
+        files_with_extension(&place.path("corpus"), "npz")
             .iter()
             .map(|path| fs::read(path).expect("read"))
             .next()
