@@ -44,7 +44,7 @@ use datasets_spec::{Progress, Resample, Seed, Transaction};
 use self::fates::Fates;
 use self::list::{Listed, list_sources};
 use self::options::{SEED_FACT, SHARED_SETTINGS, Settings};
-use self::places::Places;
+pub(crate) use self::places::Places;
 use self::plan::Plan;
 use self::recorded::{Base, Recorded};
 use self::report::already_complete;

@@ -19,6 +19,7 @@ use super::rows::ClipIndex;
 use super::{Choice, rows_of};
 use crate::Error;
 use crate::filter::Filter;
+use crate::ingest::Places;
 
 /// Fact of a manifest: the datasets and conditions that its clips were selected from and by, as JSON.
 pub const SELECTED_FACT: &str = "selected";
@@ -104,6 +105,8 @@ pub fn select(
     facts.insert(LICENSES_FACT.to_owned(), json(&licenses));
     facts.insert(SELECTED_FACT.to_owned(), selected_from(&dataset, filter));
     let left_tables = composed(&dataset);
+    let store = transaction.store();
+    Places::read(store.as_ref(), root)?.write(store.as_ref(), transaction.root())?;
     let done = transaction.commit(Commit {
         tables,
         plan_hash: plan,

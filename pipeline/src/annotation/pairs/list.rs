@@ -435,7 +435,7 @@ mod tests {
     fn an_open_quotation_mark_and_foreign_bytes_are_refused() {
         let list = PairList::parse(b"a,b,\"old\nc,d,new,x\n");
         assert_eq!((list.lines.len(), list.refused.len()), (0, 1));
-        assert!(list.refused[0].reason.contains("quotation mark"));
+        assert!(list.refused[0].reason.contains("quote"));
         let list = PairList::parse(b"a,b,old,x\na,\xff,old,x\nc,d,old,x\n");
         assert_eq!(list.lines.len(), 2);
         assert_eq!(list.refused[0].line, 2);

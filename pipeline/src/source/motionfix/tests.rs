@@ -157,8 +157,8 @@ fn dumps_and_lists_become_pairs() {
             .map(|(file, _)| file.as_str())
             .collect();
         let expected = [
-            "data/splits.json",
             "deps/gpt/edit/gpt-labels_full.json",
+            "data/splits.json",
             "data/motionfix_val.pth.tar",
         ];
         assert_eq!(passed, expected);
