@@ -233,6 +233,9 @@ fn leftovers(dataset: &Dataset) -> Vec<PathBuf> {
             let of_the_format = name.starts_with("README.md")
                 || name.starts_with("croissant.json")
                 || name.starts_with("meta/LOCK")
+                || [".stance/sources.json", ".stance/.gitignore"]
+                    .map(Path::new)
+                    .contains(&name)
                 || name.to_string_lossy().starts_with("meta/manifest-");
             if is_dir {
                 folders.push(path);
