@@ -144,7 +144,7 @@ impl Transaction {
                 .map_err(Error::io("create folder", folder))?;
         }
         match self.store.rename(from, to) {
-            // Where there are no locks, another run may have moved it.
+            // On storage without locks, another run may have moved the file already.
             Err(error) if error.kind() == ErrorKind::NotFound && !self.is_alone() => Ok(()),
             moved => moved.map_err(Error::io("move into place", to)),
         }

@@ -48,7 +48,7 @@ fn is_capture(kind: &Recognised) -> bool {
         .any(|format| *kind == Recognised::Motion(format))
 }
 
-/// Why motions of a capture are refused, one for each.
+/// The reasons why a capture gives no motion, one for each person in it.
 fn refused(file: &Looked, options: &ReadOptions) -> Vec<Rejected> {
     // What cannot be read is found out by ingestion, with its reason.
     let Ok(bytes) = ByPath.read(&file.path) else {

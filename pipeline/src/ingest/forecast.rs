@@ -56,7 +56,7 @@ pub struct SourceForecast {
     pub moved: BTreeMap<String, String>,
     /// Clips that stay as they are.
     pub equal: Vec<String>,
-    /// Clips whose files are not there any more. They stay.
+    /// Clips whose files are missing; the clips stay in the dataset.
     pub missing: Vec<String>,
     /// Clips whose files are there and give them no more. They stay.
     pub kept_unusable: Vec<String>,

@@ -28,7 +28,7 @@ pub struct Growth {
     pub changed: Vec<String>,
     /// Clips whose files lie elsewhere now.
     pub moved: Vec<String>,
-    /// Clips whose files are not there any more. They stay.
+    /// Clips whose files are missing; the clips stay in the dataset.
     pub missing: Vec<String>,
     /// Clips whose files are there and give them no more: damaged, without a key, or not asked for. They stay as
     /// they were.

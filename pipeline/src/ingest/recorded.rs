@@ -146,7 +146,7 @@ fn sources_of(facts: &BTreeMap<String, String>) -> Vec<SourceLabel> {
         .unwrap_or_default()
 }
 
-/// The sources of a dataset, by which rows find theirs.
+/// Looks up the source of a row, by its recorded name or, in older datasets, by the prefix of its path.
 struct Sources(Vec<SourceLabel>);
 
 impl Sources {

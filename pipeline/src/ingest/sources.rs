@@ -140,7 +140,7 @@ pub(super) struct Given {
     pub(super) label: SourceLabel,
     /// Whether all that is below its folder was listed; else only the files that were given.
     pub(super) is_whole: bool,
-    /// Where it was found. Nothing of it is published.
+    /// The folder or URL where the source was found; it is never published.
     pub(super) places: Vec<(String, Kind)>,
 }
 
@@ -231,7 +231,7 @@ pub(super) fn with_names(sources: Vec<SourceLabel>) -> Vec<SourceLabel> {
     named.collect()
 }
 
-/// Name of the source of clips that lie in no source that is recorded: earlier builds recorded none for single files.
+/// Source name of clips without a recorded source: earlier builds recorded none for single files.
 pub(super) const UNNAMED: &str = "unnamed";
 
 /// The source of a path by its longest label, for rows of earlier builds.
