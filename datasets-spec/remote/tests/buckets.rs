@@ -263,7 +263,7 @@ fn a_dataset_in_a_bucket_is_that_of_a_disk() {
 
 #[test]
 fn who_opened_a_version_goes_on_reading_it_and_the_newest_one_alone_is_in_place() {
-    let (_, root) = bucket("v");
+    let (_, root) = bucket("h");
     let rows: Vec<MotionRow> = (0..5).map(|index| row(index, 20)).collect();
     let first = committed(&root, &rows);
     let (path, _) = first.files(MotionRow::TABLE, None).remove(0);
