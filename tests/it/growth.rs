@@ -4,11 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::record::{MaskRow, MotionRow, PairRow, SkippedRow};
+use datasets_spec::record::{MaskRow, MotionRow, SkippedRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::sources::{everything, predicted};
 use crate::util::{arg, corpus, stance};
 
 pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
@@ -31,7 +30,7 @@ pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) ->
     done
 }
 
-fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
+pub(crate) fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
     let mut args = vec!["ingest"];
     args.extend(sources.iter().map(|source| arg(source)));
     args.extend(["--out", arg(out)]);
@@ -708,198 +707,4 @@ fn old_versions_go_only_when_asked() {
     verified(&dataset);
     let again: Value = stance(&prune).expect_code(0).json();
     assert_eq!(again["versions"], serde_json::json!([]));
-}
-
-/// Copies motions to a folder under the names of others of the same kind.
-fn copy_twins(names: &[PathBuf], motions: &[PathBuf], from: &Path, to: &Path) {
-    for (number, name) in names.iter().enumerate() {
-        let place = to.join(name.strip_prefix(from).expect("below the source"));
-        let mut twins = motions
-            .iter()
-            .filter(|twin| twin.extension() == name.extension());
-        let twin = twins.nth(number % 3).expect("enough motions");
-        fs::create_dir_all(place.parent().expect("a folder")).expect("made");
-        fs::copy(twin, place).expect("copied");
-    }
-}
-
-/// Ten days in the life of a dataset. Every label that a person made is there after each of them.
-#[test]
-fn ten_days_end_with_every_label_that_a_person_made() {
-    let (dir, source, more) = halves(24);
-    let dataset = dir.path().join("dataset");
-    // Every change is told before it is made.
-    let grow = |sources: &[&Path], more: &[&str]| {
-        let mut args = vec!["--json", "ingest", "--dry-run", "--out", arg(&dataset)];
-        args.extend(sources.iter().map(|source| arg(source)));
-        args.extend(more);
-        let before = everything(&dataset);
-        let told: Value = stance(&args).expect_code(0).json();
-        assert_eq!(everything(&dataset), before);
-        let totals = clips(&dataset).len();
-        let done = ingest(sources, &dataset, more, 0);
-        predicted(&told, &done);
-        let growth = &done["growth"];
-        let pruned = growth["pruned"].as_array().expect("a list").len();
-        let new = usize::try_from(growth["new"].as_u64().expect("a count")).expect("few");
-        assert_eq!(clips(&dataset).len(), totals + new - pruned);
-        done
-    };
-    let mut splits: BTreeMap<String, Split> = BTreeMap::new();
-    let mut judged = |expected: &BTreeMap<String, MaskRow>, day: u32| {
-        for (id, (split, _)) in clips(&dataset) {
-            let before = *splits.entry(id.clone()).or_insert(split);
-            assert_eq!(split, before, "day {day}: {id}");
-        }
-        let found = masks(&dataset);
-        for (id, mask) in expected {
-            assert_eq!(found.get(id), Some(mask), "day {day}");
-        }
-        verified(&dataset);
-    };
-    // 1 ingest, 2 label, 3 annotate.
-    ingest(&[&source], &dataset, &[], 0);
-    let labels: Value = stance(&["--json", "pairs", arg(&dataset)])
-        .expect_code(0)
-        .json();
-    assert!(labels.is_object());
-    let mut by_people = judge(&dataset, dir.path());
-    judged(&by_people, 3);
-    // 4 add files, 5 add a source.
-    let later = files(&more);
-    move_files(&later[..3], &source);
-    grow(&[&source], &[]);
-    judged(&by_people, 4);
-    grow(&[&source, &more], &[]);
-    judged(&by_people, 5);
-    // A second person's folder, whose takes have the names of the first one's.
-    let theirs = dir.path().join("friend/corpus");
-    copy_twins(&files(&source)[..4], &files(&more), &source, &theirs);
-    let bare = ["ingest", arg(&theirs), "--out", arg(&dataset)];
-    stance(&bare).expect_code(2);
-    let named = format!("friend={}", arg(&theirs));
-    grow(&[Path::new(&named)], &[]);
-    judged(&by_people, 5);
-    assert_eq!(
-        motions(&dataset)
-            .iter()
-            .filter(|row| row.source_name == "friend")
-            .count(),
-        4
-    );
-    // 6 change a file that people have labelled: refused until they say so.
-    let row = motions(&dataset).into_iter().find(|row| {
-        row.source_path.ends_with(".npz") && by_people.values().any(|mask| mask.motion_id == row.id)
-    });
-    let row = row.expect("a labelled archive");
-    let archive = source.join(&row.source_path);
-    let another = later
-        .iter()
-        .rev()
-        .find(|file| file.extension() == archive.extension());
-    fs::copy(another.expect("another archive"), &archive).expect("copied");
-    refused(&[&source, &more], &dataset, &[]);
-    judged(&by_people, 6);
-    grow(&[&source, &more], &["--drop-labels"]);
-    by_people.retain(|_, mask| mask.motion_id != row.id);
-    judged(&by_people, 6);
-    // 7 remove a file without labels, 8 rename one with labels.
-    let bare = motions(&dataset).into_iter().find(|row| {
-        row.source_path.starts_with("more/")
-            && !by_people.values().any(|mask| mask.motion_id == row.id)
-    });
-    let bare = bare.expect("an unlabelled clip");
-    fs::remove_file(dir.path().join(&bare.source_path)).expect("removed");
-    grow(&[&source, &more], &[]);
-    judged(&by_people, 7);
-    grow(&[&source, &more], &["--prune"]);
-    judged(&by_people, 7);
-    // The disk of a source is missing for a day.
-    let aside = dir.path().join("unplugged");
-    fs::rename(&more, &aside).expect("moved");
-    fs::create_dir(&more).expect("an empty mount");
-    let total = clips(&dataset).len();
-    let missed = grow(&[&source, &more], &[]);
-    assert!(
-        !missed["growth"]["missing"]
-            .as_array()
-            .expect("a list")
-            .is_empty()
-    );
-    assert_eq!(clips(&dataset).len(), total);
-    judged(&by_people, 7);
-    fs::remove_dir(&more).expect("removed");
-    fs::rename(&aside, &more).expect("moved");
-    let back = grow(&[&source, &more], &[]);
-    for what in ["missing", "changed", "read_again", "kept_unusable"] {
-        assert_eq!(back["growth"][what], serde_json::json!([]), "{what}");
-    }
-    assert_eq!(back["growth"]["kept"], total);
-    judged(&by_people, 7);
-    let named = motions(&dataset).into_iter().find(|row| {
-        source.join(&row.source_path).exists()
-            && by_people.values().any(|mask| mask.motion_id == row.id)
-    });
-    let named = source.join(named.expect("a labelled clip").source_path);
-    move_files(&[named], &source.join("renamed"));
-    grow(&[&source, &more], &[]);
-    judged(&by_people, 8);
-    // The whole folder moves.
-    let moved = dir.path().join("archive/corpus");
-    fs::create_dir(dir.path().join("archive")).expect("made");
-    fs::rename(&source, &moved).expect("moved");
-    let bare = ["ingest", arg(&moved), "--out", arg(&dataset)];
-    stance(&bare).expect_code(2);
-    let named = format!("corpus={}", arg(&moved));
-    let same = grow(&[Path::new(&named), &more], &[]);
-    assert_eq!(same["already_complete"], true);
-    judged(&by_people, 8);
-    // 9 merge with the dataset of a colleague.
-    let (colleague, theirs) = (dir.path().join("colleague"), corpus(30));
-    ingest(
-        &[&theirs.path().join("corpus")],
-        &colleague,
-        &["--seed", "3"],
-        0,
-    );
-    let both = dir.path().join("both");
-    stance(&[
-        "dataset",
-        "merge",
-        arg(&dataset),
-        arg(&colleague),
-        "--out",
-        arg(&both),
-    ])
-    .expect_code(0);
-    let merged = masks(&both);
-    assert!(
-        by_people
-            .iter()
-            .all(|(id, mask)| merged.get(id) == Some(mask))
-    );
-    verified(&both);
-    // 10 export and prune.
-    let export = dir.path().join("export");
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "bvh",
-        "--out",
-        arg(&export),
-    ])
-    .expect_code(0);
-    stance(&["dataset", "prune", arg(&dataset)]).expect_code(0);
-    judged(&by_people, 10);
-    let pairs: Vec<PairRow> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
-    let ids: BTreeSet<String> = clips(&dataset).into_keys().collect();
-    assert!(
-        pairs
-            .iter()
-            .all(|pair| ids.contains(pair.source_id.as_str()))
-    );
 }

@@ -32,6 +32,7 @@ mod seams;
 mod sources;
 mod stage;
 mod tables;
+mod ten_days;
 mod texts;
 mod train;
 mod util;

@@ -38,7 +38,6 @@ READERS = {
 def main() -> None:
     root = Path(sys.argv[1])
     manifest = newest_manifest(root)
-    assert manifest["version"] > 1, "nothing is superseded yet"
     total = 0
     for table, files in manifest["tables"].items():
         expected = sum(file["rows"] for file in files)

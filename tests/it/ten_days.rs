@@ -1,0 +1,247 @@
+//! Ten days in the life of a dataset: two people, a disk that is missing, a folder that moves, clips removed by mistake.
+//!
+//! After every day all labels that a person made are there, no clip has changed its split, and a search for Parquet files
+//! finds the rows of the newest version alone. `STANCE_EACH_DAY` names a command that is run then with the dataset.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use datasets_spec::record::{MaskRow, PairRow};
+use datasets_spec::{Dataset, Split};
+use serde_json::{Value, json};
+
+use crate::growth::{
+    clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
+};
+use crate::sources::{everything, predicted};
+use crate::util::{arg, corpus, files_with_extension, stance};
+
+/// Copies motions to a folder under the names of others of the same kind.
+fn copy_twins(names: &[PathBuf], motions: &[PathBuf], from: &Path, to: &Path) {
+    for (number, name) in names.iter().enumerate() {
+        let place = to.join(name.strip_prefix(from).expect("below the source"));
+        let mut twins = motions
+            .iter()
+            .filter(|twin| twin.extension() == name.extension());
+        let twin = twins.nth(number % 3).expect("enough motions");
+        fs::create_dir_all(place.parent().expect("a folder")).expect("made");
+        fs::copy(twin, place).expect("copied");
+    }
+}
+
+/// A dataset, with what is known of it by the people whose it is.
+struct Days {
+    dataset: PathBuf,
+    /// The split in which each clip was first seen.
+    splits: BTreeMap<String, Split>,
+    /// The masks that people accepted.
+    by_people: BTreeMap<String, MaskRow>,
+}
+
+impl Days {
+    /// Looks at the dataset at the end of a day.
+    fn check(&mut self, day: &str) {
+        let dataset = &self.dataset;
+        for (id, (split, _)) in clips(dataset) {
+            let before = *self.splits.entry(id.clone()).or_insert(split);
+            assert_eq!(split, before, "{day}: {id}");
+        }
+        let found = masks(dataset);
+        for (id, mask) in &self.by_people {
+            assert_eq!(found.get(id), Some(mask), "{day}");
+        }
+        let opened = Dataset::open(dataset).expect("a dataset");
+        assert!(opened.manifest().accounting.balances(), "{day}");
+        let tables = opened.manifest().tables.values().flatten();
+        let named: BTreeSet<PathBuf> = tables.map(|file| dataset.join(&file.path)).collect();
+        let in_place = files_with_extension(dataset, "parquet");
+        assert_eq!(
+            in_place.into_iter().collect::<BTreeSet<_>>(),
+            named,
+            "{day}"
+        );
+        verified(dataset);
+        if let Ok(line) = std::env::var("STANCE_EACH_DAY") {
+            let mut words = line.split(' ');
+            let mut command = Command::new(words.next().expect("a command"));
+            let status = command.args(words).arg(dataset).status();
+            assert!(status.expect("it starts").success(), "{day}: {line}");
+        }
+    }
+
+    /// Ingests sources. Every change is told before it is made, and telling changes nothing.
+    fn grow(&self, sources: &[&Path], more: &[&str]) -> Value {
+        let mut args = vec!["--json", "ingest", "--dry-run", "--out", arg(&self.dataset)];
+        args.extend(sources.iter().map(|source| arg(source)));
+        args.extend(more);
+        let before = everything(&self.dataset);
+        let told: Value = stance(&args).expect_code(0).json();
+        assert_eq!(everything(&self.dataset), before);
+        let total = clips(&self.dataset).len();
+        let done = ingest(sources, &self.dataset, more, 0);
+        predicted(&told, &done);
+        let growth = &done["growth"];
+        let pruned = growth["pruned"].as_array().expect("a list").len();
+        let new = usize::try_from(growth["new"].as_u64().expect("a count")).expect("few");
+        assert_eq!(clips(&self.dataset).len(), total + new - pruned);
+        done
+    }
+
+    fn version(&self) -> u64 {
+        let opened = Dataset::open(&self.dataset).expect("a dataset");
+        u64::from(opened.manifest().version)
+    }
+
+    /// Whether a person labelled a clip.
+    fn is_labelled(&self, id: &datasets_spec::MotionId) -> bool {
+        self.by_people.values().any(|mask| mask.motion_id == *id)
+    }
+}
+
+#[test]
+fn ten_days_end_with_every_label_that_a_person_made() {
+    let (dir, source, more) = halves(24);
+    let dataset = dir.path().join("dataset");
+    // 1 ingest, 2 label, 3 annotate.
+    ingest(&[&source], &dataset, &[], 0);
+    stance(&["pairs", arg(&dataset)]).expect_code(0);
+    let mut days = Days {
+        by_people: judge(&dataset, dir.path()),
+        splits: BTreeMap::new(),
+        dataset: dataset.clone(),
+    };
+    days.check("annotated");
+    // 4 add files, 5 add a source.
+    let later = files(&more);
+    move_files(&later[..3], &source);
+    days.grow(&[&source], &[]);
+    days.check("files added");
+    days.grow(&[&source, &more], &[]);
+    days.check("a source added");
+    // A second person's folder, whose takes have the names of the first one's.
+    let theirs = dir.path().join("friend/corpus");
+    copy_twins(&files(&source)[..4], &files(&more), &source, &theirs);
+    stance(&["ingest", arg(&theirs), "--out", arg(&dataset)]).expect_code(2);
+    let named = format!("friend={}", arg(&theirs));
+    days.grow(&[Path::new(&named)], &[]);
+    days.check("a second person");
+    let of_friend = |row: &&datasets_spec::record::MotionRow| row.source_name == "friend";
+    assert_eq!(motions(&dataset).iter().filter(of_friend).count(), 4);
+    // 6 change a file that people have labelled: refused until they say so.
+    let rows = motions(&dataset);
+    let row = rows
+        .iter()
+        .find(|row| row.source_path.ends_with(".npz") && days.is_labelled(&row.id));
+    let row = row.expect("a labelled archive");
+    let archive = source.join(&row.source_path);
+    let another = later
+        .iter()
+        .rev()
+        .find(|file| file.extension() == archive.extension());
+    fs::copy(another.expect("another archive"), &archive).expect("copied");
+    refused(&[&source, &more], &dataset, &[]);
+    days.check("a change refused");
+    days.grow(&[&source, &more], &["--drop-labels"]);
+    days.by_people.retain(|_, mask| mask.motion_id != row.id);
+    days.check("a file changed");
+    // 7 remove a file without labels, 8 rename one with labels.
+    let rows = motions(&dataset);
+    let bare = rows
+        .iter()
+        .find(|row| row.source_path.starts_with("more/") && !days.is_labelled(&row.id));
+    fs::remove_file(
+        dir.path()
+            .join(&bare.expect("an unlabelled clip").source_path),
+    )
+    .expect("removed");
+    days.grow(&[&source, &more], &[]);
+    days.check("a file is missing");
+    days.grow(&[&source, &more], &["--prune"]);
+    days.check("pruned");
+    // The disk of a source is missing for a day.
+    let aside = dir.path().join("unplugged");
+    fs::rename(&more, &aside).expect("moved");
+    fs::create_dir(&more).expect("an empty mount");
+    let total = clips(&dataset).len();
+    let missed = days.grow(&[&source, &more], &[]);
+    assert_ne!(missed["growth"]["missing"], json!([]));
+    assert_eq!(clips(&dataset).len(), total);
+    days.check("a disk is missing");
+    fs::remove_dir(&more).expect("removed");
+    fs::rename(&aside, &more).expect("moved");
+    let back = days.grow(&[&source, &more], &[]);
+    for what in ["missing", "changed", "read_again", "kept_unusable"] {
+        assert_eq!(back["growth"][what], json!([]), "{what}");
+    }
+    assert_eq!(back["growth"]["kept"], total);
+    days.check("the disk is back");
+    let rows = motions(&dataset);
+    let row = rows
+        .iter()
+        .find(|row| source.join(&row.source_path).exists() && days.is_labelled(&row.id));
+    let file = source.join(&row.expect("a labelled clip").source_path);
+    move_files(&[file], &source.join("renamed"));
+    days.grow(&[&source, &more], &[]);
+    days.check("a file renamed");
+    // The whole folder moves.
+    let moved = dir.path().join("archive/corpus");
+    fs::create_dir(dir.path().join("archive")).expect("made");
+    fs::rename(&source, &moved).expect("moved");
+    stance(&["ingest", arg(&moved), "--out", arg(&dataset)]).expect_code(2);
+    let named = format!("corpus={}", arg(&moved));
+    let same = days.grow(&[Path::new(&named), &more], &[]);
+    assert_eq!(same["already_complete"], true);
+    days.check("a folder moved");
+    // Clips leave by mistake, with what people made of them, and come back.
+    let before = (clips(&dataset), days.version());
+    let row = rows.iter().find(|row| days.is_labelled(&row.id));
+    let condition = format!("split = '{}'", row.expect("a labelled clip").split);
+    let remove = ["dataset", "remove", arg(&dataset), "--where", &condition];
+    stance(&remove).expect_code(1);
+    days.check("a removal refused");
+    stance(&[&remove[..], &["--drop-labels"]].concat()).expect_code(0);
+    let left = masks(&dataset);
+    assert!(days.by_people.keys().any(|id| !left.contains_key(id)));
+    let to = before.1.to_string();
+    stance(&["dataset", "restore", arg(&dataset), "--to", &to]).expect_code(0);
+    assert_eq!(clips(&dataset), before.0);
+    days.check("restored");
+    let same = days.grow(&[Path::new(&named), &more], &[]);
+    assert_eq!(same["growth"]["new"], 0);
+    days.check("grown after a restore");
+    let compacted: Value = stance(&["--json", "dataset", "compact", arg(&dataset)])
+        .expect_code(0)
+        .json();
+    assert!(compacted["after"]["files"].as_u64() < compacted["before"]["files"].as_u64());
+    assert_eq!(clips(&dataset), before.0);
+    days.check("compacted");
+    // 9 merge with the dataset of a colleague.
+    let (colleague, theirs) = (dir.path().join("colleague"), corpus(30));
+    let theirs = theirs.path().join("corpus");
+    ingest(&[&theirs], &colleague, &["--seed", "3"], 0);
+    let both = dir.path().join("both");
+    let merge = ["dataset", "merge", arg(&dataset), arg(&colleague)];
+    stance(&[&merge[..], &["--out", arg(&both)]].concat()).expect_code(0);
+    let mut merged = Days {
+        dataset: both,
+        splits: BTreeMap::new(),
+        by_people: days.by_people.clone(),
+    };
+    merged.check("merged");
+    // 10 export and prune.
+    let export = dir.path().join("export");
+    let args = ["export", arg(&dataset), "--to", "bvh"];
+    stance(&[&args[..], &["--out", arg(&export)]].concat()).expect_code(0);
+    stance(&["dataset", "prune", arg(&dataset)]).expect_code(0);
+    days.check("old versions are gone");
+    let opened = Dataset::open(&dataset).expect("a dataset");
+    let pairs: Vec<PairRow> = opened.read(None).expect("rows");
+    let ids: BTreeSet<String> = clips(&dataset).into_keys().collect();
+    assert!(
+        pairs
+            .iter()
+            .all(|pair| ids.contains(pair.source_id.as_str()))
+    );
+}
