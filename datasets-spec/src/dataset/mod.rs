@@ -19,7 +19,7 @@ mod tidy;
 mod transaction;
 
 pub use commit::{commit_rows, commit_table};
-pub use layout::ShardName;
+pub use layout::{PRIVATE, ShardName};
 pub use open::Dataset;
 pub use shards::{SHARD_ROWS, table_facts};
 pub use staging::Staging;

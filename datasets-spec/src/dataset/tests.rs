@@ -127,6 +127,26 @@ fn rows_come_back_bit_for_bit_and_bytes_repeat() {
 }
 
 #[test]
+fn half_written_files_go_when_the_next_run_begins() {
+    let dir = tempfile::tempdir().expect("dir");
+    commit_motions(dir.path(), &[row(0)]);
+    let left = [
+        "data/motions/.x",
+        "meta/.manifest-2.json",
+        ".stance/..gitignore",
+    ];
+    let left = left.map(|name| dir.path().join(format!("{name}.0123456789abcdef-1.tmp")));
+    let of_a_user = dir.path().join(".notes.tmp");
+    fs::create_dir_all(dir.path().join(PRIVATE)).expect("made");
+    for path in left.iter().chain([&of_a_user]) {
+        fs::write(path, b"x").expect("writes");
+    }
+    drop(Transaction::begin(dir.path(), "t").expect("lock"));
+    assert!(left.iter().all(|path| !path.exists()), "{left:?}");
+    assert!(of_a_user.is_file());
+}
+
+#[test]
 fn single_rows_are_read_by_their_place() {
     let dir = tempfile::tempdir().expect("dir");
     let rows: Vec<MotionRow> = (0..300).map(row).collect();

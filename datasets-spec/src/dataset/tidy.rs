@@ -11,7 +11,9 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::layout::{ASIDE, DATA, META, STAGED, manifest_path, manifest_versions, read_manifest};
+use super::layout::{
+    ASIDE, DATA, META, PRIVATE, STAGED, manifest_path, manifest_versions, read_manifest,
+};
 use super::transaction::Transaction;
 use crate::manifest::Manifest;
 use crate::store::{aside, write_atomically};
@@ -204,8 +206,8 @@ impl Transaction {
             let mut files = [card::FILE, croissant::FILE].into_iter();
             files.any(|file| name.starts_with(&format!(".{file}.")))
         };
-        let below = [self.files_below(DATA)?, self.files_below(META)?].concat();
-        for relative in below {
+        let folders = [DATA, META, PRIVATE].map(|folder| self.files_below(folder));
+        for relative in folders.into_iter().collect::<Result<Vec<_>, _>>()?.concat() {
             if is_half_written(relative.rsplit('/').next().unwrap_or(&relative)) {
                 self.remove(&self.root.join(relative))?;
             }

@@ -5,11 +5,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Progress;
+use datasets_spec::dataset::PRIVATE;
 use datasets_spec::record::QuarantineRow;
 use datasets_spec::store::{ByPath, Store, is_url};
 use rayon::prelude::*;
 
-use super::places::{self, Kind, Places};
+use super::places::{Kind, Places};
 use super::sources::{SourceArg, name_of_folder};
 use crate::Error;
 use crate::clip::Rejected;
@@ -238,7 +239,7 @@ impl Listed {
         let is_in = |path: &str| {
             if path
                 .split_once('/')
-                .is_some_and(|(first, _)| first == places::FOLDER)
+                .is_some_and(|(first, _)| first == PRIVATE)
             {
                 return true;
             }

@@ -6,14 +6,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
+use datasets_spec::dataset::PRIVATE;
 use datasets_spec::store::Store;
 use serde::{Deserialize, Serialize};
 
 use super::sources::Given;
 use crate::Error;
 
-/// Folder of what belongs to this copy of a dataset alone.
-pub(super) const FOLDER: &str = ".stance";
 const FILE: &str = "sources.json";
 /// Keeps the folder out of version control.
 const IGNORE: (&str, &[u8]) = (".gitignore", b"*\n");
@@ -41,7 +40,7 @@ impl Places {
     /// # Errors
     /// The file is there and cannot be read.
     pub(crate) fn read(store: &dyn Store, root: &Path) -> Result<Self, Error> {
-        let path = root.join(FOLDER).join(FILE);
+        let path = root.join(PRIVATE).join(FILE);
         match store.read(&path) {
             Ok(bytes) => Ok(serde_json::from_slice(&bytes).unwrap_or_default()),
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(Self::default()),
@@ -54,7 +53,7 @@ impl Places {
     /// # Errors
     /// A file cannot be written.
     pub(crate) fn write(&self, store: &dyn Store, root: &Path) -> Result<(), Error> {
-        let folder = root.join(FOLDER);
+        let folder = root.join(PRIVATE);
         let text = serde_json::to_vec_pretty(self).expect("texts serialise");
         if self.0.is_empty()
             || store
