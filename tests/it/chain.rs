@@ -85,7 +85,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
             "Identity",
             "MotionReFit tiny",
             "MotionReFit tiny + coordinator",
-            "MotionReFit tiny, w/o MCM",
+            "MotionReFit tiny, composed once",
             "Real Data"
         ])
     );

@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::tables::tables;
 use crate::texts::TextTable;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, stance};
+use crate::util::{Ran, arg, corpus, stance};
 
 /// Settings of an evaluation encoder that is trained in a second.
 pub(crate) const SMALL_ENCODER: &str = "
@@ -655,6 +655,22 @@ fn plans_of_the_program_can_be_followed() {
         let ran = stance(&["reproduce", &name, "--dry-run"]).expect_code(0);
         assert!(ran.stdout.lines().count() > 1, "{name}: {}", ran.stdout);
     }
+    // Pairs of MotionFix are looked for before anything is trained.
+    let dir = corpus(8);
+    let dataset = dir.path().join("dataset");
+    let source = dir.path().join("corpus");
+    stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
+    for name in [
+        "paper/table-2",
+        "paper/table-a3",
+        "small/table-2",
+        "small/table-a3",
+    ] {
+        let plan = ["reproduce", name, "--dataset", arg(&dataset)];
+        let refused = stance(&[&plan[..], &["--dry-run"]].concat()).expect_code(1);
+        let said = "asks for items of task motionfix, and split test of";
+        assert!(refused.stderr.contains(said), "{}", refused.stderr);
+    }
 }
 
 /// A body a tenth larger than the built-in one, as a file of joints.
@@ -929,7 +945,7 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
         "Identity",
         "MotionReFit",
         "MotionReFit + coordinator",
-        "MotionReFit, w/o MCM",
+        "MotionReFit, composed once",
     ] {
         assert!(!of_system(&scores, system).is_empty(), "{system}: {scores}");
     }

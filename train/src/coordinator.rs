@@ -104,6 +104,7 @@ impl CoordinatorConfig {
                     },
                     ..editor.run.optimizer
                 },
+                // The paper does not say how long. The released coordinators stopped after 55,000 to 68,000 steps.
                 length: RunLength::of_steps(if is_tiny { 6_000 } else { 68_000 }),
                 keep_epochs: 0,
                 ..editor.run

@@ -117,8 +117,10 @@ fn system_name(editor: &Editor) -> String {
         let text = format!("{:.3}", 100.0 * share);
         text.trim_end_matches('0').trim_end_matches('.').to_owned()
     };
-    if compose.fixed_pairs {
-        name += ", w/o MCM";
+    if compose.undonored_ratio == Some(1.0) && !compose.kinds.contains(&EditKind::Semantic) {
+        name += ", captured pairs alone";
+    } else if compose.fixed_pairs {
+        name += ", composed once";
     } else if compose.mcm_ratio < 1.0 {
         name += &format!(", {} % MCM", percent(compose.mcm_ratio));
     }

@@ -9,7 +9,7 @@ use super::{Error, Phrases};
 
 /// Version of the composition rules. It changes whenever the same settings, seed and library would
 /// give other motions, and is part of every recipe hash.
-pub const COMPOSE_VERSION: u32 = 2;
+pub const COMPOSE_VERSION: u32 = 3;
 
 /// How edits are composed. The default is the published method.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,21 +24,24 @@ pub struct ComposeConfig {
     ///
     /// Source: the annotated data size of the paper's ablation.
     pub annotated_ratio: f64,
-    /// Whether each mask and pair has one fixed partner instead of a new one for each item: training without
-    /// MotionCutMix. Partners are then composed by the rule of SINC: whole parts without soft joints, from the
-    /// middle of the longer motion.
+    /// Whether each mask and pair is composed once, with one fixed partner instead of a new one for each item. Partners are
+    /// then composed by the rule of SINC: whole parts without soft joints, from the middle of the longer motion.
+    ///
+    /// Source: what the rows "w/o MCM" of Tables 1 and A1 mean.
     pub fixed_pairs: bool,
     /// Which motions partners are drawn from.
     #[serde(skip_serializing_if = "BaseFilter::is_all")]
     pub base: BaseFilter,
     /// Kinds of edits that are composed, if there is data for them.
     pub kinds: Vec<EditKind>,
-    /// Probability that a pair is used without a donor under both of its motions.
+    /// Probability that a pair is used as it was captured, without a donor under both of its motions. Without it pairs of
+    /// MotionFix never have a donor and all others always have one.
     ///
-    /// Source: 0 in the release, whose README trains on blended motions alone.
+    /// Source: the paper trains on MotionFix without MotionCutMix (Sec. 6.1); the release's README trains on blended
+    /// motions alone for style and fine-grained pairs.
     // Named `plain_pairs` in records of earlier versions.
-    #[serde(alias = "plain_pairs")]
-    pub undonored_ratio: f64,
+    #[serde(alias = "plain_pairs", skip_serializing_if = "Option::is_none")]
+    pub undonored_ratio: Option<f64>,
     /// Probability that a training window is mirrored, with left and right exchanged in its instruction. Whole clips
     /// (recorded triplets, items, TMED) are not mirrored, and are refused with it.
     #[serde(skip_serializing_if = "is_zero")]
@@ -69,7 +72,7 @@ impl Default for ComposeConfig {
             fixed_pairs: false,
             base: BaseFilter::default(),
             kinds: EditKind::ALL.to_vec(),
-            undonored_ratio: 0.0,
+            undonored_ratio: None,
             mirrored_ratio: 0.0,
             alignment: Alignment::None,
             slerp: SlerpRule::Exact,
@@ -209,6 +212,12 @@ impl AlphaDistribution {
 }
 
 impl ComposeConfig {
+    /// Probability that a pair has no donor.
+    pub(super) fn undonored_ratio_of(&self, is_motionfix: bool) -> f64 {
+        let by_kind = if is_motionfix { 1.0 } else { 0.0 };
+        self.undonored_ratio.unwrap_or(by_kind)
+    }
+
     /// Checks the settings.
     ///
     /// # Errors
@@ -227,7 +236,7 @@ impl ComposeConfig {
             }
         }
         for (key, got) in [
-            ("undonored_ratio", self.undonored_ratio),
+            ("undonored_ratio", self.undonored_ratio.unwrap_or(0.0)),
             ("mirrored_ratio", self.mirrored_ratio),
         ] {
             if !(0.0..=1.0).contains(&got) {
@@ -339,7 +348,7 @@ mod tests {
         assert_eq!(check(|c| c.mcm_ratio = 0.0), "mcm_ratio");
         assert_eq!(check(|c| c.annotated_ratio = f64::NAN), "annotated_ratio");
         assert_eq!(check(|c| c.window = 2), "window");
-        assert_eq!(check(|c| c.undonored_ratio = 1.5), "undonored_ratio");
+        assert_eq!(check(|c| c.undonored_ratio = Some(1.5)), "undonored_ratio");
         assert_eq!(check(|c| c.mirrored_ratio = -0.1), "mirrored_ratio");
         assert_eq!(check(|c| c.kinds.clear()), "kinds");
         let backwards = |c: &mut ComposeConfig| {
@@ -369,9 +378,9 @@ mod tests {
         let back: ComposeConfig = serde_json::from_str(&text).expect("its own text");
         assert_eq!(back, ComposeConfig::default());
         assert!(serde_json::from_str::<ComposeConfig>("{\"mcm\": 1}").is_err());
-        let older = text.replace("undonored_ratio", "plain_pairs");
+        let older = text.replacen('{', "{\"plain_pairs\":0.5,", 1);
         let back: ComposeConfig = serde_json::from_str(&older).expect("an earlier record");
-        assert_eq!(back, ComposeConfig::default());
+        assert_eq!(back.undonored_ratio, Some(0.5));
     }
 
     #[test]
@@ -382,7 +391,7 @@ mod tests {
             |c| c.fixed_pairs = true,
             |c| c.base.sources = vec!["humanml3d".to_owned()],
             |c| c.kinds = vec![EditKind::Style],
-            |c| c.undonored_ratio = 0.5,
+            |c| c.undonored_ratio = Some(0.5),
             |c| c.mirrored_ratio = 0.5,
             |c| c.alignment = Alignment::TimeWarp,
             |c| c.slerp = SlerpRule::Official,

@@ -334,7 +334,7 @@ mod tests {
             let config = ComposeConfig {
                 alignment,
                 fixed_pairs,
-                undonored_ratio,
+                undonored_ratio: Some(undonored_ratio),
                 ..ComposeConfig::default()
             };
             let normalizer = library.fit_normalizer(&config).expect("long enough");

@@ -111,6 +111,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let plan = read(args, path)?;
     let systems = plan.trained(global)?;
     let figures = plan.figure_specs(global)?;
+    plan.check_tasks()?;
     if args.dry_run {
         list(&systems, &figures, global)?;
         return Ok(Exit::Done);

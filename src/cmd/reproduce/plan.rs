@@ -5,13 +5,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::ValueEnum as _;
-use datasets_spec::{Seed, Split};
+use datasets_spec::record::{MaskRow, PairRow};
+use datasets_spec::table::Row as _;
+use datasets_spec::{Dataset, Seed, Split};
 use eval::figure::{Figure, Point, Sections};
 use eval::metric::interval::MOST_TRAININGS;
 use eval::metric::{self, Metric};
 use eval::names::ALL_TASKS;
 use eval::protocol::Protocol;
-use pipeline::compose::{ComposeConfig, ItemConfig};
+use pipeline::compose::{ComposeConfig, ItemConfig, ItemTask};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use train::checkpoint::Slot;
@@ -209,6 +211,43 @@ impl Spec {
 
     pub(super) fn slot(&self) -> Slot {
         self.epoch.map_or(Slot::Best, Slot::Epoch)
+    }
+}
+
+impl Plan {
+    /// Checks that the dataset, where there is one already, has what each task of the items asks about.
+    pub(super) fn check_tasks(&self) -> anyhow::Result<()> {
+        let dataset = match Dataset::open_unverified(&self.dataset) {
+            Err(datasets_spec::Error::NotADataset { .. }) => return Ok(()),
+            dataset => dataset?,
+        };
+        let has_masks = dataset.manifest().rows(MaskRow::TABLE, Some(self.split)) > 0;
+        let pairs: Vec<PairRow> = dataset.read(Some(self.split))?;
+        let is_motionfix = |pair: &PairRow| pair.source == ItemTask::MotionFix.as_str();
+        for task in &self.items.tasks {
+            let is_there = match task {
+                ItemTask::Semantic => has_masks,
+                ItemTask::MotionFix => pairs.iter().any(is_motionfix),
+                ItemTask::Style | ItemTask::FineGrained => pairs
+                    .iter()
+                    .any(|pair| pair.kind == task.as_str() && !is_motionfix(pair)),
+            };
+            if !is_there {
+                bail!(
+                    "the plan asks for items of task {}, and split {} of {} has none of its {}; name a dataset that has \
+                     them with --dataset, or choose another plan (--list)",
+                    task.as_str(),
+                    self.split,
+                    self.dataset.display(),
+                    if *task == ItemTask::Semantic {
+                        "masks"
+                    } else {
+                        "pairs"
+                    },
+                );
+            }
+        }
+        Ok(())
     }
 }
 

@@ -122,8 +122,8 @@ impl TmedConfig {
     ///
     /// # Source
     /// `Official`: the released code, with its defects (`baselines` A1), and the guidance weights of its
-    /// README. `Paper`: the same network without them, on the composer's clips, for the 1,500 epochs all
-    /// systems of the MotionReFit paper are trained for. `Tiny`: our choice, for a few hundred clips and
+    /// README. `Paper`: the same network without them, on the composer's clips, for the 1,500 epochs and with
+    /// the batches of 1,024 that all systems of the MotionReFit paper are trained with. `Tiny`: our choice, for a few hundred clips and
     /// two processor cores.
     pub fn preset(preset: Preset) -> Self {
         match preset {
@@ -183,6 +183,7 @@ impl TmedConfig {
             },
             Preset::Paper => {
                 let official = Self::preset(Preset::Official);
+                let editor = TrainConfig::preset(Preset::Paper).run;
                 Self {
                     data: ClipData::Composed,
                     statistics: StatisticsSplits::Train,
@@ -194,10 +195,9 @@ impl TmedConfig {
                         ..official.diffusion
                     },
                     run: RunSettings {
-                        length: RunLength {
-                            epochs: Some(1_500),
-                            steps: 800_000,
-                        },
+                        batch_size: editor.batch_size,
+                        micro_batch_size: Some(64),
+                        length: editor.length,
                         ..official.run
                     },
                     ..official

@@ -154,7 +154,7 @@ proptest! {
         let config = ComposeConfig {
             alignment,
             fixed_pairs,
-            undonored_ratio,
+            undonored_ratio: Some(undonored_ratio),
             ..ComposeConfig::default()
         };
         let read = |memory| {

@@ -240,10 +240,11 @@ impl Library {
                     source,
                     target,
                     ref halves,
+                    is_motionfix,
                     ..
                 } = self.pairs[pair];
                 let mut crop = draw_crop(frames_of(source), frames_of(target));
-                let plain = rng.random::<f64>() < config.undonored_ratio;
+                let plain = rng.random::<f64>() < config.undonored_ratio_of(is_motionfix);
                 let half = halves[rng.random_range(0..halves.len())];
                 // A whole-clip triplet lasts as long as the shortest of the three.
                 let mut donor = match config.fixed_pairs {
@@ -291,6 +292,18 @@ impl Library {
     /// Whether a subject is a test question without being composed.
     pub(in crate::compose) fn is_asked_as_is(&self, subject: Subject) -> bool {
         self.task_of(subject) == ItemTask::MotionFix
+    }
+
+    /// Probability that a subject is used without a partner.
+    pub(in crate::compose) fn undonored_ratio(
+        &self,
+        subject: Subject,
+        config: &ComposeConfig,
+    ) -> f64 {
+        match subject {
+            Subject::Annotation(_) => 0.0,
+            Subject::Pair(pair) => config.undonored_ratio_of(self.pairs[pair].is_motionfix),
+        }
     }
 
     pub(in crate::compose) fn task_of(&self, subject: Subject) -> ItemTask {

@@ -87,7 +87,7 @@ impl Target {
                 let sides = halves
                     .map(|half| shared.side(library, config, subject, Some(*half)))
                     .collect();
-                let plain = match config.undonored_ratio > 0.0 {
+                let plain = match library.undonored_ratio(subject, config) > 0.0 {
                     true => shared.wordings(library, config, subject, None),
                     false => none,
                 };

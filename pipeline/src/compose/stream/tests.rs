@@ -3,7 +3,7 @@ use kinematics::canonical::WINDOW_FRAMES;
 use kinematics::normalise::NormalizedFrame;
 
 use super::*;
-use crate::compose::{BaseFilter, fixture};
+use crate::compose::{BaseFilter, ItemTask, fixture};
 
 const CLIPS: usize = 9;
 
@@ -307,7 +307,7 @@ fn kinds_and_undonored_ratio_can_be_chosen() {
     for undonored_ratio in [0.0, 0.5, 1.0] {
         let config = ComposeConfig {
             kinds: vec![EditKind::Style, EditKind::FineGrained],
-            undonored_ratio,
+            undonored_ratio: Some(undonored_ratio),
             ..ComposeConfig::default()
         };
         let stream = pair_stream(config, false);
@@ -326,6 +326,42 @@ fn kinds_and_undonored_ratio_can_be_chosen() {
             "{share} of {undonored_ratio}"
         );
         assert!(undonored_ratio == 0.5 || share == undonored_ratio);
+    }
+}
+
+#[test]
+fn pairs_of_motionfix_stay_as_captured_unless_a_ratio_is_given() {
+    let (motions, masks) = fixture::rows(Split::Train, CLIPS);
+    let pairs = [("motionfix", 5, 6), ("synthetic", 7, 8)].map(|(origin, source, target)| {
+        let mut row = fixture::pair_row("fine-grained", Split::Train, source, target);
+        origin.clone_into(&mut row.source);
+        "raise the arm".clone_into(&mut row.instruction);
+        row
+    });
+    for (undonored_ratio, expected) in [
+        (None, [0.0, 1.0]),
+        (Some(0.0), [1.0, 1.0]),
+        (Some(1.0), [0.0, 0.0]),
+    ] {
+        let skeleton = datasets_spec::Skeleton::smplx_neutral();
+        let library = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
+        let config = ComposeConfig {
+            kinds: vec![EditKind::FineGrained],
+            undonored_ratio,
+            ..ComposeConfig::default()
+        };
+        let stream = stream_of(library.expect("valid"), config, 5).expect("a stream");
+        let items = (0..20).flat_map(|epoch| (0..stream.epoch_len()).map(move |i| (epoch, i)));
+        let mut composed = [(0, 0); 2];
+        for (epoch, item) in items {
+            let pairing = stream.pairing(epoch, item);
+            let is_motionfix = stream.library.task_of(pairing.subject) == ItemTask::MotionFix;
+            let (count, of) = &mut composed[usize::from(!is_motionfix)];
+            *count += u32::from(pairing.partner.is_some());
+            *of += 1;
+        }
+        let shares = composed.map(|(count, of)| f64::from(count) / f64::from(of));
+        assert_eq!(shares, expected, "{undonored_ratio:?}");
     }
 }
 
