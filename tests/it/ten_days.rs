@@ -91,7 +91,7 @@ impl Days {
 
     fn version(&self) -> u64 {
         let opened = Dataset::open(&self.dataset).expect("a dataset");
-        u64::from(opened.manifest().version)
+        opened.manifest().version
     }
 
     /// Whether a person labelled a clip.
