@@ -4,10 +4,11 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::bail;
-use datasets_spec::{Dataset, Motion, Skeleton, Split};
+use datasets_spec::{Dataset, Motion, Seed, Skeleton, Split};
 use eval::EncoderError;
 use eval::answers;
 use eval::evaluators::{Evaluators, MotionClassifier, MotionEncoder};
+use eval::judge::{About, JudgeReport, REPORT, weakness};
 use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::protocol::Protocol;
 use train::checkpoint::{Slot, check_skeleton};
@@ -16,6 +17,8 @@ use train::stage::encoder::{CaptionedClip, captioned_clips};
 use train::tmr::TmrEncoder;
 
 use crate::device::device;
+use crate::exit::Exit;
+use crate::{judge, local, report};
 
 /// Run folders of the models that motions are evaluated with.
 #[derive(Clone, Copy, Debug)]
@@ -33,11 +36,14 @@ impl EvaluatorRuns<'_> {
         skeleton: &Skeleton,
         act: impl FnOnce(Evaluators<'_>) -> Result<T, eval::Error>,
     ) -> anyhow::Result<T> {
-        check_skeleton(self.encoder, "the encoder", skeleton)?;
+        match judge::is_builtin(self.encoder) {
+            true => judge::check_skeleton(skeleton)?,
+            false => check_skeleton(self.encoder, "the encoder", skeleton)?,
+        }
         if let Some(run) = self.coordinator {
             check_skeleton(run, "the coordinator", skeleton)?;
         }
-        let encoder = Encoder(TmrEncoder::load(self.encoder, Slot::Best, &device())?);
+        let encoder = Encoder::load(self.encoder)?;
         let classifier = match self.coordinator {
             Some(run) => Some(Classifier {
                 network: TrainedCoordinator::load(run, Slot::Best, &device())?,
@@ -53,7 +59,30 @@ impl EvaluatorRuns<'_> {
     }
 }
 
-struct Encoder(TmrEncoder);
+/// An encoder, and why it ranks nothing, if it does not.
+struct Encoder {
+    network: TmrEncoder,
+    weakness: Option<String>,
+}
+
+impl Encoder {
+    fn load(run: &Path) -> anyhow::Result<Self> {
+        let network = network(run)?;
+        let weakness = match judge::is_builtin(run) {
+            true => judge::report()?.weakness(),
+            false => weakness(run, network.hash())?,
+        };
+        Ok(Self { network, weakness })
+    }
+}
+
+/// The encoder of a run folder, or the built-in one.
+fn network(run: &Path) -> anyhow::Result<TmrEncoder> {
+    match judge::is_builtin(run) {
+        true => judge::load(),
+        false => Ok(TmrEncoder::load(run, Slot::Best, &device())?),
+    }
+}
 
 fn in_double(latents: Vec<Vec<f32>>) -> Vec<Vec<f64>> {
     latents
@@ -64,15 +93,19 @@ fn in_double(latents: Vec<Vec<f32>>) -> Vec<Vec<f64>> {
 
 impl MotionEncoder for Encoder {
     fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError> {
-        Ok(in_double(self.0.encode(motions)?))
+        Ok(in_double(self.network.encode(motions)?))
     }
 
     fn hash(&self) -> String {
-        self.0.hash().to_owned()
+        self.network.hash().to_owned()
     }
 
     fn recipe(&self) -> String {
-        self.0.description()
+        self.network.description()
+    }
+
+    fn weakness(&self) -> Option<String> {
+        self.weakness.clone()
     }
 }
 
@@ -100,7 +133,7 @@ pub(crate) fn encoder_retrieval(
     protocol: &Protocol,
 ) -> anyhow::Result<(usize, Vec<CrossRetrieval>)> {
     protocol.check()?;
-    let encoder = TmrEncoder::load(run, Slot::Best, &device())?;
+    let encoder = network(run)?;
     let clips = captioned_clips(&Dataset::open(root)?, split)?;
     let kept: BTreeSet<usize> = protocol.scored_items(clips.len())?.into_iter().collect();
     let clips: Vec<&CaptionedClip> = clips
@@ -119,5 +152,60 @@ pub(crate) fn encoder_retrieval(
         &in_double(encoder.encode(&motions)?),
         protocol,
     )?;
-    Ok((clips.len(), repeats))
+    let repeats = repeats.into_iter().map(|(_, ranks)| ranks.retrieval());
+    Ok((clips.len(), repeats.collect()))
+}
+
+/// Measures how well the texts and motions of a trained encoder retrieve each other on the validation clips of its
+/// dataset, and writes the report into its run folder.
+pub(crate) fn report_on_encoder(
+    root: &Path,
+    run: &Path,
+    seed: Seed,
+) -> anyhow::Result<JudgeReport> {
+    let encoder = TmrEncoder::load(run, Slot::Best, &device())?;
+    let dataset = Dataset::open(root)?;
+    let clips = captioned_clips(&dataset, Split::Val)?;
+    let texts: Vec<&str> = clips.iter().map(|clip| clip.captions[0].as_str()).collect();
+    let motions: Vec<&Motion> = clips.iter().map(|clip| &clip.motion).collect();
+    let report = JudgeReport::measure(
+        &texts,
+        &in_double(encoder.encode_texts(&texts)?),
+        &in_double(encoder.encode(&motions)?),
+        About {
+            encoder_hash: encoder.hash(),
+            dataset_hash: &dataset.manifest().root_hash,
+            split: Split::Val.as_str(),
+            seed,
+        },
+    )?;
+    let mut text = serde_json::to_vec_pretty(&report)?;
+    text.push(b'\n');
+    local::write(&run.join(REPORT), &text)?;
+    Ok(report)
+}
+
+/// Whether results count that rank nothing.
+#[derive(clap::Args, Clone, Copy, Debug)]
+pub(crate) struct WeakJudgeArgs {
+    /// Exit with 0 also where no system is ranked, because the encoder is too weak to judge or targets cannot be told
+    /// from sources
+    #[arg(long)]
+    weak_judge: bool,
+}
+
+impl WeakJudgeArgs {
+    /// The exit of a command whose scores rank nothing for a reason; `otherwise` where they rank, or where --weak-judge
+    /// accepts it.
+    pub(crate) fn exit(self, unranked: Option<String>, otherwise: Exit) -> Exit {
+        let Some(reason) = unranked else {
+            return otherwise;
+        };
+        report::note(&reason);
+        if self.weak_judge {
+            return otherwise;
+        }
+        report::note("--weak-judge accepts results without a ranking");
+        Exit::Failed
+    }
 }

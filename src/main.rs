@@ -7,6 +7,7 @@ mod evaluators;
 mod exit;
 mod failure;
 mod global;
+mod judge;
 mod local;
 mod progress;
 mod report;

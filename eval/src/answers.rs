@@ -11,9 +11,11 @@ use datasets_spec::{Dataset, Progress, Skeleton};
 use crate::Error;
 use crate::compare::{Comparison, compare};
 use crate::evaluators::Evaluators;
+use crate::judge::{Judge, Judges, unranked};
 use crate::linalg::Matrix;
-use crate::metric::cross_retrieval::{CrossRetrieval, cross_retrieval};
+use crate::metric::cross_retrieval::{CrossRanks, cross_ranks};
 use crate::metric::retrieval::unit_rows;
+use crate::names::ALL_TASKS;
 use crate::protocol::Protocol;
 use crate::score::score;
 
@@ -123,13 +125,13 @@ fn check_systems(edits: &[EditRow]) -> Result<(), Error> {
     Ok(())
 }
 
-/// Scores and the recipes of the encoders behind them.
+/// Scores and what is known of the encoders behind them.
 #[derive(Clone, Debug)]
 pub struct Scores {
     /// A row for each system, task and metric.
     pub rows: Vec<ScoreRow>,
-    /// Recipe of each encoder by its hash.
-    pub recipes: BTreeMap<String, String>,
+    /// Each encoder by its hash.
+    pub judges: Judges,
 }
 
 impl Scores {
@@ -147,8 +149,15 @@ impl Scores {
         let (items, edits) = (&answered.items, &answered.edits);
         Ok(Self {
             rows: score(items, edits, evaluators, protocol, progress)?,
-            recipes: BTreeMap::from([(encoder.hash(), encoder.recipe())]),
+            judges: BTreeMap::from([(encoder.hash(), Judge::of(encoder))]),
         })
+    }
+
+    /// Why the scores rank no system on the whole set of items; none if they do.
+    pub fn unranked(&self) -> Option<String> {
+        let of_all = self.rows.iter().find(|row| row.task == ALL_TASKS);
+        let first = of_all.or(self.rows.first())?;
+        unranked(first, &self.rows, &self.judges)
     }
 
     /// Commits the scores as a dataset of their own.
@@ -236,8 +245,8 @@ impl Paired {
     }
 }
 
-/// How well an encoder's texts and motions retrieve each other, one result a repeat. Motions with equal
-/// texts may stand for each other.
+/// How well an encoder's texts and motions retrieve each other: for each repeat its galleries, as positions, and the
+/// ranks in them. Motions with equal texts may stand for each other.
 ///
 /// # Shapes
 /// `texts` `[N]`; the latents of texts and of motions `[N, D]`.
@@ -249,15 +258,15 @@ pub fn encoder_retrieval(
     text_latents: &[Vec<f64>],
     motion_latents: &[Vec<f64>],
     protocol: &Protocol,
-) -> Result<Vec<CrossRetrieval>, Error> {
+) -> Result<Vec<(Vec<Vec<usize>>, CrossRanks)>, Error> {
     let unit = |latents: &[Vec<f64>]| unit_rows(&Matrix::from_rows(latents));
     let (texts_at, motions_at) = (unit(text_latents)?, unit(motion_latents)?);
     (0..protocol.repeats)
         .map(|repeat| {
             let galleries = protocol.galleries(texts.len(), repeat);
-            cross_retrieval(&texts_at, &motions_at, &galleries, |a, b| {
-                texts[a] == texts[b]
-            })
+            let same_text = |a: usize, b: usize| texts[a] == texts[b];
+            let ranks = cross_ranks(&texts_at, &motions_at, &galleries, same_text)?;
+            Ok((galleries, ranks))
         })
         .collect()
 }

@@ -57,6 +57,8 @@ pub struct Comparison {
     pub protocol: String,
     /// Hash of the encoder, hexadecimal.
     pub encoder_hash: String,
+    /// Why no system is called better; none if the encoder ranks.
+    pub unranked: Option<String>,
     /// The metrics.
     pub differences: Vec<Difference>,
 }
@@ -97,6 +99,7 @@ pub fn compare(
     let Measured {
         sources, systems, ..
     } = measured(&test_set, evaluators, protocol, progress)?;
+    let weakness = evaluators.encoder.weakness();
     let find = |name: &str| systems.iter().find(|system| system.name == name);
     let tasks = test_set.tasks();
     progress.begin("compare", Some(tasks.len() as u64));
@@ -111,7 +114,13 @@ pub fn compare(
                     .select(&indices)
             });
             let resamples = Resamples::new(test_set.targets(&indices), protocol);
-            let differences = differences(task, &sources, &targets, &sides, &resamples, protocol)?;
+            let mut differences =
+                differences(task, &sources, &targets, &sides, &resamples, protocol)?;
+            if weakness.is_some() {
+                for difference in &mut differences {
+                    difference.better = None;
+                }
+            }
             let Items {
                 targets, digest, ..
             } = test_set.counts(&indices);
@@ -124,6 +133,7 @@ pub fn compare(
                 systems: names.map(str::to_owned),
                 protocol: whole_sets(protocol).name(indices.len()),
                 encoder_hash: evaluators.encoder.hash(),
+                unranked: weakness.clone(),
                 differences,
             })
         })
@@ -255,15 +265,24 @@ impl Comparison {
     pub fn grid(&self) -> Grid {
         let [a, b] = &self.systems;
         Grid {
-            title: format!(
-                "{}: A = {a}, B = {b}, intervals of B - A; {} items of {} targets (ids {}); {}; encoder {}",
-                self.task,
-                self.n,
-                self.targets,
-                self.items_digest,
-                self.protocol,
-                crate::table::short_hash(&self.encoder_hash),
-            ),
+            title: self
+                .unranked
+                .iter()
+                .map(|reason| {
+                    format!(
+                        "No system is called better: the encoder is too weak to judge: {reason}.\n"
+                    )
+                })
+                .collect::<String>()
+                + &format!(
+                    "{}: A = {a}, B = {b}, intervals of B - A; {} items of {} targets (ids {}); {}; encoder {}",
+                    self.task,
+                    self.n,
+                    self.targets,
+                    self.items_digest,
+                    self.protocol,
+                    crate::table::short_hash(&self.encoder_hash),
+                ),
             head: ["Metric", "A", "B", "B - A", "from", "to", "better"]
                 .map(str::to_owned)
                 .to_vec(),

@@ -319,6 +319,16 @@ pub enum Error {
         /// Items there are.
         found: usize,
     },
+    /// The report of an encoder cannot be read.
+    #[error(
+        "cannot read {path}, the report of an encoder; remove it and run the same `stance train tmr` again"
+    )]
+    Report {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
     /// A score table cannot be written as JSON.
     #[error("cannot write the scores as JSON")]
     Json {

@@ -17,6 +17,10 @@ pub trait MotionEncoder {
 
     /// How the encoder was trained, in one line for the head of a table.
     fn recipe(&self) -> String;
+
+    /// Why scores with this encoder rank no system, such as [`JudgeReport::weakness`](crate::judge::JudgeReport::weakness);
+    /// none if they do.
+    fn weakness(&self) -> Option<String>;
 }
 
 /// A network that tells motions composed of several from natural ones.

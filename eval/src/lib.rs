@@ -4,7 +4,7 @@
 //! [`evaluators::MotionEncoder`] for latents, and returns rows of the `scores` table, which it lays out
 //! as text, Markdown, LaTeX, CSV or JSON and draws into one self-contained HTML report. It never
 //! sees a model, so every system is scored by the same path. [`answers`] reads tables of edits and
-//! commits scores; [`best_edit`] chooses what a report opens with; [`figure`] holds the points and
+//! commits scores; [`judge`] says whether an encoder may rank; [`best_edit`] chooses what a report opens with; [`figure`] holds the points and
 //! drawings of ablations.
 //!
 //! Start at [`score::score`] and [`protocol::Protocol`].
@@ -37,6 +37,9 @@
 //!     }
 //!     fn recipe(&self) -> String {
 //!         "path".to_owned()
+//!     }
+//!     fn weakness(&self) -> Option<String> {
+//!         None
 //!     }
 //! }
 //!
@@ -81,6 +84,7 @@ mod error;
 pub mod evaluators;
 pub mod figure;
 pub mod format;
+pub mod judge;
 pub mod linalg;
 pub mod metric;
 pub mod names;

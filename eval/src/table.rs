@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use datasets_spec::record::ScoreRow;
 
+use crate::judge::{Judges, unranked};
 use crate::metric::interval::Interval;
 use crate::metric::{self, Better, Metric, fid};
 use crate::names::{ALL_TASKS, GIVEN, IDENTITY, REAL_DATA, RECAPTURED};
@@ -19,6 +20,9 @@ pub struct Table {
     pub encoder_hash: String,
     /// How the encoder was trained.
     pub encoder_recipe: String,
+    /// Why the table ranks no system, as a sentence that stands in its first line; none if it ranks. Such a table marks no
+    /// value and compares no system.
+    pub unranked: Option<String>,
     /// What was measured.
     pub items: Items,
     /// Evaluations.
@@ -109,11 +113,11 @@ impl Table {
     /// Lays out scores: one table for each task, protocol and encoder found, in the order of
     /// [`crate::score::score`].
     ///
-    /// `recipes` says how the encoder of each hash was trained. `metrics` are the columns; those that
+    /// `judges` holds the encoder of each hash. `metrics` are the columns; those that
     /// no system has a value of are left out, and so are scores of other metrics.
     pub fn from_scores(
         scores: &[ScoreRow],
-        recipes: &BTreeMap<String, String>,
+        judges: &Judges,
         metrics: &[&'static Metric],
     ) -> Vec<Self> {
         let mut keys: Vec<Key<'_>> = Vec::new();
@@ -128,14 +132,14 @@ impl Table {
         keys.into_iter()
             .filter_map(|wanted| {
                 let rows: Vec<&ScoreRow> = scores.iter().filter(|row| key(row) == wanted).collect();
-                Self::of_group(&rows, recipes, metrics)
+                Self::of_group(&rows, judges, metrics)
             })
             .collect()
     }
 
     fn of_group(
         scores: &[&ScoreRow],
-        recipes: &BTreeMap<String, String>,
+        judges: &Judges,
         metrics: &[&'static Metric],
     ) -> Option<Self> {
         let first = scores.first()?;
@@ -196,10 +200,11 @@ impl Table {
             task: first.task.clone(),
             protocol: first.protocol.clone(),
             encoder_hash: first.encoder_hash.clone(),
-            encoder_recipe: recipes
+            encoder_recipe: judges
                 .get(&first.encoder_hash)
-                .cloned()
+                .map(|judge| judge.recipe.clone())
                 .unwrap_or_default(),
+            unranked: unranked(first, scores.iter().copied(), judges),
             items: Items {
                 count: first.n,
                 targets: first.targets,
@@ -214,8 +219,10 @@ impl Table {
             rows,
             notes: Vec::new(),
         };
-        let behind = table.mark_best();
-        table.notes.extend(behind);
+        if table.unranked.is_none() {
+            let behind = table.mark_best();
+            table.notes.extend(behind);
+        }
         table.notes.extend(table.note_of_small_samples());
         Some(table)
     }
@@ -367,8 +374,38 @@ fn badness(column: Column, mean: f64, real: Option<f64>) -> Option<f64> {
     }
 }
 
+/// Whether each score is one of a table that ranks systems; and whether it is then worse than the identity editor's of the
+/// same task, items and protocol.
+pub(crate) fn standings(scores: &[ScoreRow], judges: &Judges) -> Vec<Standing> {
+    let mut ranking: BTreeMap<Key<'_>, bool> = BTreeMap::new();
+    for row in scores {
+        ranking
+            .entry(key(row))
+            .or_insert_with(|| unranked(row, scores, judges).is_none());
+    }
+    let behind = behind_identity(scores);
+    let rows = scores.iter().zip(behind);
+    rows.map(|(row, behind_identity)| {
+        let ranks_systems = ranking[&key(row)];
+        Standing {
+            ranks_systems,
+            behind_identity: ranks_systems && behind_identity,
+        }
+    })
+    .collect()
+}
+
+/// Where a score stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub(crate) struct Standing {
+    /// Whether its table ranks systems.
+    pub(crate) ranks_systems: bool,
+    /// Whether it is worse than the identity editor's.
+    pub(crate) behind_identity: bool,
+}
+
 /// Whether each score is worse than the identity editor's of the same task, items and protocol.
-pub(crate) fn behind_identity(scores: &[ScoreRow]) -> Vec<bool> {
+fn behind_identity(scores: &[ScoreRow]) -> Vec<bool> {
     let given: BTreeMap<(Key<'_>, &str, &str), f64> = scores
         .iter()
         .filter(|row| [REAL_DATA, IDENTITY].contains(&row.system.as_str()))
@@ -430,6 +467,7 @@ pub(crate) fn short_hash(hash: &str) -> &str {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::judge::{Judge, TOLD_APART};
     use crate::metric::diversity::DIVERSITY;
     use crate::metric::foot_score::FOOT_SCORE;
     use crate::metric::position_error::POSITION_ERROR;
@@ -486,10 +524,18 @@ pub(crate) mod tests {
         scores
     }
 
+    /// The encoder of the sample scores.
+    pub(crate) fn judges(weakness: Option<&str>) -> Judges {
+        let judge = Judge {
+            recipe: "TMR tiny".to_owned(),
+            weakness: weakness.map(str::to_owned),
+        };
+        Judges::from([("0123456789abcdef".to_owned(), judge)])
+    }
+
     /// The sample scores as a table of the paper's columns.
     pub(crate) fn sample_table() -> Table {
-        let recipes = BTreeMap::from([("0123456789abcdef".to_owned(), "TMR tiny".to_owned())]);
-        Table::from_scores(&sample_scores("semantic"), &recipes, &paper_columns()).remove(0)
+        Table::from_scores(&sample_scores("semantic"), &judges(None), &paper_columns()).remove(0)
     }
 
     #[test]
@@ -511,6 +557,66 @@ pub(crate) mod tests {
             "semantic: 512 items (29 targets, 400 sources, 61 instructions; ids a1b2c3d4e5f6), \
              1 take, 10 repeats; galleries of 32, seed 0; encoder 0123456789ab (TMR tiny)"
         );
+    }
+
+    #[test]
+    fn a_weak_encoder_and_items_without_difference_rank_nothing() {
+        let scores = sample_scores("semantic");
+        let told_apart = |mean: f64, ci95: Option<f64>| {
+            let mut scores = scores.clone();
+            let row = score_row("semantic", IDENTITY, &retrieval::E2T_RECALL_1, mean);
+            scores.push(ScoreRow {
+                metric: TOLD_APART.to_owned(),
+                ci95,
+                ..row
+            });
+            scores
+        };
+        let cases = [
+            (scores.clone(), judges(None), true),
+            (told_apart(12.0, Some(11.9)), judges(None), true),
+            (told_apart(12.0, None), judges(None), true),
+            (told_apart(12.0, Some(12.0)), judges(None), false),
+            (told_apart(0.0, None), judges(None), false),
+            (
+                told_apart(12.0, Some(1.0)),
+                judges(Some("it guesses")),
+                false,
+            ),
+        ];
+        for (scores, judges, ranks) in cases {
+            let table = Table::from_scores(&scores, &judges, &paper_columns()).remove(0);
+            let marks = table.rows.iter().flat_map(|row| row.cells.iter().flatten());
+            assert_eq!(marks.filter(|cell| cell.best).count() > 0, ranks);
+            assert_eq!(table.unranked.is_none(), ranks, "{:?}", table.unranked);
+            let compares = table
+                .notes
+                .iter()
+                .any(|note| note.contains("Behind the identity"));
+            assert_eq!(compares, ranks);
+            let standings = standings(&scores, &judges);
+            assert!(
+                standings
+                    .iter()
+                    .all(|standing| standing.ranks_systems == ranks)
+            );
+            let behind = standings.iter().any(|standing| standing.behind_identity);
+            assert_eq!(behind, ranks);
+            if !ranks {
+                let tables = [table];
+                let sentence = "This table ranks nothing.";
+                assert!(crate::format::text::render(&tables).starts_with(sentence));
+                let markdown = crate::format::markdown::render(&tables);
+                assert!(
+                    markdown
+                        .lines()
+                        .nth(2)
+                        .is_some_and(|line| line.starts_with(sentence))
+                );
+                let latex = crate::format::latex::render(&tables);
+                assert!(latex.starts_with(&format!("% {sentence}")));
+            }
+        }
     }
 
     fn best<'a>(table: &'a Table, metric: &Metric) -> Vec<&'a str> {

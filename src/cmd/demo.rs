@@ -9,14 +9,15 @@ use pipeline::ingest::SourceArg;
 use train::config::{Preset, RunLength, TrainConfig};
 
 use crate::cmd::run::{Plan, RunConfig, finish};
+use crate::evaluators::WeakJudgeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::trainings::TrainingsArgs;
 
 /// Try the program: run the whole chain on the built-in motion corpus, without files of your own.
 ///
-/// It needs no download and no licence, and ends with a result table. Interrupted and run again, it
-/// continues. `stance run` does the same with your own motions.
+/// It needs no download and no licence, and ends with a result table, measured with the encoder that ships with the
+/// program. Interrupted and run again, it continues. `stance run` does the same with your own motions.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Folder for everything the demo makes
@@ -25,6 +26,8 @@ pub(crate) struct Args {
     /// Fewer clips and far fewer training steps: shows that the chain works, not how well
     #[arg(long)]
     quick: bool,
+    #[command(flatten)]
+    weak_judge: WeakJudgeArgs,
     #[command(flatten)]
     trainings: TrainingsArgs,
 }
@@ -69,6 +72,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     config.stages.without_mcm = true;
     config.items.count = ItemCount::Exactly(if args.quick { QUICK_ITEMS } else { ITEMS });
     let mut plan = Plan::new(config, global)?;
+    plan.with_builtin = true;
     if args.quick {
         shorten(&mut plan);
     } else {
@@ -84,7 +88,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
     plan.title = "stance demo".to_owned();
     plan.commands = vec![command];
-    finish(plan, &args.trainings, global)
+    finish(plan, &args.trainings, args.weak_judge, global)
 }
 
 fn shorten(plan: &mut Plan) {
@@ -92,16 +96,10 @@ fn shorten(plan: &mut Plan) {
         train,
         coordinator,
         poses,
-        encoder,
         ..
     } = plan;
     debug_assert_eq!(train.model, TrainConfig::preset(Preset::Tiny).model);
-    for run in [
-        &mut train.run,
-        &mut coordinator.run,
-        &mut poses.run,
-        &mut encoder.run,
-    ] {
+    for run in [&mut train.run, &mut coordinator.run, &mut poses.run] {
         run.length = RunLength::of_steps(QUICK_STEPS);
         run.val_every = QUICK_STEPS / 2;
         run.log_every = QUICK_STEPS / 8;

@@ -17,7 +17,7 @@ use eval::table::Table;
 use eval::times::{self, WindowTimes};
 
 use crate::device::DeviceArgs;
-use crate::evaluators::{EvaluatorRuns, encoder_retrieval};
+use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, encoder_retrieval};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::{report, stages};
@@ -92,7 +92,7 @@ struct CompareArgs {
 /// With what and how scores are measured.
 #[derive(clap::Args, Debug)]
 struct Measure {
-    /// Run folder of the encoder; not needed for Table A4
+    /// Run folder of the encoder, or `builtin`; not needed for Table A4
     #[arg(long, value_name = "RUN")]
     encoder: Option<PathBuf>,
     /// Run folder of a coordinator, to also measure the share of each system's windows it classifies as composed
@@ -139,6 +139,8 @@ struct Measure {
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     floor: Option<f64>,
     #[command(flatten)]
+    weak_judge: WeakJudgeArgs,
+    #[command(flatten)]
     device: DeviceArgs,
 }
 
@@ -179,7 +181,9 @@ impl Measure {
     fn runs(&self) -> anyhow::Result<EvaluatorRuns<'_>> {
         self.device.choose()?;
         let Some(encoder) = &self.encoder else {
-            bail!("name the encoder to compare motions with: --encoder RUN, of `stance train tmr`");
+            bail!(
+                "name the encoder to compare motions with: --encoder RUN, of `stance train tmr`, or --encoder builtin"
+            );
         };
         Ok(EvaluatorRuns {
             encoder,
@@ -276,7 +280,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         scores.commit(out, &answered.skeleton, &global.holder())?;
     }
     let text = if global.json || args.measure.format == FormatArg::Json {
-        format::json::render(&scores.rows)?
+        format::json::render(&scores.rows, &scores.judges)?
     } else {
         let mut tables = paper_tables(&scores, table);
         if args.published {
@@ -291,17 +295,18 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             FormatArg::Text => format::text::render(&tables),
             FormatArg::Markdown => format::markdown::render(&tables),
             FormatArg::Latex => format::latex::render(&tables),
-            FormatArg::Csv | FormatArg::Json => format::csv::render(&scores.rows),
+            FormatArg::Csv | FormatArg::Json => format::csv::render(&scores.rows, &scores.judges),
         }
     };
     report::text(&text);
-    Ok(Exit::Done)
+    let weak_judge = args.measure.weak_judge;
+    Ok(weak_judge.exit(scores.unranked(), Exit::Done))
 }
 
 /// The scores in the shape of a table of the paper: its tasks, where the edits are of any of them,
 /// and the tasks there are otherwise.
 pub(crate) fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
-    let mut tables = Table::from_scores(&scores.rows, &scores.recipes, &table.columns());
+    let mut tables = Table::from_scores(&scores.rows, &scores.judges, &table.columns());
     let wanted = |found: &Table| {
         [ALL_TASKS, RECAPTURED].contains(&found.task.as_str())
             || table.tasks().contains(&found.task.as_str())
@@ -373,16 +378,18 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
     let comparisons = runs.with(&paired.answered.skeleton, |evaluators| {
         paired.compare(evaluators, &protocol, &global.bars())
     })?;
+    let unranked = comparisons.iter().find_map(|found| found.unranked.clone());
+    let exit = args.measure.weak_judge.exit(unranked, Exit::Done);
     if global.json || args.measure.format == FormatArg::Json {
         report::json(&comparisons)?;
-        return Ok(Exit::Done);
+        return Ok(exit);
     }
     let grids: Vec<String> = comparisons
         .iter()
         .map(|comparison| printed(&comparison.grid(), args.measure.format))
         .collect();
     report::text(&grids.join("\n"));
-    Ok(Exit::Done)
+    Ok(exit)
 }
 
 fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
@@ -455,11 +462,11 @@ fn printed(grid: &format::grid::Grid, format: FormatArg) -> String {
 
 /// The scores in the shape of the paper's Table 1, for all tasks there are.
 pub(crate) fn tables(scores: &Scores) -> Vec<Table> {
-    Table::from_scores(&scores.rows, &scores.recipes, &metric::of_part(Part::Paper))
+    Table::from_scores(&scores.rows, &scores.judges, &metric::of_part(Part::Paper))
 }
 
 /// The columns the paper does not print, and motion quality.
 pub(crate) fn further_tables(scores: &Scores) -> Vec<Table> {
-    let of = |part| Table::from_scores(&scores.rows, &scores.recipes, &metric::of_part(part));
+    let of = |part| Table::from_scores(&scores.rows, &scores.judges, &metric::of_part(part));
     [of(Part::Further), of(Part::Quality)].concat()
 }

@@ -16,7 +16,7 @@ use eval::table::Table;
 
 use crate::cmd::eval::{further_tables, tables};
 use crate::device::DeviceArgs;
-use crate::evaluators::EvaluatorRuns;
+use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::local;
@@ -31,7 +31,7 @@ pub(crate) struct Args {
     /// Tables of edits of the same items, as `stance edit` writes them
     #[arg(required = true)]
     edits: Vec<PathBuf>,
-    /// Run folder of the encoder; without it there are no scores
+    /// Run folder of the encoder, or `builtin`; without it there are no scores
     #[arg(long, value_name = "RUN")]
     encoder: Option<PathBuf>,
     /// File to write
@@ -43,6 +43,8 @@ pub(crate) struct Args {
     /// Title of the page
     #[arg(long, default_value = "Edited motions")]
     title: String,
+    #[command(flatten)]
+    weak_judge: WeakJudgeArgs,
     #[command(flatten)]
     device: DeviceArgs,
 }
@@ -56,6 +58,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if answered.edits.is_empty() {
         bail!("the tables hold no edits");
     }
+    let mut unranked = None;
     let tables = match &args.encoder {
         Some(encoder) => {
             let runs = EvaluatorRuns {
@@ -67,6 +70,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 ..Protocol::default()
             };
             let scores = stages::scores(&answered, &runs, &protocol, global)?;
+            unranked = scores.unranked();
             [tables(&scores), further_tables(&scores)].concat()
         }
         None => Vec::new(),
@@ -86,7 +90,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             html.len() / 1000
         ));
     }
-    Ok(Exit::Done)
+    Ok(args.weak_judge.exit(unranked, Exit::Done))
 }
 
 /// A page without a title about edits, which lie in `folders`; `shown` items are in the viewer, spread over the

@@ -35,9 +35,10 @@ use train::tmr::TmrConfig;
 
 use crate::cmd::eval::tables;
 use crate::cmd::page::{opening, strip_of};
-use crate::evaluators::EvaluatorRuns;
+use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, report_on_encoder};
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::judge::BUILTIN;
 use crate::local;
 use crate::seeds::Seeds;
 use crate::session::{stopped, text_encoder, with_session};
@@ -53,6 +54,8 @@ pub(crate) struct Args {
     /// Configuration file
     #[arg(long)]
     config: PathBuf,
+    #[command(flatten)]
+    weak_judge: WeakJudgeArgs,
     #[command(flatten)]
     trainings: TrainingsArgs,
 }
@@ -179,6 +182,8 @@ pub(crate) struct Plan {
     pub(crate) coordinator: CoordinatorConfig,
     pub(crate) poses: J2sConfig,
     pub(crate) encoder: TmrConfig,
+    /// Whether the built-in encoder evaluates, and none is trained.
+    pub(crate) with_builtin: bool,
     pub(crate) title: String,
     pub(crate) commands: Vec<String>,
 }
@@ -213,6 +218,7 @@ impl Plan {
             coordinator,
             poses,
             encoder,
+            with_builtin: false,
             title: "stance run".to_owned(),
             commands: Vec::new(),
         })
@@ -244,7 +250,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         "stance run --config {name}{}",
         global.seed_option()
     )];
-    finish(plan, &args.trainings, global)
+    finish(plan, &args.trainings, args.weak_judge, global)
 }
 
 /// Where the pieces of a run lie.
@@ -263,7 +269,7 @@ struct Places {
 }
 
 impl Places {
-    fn under(out: &Path) -> Self {
+    fn under(out: &Path, with_builtin: bool) -> Self {
         Self {
             dataset: out.join("dataset"),
             triplets: out.join("triplets"),
@@ -271,7 +277,10 @@ impl Places {
             without_mcm: out.join("runs/without-mcm"),
             coordinator: out.join("runs/coordinator"),
             poses: out.join("runs/j2s"),
-            encoder: out.join("runs/tmr"),
+            encoder: match with_builtin {
+                true => BUILTIN.into(),
+                false => out.join("runs/tmr"),
+            },
             items: out.join("items"),
             edits: out.join("edits"),
             scores: out.join("scores"),
@@ -284,10 +293,11 @@ impl Places {
 pub(crate) fn finish(
     plan: Plan,
     trainings: &TrainingsArgs,
+    weak_judge: WeakJudgeArgs,
     global: &Global,
 ) -> anyhow::Result<Exit> {
     let config = &plan.config;
-    let places = Places::under(&config.out);
+    let places = Places::under(&config.out, plan.with_builtin);
     let bars = global.bars();
 
     let ingested = stages::ingested(
@@ -378,7 +388,7 @@ pub(crate) fn finish(
         seeds: config.seeds.in_words(global),
         ingested: &ingested,
         dataset: &dataset,
-        encoder: &trained.encoder,
+        encoder: trained.encoder.as_ref(),
         editor: &trained.editor,
         edits: &edits,
         unknown: &unknown,
@@ -387,17 +397,18 @@ pub(crate) fn finish(
     let html = page(&done, &places)?;
     local::write(&places.report, html.as_bytes())?;
     print(&done, &places, global)?;
-    Ok(if ingested.accounting.quarantined > 0 {
-        Exit::Quarantined
-    } else {
-        Exit::Done
-    })
+    let exit = match ingested.accounting.quarantined {
+        0 => Exit::Done,
+        _ => Exit::Quarantined,
+    };
+    Ok(weak_judge.exit(scores.unranked(), exit))
 }
 
 /// What training gives to the page.
 struct Trained {
     editor: TrainReport,
-    encoder: TrainReport,
+    /// None where the built-in encoder evaluates.
+    encoder: Option<TrainReport>,
     /// Whether there is a coordinator.
     is_guided: bool,
 }
@@ -434,7 +445,7 @@ fn train_all(
             Trains::Poses,
             config.stages.poses && !places.poses.join("checkpoint").exists(),
         ),
-        (Trains::Encoder, true),
+        (Trains::Encoder, !plan.with_builtin),
     ];
     let wanted: Vec<Trains> = wanted
         .into_iter()
@@ -449,11 +460,10 @@ fn train_all(
     };
     let report = |model| {
         let place = wanted.iter().position(|&of| of == model);
-        let report = place.and_then(|place| reports[place].clone());
-        report.expect("every run trains an editor and an encoder")
+        place.and_then(|place| reports[place].clone())
     };
     Ok(Some(Trained {
-        editor: report(Trains::Editor),
+        editor: report(Trains::Editor).expect("every run trains an editor"),
         encoder: report(Trains::Encoder),
         is_guided,
     }))
@@ -494,6 +504,14 @@ fn train_one(
         Trains::Poses => train_j2s(dataset, run, &plan.poses, session).map(|_| None),
         Trains::Encoder => train_encoder(dataset, run, &plan.encoder, session).map(Some),
     })
+    .map_err(anyhow::Error::from)
+    .and_then(|trained| {
+        let is_complete = trained.as_ref().is_some_and(|report| report.is_complete);
+        if model == Trains::Encoder && is_complete {
+            report_on_encoder(dataset, run, Seed(plan.encoder.run.seed))?;
+        }
+        Ok(trained)
+    })
     .with_context(|| format!("stage train {name}"))
 }
 
@@ -503,7 +521,7 @@ struct Done<'a> {
     seeds: String,
     ingested: &'a IngestReport,
     dataset: &'a Dataset,
-    encoder: &'a TrainReport,
+    encoder: Option<&'a TrainReport>,
     editor: &'a TrainReport,
     edits: &'a Answered,
     /// Words of the instructions that some system has never seen.
@@ -518,7 +536,8 @@ struct Document<'a> {
     report: &'a Path,
     accounting: &'a Accounting,
     root_hash: &'a str,
-    encoder: &'a TrainReport,
+    /// None where the built-in encoder evaluates.
+    encoder: Option<&'a TrainReport>,
     editor: &'a TrainReport,
     scores: serde_json::Value,
 }
@@ -532,7 +551,10 @@ fn print(done: &Done, places: &Places, global: &Global) -> anyhow::Result<()> {
             root_hash: &done.dataset.manifest().root_hash,
             encoder: done.encoder,
             editor: done.editor,
-            scores: serde_json::from_str(&format::json::render(&done.scores.rows)?)?,
+            scores: serde_json::from_str(&format::json::render(
+                &done.scores.rows,
+                &done.scores.judges,
+            )?)?,
         });
     }
     report::text(&format::text::render(&tables(done.scores)));
@@ -600,19 +622,16 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
             ),
         ),
     ];
-    let charts = vec![
-        Chart::Lines(curves(
-            &places.editor,
-            "Editor: denoising loss",
-            Scale::Log,
-        )?),
-        Chart::Lines(curves(
-            &places.encoder,
-            "Encoder of the evaluation",
-            Scale::Log,
-        )?),
-        Chart::Bars(actions(done.dataset)?),
-    ];
+    let mut charts = vec![Chart::Lines(curves(
+        &places.editor,
+        "Editor: denoising loss",
+        Scale::Log,
+    )?)];
+    if done.encoder.is_some() {
+        let title = "Encoder of the evaluation";
+        charts.push(Chart::Lines(curves(&places.encoder, title, Scale::Log)?));
+    }
+    charts.push(Chart::Bars(actions(done.dataset)?));
     let facts = vec![
         ("root hash".to_owned(), manifest.root_hash.clone()),
         (
@@ -641,7 +660,13 @@ fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
     let config = &done.plan.config;
     let details = [
         ("Editor", serde_json::to_value(&done.plan.train)?),
-        ("Encoder", serde_json::to_value(&done.plan.encoder)?),
+        (
+            "Encoder",
+            match done.encoder {
+                Some(_) => serde_json::to_value(&done.plan.encoder)?,
+                None => BUILTIN.into(),
+            },
+        ),
         ("Stages", serde_json::to_value(config.stages)?),
         ("Composition", serde_json::to_value(&done.plan.compose)?),
         ("Items", serde_json::to_value(&config.items)?),

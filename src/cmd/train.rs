@@ -15,6 +15,7 @@ use crate::cmd::model::Features;
 use crate::cmd::render::write_picture;
 use crate::cmd::triplets::ComposeArgs;
 use crate::device::TrainDeviceArgs;
+use crate::evaluators::report_on_encoder;
 use crate::exit::Exit;
 use crate::global::{Global, PresetArg};
 use crate::session::{text_encoder, with_session};
@@ -25,6 +26,9 @@ use crate::{report, settings};
 /// The run folder holds the resolved settings, the normaliser and vocabulary, the metrics
 /// and the checkpoints. The same command continues an interrupted run exactly where it stopped; an
 /// interrupt saves and ends.
+///
+/// The evaluation encoder ends with a report of its own retrieval on the validation clips (report.json in the run folder),
+/// without which tables rank no system.
 #[derive(clap::Args, Debug)]
 #[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true)]
 pub(crate) struct Args {
@@ -79,6 +83,9 @@ pub(crate) struct Args {
     device: TrainDeviceArgs,
 }
 
+/// Name of the evaluation encoder among the models.
+const ENCODER: &str = "tmr";
+
 fn gigabytes(text: &str) -> Result<f64, String> {
     let parsed = text.parse::<f64>().ok();
     parsed
@@ -126,7 +133,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         None => Map::new(),
     };
     if let Some(features) = args.features {
-        if kind.name != "tmr" {
+        if kind.name != ENCODER {
             bail!("--features is about the evaluation encoder: stance train tmr");
         }
         own.insert(
@@ -159,7 +166,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         length,
         memory: args.memory.map(|gb| (1e9 * gb) as u64),
     };
-    let done = with_session(&global.bars(), |session| (kind.train)(&request, session))?;
+    let mut done = with_session(&global.bars(), |session| (kind.train)(&request, session))?;
+    if kind.name == ENCODER && done.is_complete {
+        let found = report_on_encoder(dataset, out, global.seed())?;
+        done.summary += &format!("\n{}", found.lines().join("\n"));
+        done.document["judge"] = serde_json::to_value(&found)?;
+    }
     if global.json {
         report::json(&done.document)?;
     } else {

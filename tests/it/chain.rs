@@ -71,7 +71,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         "#,
     )
     .expect("writes");
-    let first: Run = stance(&["--json", "run", "--config", arg(&config)])
+    let first: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)])
         .expect_code(0)
         .json();
     let systems: BTreeSet<&str> = first
@@ -112,7 +112,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
 
     // Nothing is left to do, so the models are not trained again and the numbers are the same.
     let before = fs::read(run.join("runs/motionrefit/metrics.jsonl")).expect("metrics");
-    let again: Run = stance(&["--json", "run", "--config", arg(&config)])
+    let again: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)])
         .expect_code(0)
         .json();
     let after = fs::read(run.join("runs/motionrefit/metrics.jsonl")).expect("metrics");
@@ -139,7 +139,13 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     let edits = run.join("edits/full");
     let encoder = run.join("runs/tmr");
     let eval = |more: &[&str]| {
-        let args = ["eval", arg(&edits), "--encoder", arg(&encoder)];
+        let args = [
+            "eval",
+            arg(&edits),
+            "--encoder",
+            arg(&encoder),
+            "--weak-judge",
+        ];
         stance(&[&args, more].concat()).expect_code(0)
     };
     let scores: serde_json::Value = eval(&["--json"]).json();

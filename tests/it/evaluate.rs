@@ -1,10 +1,11 @@
 //! Tables in every form, comparisons, plans and the page of edits.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{EditRow, ItemRow, MotionRow};
-use datasets_spec::{Dataset, Skeleton};
+use datasets_spec::{Dataset, Skeleton, Split};
 use eval::metric::{Metric, Part, of_part};
 use serde_json::Value;
 
@@ -87,7 +88,14 @@ impl Bench {
     }
 
     pub(crate) fn eval(&self, edits: &[&Path], more: &[&str]) -> Ran {
-        let mut args = vec!["eval", "--encoder", arg(&self.encoder), "--repeats", "2"];
+        let mut args = vec![
+            "eval",
+            "--encoder",
+            arg(&self.encoder),
+            "--weak-judge",
+            "--repeats",
+            "2",
+        ];
         args.extend(more);
         args.extend(edits.iter().map(|path| arg(path)));
         stance(&args)
@@ -248,6 +256,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
             arg(b),
             "--encoder",
             arg(&bench.encoder),
+            "--weak-judge",
             "--repeats",
             "2",
         ])
@@ -333,9 +342,16 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         ]
     );
     assert!(!bench.workshop.path("made").exists());
-    let first: Value = stance(&["--json", "reproduce", arg(&plan), "--at-once", "2"])
-        .expect_code(0)
-        .json();
+    let first: Value = stance(&[
+        "--json",
+        "reproduce",
+        "--weak-judge",
+        arg(&plan),
+        "--at-once",
+        "2",
+    ])
+    .expect_code(0)
+    .json();
     let out = bench.workshop.path("made");
     // The ratio of 1 is the default: two trainings of the editor serve five points, and its table.
     let count = |folder: &str| fs::read_dir(out.join(folder)).expect("a folder").count();
@@ -425,7 +441,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     let (page, old) = (out.join("index.html"), out.join("old.html"));
     fs::hard_link(&page, &old).expect("a second name");
     fs::write(&old, "old").expect("writes");
-    let again: Value = stance(&["--json", "reproduce", arg(&plan)])
+    let again: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)])
         .expect_code(0)
         .json();
     assert_eq!(first, again);
@@ -439,7 +455,14 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
 
     // Trainings one after the other give the same scores.
     let other = bench.workshop.path("one-by-one");
-    let plan = ["--json", "reproduce", arg(&plan), "--at-once", "1"];
+    let plan = [
+        "--json",
+        "reproduce",
+        "--weak-judge",
+        arg(&plan),
+        "--at-once",
+        "1",
+    ];
     let one_by_one: Value = stance(&[&plan[..], &["--out", arg(&other)]].concat())
         .expect_code(0)
         .json();
@@ -457,7 +480,7 @@ fn a_plan_trains_anew_when_its_dataset_has_grown() {
     );
     let [dataset, corpus, more] =
         ["dataset", "corpus", "more"].map(|name| bench.workshop.path(name));
-    let run = || stance(&["--json", "reproduce", arg(&plan)]);
+    let run = || stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]);
     let first: Value = run().expect_code(0).json();
     let args = [
         "--seed",
@@ -490,7 +513,7 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
          [[figure]]\nname = \"seed\"\nkey = \"train.seed\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
     let before = bench.workshop.root_hash();
-    let ran = stance(&["--json", "reproduce", arg(&plan)]).expect_code(1);
+    let ran = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).expect_code(1);
     assert!(ran.stderr.contains("train.window = 400"), "{}", ran.stderr);
     let made: Value = ran.json();
     assert_eq!(
@@ -533,7 +556,7 @@ fn a_plan_trains_anew_when_its_text_vectors_change() {
     let table = TextTable::of(workshop);
     for (scale, runs) in [(1.0, 1), (1.0, 1), (2.0, 2)] {
         table.write("table.safetensors", scale).expect_code(0);
-        stance(&["reproduce", arg(&plan)]).expect_code(0);
+        stance(&["reproduce", "--weak-judge", arg(&plan)]).expect_code(0);
         let made = fs::read_dir(workshop.path("made/runs")).expect("runs");
         assert_eq!(made.count(), runs, "vectors times {scale}");
     }
@@ -556,7 +579,7 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
     let twice = stance(&["reproduce", arg(&plan("[6, 6]"))]).expect_code(1);
     assert!(twice.stderr.contains("holds 6 twice"), "{}", twice.stderr);
     let run = |seeds: &str| -> Value {
-        stance(&["--json", "reproduce", arg(&plan(seeds))])
+        stance(&["--json", "reproduce", "--weak-judge", arg(&plan(seeds))])
             .expect_code(0)
             .json()
     };
@@ -605,7 +628,7 @@ fn items_that_are_short_for_one_window_count_at_none() {
         "[[system]]\nname = \"ours\"\n\
          [[figure]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 24]\nmetrics = [\"FS\"]\n",
     );
-    let made: Value = stance(&["--json", "reproduce", arg(&plan)])
+    let made: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)])
         .expect_code(0)
         .json();
     let figure = &made["figures"][0];
@@ -631,7 +654,7 @@ fn convergence_scores_the_kept_checkpoints_of_one_training() {
          train = { keep_epochs = 1, length = { epochs = 2, steps = 500 } }\n\
          [[figure]]\nname = \"convergence\"\nkey = \"epoch\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
-    let made: Value = stance(&["--json", "reproduce", arg(&plan)])
+    let made: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)])
         .expect_code(0)
         .json();
     let points = made["figures"][0]["points"].as_array().expect("points");
@@ -746,7 +769,14 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     refused(bench.eval(&[&out], &[]));
     let scores = workshop.path("tall-scores");
     let encoder = workshop.path("tall-tmr");
-    let eval = ["eval", "--encoder", arg(&encoder), "--repeats", "2"];
+    let eval = [
+        "eval",
+        "--encoder",
+        arg(&encoder),
+        "--weak-judge",
+        "--repeats",
+        "2",
+    ];
     let rest = ["--out", arg(&scores), arg(&out)];
     stance(&[&eval[..], &rest[..]].concat()).expect_code(0);
 
@@ -792,6 +822,7 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
         arg(&first),
         "--encoder",
         arg(&bench.encoder),
+        "--weak-judge",
         "--items",
         "3",
         "--out",
@@ -840,6 +871,140 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     assert!(html.contains("script-src 'sha256-") && !html.contains("https://"));
     let refused = stance(&["report", arg(&bench.encoder), "--out", arg(&page)]).expect_code(1);
     assert!(refused.stderr.contains("encoder"), "{}", refused.stderr);
+}
+
+#[test]
+fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
+    let bench = Bench::open();
+    let weak = bench.workshop.path("weak");
+    let dataset = bench.workshop.dataset();
+    let train = |out: &Path| {
+        let args = [
+            "train",
+            "tmr",
+            arg(&dataset),
+            "--out",
+            arg(out),
+            "--steps",
+            "1",
+        ];
+        stance(&args).expect_code(0)
+    };
+    let said = train(&weak).stdout;
+    for words in [
+        "text to motion: R@1",
+        "motion to text: R@1",
+        "chance",
+        "ranks nothing",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    let report: Value =
+        serde_json::from_slice(&fs::read(weak.join("report.json")).expect("a report"))
+            .expect("JSON");
+    let folder = Dataset::open(&dataset).expect("a dataset");
+    assert_eq!(report["dataset_hash"], folder.manifest().root_hash);
+    let clips: Vec<MotionRow> = folder.read(Some(Split::Val)).expect("rows");
+    let texts: BTreeSet<&str> = clips
+        .iter()
+        .map(|clip| clip.captions[0].text.as_str())
+        .collect();
+    assert_eq!(
+        (&report["clips"], &report["texts"]),
+        (&clips.len().into(), &texts.len().into())
+    );
+
+    let edits = bench.edits("first", &[]);
+    let sentence = "This table ranks nothing.";
+    let eval = |more: &[&str], code: i32| {
+        let args = [
+            "eval",
+            arg(&edits),
+            "--encoder",
+            arg(&weak),
+            "--repeats",
+            "2",
+        ];
+        stance(&[&args, more].concat()).expect_code(code)
+    };
+    let ran = eval(&[], 1);
+    assert!(ran.stdout.starts_with(sentence), "{}", ran.stdout);
+    assert!(!ran.stdout.contains('*') && !ran.stdout.contains("Behind the identity"));
+    assert!(ran.stderr.contains("--weak-judge"), "{}", ran.stderr);
+    assert_eq!(eval(&["--weak-judge"], 0).stdout, ran.stdout);
+    let scores: Value = eval(&["--json"], 1).json();
+    for row in scores.as_array().expect("rows") {
+        assert_eq!(
+            (&row["ranks_systems"], &row["behind_identity"]),
+            (&false.into(), &false.into())
+        );
+    }
+    let compare = [
+        "--json",
+        "eval",
+        "compare",
+        arg(&edits),
+        arg(&edits),
+        "--encoder",
+        arg(&weak),
+    ];
+    let compared: Value = stance(&compare).expect_code(1).json();
+    assert!(compared[0]["unranked"].is_string(), "{compared}");
+
+    let ranks_nothing = |page: &Path| {
+        let html = fs::read_to_string(page).expect("a page");
+        assert!(html.contains(sentence) && !html.contains("class=\"best\""));
+    };
+    let page = bench.workshop.path("page.html");
+    let write = [
+        "report",
+        arg(&edits),
+        "--encoder",
+        arg(&weak),
+        "--out",
+        arg(&page),
+    ];
+    stance(&write).expect_code(1);
+    ranks_nothing(&page);
+    fs::rename(&weak, bench.workshop.path("encoder-of-one-step")).expect("renamed");
+    let plan = write_plan(
+        &bench,
+        "[[system]]\nname = \"ours\"\n[[table]]\npaper = \"1\"\n",
+    );
+    let text = fs::read_to_string(&plan).expect("a plan");
+    let text = text.replace("encoder = \"encoder\"", "encoder = \"encoder-of-one-step\"");
+    fs::write(&plan, text).expect("writes");
+    stance(&["reproduce", arg(&plan)]).expect_code(1);
+    let made = bench.workshop.path("made");
+    ranks_nothing(&made.join("index.html"));
+    let table = fs::read_to_string(made.join("tables/table-1.txt")).expect("a table");
+    assert!(table.starts_with(sentence), "{table}");
+
+    // The same edits are ranked by the encoder of the program; a folder without a report is not believed.
+    let builtin = [
+        "eval",
+        arg(&edits),
+        "--encoder",
+        "builtin",
+        "--repeats",
+        "2",
+    ];
+    let ranked = stance(&builtin).expect_code(0).stdout;
+    assert!(!ranked.contains(sentence), "{ranked}");
+    let weak = bench.workshop.path("encoder-of-one-step");
+    fs::remove_file(weak.join("report.json")).expect("removed");
+    let args = ["eval", arg(&edits), "--encoder", arg(&weak)];
+    let ran = stance(&args).expect_code(1);
+    assert!(
+        ran.stdout.contains("holds no report.json"),
+        "{}",
+        ran.stdout
+    );
+    train(&weak);
+    assert!(
+        weak.join("report.json").exists(),
+        "a finished run gets its report"
+    );
 }
 
 /// The rows of one system, metric by metric.
@@ -1009,6 +1174,7 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
         arg(&items),
         "--encoder",
         arg(&bench.encoder),
+        "--weak-judge",
     ])
     .expect_code(0)
     .json();

@@ -543,6 +543,7 @@ fn a_motionfix_folder_goes_to_table_2_with_a_row_for_the_identity_editor() {
             arg(&items),
             "--encoder",
             arg(&encoder),
+            "--weak-judge",
             "--table",
             table,
             "--format",

@@ -7,6 +7,8 @@ use serde_json::Value;
 pub(crate) struct Table {
     /// The task, or the title of a table of times.
     pub(crate) heading: String,
+    /// Why it ranks no system.
+    pub(crate) unranked: Option<String>,
     /// The conditions of measurement; empty where none are printed.
     pub(crate) conditions: String,
     /// Names of the columns.
@@ -67,6 +69,11 @@ pub(crate) fn tables(text: &str) -> Vec<Table> {
         .map(|part| {
             let (heading, body) = part.split_once('\n').expect("a line");
             let (above, rest) = body.split_once('|').expect("a table");
+            let above = above.trim();
+            let (unranked, above) = match above.split_once("\n\n") {
+                Some((reason, conditions)) => (Some(unescaped(reason)), conditions),
+                None => (None, above),
+            };
             let (grid, notes) = rest.split_once("\n\n").unwrap_or((rest, ""));
             let mut lines = grid.lines().map(cells);
             let head = lines.next().expect("a head");
@@ -75,7 +82,8 @@ pub(crate) fn tables(text: &str) -> Vec<Table> {
             assert!(rows.iter().all(|row| row.len() == head.len()), "{part}");
             Table {
                 heading: heading.to_owned(),
-                conditions: unescaped(above.trim()),
+                unranked,
+                conditions: unescaped(above),
                 head,
                 rows,
                 notes: notes

@@ -228,16 +228,31 @@ pub fn check_skeleton(
     what: &'static str,
     skeleton: &Skeleton,
 ) -> Result<(), Error> {
+    let path = run_dir.join(CONFIG);
+    let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+    check_skeleton_of(&text, run_dir, what, skeleton)
+}
+
+/// [`check_skeleton`] of the document `config.json` of a run, which errors name `run_dir`.
+///
+/// # Errors
+/// As [`check_skeleton`].
+pub fn check_skeleton_of(
+    text: &str,
+    run_dir: &Path,
+    what: &'static str,
+    skeleton: &Skeleton,
+) -> Result<(), Error> {
     #[derive(Deserialize)]
     struct Trained {
         kind: String,
         skeleton: String,
         skeleton_hash: Option<String>,
     }
-    let path = run_dir.join(CONFIG);
-    let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
-    let trained: Trained =
-        serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
+    let trained: Trained = serde_json::from_str(text).map_err(|source| Error::Json {
+        path: run_dir.join(CONFIG),
+        source,
+    })?;
     if trained.kind == MOTION_KIND {
         return Ok(());
     }
@@ -592,11 +607,6 @@ pub(crate) fn read_record<C: DeserializeOwned>(
     run_dir: &Path,
     kind: &'static str,
 ) -> Result<RunRecord<C>, Error> {
-    #[derive(Deserialize)]
-    struct Header {
-        format: u32,
-        kind: String,
-    }
     let path = run_dir.join(CONFIG);
     let not_a_run = |reason: String| Error::NotARun {
         path: run_dir.to_owned(),
@@ -610,11 +620,31 @@ pub(crate) fn read_record<C: DeserializeOwned>(
         }
         Err(problem) => return Err(Error::io("read", path)(problem)),
     };
+    record_of(&text, run_dir, kind)
+}
+
+/// Reads the document `config.json` of a run, which errors name `run_dir`.
+pub(crate) fn record_of<C: DeserializeOwned>(
+    text: &str,
+    run_dir: &Path,
+    kind: &'static str,
+) -> Result<RunRecord<C>, Error> {
+    #[derive(Deserialize)]
+    struct Header {
+        format: u32,
+        kind: String,
+    }
+    let path = run_dir.join(CONFIG);
+    let not_a_run = |reason: String| Error::NotARun {
+        path: run_dir.to_owned(),
+        kind: kind.to_owned(),
+        reason,
+    };
     let json = |source| Error::Json {
         path: path.clone(),
         source,
     };
-    let header: Header = serde_json::from_str(&text).map_err(json)?;
+    let header: Header = serde_json::from_str(text).map_err(json)?;
     if header.kind != kind {
         return Err(not_a_run(format!("it is a run of {:?}", header.kind)));
     }
@@ -624,7 +654,7 @@ pub(crate) fn read_record<C: DeserializeOwned>(
             header.format
         )));
     }
-    parse_record(&text).map_err(json)
+    parse_record(text).map_err(json)
 }
 
 /// Reads a record of this version or of an earlier one.

@@ -664,10 +664,34 @@ impl TmrEncoder {
         if read_kind(run_dir)? == MOTION_KIND {
             return Self::load_motion(run_dir, device);
         }
-        let record: RunRecord<TmrRecord> = checkpoint::read_record(run_dir, KIND)?;
+        let record = checkpoint::read_record(run_dir, KIND)?;
+        Self::of_files(record, read_for_use(run_dir, slot, KIND)?, run_dir, device)
+    }
+
+    /// Loads an encoder from the document `config.json` of its run and the weights of its checkpoint. `name` stands for the
+    /// run folder in errors.
+    ///
+    /// # Errors
+    /// The document is not that of an encoder, or the weights do not fit it.
+    pub fn from_bytes(
+        config: &str,
+        weights: &[u8],
+        name: &Path,
+        device: &Device,
+    ) -> Result<Self, Error> {
+        let files = [(WEIGHTS.to_owned(), weights.to_owned())].into();
+        let record = checkpoint::record_of(config, name, KIND)?;
+        Self::of_files(record, files, name, device)
+    }
+
+    fn of_files(
+        record: RunRecord<TmrRecord>,
+        mut files: Files,
+        run_dir: &Path,
+        device: &Device,
+    ) -> Result<Self, Error> {
         let config = &record.config.train;
         config.check()?;
-        let mut files = read_for_use(run_dir, slot, KIND)?;
         let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
         let hash = weights_hash(&record.config, &[weights]);
         let sizes = config.sizes(&record.config.vocabulary);

@@ -2,17 +2,18 @@
 
 use datasets_spec::record::ScoreRow;
 
-use crate::table::behind_identity;
+use crate::judge::Judges;
+use crate::table::standings;
 
 const HEAD: &str = "system,task,metric,protocol,encoder_hash,n,repeats,mean,ci95,\
                     takes,targets,sources,instructions,gallery,ranked,fid_items,latent_width,\
-                    items_digest,behind_identity";
+                    items_digest,ranks_systems,behind_identity";
 
 /// Writes the rows of the table of scores with a header line, as RFC 4180 but with Unix line ends.
 /// Numbers keep all their digits.
-pub fn render(scores: &[ScoreRow]) -> String {
+pub fn render(scores: &[ScoreRow], judges: &Judges) -> String {
     let mut text = format!("{HEAD}\n");
-    for (row, behind) in scores.iter().zip(behind_identity(scores)) {
+    for (row, standing) in scores.iter().zip(standings(scores, judges)) {
         let ScoreRow {
             system,
             task,
@@ -52,7 +53,8 @@ pub fn render(scores: &[ScoreRow]) -> String {
             fid_items.to_string(),
             latent_width.to_string(),
             quoted(items_digest),
-            behind.to_string(),
+            standing.ranks_systems.to_string(),
+            standing.behind_identity.to_string(),
         ];
         text.push_str(&fields.join(","));
         text.push('\n');
@@ -79,12 +81,12 @@ mod tests {
         let row = score_row("style", "a \"b\", c", &FID, 0.1);
         let expected = format!(
             "{HEAD}\n\"a \"\"b\"\", c\",style,FID,\"galleries of 32, seed 0\",0123456789abcdef,512,10,\
-             0.1,0.001,1,29,400,61,32,512,256,64,a1b2c3d4e5f6,false\n"
+             0.1,0.001,1,29,400,61,32,512,256,64,a1b2c3d4e5f6,true,false\n"
         );
-        assert_eq!(render(std::slice::from_ref(&row)), expected);
+        assert_eq!(render(std::slice::from_ref(&row), &Judges::new()), expected);
         let without = ScoreRow { ci95: None, ..row };
         assert_eq!(
-            render(&[without]),
+            render(&[without], &Judges::new()),
             expected.replace(",0.1,0.001,", ",0.1,,")
         );
     }

@@ -4,14 +4,16 @@ use datasets_spec::record::ScoreRow;
 use serde::Serialize;
 
 use crate::Error;
-use crate::table::behind_identity;
+use crate::judge::Judges;
+use crate::table::{Standing, standings};
 
 /// A row of the table of scores in its JSON form.
 #[derive(Serialize)]
 struct Score<'a> {
     #[serde(flatten)]
     row: &'a ScoreRow,
-    behind_identity: bool,
+    #[serde(flatten)]
+    standing: Standing,
 }
 
 /// Writes one array with one object for each row of the table of scores, an object a line, so that
@@ -19,15 +21,12 @@ struct Score<'a> {
 ///
 /// # Errors
 /// JSON cannot express a row.
-pub fn render(scores: &[ScoreRow]) -> Result<String, Error> {
+pub fn render(scores: &[ScoreRow], judges: &Judges) -> Result<String, Error> {
     let mut text = "[".to_owned();
-    let rows = scores.iter().zip(behind_identity(scores));
-    for (index, (row, behind)) in rows.enumerate() {
+    let rows = scores.iter().zip(standings(scores, judges));
+    for (index, (row, standing)) in rows.enumerate() {
         text.push_str(if index == 0 { "\n" } else { ",\n" });
-        let score = Score {
-            row,
-            behind_identity: behind,
-        };
+        let score = Score { row, standing };
         let line = serde_json::to_string(&score).map_err(|source| Error::Json { source })?;
         text.push_str(&line);
     }
@@ -65,13 +64,14 @@ mod tests {
         fid_items: u32,
         latent_width: u32,
         items_digest: String,
+        ranks_systems: bool,
         behind_identity: bool,
     }
 
     #[test]
     fn the_document_is_one_array_that_gives_the_rows_back() {
         let scores = sample_scores("semantic");
-        let text = render(&scores).expect("serialisable");
+        let text = render(&scores, &Judges::new()).expect("serialisable");
         let read: Vec<Read> = serde_json::from_str(&text).expect("an array");
         assert_eq!(read.len(), scores.len());
         // The reader of serde_json may be off by the last bit.
@@ -100,10 +100,12 @@ mod tests {
             let is_last = row.system == "MotionReFit tiny";
             let is_given = [REAL_DATA, IDENTITY].contains(&row.system.as_str());
             let is_behind = !is_given && is_last == (row.metric != "Multimodality");
+            assert!(read.ranks_systems);
             assert_eq!(read.behind_identity, is_behind, "{row:?}");
         }
         assert_eq!(text.lines().count(), scores.len() + 2);
-        let none: Vec<Read> = serde_json::from_str(&render(&[]).expect("fine")).expect("an array");
+        let none = render(&[], &Judges::new()).expect("serialisable");
+        let none: Vec<Read> = serde_json::from_str(&none).expect("an array");
         assert!(none.is_empty());
     }
 }

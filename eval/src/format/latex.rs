@@ -11,6 +11,13 @@ pub fn render(tables: &[Table]) -> String {
         if index > 0 {
             text.push('\n');
         }
+        if let Some(reason) = &table.unranked {
+            text.push_str(&format!(
+                "% {}\n{{\\footnotesize {}\\par}}\\smallskip\n",
+                comment(reason),
+                escaped(reason)
+            ));
+        }
         text.push_str(&format!("% {}\n", comment(&table.head())));
         text.push_str(&format!(
             "\\begin{{tabular}}{{l{}}}\n\\toprule\nMethod",

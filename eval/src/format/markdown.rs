@@ -11,8 +11,12 @@ pub fn render(tables: &[Table]) -> String {
             text.push('\n');
         }
         text.push_str(&format!(
-            "### {}\n\n{}\n\n",
+            "### {}\n\n{}{}\n\n",
             escaped(&table.task),
+            table
+                .unranked
+                .as_ref()
+                .map_or_else(String::new, |reason| format!("{}\n\n", escaped(reason))),
             escaped(&table.conditions())
         ));
         text.push_str("| System |");

@@ -37,7 +37,8 @@ pub fn render(tables: &[Table]) -> String {
 }
 
 fn table_text(table: &Table, text: &mut String) {
-    for line in wrapped(&table.head()) {
+    let first = table.unranked.iter().flat_map(|reason| wrapped(reason));
+    for line in first.chain(wrapped(&table.head())) {
         text.push_str(&line);
         text.push('\n');
     }

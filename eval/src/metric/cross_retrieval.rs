@@ -13,6 +13,32 @@ pub struct CrossRetrieval {
     pub motion_to_text: Retrieval,
 }
 
+/// Ranks, counted from zero, in each gallery.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CrossRanks {
+    /// Of each text's motion.
+    pub text_to_motion: Vec<Vec<f64>>,
+    /// Of each motion's text.
+    pub motion_to_text: Vec<Vec<f64>>,
+}
+
+impl CrossRanks {
+    /// The mean over the galleries.
+    ///
+    /// # Panics
+    /// If there is none.
+    pub fn retrieval(&self) -> CrossRetrieval {
+        let mean = |galleries: &[Vec<f64>]| {
+            let parts = galleries.iter().map(|ranks| Retrieval::of_ranks(ranks));
+            Retrieval::mean(&parts.collect::<Vec<_>>())
+        };
+        CrossRetrieval {
+            text_to_motion: mean(&self.text_to_motion),
+            motion_to_text: mean(&self.motion_to_text),
+        }
+    }
+}
+
 /// Ranks motions by texts and texts by motions within galleries, by cosine. Where `same_text` holds
 /// for two items, either motion is a correct answer to either text.
 ///
@@ -24,12 +50,12 @@ pub struct CrossRetrieval {
 ///
 /// # Source
 /// TMR's protocols: "all" and, with equal texts, "threshold" at the strictest threshold.
-pub fn cross_retrieval(
+pub fn cross_ranks(
     texts: &Matrix,
     motions: &Matrix,
     galleries: &[Vec<usize>],
     same_text: impl Fn(usize, usize) -> bool,
-) -> Result<CrossRetrieval, Error> {
+) -> Result<CrossRanks, Error> {
     if galleries.is_empty() || galleries.iter().any(Vec::is_empty) {
         return Err(Error::TooFewRows {
             metric: "text-to-motion retrieval",
@@ -37,25 +63,20 @@ pub fn cross_retrieval(
             found: 0,
         });
     }
-    let mut found: [Vec<Retrieval>; 2] = [Vec::new(), Vec::new()];
+    let mut found = CrossRanks {
+        text_to_motion: Vec::with_capacity(galleries.len()),
+        motion_to_text: Vec::with_capacity(galleries.len()),
+    };
     for indices in galleries {
         let similarity = texts
             .select_rows(indices)
             .times_transposed(&motions.select_rows(indices));
         let same = |query: usize, other: usize| same_text(indices[query], indices[other]);
-        for (found, similarity) in found
-            .iter_mut()
-            .zip([&similarity, &similarity.transposed()])
-        {
-            let ranks = ranks_among_equivalents(similarity, same)?;
-            found.push(Retrieval::of_ranks(&ranks));
-        }
+        let ranks = |similarity: &Matrix| ranks_among_equivalents(similarity, same);
+        found.text_to_motion.push(ranks(&similarity)?);
+        found.motion_to_text.push(ranks(&similarity.transposed())?);
     }
-    let [text_to_motion, motion_to_text] = found.map(|parts| Retrieval::mean(&parts));
-    Ok(CrossRetrieval {
-        text_to_motion,
-        motion_to_text,
-    })
+    Ok(found)
 }
 
 #[cfg(test)]
@@ -69,7 +90,9 @@ mod tests {
         let texts = Matrix::from_rows(&[[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]);
         let motions = Matrix::from_rows(&[[0.8, 0.6], [1.0, 0.0], [0.0, 1.0]]);
         let galleries = [vec![0, 1, 2]];
-        let exact = cross_retrieval(&texts, &motions, &galleries, |a, b| a == b).expect("valid");
+        let exact = cross_ranks(&texts, &motions, &galleries, |a, b| a == b)
+            .expect("valid")
+            .retrieval();
         // The first text is nearest to the motion of the second, in the same words.
         assert_eq!(exact.text_to_motion.recall[0], 200.0 / 3.0);
         assert_eq!(exact.text_to_motion.average_rank, 4.0 / 3.0);
@@ -77,9 +100,11 @@ mod tests {
         assert_eq!(exact.motion_to_text.recall[0], 100.0);
         assert_eq!(exact.motion_to_text.average_rank, 4.0 / 3.0);
         let same = |a: usize, b: usize| a == b || a.max(b) == 1;
-        let shared = cross_retrieval(&texts, &motions, &galleries, same).expect("valid");
+        let shared = cross_ranks(&texts, &motions, &galleries, same)
+            .expect("valid")
+            .retrieval();
         assert_eq!(shared.text_to_motion.recall[0], 100.0);
-        assert!(cross_retrieval(&texts, &motions, &[], same).is_err());
+        assert!(cross_ranks(&texts, &motions, &[], same).is_err());
     }
 
     /// R-precision of the T2M evaluation: the shares of texts whose motion is among the nearest 1, 2

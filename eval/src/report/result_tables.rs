@@ -18,8 +18,11 @@ pub(super) fn html(tables: &[Table]) -> String {
         };
         let _ = write!(
             html,
-            "<h3>{}</h3>\n<p class=\"head\">{}</p>\n<div class=\"{class}\"><table>\n<thead>",
+            "<h3>{}</h3>\n{}<p class=\"head\">{}</p>\n<div class=\"{class}\"><table>\n<thead>",
             escaped(&table.task),
+            table.unranked.as_ref().map_or_else(String::new, |reason| {
+                format!("<p><strong>{}</strong></p>\n", escaped(reason))
+            }),
             escaped(&table.conditions()),
         );
         table_head(&mut html, &table.columns);

@@ -16,9 +16,11 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::evaluators::Evaluators;
+use crate::judge::TOLD_APART;
 use crate::metric::interval::Interval;
+use crate::metric::retrieval::E2T_RECALL_1;
 use crate::metric::{self, Measure, Metric, RankSummary, fid};
-use crate::names::{NOISE_FLOOR, RECAPTURED};
+use crate::names::{IDENTITY, NOISE_FLOOR, RECAPTURED};
 use crate::protocol::{Protocol, SET_RESAMPLES, Spread};
 
 pub(crate) use measure::{Measured, System, Take, measured};
@@ -39,7 +41,8 @@ pub(crate) use values::{Ranks, of_items};
 /// [`ALL_TASKS`](crate::names::ALL_TASKS), which
 /// comes first. Items that have a target of another capture also make the task [`RECAPTURED`], in
 /// which [`NOISE_FLOOR`] follows the identity editor. A metric that needs more items than a task has
-/// is left out.
+/// is left out. The last row of the identity editor is no metric: [`TOLD_APART`] says whether the encoder tells its targets from its
+/// sources.
 ///
 /// # Errors
 /// There is no item, or one without a target; a system lacks items, has unknown ones or uneven
@@ -90,12 +93,11 @@ pub fn score(
                 Ok(found)
             })
             .collect::<Result<Vec<_>, Error>>()?;
+        let resamples = Resamples::new(test_set.targets(&indices), protocol);
+        let told_apart = told_apart(&systems[..2], &ranks[..2], &resamples, protocol)?;
         let resampled = match protocol.interval {
             Spread::Repeats => None,
-            Spread::Targets => {
-                let resamples = Resamples::new(test_set.targets(&indices), protocol);
-                Some(resampled(&systems, &ranks, &resamples, protocol)?)
-            }
+            Spread::Targets => Some(resampled(&systems, &ranks, &resamples, protocol)?),
         };
         let counts = test_set.counts(&indices);
         let [real, compared] = protocol
@@ -107,6 +109,26 @@ pub fn score(
             real
         };
         let (gallery, ranked) = protocol.gallery_sizes(indices.len());
+        let row = |system: &System<'_>, metric: &str, Interval { mean, ci95 }| ScoreRow {
+            system: system.name.to_owned(),
+            task: task.to_owned(),
+            metric: metric.to_owned(),
+            protocol: protocol.name(indices.len()),
+            encoder_hash: encoder_hash.clone(),
+            n: indices.len() as u32,
+            repeats: protocol.repeats as u32,
+            mean,
+            ci95,
+            takes: system.takes.len() as u32,
+            targets: counts.targets,
+            sources: counts.sources,
+            instructions: counts.instructions,
+            gallery: gallery as u32,
+            ranked: ranked as u32,
+            fid_items: fid_items as u32,
+            latent_width: sources.latents.raw.num_cols() as u32,
+            items_digest: counts.digest.clone(),
+        };
         for (position, system) in systems.iter().enumerate() {
             for &metric in metric::ALL {
                 let found: Option<Vec<f64>> = repeats
@@ -117,7 +139,7 @@ pub fn score(
                     continue;
                 };
                 let over_repeats = Interval::of(&found);
-                let Interval { mean, ci95 } = match &resampled {
+                let interval = match &resampled {
                     None => over_repeats,
                     Some(resampled) => {
                         let resampled = resampled[position].get(metric);
@@ -129,31 +151,38 @@ pub fn score(
                         Interval::of_resamples(over_repeats.mean, resampled, repeats)
                     }
                 };
-                scores.push(ScoreRow {
-                    system: system.name.to_owned(),
-                    task: task.to_owned(),
-                    metric: metric.name.to_owned(),
-                    protocol: protocol.name(indices.len()),
-                    encoder_hash: encoder_hash.clone(),
-                    n: indices.len() as u32,
-                    repeats: protocol.repeats as u32,
-                    mean,
-                    ci95,
-                    takes: system.takes.len() as u32,
-                    targets: counts.targets,
-                    sources: counts.sources,
-                    instructions: counts.instructions,
-                    gallery: gallery as u32,
-                    ranked: ranked as u32,
-                    fid_items: fid_items as u32,
-                    latent_width: sources.latents.raw.num_cols() as u32,
-                    items_digest: counts.digest.clone(),
-                });
+                scores.push(row(system, metric.name, interval));
+            }
+            if system.name == IDENTITY {
+                scores.push(row(system, TOLD_APART, told_apart));
             }
         }
     }
     progress.finish(&format!("{} scores", scores.len()));
     Ok(scores)
+}
+
+/// How far the real data is above the identity editor in R@1 by targets, on the same items.
+fn told_apart(
+    systems: &[System<'_>],
+    ranks: &[Vec<Ranks>],
+    resamples: &Resamples,
+    protocol: &Protocol,
+) -> Result<Interval, Error> {
+    let recall = |at: usize| -> Result<Vec<f64>, Error> {
+        let mut values = of_items(&systems[at], &ranks[at], protocol)?;
+        Ok(values.remove(&E2T_RECALL_1).unwrap_or_default())
+    };
+    let (real, identity) = (recall(0)?, recall(1)?);
+    let differences: Vec<f64> = real.iter().zip(&identity).map(|(a, b)| a - b).collect();
+    let known = differences.iter().filter(|value| value.is_finite());
+    let (sum, count) = known.fold((0.0, 0.0), |(sum, n), value| (sum + value, n + 1.0));
+    let mean = if count > 0.0 { sum / count } else { 0.0 };
+    Ok(Interval::of_resamples(
+        mean,
+        &resamples.means(&differences),
+        &[],
+    ))
 }
 
 /// The values of each system on the bootstrap resamples, metric by metric.

@@ -5,6 +5,7 @@ use rand::RngExt;
 use super::*;
 use crate::error::EncoderError;
 use crate::evaluators::MotionEncoder;
+use crate::judge::TOLD_APART;
 use crate::metric::composed::COMPOSED;
 use crate::metric::fid::{FID, FID_RAW};
 use crate::metric::fit_error::{BONE_DRIFT, FIT_ERROR};
@@ -39,6 +40,10 @@ impl MotionEncoder for FirstFrame {
 
     fn recipe(&self) -> String {
         "first frame".to_owned()
+    }
+
+    fn weakness(&self) -> Option<String> {
+        None
     }
 }
 
@@ -165,8 +170,13 @@ fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
             .copied()
             .filter(|metric| !absent.contains(metric))
     };
-    // Three tasks, four systems.
-    assert_eq!(scores.len(), 3 * 4 * metrics().count());
+    // Three tasks, four systems, and the gate of each task.
+    assert_eq!(scores.len(), 3 * (4 * metrics().count() + 1));
+    let told_apart = scores.iter().filter(|row| row.metric == TOLD_APART);
+    for row in told_apart {
+        assert_eq!(row.system, IDENTITY);
+        assert!(row.mean - row.ci95.unwrap_or(0.0) > 0.0, "{row:?}");
+    }
     for task in tasks {
         for metric in metrics() {
             for (system, row) in [("perfect", REAL_DATA), ("lazy", IDENTITY)] {
@@ -430,6 +440,10 @@ impl MotionEncoder for Constant {
 
     fn recipe(&self) -> String {
         String::new()
+    }
+
+    fn weakness(&self) -> Option<String> {
+        None
     }
 }
 

@@ -10,6 +10,7 @@ use datasets_spec::{Dataset, Motion as Inner};
 use eval::answers::{Answered, Scores};
 use eval::evaluators::{Evaluators, MotionEncoder};
 use eval::format::text;
+use eval::judge::weakness;
 use eval::protocol::Protocol;
 use eval::table::Table;
 use eval::{EncoderError, metric};
@@ -85,21 +86,28 @@ fn matrix<'py>(py: Python<'py>, latents: &[Vec<f32>]) -> PyResult<Bound<'py, PyA
     rows(py, latents.concat(), width)
 }
 
-struct Adapter<'a>(&'a TmrEncoder);
+struct Adapter<'a> {
+    encoder: &'a TmrEncoder,
+    weakness: Option<String>,
+}
 
 impl MotionEncoder for Adapter<'_> {
     fn encode(&self, motions: &[&Inner]) -> Result<Vec<Vec<f64>>, EncoderError> {
-        let latents = self.0.encode(motions)?;
+        let latents = self.encoder.encode(motions)?;
         let wide = |latent: Vec<f32>| latent.into_iter().map(f64::from).collect();
         Ok(latents.into_iter().map(wide).collect())
     }
 
     fn hash(&self) -> String {
-        self.0.hash().to_owned()
+        self.encoder.hash().to_owned()
     }
 
     fn recipe(&self) -> String {
-        self.0.description()
+        self.encoder.description()
+    }
+
+    fn weakness(&self) -> Option<String> {
+        self.weakness.clone()
     }
 }
 
@@ -155,15 +163,18 @@ pub(crate) fn evaluate(
             }
         }
         check_skeleton(&encoder, "the encoder", &answered.skeleton)?;
-        let encoder = TmrEncoder::load(&encoder, Slot::Best, &Device::flex())?;
-        let adapter = Adapter(&encoder);
+        let loaded = TmrEncoder::load(&encoder, Slot::Best, &Device::flex())?;
+        let adapter = Adapter {
+            encoder: &loaded,
+            weakness: weakness(&encoder, loaded.hash())?,
+        };
         let evaluators = Evaluators {
             encoder: &adapter,
             classifier: None,
             skeleton: &answered.skeleton,
         };
         let scores = Scores::of(&answered, evaluators, &protocol, progress)?;
-        let tables = Table::from_scores(&scores.rows, &scores.recipes, metric::ALL);
+        let tables = Table::from_scores(&scores.rows, &scores.judges, metric::ALL);
         Ok((serde_json::to_string(&scores.rows)?, text::render(&tables)))
     })
 }

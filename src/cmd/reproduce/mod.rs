@@ -4,7 +4,6 @@ mod plan;
 mod record;
 mod work;
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -13,6 +12,7 @@ use eval::answers::Scores;
 use eval::draw::raster::png;
 use eval::format;
 use eval::format::grid::Grid;
+use eval::judge::Judges;
 use eval::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
 use eval::protocol::Protocol;
 use eval::report::{Chart, Report};
@@ -27,6 +27,7 @@ use self::record::Record;
 use self::work::{Work, write};
 use crate::cmd::eval::paper_tables;
 use crate::cmd::page;
+use crate::evaluators::WeakJudgeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
@@ -59,6 +60,8 @@ pub(crate) struct Args {
     /// Check the plan, and list its systems and points without running them
     #[arg(long)]
     dry_run: bool,
+    #[command(flatten)]
+    weak_judge: WeakJudgeArgs,
     #[command(flatten)]
     trainings: TrainingsArgs,
 }
@@ -252,7 +255,7 @@ fn scored(
     let mut all = Scored {
         scores: Scores {
             rows: Vec::new(),
-            recipes: BTreeMap::new(),
+            judges: Judges::new(),
         },
         trainings: Vec::with_capacity(count),
         left_out: 0,
@@ -263,7 +266,7 @@ fn scored(
         let (answered, left_out) = work.answered(&edits, min_frames)?;
         all.left_out = left_out;
         let scores = work.scores(&answered, &edits, protocol)?;
-        all.scores.recipes = scores.recipes;
+        all.scores.judges = scores.judges;
         all.trainings.push(scores.rows);
     }
     all.scores.rows = over_trainings(&all.trainings);
@@ -279,6 +282,8 @@ struct TableMade {
     trainings: Vec<Vec<ScoreRow>>,
     /// Table A4 in place of scores.
     grids: Vec<format::grid::Grid>,
+    /// Why it ranks no system.
+    unranked: Option<String>,
 }
 
 /// A figure.
@@ -334,6 +339,7 @@ fn tables(
             scores: Vec::new(),
             trainings: Vec::new(),
             grids: times::tables(&rows),
+            unranked: None,
         }));
     };
     let edits: Vec<&[PathBuf]> = found.iter().map(|(_, edits)| edits.as_slice()).collect();
@@ -350,6 +356,7 @@ fn tables(
         }
     }
     Ok(Some(TableMade {
+        unranked: scores.unranked(),
         name,
         tables,
         scores: scores.rows,
@@ -454,7 +461,7 @@ fn drawn(
     let grid = figure.grid(&specs.metrics, &specs.tasks, &specs.points, &rows_at);
     let points = std::iter::zip(&specs.points, std::iter::zip(rows_at, trainings_at))
         .map(|(point, (rows, trainings))| {
-            let trainings = trainings.iter().map(|rows| in_json(rows));
+            let trainings = trainings.iter().map(|rows| in_json(rows, &work.judges()));
             Ok(PointMade {
                 point: point.name(),
                 values: point
@@ -462,7 +469,7 @@ fn drawn(
                     .iter()
                     .map(|(_, value)| value.clone())
                     .collect(),
-                scores: in_json(&rows)?,
+                scores: in_json(&rows, &work.judges())?,
                 trainings: trainings.collect::<anyhow::Result<_>>()?,
             })
         })
@@ -485,8 +492,16 @@ fn drawn(
 }
 
 /// Scores as `stance eval --json` prints them.
-fn in_json(rows: &[ScoreRow]) -> anyhow::Result<Vec<Value>> {
-    Ok(serde_json::from_str(&format::json::render(rows)?)?)
+fn in_json(rows: &[ScoreRow], judges: &Judges) -> anyhow::Result<Vec<Value>> {
+    Ok(serde_json::from_str(&format::json::render(rows, judges)?)?)
+}
+
+/// Why figures compare nothing.
+fn weakness_of(judges: &Judges) -> Option<String> {
+    let weakness = judges.values().find_map(|judge| judge.weakness.as_ref())?;
+    Some(format!(
+        "The figures compare nothing. The encoder is too weak to judge: {weakness}."
+    ))
 }
 
 fn file_name(text: &str) -> String {
@@ -535,9 +550,10 @@ fn finish(
         figures: Vec::new(),
         failed: done.failed.clone(),
     };
+    let judges = &work.judges();
     let mut record = Record::default();
     for made in &done.tables {
-        let forms = made.forms()?;
+        let forms = made.forms(judges)?;
         for (extension, text) in &forms {
             write(
                 &out.join("tables")
@@ -546,15 +562,17 @@ fn finish(
             )?;
         }
         texts.push(forms[0].1.clone());
-        document.tables.push((made.name.clone(), made.document()?));
-        let trainings = made.trainings.iter().map(|rows| in_json(rows));
+        document
+            .tables
+            .push((made.name.clone(), made.document(judges)?));
+        let trainings = made.trainings.iter().map(|rows| in_json(rows, judges));
         let trainings: Vec<Vec<Value>> = trainings.collect::<anyhow::Result<_>>()?;
         let shows = |table: &Table, score: &Value| {
             let mut columns = table.columns.iter();
             score["task"] == *table.task
                 && columns.any(|column| score["metric"] == *column.metric.name)
         };
-        let scores = in_json(&made.scores)?;
+        let scores = in_json(&made.scores, judges)?;
         record.add((&made.name, &[]), &scores, &trainings, |score| {
             made.tables.iter().any(|table| shows(table, score))
         })?;
@@ -562,6 +580,8 @@ fn finish(
             document.trainings.push((made.name.clone(), trainings));
         }
     }
+    let of_tables = done.tables.iter().find_map(|made| made.unranked.clone());
+    let unranked = of_tables.or_else(|| weakness_of(judges));
     // The page plays the edits of one training of each system.
     let first = |(_, edits): &(String, Vec<PathBuf>)| edits[0].clone();
     let folders: Vec<PathBuf> = done.edits.iter().map(first).collect();
@@ -630,7 +650,7 @@ fn finish(
         }
     }
     if done.failed.is_empty() {
-        return Ok(Exit::Done);
+        return Ok(args.weak_judge.exit(unranked, Exit::Done));
     }
     report::note(&format!(
         "failed and missing: {}; the rest is written, and the same command tries these again",
@@ -641,7 +661,7 @@ fn finish(
 
 impl TableMade {
     /// The table in each form, with the extension of its file; text comes first.
-    fn forms(&self) -> anyhow::Result<[(&'static str, String); 5]> {
+    fn forms(&self, judges: &Judges) -> anyhow::Result<[(&'static str, String); 5]> {
         let joined = |of: fn(&format::grid::Grid) -> String| {
             let grids: Vec<String> = self.grids.iter().map(of).collect();
             grids.join("\n")
@@ -651,8 +671,8 @@ impl TableMade {
                 ("txt", format::text::render(&self.tables)),
                 ("md", format::markdown::render(&self.tables)),
                 ("tex", format::latex::render(&self.tables)),
-                ("csv", format::csv::render(&self.scores)),
-                ("json", format::json::render(&self.scores)?),
+                ("csv", format::csv::render(&self.scores, judges)),
+                ("json", format::json::render(&self.scores, judges)?),
             ],
             false => [
                 ("txt", joined(format::grid::Grid::text)),
@@ -664,9 +684,9 @@ impl TableMade {
         })
     }
 
-    fn document(&self) -> anyhow::Result<Value> {
+    fn document(&self, judges: &Judges) -> anyhow::Result<Value> {
         Ok(match self.grids.is_empty() {
-            true => in_json(&self.scores)?.into(),
+            true => in_json(&self.scores, judges)?.into(),
             false => serde_json::to_value(&self.grids)?,
         })
     }

@@ -27,6 +27,7 @@ use train::tmr::TmrConfig;
 
 use crate::cmd::eval::TableArg;
 use crate::global::Global;
+use crate::judge::is_builtin;
 use crate::seeds::Seeds;
 use crate::settings;
 
@@ -34,7 +35,7 @@ use crate::settings;
 const EDITOR: &str = "motionrefit";
 const COORDINATOR: &str = "coordinator";
 const POSES: &str = "j2s";
-const ENCODER: &str = "tmr";
+pub(super) const ENCODER: &str = "tmr";
 
 /// Settings in place of those of a preset.
 type Own = Map<String, Value>;
@@ -50,7 +51,7 @@ pub(super) struct Plan {
     pub(super) dataset: PathBuf,
     /// Folder for trainings, edits, scores, tables and figures.
     pub(super) out: PathBuf,
-    /// Run folder of the encoder that motions are scored with; without it one is trained under `out`.
+    /// Run folder of the encoder that motions are scored with, or `builtin`; without it one is trained under `out`.
     encoder: Option<PathBuf>,
     /// Folder of CLIP or a table of vectors, for settings with a frozen text encoder.
     #[serde(alias = "clip")]
@@ -275,7 +276,8 @@ impl Plan {
             toml::from_str(text).with_context(|| format!("in {}", path.display()))?;
         let base = path.parent().unwrap_or(Path::new("."));
         let folders = [&mut plan.dataset, &mut plan.out];
-        let optional = [&mut plan.encoder, &mut plan.text_encoder];
+        let encoder = plan.encoder.as_mut().filter(|run| !is_builtin(run));
+        let optional = [encoder, plan.text_encoder.as_mut()];
         for folder in folders.into_iter().chain(optional.into_iter().flatten()) {
             *folder = base.join(&*folder);
         }

@@ -5,10 +5,11 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use datasets_spec::Dataset;
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::{Dataset, Seed};
 use eval::answers::{Answered, Scores};
+use eval::judge::{Judge, Judges};
 use eval::metric::METRICS_VERSION;
 use eval::protocol::Protocol;
 use pipeline::stage::COMPOSED;
@@ -17,8 +18,8 @@ use train::checkpoint::Start;
 use train::kind::TrainRequest;
 use train::system::SystemSource;
 
-use super::plan::{Plan, Spec, Training};
-use crate::evaluators::EvaluatorRuns;
+use super::plan::{ENCODER, Plan, Spec, Training};
+use crate::evaluators::{EvaluatorRuns, report_on_encoder};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::local;
@@ -36,8 +37,8 @@ pub(super) struct Work<'a> {
     /// Root hash of the items.
     asked: String,
     encoder: PathBuf,
-    /// Hash of the encoder, and how it was trained.
-    recipe: (String, String),
+    /// Hash of the encoder, and what is known of it.
+    judge: (String, Judge),
 }
 
 /// What an interrupt has ended is none.
@@ -58,7 +59,7 @@ impl<'a> Work<'a> {
             items,
             asked: drawn.manifest().root_hash.clone(),
             encoder: PathBuf::new(),
-            recipe: Default::default(),
+            judge: Default::default(),
         };
         match plan.encoder(global)? {
             Ok(run) => work.encoder = run,
@@ -67,11 +68,16 @@ impl<'a> Work<'a> {
                 None => return Ok(None),
             },
         }
-        work.recipe = work.runs().with(&drawn.skeleton()?, |evaluators| {
+        work.judge = work.runs().with(&drawn.skeleton()?, |evaluators| {
             let encoder = evaluators.encoder;
-            Ok((encoder.hash(), encoder.recipe()))
+            Ok((encoder.hash(), Judge::of(encoder)))
         })?;
         Ok(Some(work))
+    }
+
+    /// The encoder by its hash.
+    pub(super) fn judges(&self) -> Judges {
+        [self.judge.clone()].into()
     }
 
     pub(super) fn runs(&self) -> EvaluatorRuns<'_> {
@@ -122,6 +128,10 @@ impl<'a> Work<'a> {
         let train = training.model.train;
         let done = with_session(&self.global.bars(), |session| train(&request, session))
             .with_context(|| format!("training {}", training.model.name))?;
+        if training.model.name == ENCODER && done.is_complete {
+            let seed = Seed(training.seed.unwrap_or_default());
+            report_on_encoder(&self.plan.dataset, &run, seed).context("report on the encoder")?;
+        }
         Ok(done.is_complete.then_some(run))
     }
 
@@ -194,13 +204,14 @@ impl<'a> Work<'a> {
             .map(|name| name.to_string_lossy().into_owned())
             .collect();
         let ids: Vec<&str> = answered.items.iter().map(|item| item.id.as_str()).collect();
-        let of = (names, ids, protocol, &self.recipe, METRICS_VERSION);
+        let encoder = (&self.judge.0, &self.judge.1.recipe);
+        let of = (names, ids, protocol, encoder, METRICS_VERSION);
         let key = short("scores", &of);
         let folder = self.plan.out.join("scores").join(key);
         if let Ok(done) = Dataset::open(&folder) {
             return Ok(Scores {
                 rows: done.read(None)?,
-                recipes: [self.recipe.clone()].into(),
+                judges: self.judges(),
             });
         }
         let scores = stages::scores(answered, &self.runs(), protocol, self.global)?;

@@ -1,0 +1,390 @@
+//! Whether an encoder is fit to rank systems: the report of its own retrieval, and the gates that read it.
+//!
+//! An encoder ranks nothing if it has no report, or if the lower bound of its R@3 on held-out real motion is below
+//! [`CHANCE_FACTOR`] times chance. Items rank nothing if their targets are not told from their sources: the paired
+//! difference in [`E2T_RECALL_1`] between the real data and the identity editor is not above 0.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use datasets_spec::Seed;
+use datasets_spec::quantile::quantile;
+use datasets_spec::record::ScoreRow;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::answers::encoder_retrieval;
+use crate::evaluators::MotionEncoder;
+use crate::metric::retrieval::{E2T_RECALL_1, RECALL_AT};
+use crate::names::IDENTITY;
+use crate::protocol::Protocol;
+use crate::score::Resamples;
+
+/// Name of the report's file in the run folder of an encoder.
+pub const REPORT: &str = "report.json";
+/// The lower bound of an encoder's R@3 must be at least this many times chance.
+pub const CHANCE_FACTOR: f64 = 3.0;
+/// Name of the score that the second gate reads: R@1 of the real data less that of the identity editor, in percent.
+pub const TOLD_APART: &str = "Real E2T R@1 above identity";
+/// Share of the bootstrap draws below a lower bound.
+const TAIL: f64 = 0.025;
+/// Version of the report.
+const FORMAT: u32 = 1;
+
+/// How well the texts and motions of an encoder retrieve each other on clips that its training never saw.
+///
+/// One caption of each clip is its text, the first. A hit is any clip with that text.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JudgeReport {
+    /// Version of the report.
+    pub format: u32,
+    /// Hash of the encoder's weights, hexadecimal.
+    pub encoder_hash: String,
+    /// Root hash of the dataset.
+    pub dataset_hash: String,
+    /// Split of the clips.
+    pub split: String,
+    /// Seed of galleries and bootstrap draws.
+    pub seed: u64,
+    /// Clips.
+    pub clips: usize,
+    /// Distinct texts; the bootstrap draws them.
+    pub texts: usize,
+    /// Clips of a gallery; fewer than 32 where the split has fewer.
+    pub gallery: usize,
+    /// Times that all clips were dealt into galleries.
+    pub repeats: usize,
+    /// Texts are the queries, motions the gallery.
+    pub text_to_motion: Recalls,
+    /// Motions are the queries, texts the gallery.
+    pub motion_to_text: Recalls,
+    /// Recall of a random order.
+    pub chance: Chance,
+}
+
+/// Recall in percent.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recalls {
+    /// Share of queries that find a hit first.
+    pub r1: Bounded,
+    /// Share of queries that find a hit among the first three.
+    pub r3: Bounded,
+}
+
+/// A share with the lower end of its 95 % bootstrap interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Bounded {
+    /// The share in percent.
+    pub mean: f64,
+    /// 2.5 % quantile over bootstrap draws of the texts.
+    pub lower: f64,
+}
+
+/// Recall of a random order in percent, given the clips of each gallery that share a text.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Chance {
+    /// For the first place.
+    pub r1: f64,
+    /// For the first three places.
+    pub r3: f64,
+}
+
+/// What a report is about.
+#[derive(Clone, Copy, Debug)]
+pub struct About<'a> {
+    /// Hash of the encoder's weights.
+    pub encoder_hash: &'a str,
+    /// Root hash of the dataset.
+    pub dataset_hash: &'a str,
+    /// Split of the clips.
+    pub split: &'a str,
+    /// Seed of galleries and bootstrap draws.
+    pub seed: Seed,
+}
+
+impl JudgeReport {
+    /// Measures an encoder with the default galleries and repeats.
+    ///
+    /// # Shapes
+    /// `texts` `[N]`; the latents of texts and of motions `[N, D]`.
+    ///
+    /// # Errors
+    /// There is no clip, or a latent is not finite or has no direction.
+    pub fn measure(
+        texts: &[&str],
+        text_latents: &[Vec<f64>],
+        motion_latents: &[Vec<f64>],
+        about: About<'_>,
+    ) -> Result<Self, Error> {
+        let protocol = Protocol {
+            seed: about.seed,
+            ..Protocol::default()
+        };
+        let repeats = encoder_retrieval(texts, text_latents, motion_latents, &protocol)?;
+        let mut queries = [(); 2].map(|()| Queries::of(texts.len()));
+        let mut chance = Queries::of(texts.len());
+        for (galleries, ranks) in &repeats {
+            let sides = [&ranks.text_to_motion, &ranks.motion_to_text];
+            for (queries, ranks) in queries.iter_mut().zip(sides) {
+                for (indices, ranks) in galleries.iter().zip(ranks) {
+                    for (&query, &rank) in indices.iter().zip(ranks) {
+                        queries.add(query, RECALL_CUTS.map(|k| f64::from(rank < k as f64)));
+                    }
+                }
+            }
+            for indices in galleries {
+                for &query in indices {
+                    let hits = indices
+                        .iter()
+                        .filter(|&&other| texts[other] == texts[query]);
+                    let hits = hits.count();
+                    chance.add(
+                        query,
+                        RECALL_CUTS.map(|k| of_random_order(indices.len(), hits, k)),
+                    );
+                }
+            }
+        }
+        let resamples = Resamples::new(texts.iter().copied(), &protocol);
+        let [text_to_motion, motion_to_text] = queries.map(|queries| queries.recalls(&resamples));
+        let [r1, r3] = chance.means();
+        Ok(Self {
+            format: FORMAT,
+            encoder_hash: about.encoder_hash.to_owned(),
+            dataset_hash: about.dataset_hash.to_owned(),
+            split: about.split.to_owned(),
+            seed: about.seed.0,
+            clips: texts.len(),
+            texts: texts.iter().collect::<BTreeSet<_>>().len(),
+            gallery: protocol.gallery_sizes(texts.len()).0,
+            repeats: protocol.repeats,
+            text_to_motion,
+            motion_to_text,
+            chance: Chance { r1, r3 },
+        })
+    }
+
+    /// Why an encoder with this report ranks nothing; none if it ranks.
+    pub fn weakness(&self) -> Option<String> {
+        let lower = self
+            .text_to_motion
+            .r3
+            .lower
+            .min(self.motion_to_text.r3.lower);
+        let needed = CHANCE_FACTOR * self.chance.r3;
+        // A comparison with a number that is not finite is false.
+        let is_fit = lower >= needed;
+        (!is_fit).then(|| {
+            format!(
+                "its R@3 on held-out motion is above {lower:.1} % by the lower bound, and {needed:.1} % are needed, {CHANCE_FACTOR} times \
+                 chance ({} clips of {}, galleries of {})",
+                self.clips, self.split, self.gallery
+            )
+        })
+    }
+
+    /// The report in words, a line each.
+    pub fn lines(&self) -> Vec<String> {
+        let few = match Protocol::default().gallery_sizes(usize::MAX).0 {
+            size if self.gallery < size => {
+                format!(", fewer than {size}: the split has no more clips")
+            }
+            _ => String::new(),
+        };
+        let side = |name: &str, recalls: &Recalls| {
+            let of = |found: Bounded, chance: f64| {
+                format!(
+                    "{:.1} % (at least {:.1}, chance {chance:.1})",
+                    found.mean, found.lower
+                )
+            };
+            format!(
+                "{name}: R@1 {}, R@3 {}",
+                of(recalls.r1, self.chance.r1),
+                of(recalls.r3, self.chance.r3)
+            )
+        };
+        vec![
+            format!(
+                "retrieval on {} clips of {} with {} different texts, galleries of {}{few}, {} repeats, seed {}, dataset {:.12}",
+                self.clips,
+                self.split,
+                self.texts,
+                self.gallery,
+                self.repeats,
+                self.seed,
+                self.dataset_hash
+            ),
+            side("text to motion", &self.text_to_motion),
+            side("motion to text", &self.motion_to_text),
+            match self.weakness() {
+                None => "the encoder ranks systems".to_owned(),
+                Some(reason) => format!("the encoder ranks nothing: {reason}"),
+            },
+        ]
+    }
+}
+
+/// The cut-offs of the recalls of a report.
+const RECALL_CUTS: [usize; 2] = [RECALL_AT[0], RECALL_AT[2]];
+
+/// Values of each query, summed over the repeats that ranked it.
+struct Queries {
+    sums: [Vec<f64>; RECALL_CUTS.len()],
+    counts: Vec<f64>,
+}
+
+impl Queries {
+    fn of(count: usize) -> Self {
+        Self {
+            sums: RECALL_CUTS.map(|_| vec![0.0; count]),
+            counts: vec![0.0; count],
+        }
+    }
+
+    fn add(&mut self, query: usize, values: [f64; RECALL_CUTS.len()]) {
+        self.counts[query] += 1.0;
+        for (sums, value) in self.sums.iter_mut().zip(values) {
+            sums[query] += value;
+        }
+    }
+
+    /// The mean of each query in percent; not a number where no gallery held it.
+    fn percent(&self) -> [Vec<f64>; RECALL_CUTS.len()] {
+        self.sums.each_ref().map(|sums| {
+            let means = sums.iter().zip(&self.counts);
+            means.map(|(sum, count)| 100.0 * sum / count).collect()
+        })
+    }
+
+    fn means(&self) -> [f64; RECALL_CUTS.len()] {
+        self.percent().map(|values| {
+            let known = values.iter().filter(|value| value.is_finite());
+            let (sum, count) = known.fold((0.0, 0.0), |(sum, n), value| (sum + value, n + 1.0));
+            sum / count
+        })
+    }
+
+    fn recalls(&self, resamples: &Resamples) -> Recalls {
+        let means = self.means();
+        let lower = self
+            .percent()
+            .map(|values| quantile(&mut resamples.means(&values), TAIL).unwrap_or(f64::NAN));
+        let [r1, r3] = std::array::from_fn(|at| Bounded {
+            mean: means[at],
+            lower: lower[at],
+        });
+        Recalls { r1, r3 }
+    }
+}
+
+/// Probability that a random order of a gallery has one of the hits among the first `k`.
+fn of_random_order(gallery: usize, hits: usize, k: usize) -> f64 {
+    let misses = gallery - hits;
+    let none =
+        (0..k).map(|place| misses.saturating_sub(place) as f64 / (gallery - place).max(1) as f64);
+    1.0 - none.product::<f64>()
+}
+
+/// Why the encoder of a run folder with these weights ranks nothing; none if its report shows that it ranks.
+///
+/// # Errors
+/// The report cannot be read.
+pub fn weakness(run: &Path, encoder_hash: &str) -> Result<Option<String>, Error> {
+    let path = run.join(REPORT);
+    let failed = |source| Error::Report {
+        path: path.clone(),
+        source,
+    };
+    let text = match std::fs::read(&path) {
+        Ok(text) => text,
+        Err(source) if source.kind() == std::io::ErrorKind::NotFound => {
+            return Ok(Some(format!(
+                "{} holds no {REPORT}, the report of its own retrieval, which `stance train tmr` writes; the same command \
+                 again adds it to a finished run",
+                run.display()
+            )));
+        }
+        Err(source) => return Err(failed(source)),
+    };
+    let report: JudgeReport =
+        serde_json::from_slice(&text).map_err(|source| failed(source.into()))?;
+    if report.encoder_hash != encoder_hash {
+        return Ok(Some(format!(
+            "{} is of other weights ({:.12}); run the same `stance train tmr` again",
+            path.display(),
+            report.encoder_hash
+        )));
+    }
+    Ok(report.weakness())
+}
+
+/// What a table says of an encoder.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Judge {
+    /// How it was trained, in one line.
+    pub recipe: String,
+    /// Why it ranks nothing; none if it ranks.
+    pub weakness: Option<String>,
+}
+
+/// Encoders by their hashes.
+pub type Judges = BTreeMap<String, Judge>;
+
+impl Judge {
+    /// What an encoder says of itself.
+    pub fn of(encoder: &dyn MotionEncoder) -> Self {
+        Self {
+            recipe: encoder.recipe(),
+            weakness: encoder.weakness(),
+        }
+    }
+}
+
+/// Why a table ranks no system, as a sentence; none if it ranks. The table holds the scores of the task, protocol, encoder and
+/// items of `first`.
+pub(crate) fn unranked<'a>(
+    first: &ScoreRow,
+    rows: impl IntoIterator<Item = &'a ScoreRow>,
+    judges: &Judges,
+) -> Option<String> {
+    let weakness = judges
+        .get(&first.encoder_hash)
+        .and_then(|judge| judge.weakness.as_ref());
+    if let Some(weakness) = weakness {
+        return Some(format!(
+            "This table ranks nothing. The encoder {:.12} is too weak to judge: {weakness}.",
+            first.encoder_hash
+        ));
+    }
+    let is_of = |row: &&ScoreRow| {
+        row.system == IDENTITY
+            && row.metric == TOLD_APART
+            && (
+                &row.task,
+                &row.protocol,
+                &row.encoder_hash,
+                &row.items_digest,
+            ) == (
+                &first.task,
+                &first.protocol,
+                &first.encoder_hash,
+                &first.items_digest,
+            )
+    };
+    let told = rows.into_iter().find(is_of)?;
+    let lower = told.mean - told.ci95.unwrap_or(0.0);
+    (lower <= 0.0).then(|| {
+        format!(
+            "This table ranks nothing. Its targets cannot be told from its sources: in {} the real data is {:.1}±{:.1} % above the \
+             identity editor, and the lower bound must be above 0.",
+            E2T_RECALL_1.name,
+            told.mean,
+            told.ci95.unwrap_or(0.0)
+        )
+    })
+}

@@ -1,0 +1,65 @@
+//! The frozen encoder that ships with the program. `eval/judge/builtin/README.md` says how it was trained.
+
+use std::path::Path;
+
+use anyhow::Context;
+use datasets_spec::Skeleton;
+use eval::judge::JudgeReport;
+use train::checkpoint::check_skeleton_of;
+use train::tmr::TmrEncoder;
+
+use crate::device::device;
+
+/// What names it in place of a run folder.
+pub(crate) const BUILTIN: &str = "builtin";
+
+const CONFIG: &str = include_str!("../eval/judge/builtin/config.json");
+const WEIGHTS: &[u8] = include_bytes!("../eval/judge/builtin/tmr.safetensors");
+const REPORT: &str = include_str!("../eval/judge/builtin/report.json");
+
+/// Whether a path names the built-in encoder. A folder of that name in the working folder is `./builtin`.
+pub(crate) fn is_builtin(run: &Path) -> bool {
+    run == Path::new(BUILTIN)
+}
+
+/// The built-in encoder.
+pub(crate) fn load() -> anyhow::Result<TmrEncoder> {
+    let name = Path::new(BUILTIN);
+    Ok(TmrEncoder::from_bytes(CONFIG, WEIGHTS, name, &device())?)
+}
+
+/// Refuses motions on another skeleton than that of the encoder.
+pub(crate) fn check_skeleton(skeleton: &Skeleton) -> anyhow::Result<()> {
+    let name = Path::new(BUILTIN);
+    Ok(check_skeleton_of(CONFIG, name, "the encoder", skeleton)?)
+}
+
+/// Its report.
+pub(crate) fn report() -> anyhow::Result<JudgeReport> {
+    serde_json::from_str(REPORT).context("the report of the built-in encoder")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Hash of the shipped weights. Scores are comparable only while it stays.
+    const HASH: &str = "68fbf753ce331f824824deadb4cbd792ad5f230477b107f8272d4a0b527bfff6";
+
+    #[test]
+    fn the_shipped_encoder_is_the_one_of_its_report_and_ranks() {
+        let encoder = load().expect("shipped");
+        assert_eq!(encoder.hash(), HASH);
+        let report = report().expect("shipped");
+        assert_eq!(report.encoder_hash, HASH);
+        assert_eq!(report.weakness(), None);
+        assert_eq!(report.gallery, 32);
+        for side in [report.text_to_motion, report.motion_to_text] {
+            assert!(side.r3.lower > 90.0, "{side:?}");
+        }
+        let card = include_str!("../eval/judge/builtin/README.md");
+        for hash in [HASH, &report.dataset_hash, encoder.dataset_hash()] {
+            assert!(card.contains(hash), "the card lacks {hash}");
+        }
+    }
+}
