@@ -54,7 +54,7 @@ def scores(rows: list[dict], system: str) -> dict:
 
 def evaluate(*folders: pathlib.Path) -> list[dict]:
     args = ("--encoder", ENCODER, "--repeats", 2, "--further", "--format", "json")
-    return json.loads(stance("eval", *args, *folders))
+    return json.loads(stance("eval", "--weak-judge", *args, *folders))
 
 
 def write_parquet(rows: list[dict], path: pathlib.Path) -> None:
