@@ -245,6 +245,9 @@ impl Paired {
     }
 }
 
+/// Galleries of a repeat, as positions, and the ranks in them.
+pub type RankedGalleries = (Vec<Vec<usize>>, CrossRanks);
+
 /// How well an encoder's texts and motions retrieve each other: for each repeat its galleries, as positions, and the
 /// ranks in them. Motions with equal texts may stand for each other.
 ///
@@ -258,7 +261,7 @@ pub fn encoder_retrieval(
     text_latents: &[Vec<f64>],
     motion_latents: &[Vec<f64>],
     protocol: &Protocol,
-) -> Result<Vec<(Vec<Vec<usize>>, CrossRanks)>, Error> {
+) -> Result<Vec<RankedGalleries>, Error> {
     let unit = |latents: &[Vec<f64>]| unit_rows(&Matrix::from_rows(latents));
     let (texts_at, motions_at) = (unit(text_latents)?, unit(motion_latents)?);
     (0..protocol.repeats)
