@@ -10,6 +10,7 @@ mod baselines;
 mod captures;
 mod chain;
 mod compose;
+mod during;
 mod evaluate;
 mod evidence;
 mod export;
