@@ -30,6 +30,7 @@ mod remote;
 mod results;
 mod round_trips;
 mod seams;
+mod settings;
 mod sources;
 mod stage;
 mod tables;
