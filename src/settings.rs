@@ -6,22 +6,87 @@ use anyhow::Context;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
+use toml::de::{DeTable, DeValue};
+use train::config::SettingError;
 
 /// Reads a TOML file.
 pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<T> {
     let text =
         std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    toml::from_str(&text).with_context(|| format!("in {}", path.display()))
+    parse(&text, path)
 }
 
-/// A preset with a section of a file in place of some of its settings.
+/// Parses the text of a TOML file. An error begins with file, line and column.
+pub(crate) fn parse<T: DeserializeOwned>(text: &str, path: &Path) -> anyhow::Result<T> {
+    toml::from_str(text).map_err(|error: toml::de::Error| {
+        let message = error.message();
+        match error.span() {
+            Some(span) => anyhow::anyhow!("{}: {message}", place(text, path, span.start)),
+            None => anyhow::anyhow!("{}: {message}", path.display()),
+        }
+    })
+}
+
+/// File, line and column of a byte, as editors take them.
+fn place(text: &str, path: &Path, byte: usize) -> String {
+    let before = &text[..byte.min(text.len())];
+    let line_start = before.rfind('\n').map_or(0, |end| end + 1);
+    let line = before.matches('\n').count() + 1;
+    let column = before[line_start..].chars().count() + 1;
+    format!("{}:{line}:{column}", path.display())
+}
+
+/// Puts file, line and column before an error about a setting ([`SettingError`]) of a file. Where several
+/// places of the file have its keys, only the file is named.
+pub(crate) fn at(path: &Path, error: anyhow::Error) -> anyhow::Error {
+    let setting = error
+        .chain()
+        .find_map(|cause| cause.downcast_ref::<SettingError>());
+    let Some(SettingError { keys, .. }) = setting else {
+        return error;
+    };
+    let text = std::fs::read_to_string(path).unwrap_or_default();
+    let mut found = Vec::new();
+    if let (Ok(document), false) = (DeTable::parse(&text), keys.is_empty()) {
+        find(document.get_ref(), keys, &mut found);
+    }
+    let place = match found[..] {
+        [byte] => place(&text, path, byte),
+        _ => path.display().to_string(),
+    };
+    error.context(place)
+}
+
+/// Where keys lead from any table of a document on: the bytes at which the last of them begins.
+fn find(table: &DeTable<'_>, keys: &[String], found: &mut Vec<usize>) {
+    let mut inner = Some(table);
+    let mut at = None;
+    for key in keys {
+        let entry = inner.and_then(|table| table.iter().find(|(name, _)| name.get_ref() == key));
+        at = entry.map(|(name, _)| name.span().start);
+        inner = entry.and_then(|(_, value)| value.get_ref().as_table());
+    }
+    found.extend(at);
+    let mut values: Vec<&DeValue<'_>> = table.values().map(toml::Spanned::get_ref).collect();
+    while let Some(value) = values.pop() {
+        match value {
+            DeValue::Table(table) => find(table, keys, found),
+            DeValue::Array(items) => values.extend(items.iter().map(toml::Spanned::get_ref)),
+            _ => {}
+        }
+    }
+}
+
+/// A preset with a section of a file in place of some of its settings. The keys of an error begin with the section.
 pub(crate) fn over<T: Serialize + DeserializeOwned>(
     preset: &T,
     section: &str,
     own: &Map<String, Value>,
 ) -> anyhow::Result<T> {
-    train::config::overlay(preset, &Value::Object(own.clone()))
-        .with_context(|| format!("section [{section}]"))
+    train::config::overlay(preset, &Value::Object(own.clone())).map_err(|mut error| {
+        error.keys.insert(0, section.to_owned());
+        anyhow::Error::new(error)
+    })
 }
 
 /// What some settings change of a preset: those that only repeat it are left out, so that equal settings are equal
@@ -56,6 +121,37 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+
+    const FILE: &str = "\
+window = 16
+
+[train]
+width = 3
+model = { width = 8, heads = 2 }
+
+[[systems]]
+name = 'one'
+[systems.train]
+steps = 3
+";
+
+    #[test]
+    fn keys_are_found_by_line_and_column() {
+        let places = |keys: &[&str]| -> Vec<String> {
+            let keys: Vec<String> = keys.iter().map(|&key| key.to_owned()).collect();
+            let document = DeTable::parse(FILE).expect("TOML");
+            let mut found = Vec::new();
+            find(document.get_ref(), &keys, &mut found);
+            found.sort_unstable();
+            let path = Path::new("a.toml");
+            found.iter().map(|&byte| place(FILE, path, byte)).collect()
+        };
+        assert_eq!(places(&["window"]), ["a.toml:1:1"]);
+        assert_eq!(places(&["model", "heads"]), ["a.toml:5:22"]);
+        assert_eq!(places(&["steps"]), ["a.toml:10:1"]);
+        assert_eq!(places(&["width"]), ["a.toml:4:1", "a.toml:5:11"]);
+        assert!(places(&["train", "heads"]).is_empty());
+    }
 
     #[test]
     fn settings_that_repeat_the_preset_change_nothing() {

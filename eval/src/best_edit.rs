@@ -20,7 +20,8 @@ pub struct BestEdit<'a> {
     /// Its edit.
     pub edit: &'a EditRow,
     /// How far it got; `None` where no item has a target at the edit's frame rate, so that none could be
-    /// measured, and the item is the first by its id.
+    /// measured, and the item is the first by its id. An edit that is not closer to its target than its source
+    /// ([`Gain::is_better`]) is not to be called the best.
     pub gain: Option<Gain>,
 }
 
@@ -37,6 +38,13 @@ pub struct Gain {
     pub median_m: f64,
     /// Items that were measured.
     pub num_items: usize,
+}
+
+impl Gain {
+    /// Whether the edit is closer to its target than its source is.
+    pub fn is_better(&self) -> bool {
+        self.edit_m < self.source_m
+    }
 }
 
 /// The edit that takes most off the distance from its source to its target, among the edits of the system
@@ -195,6 +203,8 @@ mod tests {
             let answered = answered(&items, edits);
             let best = best_edit(&answered).expect("motions").expect("edits");
             assert_eq!((best.item.id.as_str(), best.edit.seed), ("b", 0));
+            let words = best.in_words();
+            assert!(words.starts_with("The best case"), "{words}");
             let gain = best.gain.expect("targets");
             assert_eq!(gain.num_items, 3);
             // Stored in single precision.
@@ -215,6 +225,8 @@ mod tests {
         let best = best_edit(&answered).expect("motions").expect("edits");
         assert_eq!(best.item.id, "a");
         assert_eq!(best.gain.expect("targets").median_m, 0.0);
+        let words = best.in_words();
+        assert!(words.starts_with("No best case"), "{words}");
     }
 
     #[test]

@@ -24,6 +24,14 @@ impl Golden {
         }
     }
 
+    /// The one name of a tensor that begins with `before` and ends with `after`; between them stands a size.
+    pub(crate) fn name(&self, before: &str, after: &str) -> &str {
+        let mut names = self.recorded.tensors.keys();
+        names
+            .find(|name| name.starts_with(before) && name.ends_with(after))
+            .unwrap_or_else(|| panic!("{}: no tensor {before}...{after}", self.case))
+    }
+
     /// Shape and numbers of a tensor, whatever its type.
     pub(crate) fn tensor(&self, name: &str) -> (Vec<usize>, Vec<f64>) {
         let tensor = self.recorded.get(name);

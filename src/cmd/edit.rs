@@ -112,7 +112,8 @@ pub(crate) struct Args {
     #[arg(long)]
     text: Vec<String>,
     /// Instruction for some frames, as FIRST:END TEXT, such as "0:40 The person is waving."; frames
-    /// outside all ranges stay as they are
+    /// outside all ranges stay bit for bit as they are, and the edit has the rate of the motion. In the
+    /// first and last 0.4 s of a range, at most a third of it, the edit is blended with the motion
     #[arg(long, value_name = "FIRST:END TEXT", conflicts_with = "text")]
     during: Vec<TimedInstruction>,
     /// File that keeps the edits of one motion; without --text the instructions are read line by line

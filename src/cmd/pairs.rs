@@ -82,6 +82,15 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         styles,
         root_hash: manifest.root_hash.clone(),
     };
+    for (split, use_of_it) in [("train", "trained on"), ("val", "validated with")] {
+        if document.pairs > 0 && document.splits.get(split) == Some(&0) {
+            report::note(&format!(
+                "the {split} split has no pairs, so that none are {use_of_it}: both motions of a pair have to be in \
+                 it; ingest into a new folder with a list of splits that puts them there (stance ingest --splits), \
+                 or add takes"
+            ));
+        }
+    }
     if global.json {
         report::json(&document)?;
     } else {

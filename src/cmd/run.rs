@@ -240,7 +240,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if config.sources.is_empty() {
         bail!("{} names no sources", args.config.display());
     }
-    let mut plan = Plan::new(config, global)?;
+    let mut plan = Plan::new(config, global).map_err(|error| settings::at(&args.config, error))?;
     let name = args
         .config
         .file_name()

@@ -74,7 +74,7 @@ impl ComposeArgs {
     pub(crate) fn over(&self, preset: &ComposeConfig) -> anyhow::Result<ComposeConfig> {
         let mut config = match &self.compose {
             Some(path) => overlay(preset, &settings::read::<Value>(path)?)
-                .with_context(|| format!("in {}", path.display()))?,
+                .map_err(|error| settings::at(path, error.into()))?,
             None => preset.clone(),
         };
         if let Some(path) = &self.phrases {

@@ -13,7 +13,8 @@ use safetensors::{Dtype, SafeTensors};
 pub(crate) struct Recorded {
     /// Its file.
     pub(crate) path: PathBuf,
-    tensors: BTreeMap<String, Tensor>,
+    /// Its tensors by name.
+    pub(crate) tensors: BTreeMap<String, Tensor>,
 }
 
 /// A tensor of any recorded type, widened, in row-major order.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use datasets_spec::Dataset;
-use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
@@ -499,57 +499,6 @@ fn an_editor_of_the_body_joints_alone_trains_and_edits() {
         .train_with("motionrefit", "odd", &odd)
         .expect_code(1);
     assert!(refused.stderr.contains("keypoints"), "{}", refused.stderr);
-}
-
-#[test]
-fn some_frames_are_edited_and_the_others_stay() {
-    let workshop = Workshop::open();
-    workshop.train("motionrefit", "editor", "6").expect_code(0);
-    let (editor, dataset) = (workshop.path("editor"), workshop.dataset());
-    let motions: Vec<MotionRow> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
-    // Frames are counted at the rate of the motion, here that of the store.
-    let clip = motions
-        .iter()
-        .find(|row| row.n_frames >= 100)
-        .expect("a clip of five seconds");
-    let out = workshop.path("timed");
-    stance(&[
-        "edit",
-        arg(&editor),
-        "--dataset",
-        arg(&dataset),
-        "--motion",
-        clip.id.as_str(),
-        "--during",
-        "34:58 The person is waving.",
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0);
-    let table = Dataset::open(&out).expect("a table");
-    let items: Vec<ItemRow> = table.read(None).expect("rows");
-    let rows: Vec<EditRow> = table.read(None).expect("rows");
-    let ([source], [edit]) = (&items[..], &rows[..]) else {
-        panic!("{} items, {} edits", items.len(), rows.len());
-    };
-    // The first window is not asked for: it is what ten frames a second and the fit leave of it.
-    for frame in 0..28 {
-        for (a, b) in source.source_transl[frame].iter().zip(&edit.transl[frame]) {
-            assert!((a - b).abs() < 0.05, "frame {frame}: {a} {b}");
-        }
-    }
-    let away = (32..56)
-        .flat_map(|frame| {
-            source.source_body_pose[frame]
-                .iter()
-                .zip(&edit.body_pose[frame])
-        })
-        .map(|(a, b)| (a - b).abs())
-        .fold(0.0, f32::max);
-    assert!(away > 0.2, "{away}");
 }
 
 #[test]

@@ -40,10 +40,10 @@ pub enum Error {
         problem: &'static str,
     },
     /// The settings a user gave are not those of the model.
-    #[error("the settings cannot be used: {source}")]
+    #[error("the settings cannot be used")]
     Settings {
-        /// The cause.
-        source: serde_json::Error,
+        /// The setting.
+        source: crate::config::SettingError,
     },
     /// The text encoder of a model is not in the cache.
     #[error(

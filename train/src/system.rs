@@ -13,6 +13,7 @@ use pipeline::stage::commit_edits;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::Slot;
+use crate::during::{keep_outside, leaves_frames};
 use crate::sample::{EditTimes, FitMethod, TimedInstruction};
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
@@ -336,7 +337,8 @@ pub fn edit_items(
 /// An edited motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edited {
-    /// The motion, as long in time as the original, at 20 fps, or at the model's rate where that is higher.
+    /// The motion, as long in time as the original. It has the rate of the original where some frames are
+    /// left as they are; else 20 fps, or the model's rate where that is higher.
     pub motion: Motion,
     /// How far the generated points are from a body.
     pub misfit: Misfit,
@@ -344,7 +346,9 @@ pub struct Edited {
     pub times: EditTimes,
 }
 
-/// Edits one motion, of any rate, by instructions for parts of it or for the whole.
+/// Edits one motion, of any rate, by instructions for parts of it or for the whole. Frames without an
+/// instruction are those of the original, bit for bit; 0.4 s at each end of an edited range, or a third of
+/// it, are blended with the original, and the range ends at the position and heading of the original.
 ///
 /// # Errors
 /// The motion has no frame, an instruction has no frame of its own, the generated motion is not
@@ -357,7 +361,10 @@ pub fn edit_motion(
     seed: Seed,
     session: &Session<'_>,
 ) -> Result<Edited, Error> {
-    let fps = if system.fps() > Fps::STORE {
+    let leaves_frames = leaves_frames(motion.len(), instructions);
+    let fps = if leaves_frames {
+        motion.fps()
+    } else if system.fps() > Fps::STORE {
         system.fps()
     } else {
         Fps::STORE
@@ -371,12 +378,18 @@ pub fn edit_motion(
         frames: None,
     };
     let mut edited = system.edit(&[request], seed, session)?;
-    let (motion, misfit) = edited
+    let (mut made, misfit) = edited
         .motions
         .pop()
         .expect("a system returns a motion for each request");
+    if leaves_frames {
+        made = keep_outside(motion, &made, instructions).map_err(|source| Error::Motion {
+            id: id.to_owned(),
+            source,
+        })?;
+    }
     Ok(Edited {
-        motion,
+        motion: made,
         misfit,
         times: edited.times,
     })

@@ -84,6 +84,19 @@ impl Golden {
         self.metadata()[key].parse().expect("a number")
     }
 
+    /// What stands between `before` and `after` in the names of tensors, such as sizes and parameters of a
+    /// case. At least one tensor has such a name.
+    fn between(&self, before: &str, after: &str) -> Vec<String> {
+        let names = self.0.tensors.keys();
+        let found: Vec<String> = names
+            .filter_map(|name| name.strip_prefix(before)?.strip_suffix(after))
+            .map(str::to_owned)
+            .collect();
+        let path = self.0.path.display();
+        assert!(!found.is_empty(), "{path} has no tensor {before}...{after}");
+        found
+    }
+
     /// Values as `f64`, with the shape.
     fn values(&self, name: &str) -> (Vec<f64>, Vec<usize>) {
         let tensor = self.0.get(name);
@@ -858,19 +871,18 @@ fn golden_tmr_losses() {
         .collect();
     let unfiltered = vec![false; filtered.len()];
     assert!(filtered.iter().any(|&f| f), "the case filters nothing");
-    for (name, temperature, ignored) in [
-        ("out.infonce_t0.1_nofilter", 0.1, &unfiltered),
-        ("out.infonce_t0.1_filter", 0.1, &filtered),
-        ("out.infonce_t0.7_filter", 0.7, &filtered),
-    ] {
-        let loss = info_nce(
-            golden.tensor("in.x"),
-            golden.tensor("in.y"),
-            temperature,
-            ignored,
-        );
-        let difference = (loss.into_scalar::<f32>() - golden.f32s(name)[0]).abs();
-        assert!(difference < 1e-5, "{name}: {difference}");
+    for (kind, ignored) in [("_nofilter", &unfiltered), ("_filter", &filtered)] {
+        for temperature in golden.between("out.infonce_t", kind) {
+            let name = format!("out.infonce_t{temperature}{kind}");
+            let loss = info_nce(
+                golden.tensor("in.x"),
+                golden.tensor("in.y"),
+                temperature.parse().expect("a number"),
+                ignored,
+            );
+            let difference = (loss.into_scalar::<f32>() - golden.f32s(&name)[0]).abs();
+            assert!(difference < 1e-5, "{name}: {difference}");
+        }
     }
     let q = Distribution {
         mu: golden.tensor("in.mu_q"),

@@ -10,6 +10,7 @@ pub mod diversity;
 pub mod fid;
 pub mod fit_error;
 pub mod foot_score;
+pub mod gliding;
 pub mod interval;
 pub mod motion_quality;
 pub mod multimodality;
@@ -21,8 +22,8 @@ pub use definition::{
     TakesMeasure, TakesSample,
 };
 
-/// Rises whenever a metric gives other values for the same motions, so that stored scores of before are not taken for
-/// those of now.
+/// Rises whenever a metric is new or gives other values for the same motions, so that stored scores of before are not
+/// taken for those of now.
 pub const METRICS_VERSION: u32 = 3;
 
 /// All metrics in the order of the tables: the columns of the paper's Table 1 first.
@@ -50,6 +51,7 @@ pub static ALL: &[&Metric] = &[
     &motion_quality::INSIDE_ACCELERATION,
     &motion_quality::JERK,
     &motion_quality::CONTACT_SLIDE,
+    &gliding::GLIDING,
     &motion_quality::ROTATION_STEP,
 ];
 

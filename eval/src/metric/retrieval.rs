@@ -364,8 +364,6 @@ mod tests {
 
     /// Cut-offs of the recall in the recorded metrics, which end with median and mean rank.
     const GOLDEN_RECALL_AT: [usize; 5] = [1, 2, 3, 5, 10];
-    /// Galleries of the recorded batches.
-    const GOLDEN_GALLERY: usize = 32;
 
     fn ranks_of_similarity(similarity: &Matrix) -> Result<Vec<f64>, Error> {
         ranks_among_equivalents(similarity, |_, _| false)
@@ -408,11 +406,13 @@ mod tests {
                 check_rounded(found, recorded);
             }
 
-            let batch_ranks = golden.matrix(&format!("out.batch32.{side}.rank0"));
-            let per_batch = golden.matrix(&format!("out.batch32.{side}.per_batch"));
+            let of_batches = |what| golden.name("out.batch", &format!(".{side}.{what}"));
+            let batch_ranks = golden.matrix(of_batches("rank0"));
+            let per_batch = golden.matrix(of_batches("per_batch"));
+            let gallery = batch_ranks.num_cols();
             let mut sums = vec![0.0; per_batch.num_cols()];
-            for (batch, indices) in order.chunks_exact(GOLDEN_GALLERY).enumerate() {
-                let mut part = Matrix::zeros(GOLDEN_GALLERY, GOLDEN_GALLERY);
+            for (batch, indices) in order.chunks_exact(gallery).enumerate() {
+                let mut part = Matrix::zeros(gallery, gallery);
                 for (row, &query) in indices.iter().enumerate() {
                     for (col, &other) in indices.iter().enumerate() {
                         part.row_mut(row)[col] = similarity.row(query)[other];
@@ -426,7 +426,7 @@ mod tests {
                     sums[metric] += found;
                 }
             }
-            let recorded = golden.numbers(&format!("out.batch32.{side}.metrics"));
+            let recorded = golden.numbers(of_batches("metrics"));
             for (sum, recorded) in sums.into_iter().zip(recorded) {
                 check_rounded(sum / per_batch.num_rows() as f64, recorded);
             }

@@ -41,11 +41,22 @@ impl BestEdit<'_> {
             );
         };
         let cm = |metres: f64| format!("{:.0} cm", CM_PER_M * metres);
+        let rule = if gain.is_better() {
+            format!(
+                "The best case, not the typical one: among the edits of {} items by {system}, the one that takes \
+                 most off the distance from its source to its target.",
+                gain.num_items
+            )
+        } else {
+            format!(
+                "No best case: none of the edits of {} items by {system} is closer to its target than its source \
+                 is. The one that loses least is shown.",
+                gain.num_items
+            )
+        };
         format!(
-            "The best case, not the typical one: among the edits of {} items by {system}, the one that takes most \
-             off the distance from its source to its target. The keypoints of the source are {} away from the \
-             target's, those of the edit {} (means; the pelvis is held in place); the median edit takes {} off.",
-            gain.num_items,
+            "{rule} The keypoints of the source are {} away from the target's, those of the edit {} (means; the \
+             pelvis is held in place); the median edit takes {} off.",
             cm(gain.source_m),
             cm(gain.edit_m),
             cm(gain.median_m),

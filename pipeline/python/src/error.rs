@@ -65,7 +65,8 @@ plain!(
     kinematics::Error,
     pipeline::feature::humanml3d::FeatureError,
     serde_json::Error,
-    std::io::Error
+    std::io::Error,
+    train::config::SettingError
 );
 
 impl From<pipeline::clip::Rejected> for Failure {

@@ -48,6 +48,49 @@ const NO_VERBS_IN_S: [&str; 12] = [
     "towards",
 ];
 
+/// Words after which a word that is a third person and a plural, such as "steps", is the plural.
+const BEFORE_PLURALS: [&str; 33] = [
+    "two",
+    "three",
+    "four",
+    "five",
+    "six",
+    "seven",
+    "eight",
+    "nine",
+    "ten",
+    "few",
+    "some",
+    "several",
+    "many",
+    "more",
+    "multiple",
+    "both",
+    "half",
+    "couple",
+    "small",
+    "big",
+    "large",
+    "little",
+    "huge",
+    "tiny",
+    "wide",
+    "in",
+    "of",
+    "with",
+    "doing",
+    "making",
+    "performing",
+    "taking",
+    "practicing",
+];
+/// Words that say how or where to as well as what kind: "four slow steps", but "walks slow, steps back".
+/// The word before them tells.
+const ADJECTIVES_OR_ADVERBS: [&str; 13] = [
+    "forward", "backward", "sideways", "straight", "fast", "slow", "quick", "long", "short",
+    "high", "low", "heavy", "deep",
+];
+
 /// The verbs of `verbs.txt`: the gerund by the third person, by the gerund itself and by the bare form.
 struct Verbs {
     finite: BTreeMap<String, String>,
@@ -179,22 +222,50 @@ fn is_adverb(word: &str) -> bool {
 
 /// Whether a second verb follows whose form does not fit behind "is".
 fn has_other_clause(rest: &[String]) -> bool {
-    let bare = |word: &String| word.trim_end_matches(',').to_owned();
     let mut opens = false;
-    for word in rest {
-        let ends = word.ends_with(',');
-        let word = bare(word);
-        let is_finite = OTHER_FINITE.contains(&word.as_str()) || VERBS.only_finite.contains(&word);
+    for (place, said) in rest.iter().enumerate() {
+        let ends = said.ends_with(',');
+        let word = said.trim_end_matches(',').to_owned();
+        let is_finite = OTHER_FINITE.contains(&word.as_str())
+            || VERBS.only_finite.contains(&word)
+            || (place > 0 && VERBS.finite.contains_key(&word) && !is_plural(&rest[..place]))
+            || (place > 0 && is_verb_with_particle(&rest[place - 1..]));
         let ends_in_s = word.ends_with('s') && !word.ends_with("ss") && !word.ends_with("wards");
         let may_be_verb = VERBS.bare.contains_key(&word)
             || (ends_in_s && !NO_VERBS_IN_S.contains(&word.as_str()));
         if is_finite || (opens && may_be_verb) {
             return true;
         }
-        let goes_on = opens && (is_adverb(&word) || SUBJECTS.contains(&word.as_str()));
+        let goes_on = opens
+            && (is_adverb(&word)
+                || ["thereby", "also"].contains(&word.as_str())
+                || SUBJECTS.contains(&word.as_str()));
         opens = ends || goes_on || CONJUNCTIONS.contains(&word.as_str());
     }
     false
+}
+
+/// Whether the second of some words is a verb in its bare form with a particle, such as "front turn around" has,
+/// and no noun or infinitive as in "a turn around" and "to turn around".
+fn is_verb_with_particle(words: &[String]) -> bool {
+    let [before, verb, particle, ..] = words else {
+        return false;
+    };
+    let before = before.as_str();
+    ["around", "up", "down", "back", "away"].contains(&particle.as_str())
+        && VERBS.bare.contains_key(verb)
+        && !["back", "circle"].contains(&verb.as_str())
+        && !DETERMINERS.contains(&before)
+        && !["to", "his", "her", "its", "their"].contains(&before)
+}
+
+/// Whether a plural is expected after the words `before`.
+fn is_plural(before: &[String]) -> bool {
+    let mut before = before.iter().rev().map(String::as_str);
+    let Some(word) = before.find(|word| !ADJECTIVES_OR_ADVERBS.contains(word)) else {
+        return false;
+    };
+    BEFORE_PLURALS.contains(&word) || word.bytes().all(|byte| byte.is_ascii_digit())
 }
 
 /// The third person of a regular verb.
@@ -296,6 +367,15 @@ mod tests {
                 "walking while swinging their arms",
             ),
             ("jump", "jumping"),
+            ("A person takes 3 fast steps", "taking 3 fast steps"),
+            (
+                "a person performs a turn around",
+                "performing a turn around",
+            ),
+            (
+                "a person does four slow forward steps in circles",
+                "doing four slow forward steps in circles",
+            ),
         ] {
             assert_eq!(
                 of_text(text),
@@ -317,6 +397,12 @@ mod tests {
             "A standing person waves",
             "kneeling person stands up",
             "A person walks forward takes a turn",
+            "A person holds something in its left hand touches it",
+            "A person dances and in the end looks at his feet",
+            "A person walks forward anf turns slightly to the right",
+            "A person walks forward slow turns right",
+            "A person goes to the left and thereby paints a circle",
+            "walking to the front turn around and walking back",
             "A person puts his hands down and inspects the ground",
             "A person seems to be tired",
             "A person looks like a robot",

@@ -32,6 +32,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 use crate::session::{is_stopped, stopped};
+use crate::settings;
 use crate::trainings::TrainingsArgs;
 
 /// Reproduce tables and figures of the paper: train what is missing, edit, score, and write them.
@@ -112,8 +113,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     args.trainings.choose()?;
     let plan = read(args, path)?;
-    let systems = plan.trained(global)?;
-    let figures = plan.figure_specs(global)?;
+    let at = |error| settings::at(path, error);
+    let systems = plan.trained(global).map_err(at)?;
+    let figures = plan.figure_specs(global).map_err(at)?;
     plan.check_tasks()?;
     if args.dry_run {
         list(&systems, &figures, global)?;

@@ -272,8 +272,7 @@ impl Plan {
         dataset: Option<&Path>,
         out: Option<&Path>,
     ) -> anyhow::Result<Self> {
-        let mut plan: Self =
-            toml::from_str(text).with_context(|| format!("in {}", path.display()))?;
+        let mut plan: Self = settings::parse(text, path)?;
         let base = path.parent().unwrap_or(Path::new("."));
         let folders = [&mut plan.dataset, &mut plan.out];
         let encoder = plan.encoder.as_mut().filter(|run| !is_builtin(run));

@@ -2,8 +2,8 @@
 
 mod diffusion;
 mod run;
+mod setting;
 
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -20,6 +20,7 @@ pub use self::diffusion::{
     DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction, PreviousFrames, ScheduleName,
 };
 pub use self::run::{Decay, OptimizerConfig, RunLength, RunSettings};
+pub use self::setting::{SettingError, overlay};
 
 /// Settings of the editor's training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -75,31 +76,6 @@ pub(crate) fn rename_former(settings: &mut Value) {
     {
         optimizer.insert("ema_decay".to_owned(), decay);
     }
-}
-
-/// A preset with the user's own values in place of some of its own. Names of version 0.1 are known.
-///
-/// # Errors
-/// A key is unknown, or a value is of another type.
-pub fn overlay<T: Serialize + DeserializeOwned>(
-    preset: &T,
-    own: &Value,
-) -> Result<T, serde_json::Error> {
-    fn merge(base: &mut Value, own: Value) {
-        match (base, own) {
-            (Value::Object(base), Value::Object(own)) => {
-                for (key, value) in own {
-                    merge(base.entry(key).or_insert(Value::Null), value);
-                }
-            }
-            (base, own) => *base = own,
-        }
-    }
-    let mut own = own.clone();
-    rename_former(&mut own);
-    let mut settings = serde_json::to_value(preset)?;
-    merge(&mut settings, own);
-    serde_json::from_value(settings)
 }
 
 /// Sizes of a transformer.
@@ -622,8 +598,27 @@ mod tests {
         expected.run.length.steps = 7;
         expected.run.optimizer.ema_decay = Some(0.5);
         assert_eq!(overlay(&preset, &own).expect("known settings"), expected);
-        let problem = overlay(&preset, &json!({ "batchsize": 8 })).expect_err("unknown");
-        assert!(problem.to_string().contains("unknown field `batchsize`"));
+        for (own, keys, reason) in [
+            (
+                json!({ "batchsize": 8 }),
+                &["batchsize"][..],
+                "unknown field `batchsize`",
+            ),
+            (
+                json!({ "batch_size": 8, "model": { "width": 32, "num_heads": "two" } }),
+                &["model", "num_heads"],
+                "invalid type",
+            ),
+            (
+                json!({ "model": { "sizes": {} }, "window": 8 }),
+                &[],
+                "unknown field `sizes`",
+            ),
+        ] {
+            let problem = overlay(&preset, &own).expect_err("unknown");
+            assert_eq!(problem.keys, keys);
+            assert!(problem.to_string().contains(reason), "{problem}");
+        }
     }
 
     #[test]

@@ -48,22 +48,37 @@ fn check_array(golden: &Golden, name: &str, values: &[f64]) {
     }
 }
 
+/// Numbers of steps whose schedules a case of TMED holds, ascending; the last is that of training.
+pub(super) fn step_counts(golden: &Golden) -> Vec<usize> {
+    let names = golden.between("out.T", ".betas").into_iter();
+    let mut counts: Vec<usize> = names.map(|name| name.parse().expect("a number")).collect();
+    counts.sort_unstable();
+    for &count in &counts {
+        let shape = golden.values(&format!("out.T{count}.betas")).1;
+        assert_eq!(shape, [count]);
+    }
+    counts
+}
+
 #[test]
 fn golden_tmed_schedule_arrays() {
     let Some(golden) = Golden::find("tmed_diffusion") else {
         return;
     };
-    let trained = golden.values("out.T300.betas").1[0];
-    let few = golden.values("out.T10.betas").1[0];
-    for (prefix, steps) in [("out.T300.", trained), ("out.T10.", few)] {
+    let counts = step_counts(&golden);
+    let trained = *counts.last().expect("counts");
+    assert!(counts.len() > 1, "the case has fewer steps too");
+    for steps in counts {
+        let prefix = format!("out.T{steps}.");
         // The case has the defect of the original: fewer steps are a schedule of their own.
         let steps = SampleSteps::new(trained, steps, Respacing::Official).expect("steps");
-        check_arrays(&golden, prefix, steps.schedule());
+        check_arrays(&golden, &prefix, steps.schedule());
         let map = golden.indices(&format!("{prefix}timestep_map"));
         assert_eq!(steps.timesteps(), map, "{prefix}");
     }
     let whole = SampleSteps::new(trained, trained, Respacing::Spread).expect("steps");
-    assert_eq!(whole.timesteps(), golden.indices("out.T300.timestep_map"));
+    let map = golden.indices(&format!("out.T{trained}.timestep_map"));
+    assert_eq!(whole.timesteps(), map);
 }
 
 #[test]

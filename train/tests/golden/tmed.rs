@@ -20,6 +20,7 @@ use train::tmed::features::{
 };
 use train::tmed::{TmedConfig, TmedImport, branches, group_loss, guided, import_tmed};
 
+use super::gaussian::step_counts;
 use super::{Golden, check, floats, max_difference};
 
 fn network(golden: &Golden) -> Tmed {
@@ -123,15 +124,15 @@ fn golden_tmed_guidance() {
     };
     let network = network(&golden);
     let frames = lengths(&golden, "in.guide.target_mask");
-    for (text, source, name) in [
-        (2.0, 2.0, "out.guided_t2_m2"),
-        (2.5, 5.0, "out.guided_t2.5_m5"),
-    ] {
+    for weights in golden.between("out.guided_t", "") {
+        let name = format!("out.guided_t{weights}");
+        let (text, source) = weights.split_once("_m").expect("two weights");
+        let [text, source] = [text, source].map(|weight| weight.parse().expect("a number"));
         let condition = guided_condition(&golden, text, source);
         let x = golden.tensor("in.guide.x");
         let all = branches(text, source);
         let found = guided(&network, &all, &condition, &x, &frames, 150);
-        check(found, &golden, name, 2e-4);
+        check(found, &golden, &name, 2e-4);
     }
 }
 
@@ -148,7 +149,7 @@ fn golden_tmed_sampling() {
     let condition = guided_condition(&golden, 2.0, 2.0);
     let (noise, trace) = (case.tensor::<3>("in.noise"), case.tensor::<3>("out.trace"));
     let count = trace.dims()[0];
-    let trained = case.values("out.T300.betas").1[0];
+    let trained = *step_counts(&case).last().expect("counts");
     let steps = SampleSteps::new(trained, count, Respacing::Official).expect("steps");
     let made = Cell::new(0);
     let x = steps.sample(

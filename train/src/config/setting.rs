@@ -1,0 +1,72 @@
+//! Settings of a user in place of some of a preset's.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use super::rename_former;
+
+/// A setting that does not fit its model.
+#[derive(Debug, thiserror::Error)]
+#[error("{problem}")]
+pub struct SettingError {
+    /// Keys that lead to the setting; empty where no single one is at fault.
+    pub keys: Vec<String>,
+    /// What is wrong with it.
+    pub problem: String,
+}
+
+/// A preset with the user's own values in place of some of its own. Names of version 0.1 are known.
+///
+/// # Errors
+/// A key is unknown, or a value is of another type.
+pub fn overlay<T: Serialize + DeserializeOwned>(
+    preset: &T,
+    own: &Value,
+) -> Result<T, SettingError> {
+    fn merge(base: &mut Value, own: Value) {
+        match (base, own) {
+            (Value::Object(base), Value::Object(own)) => {
+                for (key, value) in own {
+                    merge(base.entry(key).or_insert(Value::Null), value);
+                }
+            }
+            (base, own) => *base = own,
+        }
+    }
+    let over = |own: &Value| {
+        let mut own = own.clone();
+        rename_former(&mut own);
+        let mut settings = serde_json::to_value(preset)?;
+        merge(&mut settings, own);
+        serde_json::from_value::<T>(settings)
+    };
+    over(own).map_err(|error| {
+        // Serde names the last key at most. The first setting that fails alone is the one to name.
+        let fails_alone = |(keys, alone)| Some((keys, over(&alone).err()?));
+        let (keys, error) = settings_of(own)
+            .into_iter()
+            .find_map(fails_alone)
+            .unwrap_or((Vec::new(), error));
+        SettingError {
+            keys,
+            problem: error.to_string(),
+        }
+    })
+}
+
+/// The settings of a document, each with the keys that lead to it and as a document of its own.
+fn settings_of(document: &Value) -> Vec<(Vec<String>, Value)> {
+    let Value::Object(fields) = document else {
+        return vec![(Vec::new(), document.clone())];
+    };
+    let mut found = Vec::new();
+    for (key, value) in fields {
+        for (mut keys, value) in settings_of(value) {
+            keys.insert(0, key.clone());
+            let document = Value::Object([(key.clone(), value)].into_iter().collect());
+            found.push((keys, document));
+        }
+    }
+    found
+}
