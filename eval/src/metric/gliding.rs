@@ -9,7 +9,7 @@ use super::definition::{Better, Measure, Metric, Part};
 pub static GLIDING: Metric = Metric {
     name: "Gliding (%)",
     part: Part::Quality,
-    better: |_| Better::Lower,
+    better: |_| Better::NearReal,
     decimals: 1,
     measure: Measure::Motion(|sample| {
         let is_locomotion = way(sample.target) > LEAST_WAY_M;
