@@ -1,6 +1,7 @@
 //! Progress bars on a terminal, single lines elsewhere.
 
 use std::io::IsTerminal;
+use std::path::Path;
 use std::sync::{LazyLock, Mutex};
 use std::time::{Duration, Instant};
 
@@ -16,6 +17,8 @@ static DRAWN: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 pub(crate) struct Bars {
     visible: bool,
     quiet: bool,
+    /// Folder that the lines name, if several stages of one name run side by side.
+    folder: Option<String>,
     current: Mutex<Option<(String, ProgressBar, Instant)>>,
 }
 
@@ -26,8 +29,16 @@ impl Bars {
         Self {
             visible: !no_progress && !quiet && std::io::stderr().is_terminal(),
             quiet,
+            folder: None,
             current: Mutex::new(None),
         }
+    }
+
+    /// Bars whose lines name the last part of a run folder.
+    pub(crate) fn of(self, run: &Path) -> Self {
+        let folder = run.file_name().unwrap_or(run.as_os_str());
+        let folder = Some(folder.to_string_lossy().into_owned());
+        Self { folder, ..self }
     }
 
     fn with_bar(&self, act: impl FnOnce(&ProgressBar)) {
@@ -44,6 +55,10 @@ impl Bars {
 
 impl Progress for Bars {
     fn begin(&self, stage: &str, total: Option<u64>) {
+        let stage = match &self.folder {
+            Some(folder) => format!("{stage} in {folder}"),
+            None => stage.to_owned(),
+        };
         let mut bar = match total {
             Some(total) => ProgressBar::new(total),
             None => ProgressBar::new_spinner(),
@@ -61,9 +76,9 @@ impl Progress for Bars {
         } else {
             bar.set_draw_target(ProgressDrawTarget::hidden());
         }
-        bar.set_prefix(stage.to_owned());
+        bar.set_prefix(stage.clone());
         if let Ok(mut current) = self.current.lock() {
-            *current = Some((stage.to_owned(), bar, Instant::now()));
+            *current = Some((stage, bar, Instant::now()));
         }
     }
 

@@ -489,7 +489,7 @@ fn train_one(
         Trains::Poses => ("j2s", &places.poses, &plan.compose),
         Trains::Encoder => ("tmr", &places.encoder, &plan.compose),
     };
-    with_session(&global.bars(), |session| match model {
+    with_session(&global.bars().of(run), |session| match model {
         Trains::Editor | Trains::WithoutMcm => {
             let inputs = EditorInputs {
                 compose,

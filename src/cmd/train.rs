@@ -166,7 +166,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         length,
         memory: args.memory.map(|gb| (1e9 * gb) as u64),
     };
-    let done = with_session(&global.bars(), |session| (kind.train)(&request, session));
+    let done = with_session(&global.bars().of(out), |session| {
+        (kind.train)(&request, session)
+    });
     let mut done = match &args.config {
         Some(path) => done.map_err(|error| settings::at(path, error.into()))?,
         None => done?,

@@ -241,10 +241,9 @@ pub fn train<T: Task>(
 
     let mut whole = Speed::default();
     let mut unread = Unread::default();
-    // Of trainings side by side, the folder tells whose lines these are.
-    let folder = run_dir.file_name().unwrap_or(run_dir.as_os_str());
-    let stage = format!("train {} in {}", config.kind, folder.to_string_lossy());
-    session.progress.begin(&stage, Some(num_steps));
+    session
+        .progress
+        .begin(&format!("train {}", config.kind), Some(num_steps));
     session.progress.advance(state.step);
     let model = std::thread::scope(|scope| -> Result<T::Model, Error> {
         let batches = prefetch(scope, state.step..num_steps, |step| task.draw(step));

@@ -126,8 +126,10 @@ impl<'a> Work<'a> {
             memory: None,
         };
         let train = training.model.train;
-        let done = with_session(&self.global.bars(), |session| train(&request, session))
-            .with_context(|| format!("training {}", training.model.name))?;
+        let done = with_session(&self.global.bars().of(&run), |session| {
+            train(&request, session)
+        })
+        .with_context(|| format!("training {}", training.model.name))?;
         if training.model.name == ENCODER && done.is_complete {
             let seed = Seed(training.seed.unwrap_or_default());
             report_on_encoder(&self.plan.dataset, &run, seed).context("report on the encoder")?;
