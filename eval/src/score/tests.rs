@@ -10,6 +10,7 @@ use crate::metric::composed::COMPOSED;
 use crate::metric::fid::{FID, FID_RAW};
 use crate::metric::fit_error::{BONE_DRIFT, FIT_ERROR};
 use crate::metric::foot_score::FOOT_SCORE;
+use crate::metric::gliding::GLIDING;
 use crate::metric::motion_quality::{CONTACT_SLIDE, INSIDE_ACCELERATION, JERK, SEAM_ACCELERATION};
 use crate::metric::multimodality::MULTIMODALITY;
 use crate::metric::position_error::POSITION_ERROR;
@@ -163,6 +164,8 @@ fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
         &MULTIMODALITY,
         // No system says where its seams are.
         &SEAM_ACCELERATION,
+        // No item has locomotion.
+        &GLIDING,
     ];
     let metrics = || {
         metric::ALL
