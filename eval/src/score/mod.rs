@@ -36,7 +36,7 @@ pub(crate) use values::{Ranks, of_items};
 /// modulo their number.
 ///
 /// The result has one row for each task, system and metric: first [`REAL_DATA`](crate::names::REAL_DATA)
-/// and [`IDENTITY`](crate::names::IDENTITY),
+/// and [`IDENTITY`],
 /// then the systems by name. With items of more than one task there is also
 /// [`ALL_TASKS`](crate::names::ALL_TASKS), which
 /// comes first. Items that have a target of another capture also make the task [`RECAPTURED`], in
