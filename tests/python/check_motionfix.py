@@ -95,7 +95,7 @@ def main() -> None:
     stacked = []
     for key, datum in dump.items():
         row = rows[ids[key]]
-        assert len(key) == 6 and int(key) >= 0
+        assert len(key) == 15 and int(key) < 2**53, "a number that double precision holds"
         assert key in splits[row["split"]] and datum["text"] == row["instruction"].strip()
         check_side(datum["motion_source"], row, "original")
         check_side(datum["motion_target"], row, "edited")
