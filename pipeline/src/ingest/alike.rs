@@ -3,7 +3,6 @@
 //! Which are is known once they are read. Of every motion a few numbers are kept in memory; frames are read again only
 //! for motions whose numbers are nearly equal.
 
-use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
 
@@ -12,6 +11,7 @@ use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{ClipReader, Row, ShardReader};
 use datasets_spec::{MotionId, Skeleton, Split};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::fates::Fates;
@@ -44,7 +44,6 @@ struct Numbers {
     id: String,
     /// Split of a clip that stays.
     split: Option<Split>,
-    content: String,
     num_frames: i32,
     centre: Option<[f32; 3]>,
     /// Number of its file.
@@ -59,11 +58,13 @@ impl Alike {
         skeleton: &Skeleton,
     ) -> Result<Self, Error> {
         let mut files = Files::default();
-        let mut all = Vec::new();
+        let (mut all, mut contents) = (Vec::new(), Vec::new());
         for (_, file) in made.1 {
             let path = made.0.path(file);
             let file = files.add(path);
-            all.extend(numbers_of(&files.paths[file], file)?);
+            let (numbers, of_file) = numbers_of(&files.paths[file], file)?;
+            all.extend(numbers);
+            contents.extend(of_file);
         }
         let num_made = all.len();
         if num_made == 0 {
@@ -85,18 +86,19 @@ impl Alike {
             all.push(Numbers {
                 id: clip.id.to_string(),
                 split: Some(clip.split),
-                content: clip.content.clone(),
                 num_frames: clip.num_frames,
                 centre: clip.centre,
                 file,
             });
+            contents.push(clip.content.clone());
         }
         let mut groups = Groups::new(all.len());
-        let mut first: BTreeMap<&str, usize> = BTreeMap::new();
-        for (index, numbers) in all.iter().enumerate() {
-            let first = *first.entry(&numbers.content).or_insert(index);
+        let mut first: BTreeMap<String, usize> = BTreeMap::new();
+        for (index, content) in contents.into_iter().enumerate() {
+            let first = *first.entry(content).or_insert(index);
             groups.unite(first, index);
         }
+        drop(first);
         files.fill_centres(&mut all, num_made, skeleton)?;
         let near = files.unite_near(&all, num_made, skeleton, &mut groups)?;
         Ok(Self::of(&all, &groups, &near))
@@ -157,8 +159,8 @@ impl Alike {
     }
 }
 
-/// The numbers of the motions of a file.
-fn numbers_of(path: &Path, file: usize) -> Result<Vec<Numbers>, Error> {
+/// The numbers of the motions of a file, and hashes of their contents.
+fn numbers_of(path: &Path, file: usize) -> Result<(Vec<Numbers>, Vec<String>), Error> {
     let shard = ShardReader::open(path)?;
     let ids = shard.column::<MotionRow, MotionId>("id")?;
     let contents = shard.column::<MotionRow, String>("content_hash")?;
@@ -169,21 +171,20 @@ fn numbers_of(path: &Path, file: usize) -> Result<Vec<Numbers>, Error> {
         number("centre_y")?,
         number("centre_z")?,
     ];
-    let rows = ids.into_iter().zip(contents).zip(num_frames).enumerate();
-    let numbers = rows.map(|(row, ((id, content), num_frames))| {
+    let rows = ids.into_iter().zip(num_frames).enumerate();
+    let numbers = rows.map(|(row, (id, num_frames))| {
         let [x, y, z] = centres
             .each_ref()
             .map(|column| column.get(row).copied().flatten());
         Numbers {
             id: id.to_string(),
             split: None,
-            content,
             num_frames,
             centre: x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]),
             file,
         }
     });
-    Ok(numbers.collect())
+    Ok((numbers.collect(), contents))
 }
 
 /// Whether two coordinates of centres are those of motions that may be nearly equal.
@@ -210,33 +211,33 @@ impl Files {
         self.paths.len() - 1
     }
 
-    /// Sketches of some motions, by their places in `all`.
-    fn sketches(
+    /// Makes something of the sketches of some motions, by their places in `all`. A thread has one file open at a time.
+    fn sketches<T: Send>(
         &self,
         all: &[Numbers],
-        wanted: &BTreeSet<usize>,
+        wanted: impl IntoIterator<Item = usize>,
         skeleton: &Skeleton,
-        mut take: impl FnMut(usize, Sketch),
-    ) -> Result<(), Error> {
+        made_of: impl Fn(Sketch) -> T + Sync,
+    ) -> Result<Vec<(usize, T)>, Error> {
         let mut by_file: BTreeMap<usize, BTreeMap<&str, usize>> = BTreeMap::new();
         for index in wanted {
-            let numbers = &all[*index];
+            let numbers = &all[index];
             let of_file = by_file.entry(numbers.file).or_default();
-            of_file.insert(&numbers.id, *index);
+            of_file.insert(&numbers.id, index);
         }
-        for (file, wanted) in by_file {
+        let of_file = |(file, wanted): (usize, BTreeMap<&str, usize>)| {
             let reader = ClipReader::open(&self.paths[file])?;
-            let rows: Vec<(usize, usize)> = reader
-                .ids()
-                .iter()
-                .enumerate()
-                .filter_map(|(row, id)| Some((row, *wanted.get(id.as_str())?)))
-                .collect();
-            for (row, index) in rows {
-                take(index, Sketch::of(&reader.motion(row)?, skeleton));
-            }
-        }
-        Ok(())
+            let ids = reader.ids().iter().enumerate();
+            let rows = ids.filter_map(|(row, id)| Some((row, *wanted.get(id.as_str())?)));
+            let made = rows.map(|(row, index)| {
+                let sketch = Sketch::of(&reader.motion(row)?, skeleton);
+                Ok((index, made_of(sketch)))
+            });
+            made.collect::<Result<Vec<_>, Error>>()
+        };
+        let made = by_file.into_par_iter().map(of_file);
+        let made: Vec<Vec<(usize, T)>> = made.collect::<Result<_, Error>>()?;
+        Ok(made.into_iter().flatten().collect())
     }
 
     /// Computes the centres that files of older formats lack, of clips that are as long as one that was made.
@@ -256,11 +257,8 @@ impl Files {
             .iter()
             .enumerate()
             .filter(|(_, numbers)| is_wanted(numbers));
-        let wanted: BTreeSet<usize> = wanted.map(|(index, _)| index).collect();
-        let mut centres = Vec::new();
-        self.sketches(all, &wanted, skeleton, |index, sketch| {
-            centres.push((index, sketch.centre()));
-        })?;
+        let wanted = wanted.map(|(index, _)| index);
+        let centres = self.sketches(all, wanted, skeleton, |sketch| sketch.centre())?;
         for (index, centre) in centres {
             all[index].centre = Some(centre);
         }
@@ -268,7 +266,6 @@ impl Files {
     }
 
     /// Unites motions that are nearly equal, one of which at least was made in this run, and returns one of each pair.
-    /// They are met in the order of their centres, so that only sketches of neighbours are in memory.
     fn unite_near(
         &self,
         all: &[Numbers],
@@ -276,84 +273,142 @@ impl Files {
         skeleton: &Skeleton,
         groups: &mut Groups,
     ) -> Result<Vec<usize>, Error> {
-        let mut order: Vec<(f32, usize)> = all
-            .iter()
-            .enumerate()
-            .filter_map(|(index, numbers)| Some((numbers.centre?[0], index)))
-            .collect();
-        order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut reader = SketchReader {
+        let order = Order::new(all, num_made);
+        // Most motions have no neighbour by their numbers and are not read.
+        let mut is_wanted = vec![false; order.places.len()];
+        order.neighbours(|_, [a, b]| {
+            let [first, second] = order.indices([a, b]);
+            if groups.root(first) != groups.root(second) {
+                (is_wanted[a], is_wanted[b]) = (true, true);
+            }
+            Ok(())
+        })?;
+        let wanted = is_wanted.iter().enumerate().filter(|(_, wanted)| **wanted);
+        let mut sketches = Window {
             files: self,
+            order: &order,
             skeleton,
-            open: BTreeMap::new(),
-            sketches: BTreeMap::new(),
+            coming: wanted.map(|(place, _)| place).collect(),
+            held: BTreeMap::new(),
         };
         let mut near = Vec::new();
-        let mut start = 0;
-        // The neighbours that were made: recorded motions are not compared with each other.
-        let mut made: VecDeque<(f32, usize)> = VecDeque::new();
-        for (at, &(x, index)) in order.iter().enumerate() {
-            while !is_near(order[start].0, x) {
-                reader.sketches.remove(&order[start].1);
-                start += 1;
-            }
-            while made.front().is_some_and(|(first, _)| !is_near(*first, x)) {
-                made.pop_front();
-            }
-            let is_made = index < num_made;
-            let others: Vec<usize> = match is_made {
-                true => order[start..at].iter().map(|(_, other)| *other).collect(),
-                false => made.iter().map(|(_, other)| *other).collect(),
-            };
-            for other in others {
-                let is_new = groups.root(index) != groups.root(other);
-                if is_new && may_be_near(&all[index], &all[other]) {
-                    let distance = reader.distance(all, index, other)?;
-                    if distance.is_some_and(|distance| distance <= TOLERANCE_M) {
-                        groups.unite(index, other);
-                        near.push(index);
-                    }
+        order.neighbours(|start, places| {
+            let [first, second] = order.indices(places);
+            if groups.root(first) != groups.root(second) {
+                let distance = sketches.distance(start, places)?;
+                if distance.is_some_and(|distance| distance <= TOLERANCE_M) {
+                    groups.unite(first, second);
+                    near.push(second);
                 }
             }
-            if is_made {
-                made.push_back((x, index));
-            }
-        }
+            Ok(())
+        })?;
         Ok(near)
     }
 }
 
-/// Reads sketches of motions.
-struct SketchReader<'a> {
-    files: &'a Files,
-    skeleton: &'a Skeleton,
-    /// Readers of files that were opened.
-    open: BTreeMap<usize, ClipReader>,
-    sketches: BTreeMap<usize, Sketch>,
+/// Motions in the order of their centres, where those that may be nearly equal lie close together.
+struct Order<'a> {
+    all: &'a [Numbers],
+    num_made: usize,
+    /// First coordinates of centres, and the motions by their places in `all`.
+    places: Vec<(f32, usize)>,
 }
 
-impl SketchReader<'_> {
-    /// The distance of two motions; none where their lengths differ.
-    fn distance(&mut self, all: &[Numbers], a: usize, b: usize) -> Result<Option<f64>, Error> {
-        self.read(&all[a], a)?;
-        self.read(&all[b], b)?;
-        let both = self.sketches.get(&a).zip(self.sketches.get(&b));
+impl<'a> Order<'a> {
+    fn new(all: &'a [Numbers], num_made: usize) -> Self {
+        let numbers = all.iter().enumerate();
+        let mut places: Vec<(f32, usize)> = numbers
+            .filter_map(|(index, numbers)| Some((numbers.centre?[0], index)))
+            .collect();
+        places.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        Self {
+            all,
+            num_made,
+            places,
+        }
+    }
+
+    /// The motions at two places.
+    fn indices(&self, places: [usize; 2]) -> [usize; 2] {
+        places.map(|place| self.places[place].1)
+    }
+
+    /// Calls `meet` for each pair of motions whose numbers are nearly equal, if this run made at least one of them. Its
+    /// arguments are the first place that a later call may name, and the two places in ascending order.
+    fn neighbours(
+        &self,
+        mut meet: impl FnMut(usize, [usize; 2]) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        let mut start = 0;
+        let mut made: VecDeque<usize> = VecDeque::new();
+        for (at, &(x, index)) in self.places.iter().enumerate() {
+            while !is_near(self.places[start].0, x) {
+                start += 1;
+            }
+            while made.front().is_some_and(|place| *place < start) {
+                made.pop_front();
+            }
+            let mut meet = |before: usize| {
+                let other = self.places[before].1;
+                match may_be_near(&self.all[index], &self.all[other]) {
+                    true => meet(start, [before, at]),
+                    false => Ok(()),
+                }
+            };
+            match index < self.num_made {
+                true => (start..at).try_for_each(&mut meet)?,
+                false => made.iter().copied().try_for_each(&mut meet)?,
+            }
+            if index < self.num_made {
+                made.push_back(at);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Sketches that are read at a time: 9 MB. Reading more of them opens each file less often.
+const SKETCHES_AT_ONCE: usize = 4096;
+
+/// Sketches of the motions that are compared now, and of some that come after them.
+struct Window<'a> {
+    files: &'a Files,
+    order: &'a Order<'a>,
+    skeleton: &'a Skeleton,
+    /// Places whose sketches are still to be read, in ascending order.
+    coming: VecDeque<usize>,
+    held: BTreeMap<usize, Sketch>,
+}
+
+impl Window<'_> {
+    /// The distance of the motions at two places; none where their lengths differ. Those before `start` are not asked
+    /// for again.
+    fn distance(&mut self, start: usize, [a, b]: [usize; 2]) -> Result<Option<f64>, Error> {
+        while self.coming.front().is_some_and(|place| *place <= b) {
+            self.held = self.held.split_off(&start);
+            self.read()?;
+        }
+        let both = self.held.get(&a).zip(self.held.get(&b));
         Ok(both.and_then(|(a, b)| a.distance(b)))
     }
 
-    fn read(&mut self, numbers: &Numbers, index: usize) -> Result<(), Error> {
-        if self.sketches.contains_key(&index) {
-            return Ok(());
-        }
-        let reader = match self.open.entry(numbers.file) {
-            Entry::Occupied(opened) => opened.into_mut(),
-            Entry::Vacant(free) => free.insert(ClipReader::open(&self.files.paths[numbers.file])?),
-        };
-        let mut ids = reader.ids().iter();
-        if let Some(row) = ids.position(|id| id.as_str() == numbers.id) {
-            let sketch = Sketch::of(&reader.motion(row)?, self.skeleton);
-            self.sketches.insert(index, sketch);
-        }
+    fn read(&mut self) -> Result<(), Error> {
+        let count = self.coming.len().min(SKETCHES_AT_ONCE);
+        let next: BTreeMap<usize, usize> = self
+            .coming
+            .drain(..count)
+            .map(|place| (self.order.places[place].1, place))
+            .collect();
+        let wanted = next.keys().copied();
+        let all = self.order.all;
+        let read = self
+            .files
+            .sketches(all, wanted, self.skeleton, |sketch| sketch)?;
+        let placed = read
+            .into_iter()
+            .map(|(index, sketch)| (next[&index], sketch));
+        self.held.extend(placed);
         Ok(())
     }
 }
