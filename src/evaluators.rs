@@ -59,7 +59,7 @@ impl EvaluatorRuns<'_> {
     }
 }
 
-/// An encoder, and why it ranks nothing, if it does not.
+/// An encoder with the reason why it ranks nothing; none if it ranks.
 struct Encoder {
     network: TmrEncoder,
     weakness: Option<String>,

@@ -1,8 +1,8 @@
 //! Whether an encoder is fit to rank systems: the report of its own retrieval, and the gates that read it.
 //!
 //! An encoder ranks nothing if it has no report, or if the lower bound of its R@3 on held-out real motion is below
-//! [`CHANCE_FACTOR`] times chance. Items rank nothing if their targets are not told from their sources: the paired
-//! difference in [`E2T_RECALL_1`] between the real data and the identity editor is not above 0.
+//! [`CHANCE_FACTOR`] times chance. Items rank nothing if the encoder cannot tell their targets from their
+//! sources: the lower bound of the paired difference in [`E2T_RECALL_1`], real data less identity editor, is not above 0.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

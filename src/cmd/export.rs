@@ -103,6 +103,10 @@ impl Args {
             bail!("exports of motions are planned; --sources and --targets are of items");
         }
         let layout = Layout::from(self.to);
+        let dataset = Dataset::open_unverified(&self.dataset)?;
+        if dataset.manifest().tables.contains_key(MotionRow::TABLE) {
+            remark_before(layout, &self.clips(&dataset)?)?;
+        }
         Ok(plan_export(
             &self.dataset,
             layout,
@@ -111,6 +115,24 @@ impl Args {
             plan,
         )?)
     }
+
+    /// The clips that are exported.
+    fn clips<'a>(&self, dataset: &'a Dataset) -> anyhow::Result<Clips<'a>> {
+        Ok(match &self.filter {
+            Some(filter) => Clips::chosen(dataset, filter)?,
+            None => Clips::all(dataset),
+        })
+    }
+}
+
+/// Says what a user should know before clips are exported, and returns it.
+fn remark_before(layout: Layout, clips: &Clips) -> anyhow::Result<Vec<String>> {
+    let mut remarks = before(layout, clips)?;
+    remarks.extend(remark_on_tags(untagged_captions(layout, clips)));
+    for remark in &remarks {
+        report::note(remark);
+    }
+    Ok(remarks)
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
@@ -145,15 +167,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 args.dataset.display()
             );
         }
-        let clips = match &args.filter {
-            Some(filter) => Clips::chosen(&dataset, filter)?,
-            None => Clips::all(&dataset),
-        };
-        remarks = before(layout, &clips)?;
-        remarks.extend(remark_on_tags(untagged_captions(layout, &clips)));
-        for remark in &remarks {
-            report::note(remark);
-        }
+        let clips = args.clips(&dataset)?;
+        remarks = remark_before(layout, &clips)?;
         export(&clips, layout, &args.out, &bars)?
     } else if args.filter.is_some() {
         bail!(

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
 use datasets_spec::record::{MarkerRow, MotionRow, QuarantineRow};
-use datasets_spec::{Dataset, Pose, Skeleton};
+use datasets_spec::{Dataset, Pose, Skeleton, Split};
 use glam::DVec3;
 use pipeline::markers::{MarkerSet, marker_sets};
 
@@ -441,6 +441,33 @@ fn each_person_of_a_capture_is_a_clip() {
             .filter(|(id, _)| id.starts_with(&format!("{file}#")));
         let splits: BTreeSet<_> = of_file.map(|(_, row)| row.split).collect();
         assert_eq!(splits.len(), 1, "{file} is in one split");
+    }
+    // A person inside a capture is a subject to a list of splits.
+    let list = dir.path().join("splits.csv");
+    let drawn = rows["take#Ben"].split;
+    let other = Split::ALL.into_iter().find(|split| *split != drawn);
+    let other = other.expect("another split");
+    std::fs::write(&list, format!("subject:Ben,{other}\n")).expect("written");
+    let listed = dir.path().join("listed");
+    let done = stance(&[
+        "--json",
+        "ingest",
+        arg(&source),
+        "--out",
+        arg(&listed),
+        "--splits",
+        arg(&list),
+    ]);
+    let done: serde_json::Value = done.expect_code(3).json();
+    assert!(!done.to_string().contains("no clip is called"), "{done}");
+    let listed: Vec<MotionRow> = Dataset::open(&listed)
+        .expect("a dataset")
+        .read(None)
+        .expect("rows");
+    let shared = listed.iter().filter(|row| row.id.as_str().contains('#'));
+    for row in shared {
+        // Who is in one capture with him follows him.
+        assert_eq!(row.split, other, "{}", row.id);
     }
     let markers: Vec<MarkerRow> = dataset.read(None).expect("rows");
     let of = |id: &str| {

@@ -3,7 +3,7 @@
 use std::fs;
 use std::ops::Range;
 
-use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{Dataset, Motion, Skeleton};
 use pipeline::open::clip_of_file;
 use serde_json::Value;
@@ -64,14 +64,7 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     let workshop = Workshop::open();
     workshop.train("motionrefit", "editor", "6").expect_code(0);
     let (editor, dataset) = (workshop.path("editor"), workshop.dataset());
-    let motions: Vec<MotionRow> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
-    let clip = motions
-        .iter()
-        .find(|row| row.n_frames >= 100)
-        .expect("a clip of five seconds");
+    let clip = workshop.long_clip();
     let end = clip.n_frames as usize;
     let out = workshop.path("timed");
     for (case, ranges) in [

@@ -678,7 +678,7 @@ fn plans_of_the_program_can_be_followed() {
         let ran = stance(&["reproduce", &name, "--dry-run"]).expect_code(0);
         assert!(ran.stdout.lines().count() > 1, "{name}: {}", ran.stdout);
     }
-    // Pairs of MotionFix are looked for before anything is trained.
+    // A plan that needs pairs of MotionFix is refused before it trains anything.
     let dir = corpus(8);
     let dataset = dir.path().join("dataset");
     let source = dir.path().join("corpus");

@@ -508,6 +508,22 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     std::fs::write(&file, "").expect("written");
     let refused = export("humanml3d", &file.join("out")).expect_code(1);
     assert!(refused.stderr.contains(&said), "{}", refused.stderr);
+    // So it is where any number of processes will write them.
+    let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
+    let planned = stance(&[
+        "stage",
+        "plan",
+        "export",
+        arg(&dataset),
+        "--to",
+        "humanml3d",
+        "--into",
+        arg(&out),
+        "--out",
+        arg(&plan),
+    ]);
+    let planned = planned.expect_code(0);
+    assert!(planned.stderr.contains(&said), "{}", planned.stderr);
     let done = export("bvh", &dir.path().join("bvh")).expect_code(0);
     assert!(!done.stderr.contains("part-of-speech"), "{}", done.stderr);
 }

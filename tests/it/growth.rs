@@ -678,6 +678,33 @@ fn two_datasets_merge_and_lose_no_label() {
 }
 
 #[test]
+fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
+    let (dir, source, more) = halves(12);
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let derived = masks(&dataset);
+    // Their texts are those of captions, and a stage cut them out.
+    assert!(derived.values().any(|mask| mask.text_origin == "imported"));
+    let is_derived = |row: &MotionRow| {
+        let mut of_clip = derived.values().filter(|mask| mask.motion_id == row.id);
+        row.source_path.ends_with(".npz") && of_clip.any(|mask| mask.text_origin == "imported")
+    };
+    let row = motions(&dataset).into_iter().find(is_derived);
+    let row = row.expect("an archive with a mask");
+    let is_archive = |file: &&PathBuf| file.extension().is_some_and(|end| end == "npz");
+    let other = files(&more).iter().find(is_archive).cloned();
+    fs::copy(other.expect("an archive"), source.join(&row.source_path)).expect("copied");
+    let grown = ingest(&[&source], &dataset, &[], 0);
+    assert_eq!(grown["growth"]["lost"], serde_json::json!([]), "{grown}");
+    assert!(
+        masks(&dataset)
+            .values()
+            .all(|mask| mask.motion_id != row.id)
+    );
+}
+
+#[test]
 fn old_versions_go_only_when_asked() {
     let (dir, source, more) = halves(8);
     let dataset = dir.path().join("dataset");

@@ -208,6 +208,10 @@ fn two_folders(dir: &Path, name: &str) {
     }
     ingest(&[&at("a"), &at("b")], &at("one"));
     assert_eq!(splits(&at("one")), alone, "{name}");
+    for part in ["a", "b"] {
+        ingest(&[&at(part)], &at("two"));
+    }
+    assert_eq!(splits(&at("two")), alone, "{name} in two commands");
 }
 
 #[test]
@@ -311,12 +315,6 @@ fn two_folders_of_motionx_stay_two() {
         }
     }
     two_folders(dir.path(), "motionx");
-    // The same in two commands.
-    let at = |name: &str| dir.path().join(name);
-    for part in ["motionx-a", "motionx-b"] {
-        ingest(&[&at(part)], &at("two"));
-    }
-    assert_eq!(splits(&at("two")), splits(&at("motionx-one")));
     for row in motions(&dir.path().join("motionx-one")) {
         let is_first = row.source_path.starts_with("motionx-a/");
         assert_eq!(row.captions.is_empty(), !is_first, "{}", row.source_path);

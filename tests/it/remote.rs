@@ -120,6 +120,10 @@ fn archives_at_urls_are_read() {
     let clips = |source: &str, out: &str, prefix: &str| -> BTreeMap<String, String> {
         let out = dir.path().join(out);
         let ran: Ran = command(&["ingest", source, "--out", arg(&out)])
+            .env("AWS_ENDPOINT_URL", &server)
+            .env("AWS_ACCESS_KEY_ID", "key")
+            .env("AWS_SECRET_ACCESS_KEY", "secret")
+            .env("AWS_REGION", "us-east-1")
             .output()
             .expect("starts")
             .into();
@@ -141,5 +145,11 @@ fn archives_at_urls_are_read() {
     for name in archives {
         let found = clips(&format!("{server}/data/{name}"), name, &format!("{name}/"));
         assert_eq!(found, expected, "{name}");
+        let found = clips(
+            &format!("s3://data/{name}"),
+            &format!("s3-{name}"),
+            &format!("{name}/"),
+        );
+        assert_eq!(found, expected, "{name} in a bucket");
     }
 }

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Dataset;
-use datasets_spec::record::{EditRow, ItemRow, MotionRow};
+use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::{Value, json};
 
 use crate::evaluate::Bench;
@@ -82,14 +82,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         (&json!("translation"), &json!(5.0))
     );
 
-    let motions: Vec<MotionRow> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
-    let clip = motions
-        .iter()
-        .find(|row| row.n_frames >= 100)
-        .expect("a clip of five seconds");
+    let clip = workshop.long_clip();
     let edit = |run: &Path, out: &str| -> (Ran, EditRow) {
         let out = workshop.path(out);
         let ran = stance(&[

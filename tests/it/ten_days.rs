@@ -194,7 +194,7 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     let same = days.grow(&[Path::new(&named), &more], &[]);
     assert_eq!(same["already_complete"], true);
     days.check("a folder moved");
-    // Clips leave by mistake, with what people made of them, and come back.
+    // Somebody removes labelled clips by mistake; a restore brings the clips and their labels back.
     let before = (clips(&dataset), days.version());
     let row = rows.iter().find(|row| days.is_labelled(&row.id));
     let condition = format!("split = '{}'", row.expect("a labelled clip").split);

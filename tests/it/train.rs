@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use datasets_spec::Dataset;
-use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
@@ -53,6 +53,16 @@ impl Workshop {
 
     pub(crate) fn dataset(&self) -> PathBuf {
         self.path("dataset")
+    }
+
+    /// A clip of at least five seconds.
+    pub(crate) fn long_clip(&self) -> MotionRow {
+        let rows: Vec<MotionRow> = Dataset::open(&self.dataset())
+            .expect("a dataset")
+            .read(None)
+            .expect("rows");
+        let long = rows.into_iter().find(|row| row.n_frames >= 100);
+        long.expect("a clip of five seconds")
     }
 
     /// Trains a model for so many steps.

@@ -233,7 +233,7 @@ pub fn check_skeleton(
     check_skeleton_of(&text, run_dir, what, skeleton)
 }
 
-/// [`check_skeleton`] of the document `config.json` of a run, which errors name `run_dir`.
+/// As [`check_skeleton`], from the text of a run's `config.json`. Errors name the run by `run_dir`.
 ///
 /// # Errors
 /// As [`check_skeleton`].
@@ -623,7 +623,7 @@ pub(crate) fn read_record<C: DeserializeOwned>(
     record_of(&text, run_dir, kind)
 }
 
-/// Reads the document `config.json` of a run, which errors name `run_dir`.
+/// Parses the text of a run's `config.json`. Errors name the run by `run_dir`.
 pub(crate) fn record_of<C: DeserializeOwned>(
     text: &str,
     run_dir: &Path,

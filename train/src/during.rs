@@ -17,7 +17,7 @@ pub(crate) fn leaves_frames(num_frames: usize, instructions: &[TimedInstruction]
     edited_runs(instructions) != std::slice::from_ref(&(0..num_frames))
 }
 
-/// Frames with an instruction: ranges that touch or overlap are one run.
+/// Runs of frames that have an instruction. Ranges that touch or overlap form one run.
 fn edited_runs(instructions: &[TimedInstruction]) -> Vec<Range<usize>> {
     let mut ranges: Vec<Range<usize>> = instructions
         .iter()
@@ -36,9 +36,9 @@ fn edited_runs(instructions: &[TimedInstruction]) -> Vec<Range<usize>> {
 
 /// The original with the edited runs of frames in it. Frames outside the runs are copied, bit for bit.
 ///
-/// A run begins where the original is: it is moved and turned on the ground so that the frame before it
-/// would lie on that of the original. If frames follow it, it also ends there: the difference in position
-/// and heading that its last frame has is spread evenly over its frames. At each end that meets frames of
+/// A run continues the original: it is moved over the ground and turned about the vertical until its preceding
+/// frame matches the original's. If frames follow it, its last frame gets the original's position and heading:
+/// the difference is spread evenly over the frames of the run. At each end that meets frames of
 /// the original, the poses are blended with the original's over [`BLEND_SECS`] inside the run, but at most
 /// over a third of it.
 ///

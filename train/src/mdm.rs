@@ -66,8 +66,8 @@ impl MdmConfig {
     /// The named settings.
     ///
     /// # Source
-    /// `Official`: the released defaults (`algorithms` section 12). `Paper`: the same network for the 1,500 epochs and with
-    /// the batches of 1,024 that all systems of the MotionReFit paper are trained with. `Tiny`: our choice for two
+    /// `Official`: the released defaults (`algorithms` section 12). `Paper`: the same network,
+    /// trained as the MotionReFit paper trains every system: 1,500 epochs in batches of 1,024. `Tiny`: our choice for two
     /// processor cores and a few minutes.
     pub fn preset(preset: Preset) -> Self {
         match preset {

@@ -22,8 +22,8 @@ pub use definition::{
     TakesMeasure, TakesSample,
 };
 
-/// Rises whenever a metric is new or gives other values for the same motions, so that stored scores of before are not
-/// taken for those of now.
+/// Version of the metrics. It is raised when a metric is added or gives other values for the same motions, so that stored
+/// scores are computed again.
 pub const METRICS_VERSION: u32 = 3;
 
 /// All metrics in the order of the tables: the columns of the paper's Table 1 first.

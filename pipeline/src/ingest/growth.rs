@@ -11,9 +11,8 @@ use super::fates::{Fate, Fates};
 use super::plan::Plan;
 use super::recorded::Recorded;
 use super::sources::SourceLabel;
-use crate::annotation::pairs::is_from_labels;
 use crate::clip::LabelProblem;
-use crate::source::format_named;
+use crate::versions::{is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source};
 
 /// What became of the clips and labels that a dataset had.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -85,23 +84,20 @@ impl Fates<'_> {
     pub(super) fn labels(&self, masks: Vec<MaskRow>, pairs: Vec<PairRow>) -> Labels {
         let mut labels = Labels::default();
         for mask in masks {
-            // Reading the source makes its masks again, and a stage makes the automatic ones.
-            let from_source =
-                mask.text_origin == "imported" && format_named(&mask.author).is_some();
+            // Reading the source makes its masks again, and a stage makes those that it derived.
             match self.place(&mask.motion_id) {
-                Ok(Place::ReadAgain) if from_source => {}
+                Ok(Place::ReadAgain) if is_mask_of_source(&mask) => {}
                 Ok(_) => labels.masks.push(mask),
-                Err(_) if from_source || mask.text_origin == "automatic" => {}
+                Err(_) if !is_mask_of_people(&mask) => {}
                 Err(lost) => labels.lose(MaskRow::TABLE, mask.id, lost),
             }
         }
         for pair in pairs {
-            let from_source = format_named(&pair.source).is_some();
             let [source, target] = [&pair.source_id, &pair.target_id].map(|id| self.place(id));
             match source.and(target) {
-                Ok(Place::ReadAgain) if from_source => {}
+                Ok(Place::ReadAgain) if is_pair_of_source(&pair) => {}
                 Ok(_) => labels.pairs.push(pair),
-                Err(_) if from_source || is_from_labels(&pair) => {}
+                Err(_) if !is_pair_of_people(&pair) => {}
                 Err(lost) => labels.lose(PairRow::TABLE, pair.id, lost),
             }
         }

@@ -204,6 +204,7 @@ mod tests {
                         "as it was"
                     }
                     .to_owned()),
+                    damaged_at: None,
                     head: Vec::new(),
                     bytes: 0,
                 };

@@ -26,6 +26,8 @@ pub(super) struct Source {
     /// The source it is of, by its place in [`Plan::given`](super::plan::Plan).
     pub(super) of: usize,
     pub(super) hash: Result<String, String>,
+    /// Where it begins in its archive, if it is a damaged member of one.
+    pub(super) damaged_at: Option<u64>,
     pub(super) head: Vec<u8>,
     /// Size; 0 if it is not known.
     pub(super) bytes: u64,
@@ -475,9 +477,11 @@ pub(super) fn hash_files(
 ) -> BTreeMap<String, Source> {
     progress.begin("plan", Some(files.len() as u64));
     let hash = |(relative, (path, of)): (&String, &(PathBuf, usize))| {
+        let hash = store.hash(path);
         let source = Source {
             of: *of,
-            hash: store.hash(path).map_err(|error| error.to_string()),
+            damaged_at: hash.as_ref().err().and_then(archive::offset_of_damaged),
+            hash: hash.map_err(|error| error.to_string()),
             head: read_head(path),
             bytes: store.size(path).unwrap_or(0),
         };

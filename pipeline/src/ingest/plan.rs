@@ -233,12 +233,16 @@ impl Plan {
 
     /// The row of a file that could not be read while planning.
     fn unreadable(&self, file: &str) -> Option<QuarantineRow> {
-        let reason = self.sources.get(file)?.hash.clone().err()?;
+        let source = self.sources.get(file)?;
+        let reason = source.hash.as_ref().err()?;
         let code = match archive::is_in_archive(file) {
             true => archive::DAMAGED,
             false => "E-IO",
         };
-        let rejected = Rejected::read(code, format!("cannot read the file: {reason}"));
+        let rejected = Rejected {
+            byte_offset: source.damaged_at,
+            ..Rejected::read(code, format!("cannot read the file: {reason}"))
+        };
         Some(self.rejected_row(file, "", rejected))
     }
 
@@ -391,7 +395,7 @@ impl Plan {
                 let around = folder_labels.of(files, &item.entry);
                 let file = &item.entry.file;
                 if item.release.is_some() {
-                    let stated = labels::stated(Path::new(file), None, &around);
+                    let stated = labels::stated(Path::new(file), None, &around, None);
                     (item.labelled_split, item.subject) = (stated.split, stated.subject);
                     return around.failed;
                 }
@@ -406,7 +410,8 @@ impl Plan {
                             None
                         }
                     };
-                let stated = labels::stated(Path::new(file), Some(&companions), &around);
+                let own = item.format.subject_of(&item.entry.key);
+                let stated = labels::stated(Path::new(file), Some(&companions), &around, own);
                 let styled = stated.action.zip(stated.style);
                 item.group = styled
                     .map(|(action, style)| style_group(self.unlabelled(file), &action, &style));

@@ -157,6 +157,8 @@ impl Plan {
             let source = Source {
                 of: row.source as usize,
                 hash: row.unreadable.map_or(Ok(row.hash), Err),
+                // Files that could not be read were rejected when the plan was made.
+                damaged_at: None,
                 head: Vec::new(),
                 bytes: row.bytes,
             };

@@ -124,6 +124,11 @@ pub(crate) fn keys(labels: &[String], own: Option<&MarkerSet>) -> Vec<String> {
     Subjects::of(labels, own).keys()
 }
 
+/// The subject that a key stands for; none for that of markers without a subject.
+pub(crate) fn subject_of(key: &str) -> Option<&str> {
+    (!key.is_empty() && key != UNNAMED).then_some(key)
+}
+
 /// Words before an underscore that stand for subjects: most labels behind them are known, and the labels as
 /// they are written are not.
 fn underscored<'a>(labels: &'a [String], own: Option<&MarkerSet>) -> BTreeSet<&'a str> {

@@ -10,7 +10,7 @@ mod worn;
 
 pub use capture::CaptureUnit;
 pub(crate) use capture::{Capture, UNIT_CODE, unique_labels};
-pub(crate) use label::keys;
 pub use label::{bare_label, is_model_output};
+pub(crate) use label::{keys, subject_of};
 pub use part::Part;
 pub use set::{MarkerSet, MarkerSetError, Placement, marker_sets};

@@ -46,6 +46,12 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
         Vec::new()
     }
 
+    /// The subject that a key of [`SourceFormat::keys`] names, for formats whose keys are subjects.
+    fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {
+        let _ = key;
+        None
+    }
+
     /// Reads one motion of a single file. `key` is one of [`SourceFormat::keys`], or empty.
     fn read(&self, path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
         let _ = (path, key, bytes, options);

@@ -74,16 +74,25 @@ impl Labels {
     }
 }
 
+/// Whether reading the source of its clip makes a mask again.
+pub(crate) fn is_mask_of_source(mask: &MaskRow) -> bool {
+    mask.text_origin == "imported" && format_named(&mask.author).is_some()
+}
+
 /// Whether a person made or judged a mask: no stage derives it again, and reading its source does not bring it back.
-pub(super) fn is_mask_of_people(mask: &MaskRow) -> bool {
-    let from_source = mask.text_origin == "imported" && format_named(&mask.author).is_some();
+pub(crate) fn is_mask_of_people(mask: &MaskRow) -> bool {
     let derived = mask.text_origin != "human" && mask.author == AUTHOR;
-    !from_source && !derived && mask.text_origin != "automatic"
+    !is_mask_of_source(mask) && !derived && mask.text_origin != "automatic"
+}
+
+/// Whether reading the source of its target makes a pair again.
+pub(crate) fn is_pair_of_source(pair: &PairRow) -> bool {
+    format_named(&pair.source).is_some()
 }
 
 /// Whether a person made a pair; see [`is_mask_of_people`].
-pub(super) fn is_pair_of_people(pair: &PairRow) -> bool {
-    format_named(&pair.source).is_none() && !is_from_labels(pair)
+pub(crate) fn is_pair_of_people(pair: &PairRow) -> bool {
+    !is_pair_of_source(pair) && !is_from_labels(pair)
 }
 
 pub(super) fn lost(table: &str, id: &str, clip: &MotionId, reason: String) -> LostLabel {

@@ -10,7 +10,7 @@ use super::rename_former;
 #[derive(Debug, thiserror::Error)]
 #[error("{problem}")]
 pub struct SettingError {
-    /// Keys that lead to the setting; empty where no single one is at fault.
+    /// Path of keys to the setting; empty if the error is not about one setting.
     pub keys: Vec<String>,
     /// What is wrong with it.
     pub problem: String,

@@ -122,9 +122,9 @@ impl TmedConfig {
     ///
     /// # Source
     /// `Official`: the released code, with its defects (`baselines` A1), and the guidance weights of its
-    /// README. `Paper`: the same network without them, on the composer's clips, for the 1,500 epochs and with
-    /// the batches of 1,024 that all systems of the MotionReFit paper are trained with. `Tiny`: our choice, for a few hundred clips and
-    /// two processor cores.
+    /// README. `Paper`: the same network without them, on the composer's clips, trained as the
+    /// MotionReFit paper trains every system: 1,500 epochs in batches of 1,024. `Tiny`: our choice, for a few hundred
+    /// clips and two processor cores.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Official => Self {

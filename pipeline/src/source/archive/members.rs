@@ -108,6 +108,7 @@ impl Members {
             is_stored: entry.compression() == zip::CompressionMethod::Stored,
             size: entry.size(),
             crc: entry.crc32(),
+            at: entry.header_start(),
         })
     }
 

@@ -12,6 +12,7 @@ mod unpacked;
 mod zipped;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -21,6 +22,7 @@ use rayon::prelude::*;
 use self::limits::{Budget, Limits};
 use self::members::{Member, Members};
 use self::scratch::Scratch;
+use self::unpacked::DamagedMember;
 use super::{is_pointer, name_of_text, text_of_name};
 use crate::Error;
 use crate::clip::Rejected;
@@ -94,6 +96,12 @@ pub(crate) fn is_in_archive(relative: &str) -> bool {
     folders
         .split('/')
         .any(|folder| Kind::of_name(folder).is_some())
+}
+
+/// Where in its archive a member begins that is damaged; none for other errors.
+pub(crate) fn offset_of_damaged(error: &io::Error) -> Option<u64> {
+    let member: &DamagedMember = error.get_ref()?.downcast_ref()?;
+    Some(member.at)
 }
 
 /// The outermost archive among a folder and those above it; none if there is no archive.

@@ -94,6 +94,15 @@ impl ReadAt for Packed {
     }
 }
 
+/// A member of an archive that is damaged.
+#[derive(Debug, thiserror::Error)]
+#[error("{reason}")]
+pub(super) struct DamagedMember {
+    reason: String,
+    /// Where the member begins in the archive.
+    pub(super) at: u64,
+}
+
 /// Where a member of a zip lies, and what its directory says of it.
 #[derive(Clone, Debug)]
 pub(super) struct Zipped {
@@ -102,6 +111,8 @@ pub(super) struct Zipped {
     /// Bytes unpacked.
     pub(super) size: u64,
     pub(super) crc: u32,
+    /// Where its header begins in the archive.
+    pub(super) at: u64,
 }
 
 impl Zipped {
@@ -109,12 +120,8 @@ impl Zipped {
     pub(super) fn open(&self) -> Box<dyn Read> {
         let packed = Reader::new(Arc::new(self.packed.clone()));
         match self.is_stored {
-            true => Box::new(Checked::new(packed, self.size, self.crc)),
-            false => Box::new(Checked::new(
-                DeflateDecoder::new(packed),
-                self.size,
-                self.crc,
-            )),
+            true => Box::new(Checked::new(packed, self)),
+            false => Box::new(Checked::new(DeflateDecoder::new(packed), self)),
         }
     }
 }
@@ -125,22 +132,28 @@ struct Checked<R> {
     left: u64,
     crc: u32,
     hasher: crc32fast::Hasher,
+    /// Where the member begins in the archive.
+    at: u64,
 }
 
 impl<R: Read> Checked<R> {
-    fn new(inner: R, size: u64, crc: u32) -> Self {
+    fn new(inner: R, member: &Zipped) -> Self {
         Self {
             inner,
-            left: size,
-            crc,
+            left: member.size,
+            crc: member.crc,
             hasher: crc32fast::Hasher::new(),
+            at: member.at,
         }
     }
 }
 
 impl<R: Read> Read for Checked<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let damaged = |reason: String| io::Error::new(io::ErrorKind::InvalidData, reason);
+        let at = self.at;
+        let damaged = |reason: String| {
+            io::Error::new(io::ErrorKind::InvalidData, DamagedMember { reason, at })
+        };
         if buffer.is_empty() {
             return Ok(0);
         }
@@ -160,7 +173,12 @@ impl<R: Read> Read for Checked<R> {
             };
         }
         let length = usize::try_from(self.left).map_or(buffer.len(), |left| left.min(buffer.len()));
-        let read = self.inner.read(&mut buffer[..length])?;
+        let read = self.inner.read(&mut buffer[..length]);
+        let read = read.map_err(|error| match error.kind() {
+            // What the decoder says of bytes that it cannot unpack.
+            io::ErrorKind::InvalidInput | io::ErrorKind::InvalidData => damaged(error.to_string()),
+            _ => error,
+        })?;
         if read == 0 {
             return Err(damaged(format!(
                 "it ends {} bytes before its stated size",

@@ -566,6 +566,10 @@ impl SourceFormat for C3d {
         markers::keys(&labels, options.markers.as_ref())
     }
 
+    fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {
+        markers::subject_of(key)
+    }
+
     fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
         match capture(bytes, options) {
             Ok(Some(capture)) => capture.clip(key, options).into(),

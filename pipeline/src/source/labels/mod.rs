@@ -130,11 +130,12 @@ fn take_captions(clip: &mut SourceClip, captions: impl Iterator<Item = LabelCapt
 }
 
 /// What is known of a motion file's labels before it is read. A release has its own rules of action and
-/// style: `companions` is none for its motions.
+/// style: `companions` is none for its motions. `subject` is the one that the file itself names.
 pub(crate) fn stated(
     path: &Path,
     companions: Option<&Companions<'_>>,
     around: &ClipLabels,
+    subject: Option<&str>,
 ) -> Sidecar {
     let ClipLabels {
         of_clip, of_folder, ..
@@ -147,6 +148,7 @@ pub(crate) fn stated(
         let named = Sidecar {
             action,
             style,
+            subject: subject.map(str::to_owned),
             ..Sidecar::default()
         };
         (sidecar, named)
@@ -388,7 +390,7 @@ mod tests {
             ["a man waves", "he stops", "a man greets"]
         );
         assert_eq!((clip.captions[1].from_s, clip.captions[1].to_s), (1.0, 2.0));
-        let stated = stated(Path::new("clip.bvh"), Some(&full), &around);
+        let stated = stated(Path::new("clip.bvh"), Some(&full), &around, None);
         assert_eq!(stated.split, Some(Split::Test));
         let silent = ClipLabels {
             of_folder: around.of_folder,

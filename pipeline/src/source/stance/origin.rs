@@ -158,11 +158,10 @@ pub struct ExportedLabels {
     pub pairs: Vec<PairRow>,
 }
 
-/// Reads the labels of a folder that `stance export --to stance` wrote; none if it has no `origin.json`, or one of a
-/// version that has no labels.
+/// Reads the labels of a folder that `stance export --to stance` wrote; none if it has no `origin.json`.
 ///
 /// # Errors
-/// A file of it cannot be read, or is broken.
+/// A file of it cannot be read, or is broken, or an earlier version wrote it, which exported no labels.
 pub fn exported_labels(folder: &Path) -> Result<Option<ExportedLabels>, Error> {
     let path = folder.join(FILE_NAME);
     if !path.is_file() {
@@ -180,7 +179,9 @@ pub fn exported_labels(folder: &Path) -> Result<Option<ExportedLabels>, Error> {
     let Parsed::Record(record) =
         parse(&read(FILE_NAME)?).map_err(|reason| broken(FILE_NAME, reason))?
     else {
-        return Ok(None);
+        let reason = "an earlier version wrote this export, whose numbers of motions are not the ids of the dataset; \
+                      export the dataset again (`stance export --to stance`) and import that";
+        return Err(broken(FILE_NAME, reason.to_owned()));
     };
     let mut motions: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for origin in record.motions.into_values() {
@@ -222,6 +223,18 @@ mod tests {
             let refused = parse(text.as_bytes()).err().expect("refused");
             assert!(refused.contains(said), "{refused}");
         }
+    }
+
+    #[test]
+    fn labels_of_an_export_of_an_earlier_version_are_refused() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        assert!(exported_labels(dir.path()).is_ok_and(|labels| labels.is_none()));
+        let older = br#"{"base_motion/1": {"id": "a", "split": "test"}}"#;
+        std::fs::write(dir.path().join(FILE_NAME), older).expect("written");
+        let refused = exported_labels(dir.path())
+            .expect_err("refused")
+            .to_string();
+        assert!(refused.contains("export the dataset again"), "{refused}");
     }
 
     #[test]

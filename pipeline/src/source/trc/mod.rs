@@ -272,6 +272,10 @@ impl SourceFormat for Trc {
         markers::keys(&labels, options.markers.as_ref())
     }
 
+    fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {
+        markers::subject_of(key)
+    }
+
     fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
         let clip = capture(bytes, options).and_then(|capture| capture.clip(key, options));
         clip.into()
