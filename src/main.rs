@@ -15,6 +15,7 @@ mod seeds;
 mod session;
 mod settings;
 mod stages;
+mod test_set;
 mod trainings;
 
 use std::process::ExitCode;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::Split;
 use crate::license::{is_non_commercial, licenses, warning};
-use crate::manifest::Manifest;
+use crate::manifest::{Manifest, SPLIT_BY_FACT};
 
 /// Name of the file.
 pub(crate) const FILE: &str = "README.md";
@@ -47,6 +47,11 @@ pub(crate) fn text(manifest: &Manifest) -> String {
         manifest.tool_version, manifest.format, manifest.schema_version, manifest.skeleton
     );
     text += &tables(manifest);
+    if let Some(by) = manifest.facts.get(SPLIT_BY_FACT) {
+        text += &format!(
+            "\nSplits that no list states were drawn by {by}: all of one {by} is in one split.\n"
+        );
+    }
     text += &sources(manifest);
     text += &license_table(manifest);
     text += "\n## Loading\n\n```python\nfrom datasets import load_dataset\n\n\

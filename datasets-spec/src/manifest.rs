@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::Split;
 
+/// Fact of a dataset: what drawn splits keep together, such as `subject`.
+pub const SPLIT_BY_FACT: &str = "split_by";
+
 /// Value of `format` in every manifest.
 pub const FORMAT: &str = "stance-dataset";
 

@@ -356,6 +356,8 @@ table! {
         pub alpha: f32 [""],
         /// What the question was made of: mask or pair, and its id
         pub origin: String [""],
+        /// What of the question the training split of its dataset shows: retake, combination, action or unshown; missing where the labels do not tell
+        pub novelty: Option<String> ["", newer],
         /// Seed the question was drawn with
         pub seed: u64 [""],
         /// BLAKE3 of the composition rules, hexadecimal; empty where nothing was composed
@@ -469,6 +471,8 @@ table! {
         pub fid_items: u32 ["", newer],
         /// Numbers of a latent
         pub latent_width: u32 ["", newer],
+        /// Items of each novelty in words; empty where it is not known
+        pub novelty: String ["", newer],
         /// BLAKE3 of the sorted item ids, 12 hexadecimal digits
         pub items_digest: String ["", newer],
     }
@@ -631,6 +635,7 @@ impl ItemRow {
             soft_joints: Vec::new(),
             alpha: 0.0,
             origin: String::new(),
+            novelty: None,
             seed: 0,
             recipe_hash: String::new(),
             fps: Fps::STORE.get() as f32,

@@ -15,3 +15,22 @@ pub const ALL_TASKS: &str = "all";
 /// Task of a score over the items whose target was captured more than once. Only they have a noise
 /// floor.
 pub const RECAPTURED: &str = "recaptured";
+
+/// Tasks of a score over the items of one novelty: what of them training has shown, from all of it to not even the edit.
+pub const NOVELTIES: [&str; 4] = ["retake", "combination", "action", "unshown"];
+
+/// Whether items of several tasks are scored together under this name.
+pub fn is_pooled(task: &str) -> bool {
+    [ALL_TASKS, RECAPTURED].contains(&task) || NOVELTIES.contains(&task)
+}
+
+/// Place of a task among the tables: all items, single tasks, novelties, and items with a noise floor.
+pub(crate) fn place_of_task(task: &str) -> usize {
+    let novelty = NOVELTIES.iter().position(|novelty| *novelty == task);
+    match (task, novelty) {
+        (ALL_TASKS, _) => 0,
+        (RECAPTURED, _) => 2 + NOVELTIES.len(),
+        (_, Some(place)) => 2 + place,
+        (_, None) => 1,
+    }
+}

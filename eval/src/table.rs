@@ -7,7 +7,7 @@ use datasets_spec::record::ScoreRow;
 use crate::judge::{Judges, unranked};
 use crate::metric::interval::Interval;
 use crate::metric::{self, Better, Metric, fid};
-use crate::names::{ALL_TASKS, GIVEN, IDENTITY, REAL_DATA, RECAPTURED};
+use crate::names::{GIVEN, IDENTITY, NOVELTIES, REAL_DATA, place_of_task};
 
 /// The scores of one task under one protocol and one encoder.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,6 +50,8 @@ pub struct Items {
     pub instructions: u32,
     /// Items on either side of a Fréchet distance.
     pub fid: u32,
+    /// Items of each novelty in words, such as `100 retake, 50 action`; empty where it is not known.
+    pub novelty: String,
     /// Digest of the sorted item ids.
     pub digest: String,
 }
@@ -128,7 +130,7 @@ impl Table {
             }
         }
         // A stable sort: tasks keep together even when two runs were joined.
-        keys.sort_by_key(|(task, ..)| (*task != ALL_TASKS, *task == RECAPTURED, *task));
+        keys.sort_by_key(|(task, ..)| (place_of_task(task), *task));
         keys.into_iter()
             .filter_map(|wanted| {
                 let rows: Vec<&ScoreRow> = scores.iter().filter(|row| key(row) == wanted).collect();
@@ -211,6 +213,7 @@ impl Table {
                 sources: first.sources,
                 instructions: first.instructions,
                 fid: first.fid_items,
+                novelty: first.novelty.clone(),
                 digest: first.items_digest.clone(),
             },
             repeats: first.repeats,
@@ -223,8 +226,20 @@ impl Table {
             let behind = table.mark_best();
             table.notes.extend(behind);
         }
+        table.notes.extend(table.note_of_novelty());
         table.notes.extend(table.note_of_small_samples());
         Some(table)
+    }
+
+    /// What training has shown of the items; none where that is not known or the table is of one novelty.
+    fn note_of_novelty(&self) -> Option<String> {
+        let is_of_one = NOVELTIES.contains(&self.task.as_str());
+        (!is_of_one && !self.items.novelty.is_empty()).then(|| {
+            format!(
+                "Items by what training has shown of them: {}.",
+                self.items.novelty
+            )
+        })
     }
 
     /// Orders the systems as they are named, after the rows that every table has.
@@ -472,6 +487,7 @@ pub(crate) mod tests {
     use crate::metric::foot_score::FOOT_SCORE;
     use crate::metric::position_error::POSITION_ERROR;
     use crate::metric::{Measure, Part, RankSummary, retrieval};
+    use crate::names::ALL_TASKS;
 
     fn paper_columns() -> Vec<&'static Metric> {
         metric::of_part(Part::Paper)
@@ -497,6 +513,7 @@ pub(crate) mod tests {
             ranked: 512,
             fid_items: 256,
             latent_width: 64,
+            novelty: String::new(),
             items_digest: "a1b2c3d4e5f6".to_owned(),
         }
     }

@@ -22,8 +22,10 @@ use crate::annotation::pairs::{
 };
 use crate::annotation::variants::Candidates;
 use crate::catalogue::other_than_motions;
-use crate::compose::{ComposeConfig, ItemConfig, ItemCount, Library, Paging, Stream, draw_items};
-use crate::ingest::IngestOptions;
+use crate::compose::{
+    ComposeConfig, ItemConfig, ItemCount, Library, Paging, Shown, Stream, draw_items,
+};
+use crate::ingest::{IngestOptions, SplitBy};
 use crate::work::Quarantine;
 
 /// Tables that composed edits depend on.
@@ -74,6 +76,9 @@ pub struct IngestConfig {
     /// A list of pairs ([`PairList`]) to add; both clips of a pair get one split.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pairs: Option<PathBuf>,
+    /// What drawn splits keep together.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub split_by: Option<SplitBy>,
 }
 
 impl Default for IngestConfig {
@@ -84,6 +89,7 @@ impl Default for IngestConfig {
             license: None,
             made_captions: true,
             pairs: None,
+            split_by: None,
         }
     }
 }
@@ -101,6 +107,7 @@ impl IngestConfig {
             made_captions: self.made_captions,
             pairs: self.pairs.as_deref().map(PairList::read).transpose()?,
             seed,
+            split_by: self.split_by,
             ..IngestOptions::default()
         })
     }
@@ -353,7 +360,12 @@ pub fn items(
             fewer: None,
         });
     }
-    let rows = draw_items(&library(&dataset, split)?, config, seed)?;
+    let rows = draw_items(
+        &library(&dataset, split)?,
+        config,
+        &Shown::read(&dataset)?,
+        seed,
+    )?;
     let fewer = match config.count {
         ItemCount::Exactly(count) if rows.len() < count => Some(rows.len()),
         _ => None,

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use corpus::{CorpusOptions, PAIR_LIST, write_corpus};
+use corpus::{CorpusOptions, PAIR_LIST, write_corpus, write_held_out_corpus};
 
 use crate::exit::Exit;
 use crate::global::Global;
@@ -25,6 +25,10 @@ pub(crate) struct Args {
     /// Adjusted clips of each neutral one, which make fine-grained pairs
     #[arg(long, value_name = "N", default_value_t = CorpusOptions::default().adjusted)]
     adjusted: usize,
+    /// State splits that ask something of a model: actions, a performer, and a style of every action are held out of
+    /// training. The test set builtin-1 is of `--clips 780 --adjusted 2 --held-out`
+    #[arg(long)]
+    held_out: bool,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
@@ -33,7 +37,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         adjusted: args.adjusted,
         seed: global.seed(),
     };
-    let summary = write_corpus(&args.out, &options, &global.bars())?;
+    let write = if args.held_out {
+        write_held_out_corpus
+    } else {
+        write_corpus
+    };
+    let summary = write(&args.out, &options, &global.bars())?;
     if global.json {
         report::json(&summary)?;
     } else {

@@ -37,7 +37,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         unit: args.unit,
         ..ReadOptions::default()
     };
-    let diagnosis = examine(&args.sources, args.humanml3d_index.as_deref(), &options)?;
+    let diagnosis = examine(
+        &args.sources,
+        args.humanml3d_index.as_deref(),
+        &options,
+        &global.bars(),
+    )?;
     if global.json {
         report::json(&diagnosis)?;
     } else {

@@ -13,8 +13,8 @@ use pipeline::annotation::pairs::{PairList, RefusedLine};
 use pipeline::check::Teleports;
 use pipeline::clip::LabelProblem;
 use pipeline::ingest::{
-    AlikeClips, Forecast, Growth, IdList, IngestOptions, IngestReport, SourceArg, SplitList,
-    forecast, ingest, plan_ingest,
+    AlikeClips, Forecast, Growth, IdList, IngestOptions, IngestReport, SourceArg, SplitBy,
+    SplitList, forecast, ingest, plan_ingest,
 };
 use pipeline::markers::MarkerSet;
 use pipeline::retarget::UserMap;
@@ -95,6 +95,10 @@ pub(crate) struct Args {
     /// Splits of your own: lines of id or pattern, and split. They win over published and drawn ones
     #[arg(long, value_name = "CSV")]
     splits: Option<PathBuf>,
+    /// What drawn splits keep together: clip (all that is cut from a recording), subject or action; the labels of the clips
+    /// state both [default: what the dataset was made with, or else clip]
+    #[arg(long, value_name = "clip|subject|action")]
+    split_by: Option<SplitBy>,
     /// Read only the clips that this file names: one id, source file or pattern a line, with # before comments.
     /// Clips that are in the dataset already stay
     #[arg(long, value_name = "FILE")]
@@ -238,6 +242,7 @@ fn options(args: &Args, global: &Global) -> anyhow::Result<IngestOptions> {
         read: read_options(args)?,
         humanml3d_features: args.features.is_some(),
         seed: global.seed(),
+        split_by: args.split_by,
         pairs: args.pairs.as_deref().map(PairList::read).transpose()?,
         splits: args.splits.as_deref().map(SplitList::read).transpose()?,
         ids: args.ids.as_deref().map(IdList::read).transpose()?,

@@ -1,17 +1,18 @@
 //! `stance items`
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use anyhow::Context;
 use datasets_spec::record::ItemRow;
-use datasets_spec::{Dataset, Split};
-use pipeline::compose::{ItemConfig, ItemCount, ItemTask};
+use datasets_spec::{Dataset, Seed, Split};
+use pipeline::compose::{ItemConfig, ItemCount, ItemTask, Novelty, digest_of_ids};
 use pipeline::export::export_items;
 
 use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::test_set::{self, BUILTIN_1, TestSet};
 use crate::{report, stages};
 
 /// Draw the test questions that systems answer: a motion, an instruction, and the motion it should
@@ -29,6 +30,9 @@ pub(crate) struct Args {
     /// Dataset folder with motions, and masks or pairs
     #[arg(required = true)]
     dataset: Option<PathBuf>,
+    /// Draw a test set that comes with the program: builtin-1, 300 questions on the built-in corpus
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs"])]
+    set: Option<TestSet>,
     /// Split to draw from
     #[arg(long, default_value = "test")]
     split: Split,
@@ -38,6 +42,10 @@ pub(crate) struct Args {
     /// Tasks to draw, of semantic, style, fine-grained and motionfix [default: all there is data for]
     #[arg(long, value_name = "TASK", value_delimiter = ',')]
     task: Vec<ItemTask>,
+    /// Novelties to draw in equal parts, of retake, combination, action and unshown: what of a question the training
+    /// split shows [default: any, as it comes]
+    #[arg(long, value_name = "NOVELTY", value_delimiter = ',')]
+    novelty: Vec<Novelty>,
     #[command(flatten)]
     compose: ComposeArgs,
     /// Folder to write
@@ -84,35 +92,70 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let (Some(dataset), Some(out)) = (&args.dataset, &args.out) else {
         anyhow::bail!("name the dataset and where to write: stance items DATASET --out ITEMS");
     };
-    let config = ItemConfig {
-        count: args.count,
-        tasks: args.task.clone(),
-        compose: args.compose.config()?,
+    if args.set.is_some() && global.seed() != Seed(0) {
+        anyhow::bail!("{BUILTIN_1} is drawn with seed 0; leave --seed out");
+    }
+    let own = || -> anyhow::Result<ItemConfig> {
+        Ok(ItemConfig {
+            count: args.count,
+            tasks: args.task.clone(),
+            novelty: args.novelty.clone(),
+            compose: args.compose.config()?,
+            ..ItemConfig::default()
+        })
+    };
+    let config = match args.set {
+        Some(TestSet::Builtin1) => test_set::items(Seed(0), true),
+        None => own()?,
     };
     let seed = global.seed();
-    let drawn = stages::items(dataset, out, args.split, &config, seed, global)
-        .context("cannot draw items")?;
+    let drawn = stages::items(dataset, out, args.split, &config, seed, global);
+    let drawn = match args.set {
+        Some(TestSet::Builtin1) => drawn.with_context(|| {
+            format!(
+                "{BUILTIN_1} is drawn from the dataset that these commands make: {}",
+                test_set::commands(dataset)
+            )
+        })?,
+        None => drawn.context("cannot draw items")?,
+    };
     let rows: Vec<ItemRow> = drawn.read(None)?;
     let distinct = |of: fn(&ItemRow) -> &str| rows.iter().map(of).collect::<BTreeSet<_>>().len();
     let targets = distinct(|row| row.target_id.as_str());
     let sources = distinct(|row| row.source_id.as_str());
     let instructions = distinct(|row| &row.instruction);
+    let digest = digest_of_ids(&rows);
+    let mut novelty: BTreeMap<&str, usize> = BTreeMap::new();
+    for row in &rows {
+        *novelty
+            .entry(row.novelty.as_deref().unwrap_or("not known"))
+            .or_default() += 1;
+    }
     if global.json {
         report::json(&serde_json::json!({
             "items": rows.len(),
             "targets": targets,
             "sources": sources,
             "instructions": instructions,
+            "novelty": novelty,
+            "digest": digest,
             "root_hash": drawn.manifest().root_hash,
         }))?;
     } else {
         report::text(&format!(
-            "{} items ({targets} targets, {sources} sources, {instructions} instructions) in {}",
+            "{} items ({targets} targets, {sources} sources, {instructions} instructions) in {}\n\
+             by what training has shown: {}\ndigest {digest}",
             rows.len(),
-            out.display()
+            out.display(),
+            in_words(&novelty)
         ));
     }
     Ok(Exit::Done)
+}
+
+fn in_words(counts: &BTreeMap<&str, usize>) -> String {
+    let counts = counts.iter().map(|(name, count)| format!("{count} {name}"));
+    counts.collect::<Vec<_>>().join(", ")
 }
 
 fn export(args: &ExportArgs, global: &Global) -> anyhow::Result<Exit> {

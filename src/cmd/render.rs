@@ -18,7 +18,7 @@ use crate::report;
 /// Draw clips as strips of figures, coloured from start (orange) to end (blue).
 ///
 /// An item has a row for its source, its target and each answer in a folder of edits, below its
-/// instruction. The extension of --out chooses the format: svg or png for strips below each other,
+/// instruction; --edits adds the answers of other systems below. The extension of --out chooses the format: svg or png for strips below each other,
 /// gif for figures that move side by side.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
@@ -28,6 +28,9 @@ pub(crate) struct Args {
     /// Dataset the ids belong to
     #[arg(long)]
     dataset: Option<PathBuf>,
+    /// Further folders of edits whose answers to the items are drawn too, such as those without a coordinator
+    #[arg(long, num_args = 1.., requires = "dataset", value_name = "EDITS")]
+    edits: Vec<PathBuf>,
     /// File to write: .svg, .png or .gif
     #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
@@ -131,6 +134,16 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Some(dataset) => dataset.skeleton()?,
         None => Skeleton::smplx_neutral(),
     };
+    let others: Vec<(&PathBuf, Vec<EditRow>)> = (args.edits.iter())
+        .map(|folder| Ok((folder, Dataset::open(folder)?.read(None)?)))
+        .collect::<anyhow::Result<_>>()?;
+    if let Some(dataset) = dataset.as_ref().filter(|_| !others.is_empty()) {
+        let root = dataset.root().display();
+        anyhow::ensure!(
+            holds_items(dataset),
+            "--edits adds answers to items, and {root} holds motions; name a folder of items or edits with --dataset"
+        );
+    }
     let row = |label: String, motion: &Motion, highlighted: JointSet| Row {
         label,
         keypoints: skeleton.motion_keypoints(motion),
@@ -157,11 +170,19 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 if item.target_frames > 0 {
                     rows.push(row("target".to_owned(), &item.target()?, edited));
                 }
-                for edit in dataset.read::<EditRow>(None)? {
-                    if edit.id == item.id {
-                        let label = format!("{}, seed {}", edit.system, edit.seed);
-                        rows.push(row(label, &edit.motion()?, edited));
+                let own = dataset.read::<EditRow>(None)?;
+                let mut answers: Vec<&EditRow> =
+                    own.iter().filter(|edit| edit.id == item.id).collect();
+                for (folder, edits) in &others {
+                    let before = answers.len();
+                    answers.extend(edits.iter().filter(|edit| edit.id == item.id));
+                    if answers.len() == before {
+                        bail!("{} has no answer to item {}", folder.display(), item.id);
                     }
+                }
+                for edit in answers {
+                    let label = format!("{}, seed {}", edit.system, edit.seed);
+                    rows.push(row(label, &edit.motion()?, edited));
                 }
             }
             Some(dataset) => {

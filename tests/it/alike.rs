@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use datasets_spec::Split;
 use serde_json::json;
 
-use crate::growth::{clips, files, ingest, motions, verified};
+use crate::grown::{clips, files, ingest, motions, verified};
 use crate::util::{arg, corpus, stance};
 
 /// A BVH file with one value of every frame changed by a hair.

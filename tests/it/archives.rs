@@ -615,3 +615,26 @@ fn many_processes_read_archives_as_one_does() {
         ran.stderr
     );
 }
+
+#[test]
+fn unpacking_shows_how_far_it_is() {
+    let place = Place::new(corpus(2));
+    // Of more than a megabyte also when it is packed.
+    let mut state = 1u32;
+    let mut draw = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 24) as u8
+    };
+    let noise: Vec<u8> = (0..1_500_000).map(|_| draw()).collect();
+    let mut files = Files::from([("walk_poses.npz".to_owned(), walk(&place))]);
+    files.insert("noise.bin".to_owned(), noise);
+    for name in ["all.tar.bz2", "all.zip"] {
+        let source = format!("{name}-in");
+        place.put(&format!("{source}/{name}"), packed(name, &files));
+        let (source, out) = (place.path(&source), place.path(&format!("{name}-out")));
+        let ran = place.run(&["ingest", arg(&source), "--out", arg(&out)], 0);
+        let said = ran.stderr.contains("1 archives of 1 MB");
+        // Members of a zip are read where they lie.
+        assert_eq!(said, name == "all.tar.bz2", "{}", ran.stderr);
+    }
+}

@@ -55,7 +55,8 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
             val_windows = 16
             log_every = 3
             [stages]
-            without_mcm = true
+            composed_once = true
+            captured_alone = true
             [coordinator]
             length = { steps = 6 }
             val_every = 3
@@ -85,6 +86,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
             "Identity",
             "MotionReFit tiny",
             "MotionReFit tiny + coordinator",
+            "MotionReFit tiny, captured pairs alone",
             "MotionReFit tiny, composed once",
             "Real Data"
         ])
@@ -168,6 +170,30 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         fs::read_to_string(&strip)
             .expect("a strip")
             .starts_with("<svg")
+    );
+    // Answers of several systems to an item lie below each other.
+    let items = datasets_spec::Dataset::open(&edits).expect("edits").items();
+    let item = &items.expect("items")[0].id;
+    let [editor, once] = ["edits/editor", "edits/composed-once"].map(|folder| run.join(folder));
+    let draw = [
+        "render",
+        item,
+        "--dataset",
+        arg(&edits),
+        "--out",
+        arg(&strip),
+        "--edits",
+    ];
+    stance(&[&draw[..], &[arg(&editor), arg(&once)]].concat()).expect_code(0);
+    let drawn = fs::read_to_string(&strip).expect("a strip");
+    for label in ["tiny + coordinator", "tiny, seed", "composed once"] {
+        assert!(drawn.contains(label), "{label}");
+    }
+    let refused = stance(&[&draw[..], &[arg(&dataset)]].concat()).expect_code(1);
+    assert!(
+        refused.stderr.contains("has no answer to item"),
+        "{}",
+        refused.stderr
     );
     let edited = dir.path().join("edited.npz");
     stance(&[

@@ -267,6 +267,15 @@ fn two_folders_of_every_exported_layout_stay_two() {
     ] {
         two_folders(dir.path(), layout);
     }
+    // The release as its authors publish it: without the files that an export of this program adds.
+    for part in ["a", "b"] {
+        let published = at(&format!("published-{part}"));
+        fs::rename(at(&format!("stance-{part}")), &published).expect("renamed");
+        for own in ["origin.json", "masks.jsonl", "pairs.jsonl"] {
+            fs::remove_file(published.join(own)).expect("removed");
+        }
+    }
+    two_folders(dir.path(), "published");
 }
 
 /// An array of Motion-X: a person who bends, by a number.

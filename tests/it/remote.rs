@@ -10,7 +10,7 @@ use datasets_spec::Dataset;
 use datasets_spec::record::MotionRow;
 
 use crate::archives::{files_below, packed};
-use crate::util::{Ran, arg, command, corpus};
+use crate::util::{Ran, arg, command, corpus, stance};
 
 /// Files by path.
 type Files = BTreeMap<String, Vec<u8>>;
@@ -152,4 +152,48 @@ fn archives_at_urls_are_read() {
         );
         assert_eq!(found, expected, "{name} in a bucket");
     }
+}
+
+#[test]
+fn a_source_at_a_url_has_the_name_that_it_is_given() {
+    let dir = corpus(4);
+    let packed = packed("all.zip", &files_below(&dir.path().join("corpus")));
+    let files =
+        ["anna/bvh/all.zip", "ben/bvh/all.zip"].map(|path| (path.to_owned(), packed.clone()));
+    let server = serve(files.into());
+    let out = dir.path().join("dataset");
+    let ingest = |sources: &[String], code: i32| -> Ran {
+        let sources: Vec<&str> = sources.iter().map(String::as_str).collect();
+        let ran = stance(&[&["ingest"], &sources[..], &["--out", arg(&out)]].concat());
+        ran.expect_code(code)
+    };
+    let at = |folder: &str| format!("{server}/{folder}/bvh/all.zip");
+    let named = |name: &str, folder: &str| format!("{name}={}", at(folder));
+    let names = || -> BTreeMap<String, usize> {
+        let rows: Vec<MotionRow> = Dataset::open(&out)
+            .expect("a dataset")
+            .read(None)
+            .expect("rows");
+        let mut names = BTreeMap::new();
+        for row in rows {
+            *names.entry(row.source_name).or_default() += 1;
+        }
+        names
+    };
+    ingest(&[at("anna")], 0);
+    let alone = names();
+    assert_eq!(alone.keys().collect::<Vec<_>>(), ["bvh"]);
+    // The same name at another URL is asked about.
+    let said = ingest(&[at("ben")], 2).stderr;
+    assert!(said.contains(&format!("ben-bvh={}", at("ben"))), "{said}");
+    assert_eq!(names(), alone);
+    ingest(&[named("ben", "ben")], 0);
+    assert_eq!(names()["ben"], alone["bvh"]);
+    // Known again by its URL alone.
+    let again = ingest(&[at("ben")], 0);
+    assert!(
+        again.stdout.contains("already complete"),
+        "{}",
+        again.stdout
+    );
 }

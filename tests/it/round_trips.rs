@@ -1,6 +1,7 @@
 //! What leaves a dataset or a project comes back, and what cannot is counted.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use annotate::store::open_sqlite;
@@ -9,7 +10,7 @@ use annotate::wire::{Answer, EditType, Extent, MaskAnswer, Role, TaskKind, Verdi
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{HumanMl3dRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_rows};
-use datasets_spec::{Dataset, Split};
+use datasets_spec::{Dataset, MotionId, Split};
 use serde_json::Value;
 
 use crate::annotate::{accept, settings};
@@ -395,6 +396,54 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
         "{}",
         refused.stderr
     );
+}
+
+#[test]
+fn pairs_whose_motions_are_in_two_splits_are_left_out_of_a_project_and_counted() {
+    let made = Labelled::new();
+    made.annotate("store.sqlite", &["export"]);
+    made.export("stance");
+    let pairs: Vec<PairRow> = made.rows("dataset");
+    // A dataset of the same motions in which targets of pairs are in another split than sources.
+    let targets: BTreeSet<String> = pairs
+        .iter()
+        .map(|pair| pair.target_id.to_string())
+        .collect();
+    let rows: Vec<MotionRow> = made.rows("dataset");
+    let lines = rows.iter().map(|row| {
+        let split = ["train", "test"][usize::from(targets.contains(row.id.as_str()))];
+        format!("{},{split}\n", row.id)
+    });
+    let list = made.path("splits.csv");
+    fs::write(&list, format!("clip,split\n{}", lines.collect::<String>())).expect("written");
+    made.ingest("corpus", "parted", &["--splits", arg(&list)], 0);
+    let splits: BTreeMap<String, Split> = made
+        .rows::<MotionRow>("parted")
+        .into_iter()
+        .map(|row| (row.id.to_string(), row.split))
+        .collect();
+    let split = |id: &MotionId| splits[id.as_str()];
+    let is_across = |pair: &&PairRow| split(&pair.source_id) != split(&pair.target_id);
+    let across = pairs.iter().filter(is_across).count();
+    assert!(across > 10, "{across} of {}", pairs.len());
+    let folder = made.path("stance");
+    let filled = made.annotate_of("parted", "parted.sqlite", &["import", arg(&folder)]);
+    assert_eq!(filled["counts"]["pairs_across_splits"], across, "{filled}");
+    let said = filled["messages"].to_string();
+    assert!(
+        said.contains(&format!("{across} pairs have their motions in two splits")),
+        "{said}"
+    );
+    // No answer of the project is about one of them.
+    let answers = made.answers("parted", "parted.sqlite").into_iter();
+    let of_pairs = answers.filter_map(|row| row.target_id.clone().zip(Some(row)));
+    for (target, row) in of_pairs {
+        assert_eq!(
+            splits[target.as_str()],
+            splits[row.motion_id.as_str()],
+            "{row:?}"
+        );
+    }
 }
 
 #[test]

@@ -8,7 +8,7 @@ use datasets_spec::Dataset;
 use datasets_spec::record::{MotionRow, SkippedRow};
 use serde_json::{Value, json};
 
-use crate::growth::{clips, files, halves, ingest, judge, masks, motions, move_files, verified};
+use crate::grown::{clips, files, halves, ingest, judge, masks, motions, move_files, verified};
 use crate::util::{arg, command, corpus, stance};
 
 /// Runs `ingest` with sources as a user writes them, and returns its document.

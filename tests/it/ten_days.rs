@@ -12,7 +12,7 @@ use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::{Value, json};
 
-use crate::growth::{
+use crate::grown::{
     clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
 };
 use crate::sources::{everything, predicted};

@@ -9,6 +9,7 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
+use super::grown::{clips, masks};
 use super::util::{arg, corpus, files_with_extension, stance};
 
 /// Runs a command that is to succeed, and returns its document.
@@ -28,18 +29,6 @@ fn opened(dataset: &Path) -> Dataset {
 
 fn rows<R: Row>(dataset: &Path) -> Vec<R> {
     opened(dataset).read(None).expect("rows")
-}
-
-/// Split and content of every clip.
-fn clips(dataset: &Path) -> BTreeMap<String, (Split, String)> {
-    let rows = rows::<MotionRow>(dataset).into_iter();
-    rows.map(|row| (row.id.to_string(), (row.split, row.content_hash)))
-        .collect()
-}
-
-fn masks(dataset: &Path) -> BTreeMap<String, MaskRow> {
-    let rows = rows::<MaskRow>(dataset).into_iter();
-    rows.map(|row| (row.id.clone(), row)).collect()
 }
 
 /// Accepts every automatic mask in the name of a person.

@@ -117,7 +117,9 @@ fn system_name(editor: &Editor) -> String {
         let text = format!("{:.3}", 100.0 * share);
         text.trim_end_matches('0').trim_end_matches('.').to_owned()
     };
-    if compose.undonored_ratio == Some(1.0) && !compose.kinds.contains(&EditKind::Semantic) {
+    let are_captured =
+        compose.undonored_ratio == Some(1.0) && !compose.kinds.contains(&EditKind::Semantic);
+    if are_captured {
         name += ", captured pairs alone";
     } else if compose.fixed_pairs {
         name += ", composed once";
@@ -127,7 +129,8 @@ fn system_name(editor: &Editor) -> String {
     if compose.annotated_ratio < 1.0 {
         name += &format!(", {} % annotated", percent(compose.annotated_ratio));
     }
-    if compose.kinds != EditKind::ALL {
+    // Both kinds of captured pairs are said already.
+    if compose.kinds != EditKind::ALL && !(are_captured && compose.kinds.len() == 2) {
         let kinds: Vec<&str> = compose.kinds.iter().map(|kind| kind.as_str()).collect();
         name += &format!(", {} only", kinds.join(" and "));
     }

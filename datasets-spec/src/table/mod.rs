@@ -23,7 +23,7 @@ pub use shard::{
 
 /// Version of the table schemas. The major number changes when an old reader would misread a
 /// column; columns may be added within a major version, and readers ignore those they do not know.
-pub const SCHEMA_VERSION: &str = "1.8.0";
+pub const SCHEMA_VERSION: &str = "1.9.0";
 
 /// A caption and the part of the clip it speaks of. `from_s` and `to_s` are both 0 where it speaks
 /// of the whole clip (HumanML3D's convention).

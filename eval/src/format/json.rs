@@ -63,6 +63,7 @@ mod tests {
         ranked: u32,
         fid_items: u32,
         latent_width: u32,
+        novelty: String,
         items_digest: String,
         ranks_systems: bool,
         behind_identity: bool,
@@ -95,7 +96,10 @@ mod tests {
                 (read.gallery, read.ranked, read.fid_items, read.latent_width),
                 (row.gallery, row.ranked, row.fid_items, row.latent_width)
             );
-            assert_eq!(read.items_digest, row.items_digest);
+            assert_eq!(
+                (&read.novelty, &read.items_digest),
+                (&row.novelty, &row.items_digest)
+            );
             // The sample system is better than identity in Multimodality alone.
             let is_last = row.system == "MotionReFit tiny";
             let is_given = [REAL_DATA, IDENTITY].contains(&row.system.as_str());

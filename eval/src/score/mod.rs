@@ -40,7 +40,8 @@ pub(crate) use values::{Ranks, of_items};
 /// then the systems by name. With items of more than one task there is also
 /// [`ALL_TASKS`](crate::names::ALL_TASKS), which
 /// comes first. Items that have a target of another capture also make the task [`RECAPTURED`], in
-/// which [`NOISE_FLOOR`] follows the identity editor. A metric that needs more items than a task has
+/// which [`NOISE_FLOOR`] follows the identity editor. Items of several novelties make a task of each
+/// ([`NOVELTIES`](crate::names::NOVELTIES)). A metric that needs more items than a task has
 /// is left out. The last row of the identity editor is no metric: [`TOLD_APART`] says whether the encoder tells its targets from its
 /// sources.
 ///
@@ -127,6 +128,7 @@ pub fn score(
             ranked: ranked as u32,
             fid_items: fid_items as u32,
             latent_width: sources.latents.raw.num_cols() as u32,
+            novelty: counts.novelty.clone(),
             items_digest: counts.digest.clone(),
         };
         for (position, system) in systems.iter().enumerate() {

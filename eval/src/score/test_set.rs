@@ -8,7 +8,7 @@ use kinematics::canonical::FIXED_FRAMES;
 
 use crate::Error;
 use crate::metric::motion_quality::Windows;
-use crate::names::{ALL_TASKS, GIVEN, RECAPTURED};
+use crate::names::{ALL_TASKS, GIVEN, NOVELTIES, RECAPTURED};
 use crate::protocol::Protocol;
 use crate::table::Items;
 
@@ -112,6 +112,7 @@ impl<'a> TestSet<'a> {
             sources: distinct(|item| item.source_id.as_str()),
             instructions: distinct(|item| &item.instruction),
             fid: 0,
+            novelty: self.novelty(indices),
             digest,
         }
     }
@@ -134,7 +135,42 @@ impl<'a> TestSet<'a> {
             .collect()
     }
 
-    /// Positions of the items of each task.
+    /// How many items are of each novelty, in words; nothing where no item says it.
+    fn novelty(&self, indices: &[usize]) -> String {
+        let found: Vec<&str> = indices
+            .iter()
+            .filter_map(|&item| self.items[item].novelty.as_deref())
+            .collect();
+        if found.is_empty() {
+            return String::new();
+        }
+        let counts = NOVELTIES.iter().map(|value| {
+            let count = found.iter().filter(|found| *found == value).count();
+            (count, *value)
+        });
+        let unknown = (indices.len() - found.len(), "not known");
+        let counts = counts.chain([unknown]).filter(|(count, _)| *count > 0);
+        let counts: Vec<String> = counts
+            .map(|(count, value)| format!("{count} {value}"))
+            .collect();
+        counts.join(", ")
+    }
+
+    /// Positions of the items of each novelty, if there are items of several.
+    fn novelties(&self) -> Vec<(&'a str, Vec<usize>)> {
+        let of_value = NOVELTIES.iter().map(|value| {
+            let items = self.items.iter().enumerate();
+            let items = items.filter(|(_, item)| item.novelty.as_deref() == Some(*value));
+            (*value, items.map(|(index, _)| index).collect::<Vec<_>>())
+        });
+        let found: Vec<_> = of_value.filter(|(_, items)| !items.is_empty()).collect();
+        match found.len() {
+            0 | 1 => Vec::new(),
+            _ => found,
+        }
+    }
+
+    /// Positions of the items of each task, of all together, and of each novelty.
     pub(crate) fn tasks(&self) -> Vec<(&'a str, Vec<usize>)> {
         let mut kinds: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for (index, item) in self.items.iter().enumerate() {
@@ -143,7 +179,9 @@ impl<'a> TestSet<'a> {
         let all = (kinds.len() > 1).then(|| (ALL_TASKS, (0..self.items.len()).collect()));
         let recaptured =
             Some((RECAPTURED, self.recaptured())).filter(|(_, items)| !items.is_empty());
-        all.into_iter().chain(kinds).chain(recaptured).collect()
+        let novelties = self.novelties().into_iter();
+        let single = all.into_iter().chain(kinds).chain(novelties);
+        single.chain(recaptured).collect()
     }
 }
 

@@ -221,7 +221,7 @@ pub fn read_answers(
     progress: &dyn Progress,
 ) -> Result<Answers, Error> {
     let names = Names::of(items)?;
-    let listing = list_files(files)?;
+    let listing = list_files(files, progress)?;
     let mut passed_over: Vec<PassedOver> = Vec::new();
     let mut sources: Vec<(String, PathBuf, Kind)> = Vec::new();
     for (relative, path) in listing.files {

@@ -30,33 +30,12 @@ pub(super) fn item(number: usize) -> ItemRow {
         wandering(&format!("{name} edited"), 36),
     );
     let mut row = ItemRow {
-        id: String::new(),
         task: "semantic".to_owned(),
-        split: Split::Test,
         instruction: format!("wave {number} times"),
-        source_id: id.clone(),
-        target_id: id,
-        donor_ids: Vec::new(),
         parts: vec!["LEFT_ARM".to_owned()],
-        hard_joints: Vec::new(),
-        soft_joints: Vec::new(),
-        alpha: 0.0,
         origin: "mask".to_owned(),
-        seed: 0,
-        recipe_hash: String::new(),
         fps: 20.0,
-        source_frames: 0,
-        source_transl: Vec::new(),
-        source_global_orient: Vec::new(),
-        source_body_pose: Vec::new(),
-        target_frames: 0,
-        target_transl: Vec::new(),
-        target_global_orient: Vec::new(),
-        target_body_pose: Vec::new(),
-        other_frames: 0,
-        other_transl: Vec::new(),
-        other_global_orient: Vec::new(),
-        other_body_pose: Vec::new(),
+        ..ItemRow::blank(&id, Split::Test)
     };
     row.set_motions(&source, Some(&target), None);
     row.id = row.content_id();

@@ -195,6 +195,19 @@ pub enum Error {
         /// Stored frames a window spans.
         frames: usize,
     },
+    /// The items drawn are not those of a published set.
+    #[error(
+        "{count} items were drawn whose ids come to {found}, and those of the set come to {expected}: the dataset is not that \
+         of the set, or was made by another version"
+    )]
+    OtherSet {
+        /// Digest of the set.
+        expected: String,
+        /// Digest of the items drawn.
+        found: String,
+        /// Number of the items drawn.
+        count: usize,
+    },
     /// A motion has nothing to be blended with.
     #[error(
         "motion {motion} has no partner: no other clip drawn from its split is long enough; add motions, raise mcm_ratio or widen base.sources"

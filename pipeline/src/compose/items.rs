@@ -1,6 +1,6 @@
 //! Test questions: the fixed items that systems are evaluated on.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
@@ -11,6 +11,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::library::{Clip, Subject};
+use super::novelty::{Asked, Novelty, Shown};
 use super::triplet::{Place, Triplet};
 use super::{ComposeConfig, Error, ItemTask, Library, blend_motion};
 
@@ -19,6 +20,8 @@ use super::{ComposeConfig, Error, ItemTask, Library, blend_motion};
 const PREFERRED_WINDOWS: usize = 3;
 /// Attempts at a new item of a mask or pair before it is skipped.
 const MAX_REPEATS: usize = 16;
+/// Digits of the digest of a set.
+const DIGEST_DIGITS: usize = 32;
 
 /// How many items are drawn. In text: a number, or `all`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -91,6 +94,13 @@ pub struct ItemConfig {
     pub count: ItemCount,
     /// Of which tasks; if empty, of all that have data.
     pub tasks: Vec<ItemTask>,
+    /// Of which novelty, in equal parts; if empty, of any, as it comes.
+    pub novelty: Vec<Novelty>,
+    /// How many of those drawn are kept, the first ones of each novelty in equal parts; all if there is no such number.
+    pub part: Option<usize>,
+    /// Digest that the sorted ids of those drawn must have ([`digest_of_ids`]), before a part of them is kept: that of a
+    /// published set.
+    pub digest: Option<String>,
     /// How they are composed; `mcm_ratio` and `annotated_ratio` are ignored.
     pub compose: ComposeConfig,
 }
@@ -100,6 +110,9 @@ impl Default for ItemConfig {
         Self {
             count: ItemCount::Exactly(128),
             tasks: Vec::new(),
+            novelty: Vec::new(),
+            part: None,
+            digest: None,
             compose: ComposeConfig::default(),
         }
     }
@@ -110,7 +123,8 @@ impl Default for ItemConfig {
 /// Every usable mask and pair is a target before any is used again, in an order drawn from the seed.
 /// Partners are clips of other actions, where actions are known, and long enough for three windows,
 /// if such clips exist. Pairs of MotionFix are used without a donor, each once. All items differ in content:
-/// if nothing new can be drawn, fewer items are returned than requested.
+/// if nothing new can be drawn, fewer items are returned than requested. `shown` is what training shows: it decides on
+/// the novelty of items.
 ///
 /// # Errors
 /// A setting is out of range, no mask or pair of the tasks can be used, one has no partner, or the motions
@@ -118,6 +132,7 @@ impl Default for ItemConfig {
 pub fn draw_items(
     library: &Arc<Library>,
     config: &ItemConfig,
+    shown: &Shown,
     seed: Seed,
 ) -> Result<Vec<ItemRow>, Error> {
     let compose = ComposeConfig {
@@ -135,6 +150,7 @@ pub fn draw_items(
         recipe_hash: compose.recipe_hash(),
         library: &library,
         config: &compose,
+        shown,
         span,
         seed,
     };
@@ -163,34 +179,109 @@ pub fn draw_items(
         ItemCount::All => subjects.len(),
         ItemCount::Exactly(count) => count,
     };
-    let mut rows: Vec<ItemRow> = Vec::with_capacity(count);
-    let mut seen = BTreeSet::new();
-    for round in 0.. {
-        let before = rows.len();
-        for &(_, subject) in &subjects {
-            if rows.len() == count {
-                return Ok(rows);
-            }
-            for attempt in 0..MAX_REPEATS {
-                let Some(row) = drawer.item(subject, round, attempt)? else {
-                    break;
-                };
-                if seen.insert(row.id.clone()) {
-                    rows.push(row);
-                    break;
-                }
-            }
-        }
-        if rows.len() == before {
-            break;
+    let rows = drawer.draw(&subjects, &mut Quota::of(&config.novelty, count))?;
+    let found = digest_of_ids(&rows);
+    if let Some(expected) = config
+        .digest
+        .as_ref()
+        .filter(|expected| **expected != found)
+    {
+        return Err(Error::OtherSet {
+            expected: expected.clone(),
+            found,
+            count: rows.len(),
+        });
+    }
+    Ok(match config.part {
+        Some(part) => Quota::of(&config.novelty, part).first(rows),
+        None => rows,
+    })
+}
+
+/// What a set of items is known by: BLAKE3 of their sorted ids, each with a line end, 32 hexadecimal digits.
+pub fn digest_of_ids(items: &[ItemRow]) -> String {
+    let mut ids: Vec<&str> = items.iter().map(|item| item.id.as_str()).collect();
+    ids.sort_unstable();
+    let mut hasher = blake3::Hasher::new();
+    for id in ids {
+        hasher.update(id.as_bytes());
+        hasher.update(b"\n");
+    }
+    let mut digest = hasher.finalize().to_hex().to_string();
+    digest.truncate(DIGEST_DIGITS);
+    digest
+}
+
+/// How many items are still wanted.
+struct Quota {
+    /// Of any novelty.
+    left: usize,
+    /// Of each that is asked for; none if any will do.
+    of_each: Option<BTreeMap<Novelty, usize>>,
+}
+
+impl Quota {
+    /// So many items in equal parts; what is left over goes to the first ones.
+    fn of(novelty: &[Novelty], count: usize) -> Self {
+        let asked: BTreeSet<Novelty> = novelty.iter().copied().collect();
+        let (each, over) = match asked.len() {
+            0 => (0, 0),
+            values => (count / values, count % values),
+        };
+        let values = asked.iter().enumerate();
+        let of_each = values.map(|(place, value)| (*value, each + usize::from(place < over)));
+        Self {
+            left: count,
+            of_each: (!asked.is_empty()).then(|| of_each.collect()),
         }
     }
-    Ok(rows)
+
+    fn is_wanted(&self, novelty: Option<Novelty>) -> bool {
+        let of_value = |of_each: &BTreeMap<Novelty, usize>| {
+            novelty.is_some_and(|novelty| of_each.get(&novelty).is_some_and(|left| *left > 0))
+        };
+        self.left > 0 && self.of_each.as_ref().is_none_or(of_value)
+    }
+
+    fn take(&mut self, novelty: Option<Novelty>) {
+        self.left -= 1;
+        let of_each = self.of_each.as_mut();
+        if let Some(left) = of_each
+            .zip(novelty)
+            .and_then(|(all, novelty)| all.get_mut(&novelty))
+        {
+            *left -= 1;
+        }
+    }
+
+    /// The first items that are wanted.
+    fn first(mut self, mut rows: Vec<ItemRow>) -> Vec<ItemRow> {
+        rows.retain(|row| {
+            let novelty = row.novelty.as_deref().and_then(|name| name.parse().ok());
+            let is_wanted = self.is_wanted(novelty);
+            if is_wanted {
+                self.take(novelty);
+            }
+            is_wanted
+        });
+        rows
+    }
+}
+
+/// What an attempt at an item gave.
+enum Attempt {
+    Drawn(Box<ItemRow>),
+    /// A question of a novelty that is not wanted any more.
+    Unwanted,
+    /// The subject has no more.
+    Exhausted,
 }
 
 struct Drawer<'a> {
     library: &'a Library,
     config: &'a ComposeConfig,
+    /// What training shows.
+    shown: &'a Shown,
     /// Indices of the clips partners are drawn from.
     base: Vec<usize>,
     /// Stored frames of a window.
@@ -202,17 +293,78 @@ struct Drawer<'a> {
 }
 
 impl Drawer<'_> {
-    /// An item of a subject; none if it has no more.
+    /// Goes through the subjects again and again until nothing is wanted any more, or a round gives nothing new.
+    fn draw(&self, subjects: &[(u64, Subject)], wanted: &mut Quota) -> Result<Vec<ItemRow>, Error> {
+        let mut rows: Vec<ItemRow> = Vec::with_capacity(wanted.left);
+        let mut seen = BTreeSet::new();
+        for round in 0.. {
+            let before = rows.len();
+            for &(_, subject) in subjects {
+                if wanted.left == 0 {
+                    return Ok(rows);
+                }
+                for attempt in 0..MAX_REPEATS {
+                    let row = match self.item(subject, round, attempt, wanted)? {
+                        Attempt::Drawn(row) => *row,
+                        Attempt::Unwanted => continue,
+                        Attempt::Exhausted => break,
+                    };
+                    if seen.insert(row.id.clone()) {
+                        wanted.take(self.novelty(subject, &row.source_id));
+                        rows.push(row);
+                        break;
+                    }
+                }
+            }
+            if rows.len() == before {
+                break;
+            }
+        }
+        Ok(rows)
+    }
+
+    /// The novelty of an item of a subject whose source, where it is a mask, is of this clip.
+    fn novelty(&self, subject: Subject, source: &MotionId) -> Option<Novelty> {
+        let library = self.library;
+        let text = library.text_of(subject);
+        let [before, after] = library
+            .captured_of(subject)
+            .map(|clip| &library.clip(clip).id);
+        self.shown.novelty(match subject {
+            Subject::Annotation(_) => Asked::Mask {
+                source,
+                target: after,
+                text,
+            },
+            Subject::Pair(_) => Asked::Pair {
+                source: before,
+                target: after,
+                text,
+                kind: library.kind_of(subject),
+            },
+        })
+    }
+
+    /// An item of a subject.
     fn item(
         &self,
         subject: Subject,
         round: usize,
         attempt: usize,
-    ) -> Result<Option<ItemRow>, Error> {
+        wanted: &Quota,
+    ) -> Result<Attempt, Error> {
         let library = self.library;
         if library.is_asked_as_is(subject) {
-            let is_first = round == 0 && attempt == 0;
-            return is_first.then(|| self.as_is(subject)).transpose();
+            if round > 0 || attempt > 0 {
+                return Ok(Attempt::Exhausted);
+            }
+            let row = self.as_is(subject)?;
+            return Ok(
+                match wanted.is_wanted(self.novelty(subject, &row.source_id)) {
+                    true => Attempt::Drawn(Box::new(row)),
+                    false => Attempt::Unwanted,
+                },
+            );
         }
         let id = library.subject_id(subject);
         let mut place = vec![
@@ -227,6 +379,10 @@ impl Drawer<'_> {
         let mut rng = self.seed.rng(&place);
         let partners = library.partners(&self.base, subject, self.preferred)?;
         let partner = partners[rng.random_range(0..partners.len())];
+        let novelty = self.novelty(subject, &library.clip(partner).id);
+        if !wanted.is_wanted(novelty) {
+            return Ok(Attempt::Unwanted);
+        }
         let pairing = library.paired(partner, subject, self.config, &mut rng);
         let triplet = library.compose(
             Place {
@@ -256,8 +412,9 @@ impl Drawer<'_> {
         row.alpha = triplet.alpha as f32;
         row.recipe_hash.clone_from(&self.recipe_hash);
         row.set_motions(&triplet.original, Some(&triplet.edited), other.as_ref());
+        row.novelty = novelty.map(|novelty| novelty.as_str().to_owned());
         row.id = row.content_id();
-        Ok(Some(row))
+        Ok(Attempt::Drawn(Box::new(row)))
     }
 
     /// The item of a pair without a donor.
@@ -268,6 +425,9 @@ impl Drawer<'_> {
             parts: library.parts_of(subject).to_vec(),
             ..self.blank(subject, library.text_of(subject))
         };
+        row.novelty = self
+            .novelty(subject, &source.id)
+            .map(|novelty| novelty.as_str().to_owned());
         row.source_id = source.id.clone();
         row.target_id = target.id.clone();
         row.set_motions(&*source.motion()?, Some(&*target.motion()?), None);
@@ -351,10 +511,11 @@ mod tests {
     #[test]
     fn the_annotations_are_covered_before_any_is_used_again() {
         let library = Arc::new(fixture::library(Split::Test, CLIPS));
-        let items = draw_items(&library, &of_count(13), Seed(3)).expect("enough clips");
+        let items =
+            draw_items(&library, &of_count(13), &Shown::default(), Seed(3)).expect("enough clips");
         assert_eq!(
             items,
-            draw_items(&library, &of_count(13), Seed(3)).expect("enough clips")
+            draw_items(&library, &of_count(13), &Shown::default(), Seed(3)).expect("enough clips")
         );
         let num_masks = (library.all_subjects())
             .filter(|subject| matches!(subject, Subject::Annotation(_)))
@@ -378,14 +539,15 @@ mod tests {
             count: ItemCount::All,
             ..ItemConfig::default()
         };
-        let all = draw_items(&library, &all, Seed(3)).expect("enough clips");
+        let all = draw_items(&library, &all, &Shown::default(), Seed(3)).expect("enough clips");
         assert_eq!(all, items[..num_masks]);
     }
 
     #[test]
     fn the_id_follows_from_the_content_alone() {
         let library = Arc::new(fixture::library(Split::Test, CLIPS));
-        let items = draw_items(&library, &of_count(2), Seed(3)).expect("enough clips");
+        let items =
+            draw_items(&library, &of_count(2), &Shown::default(), Seed(3)).expect("enough clips");
         let mut found_otherwise = items[0].clone();
         found_otherwise.seed = 9;
         found_otherwise.origin = "elsewhere".to_owned();
@@ -416,7 +578,8 @@ mod tests {
         let skeleton = Skeleton::smplx_neutral();
         let library = Library::new(Split::Test, &motions, &[], &[pair], &skeleton);
         let library = Arc::new(library.expect("valid rows"));
-        let items = draw_items(&library, &of_count(5), Seed(3)).expect("one pair");
+        let items =
+            draw_items(&library, &of_count(5), &Shown::default(), Seed(3)).expect("one pair");
         let [item] = items.as_slice() else {
             panic!("{} items of one pair", items.len())
         };
@@ -436,7 +599,7 @@ mod tests {
             ..ItemConfig::default()
         };
         assert!(matches!(
-            draw_items(&library, &style, Seed(3)),
+            draw_items(&library, &style, &Shown::default(), Seed(3)),
             Err(Error::NoItem { .. })
         ));
     }
@@ -451,7 +614,8 @@ mod tests {
         }
         let library = Library::new(Split::Test, &motions, &masks, &[], &skeleton);
         let library = Arc::new(library.expect("valid rows"));
-        let items = draw_items(&library, &of_count(10), Seed(3)).expect("enough clips");
+        let items =
+            draw_items(&library, &of_count(10), &Shown::default(), Seed(3)).expect("enough clips");
         assert!(items.iter().any(|item| item.target_id.as_str() == "clip8"));
         for item in &items {
             let other = item.other_take().expect("valid");

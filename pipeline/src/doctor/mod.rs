@@ -18,7 +18,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::license::is_non_commercial;
-use datasets_spec::{Dataset, Fps};
+use datasets_spec::{Dataset, Fps, Progress};
 
 use advice::advise;
 use amass::amass_subsets;
@@ -49,12 +49,13 @@ pub fn examine(
     sources: &[PathBuf],
     index: Option<&Path>,
     options: &ReadOptions,
+    progress: &dyn Progress,
 ) -> Result<Diagnosis, Error> {
     let mut findings = Vec::new();
     let mut unlisted = Vec::new();
     let mut all = BTreeMap::new();
     let mut archives = Archives::default();
-    for (source, label, listing) in list_each(sources)? {
+    for (source, label, listing) in list_each(sources, progress)? {
         let files = listing.files.iter();
         all.extend(files.map(|(path, place)| (with_label(&label, path), place.clone())));
         unlisted.extend(listing.unlisted.iter().map(|(folder, reason)| {

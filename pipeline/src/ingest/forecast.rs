@@ -75,7 +75,7 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
     options: &IngestOptions,
     progress: &dyn Progress,
 ) -> Result<Forecast, Error> {
-    let listed = listed(sources, out)?;
+    let listed = listed(sources, out, progress)?;
     let store = ByPath::store();
     let newest = Staging::newest(store.as_ref(), out)?;
     let prepared = Prepared::of(store.as_ref(), out, newest.as_ref(), options)?;
@@ -101,7 +101,7 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
         remarks: plan
             .all_remarks()
             .into_iter()
-            .chain(prepared.kept_seed)
+            .chain(prepared.kept)
             .collect(),
         refusals,
     })

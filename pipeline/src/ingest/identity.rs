@@ -300,8 +300,8 @@ impl Plan {
 
     /// Key of the drawn split, for clips without a published one.
     pub(super) fn split_key(&self, item: &Planned) -> String {
-        if let Some(group) = &item.group {
-            return group.clone();
+        if let Some(key) = self.split_label(item).or_else(|| item.group.clone()) {
+            return key;
         }
         match item.release {
             // Two releases of one clip share a split: the id prefix is left out. Two of one format are other clips

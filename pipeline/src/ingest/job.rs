@@ -46,7 +46,7 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     progress: &dyn Progress,
 ) -> Result<work::Plan, Error> {
     let store = ByPath::store();
-    let listed = super::listed(sources, destination)?;
+    let listed = super::listed(sources, destination, progress)?;
     let newest = Staging::newest(store.as_ref(), destination)?;
     let prepared = Prepared::of(store.as_ref(), destination, newest.as_ref(), options)?;
     prepared.refuse_other_settings(destination)?;

@@ -65,6 +65,8 @@ pub(crate) struct Listed {
     folder: PathBuf,
     /// Whether all below the folder is listed; else only the files that were given.
     pub(super) is_whole: bool,
+    /// Names of the files that were given, if not all is listed; archives are among them, and not their members.
+    given_files: BTreeSet<String>,
     /// What is recorded of where it is.
     pub(super) places: Vec<(String, Kind)>,
     /// Folders that are left out because they are datasets, and whether each is the one that is written.
@@ -125,6 +127,7 @@ impl<'a> Located<'a> {
             place: text_of_name(self.folder.as_os_str()),
             folder: self.folder.clone(),
             is_whole: self.file.is_none(),
+            given_files: BTreeSet::new(),
             places: Vec::new(),
             left_out: BTreeMap::new(),
             listing: Listing::default(),
@@ -159,9 +162,8 @@ impl Listed {
     /// Names under which its place is recorded.
     pub(super) fn names_in<'a>(&self, places: &'a Places) -> BTreeSet<&'a str> {
         let files = self
-            .listing
-            .files
-            .keys()
+            .given_files
+            .iter()
             .map(|file| format!("{}/{file}", self.place));
         let mut of_files = files.map(|file| places.names_at(&file, &[Kind::File]));
         let of_folder = || places.names_at(&self.place, &[Kind::Folder, Kind::Files]);
@@ -208,6 +210,7 @@ impl Listed {
             true => file.clone(),
             false => located.arg.path.clone(),
         };
+        self.given_files.insert(name.clone());
         self.listing.files.entry(name).or_insert(path);
     }
 
@@ -299,6 +302,7 @@ fn resolved(path: &Path) -> PathBuf {
 pub(crate) fn list_sources(
     sources: &[SourceArg],
     out: Option<&Path>,
+    progress: &dyn Progress,
 ) -> Result<Vec<Listed>, Error> {
     let located: Vec<Located> = sources
         .iter()
@@ -323,7 +327,7 @@ pub(crate) fn list_sources(
         }
     }
     for source in &mut listed {
-        source.listing.open_archives()?;
+        source.listing.open_archives(progress)?;
     }
     if listed.iter().all(|source| source.listing.files.is_empty()) {
         let paths: Vec<String> = sources
@@ -422,8 +426,8 @@ impl Listing {
     }
 
     /// Puts the members of archives in the place of these.
-    fn open_archives(&mut self) -> Result<(), Error> {
-        let opened = archive::open_all(&mut self.files)?;
+    fn open_archives(&mut self, progress: &dyn Progress) -> Result<(), Error> {
+        let opened = archive::open_all(&mut self.files, progress)?;
         self.files.extend(opened.files);
         self.special.extend(opened.special);
         self.refused.extend(opened.refused);

@@ -25,6 +25,7 @@ mod rows;
 mod run;
 mod shard;
 mod sources;
+mod split_by;
 mod split_list;
 mod stored;
 mod taken_out;
@@ -66,6 +67,7 @@ pub(crate) use self::recorded::{MergedSources, recorded_settings};
 pub use self::report::IngestReport;
 pub use self::sources::SourceArg;
 pub(crate) use self::sources::{list_each, list_files};
+pub use self::split_by::SplitBy;
 pub use self::split_list::SplitList;
 pub use self::stored::{PlannedMotion, PlannedSource};
 
@@ -88,7 +90,7 @@ pub fn ingest<S: Clone + Into<SourceArg>>(
     holder: &str,
     progress: &dyn Progress,
 ) -> Result<IngestReport, Error> {
-    let listed = listed(sources, out)?;
+    let listed = listed(sources, out, progress)?;
     // A run with nothing to read leaves no folder behind.
     if Staging::newest_version(&ByPath, out)? == 0 {
         let known = Known {
@@ -112,13 +114,17 @@ pub fn ingest_in<S: Clone + Into<SourceArg>>(
     options: &IngestOptions,
     progress: &dyn Progress,
 ) -> Result<IngestReport, Error> {
-    let listed = listed(sources, transaction.root())?;
+    let listed = listed(sources, transaction.root(), progress)?;
     ingest_listed(transaction, listed, options, progress)
 }
 
-fn listed<S: Clone + Into<SourceArg>>(sources: &[S], out: &Path) -> Result<Vec<Listed>, Error> {
+fn listed<S: Clone + Into<SourceArg>>(
+    sources: &[S],
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<Vec<Listed>, Error> {
     let sources: Vec<SourceArg> = sources.iter().cloned().map(Into::into).collect();
-    list_sources(&sources, Some(out))
+    list_sources(&sources, Some(out), progress)
 }
 
 fn ingest_listed(
@@ -146,8 +152,8 @@ struct Prepared {
     differing: Option<String>,
     /// Those of them that are one for all clips of a dataset.
     must_agree: Option<String>,
-    /// A remark where the dataset keeps another seed than the one asked for.
-    kept_seed: Option<String>,
+    /// Remarks where the dataset keeps splits that were drawn otherwise than asked for.
+    kept: Vec<String>,
 }
 
 impl Prepared {
@@ -162,7 +168,7 @@ impl Prepared {
         options: &IngestOptions,
     ) -> Result<Self, Error> {
         options.fps.map_or(Ok(()), IngestOptions::check_fps)?;
-        let (options, kept_seed) = effective(base, options);
+        let (options, kept) = effective(base, options);
         let settings = Settings::of(&options);
         let recorded = Base::read(root, base)?;
         let is_new = recorded.is_none();
@@ -202,7 +208,7 @@ impl Prepared {
             base,
             places,
             is_new,
-            kept_seed,
+            kept,
         })
     }
 
@@ -238,7 +244,7 @@ impl Prepared {
         let (mut sources, mut remarks) = known.identify(listed)?;
         if self.differing.is_some() && self.options.new_version {
             // Clips of a dataset are all read with the same settings.
-            let (others, said) = known.others(&sources)?;
+            let (others, said) = known.others(&sources, progress)?;
             sources.extend(others);
             sources.sort_by(|(a, _), (b, _)| a.label.name.cmp(&b.label.name));
             remarks.extend(said);
@@ -304,18 +310,21 @@ impl Prepared {
             }
         };
         let warning = license::warning(&report.licenses);
-        let kept_seed = self.kept_seed.clone();
         report.remarks.extend(plan.choice.iter().cloned());
-        report.remarks.extend(kept_seed.into_iter().chain(warning));
+        report
+            .remarks
+            .extend(self.kept.iter().cloned().chain(warning));
         Ok(report)
     }
 }
 
-/// The options as a run uses them, and a remark where it keeps another seed than the one asked for.
-fn effective(base: Option<&Manifest>, options: &IngestOptions) -> (IngestOptions, Option<String>) {
+/// The options as a run uses them, and remarks where splits stay as the dataset was made with.
+fn effective(base: Option<&Manifest>, options: &IngestOptions) -> (IngestOptions, Vec<String>) {
     let (seed, kept_seed) = split_seed(base, options.seed);
+    let (split_by, kept_by) = split_by(base, options.split_by);
     let options = IngestOptions {
         seed,
+        split_by: Some(split_by),
         read: ReadOptions {
             // The published stride rule counts the file's own frames.
             rate: options.fps.filter(|_| options.resample == Resample::Exact),
@@ -323,7 +332,22 @@ fn effective(base: Option<&Manifest>, options: &IngestOptions) -> (IngestOptions
         },
         ..options.clone()
     };
-    (options, kept_seed)
+    (options, kept_seed.into_iter().chain(kept_by).collect())
+}
+
+/// What splits are drawn by, and a remark if it is not what was asked for.
+fn split_by(base: Option<&Manifest>, asked: Option<SplitBy>) -> (SplitBy, Option<String>) {
+    let recorded = SplitBy::recorded(base);
+    let kept = recorded
+        .zip(asked)
+        .filter(|(recorded, asked)| recorded != asked);
+    let remark = kept.map(|(recorded, asked)| {
+        format!(
+            "the splits were drawn by {recorded} when the dataset was made and stay as they are; ingest into a new folder to \
+             draw them by {asked}"
+        )
+    });
+    (recorded.or(asked).unwrap_or_default(), remark)
 }
 
 /// The seed of the splits, and a remark if it is not the one asked for: a dataset that is there

@@ -8,6 +8,7 @@ use datasets_spec::{Fps, Resample, Seed, Skeleton};
 use serde::{Deserialize, Serialize};
 
 use super::id_list::IdList;
+use super::split_by::SplitBy;
 use super::split_list::SplitList;
 use crate::Error;
 use crate::annotation::pairs::PairList;
@@ -43,6 +44,8 @@ pub struct IngestOptions {
     /// Seed of the splits, where a dataset is made; one that is there keeps the seed it was made
     /// with.
     pub seed: Seed,
+    /// What drawn splits keep together; without it, what the dataset was made with, or else clips.
+    pub split_by: Option<SplitBy>,
     /// A list of pairs, by whose lines a styled clip gets the split of its original.
     pub pairs: Option<PairList>,
     /// Splits of the user's own, which take precedence over published and drawn ones.
@@ -76,6 +79,7 @@ impl Default for IngestOptions {
             resample: Resample::Exact,
             format: None,
             seed: Seed(0),
+            split_by: None,
             pairs: None,
             splits: None,
             ids: None,
@@ -100,6 +104,8 @@ pub(super) struct StoredOptions {
     resample: Resample,
     format: Option<String>,
     seed: Seed,
+    #[serde(default)]
+    split_by: Option<SplitBy>,
     pairs: Option<PairList>,
     splits: Option<SplitList>,
     #[serde(default)]
@@ -138,6 +144,7 @@ impl StoredOptions {
             resample: options.resample,
             format: options.format.map(|format| format.as_str().to_owned()),
             seed: options.seed,
+            split_by: options.split_by,
             pairs: options.pairs.clone(),
             splits: options.splits.clone(),
             ids: options.ids.clone(),
@@ -188,6 +195,7 @@ impl StoredOptions {
             resample: self.resample,
             format: self.format.and_then(|name| format_named(&name)),
             seed: self.seed,
+            split_by: self.split_by,
             pairs: self.pairs,
             splits: self.splits,
             ids: self.ids,

@@ -16,10 +16,12 @@ use super::list::{self, Source, hash_files, quarantine_row};
 use super::options::{IngestOptions, Settings};
 use super::recorded::Recorded;
 use super::sources::{self, Given, Identified};
+use super::split_by::SplitBy;
 use super::split_list::{SplitList, name_of_subject};
 use crate::Error;
 use crate::annotation::pairs::{PairList, RefusedLine, names_of, originals, style_group};
 use crate::clip::Rejected;
+use crate::sidecar::Sidecar;
 use crate::source::archive::{self, Archives};
 use crate::source::labels::{self, FolderLabels};
 use crate::source::{
@@ -55,6 +57,8 @@ pub(super) struct Plan {
     pub(super) refused_splits: Vec<RefusedLine>,
     /// Files that are a release's.
     pub(super) claimed: BTreeSet<String>,
+    /// What drawn splits keep together.
+    pub(super) split_by: SplitBy,
 }
 
 /// A motion of the sources.
@@ -74,6 +78,8 @@ pub(super) struct Planned {
     pub(super) labelled_split: Option<Split>,
     /// Subject that its labels state.
     pub(super) subject: Option<String>,
+    /// Action that its labels state.
+    pub(super) action: Option<String>,
     /// Id in the dataset.
     pub(super) id: String,
     /// Hash of all that the motion is read from.
@@ -97,12 +103,20 @@ impl Planned {
             labelled_split: None,
             own_split: None,
             subject: None,
+            action: None,
             id: String::new(),
             inputs: String::new(),
             known: None,
             is_kept: false,
             split: Split::Train,
         }
+    }
+
+    /// Takes what its labels state.
+    fn state(&mut self, stated: Sidecar) {
+        self.labelled_split = stated.split;
+        self.subject = stated.subject;
+        self.action = stated.action;
     }
 
     /// Id of the source clip in the dataset, without crop or mirror suffix.
@@ -181,6 +195,7 @@ impl Plan {
             said,
             choice: Vec::new(),
             claimed: BTreeSet::new(),
+            split_by: options.split_by.unwrap_or_default(),
         };
         plan.claimed = plan.take_releases(options);
         plan.take_single_files(options);
@@ -198,6 +213,7 @@ impl Plan {
         if let Some(list) = &options.pairs {
             plan.follow_originals(list);
         }
+        plan.note_split_labels();
         plan.assign_splits(recorded, options.seed);
         Ok(plan)
     }
@@ -396,7 +412,7 @@ impl Plan {
                 let file = &item.entry.file;
                 if item.release.is_some() {
                     let stated = labels::stated(Path::new(file), None, &around, None);
-                    (item.labelled_split, item.subject) = (stated.split, stated.subject);
+                    item.state(stated);
                     return around.failed;
                 }
                 let folder = files.path(file).and_then(Path::parent);
@@ -412,10 +428,10 @@ impl Plan {
                     };
                 let own = item.format.subject_of(&item.entry.key);
                 let stated = labels::stated(Path::new(file), Some(&companions), &around, own);
-                let styled = stated.action.zip(stated.style);
-                item.group = styled
-                    .map(|(action, style)| style_group(self.unlabelled(file), &action, &style));
-                (item.labelled_split, item.subject) = (stated.split, stated.subject);
+                let styled = stated.action.as_ref().zip(stated.style.as_ref());
+                item.group =
+                    styled.map(|(action, style)| style_group(self.unlabelled(file), action, style));
+                item.state(stated);
                 failed.into_inner().or(around.failed)
             })
             .collect();

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use datasets_spec::dataset::{Commit, ShardName};
 use datasets_spec::license::{self, LICENSES_FACT};
-use datasets_spec::manifest::{Accounting, FileEntry};
+use datasets_spec::manifest::{Accounting, FileEntry, SPLIT_BY_FACT};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use datasets_spec::{NoProgress, Progress, Split, Transaction};
@@ -368,6 +368,7 @@ impl<'a> Run<'a> {
             (LICENSES_FACT.to_owned(), json(&licenses)),
             (LABEL_PROBLEMS_FACT.to_owned(), json(&label_problems)),
             (SEED_FACT.to_owned(), self.options.seed.0.to_string()),
+            (SPLIT_BY_FACT.to_owned(), plan.split_by.to_string()),
             ("fps".to_owned(), rate_name(self.options)),
             ("files".to_owned(), plan.files.len().to_string()),
             ("dropped_pairs".to_owned(), pairs.dropped.to_string()),

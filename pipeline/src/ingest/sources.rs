@@ -8,6 +8,7 @@ use std::ffi::OsStr;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::Progress;
 use serde::{Deserialize, Serialize};
 
 use super::list::{Listed, list_sources, merged};
@@ -145,9 +146,9 @@ pub(super) struct Given {
 }
 
 /// All files of the sources by their relative path, each behind the label of its source, and those of each source.
-pub(crate) fn list_files(sources: &[PathBuf]) -> Result<Listing, Error> {
+pub(crate) fn list_files(sources: &[PathBuf], progress: &dyn Progress) -> Result<Listing, Error> {
     let sources: Vec<SourceArg> = sources.iter().cloned().map(SourceArg::from).collect();
-    let listed = list_sources(&sources, None)?;
+    let listed = list_sources(&sources, None, progress)?;
     let labels = numbered_labels(&listed);
     Ok(merged(
         listed.into_iter().map(|source| source.listing).zip(labels),
@@ -155,8 +156,11 @@ pub(crate) fn list_files(sources: &[PathBuf]) -> Result<Listing, Error> {
 }
 
 /// Lists every source for itself, with a label that keeps its files apart from those of the others.
-pub(crate) fn list_each(sources: &[PathBuf]) -> Result<Vec<(&Path, String, Listing)>, Error> {
-    let list = |source: &PathBuf| list_sources(&[source.clone().into()], None);
+pub(crate) fn list_each<'a>(
+    sources: &'a [PathBuf],
+    progress: &dyn Progress,
+) -> Result<Vec<(&'a Path, String, Listing)>, Error> {
+    let list = |source: &PathBuf| list_sources(&[source.clone().into()], None, progress);
     let listed: Vec<Listed> = sources
         .iter()
         .map(list)
@@ -304,7 +308,11 @@ impl Known<'_> {
     ///
     /// # Errors
     /// One of them is not there any more, or in several places.
-    pub(super) fn others(&self, given: &[(Given, Listing)]) -> Result<Identified, Error> {
+    pub(super) fn others(
+        &self,
+        given: &[(Given, Listing)],
+        progress: &dyn Progress,
+    ) -> Result<Identified, Error> {
         let mut args = Vec::new();
         for (index, source) in self.recorded.sources.iter().enumerate() {
             let is_given = given
@@ -318,7 +326,7 @@ impl Known<'_> {
         if args.is_empty() {
             return Ok(Identified::default());
         }
-        let mut listed = list_sources(&args, Some(self.out))?;
+        let mut listed = list_sources(&args, Some(self.out), progress)?;
         for source in &mut listed {
             let label = source.name.as_deref().and_then(|name| self.source(name));
             let kinds: Vec<(&str, Kind)> =

@@ -15,6 +15,7 @@ use super::list::Source;
 use super::options::IngestOptions;
 use super::plan::{Plan, Planned};
 use super::sources::Given;
+use super::split_by::SplitBy;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 use crate::source::archive::Archives;
@@ -81,6 +82,8 @@ datasets_spec::table! {
         pub labelled_split: Option<String> [""],
         /// Who performs it
         pub subject: Option<String> [""],
+        /// Action that its labels state
+        pub action: Option<String> ["", newer],
         /// BLAKE3 of all it is read from, hexadecimal
         pub inputs: String [""],
         /// Number of the clip that it is in the version before
@@ -102,6 +105,8 @@ struct Rest {
     #[serde(default)]
     choice: Vec<String>,
     refused_splits: Vec<RefusedLine>,
+    #[serde(default)]
+    split_by: SplitBy,
 }
 
 impl Plan {
@@ -133,6 +138,7 @@ impl Plan {
             said: self.said.clone(),
             choice: self.choice.clone(),
             refused_splits: self.refused_splits.clone(),
+            split_by: self.split_by,
         };
         write_json(&folder.join(REST), &rest)
     }
@@ -203,6 +209,7 @@ impl Plan {
             choice: rest.choice,
             refused_splits: rest.refused_splits,
             claimed,
+            split_by: rest.split_by,
         })
     }
 
@@ -241,6 +248,7 @@ fn row_of(item: &Planned) -> PlannedMotion {
         own_split: name(item.own_split),
         labelled_split: name(item.labelled_split),
         subject: item.subject.clone(),
+        action: item.action.clone(),
         inputs: item.inputs.clone(),
         known: number(item.known),
         is_kept: u32::from(item.is_kept),
@@ -269,6 +277,7 @@ fn item_of(row: PlannedMotion, folder: &Path) -> Result<Planned, Error> {
         own_split: split(row.own_split)?,
         labelled_split: split(row.labelled_split)?,
         subject: row.subject,
+        action: row.action,
         id: row.id,
         inputs: row.inputs,
         known: row.known.map(|known| known as usize),

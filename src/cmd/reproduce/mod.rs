@@ -13,7 +13,7 @@ use eval::draw::raster::png;
 use eval::format;
 use eval::format::grid::Grid;
 use eval::judge::Judges;
-use eval::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
+use eval::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA, is_pooled};
 use eval::protocol::Protocol;
 use eval::report::{Chart, Report};
 use eval::score::over_trainings;
@@ -623,7 +623,8 @@ fn finish(
             let is_shown = |score: &Value| {
                 let given = [REAL_DATA, IDENTITY, NOISE_FLOOR];
                 is(score, "metric", metrics)
-                    && (alone || is(score, "task", tasks))
+                    && (alone && !is_pooled(score["task"].as_str().unwrap_or_default())
+                        || is(score, "task", tasks))
                     && !given.iter().any(|name| score["system"] == **name)
             };
             let place = (figure.name.as_str(), point.values.as_slice());

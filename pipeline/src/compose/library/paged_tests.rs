@@ -15,8 +15,8 @@ use rand::RngExt;
 use super::Library;
 use super::frames::FrameFile;
 use crate::compose::{
-    Alignment, ComposeConfig, CoordinatorBatch, Error, ItemConfig, ItemCount, Paging, Stream,
-    WindowBatch, draw_items, fixture,
+    Alignment, ComposeConfig, CoordinatorBatch, Error, ItemConfig, ItemCount, Paging, Shown,
+    Stream, WindowBatch, draw_items, fixture,
 };
 
 /// A dataset of motions, masks and pairs.
@@ -136,7 +136,7 @@ fn composed(library: &Arc<Library>, config: &ComposeConfig, seed: u64) -> Compos
             .collect(),
         sheet: stream.sample_for_sheet(4).expect("read"),
         pairs: pairs.collect(),
-        items: draw_items(library, &items, Seed(seed)).expect("items"),
+        items: draw_items(library, &items, &Shown::default(), Seed(seed)).expect("items"),
     }
 }
 

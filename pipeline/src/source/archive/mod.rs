@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use datasets_spec::store::{ByPath, Mounted, Store, mount};
+use datasets_spec::{NoProgress, Progress};
 use rayon::prelude::*;
 
 use self::limits::{Budget, Limits};
@@ -155,11 +156,11 @@ impl Archives {
         let folders: BTreeSet<&Path> = paths.filter_map(|path| path.parent()).collect();
         let found = folders.into_iter().filter_map(archive_of);
         let found: BTreeSet<&Path> = found.collect();
-        let scratch = Arc::new(Scratch::new());
+        let unpacking = Unpacking::new(&NoProgress);
         let mut all = Self::default();
         for path in found {
             let name = text_of_name(path.file_name().unwrap_or_default());
-            if let Some(opened) = open(&name, path, 0, &scratch)? {
+            if let Some(opened) = open(&name, path, 0, &unpacking)? {
                 all.add(opened.archives);
             }
         }
@@ -176,12 +177,57 @@ impl Opened {
     }
 }
 
+/// Where archives are unpacked, and who is told of it.
+struct Unpacking<'a> {
+    scratch: Arc<Scratch>,
+    progress: &'a dyn Progress,
+}
+
+impl<'a> Unpacking<'a> {
+    fn new(progress: &'a dyn Progress) -> Self {
+        Self {
+            scratch: Arc::new(Scratch::new()),
+            progress,
+        }
+    }
+
+    /// The archives that must be unpacked before their members can be read, and their bytes.
+    fn packed(archives: &[(String, PathBuf)]) -> (usize, u64) {
+        let packed = archives.iter().filter(|(relative, _)| {
+            Kind::of_name(relative).is_some_and(|kind| !kind.is_random_access())
+        });
+        let sizes = packed.map(|(_, path)| ByPath.size(path).unwrap_or(0));
+        sizes.fold((0, 0), |(count, bytes), size| (count + 1, bytes + size))
+    }
+
+    /// Tells how much will be unpacked. Where nothing is, nothing is told.
+    fn begin(&self, archives: &[(String, PathBuf)]) {
+        let (count, bytes) = Self::packed(archives);
+        if count > 0 {
+            self.progress.begin("unpack", Some(unpacked::shown(bytes)));
+            self.progress.message(&format!("MB of {count} archives"));
+        }
+    }
+
+    fn finish(&self, archives: &[(String, PathBuf)]) {
+        let (count, bytes) = Self::packed(archives);
+        if count > 0 {
+            let megabytes = unpacked::shown(bytes);
+            let told = format!("{count} archives of {megabytes} MB");
+            self.progress.finish(&told);
+        }
+    }
+}
+
 /// Opens the archives among some files and takes their names out of these. Files that are named like an archive and
 /// are of a format that is read as it is stay.
 ///
 /// # Errors
 /// There is no room to unpack an archive.
-pub(crate) fn open_all(files: &mut BTreeMap<String, PathBuf>) -> Result<Opened, Error> {
+pub(crate) fn open_all(
+    files: &mut BTreeMap<String, PathBuf>,
+    progress: &dyn Progress,
+) -> Result<Opened, Error> {
     let names = files.iter();
     let archives: Vec<(String, PathBuf)> = names
         .filter(|(relative, _)| Kind::of_name(relative).is_some())
@@ -191,7 +237,8 @@ pub(crate) fn open_all(files: &mut BTreeMap<String, PathBuf>) -> Result<Opened, 
     if archives.is_empty() {
         return Ok(all);
     }
-    let scratch = Arc::new(Scratch::new());
+    let unpacking = Unpacking::new(progress);
+    unpacking.begin(&archives);
     let is_folder = |relative: &str| {
         let below = format!("{relative}/");
         let mut next = files.range(below.clone()..);
@@ -205,9 +252,10 @@ pub(crate) fn open_all(files: &mut BTreeMap<String, PathBuf>) -> Result<Opened, 
                 let reason = "there is a folder of its name beside it; rename one of them";
                 return Ok(Some(refuse(relative, path, Rejected::read(NAME, reason))));
             }
-            open(relative, path, 0, &scratch)
+            open(relative, path, 0, &unpacking)
         })
         .collect::<Result<_, Error>>()?;
+    unpacking.finish(&archives);
     for ((relative, _), opened) in archives.iter().zip(opened) {
         if let Some(opened) = opened {
             files.remove(relative);
@@ -239,7 +287,7 @@ fn open(
     relative: &str,
     path: &Path,
     depth: usize,
-    scratch: &Arc<Scratch>,
+    unpacking: &Unpacking<'_>,
 ) -> Result<Option<Opened>, Error> {
     let Some(kind) = Kind::of_name(relative) else {
         return Ok(None);
@@ -255,7 +303,7 @@ fn open(
         let rejected = Rejected::read(LIMIT, reason);
         return Ok(Some(refuse(relative, path, rejected)));
     }
-    let mut content = match content(kind, path, scratch)? {
+    let mut content = match content(kind, path, unpacking)? {
         Ok(content) => content,
         Err(rejected) => return Ok(Some(refuse(relative, path, rejected))),
     };
@@ -295,7 +343,7 @@ fn open(
         .map(|(name, place)| (name.clone(), place.clone()))
         .collect();
     for (name, place) in inner {
-        if let Some(found) = open(&name, &place, depth + 1, scratch)? {
+        if let Some(found) = open(&name, &place, depth + 1, unpacking)? {
             opened.files.remove(&name);
             opened.add(found);
         }
@@ -346,7 +394,7 @@ impl Content {
 fn content(
     kind: Kind,
     path: &Path,
-    scratch: &Arc<Scratch>,
+    unpacking: &Unpacking<'_>,
 ) -> Result<Result<Content, Rejected>, Error> {
     let size = match ByPath.size(path) {
         Ok(size) => size,
@@ -359,7 +407,7 @@ fn content(
     match kind {
         Kind::Zip => Ok(zipped::content(path, budget)),
         Kind::Tar => Ok(tarball::content(path, budget)),
-        packed => tarball::unpack(path, packed, budget, scratch),
+        packed => tarball::unpack(path, packed, budget, unpacking),
     }
 }
 

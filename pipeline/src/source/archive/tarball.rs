@@ -14,9 +14,9 @@ use tar::EntryType;
 
 use super::limits::Budget;
 use super::members::{Member, ReadFrom};
-use super::scratch::{Scratch, no_room};
+use super::scratch::no_room;
 use super::unpacked::{Capped, Counting};
-use super::{CLIMBS, Content, DAMAGED, Kind, LIMIT, NAME, Named, named};
+use super::{CLIMBS, Content, DAMAGED, Kind, LIMIT, NAME, Named, Unpacking, named};
 use crate::Error;
 use crate::clip::Rejected;
 
@@ -125,16 +125,17 @@ pub(super) fn unpack(
     path: &Path,
     kind: Kind,
     mut budget: Budget,
-    scratch: &Arc<Scratch>,
+    unpacking: &Unpacking<'_>,
 ) -> Result<Result<Content, Rejected>, Error> {
+    let scratch = &unpacking.scratch;
     let packed = match ByPath.open(path) {
         Ok(packed) => packed,
         Err(error) => return Ok(Err(unreadable(&error))),
     };
-    let (packed, count) = Counting::new(packed);
+    let (packed, count) = Counting::new(packed, unpacking.progress);
     let place = || count.load(Ordering::Relaxed);
     let (most, packed_size) = (budget.bytes_left(), budget.size());
-    let unpacked: Box<dyn Read> = match kind {
+    let unpacked: Box<dyn Read + '_> = match kind {
         Kind::Gzip => Box::new(MultiGzDecoder::new(packed)),
         Kind::Bzip2 => Box::new(MultiBzDecoder::new(packed)),
         Kind::Xz => Box::new(XzReader::new_mem_limit(packed, true, XZ_MEMORY_KIB)),

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bytes::Bytes;
+use datasets_spec::Progress;
 use datasets_spec::store::{ReadAt, Reader};
 use flate2::read::DeflateDecoder;
 
@@ -191,29 +192,43 @@ impl<R: Read> Read for Checked<R> {
     }
 }
 
-/// Counts the bytes that are read.
-pub(super) struct Counting<R> {
+/// Bytes that a progress counts by.
+const SHOWN: u64 = 1_000_000;
+
+/// Counts the bytes that are read, and tells a progress of every million.
+pub(super) struct Counting<'a, R> {
     inner: R,
     count: Arc<AtomicU64>,
+    progress: &'a dyn Progress,
 }
 
-impl<R: Read> Counting<R> {
-    pub(super) fn new(inner: R) -> (Self, Arc<AtomicU64>) {
+impl<'a, R: Read> Counting<'a, R> {
+    pub(super) fn new(inner: R, progress: &'a dyn Progress) -> (Self, Arc<AtomicU64>) {
         let count = Arc::new(AtomicU64::new(0));
         let counting = Self {
             inner,
             count: Arc::clone(&count),
+            progress,
         };
         (counting, count)
     }
 }
 
-impl<R: Read> Read for Counting<R> {
+impl<R: Read> Read for Counting<'_, R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let read = self.inner.read(buffer)?;
-        self.count.fetch_add(read as u64, Ordering::Relaxed);
+        let before = self.count.fetch_add(read as u64, Ordering::Relaxed);
+        let shown = (before + read as u64) / SHOWN - before / SHOWN;
+        if shown > 0 {
+            self.progress.advance(shown);
+        }
         Ok(read)
     }
+}
+
+/// Bytes as a progress of [`Counting`] readers counts them.
+pub(super) fn shown(bytes: u64) -> u64 {
+    bytes / SHOWN
 }
 
 /// Gives no more than so many bytes, and says if there were more.

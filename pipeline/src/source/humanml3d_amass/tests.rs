@@ -58,7 +58,10 @@ impl Tree {
     }
 
     fn files(&self) -> Files {
-        let listing = crate::ingest::list_files(&[PathBuf::from(self.folder.path())]);
+        let listing = crate::ingest::list_files(
+            &[PathBuf::from(self.folder.path())],
+            &datasets_spec::NoProgress,
+        );
         Files::new(listing.expect("listed").files)
     }
 

@@ -1,22 +1,20 @@
 //! `stance run`
 
-use std::collections::BTreeSet;
+mod page;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use datasets_spec::manifest::Accounting;
-use datasets_spec::record::{EditRow, MaskRow, MotionRow};
+use datasets_spec::record::PairRow;
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, Seed, Split};
-use eval::answers::{Answered, Scores};
-use eval::draw::plot::{Bars, Curve, Plot, Scale};
-use eval::format;
+use eval::answers::Answered;
 use eval::protocol::Protocol;
-use eval::report::{Card, Chart, Details, Report, Strip};
+use page::{Done, page, print};
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
-use pipeline::compose::{ComposeConfig, ItemConfig};
-use pipeline::ingest::{IngestReport, SourceArg};
+use pipeline::compose::{ComposeConfig, EditKind, ItemConfig};
+use pipeline::ingest::SourceArg;
 use pipeline::recording::{self, Kind, Settings};
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
@@ -33,8 +31,6 @@ use train::system::{EditConfig, SystemSource};
 use train::text::source::TextEncoderSource;
 use train::tmr::TmrConfig;
 
-use crate::cmd::eval::tables;
-use crate::cmd::page::{opening, strip_of};
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, report_on_encoder};
 use crate::exit::Exit;
 use crate::global::Global;
@@ -125,8 +121,10 @@ pub(crate) struct Stages {
     coordinator: bool,
     /// A pose network, which every system edits with.
     poses: bool,
-    /// An editor trained on fixed pairs, and its row of the table.
-    pub(crate) without_mcm: bool,
+    /// An editor trained on pairs that were composed once, and its row of the table.
+    pub(crate) composed_once: bool,
+    /// An editor trained on captured pairs alone, and its row of the table; where there are pairs.
+    pub(crate) captured_alone: bool,
 }
 
 impl Default for Stages {
@@ -135,7 +133,8 @@ impl Default for Stages {
             pairs: true,
             coordinator: true,
             poses: true,
-            without_mcm: false,
+            composed_once: false,
+            captured_alone: false,
         }
     }
 }
@@ -258,7 +257,8 @@ struct Places {
     dataset: PathBuf,
     triplets: PathBuf,
     editor: PathBuf,
-    without_mcm: PathBuf,
+    composed_once: PathBuf,
+    captured_alone: PathBuf,
     coordinator: PathBuf,
     poses: PathBuf,
     encoder: PathBuf,
@@ -274,7 +274,8 @@ impl Places {
             dataset: out.join("dataset"),
             triplets: out.join("triplets"),
             editor: out.join("runs/motionrefit"),
-            without_mcm: out.join("runs/without-mcm"),
+            composed_once: out.join("runs/composed-once"),
+            captured_alone: out.join("runs/captured-alone"),
             coordinator: out.join("runs/coordinator"),
             poses: out.join("runs/j2s"),
             encoder: match with_builtin {
@@ -365,8 +366,11 @@ pub(crate) fn finish(
         edit(&places.editor, Some(&places.coordinator), "full")?;
     }
     edit(&places.editor, None, "editor")?;
-    if config.stages.without_mcm {
-        edit(&places.without_mcm, None, "without-mcm")?;
+    if config.stages.composed_once {
+        edit(&places.composed_once, None, "composed-once")?;
+    }
+    if trained.is_captured_alone {
+        edit(&places.captured_alone, None, "captured-alone")?;
     }
     let protocol = Protocol {
         seed: global.seed_or(Some(config.eval.seed.0)),
@@ -411,13 +415,16 @@ struct Trained {
     encoder: Option<TrainReport>,
     /// Whether there is a coordinator.
     is_guided: bool,
+    /// Whether there is an editor of captured pairs alone.
+    is_captured_alone: bool,
 }
 
 /// A model of a run.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Trains {
     Editor,
-    WithoutMcm,
+    ComposedOnce,
+    CapturedAlone,
     Coordinator,
     Poses,
     Encoder,
@@ -436,10 +443,18 @@ fn train_all(
     if config.stages.coordinator && !is_guided {
         report::note("no coordinator: the training split holds motions of a single source");
     }
+    let num_pairs = Dataset::open_unverified(&places.dataset)?
+        .manifest()
+        .rows(PairRow::TABLE, Some(Split::Train));
+    let is_captured_alone = config.stages.captured_alone && num_pairs > 0;
+    if config.stages.captured_alone && !is_captured_alone {
+        report::note("no editor of captured pairs alone: the training split has no pairs");
+    }
     // The longest come first, so that the last ones fill the time that is left.
     let wanted = [
         (Trains::Editor, true),
-        (Trains::WithoutMcm, config.stages.without_mcm),
+        (Trains::ComposedOnce, config.stages.composed_once),
+        (Trains::CapturedAlone, is_captured_alone),
         (Trains::Coordinator, is_guided),
         (
             Trains::Poses,
@@ -466,6 +481,7 @@ fn train_all(
         editor: report(Trains::Editor).expect("every run trains an editor"),
         encoder: report(Trains::Encoder),
         is_guided,
+        is_captured_alone,
     }))
 }
 
@@ -478,19 +494,25 @@ fn train_one(
     global: &Global,
 ) -> anyhow::Result<Option<TrainReport>> {
     let dataset = &places.dataset;
-    let fixed_pairs = ComposeConfig {
+    let composed_once = ComposeConfig {
         fixed_pairs: true,
+        ..plan.compose.clone()
+    };
+    let captured_alone = ComposeConfig {
+        undonored_ratio: Some(1.0),
+        kinds: vec![EditKind::Style, EditKind::FineGrained],
         ..plan.compose.clone()
     };
     let (name, run, compose) = match model {
         Trains::Editor => ("motionrefit", &places.editor, &plan.compose),
-        Trains::WithoutMcm => ("motionrefit", &places.without_mcm, &fixed_pairs),
+        Trains::ComposedOnce => ("motionrefit", &places.composed_once, &composed_once),
+        Trains::CapturedAlone => ("motionrefit", &places.captured_alone, &captured_alone),
         Trains::Coordinator => ("coordinator", &places.coordinator, &plan.compose),
         Trains::Poses => ("j2s", &places.poses, &plan.compose),
         Trains::Encoder => ("tmr", &places.encoder, &plan.compose),
     };
     with_session(&global.bars().of(run), |session| match model {
-        Trains::Editor | Trains::WithoutMcm => {
+        Trains::Editor | Trains::ComposedOnce | Trains::CapturedAlone => {
             let inputs = EditorInputs {
                 compose,
                 windows: None,
@@ -513,238 +535,4 @@ fn train_one(
         Ok(trained)
     })
     .with_context(|| format!("stage train {name}"))
-}
-
-/// Results of the stages.
-struct Done<'a> {
-    plan: &'a Plan,
-    seeds: String,
-    ingested: &'a IngestReport,
-    dataset: &'a Dataset,
-    encoder: Option<&'a TrainReport>,
-    editor: &'a TrainReport,
-    edits: &'a Answered,
-    /// Words of the instructions that some system has never seen.
-    unknown: &'a BTreeSet<String>,
-    scores: &'a Scores,
-}
-
-/// The `--json` document.
-#[derive(Serialize)]
-struct Document<'a> {
-    out: &'a Path,
-    report: &'a Path,
-    accounting: &'a Accounting,
-    root_hash: &'a str,
-    /// None where the built-in encoder evaluates.
-    encoder: Option<&'a TrainReport>,
-    editor: &'a TrainReport,
-    scores: serde_json::Value,
-}
-
-fn print(done: &Done, places: &Places, global: &Global) -> anyhow::Result<()> {
-    if global.json {
-        return report::json(&Document {
-            out: &done.plan.config.out,
-            report: &places.report,
-            accounting: &done.ingested.accounting,
-            root_hash: &done.dataset.manifest().root_hash,
-            encoder: done.encoder,
-            editor: done.editor,
-            scores: serde_json::from_str(&format::json::render(
-                &done.scores.rows,
-                &done.scores.judges,
-            )?)?,
-        });
-    }
-    report::text(&format::text::render(&tables(done.scores)));
-    let lines = [
-        ("dataset", &places.dataset),
-        ("triplets", &places.triplets),
-        ("encoder", &places.encoder),
-        ("editor", &places.editor),
-        ("items", &places.items),
-        ("edits", &places.edits),
-        ("scores", &places.scores),
-        ("report", &places.report),
-    ];
-    let mut text = String::new();
-    for (name, path) in lines {
-        text += &format!("{name:<9} {}\n", path.display());
-    }
-    report::text(&text);
-    Ok(())
-}
-
-/// Items shown as strips.
-const STRIPS: usize = 6;
-
-fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
-    let manifest = done.dataset.manifest();
-    let accounting = &done.ingested.accounting;
-    let rows = |table: &str, split| manifest.rows(table, split);
-    let motions = rows(MotionRow::TABLE, None);
-    let card = |label: &str, value: String, note: String| Card {
-        label: label.to_owned(),
-        value,
-        note,
-    };
-    let loss = |loss: Option<f64>| loss.map_or("–".to_owned(), |loss| format!("{loss:.3}"));
-    let cards = vec![
-        card(
-            "clips",
-            motions.to_string(),
-            format!(
-                "{} quarantined, {} skipped",
-                accounting.quarantined, accounting.skipped
-            ),
-        ),
-        card(
-            "masks",
-            rows(MaskRow::TABLE, None).to_string(),
-            String::new(),
-        ),
-        card(
-            "editor steps",
-            done.editor.steps.to_string(),
-            format!(
-                "loss {} → {}",
-                loss(done.editor.first_loss),
-                loss(done.editor.last_loss)
-            ),
-        ),
-        card(
-            "samples/s",
-            format!("{:.0}", done.editor.samples_per_sec),
-            format!(
-                "{:.1} % waiting for data",
-                100.0 * done.editor.data_wait_share
-            ),
-        ),
-    ];
-    let mut charts = vec![Chart::Lines(curves(
-        &places.editor,
-        "Editor: denoising loss",
-        Scale::Log,
-    )?)];
-    if done.encoder.is_some() {
-        let title = "Encoder of the evaluation";
-        charts.push(Chart::Lines(curves(&places.encoder, title, Scale::Log)?));
-    }
-    charts.push(Chart::Bars(actions(done.dataset)?));
-    let facts = vec![
-        ("root hash".to_owned(), manifest.root_hash.clone()),
-        (
-            "format".to_owned(),
-            format!("{} {}", manifest.format, manifest.schema_version),
-        ),
-        ("skeleton".to_owned(), manifest.skeleton.clone()),
-        (
-            "train / val / test".to_owned(),
-            Split::ALL
-                .map(|split| rows(MotionRow::TABLE, Some(split)).to_string())
-                .join(" / "),
-        ),
-        (
-            "sources".to_owned(),
-            format!(
-                "{} = {} ingested + {} quarantined + {} skipped",
-                accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
-            ),
-        ),
-    ];
-    let settings = vec![
-        ("stance".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-        ("seeds".to_owned(), done.seeds.clone()),
-    ];
-    let config = &done.plan.config;
-    let details = [
-        ("Editor", serde_json::to_value(&done.plan.train)?),
-        (
-            "Encoder",
-            match done.encoder {
-                Some(_) => serde_json::to_value(&done.plan.encoder)?,
-                None => BUILTIN.into(),
-            },
-        ),
-        ("Stages", serde_json::to_value(config.stages)?),
-        ("Composition", serde_json::to_value(&done.plan.compose)?),
-        ("Items", serde_json::to_value(&config.items)?),
-        ("Edits", serde_json::to_value(&config.edit)?),
-        ("Evaluation", serde_json::to_value(config.eval)?),
-    ];
-    let details = details.map(|(title, value)| Details::of_json(title, &[("value", &value)]));
-    let rows_of_items = done.edits.items.len();
-    Ok(Report {
-        title: done.plan.title.clone(),
-        subtitle: format!(
-            "{motions} clips, {} items, from source files to the table below",
-            rows_of_items
-        ),
-        opening: opening(done.edits, done.unknown)?,
-        cards,
-        tables: tables(done.scores),
-        figures: Vec::new(),
-        charts,
-        strips: strips(done)?,
-        facts,
-        settings,
-        details: details.into(),
-        commands: done.plan.commands.clone(),
-    }
-    .to_html())
-}
-
-fn curves(run: &Path, title: &str, y_scale: Scale) -> anyhow::Result<Plot> {
-    let metrics = train::metrics::read(run)?;
-    Ok(Plot {
-        title: title.to_owned(),
-        x_label: "step".to_owned(),
-        y_label: "loss".to_owned(),
-        y_scale,
-        curves: vec![
-            Curve {
-                name: "training".to_owned(),
-                points: metrics.loss,
-                ..Curve::default()
-            },
-            Curve {
-                name: "validation".to_owned(),
-                points: metrics.val_loss,
-                ..Curve::default()
-            },
-        ],
-        ..Plot::default()
-    })
-}
-
-fn actions(dataset: &Dataset) -> anyhow::Result<Bars> {
-    let groups = pipeline::catalogue::catalogue(dataset)?.actions;
-    Ok(Bars {
-        title: "Clips by action".to_owned(),
-        x_label: "action".to_owned(),
-        bars: groups
-            .into_iter()
-            .map(|group| (group.label, group.clips as f64))
-            .collect(),
-    })
-}
-
-/// The first items of different parts, each as source, edit and target.
-fn strips(done: &Done) -> anyhow::Result<Vec<Strip>> {
-    let Answered {
-        items,
-        edits,
-        skeleton,
-    } = done.edits;
-    let step = (items.len() / STRIPS).max(1);
-    items
-        .iter()
-        .step_by(step)
-        .take(STRIPS)
-        .map(|item| {
-            let made: Vec<&EditRow> = edits.iter().filter(|row| row.id == item.id).collect();
-            strip_of(item, &made, skeleton, done.unknown)
-        })
-        .collect()
 }

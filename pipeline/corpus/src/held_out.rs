@@ -1,0 +1,48 @@
+//! Splits that ask something of a model: what training shows, and what it does not.
+//!
+//! | held out of training | asks for |
+//! |---|---|
+//! | all clips of [`TEST_ACTIONS`] | an edit of an action that training has not shown |
+//! | one style of every action; the third performer | actions, styles and movements that training has shown, but not together, or not at this size and tempo |
+//! | one of the four takes of every action by the first two performers | another take of what training has shown |
+//!
+//! Style pairs need a neutral and a styled clip of one take in one split: those of the third performer have both.
+
+use datasets_spec::Split;
+
+use super::action::Action;
+use super::style;
+
+/// Takes that the splits are made for: two each of two performers, and one of a third.
+pub(super) const TAKES: usize = 5;
+/// Takes of the performers that training shows.
+const SHOWN_TAKES: usize = 4;
+/// Actions of the test split alone: what bends the body to the floor, and what leaves the floor with both feet.
+const TEST_ACTIONS: [Action; 4] = [Action::Bow, Action::PickUp, Action::Jump, Action::Hop];
+/// Actions of the validation split alone.
+const VAL_ACTIONS: [Action; 2] = [Action::Turn, Action::SideStep];
+
+/// The split of a clip, by the places of action and style in their lists and the number of the take.
+pub(super) fn split(action: Action, style: &style::Style, take: usize) -> Split {
+    if TEST_ACTIONS.contains(&action) {
+        return Split::Test;
+    }
+    if VAL_ACTIONS.contains(&action) {
+        return Split::Val;
+    }
+    let place = |found: Option<usize>| found.expect("listed");
+    let action = place(Action::ALL.iter().position(|other| *other == action));
+    let style = place(style::ALL.iter().position(|other| other.name == style.name));
+    // Neutral clips are the sources of styles, and are never held out for their style.
+    let styled = style.checked_sub(1);
+    let is_held_style =
+        styled.is_some_and(|style| (action + style).is_multiple_of(style::ALL.len() - 1));
+    if take >= SHOWN_TAKES || is_held_style {
+        return Split::Test;
+    }
+    match take == action % SHOWN_TAKES {
+        true if (action / SHOWN_TAKES).is_multiple_of(2) => Split::Test,
+        true => Split::Val,
+        false => Split::Train,
+    }
+}

@@ -1,0 +1,56 @@
+//! Performers: who plays a take, and what is theirs in every action and style.
+
+use datasets_spec::Seed;
+use rand::RngExt;
+
+use super::style::Style;
+
+/// Takes in a row that one performer plays.
+const TAKES_PER_PERFORMER: usize = 2;
+
+/// A performer, by number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Performer(usize);
+
+impl Performer {
+    /// The performer of a take.
+    pub(super) fn of_take(take: usize) -> Self {
+        Self(take / TAKES_PER_PERFORMER)
+    }
+
+    /// The name in sidecars.
+    pub(super) fn name(self) -> String {
+        format!("performer-{}", self.0 + 1)
+    }
+
+    /// The style as this performer plays it: tempo, size and posture differ by what is drawn for the performer once, and
+    /// less than between styles. The first performer plays it as it is described.
+    pub(super) fn plays(self, style: &Style, seed: Seed) -> Style {
+        if self.0 == 0 {
+            return *style;
+        }
+        let mut rng = seed.rng(&["corpus", "performer", &self.0.to_string()]);
+        // Tempo and size leave the middle: a performer who moves like the first one would ask nothing new.
+        let mut factor = |least: f64, most: f64| {
+            let factor = rng.random_range(least..most);
+            if rng.random_bool(0.5) {
+                factor
+            } else {
+                1.0 / factor
+            }
+        };
+        let (tempo, amplitude, stride) = (factor(1.06, 1.15), factor(1.1, 1.25), factor(1.03, 1.1));
+        let mut shift = |most: f64| rng.random_range(-most..most);
+        Style {
+            tempo: style.tempo * tempo,
+            stride: style.stride * stride,
+            amplitude: style.amplitude * amplitude,
+            arm_swing: style.arm_swing * amplitude,
+            lean: style.lean + shift(0.04),
+            head_down: style.head_down + shift(0.04),
+            arms_out: style.arms_out + shift(0.04),
+            elbow_bend: style.elbow_bend + shift(0.1),
+            ..*style
+        }
+    }
+}

@@ -1,0 +1,325 @@
+//! What of a test question training has shown.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::str::FromStr;
+
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{Row, read_column};
+use datasets_spec::{Dataset, MotionId, Split};
+use serde::{Deserialize, Serialize};
+
+use super::EditKind;
+
+/// How much of a test question training has shown. It is decided by the labels of clips, masks and pairs: by action,
+/// style and performer, not by likeness.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Novelty {
+    /// All of it, in another take. Of a mask: clips of the source's action, style and performer and of the target's, or an
+    /// annotation of the source's action with this instruction. Of a pair: its action with its edit, by any performer.
+    Retake,
+    /// Its parts, but not together.
+    Combination,
+    /// The edit, on other actions: no clip has the source's action. Of a pair, that of its motions.
+    Action,
+    /// Not the edit: no clip has the target's action, and nothing the instruction. Such a question cannot be answered from
+    /// what was learned.
+    Unshown,
+}
+
+impl Novelty {
+    /// All values.
+    pub const ALL: [Self; 4] = [Self::Retake, Self::Combination, Self::Action, Self::Unshown];
+
+    /// The name in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Retake => "retake",
+            Self::Combination => "combination",
+            Self::Action => "action",
+            Self::Unshown => "unshown",
+        }
+    }
+}
+
+impl FromStr for Novelty {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|value| value.as_str() == name);
+        found.ok_or_else(|| {
+            let known = Self::ALL.map(Self::as_str).join(", ");
+            format!("{name:?} is no novelty; known are {known}")
+        })
+    }
+}
+
+impl fmt::Display for Novelty {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+/// What a clip is said to show, and by whom.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Group {
+    action: String,
+    style: Option<String>,
+    /// Source and subject: two sources may name theirs alike.
+    performer: Option<(String, String)>,
+}
+
+/// An edit as it is asked for: by its instruction, or as a style.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Edit {
+    Text(String),
+    Style(String),
+}
+
+/// A question, as far as its novelty depends on it.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Asked<'a> {
+    /// A mask: the clip that is edited, the annotated clip, and the text of the annotation.
+    Mask {
+        source: &'a MotionId,
+        target: &'a MotionId,
+        text: &'a str,
+    },
+    /// A pair: its motions and instruction, and its kind.
+    Pair {
+        source: &'a MotionId,
+        target: &'a MotionId,
+        text: &'a str,
+        kind: EditKind,
+    },
+}
+
+/// What the training split of a dataset shows.
+#[derive(Clone, Debug, Default)]
+pub struct Shown {
+    /// Groups of all clips with a known action, of every split.
+    groups: BTreeMap<MotionId, Group>,
+    /// Groups, actions, and edits of the training split; edits with the action of the clip that they are of.
+    trained: BTreeSet<Group>,
+    actions: BTreeSet<String>,
+    edits: BTreeSet<Edit>,
+    edits_of: BTreeSet<(String, Edit)>,
+}
+
+impl Shown {
+    /// Reads the labels of a dataset.
+    ///
+    /// # Errors
+    /// The dataset cannot be read.
+    pub fn read(dataset: &Dataset) -> Result<Self, datasets_spec::Error> {
+        let mut shown = Self::default();
+        for (path, file) in dataset.files(MotionRow::TABLE, None) {
+            let ids: Vec<MotionId> = read_column::<MotionRow, _>(&path, "id")?;
+            let names: Vec<String> = read_column::<MotionRow, _>(&path, "source_name")?;
+            let of = |column| read_column::<MotionRow, Option<String>>(&path, column);
+            let (actions, styles, subjects) = (of("action")?, of("style")?, of("subject")?);
+            let labels = names.into_iter().zip(actions).zip(styles).zip(subjects);
+            for (id, (((source, action), style), subject)) in ids.into_iter().zip(labels) {
+                let Some(action) = action else { continue };
+                let performer = subject.map(|subject| (source, subject));
+                let group = Group {
+                    action,
+                    style,
+                    performer,
+                };
+                if file.split == Some(Split::Train) {
+                    shown.take(&group);
+                }
+                shown.groups.insert(id, group);
+            }
+        }
+        for row in dataset.read::<MaskRow>(Some(Split::Train))? {
+            shown.take_edit(&row.motion_id, Edit::Text(row.text));
+        }
+        for row in dataset.read::<PairRow>(Some(Split::Train))? {
+            let edit = match row.style {
+                Some(style) => Edit::Style(style),
+                None => Edit::Text(row.instruction),
+            };
+            shown.take_edit(&row.source_id, edit);
+        }
+        Ok(shown)
+    }
+
+    fn take(&mut self, group: &Group) {
+        self.actions.insert(group.action.clone());
+        if let Some(style) = &group.style {
+            let edit = Edit::Style(style.clone());
+            self.edits.insert(edit.clone());
+            self.edits_of.insert((group.action.clone(), edit));
+        }
+        self.trained.insert(group.clone());
+    }
+
+    fn take_edit(&mut self, clip: &MotionId, edit: Edit) {
+        if let Some(group) = self.groups.get(clip) {
+            self.edits_of.insert((group.action.clone(), edit.clone()));
+        }
+        self.edits.insert(edit);
+    }
+
+    /// The novelty of a question; none where an action is not known, or the dataset has no training split.
+    pub(super) fn novelty(&self, asked: Asked<'_>) -> Option<Novelty> {
+        if self.actions.is_empty() {
+            return None;
+        }
+        let group = |id: &MotionId| self.groups.get(id);
+        let (source, target, edit) = match asked {
+            Asked::Mask {
+                source,
+                target,
+                text,
+            } => (group(source)?, group(target)?, Edit::Text(text.to_owned())),
+            Asked::Pair {
+                source,
+                target,
+                text,
+                kind,
+            } => {
+                let (source, target) = (group(source)?, group(target)?);
+                let edit = match &target.style {
+                    Some(style) if kind == EditKind::Style => Edit::Style(style.clone()),
+                    _ => Edit::Text(text.to_owned()),
+                };
+                (source, target, edit)
+            }
+        };
+        let is_mask = matches!(asked, Asked::Mask { .. });
+        let is_edit_shown =
+            self.edits.contains(&edit) || is_mask && self.actions.contains(&target.action);
+        let are_groups_shown = is_mask
+            && [source, target]
+                .iter()
+                .all(|group| self.trained.contains(group));
+        let is_known = are_groups_shown || self.edits_of.contains(&(source.action.clone(), edit));
+        Some(match () {
+            () if !is_edit_shown => Novelty::Unshown,
+            () if !self.actions.contains(&source.action) => Novelty::Action,
+            () if is_known => Novelty::Retake,
+            () => Novelty::Combination,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn id(name: &str) -> MotionId {
+        MotionId::parse(name).expect("an id")
+    }
+
+    /// What training shows: two people walk, one waves, one kicks proudly; a mask says "Wave.", and a pair leads from
+    /// walking to walking with long steps.
+    fn shown() -> Shown {
+        let mut shown = Shown::default();
+        let group = |action: &str, style: Option<&str>, who: &str| Group {
+            action: action.to_owned(),
+            style: style.map(str::to_owned),
+            performer: Some(("lab".to_owned(), who.to_owned())),
+        };
+        let clips = [
+            ("walk-a", group("walk", Some("neutral"), "a"), true),
+            ("walk-b", group("walk", Some("neutral"), "b"), true),
+            ("wave-a", group("wave", Some("neutral"), "a"), true),
+            ("kick-a", group("kick", Some("proud"), "a"), true),
+            ("kick-neutral", group("kick", Some("neutral"), "a"), true),
+            ("walk-a2", group("walk", Some("neutral"), "a"), false),
+            ("walk-proud", group("walk", Some("proud"), "a"), false),
+            ("walk-long", group("walk", None, "a"), false),
+            ("wave-a2", group("wave", Some("neutral"), "a"), false),
+            ("wave-b", group("wave", Some("neutral"), "b"), false),
+            ("kick-b", group("kick", Some("proud"), "b"), false),
+            ("hop", group("hop", Some("neutral"), "a"), false),
+            ("hop-proud", group("hop", Some("proud"), "a"), false),
+        ];
+        for (name, group, is_trained) in clips {
+            if is_trained {
+                shown.take(&group);
+            }
+            shown.groups.insert(id(name), group);
+        }
+        shown.take_edit(&id("wave-a"), Edit::Text("Wave.".to_owned()));
+        shown.take_edit(&id("walk-a"), Edit::Text("Take longer steps.".to_owned()));
+        shown
+    }
+
+    #[test]
+    fn a_mask_is_new_by_what_training_lacks() {
+        let shown = shown();
+        let of = |source: &str, target: &str, text: &str| {
+            let (source, target) = (id(source), id(target));
+            shown.novelty(Asked::Mask {
+                source: &source,
+                target: &target,
+                text,
+            })
+        };
+        assert_eq!(of("walk-a2", "wave-a2", "Wave."), Some(Novelty::Retake));
+        // The groups decide, also where the wording is new.
+        assert_eq!(of("walk-a2", "wave-a2", "Greet."), Some(Novelty::Retake));
+        assert_eq!(of("walk-a2", "wave-b", "Wave."), Some(Novelty::Combination));
+        assert_eq!(of("kick-b", "wave-a2", "Wave."), Some(Novelty::Combination));
+        // Training has the action of the source with this instruction.
+        assert_eq!(of("wave-b", "wave-a2", "Wave."), Some(Novelty::Retake));
+        assert_eq!(of("hop", "wave-a2", "Wave."), Some(Novelty::Action));
+        assert_eq!(of("walk-a2", "hop", "Hop."), Some(Novelty::Unshown));
+        assert_eq!(of("walk-a2", "hop", "Wave."), Some(Novelty::Combination));
+        assert_eq!(of("unlabelled", "wave-a", "Wave."), None);
+    }
+
+    #[test]
+    fn a_pair_is_new_by_its_action_and_its_edit() {
+        let shown = shown();
+        let of = |source: &str, target: &str, text: &str, kind: EditKind| {
+            let (source, target) = (id(source), id(target));
+            shown.novelty(Asked::Pair {
+                source: &source,
+                target: &target,
+                text,
+                kind,
+            })
+        };
+        let style = |source, target| of(source, target, "Be proud.", EditKind::Style);
+        assert_eq!(style("kick-b", "kick-b"), Some(Novelty::Retake));
+        assert_eq!(style("walk-a2", "walk-proud"), Some(Novelty::Combination));
+        assert_eq!(style("hop", "hop-proud"), Some(Novelty::Action));
+        let fine = |source, text| of(source, "walk-long", text, EditKind::FineGrained);
+        assert_eq!(fine("walk-b", "Take longer steps."), Some(Novelty::Retake));
+        assert_eq!(
+            fine("kick-b", "Take longer steps."),
+            Some(Novelty::Combination)
+        );
+        assert_eq!(fine("hop", "Take longer steps."), Some(Novelty::Action));
+        assert_eq!(fine("walk-b", "Take a bow."), Some(Novelty::Unshown));
+    }
+
+    #[test]
+    fn nothing_is_known_without_a_training_split() {
+        let mut shown = shown();
+        shown.actions.clear();
+        let (source, target) = (id("walk-a2"), id("wave-a2"));
+        let asked = Asked::Mask {
+            source: &source,
+            target: &target,
+            text: "Wave.",
+        };
+        assert_eq!(shown.novelty(asked), None);
+    }
+
+    #[test]
+    fn names_read_back() {
+        for value in Novelty::ALL {
+            assert_eq!(value.as_str().parse(), Ok(value));
+            let json = serde_json::to_string(&value).expect("serialises");
+            assert_eq!(json, format!("{:?}", value.as_str()));
+        }
+        assert!("new".parse::<Novelty>().is_err());
+    }
+}

@@ -1,0 +1,70 @@
+//! The test set that comes with the program.
+//!
+//! It is not stored: corpus, dataset and items follow from seed 0, and its digest is held below.
+
+use std::path::Path;
+use std::str::FromStr;
+
+use corpus::{CorpusOptions, HELD_OUT_CLIPS, PAIR_LIST};
+use datasets_spec::Seed;
+use pipeline::compose::{ItemConfig, ItemCount, Novelty};
+
+/// A test set by its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TestSet {
+    /// Questions on the built-in corpus, a third each of what training has shown in another take, in other combinations,
+    /// and on no such action.
+    Builtin1,
+}
+
+impl FromStr for TestSet {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            BUILTIN_1 => Ok(Self::Builtin1),
+            _ => Err(format!("{name:?} is no test set; there is {BUILTIN_1}")),
+        }
+    }
+}
+
+/// Name of the set.
+pub(crate) const BUILTIN_1: &str = "builtin-1";
+/// Its items.
+const COUNT: usize = 300;
+/// The items that the demo is scored on, if it is not asked for all.
+const PART: usize = 150;
+/// What the ids of its items come to, as [`pipeline::compose::digest_of_ids`] has it.
+const DIGEST: &str = "099accb8ce2b9bbe74622c0a5611bf21";
+/// Adjusted clips of each neutral one, which make the fine-grained pairs.
+pub(crate) const ADJUSTED: usize = 2;
+
+/// The corpus that the items are drawn from.
+pub(crate) fn corpus(seed: Seed) -> CorpusOptions {
+    CorpusOptions {
+        clips: HELD_OUT_CLIPS,
+        adjusted: ADJUSTED,
+        seed,
+    }
+}
+
+/// How its items are drawn: all of them, or the part that the demo is scored on. Of another seed it is another set.
+pub(crate) fn items(seed: Seed, is_full: bool) -> ItemConfig {
+    ItemConfig {
+        count: ItemCount::Exactly(COUNT),
+        novelty: vec![Novelty::Retake, Novelty::Combination, Novelty::Action],
+        part: (!is_full).then_some(PART),
+        digest: (seed == Seed(0)).then(|| DIGEST.to_owned()),
+        ..ItemConfig::default()
+    }
+}
+
+/// The commands that make its dataset.
+pub(crate) fn commands(dataset: &Path) -> String {
+    let dataset = dataset.display();
+    format!(
+        "stance corpus --clips {HELD_OUT_CLIPS} --adjusted {ADJUSTED} --held-out --out corpus; \
+         stance ingest corpus --pairs corpus/{PAIR_LIST} --out {dataset}; \
+         stance masks {dataset}; stance pairs {dataset}"
+    )
+}

@@ -1,0 +1,139 @@
+//! Datasets that grow, as several tests make and read them.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::record::{MaskRow, MotionRow};
+use datasets_spec::{Dataset, Split};
+use serde_json::Value;
+
+use crate::util::{arg, corpus, stance};
+
+/// Ingests, and holds the counts of the document against each other and against the tables.
+pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
+    let mut args = vec!["--json", "ingest"];
+    args.extend(sources.iter().map(|source| arg(source)));
+    args.extend(["--out", arg(out)]);
+    args.extend(more);
+    let done: Value = stance(&args).expect_code(code).json();
+    let count = |name: &str| done[name].as_u64().expect("a count");
+    assert_eq!(
+        count("sources"),
+        count("ingested") + count("quarantined") + count("skipped")
+    );
+    let dataset = Dataset::open(out).expect("a dataset");
+    assert_eq!(
+        dataset.manifest().rows("quarantine", None),
+        count("quarantined")
+    );
+    assert_eq!(dataset.manifest().rows("skipped", None), count("skipped"));
+    done
+}
+
+/// What an ingestion says that fails.
+pub(crate) fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
+    let mut args = vec!["ingest"];
+    args.extend(sources.iter().map(|source| arg(source)));
+    args.extend(["--out", arg(out)]);
+    args.extend(more);
+    stance(&args).expect_code(1).stderr
+}
+
+/// All clips.
+pub(crate) fn motions(dataset: &Path) -> Vec<MotionRow> {
+    let dataset = Dataset::open(dataset).expect("a dataset");
+    dataset.read(None).expect("rows")
+}
+
+/// Split and content of every clip.
+pub(crate) fn clips(dataset: &Path) -> BTreeMap<String, (Split, String)> {
+    let rows = motions(dataset).into_iter();
+    rows.map(|row| (row.id.to_string(), (row.split, row.content_hash)))
+        .collect()
+}
+
+/// The masks by their ids.
+pub(crate) fn masks(dataset: &Path) -> BTreeMap<String, MaskRow> {
+    let dataset = Dataset::open(dataset).expect("a dataset");
+    let rows: Vec<MaskRow> = dataset.read(None).expect("rows");
+    rows.into_iter().map(|row| (row.id.clone(), row)).collect()
+}
+
+/// Checks that a dataset passes `verify`.
+pub(crate) fn verified(dataset: &Path) {
+    stance(&["verify", arg(dataset)]).expect_code(0);
+}
+
+/// The motion files of a corpus, sorted.
+pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).expect("listed") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            found.extend(files(&path));
+        } else if path
+            .extension()
+            .is_some_and(|end| end == "bvh" || end == "npz")
+        {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Moves motion files with the files of the same name beside them.
+pub(crate) fn move_files(files: &[PathBuf], to: &Path) {
+    fs::create_dir_all(to).expect("made");
+    for file in files {
+        let stem = file
+            .file_stem()
+            .expect("a name")
+            .to_string_lossy()
+            .into_owned();
+        let folder = file.parent().expect("a folder");
+        for entry in fs::read_dir(folder).expect("listed") {
+            let path = entry.expect("an entry").path();
+            let name = path
+                .file_name()
+                .expect("a name")
+                .to_string_lossy()
+                .into_owned();
+            if name.starts_with(&format!("{stem}.")) {
+                fs::rename(&path, to.join(name)).expect("moved");
+            }
+        }
+    }
+}
+
+/// A corpus in two folders of half the clips each, in all its formats.
+pub(crate) fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
+    let dir = corpus(clips);
+    let (first, second) = (dir.path().join("corpus"), dir.path().join("more"));
+    let files = files(&first);
+    let half: Vec<PathBuf> = files.into_iter().skip(1).step_by(2).collect();
+    move_files(&half, &second);
+    (dir, first, second)
+}
+
+/// Accepts every automatic mask in the name of a person.
+pub(crate) fn judge(dataset: &Path, dir: &Path) -> BTreeMap<String, MaskRow> {
+    stance(&["masks", arg(dataset)]).expect_code(0);
+    let file = dir.join("judged.jsonl");
+    stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
+    let lines = fs::read_to_string(&file).expect("drafts");
+    fs::write(&file, lines.replace("\"todo\"", "\"accept\"")).expect("written");
+    let accept = [
+        "masks",
+        arg(dataset),
+        "--accept",
+        arg(&file),
+        "--author",
+        "ann",
+    ];
+    stance(&accept).expect_code(0);
+    let masks = masks(dataset);
+    assert!(!masks.is_empty() && masks.values().all(|mask| mask.text_origin == "human"));
+    masks
+}

@@ -1,0 +1,262 @@
+//! What of a test question training has shown: decided by labels, printed with every table, and asked for in equal parts.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Split};
+use serde_json::Value;
+
+use crate::util::{arg, stance};
+
+fn rows<R: Row>(dataset: &Path) -> Vec<R> {
+    let dataset = Dataset::open(dataset).expect("a dataset");
+    dataset.read(None).expect("rows")
+}
+
+/// Makes the dataset of the built-in test set from a corpus of so many clips.
+fn dataset(dir: &Path, clips: &str) -> std::path::PathBuf {
+    let (corpus, dataset) = (dir.join("corpus"), dir.join("dataset"));
+    stance(&[
+        "corpus",
+        "--clips",
+        clips,
+        "--adjusted",
+        "2",
+        "--held-out",
+        "--out",
+        arg(&corpus),
+    ])
+    .expect_code(0);
+    let pairs = corpus.join("pairs.csv");
+    stance(&[
+        "ingest",
+        arg(&corpus),
+        "--pairs",
+        arg(&pairs),
+        "--out",
+        arg(&dataset),
+    ])
+    .expect_code(0);
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    stance(&["pairs", arg(&dataset)]).expect_code(0);
+    dataset
+}
+
+/// The novelty of an item by the rules of the documentation, from the rows of the dataset.
+struct Rules {
+    clips: BTreeMap<String, MotionRow>,
+    masks: Vec<MaskRow>,
+    pairs: Vec<PairRow>,
+}
+
+impl Rules {
+    fn of(dataset: &Path) -> Self {
+        let clips = rows::<MotionRow>(dataset).into_iter();
+        Self {
+            clips: clips.map(|row| (row.id.to_string(), row)).collect(),
+            masks: rows(dataset),
+            pairs: rows(dataset),
+        }
+    }
+
+    fn trained(&self) -> impl Iterator<Item = &MotionRow> {
+        self.clips.values().filter(|row| row.split == Split::Train)
+    }
+
+    fn has_action(&self, action: &Option<String>) -> bool {
+        self.trained().any(|row| row.action == *action)
+    }
+
+    fn has_group(&self, clip: &MotionRow) -> bool {
+        let group = |row: &MotionRow| {
+            let who = row
+                .subject
+                .clone()
+                .map(|subject| (row.source_name.clone(), subject));
+            (row.action.clone(), row.style.clone(), who)
+        };
+        self.trained().any(|row| group(row) == group(clip))
+    }
+
+    /// Whether training has an annotation of the text, of an action if one is named.
+    fn has_text(&self, text: &str, action: Option<&Option<String>>) -> bool {
+        let is_of = |id: &str| action.is_none_or(|action| self.clips[id].action == *action);
+        self.masks.iter().any(|mask| {
+            mask.split == Split::Train && mask.text == text && is_of(mask.motion_id.as_str())
+        }) || self.pairs.iter().any(|pair| {
+            pair.split == Split::Train && pair.instruction == text && is_of(pair.source_id.as_str())
+        })
+    }
+
+    fn has_style(&self, style: &Option<String>, action: Option<&Option<String>>) -> bool {
+        let is_of = |row: &MotionRow| action.is_none_or(|action| row.action == *action);
+        self.trained().any(|row| row.style == *style && is_of(row))
+    }
+
+    fn novelty(&self, item: &ItemRow) -> &'static str {
+        let (kind, id) = item.origin.split_once(' ').expect("kind and id");
+        if kind == "mask" {
+            let mask = self
+                .masks
+                .iter()
+                .find(|mask| mask.id == id)
+                .expect("a mask");
+            let source = &self.clips[item.source_id.as_str()];
+            let target = &self.clips[mask.motion_id.as_str()];
+            return match () {
+                () if !self.has_action(&target.action) && !self.has_text(&mask.text, None) => {
+                    "unshown"
+                }
+                () if !self.has_action(&source.action) => "action",
+                () if self.has_group(source) && self.has_group(target) => "retake",
+                () if self.has_text(&mask.text, Some(&source.action)) => "retake",
+                () => "combination",
+            };
+        }
+        let pair = self
+            .pairs
+            .iter()
+            .find(|pair| pair.id == id)
+            .expect("a pair");
+        let action = &self.clips[pair.source_id.as_str()].action;
+        let has = |action: Option<&Option<String>>| match &pair.style {
+            Some(_) => self.has_style(&pair.style, action),
+            None => self.has_text(&pair.instruction, action),
+        };
+        match () {
+            () if !has(None) => "unshown",
+            () if !self.has_action(action) => "action",
+            () if has(Some(action)) => "retake",
+            () => "combination",
+        }
+    }
+}
+
+#[test]
+fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let dataset = dataset(dir.path(), "780");
+    let items = dir.path().join("items");
+    let draw = [
+        "--json",
+        "items",
+        arg(&dataset),
+        "--set",
+        "builtin-1",
+        "--out",
+        arg(&items),
+    ];
+    let done: Value = stance(&draw).expect_code(0).json();
+    assert_eq!(done["items"], 300, "{done}");
+    for value in ["retake", "combination", "action"] {
+        assert_eq!(done["novelty"][value], 100, "{done}");
+    }
+    assert!(done["targets"].as_u64() >= Some(100), "{done}");
+    let items: Vec<ItemRow> = rows(&items);
+    let rules = Rules::of(&dataset);
+    for item in &items {
+        assert_eq!(
+            item.novelty.as_deref(),
+            Some(rules.novelty(item)),
+            "{}",
+            item.origin
+        );
+    }
+    // Without a wish, every novelty of the split comes, and the rules hold for it too.
+    let any = dir.path().join("any");
+    stance(&[
+        "items",
+        arg(&dataset),
+        "--count",
+        "400",
+        "--seed",
+        "5",
+        "--out",
+        arg(&any),
+    ])
+    .expect_code(0);
+    let any: Vec<ItemRow> = rows(&any);
+    let found: BTreeSet<&str> = any
+        .iter()
+        .filter_map(|item| item.novelty.as_deref())
+        .collect();
+    assert_eq!(
+        found,
+        BTreeSet::from(["retake", "combination", "action", "unshown"])
+    );
+    for item in &any {
+        assert_eq!(
+            item.novelty.as_deref(),
+            Some(rules.novelty(item)),
+            "{}",
+            item.origin
+        );
+    }
+}
+
+#[test]
+fn a_dataset_that_is_not_that_of_a_test_set_is_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let dataset = dataset(dir.path(), "330");
+    let items = dir.path().join("items");
+    let draw = [
+        "items",
+        arg(&dataset),
+        "--set",
+        "builtin-1",
+        "--out",
+        arg(&items),
+    ];
+    let said = stance(&draw).expect_code(1).stderr;
+    assert!(
+        said.contains("--clips 780 --adjusted 2 --held-out"),
+        "{said}"
+    );
+    assert!(!items.exists());
+    let other = [
+        "items",
+        arg(&dataset),
+        "--set",
+        "builtin-2",
+        "--out",
+        arg(&items),
+    ];
+    assert!(
+        stance(&other)
+            .expect_code(2)
+            .stderr
+            .contains("there is builtin-1")
+    );
+}
+
+#[test]
+fn clips_without_labels_have_no_novelty() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let dataset = dataset(dir.path(), "330");
+    // All that training shows is gone, so nothing is known of what it shows.
+    let alone = dir.path().join("alone");
+    let select = [
+        "dataset",
+        "select",
+        arg(&dataset),
+        "--where",
+        "split != 'train'",
+        "--out",
+        arg(&alone),
+    ];
+    stance(&select).expect_code(0);
+    let items = dir.path().join("items");
+    let draw = [
+        "--json",
+        "items",
+        arg(&alone),
+        "--count",
+        "12",
+        "--out",
+        arg(&items),
+    ];
+    let done: Value = stance(&draw).expect_code(0).json();
+    assert_eq!(done["novelty"]["not known"], 12, "{done}");
+}

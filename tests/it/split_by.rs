@@ -1,0 +1,126 @@
+//! Drawn splits that keep together all clips of a subject or of an action.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::Split;
+use datasets_spec::record::MotionRow;
+use serde_json::{Value, json};
+
+use crate::grown::{files, ingest, motions, move_files};
+use crate::util::{arg, corpus, files_with_extension, stance};
+
+/// The splits of all clips with one label.
+fn splits(
+    dataset: &Path,
+    label: fn(&MotionRow) -> Option<String>,
+) -> BTreeMap<String, BTreeSet<Split>> {
+    let mut splits: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
+    for row in motions(dataset) {
+        splits
+            .entry(label(&row).unwrap_or_default())
+            .or_default()
+            .insert(row.split);
+    }
+    splits
+}
+
+/// Checks that each label has one split, and that not all have the same.
+fn is_kept_together(splits: &BTreeMap<String, BTreeSet<Split>>) {
+    assert!(
+        splits.values().all(|splits| splits.len() == 1),
+        "{splits:?}"
+    );
+    let all: BTreeSet<&Split> = splits.values().flatten().collect();
+    assert!(all.len() > 1, "{splits:?}");
+}
+
+/// Gives the clips of a corpus ten subjects; every third clip none.
+fn with_subjects(corpus: &Path) -> usize {
+    let sidecars = files_with_extension(corpus, "json");
+    let mut without = 0;
+    for (number, path) in sidecars.iter().enumerate() {
+        let text = fs::read(path).expect("a sidecar");
+        let mut sidecar: Value = serde_json::from_slice(&text).expect("a document");
+        sidecar["subject"] = match number % 3 {
+            0 => Value::Null,
+            _ => json!(format!("s{}", number % 10)),
+        };
+        without += usize::from(number % 3 == 0);
+        fs::write(path, sidecar.to_string()).expect("written");
+    }
+    without
+}
+
+#[test]
+fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
+    let dir = corpus(120);
+    let source = dir.path().join("corpus");
+    let without = with_subjects(&source);
+    let later = dir.path().join("later");
+    let half: Vec<PathBuf> = files(&source).into_iter().step_by(2).collect();
+    move_files(&half, &later);
+    let dataset = dir.path().join("dataset");
+    let by = ["--split-by", "subject"];
+    let first = ingest(&[&source], &dataset, &by, 0);
+    let stated = |row: &MotionRow| row.subject.clone();
+    let of_subjects = |dataset: &Path| {
+        let mut found = splits(dataset, stated);
+        found.remove("");
+        found
+    };
+    is_kept_together(&of_subjects(&dataset));
+    assert!(
+        first["remarks"].to_string().contains("state no subject"),
+        "{first}"
+    );
+    // The files that come later are of another source, whose subjects are other people; those of the first stay.
+    let before = of_subjects(&dataset);
+    move_files(&files(&later), &source);
+    ingest(&[&source], &dataset, &[], 0);
+    let after = of_subjects(&dataset);
+    assert!(
+        before
+            .iter()
+            .all(|(subject, split)| after[subject] == *split)
+    );
+    is_kept_together(&after);
+    assert_eq!(motions(&dataset).len(), 120);
+    let lacking = motions(&dataset)
+        .iter()
+        .filter(|row| row.subject.is_none())
+        .count();
+    assert_eq!(lacking, without);
+    let card = fs::read_to_string(dataset.join("README.md")).expect("a card");
+    assert!(card.contains("drawn by subject"), "{card}");
+    // What the dataset was made with holds.
+    let other = ingest(&[&source], &dataset, &["--split-by", "action"], 0);
+    assert!(
+        other["remarks"]
+            .to_string()
+            .contains("were drawn by subject"),
+        "{other}"
+    );
+    assert_eq!(of_subjects(&dataset), after);
+}
+
+#[test]
+fn clips_of_an_action_share_a_drawn_split() {
+    let dir = corpus(156);
+    let source = dir.path().join("corpus");
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &["--split-by", "action"], 0);
+    is_kept_together(&splits(&dataset, |row| row.action.clone()));
+    stance(&["verify", arg(&dataset)]).expect_code(0);
+    let refused = [
+        "ingest",
+        arg(&source),
+        "--split-by",
+        "day",
+        "--out",
+        arg(&dataset),
+    ];
+    let said = stance(&refused).expect_code(2).stderr;
+    assert!(said.contains("clip, subject, action"), "{said}");
+}
