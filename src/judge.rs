@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     /// Hash of the shipped weights. Scores are comparable only while it stays.
-    const HASH: &str = "68fbf753ce331f824824deadb4cbd792ad5f230477b107f8272d4a0b527bfff6";
+    const HASH: &str = "ff01422b20e7082a2e01c4f4f263b5f887fe4ae076d10ea26492674c435de3ab";
 
     #[test]
     fn the_shipped_encoder_is_the_one_of_its_report_and_ranks() {

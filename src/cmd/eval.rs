@@ -10,7 +10,7 @@ use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::metric::interval::Interval;
 use eval::metric::retrieval::Retrieval;
 use eval::metric::{self, Part};
-use eval::names::is_pooled;
+use eval::names::{ALL_TASKS, RECAPTURED};
 use eval::protocol::{FidSample, Floor, Gallery, Keypoints, Limit, Protocol, Queries, Spread};
 use eval::published::PaperTable;
 use eval::table::Table;
@@ -307,8 +307,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 /// and the tasks there are otherwise.
 pub(crate) fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.judges, &table.columns());
-    let wanted =
-        |found: &Table| is_pooled(&found.task) || table.tasks().contains(&found.task.as_str());
+    let wanted = |found: &Table| {
+        [ALL_TASKS, RECAPTURED].contains(&found.task.as_str())
+            || table.tasks().contains(&found.task.as_str())
+    };
     if tables
         .iter()
         .any(|found| table.tasks().contains(&found.task.as_str()))

@@ -11,7 +11,7 @@ use eval::metric::{Part, of_part};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
-use crate::tables::{printed, tables};
+use crate::tables::{Table, printed, tables};
 use crate::util::{arg, stance};
 
 /// The items the bench answers.
@@ -87,11 +87,26 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     let stored: Vec<ScoreRow> = Dataset::open(&committed)
         .and_then(|folder| folder.read(None))
         .expect("scores");
+    let of_task = stored.iter().filter(|row| row.task == "semantic");
+    assert!(of_task.clone().count() > 20);
     assert!(
-        stored
-            .iter()
+        of_task
+            .clone()
             .all(|row| row.items_digest == digest && row.targets > 0)
     );
+    // What training has shown of the items is counted, and scored by itself where it differs.
+    let shown = of_task.clone().next().expect("a row").novelty.clone();
+    let counted: usize = shown
+        .split(", ")
+        .filter_map(|part| part.split(' ').next()?.parse::<usize>().ok())
+        .sum();
+    assert_eq!(counted, 8, "{shown}");
+    for part in shown.split(", ") {
+        let (count, novelty) = part.split_once(' ').expect("a count and a name");
+        let alone = stored.iter().find(|row| row.task == novelty);
+        let alone = alone.unwrap_or_else(|| panic!("no table of {novelty}: {shown}"));
+        assert_eq!(alone.n.to_string(), count);
+    }
 
     // Items vary, so a mean over them has an interval although every repeat gives the same mean.
     let half_width =
@@ -141,9 +156,10 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     );
     let unranked = of_targets.unranked.as_deref();
     assert!(unranked.is_some_and(|line| line.contains("too weak to judge")));
-    let [small] = &of_targets.notes[..] else {
+    let [novelty, small] = &of_targets.notes[..] else {
         panic!("{of_targets:?}");
     };
+    assert!(novelty.ends_with(&format!(": {shown}.")), "{novelty}");
     assert!(small.starts_with("FID: 4 motions a side are too few for latents of 32 numbers, "));
     let names = ["Real Data", "Identity", "MotionReFit"];
     of_targets.check_measured(&names, &scores);
@@ -209,11 +225,10 @@ fn a_system_behind_the_identity_editor_is_never_best() {
         eval(&args).stdout
     };
     let markdown = tables(&table("markdown"));
-    let further = &markdown[1];
-    let column = further
-        .head
-        .iter()
-        .position(|label| label == "Position error (cm) ↓");
+    let position = "Position error (cm) ↓";
+    let is_further = |table: &&Table| table.head.iter().any(|label| label == position);
+    let further = markdown.iter().find(is_further).expect("further metrics");
+    let column = further.head.iter().position(|label| label == position);
     // Printed without the mark of the best.
     assert_eq!(
         further.row("lifted")[column.expect("a column") - 1],
@@ -226,7 +241,7 @@ fn a_system_behind_the_identity_editor_is_never_best() {
         .filter(|row| row["behind_identity"] == true)
         .map(|row| row["metric"].as_str().expect("a name"))
         .collect();
-    for table in &markdown {
+    for table in markdown.iter().filter(|table| table.heading == "semantic") {
         let metrics: Vec<&str> = table.head[1..]
             .iter()
             .map(|label| label.rsplit_once(' ').expect("an arrow").0)

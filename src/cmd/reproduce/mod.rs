@@ -1,5 +1,7 @@
 //! `stance reproduce`
 
+mod made;
+mod pictures;
 mod plan;
 mod record;
 mod work;
@@ -22,6 +24,7 @@ use eval::times::{self, WindowTimes};
 use serde::Serialize;
 use serde_json::Value;
 
+use self::made::TableMade;
 use self::plan::{FigureSpecs, PaperTable, Plan, Trained};
 use self::record::Record;
 use self::work::{Work, write};
@@ -91,6 +94,7 @@ const PLANS: &[(&str, &str)] = plans![
     "small/table-a4",
     "small/figure-6",
     "small/figure-a1",
+    "small/additions",
     "real-small",
     "real-small-choices",
     "real-small-text",
@@ -162,6 +166,13 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             None => return Ok(stopped()),
         }
     }
+    for picture in &plan.pictures {
+        let systems = plan.systems_named(&picture.systems);
+        match pictures::draw(picture, &systems, &done.edits, &plan.out) {
+            Ok(drawing) => done.pictures.push(drawing),
+            Err(error) => done.fail(&format!("picture {}", picture.name), error)?,
+        }
+    }
     finish(args, path, &plan, &work, done, global)
 }
 
@@ -214,6 +225,8 @@ struct Done {
     edits: Vec<(String, Vec<PathBuf>)>,
     tables: Vec<TableMade>,
     figures: Vec<FigureMade>,
+    /// Drawings of the pictures.
+    pictures: Vec<PathBuf>,
     failed: Vec<String>,
 }
 
@@ -273,19 +286,6 @@ fn scored(
     }
     all.scores.rows = over_trainings(&all.trainings);
     Ok(all)
-}
-
-/// A table of the paper.
-struct TableMade {
-    name: String,
-    tables: Vec<Table>,
-    scores: Vec<ScoreRow>,
-    /// Scores of each training, where there are several.
-    trainings: Vec<Vec<ScoreRow>>,
-    /// Table A4 in place of scores.
-    grids: Vec<format::grid::Grid>,
-    /// Why it ranks no system.
-    unranked: Option<String>,
 }
 
 /// A figure.
@@ -523,6 +523,7 @@ struct Document {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     trainings: Vec<(String, Vec<Vec<Value>>)>,
     figures: Vec<FigureDocument>,
+    pictures: Vec<PathBuf>,
     failed: Vec<String>,
 }
 
@@ -550,6 +551,7 @@ fn finish(
         tables: Vec::new(),
         trainings: Vec::new(),
         figures: Vec::new(),
+        pictures: done.pictures.clone(),
         failed: done.failed.clone(),
     };
     let judges = &work.judges();
@@ -637,6 +639,11 @@ fn finish(
             points: figure.points,
         });
     }
+    texts.extend(
+        done.pictures
+            .iter()
+            .map(|drawing| drawing.display().to_string()),
+    );
     page.title.clone_from(&plan.title);
     page.commands = vec![command(args, path, global)];
     write(&document.page, page.to_html().as_bytes())?;
@@ -660,39 +667,6 @@ fn finish(
         done.failed.join("; ")
     ));
     Ok(Exit::Failed)
-}
-
-impl TableMade {
-    /// The table in each form, with the extension of its file; text comes first.
-    fn forms(&self, judges: &Judges) -> anyhow::Result<[(&'static str, String); 5]> {
-        let joined = |of: fn(&format::grid::Grid) -> String| {
-            let grids: Vec<String> = self.grids.iter().map(of).collect();
-            grids.join("\n")
-        };
-        Ok(match self.grids.is_empty() {
-            true => [
-                ("txt", format::text::render(&self.tables)),
-                ("md", format::markdown::render(&self.tables)),
-                ("tex", format::latex::render(&self.tables)),
-                ("csv", format::csv::render(&self.scores, judges)),
-                ("json", format::json::render(&self.scores, judges)?),
-            ],
-            false => [
-                ("txt", joined(format::grid::Grid::text)),
-                ("md", joined(format::grid::Grid::markdown)),
-                ("tex", joined(format::grid::Grid::latex)),
-                ("csv", joined(format::grid::Grid::csv)),
-                ("json", serde_json::to_string_pretty(&self.grids)?),
-            ],
-        })
-    }
-
-    fn document(&self, judges: &Judges) -> anyhow::Result<Value> {
-        Ok(match self.grids.is_empty() {
-            true => in_json(&self.scores, judges)?.into(),
-            false => serde_json::to_value(&self.grids)?,
-        })
-    }
 }
 
 fn command(args: &Args, path: &Path, global: &Global) -> String {

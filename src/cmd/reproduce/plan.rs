@@ -25,6 +25,7 @@ use train::registry::{self, MODELS};
 use train::system::EditConfig;
 use train::tmr::TmrConfig;
 
+use super::pictures::Picture;
 use crate::cmd::eval::TableArg;
 use crate::global::Global;
 use crate::judge::is_builtin;
@@ -89,6 +90,8 @@ pub(super) struct Plan {
     pub(super) tables: Vec<PaperTable>,
     #[serde(default, rename = "figure")]
     pub(super) figures: Vec<Figure>,
+    #[serde(default, rename = "picture")]
+    pub(super) pictures: Vec<Picture>,
 }
 
 /// A row of the tables.
@@ -328,7 +331,8 @@ impl Plan {
             .figures
             .iter()
             .filter_map(|figure| figure.system.as_ref());
-        for name in of_tables.chain(of_figures) {
+        let of_pictures = self.pictures.iter().flat_map(|picture| &picture.systems);
+        for name in of_tables.chain(of_figures).chain(of_pictures) {
             self.system(Some(name))?;
         }
         Ok(())
@@ -346,10 +350,15 @@ impl Plan {
 
     /// Names of the systems of a table.
     pub(super) fn systems_of<'a>(&'a self, table: &'a PaperTable) -> Vec<&'a str> {
+        self.systems_named(&table.systems)
+    }
+
+    /// These names, or all if there are none.
+    pub(super) fn systems_named<'a>(&'a self, names: &'a [String]) -> Vec<&'a str> {
         let all = self.systems.iter().map(|system| system.name.as_str());
-        match table.systems.is_empty() {
+        match names.is_empty() {
             true => all.collect(),
-            false => table.systems.iter().map(String::as_str).collect(),
+            false => names.iter().map(String::as_str).collect(),
         }
     }
 
