@@ -19,8 +19,8 @@ use crate::sample::{
     EditItem, EditSettings, EditTimes, Editor, FitMethod, keypoint_parent, model_frames,
 };
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
-    SystemSource,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    SystemSource, named_with,
 };
 use crate::text::clip::ClipModel;
 use crate::{Error, Session};
@@ -65,7 +65,10 @@ pub(crate) fn open(
     }
     let settings = settings(&editor, config);
     let identity = SystemIdentity {
-        name: config.name.clone().unwrap_or_else(|| system_name(&editor)),
+        name: config
+            .name
+            .clone()
+            .unwrap_or_else(|| system_name(&editor, source.slot, &settings)),
         checkpoint_hash: editor.hash().to_owned(),
         settings: settings_document(&editor, source.slot, &settings).to_string(),
     };
@@ -95,18 +98,14 @@ fn settings(editor: &Editor, config: &EditConfig) -> EditSettings {
                 .unwrap_or(trained.coordinator.num_steps),
         },
         fit: config.fit,
-        prior: config.prior.unwrap_or(if editor.has_poses() {
-            NETWORK_PRIOR
-        } else {
-            0.0
-        }),
+        prior: config.prior.unwrap_or_else(|| usual_prior(editor)),
         max_batch: config.max_batch,
     }
 }
 
 /// Name of the system in result tables where the user gives none: preset size, settings of the
-/// composer that differ from the preset, and whether a coordinator is used.
-fn system_name(editor: &Editor) -> String {
+/// composer that differ from the preset, whether a coordinator is used, and settings of this edit that differ.
+fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
     let record = &editor.record().config;
     let (model, compose) = (record.train.model, &record.compose.config);
     let mut name = "MotionReFit".to_owned();
@@ -137,7 +136,58 @@ fn system_name(editor: &Editor) -> String {
     if editor.has_coordinator() {
         name += " + coordinator";
     }
-    name
+    named_with(name, slot, &changes(editor, settings))
+}
+
+/// The settings of an edit beside those of the preset whose network the editor has, or, if it has that of none, of its
+/// training.
+fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setting)> {
+    let trained = &editor.record().config.train;
+    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+        .map(TrainConfig::preset)
+        .into_iter()
+        .find(|preset| preset.model == trained.model);
+    let usual = usual.as_ref().unwrap_or(trained);
+    let mut changes = vec![
+        (
+            "guidance",
+            Setting::Number(settings.guidance, usual.diffusion.guidance),
+        ),
+        (
+            "temperature",
+            Setting::Number(settings.temperature, usual.diffusion.temperature),
+        ),
+    ];
+    if editor.has_coordinator() {
+        let (used, usual) = (settings.coordinator, usual.coordinator);
+        changes.extend([
+            (
+                "coordinator strength",
+                Setting::Number(used.strength, usual.strength),
+            ),
+            (
+                "coordinator steps",
+                Setting::Count(used.num_steps, usual.num_steps),
+            ),
+        ]);
+    }
+    let usual_prior = usual_prior(editor);
+    changes.extend([
+        (
+            "paper's fit",
+            Setting::Flag(settings.fit == FitMethod::Paper),
+        ),
+        ("prior", Setting::Number(settings.prior, usual_prior)),
+    ]);
+    changes
+}
+
+/// Weight of the prior where the user gives none.
+fn usual_prior(editor: &Editor) -> f64 {
+    match editor.has_poses() {
+        true => NETWORK_PRIOR,
+        false => 0.0,
+    }
 }
 
 /// Settings of an editor as rows of edits record them: those that change a result, so not the batch size.

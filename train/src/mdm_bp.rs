@@ -8,7 +8,7 @@ use kinematics::resample::grid;
 use pipeline::feature::humanml3d::Features;
 use rayon::prelude::*;
 
-use crate::checkpoint::{RunRecord, read_for_use, read_record, weights_hash};
+use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash};
 use crate::config::Preset;
 use crate::data::TextVectors;
 use crate::diffusion::guide;
@@ -21,8 +21,8 @@ use crate::sample::noise::Noise;
 use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
-    SystemSource,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    SystemSource, named_with,
 };
 use crate::transfer::read;
 use crate::{Error, Session};
@@ -70,8 +70,7 @@ pub(crate) fn open(
     )?;
     let guidance = config.guidance.unwrap_or(record.train.guidance);
     let temperature = config.temperature.unwrap_or(1.0);
-    let is_tiny = record.train.model == MdmConfig::preset(Preset::Tiny).model;
-    let name = if is_tiny { "MDM-BP tiny" } else { "MDM-BP" };
+    let name = system_name(&record, source.slot, &inpainting, guidance, temperature)?;
     let settings = serde_json::json!({
         "checkpoint": source.slot.name(),
         "guidance": guidance,
@@ -89,7 +88,7 @@ pub(crate) fn open(
         temperature,
         max_batch: config.max_batch.max(1),
         identity: SystemIdentity {
-            name: config.name.clone().unwrap_or_else(|| name.to_owned()),
+            name: config.name.clone().unwrap_or(name),
             checkpoint_hash,
             settings: settings.to_string(),
         },
@@ -98,6 +97,36 @@ pub(crate) fn open(
         vectors: None,
         device: device.clone(),
     }))
+}
+
+/// Name of the system in result tables where the user gives none, with settings of this edit that differ from the usual
+/// ones.
+fn system_name(
+    record: &MdmRecord,
+    slot: Slot,
+    inpainting: &PartInpainting,
+    guidance: f64,
+    temperature: f64,
+) -> Result<String, Error> {
+    let trained = &record.train;
+    let tiny = MdmConfig::preset(Preset::Tiny);
+    let name = match trained.model == tiny.model {
+        true => "MDM-BP tiny",
+        false => "MDM-BP",
+    };
+    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+        .map(MdmConfig::preset)
+        .into_iter()
+        .find(|preset| preset.model == trained.model)
+        .map_or(trained.guidance, |preset| preset.guidance);
+    let plain = PartInpainting::new(inpainting.schedule.clone(), None, None)?;
+    let changes = [
+        ("guidance", Setting::Number(guidance, usual)),
+        ("temperature", Setting::Number(temperature, 1.0)),
+        ("start", Setting::Count(inpainting.start, plain.start)),
+        ("release", Setting::Count(inpainting.release, plain.release)),
+    ];
+    Ok(named_with(name.to_owned(), slot, &changes))
 }
 
 /// Sampling that replaces parts of the estimated clean motion by those of a source.

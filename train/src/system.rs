@@ -126,6 +126,33 @@ impl SystemIdentity {
     }
 }
 
+/// Name of a system with the settings in which it differs from what its preset edits with, such as
+/// `MotionReFit tiny (guidance 3)`: two rows that were sampled differently never share a name.
+pub(crate) fn named_with(name: String, slot: Slot, settings: &[(&str, Setting)]) -> String {
+    let checkpoint = (slot != Slot::Best).then(|| format!("checkpoint {}", slot.name()));
+    let changed = settings.iter().filter_map(|(what, setting)| match setting {
+        Setting::Number(used, usual) => (used != usual).then(|| format!("{what} {used}")),
+        Setting::Count(used, usual) => (used != usual).then(|| format!("{what} {used}")),
+        Setting::Flag(is_on) => is_on.then(|| (*what).to_owned()),
+    });
+    let changed: Vec<String> = checkpoint.into_iter().chain(changed).collect();
+    match changed.as_slice() {
+        [] => name,
+        _ => format!("{name} ({})", changed.join(", ")),
+    }
+}
+
+/// A setting that a system edits with, and its usual value.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Setting {
+    /// Used and usual.
+    Number(f64, f64),
+    /// Used and usual.
+    Count(usize, usize),
+    /// Whether it is on, which is unusual.
+    Flag(bool),
+}
+
 /// File beside a table of edits with the warnings about them.
 const REMARKS: &str = "remarks.json";
 
@@ -524,4 +551,35 @@ pub fn answer_items(
         times: Some(times),
         remarks,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_that_differ_stand_in_the_name() {
+        let named = |slot, settings: &[(&str, Setting)]| {
+            named_with("MotionReFit tiny".to_owned(), slot, settings)
+        };
+        let usual = [
+            ("guidance", Setting::Number(1.0, 1.0)),
+            ("steps", Setting::Count(20, 20)),
+            ("from source", Setting::Flag(false)),
+        ];
+        assert_eq!(named(Slot::Best, &usual), "MotionReFit tiny");
+        let changed = [
+            ("guidance", Setting::Number(3.0, 1.0)),
+            ("steps", Setting::Count(10, 20)),
+            ("from source", Setting::Flag(true)),
+        ];
+        assert_eq!(
+            named(Slot::Epoch(5), &changed),
+            "MotionReFit tiny (checkpoint epoch-5, guidance 3, steps 10, from source)"
+        );
+        assert_eq!(
+            named(Slot::Best, &[("guidance", Setting::Number(0.25, 1.0))]),
+            "MotionReFit tiny (guidance 0.25)"
+        );
+    }
 }

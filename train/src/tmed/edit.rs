@@ -13,7 +13,7 @@ use super::features::{FeatureFrame, NUM_FEATURES, features_of_motion, poses_from
 use super::guidance::{Branch, branches, guided};
 use super::objective::{places, text_tokens};
 use super::task::{DENOISER, KIND, TmedRecord, WORDS, load_weights};
-use crate::checkpoint::{self, RunRecord, check_skeleton, read_for_use, weights_hash};
+use crate::checkpoint::{self, RunRecord, Slot, check_skeleton, read_for_use, weights_hash};
 use crate::config::Preset;
 use crate::fit::TextRecord;
 use crate::gaussian::SampleSteps;
@@ -21,8 +21,8 @@ use crate::model::tmed::{Condition, TmedModel};
 use crate::sample::EditTimes;
 use crate::sample::noise::Noise;
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
-    SystemSource,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    SystemSource, named_with,
 };
 use crate::text::table::EmbeddingTable;
 use crate::transfer::read;
@@ -107,7 +107,10 @@ pub(crate) fn open(
     });
     Ok(Box::new(TmedSystem {
         identity: SystemIdentity {
-            name: config.name.clone().unwrap_or_else(|| system_name(&record)),
+            name: match &config.name {
+                Some(name) => name.clone(),
+                None => system_name(&record, source.slot, &settings)?,
+            },
             checkpoint_hash,
             settings: document.to_string(),
         },
@@ -121,8 +124,9 @@ pub(crate) fn open(
     }))
 }
 
-/// Name of the system in result tables where the user gives none.
-fn system_name(record: &TmedRecord) -> String {
+/// Name of the system in result tables where the user gives none, with settings of this edit that differ from those of
+/// the preset whose network the system has, or, if it has that of none, of its training.
+fn system_name(record: &TmedRecord, slot: Slot, settings: &TmedSettings) -> Result<String, Error> {
     let mut name = "TMED".to_owned();
     if record.train.model == TmedConfig::preset(Preset::Tiny).model {
         name += " tiny";
@@ -134,7 +138,33 @@ fn system_name(record: &TmedRecord) -> String {
     if record.train.data == ClipData::Composed && is_mixed {
         name += " w/ MCM";
     }
-    name
+    let trained = &record.train;
+    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+        .map(TmedConfig::preset)
+        .into_iter()
+        .find(|preset| preset.model == trained.model);
+    let usual = &usual.as_ref().unwrap_or(trained).diffusion;
+    let steps = usual.steps(usual.edit_steps)?.timesteps().len();
+    let changes = [
+        (
+            "guidance",
+            Setting::Number(settings.guidance, usual.guidance),
+        ),
+        (
+            "source guidance",
+            Setting::Number(settings.source_guidance, usual.source_guidance),
+        ),
+        ("temperature", Setting::Number(settings.temperature, 1.0)),
+        (
+            "steps",
+            Setting::Count(settings.steps.timesteps().len(), steps),
+        ),
+        (
+            "from source",
+            Setting::Flag(settings.start == EditStart::Source && usual.start == EditStart::Noise),
+        ),
+    ];
+    Ok(named_with(name, slot, &changes))
 }
 
 /// A motion to edit, as the network takes it.
