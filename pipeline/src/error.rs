@@ -288,6 +288,14 @@ pub enum Error {
         /// The layout.
         layout: &'static str,
     },
+    /// A bundle of answers, or a folder that is to become one, breaks a rule.
+    #[error("{}: {problem}", path.display())]
+    Bundle {
+        /// The bundle.
+        path: PathBuf,
+        /// What is wrong, with the item where it is one's.
+        problem: String,
+    },
     /// Two items have one id.
     #[error("item {id} is in the table twice; draw the items again with `stance items`")]
     ItemTwice {

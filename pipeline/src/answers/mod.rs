@@ -3,6 +3,7 @@
 //! Every answer found is imported, refused with a code and a reason, or skipped because it is not a motion;
 //! the three add up to the number found. Items without an answer are listed.
 
+pub mod bundle;
 mod file;
 mod recorded;
 mod table;

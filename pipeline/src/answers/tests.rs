@@ -34,7 +34,6 @@ pub(super) fn item(number: usize) -> ItemRow {
         instruction: format!("wave {number} times"),
         parts: vec!["LEFT_ARM".to_owned()],
         origin: "mask".to_owned(),
-        fps: 20.0,
         ..ItemRow::blank(&id, Split::Test)
     };
     row.set_motions(&source, Some(&target), None);
