@@ -29,6 +29,11 @@ pub(crate) struct EvaluatorRuns<'a> {
     pub(crate) coordinator: Option<&'a Path>,
 }
 
+/// Hash of the encoder of a run folder, or of the built-in one: what bundles name their judge by.
+pub(crate) fn judge_hash(run: &Path) -> anyhow::Result<String> {
+    Ok(network(run)?.hash().to_owned())
+}
+
 impl EvaluatorRuns<'_> {
     /// Loads the models for motions on a skeleton.
     pub(crate) fn with<T>(

@@ -13,11 +13,13 @@ use crate::compare::{Comparison, compare};
 use crate::evaluators::Evaluators;
 use crate::judge::{Judge, Judges, unranked};
 use crate::linalg::Matrix;
+use crate::metric;
 use crate::metric::cross_retrieval::{CrossRanks, cross_ranks};
 use crate::metric::retrieval::unit_rows;
 use crate::names::ALL_TASKS;
 use crate::protocol::Protocol;
-use crate::score::score;
+use crate::score::score_and_compare;
+use crate::table::Table;
 
 /// Items and the edits that systems made of them.
 #[derive(Clone, Debug)]
@@ -60,9 +62,17 @@ impl Answered {
     /// # Errors
     /// As [`Answered::read`], or one name stands for two systems.
     pub fn read_for_table(folders: &[PathBuf]) -> Result<Self, Error> {
-        let all = Self::read(folders)?;
-        check_systems(&all.edits)?;
-        Ok(all)
+        Self::read(folders)?.with_edits(Vec::new())
+    }
+
+    /// Adds edits of the same items, whose systems are rows of the same result table.
+    ///
+    /// # Errors
+    /// One name stands for two systems, or a take is there twice.
+    pub fn with_edits(mut self, edits: Vec<EditRow>) -> Result<Self, Error> {
+        self.edits.extend(edits);
+        check_systems(&self.edits)?;
+        Ok(self)
     }
 
     /// Adds the edits of another folder, after checking that they are of the same items.
@@ -132,13 +142,15 @@ pub struct Scores {
     pub rows: Vec<ScoreRow>,
     /// Each encoder by its hash.
     pub judges: Judges,
+    /// Paired differences of the metrics that claims are made of; none in scores that are averaged over trainings.
+    pub comparisons: Vec<Comparison>,
 }
 
 impl Scores {
     /// Scores every system.
     ///
     /// # Errors
-    /// As [`score`].
+    /// As [`score_and_compare`].
     pub fn of(
         answered: &Answered,
         evaluators: Evaluators<'_>,
@@ -147,10 +159,29 @@ impl Scores {
     ) -> Result<Self, Error> {
         let encoder = evaluators.encoder;
         let (items, edits) = (&answered.items, &answered.edits);
+        let (rows, comparisons) = score_and_compare(items, edits, evaluators, protocol, progress)?;
         Ok(Self {
-            rows: score(items, edits, evaluators, protocol, progress)?,
+            rows,
+            comparisons,
             judges: BTreeMap::from([(encoder.hash(), Judge::of(encoder))]),
         })
+    }
+
+    /// The main table of each task, with a sentence below it for each comparison.
+    pub fn main_tables(&self) -> Vec<Table> {
+        let mut tables = Table::from_scores(&self.rows, &self.judges, &metric::main_columns());
+        for table in &mut tables {
+            let is_of = |found: &&Comparison| {
+                (&found.task, &found.protocol, &found.items_digest)
+                    == (&table.task, &table.protocol, &table.items.digest)
+            };
+            let of_table = self.comparisons.iter().filter(is_of);
+            if table.unranked.is_none() {
+                let claims: Vec<String> = of_table.filter_map(Comparison::claim).collect();
+                table.notes.extend(claims);
+            }
+        }
+        tables
     }
 
     /// Why the scores rank no system on the whole set of items; none if they do.

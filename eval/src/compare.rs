@@ -1,5 +1,7 @@
 //! Whether one system is better than another: paired differences with intervals.
 
+use std::collections::BTreeMap;
+
 use datasets_spec::Progress;
 use datasets_spec::quantile::quantile;
 use datasets_spec::record::{EditRow, ItemRow};
@@ -8,13 +10,17 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::evaluators::Evaluators;
+use crate::format::ABSENT;
 use crate::format::grid::Grid;
 use crate::linalg::Matrix;
 use crate::metric::fid::{self, FID, MIN_ROWS};
-use crate::metric::{self, Better, Measure, Metric, RankSummary};
+use crate::metric::interval::MIN_TARGETS;
+use crate::metric::{self, Better, CLAIMS, Measure, Metric, RankSummary};
+use crate::names::REAL_DATA;
 use crate::protocol::{FidSample, Protocol, Spread};
 use crate::score::{Measured, Ranks, Resamples, System, Take, TestSet, drawn, measured, of_items};
 use crate::table::Items;
+use crate::table::notes::{shortage_of_fid, shortage_of_targets};
 
 /// Resamples behind an interval of a Fréchet distance, each of which decomposes three covariances.
 const FID_RESAMPLES: usize = 200;
@@ -26,18 +32,24 @@ const TAIL: f64 = 0.025;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Name of the metric.
-    pub metric: &'static str,
+    pub metric: String,
     /// Value of the first system.
     pub a: f64,
     /// Value of the second.
     pub b: f64,
     /// Second less first.
     pub difference: f64,
-    /// Ends of the 95 % interval of the difference.
-    pub interval: [f64; 2],
-    /// Which system is better, `A` or `B`; none where the interval contains 0, and for metrics whose
+    /// Ends of the 95 % interval of the difference; none of fewer than [`MIN_TARGETS`] targets.
+    pub interval: Option<[f64; 2]>,
+    /// Which system is better, `A` or `B`; none without an interval, where it contains 0, and for metrics whose
     /// good values are those near real data.
     pub better: Option<&'static str>,
+    /// Digits after the point that tables print.
+    #[serde(skip)]
+    decimals: usize,
+    /// The metric of [`CLAIMS`] that this tells of.
+    #[serde(skip)]
+    claim: Option<&'static Metric>,
 }
 
 /// Two systems on the items of one task.
@@ -61,6 +73,8 @@ pub struct Comparison {
     pub unranked: Option<String>,
     /// The metrics.
     pub differences: Vec<Difference>,
+    /// What is left out for want of items, a sentence each.
+    pub notes: Vec<String>,
 }
 
 /// Compares two systems item by item.
@@ -114,28 +128,34 @@ pub fn compare(
                     .select(&indices)
             });
             let resamples = Resamples::new(test_set.targets(&indices), protocol);
-            let mut differences =
-                differences(task, &sources, &targets, &sides, &resamples, protocol)?;
-            if weakness.is_some() {
-                for difference in &mut differences {
-                    difference.better = None;
-                }
-            }
+            let differences = differences(task, &sources, &targets, &sides, &resamples, protocol)?;
             let Items {
-                targets, digest, ..
+                targets: counted,
+                digest,
+                ..
             } = test_set.counts(&indices);
             progress.advance(1);
-            Ok(Comparison {
+            let raw = &targets.latents.raw;
+            let of_fid = shortage_of_fid(FID_NAME, raw.num_rows(), raw.num_cols());
+            let mut comparison = Comparison {
                 task: task.to_owned(),
                 n: indices.len(),
-                targets,
+                targets: counted,
                 items_digest: digest,
                 systems: names.map(str::to_owned),
                 protocol: whole_sets(protocol).name(indices.len()),
                 encoder_hash: evaluators.encoder.hash(),
-                unranked: weakness.clone(),
+                unranked: None,
                 differences,
-            })
+                notes: of_fid
+                    .into_iter()
+                    .chain(shortage_of_targets(counted))
+                    .collect(),
+            };
+            if let Some(weakness) = &weakness {
+                comparison.rank_nothing(weakness);
+            }
+            Ok(comparison)
         })
         .collect::<Result<Vec<_>, Error>>()?;
     progress.finish(&format!("{} tasks", comparisons.len()));
@@ -164,19 +184,77 @@ fn differences(
         of_items(side, &ranks, protocol)
     };
     let (a, b) = (values(&sides[0])?, values(&sides[1])?);
+    let real = values(&System {
+        name: REAL_DATA,
+        takes: vec![targets.clone()],
+    })?;
     let mut found = Vec::new();
-    if targets.latents.raw.num_rows() >= MIN_ROWS {
+    let raw = &targets.latents.raw;
+    if raw.num_rows() >= fid::min_items(raw.num_cols()) {
         let takes = sides.each_ref().map(|side| &side.takes[0].latents.unit);
         let real = &targets.latents.unit;
         found.extend(fid_difference(task, real, takes, resamples)?);
     }
-    for &metric in metric::ALL {
-        if matches!(metric.measure, Measure::Rank(_, RankSummary::Median)) {
-            continue;
+    let pairing = Pairing {
+        task,
+        real: &real,
+        sides: [&a, &b],
+        resamples,
+    };
+    found.extend(pairing.differences(metric::ALL));
+    Ok(found)
+}
+
+/// Values of each item by metric, as [`of_items`] gives them.
+type OfItems = BTreeMap<&'static Metric, Vec<f64>>;
+
+/// Two systems on the same items.
+pub(crate) struct Pairing<'a> {
+    pub(crate) task: &'a str,
+    pub(crate) real: &'a OfItems,
+    pub(crate) sides: [&'a OfItems; 2],
+    pub(crate) resamples: &'a Resamples,
+}
+
+impl Pairing<'_> {
+    /// The differences of those metrics that both systems have values of. A metric of [`CLAIMS`] whose good values are
+    /// those near real data has a second row: the distance from the value of the item's target.
+    pub(crate) fn differences(&self, metrics: &[&'static Metric]) -> Vec<Difference> {
+        let mut found = Vec::new();
+        for &metric in metrics {
+            if matches!(metric.measure, Measure::Rank(_, RankSummary::Median)) {
+                continue;
+            }
+            let [Some(a), Some(b)] = self.sides.map(|side| side.get(metric)) else {
+                continue;
+            };
+            let better = (metric.better)(self.task);
+            let is_claim = CLAIMS.contains(&metric);
+            let claim = Some(metric).filter(|_| is_claim && better != Better::NearReal);
+            found.extend(self.difference(metric.name, (metric, better), [a, b], claim));
+            if let (true, Better::NearReal, Some(real)) = (is_claim, better, self.real.get(metric))
+            {
+                let distances = [a, b].map(|side| -> Vec<f64> {
+                    let values = side.iter().zip(real);
+                    values.map(|(value, real)| (value - real).abs()).collect()
+                });
+                let name = format!("{metric} from the target's");
+                let sides = distances.each_ref();
+                let kind = (metric, Better::Lower);
+                found.extend(self.difference(&name, kind, sides, Some(metric)));
+            }
         }
-        let (Some(a), Some(b)) = (a.get(metric), b.get(metric)) else {
-            continue;
-        };
+        found
+    }
+
+    /// The difference of values of the same items; none where no item has both.
+    fn difference(
+        &self,
+        name: &str,
+        (metric, better): (&'static Metric, Better),
+        [a, b]: [&Vec<f64>; 2],
+        claim: Option<&'static Metric>,
+    ) -> Option<Difference> {
         // An item that no gallery ranked has no value.
         let differences: Vec<f64> = a.iter().zip(b).map(|(a, b)| b - a).collect();
         let mean = |values: &[f64]| {
@@ -188,19 +266,16 @@ fn differences(
             sum / count
         };
         let values = [mean(a), mean(b)];
-        let mut resampled = resamples.means(&differences);
+        let mut resampled = self.resamples.means(&differences);
         if resampled.is_empty() || values.iter().any(|value| !value.is_finite()) {
-            continue;
+            return None;
         }
-        found.push(difference(
-            metric.name,
-            metric,
-            task,
-            values,
-            &mut resampled,
-        ));
+        let interval = interval(&mut resampled, self.resamples);
+        Some(Difference {
+            claim,
+            ..Difference::new(name, metric, better, values, interval)
+        })
     }
-    Ok(found)
 }
 
 /// Name of the Fréchet distance here, which is not the FID of the tables.
@@ -229,38 +304,109 @@ fn fid_difference(
         .par_iter()
         .map(|drawn| both(drawn).map(|[a, b]| b - a))
         .collect::<Result<Vec<f64>, Error>>()?;
-    Ok((!resampled.is_empty()).then(|| difference(FID_NAME, &FID, task, values, &mut resampled)))
+    Ok((!resampled.is_empty()).then(|| {
+        let interval = interval(&mut resampled, resamples);
+        Difference::new(FID_NAME, &FID, (FID.better)(task), values, interval)
+    }))
 }
 
-fn difference(
-    name: &'static str,
-    metric: &Metric,
-    task: &str,
-    [a, b]: [f64; 2],
-    resampled: &mut [f64],
-) -> Difference {
-    let interval = [TAIL, 1.0 - TAIL]
-        .map(|share| quantile(resampled, share).expect("resamples of a known difference"));
-    let rises = interval[0] > 0.0;
-    let falls = interval[1] < 0.0;
-    let better = match (metric.better)(task) {
-        Better::Higher if rises => Some("B"),
-        Better::Higher if falls => Some("A"),
-        Better::Lower if rises => Some("A"),
-        Better::Lower if falls => Some("B"),
-        Better::Higher | Better::Lower | Better::NearReal => None,
-    };
-    Difference {
-        metric: name,
-        a,
-        b,
-        difference: b - a,
-        interval,
-        better,
+/// Ends of an interval from resampled differences; none where they come from too few targets.
+fn interval(resampled: &mut [f64], resamples: &Resamples) -> Option<[f64; 2]> {
+    (resamples.num_targets() >= MIN_TARGETS as usize).then(|| {
+        [TAIL, 1.0 - TAIL]
+            .map(|share| quantile(resampled, share).expect("resamples of a known difference"))
+    })
+}
+
+impl Difference {
+    fn new(
+        name: &str,
+        metric: &Metric,
+        better: Better,
+        [a, b]: [f64; 2],
+        interval: Option<[f64; 2]>,
+    ) -> Self {
+        let rises = interval.is_some_and(|[low, _]| low > 0.0);
+        let falls = interval.is_some_and(|[_, high]| high < 0.0);
+        let better = match better {
+            Better::Higher if rises => Some("B"),
+            Better::Higher if falls => Some("A"),
+            Better::Lower if rises => Some("A"),
+            Better::Lower if falls => Some("B"),
+            Better::Higher | Better::Lower | Better::NearReal => None,
+        };
+        Self {
+            metric: name.to_owned(),
+            a,
+            b,
+            difference: b - a,
+            interval,
+            better,
+            decimals: metric.decimals,
+            claim: None,
+        }
+    }
+
+    /// Difference and interval as tables print them, such as `+3.10 [+1.20, +5.00]`.
+    fn text(&self) -> String {
+        let digits = self.decimals;
+        let difference = self.difference;
+        match self.interval {
+            Some([low, high]) => {
+                format!("{difference:+.digits$} [{low:+.digits$}, {high:+.digits$}]")
+            }
+            None => format!("{difference:+.digits$}"),
+        }
     }
 }
 
 impl Comparison {
+    /// Calls no system better, because the encoder is too weak to judge.
+    pub(crate) fn rank_nothing(&mut self, weakness: &str) {
+        self.unranked = Some(weakness.to_owned());
+        for difference in &mut self.differences {
+            difference.better = None;
+        }
+    }
+
+    /// Which of the metrics of [`CLAIMS`] agree on the second system against the first, as a sentence; none where the
+    /// encoder ranks nothing or none of them was measured.
+    ///
+    /// A claim needs two of them: each can be had at the cost of the others.
+    pub fn claim(&self) -> Option<String> {
+        if self.unranked.is_some() {
+            return None;
+        }
+        let of = |better: Option<&str>| -> Vec<String> {
+            let rows = self.differences.iter();
+            let rows = rows.filter_map(|row| Some((row.claim?, row)));
+            rows.filter(|(_, row)| row.better == better)
+                .map(|(metric, row)| format!("{} {}", spoken(metric), row.text()))
+                .collect()
+        };
+        let (better, worse, nothing) = (of(Some("B")), of(Some("A")), of(None));
+        let says = |metrics: &[String], what: &str| match metrics {
+            [] => None,
+            [one] => Some(format!("{one} alone says that it is {what}")),
+            _ => Some(format!("{} agree that it is {what}", listed(metrics))),
+        };
+        let silent = match &nothing[..] {
+            [] => None,
+            [one] => Some(format!("{one} shows nothing")),
+            _ => Some(format!("{} show nothing", listed(&nothing))),
+        };
+        let found = [says(&better, "better"), says(&worse, "worse"), silent];
+        let mut found: Vec<String> = found.into_iter().flatten().collect();
+        if found.is_empty() {
+            return None;
+        }
+        if better.len().max(worse.len()) < 2 {
+            found.push("no two agree, so nothing is claimed".to_owned());
+        }
+        let [a, b] = &self.systems;
+        Some(format!("{b} against {a}: {}.", found.join("; ")))
+    }
+
     /// The comparison as a table.
     pub fn grid(&self) -> Grid {
         let [a, b] = &self.systems;
@@ -290,19 +436,153 @@ impl Comparison {
                 .differences
                 .iter()
                 .map(|row| {
-                    let digits = metric::from_name(row.metric).map_or(3, |metric| metric.decimals);
+                    let digits = row.decimals;
                     let number = |value: f64| format!("{value:.digits$}");
+                    let end = |at: usize| {
+                        row.interval
+                            .map_or_else(|| ABSENT.to_owned(), |ends| number(ends[at]))
+                    };
                     vec![
-                        row.metric.to_owned(),
+                        row.metric.clone(),
                         number(row.a),
                         number(row.b),
                         format!("{:+.digits$}", row.difference),
-                        number(row.interval[0]),
-                        number(row.interval[1]),
-                        row.better.unwrap_or("–").to_owned(),
+                        end(0),
+                        end(1),
+                        row.better.unwrap_or(ABSENT).to_owned(),
                     ]
                 })
                 .collect(),
+        }
+    }
+}
+
+/// The name of a metric within a sentence: without its unit.
+fn spoken(metric: &Metric) -> String {
+    let name = metric.name.split(" (").next().unwrap_or(metric.name);
+    match name.strip_prefix("E2T ") {
+        Some(recall) => recall.to_owned(),
+        None => name.to_lowercase(),
+    }
+}
+
+/// Several words as a list with "and".
+fn listed(words: &[String]) -> String {
+    match words {
+        [] => String::new(),
+        [one] => one.clone(),
+        [first @ .., last] => format!("{} and {last}", first.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metric::motion_quality::FOOT_SLIDE;
+    use crate::metric::position_error::{ERROR_INSIDE, ERROR_OUTSIDE};
+    use crate::metric::retrieval::E2T_RECALL_1;
+    use crate::protocol::Protocol;
+
+    /// Two systems on `num_items` items of as many targets; `values` are of the first, the second and the target.
+    fn compared(num_items: usize, values: &[(&'static Metric, [f64; 3])]) -> Comparison {
+        let of = |side: usize| -> OfItems {
+            let of_metric = |(metric, values): &(&'static Metric, [f64; 3])| {
+                (*metric, vec![values[side]; num_items])
+            };
+            values.iter().map(of_metric).collect()
+        };
+        let targets: Vec<String> = (0..num_items).map(|item| item.to_string()).collect();
+        let targets = targets.iter().map(String::as_str);
+        let (a, b, real) = (of(0), of(1), of(2));
+        Comparison {
+            task: "semantic".to_owned(),
+            n: num_items,
+            targets: num_items as u32,
+            items_digest: String::new(),
+            systems: ["Identity", "ours"].map(str::to_owned),
+            protocol: String::new(),
+            encoder_hash: String::new(),
+            unranked: None,
+            differences: Pairing {
+                task: "semantic",
+                real: &real,
+                sides: [&a, &b],
+                resamples: &Resamples::new(targets, &Protocol::default()),
+            }
+            .differences(&CLAIMS),
+            notes: Vec::new(),
+        }
+    }
+
+    const ALL_FOUR: [(&Metric, [f64; 3]); 4] = [
+        (&E2T_RECALL_1, [40.0, 64.0, 100.0]),
+        // As far above the target's slide as the other is below.
+        (&FOOT_SLIDE, [0.0, 0.2, 0.1]),
+        (&ERROR_INSIDE, [10.0, 8.0, 0.0]),
+        (&ERROR_OUTSIDE, [0.0, 1.0, 0.0]),
+    ];
+
+    #[test]
+    fn a_claim_names_what_agrees_and_what_shows_nothing() {
+        let claim = |count: usize, values: &[(&'static Metric, [f64; 3])]| {
+            compared(count, values).claim().expect("measured")
+        };
+        assert_eq!(
+            claim(10, &ALL_FOUR),
+            "ours against Identity: R@1 +24.00 [+24.00, +24.00] and error inside the mask -2.00 [-2.00, -2.00] agree \
+             that it is better; error outside the mask +1.00 [+1.00, +1.00] alone says that it is worse; foot slide \
+             +0.000 [+0.000, +0.000] shows nothing."
+        );
+        assert_eq!(
+            claim(10, &ALL_FOUR[..2]),
+            "ours against Identity: R@1 +24.00 [+24.00, +24.00] alone says that it is better; foot slide +0.000 \
+             [+0.000, +0.000] shows nothing; no two agree, so nothing is claimed."
+        );
+        // Nine targets make no interval, and so no claim.
+        assert_eq!(
+            claim(9, &ALL_FOUR[..1]),
+            "ours against Identity: R@1 +24.00 shows nothing; no two agree, so nothing is claimed."
+        );
+        let mut weak = compared(10, &ALL_FOUR);
+        weak.rank_nothing("it guesses");
+        assert_eq!(weak.claim(), None);
+        assert_eq!(compared(10, &[]).claim(), None);
+    }
+
+    #[test]
+    fn a_slide_is_better_the_nearer_it_is_to_the_targets() {
+        for (values, better) in [
+            ([0.0, 0.1, 0.1], Some("B")),
+            ([0.1, 0.0, 0.1], Some("A")),
+            ([0.5, 0.2, 0.1], Some("B")),
+            ([0.0, 0.2, 0.1], None),
+        ] {
+            let found = compared(10, &[(&FOOT_SLIDE, values)]);
+            let [plain, distance] = &found.differences[..] else {
+                panic!("{found:?}");
+            };
+            assert_eq!(
+                (plain.better, distance.better),
+                (None, better),
+                "{values:?}"
+            );
+            assert_eq!(distance.metric, "Foot slide (m/s) from the target's");
+            assert!((distance.a - (values[0] - values[2]).abs()).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn too_few_targets_have_no_interval() {
+        for (count, is_known) in [(9, false), (10, true)] {
+            let found = compared(count, &ALL_FOUR);
+            assert!(
+                found
+                    .differences
+                    .iter()
+                    .all(|row| row.interval.is_some() == is_known)
+            );
+            let from = &found.grid().rows[0][4];
+            assert_eq!(from, if is_known { "24.00" } else { "–" });
         }
     }
 }

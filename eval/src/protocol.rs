@@ -13,6 +13,12 @@ pub const PAPER_GALLERY: usize = 32;
 /// Pairs drawn for Diversity in the T2M evaluation.
 pub const T2M_DIVERSITY_PAIRS: usize = 300;
 
+/// How the name of a protocol ends its number of pairs.
+const PAIRS: &str = " diversity pairs";
+
+/// What the name of a protocol says of intervals over test sets.
+const FROM_TARGETS: &str = " draws of the targets";
+
 /// Bootstrap resamples behind the interval of a mean or a median over items.
 pub(crate) const RESAMPLES: usize = 1000;
 
@@ -128,7 +134,7 @@ pub struct Protocol {
     pub gallery: Gallery,
     /// Evaluations.
     pub repeats: usize,
-    /// Pairs drawn for Diversity; a smaller test set draws as many as it has items.
+    /// Pairs drawn for Diversity, and the fewest items that it is measured on.
     pub diversity_pairs: usize,
     /// Which latents enter a Fréchet distance.
     pub fid_sample: FidSample,
@@ -206,7 +212,7 @@ impl Protocol {
     /// and not only what was asked for.
     pub fn name(&self, num_items: usize) -> String {
         let gallery = self.gallery_name(num_items);
-        let pairs = self.diversity_pairs.min(num_items);
+        let pairs = self.diversity_pairs;
         let fid = match self.fid_sample {
             FidSample::Halves => format!("FID between halves of {}", num_items / 2),
             FidSample::All => format!("FID on all {num_items}"),
@@ -236,15 +242,26 @@ impl Protocol {
         });
         let interval = match self.interval {
             Spread::Targets => format!(
-                "95 % intervals from {RESAMPLES} draws of the targets ({SET_RESAMPLES} for FID and Diversity)"
+                "95 % intervals from {RESAMPLES}{FROM_TARGETS} ({SET_RESAMPLES} for FID and Diversity)"
             ),
             Spread::Repeats => "95 % intervals over the repeats".to_owned(),
         };
         format!(
-            "{gallery}, {queries}, {pairs} diversity pairs, {fid}, {floor}{length}{keypoints}{limit}, \
+            "{gallery}, {queries}, {pairs}{PAIRS}, {fid}, {floor}{length}{keypoints}{limit}, \
              seed {}, {interval}",
             self.seed.0
         )
+    }
+
+    /// Pairs of Diversity of the protocol with a name ([`Protocol::name`]).
+    pub(crate) fn diversity_pairs_of(name: &str) -> Option<usize> {
+        let count = name.split(", ").find_map(|part| part.strip_suffix(PAIRS))?;
+        count.parse().ok()
+    }
+
+    /// Whether the intervals of the protocol with a name ([`Protocol::name`]) are over test sets.
+    pub(crate) fn is_drawn_from_targets(name: &str) -> bool {
+        name.contains(FROM_TARGETS)
     }
 
     /// The galleries in words.
@@ -310,13 +327,21 @@ impl Protocol {
         }
     }
 
+    /// Items on either side of a Fréchet distance.
+    pub fn fid_size(&self, num_items: usize) -> usize {
+        match self.fid_sample {
+            FidSample::Halves => num_items / 2,
+            FidSample::All => num_items,
+        }
+    }
+
     /// Items whose targets, and items whose scored motions, enter the Fréchet distance of a repeat.
     pub fn fid_items(&self, num_items: usize, repeat: usize) -> [Vec<usize>; 2] {
         match self.fid_sample {
             FidSample::Halves => {
                 let order =
                     draw_without_replacement(num_items, num_items, &mut self.rng("fid", repeat));
-                let half = num_items / 2;
+                let half = self.fid_size(num_items);
                 [order[..half].to_vec(), order[half..2 * half].to_vec()]
             }
             FidSample::All => [(0..num_items).collect(), (0..num_items).collect()],
@@ -367,7 +392,24 @@ mod tests {
                 .name(20)
                 .starts_with("one gallery of all 20 (fewer than 32)")
         );
-        assert!(protocol.name(20).contains(", 20 diversity pairs"));
+        assert!(protocol.name(20).contains(", 300 diversity pairs"));
+        for diversity_pairs in [1, 300] {
+            let name = Protocol {
+                diversity_pairs,
+                ..protocol
+            }
+            .name(20);
+            assert_eq!(Protocol::diversity_pairs_of(&name), Some(diversity_pairs));
+        }
+        assert_eq!(Protocol::diversity_pairs_of("another protocol"), None);
+        for (interval, is_drawn) in [(Spread::Targets, true), (Spread::Repeats, false)] {
+            let name = Protocol {
+                interval,
+                ..protocol
+            }
+            .name(20);
+            assert_eq!(Protocol::is_drawn_from_targets(&name), is_drawn);
+        }
         let full = Protocol {
             gallery: Gallery::Full,
             fid_sample: FidSample::All,
@@ -384,7 +426,7 @@ mod tests {
         };
         assert_eq!(
             full.name(5),
-            "one gallery of all 5, edited queries, 5 diversity pairs, FID on all 5, \
+            "one gallery of all 5, edited queries, 300 diversity pairs, FID on all 5, \
              floor at 0 m, cut to the target's length, position error of 22 joints, \
              a random 5 of the items (seed 42), seed 0, 95 % intervals over the repeats"
         );

@@ -1,6 +1,6 @@
 //! `stance eval`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use datasets_spec::{Seed, Split};
@@ -13,11 +13,12 @@ use eval::metric::{self, Part};
 use eval::names::{ALL_TASKS, RECAPTURED};
 use eval::protocol::{FidSample, Floor, Gallery, Keypoints, Limit, Protocol, Queries, Spread};
 use eval::published::PaperTable;
-use eval::table::Table;
+use eval::table::{Table, shortages};
 use eval::times::{self, WindowTimes};
+use pipeline::answers::bundle::Bundle;
 
 use crate::device::DeviceArgs;
-use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, encoder_retrieval};
+use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, encoder_retrieval, judge_hash};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::{report, stages};
@@ -25,21 +26,23 @@ use crate::{report, stages};
 /// Score tables of edits and print a result table of the paper's shape, or compare two of them.
 ///
 /// Every table also gets the rows a reader compares with: the real data, and the identity editor
-/// that returns each original unchanged.
+/// that returns each original unchanged. Below the main table stand the paired differences of each system from
+/// the identity editor, and of each from the next one in R@1.
 #[derive(clap::Args, Debug)]
 #[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true)]
 pub(crate) struct Args {
     #[command(subcommand)]
     action: Option<Action>,
-    /// Tables of edits of the same items, as `stance edit` writes them; takes of other seeds count as
-    /// one system
+    /// Tables of edits of the same items, as `stance edit` writes them, and bundles, as `stance edits
+    /// bundle` does; takes of other seeds count as one system
     #[arg(required_unless_present = "items")]
     edits: Vec<PathBuf>,
-    /// Items, to print what needs no system: the real data and the identity editor
+    /// Items that bundles answer; alone, to print what needs no system: the real data and the identity
+    /// editor
     #[arg(long)]
     items: Option<PathBuf>,
-    /// Which table of the paper
-    #[arg(long, value_enum, default_value_t = TableArg::One)]
+    /// Which table: the main one, or one of the paper
+    #[arg(long, value_enum, default_value_t = TableArg::Main)]
     table: TableArg,
     /// Source of the intervals: bootstrap draws of the targets, or the repeats, as published
     #[arg(long, value_enum, default_value_t = IntervalArg::Targets)]
@@ -214,9 +217,14 @@ fn parse_keypoints(text: &str) -> Result<Keypoints, String> {
         .ok_or_else(|| "there are 28 and 22".to_owned())
 }
 
-/// A table of the paper.
+/// A result table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum TableArg {
+    #[value(
+        name = "main",
+        help = "what a claim is made of: R@1, foot slide, error inside and outside of the mask"
+    )]
+    Main,
     #[value(name = "1", help = "body part replacement and style transfer")]
     One,
     #[value(name = "2", help = "MotionFix, galleries of 32")]
@@ -235,6 +243,7 @@ impl TableArg {
     /// Its name on the command line.
     pub(crate) fn name(self) -> &'static str {
         match self {
+            Self::Main => "main",
             Self::One => "1",
             Self::Two => "2",
             Self::A1 => "a1",
@@ -244,9 +253,10 @@ impl TableArg {
         }
     }
 
+    /// The table of the paper whose protocol and published rows it has; none for Table A4, which holds no scores.
     pub(crate) fn scored(self) -> Option<PaperTable> {
         Some(match self {
-            Self::One => PaperTable::One,
+            Self::Main | Self::One => PaperTable::One,
             Self::Two => PaperTable::Two,
             Self::A1 => PaperTable::A1,
             Self::A2 => PaperTable::A2,
@@ -272,9 +282,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         },
         ..args.measure.protocol(Some(table), global)
     };
-    let tables: Vec<PathBuf> = args.items.iter().chain(&args.edits).cloned().collect();
     let runs = args.measure.runs()?;
-    let answered = Answered::read_for_table(&tables)?;
+    let answered = answers(args, runs.encoder)?;
     let scores = stages::scores(&answered, &runs, &protocol, global)?;
     if let Some(out) = &args.out {
         scores.commit(out, &answered.skeleton, &global.holder())?;
@@ -282,7 +291,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let text = if global.json || args.measure.format == FormatArg::Json {
         format::json::render(&scores.rows, &scores.judges)?
     } else {
-        let mut tables = paper_tables(&scores, table);
+        let mut tables = result_tables(&scores, args.table, table);
         if args.published {
             for laid_out in &mut tables {
                 laid_out.append_published(table);
@@ -299,13 +308,57 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
     };
     report::text(&text);
+    if global.json || matches!(args.measure.format, FormatArg::Json | FormatArg::Csv) {
+        for shortage in shortages(&scores.rows) {
+            report::note(&shortage);
+        }
+    }
     let weak_judge = args.measure.weak_judge;
     Ok(weak_judge.exit(scores.unranked(), Exit::Done))
 }
 
+/// Items, and the edits of folders and bundles.
+fn answers(args: &Args, encoder: &Path) -> anyhow::Result<Answered> {
+    let is_bundle = |path: &&PathBuf| path.extension().is_some_and(|end| end == "zip");
+    let (bundles, folders): (Vec<&PathBuf>, Vec<&PathBuf>) = args.edits.iter().partition(is_bundle);
+    let folders: Vec<PathBuf> = args.items.iter().chain(folders).cloned().collect();
+    if let (Some(first), []) = (bundles.first(), folders.as_slice()) {
+        bail!(
+            "{} holds no items; name those that it answers: --items ITEMS",
+            first.display()
+        );
+    }
+    let answered = Answered::read_for_table(&folders)?;
+    if bundles.is_empty() {
+        return Ok(answered);
+    }
+    let judge = judge_hash(encoder)?;
+    let mut edits = Vec::new();
+    for path in bundles {
+        let Bundle { facts, rows } = Bundle::read(path, &answered.items, &answered.skeleton)?;
+        if let Some(asked) = facts.judge_hash.filter(|asked| *asked != judge) {
+            bail!(
+                "{}: it asks to be judged by the encoder {asked:.12}, and --encoder {} is {judge:.12}",
+                path.display(),
+                encoder.display()
+            );
+        }
+        edits.extend(rows);
+    }
+    Ok(answered.with_edits(edits)?)
+}
+
+/// The scores as a table, whose paper's counterpart is `paper`.
+pub(crate) fn result_tables(scores: &Scores, table: TableArg, paper: PaperTable) -> Vec<Table> {
+    match table {
+        TableArg::Main => scores.main_tables(),
+        _ => paper_tables(scores, paper),
+    }
+}
+
 /// The scores in the shape of a table of the paper: its tasks, where the edits are of any of them,
 /// and the tasks there are otherwise.
-pub(crate) fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
+fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.judges, &table.columns());
     let wanted = |found: &Table| {
         [ALL_TASKS, RECAPTURED].contains(&found.task.as_str())
@@ -384,11 +437,24 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
         report::json(&comparisons)?;
         return Ok(exit);
     }
-    let grids: Vec<String> = comparisons
+    let texts: Vec<String> = comparisons
         .iter()
-        .map(|comparison| printed(&comparison.grid(), args.measure.format))
+        .map(|comparison| {
+            let mut text = printed(&comparison.grid(), args.measure.format);
+            for line in comparison.notes.iter().cloned().chain(comparison.claim()) {
+                match args.measure.format {
+                    // A file of values has no place for a sentence.
+                    FormatArg::Csv => report::note(&line),
+                    FormatArg::Latex => text += &format!("% {line}\n"),
+                    FormatArg::Text | FormatArg::Markdown | FormatArg::Json => {
+                        text += &format!("\n{line}\n");
+                    }
+                }
+            }
+            text
+        })
         .collect();
-    report::text(&grids.join("\n"));
+    report::text(&texts.join("\n"));
     Ok(exit)
 }
 
@@ -460,9 +526,14 @@ fn printed(grid: &format::grid::Grid, format: FormatArg) -> String {
     }
 }
 
-/// The scores in the shape of the paper's Table 1, for all tasks there are.
+/// The main tables and the columns of the paper's Table 1, for all tasks there are.
 pub(crate) fn tables(scores: &Scores) -> Vec<Table> {
-    Table::from_scores(&scores.rows, &scores.judges, &metric::of_part(Part::Paper))
+    let of_paper = metric::of_part(Part::Paper);
+    [
+        scores.main_tables(),
+        Table::from_scores(&scores.rows, &scores.judges, &of_paper),
+    ]
+    .concat()
 }
 
 /// The columns the paper does not print, and motion quality.

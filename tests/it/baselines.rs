@@ -69,7 +69,7 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
         .iter()
         .filter_map(|row| row["system"].as_str())
         .collect();
-    for system in ["TMED", "TMED w/ MCM", "Identity", "Real Data"] {
+    for system in ["TMED", "TMED w/ MCM (steps 3)", "Identity", "Real Data"] {
         assert!(systems.contains(system), "{system}: {systems:?}");
     }
 

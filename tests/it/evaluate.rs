@@ -36,6 +36,11 @@ pub(crate) struct Bench {
 
 impl Bench {
     pub(crate) fn open() -> Self {
+        Self::of_items("8")
+    }
+
+    /// A workshop with so many items.
+    pub(crate) fn of_items(count: &str) -> Self {
         let workshop = Workshop::open();
         workshop.train("motionrefit", "editor", "4").expect_code(0);
         let encoder = workshop.path("encoder");
@@ -52,7 +57,7 @@ impl Bench {
         ])
         .expect_code(0);
         let bench = Self { workshop, encoder };
-        bench.items("items", &["--count", "8"]);
+        bench.items("items", &["--count", count]);
         bench
     }
 
@@ -66,7 +71,7 @@ impl Bench {
         out
     }
 
-    /// Answers the eight items with the editor and returns the folder.
+    /// Answers the items with the editor and returns the folder.
     pub(crate) fn edits(&self, name: &str, more: &[&str]) -> PathBuf {
         self.answers("editor", "items", name, more)
     }
@@ -87,6 +92,7 @@ impl Bench {
         out
     }
 
+    /// Evaluates edits; without a table among `more`, in that of the paper's columns.
     pub(crate) fn eval(&self, edits: &[&Path], more: &[&str]) -> Ran {
         let mut args = vec![
             "eval",
@@ -97,6 +103,9 @@ impl Bench {
             "2",
         ];
         args.extend(more);
+        if !more.contains(&"--table") {
+            args.extend(["--table", "1"]);
+        }
         args.extend(edits.iter().map(|path| arg(path)));
         stance(&args)
     }
@@ -107,19 +116,39 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     let bench = Bench::open();
     let first = bench.edits("first", &[]);
     let second = bench.edits("second", &["--guidance", "2"]);
+    let both: Value = bench
+        .eval(&[&first, &second], &["--json"])
+        .expect_code(0)
+        .json();
+    let systems: BTreeSet<&str> = both
+        .as_array()
+        .expect("rows")
+        .iter()
+        .map(|row| row["system"].as_str().expect("a name"))
+        .collect();
+    // What differs from the settings of the training stands in the name.
+    assert_eq!(
+        Vec::from_iter(systems),
+        [
+            "Identity",
+            "MotionReFit",
+            "MotionReFit (guidance 2)",
+            "Real Data"
+        ]
+    );
 
     let scores: Value = bench.eval(&[&first], &["--json"]).expect_code(0).json();
     let names = ["Real Data", "Identity", "MotionReFit"];
     let ran = bench
         .eval(&[&first], &["--published", "--format", "markdown"])
         .expect_code(0);
-    let [table] = &tables(&ran.stdout)[..] else {
-        panic!("one task, one table: {}", ran.stdout);
-    };
+    // One task; tables of novelties follow.
+    let table = &tables(&ran.stdout)[0];
     assert_eq!(table.heading, "semantic");
     let e2t = ["E2T R@1 ↑", "E2T R@2 ↑", "E2T R@3 ↑", "E2T AvgR ↓"];
     let e2s = ["E2S R@1 →", "E2S R@2 →", "E2S R@3 →", "E2S AvgR →"];
-    let paper = [&["System", "FID ↓", "Diversity →", "FS ↑"], &e2s[..], &e2t].concat();
+    // Eight items are too few for FID and Diversity.
+    let paper = [&["System", "FS ↑"], &e2s[..], &e2t].concat();
     assert_eq!(table.head, paper);
     table.check_measured(&names, &scores);
     assert_eq!(
@@ -138,8 +167,6 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     assert_eq!(
         table.row("TMED w/ MCM (published)"),
         [
-            "0.540 ±0.028",
-            "35.67 ±0.48",
             "0.900 ±0.006",
             "41.29 ±0.63",
             "46.13 ±0.88",
@@ -176,7 +203,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         });
         std::iter::once("System".to_owned()).chain(labels).collect()
     };
-    let a3 = [&["System", "FID ↓", "FS ↑"], &e2s[..], &e2t].concat();
+    let a3 = [&["System", "FS ↑"], &e2s[..], &e2t].concat();
     let heads = [
         a3.into_iter().map(str::to_owned).collect(),
         columns(Part::Further),
@@ -277,7 +304,11 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     assert!(!differences(&same).is_empty());
     for difference in differences(&same) {
         assert_eq!(difference["difference"], 0.0, "{difference}");
-        assert_eq!(difference["interval"], serde_json::json!([0.0, 0.0]));
+        assert_eq!(
+            difference["interval"],
+            Value::Null,
+            "eight items have fewer than ten targets"
+        );
         assert_eq!(difference["better"], Value::Null);
     }
     let other = compare(&second);
@@ -287,8 +318,6 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         .expect("measured");
     let number = |value: &Value| value.as_f64().expect("a number");
     assert!(number(&moved["difference"]) != 0.0);
-    let [low, high] = [0, 1].map(|end| number(&moved["interval"][end]));
-    assert!(low <= number(&moved["difference"]) && number(&moved["difference"]) <= high);
 }
 
 /// A plan of a small editor, with its settings in section `models.motionrefit`.
@@ -630,7 +659,8 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
         "{table}"
     );
     let figure = fs::read_to_string(tables.join("pairs.md")).expect("a table");
-    let cell = format!("| false | {expected:.3} ±");
+    // Six items have too few targets for an interval, whatever their trainings add.
+    let cell = format!("| false | {expected:.3} |");
     assert!(figure.contains(&cell), "{cell} {figure}");
 }
 

@@ -95,7 +95,7 @@ fn mdm_edits_body_parts_and_stands_in_the_table() {
         .eval(&[&ours, &out], &["--json"])
         .expect_code(0)
         .json();
-    for system in ["MDM-BP", "Identity", "MotionReFit"] {
+    for system in ["MDM-BP (guidance 2)", "Identity", "MotionReFit"] {
         assert!(
             score(&scores, system, "E2T AvgR")["mean"]
                 .as_f64()

@@ -7,7 +7,7 @@ use crate::table::standings;
 
 const HEAD: &str = "system,task,metric,protocol,encoder_hash,n,repeats,mean,ci95,\
                     takes,targets,sources,instructions,gallery,ranked,fid_items,latent_width,\
-                    novelty,items_digest,ranks_systems,behind_identity";
+                    novelty,items_digest,ranks_systems,behind_identity,best";
 
 /// Writes the rows of the table of scores with a header line, as RFC 4180 but with Unix line ends.
 /// Numbers keep all their digits.
@@ -57,6 +57,7 @@ pub fn render(scores: &[ScoreRow], judges: &Judges) -> String {
             quoted(items_digest),
             standing.ranks_systems.to_string(),
             standing.behind_identity.to_string(),
+            standing.best.to_string(),
         ];
         text.push_str(&fields.join(","));
         text.push('\n');
@@ -83,7 +84,7 @@ mod tests {
         let row = score_row("style", "a \"b\", c", &FID, 0.1);
         let expected = format!(
             "{HEAD}\n\"a \"\"b\"\", c\",style,FID,\"galleries of 32, seed 0\",0123456789abcdef,512,10,\
-             0.1,0.001,1,29,400,61,32,512,256,64,,a1b2c3d4e5f6,true,false\n"
+             0.1,0.001,1,29,400,61,32,512,256,64,,a1b2c3d4e5f6,true,false,true\n"
         );
         assert_eq!(render(std::slice::from_ref(&row), &Judges::new()), expected);
         let without = ScoreRow { ci95: None, ..row };

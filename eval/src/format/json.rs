@@ -67,6 +67,7 @@ mod tests {
         items_digest: String,
         ranks_systems: bool,
         behind_identity: bool,
+        best: bool,
     }
 
     #[test]
@@ -106,6 +107,10 @@ mod tests {
             let is_behind = !is_given && is_last == (row.metric != "Multimodality");
             assert!(read.ranks_systems);
             assert_eq!(read.behind_identity, is_behind, "{row:?}");
+            // Which the other is in all metrics, even in this one.
+            let is_best = row.system == "ours_100%|<b>" && row.metric != "Multimodality"
+                || is_last && row.metric == "Multimodality";
+            assert_eq!(read.best, is_best, "{row:?}");
         }
         assert_eq!(text.lines().count(), scores.len() + 2);
         let none = render(&[], &Judges::new()).expect("serialisable");

@@ -30,7 +30,7 @@ pub fn render(tables: &[Table]) -> String {
         .any(|row| row.cells.iter().flatten().any(|cell| cell.best))
     {
         text.push_str(&format!(
-            "\n{BEST} best measured system of its column, where the identity editor is not better\n"
+            "\n{BEST} best measured system of its column, where the identity editor is worse\n"
         ));
     }
     text
@@ -377,7 +377,7 @@ mod tests {
             [
                 "Behind the identity editor, which returns the original unchanged: MotionReFit tiny in every column.",
                 "",
-                "* best measured system of its column, where the identity editor is not better",
+                "* best measured system of its column, where the identity editor is worse",
             ]
         );
         assert_eq!(render(&[]), "");

@@ -3,8 +3,8 @@
 use std::fmt;
 use std::ops::RangeInclusive;
 
-use datasets_spec::Motion;
 use datasets_spec::record::EditRow;
+use datasets_spec::{JointSet, Motion};
 use kinematics::KeypointFrame;
 
 use crate::Error;
@@ -31,6 +31,8 @@ pub struct Metric {
 pub enum Part {
     /// The columns of the paper's Table 1.
     Paper,
+    /// Columns of the main table beside its retrieval ([`super::main_columns`]).
+    Main,
     /// Columns that the paper does not print.
     Further,
     /// Motion quality, independent of content.
@@ -106,6 +108,8 @@ pub struct MotionSample<'a> {
     pub keypoints: &'a [KeypointFrame],
     /// Keypoints of the target of its item.
     pub target: &'a [KeypointFrame],
+    /// Joints that the item asks to change; empty where it does not tell them.
+    pub edited: JointSet,
     /// Frames where one generated window ends and the next begins.
     pub seams: &'a [RangeInclusive<usize>],
     /// The edit; none for sources and targets.

@@ -11,7 +11,7 @@ use crate::protocol::draw_without_replacement;
 
 const METRIC: &str = "Diversity";
 
-/// Mean distance of latents paired at random.
+/// Mean distance of latents paired at random; reported from as many items as there are pairs.
 pub static DIVERSITY: Metric = Metric {
     name: METRIC,
     part: Part::Paper,
@@ -24,7 +24,9 @@ pub static DIVERSITY: Metric = Metric {
 pub const MIN_ROWS: usize = 2;
 
 fn of_sample(sample: &SetSample<'_>) -> Result<Option<Vec<f64>>, Error> {
-    if sample.items.len() < MIN_ROWS {
+    // A bootstrap resample may hold fewer items than the set.
+    let num_items = sample.sets[0].raw.num_rows();
+    if num_items < sample.protocol.diversity_pairs || sample.items.len() < MIN_ROWS {
         return Ok(None);
     }
     let values = sample.sets.iter().map(|latents| {

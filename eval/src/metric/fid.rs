@@ -31,7 +31,9 @@ fn of_sample(
     of: fn(&Latents) -> &Matrix,
 ) -> Result<Option<Vec<f64>>, Error> {
     let [real, compared] = sample.fid_items;
-    if real.len().min(compared.len()) < MIN_ROWS {
+    let Latents { raw, .. } = sample.sets[0];
+    let is_enough = sample.protocol.fid_size(raw.num_rows()) >= min_items(raw.num_cols());
+    if !is_enough || real.len().min(compared.len()) < MIN_ROWS {
         return Ok(None);
     }
     let real = of(sample.sets[0]).select_rows(real);
@@ -45,6 +47,12 @@ fn of_sample(
     let real = Reference::new(Gaussian::of_latents(&real)?);
     let found = sets.map(|set| real.distance(&Gaussian::of_latents(&set)?));
     found.collect::<Result<_, _>>().map(Some)
+}
+
+/// Fewest items on either side from which the distance is reported: below, the covariance of latents of so many numbers
+/// is singular, and most of the value is what the small sample adds.
+pub const fn min_items(latent_width: usize) -> usize {
+    latent_width + 1
 }
 
 /// Smallest set a covariance can be estimated from.

@@ -13,6 +13,13 @@ const STUDENT_95: [f64; 9] = [
 /// Most trainings of a system that [`Interval::over_trainings`] summarises.
 pub const MOST_TRAININGS: usize = STUDENT_95.len() + 1;
 
+/// Fewest targets that a bootstrap interval is made from.
+///
+/// The half width is 1.96 times the population deviation. For a mean of n normal values that covers the true mean with
+/// the probability that Student's t with n - 1 degrees of freedom is below `1.96 √((n - 1) / n)`: 90.4 % for 10 targets,
+/// and less than 90 % for fewer.
+pub const MIN_TARGETS: u32 = 10;
+
 /// A mean and the half width of its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interval {

@@ -24,9 +24,10 @@ pub use definition::{
 
 /// Version of the metrics. It is raised when a metric is added or gives other values for the same motions, so that stored
 /// scores are computed again.
-pub const METRICS_VERSION: u32 = 3;
+pub const METRICS_VERSION: u32 = 4;
 
-/// All metrics in the order of the tables: the columns of the paper's Table 1 first.
+/// All metrics: the columns of the paper's Table 1, those of the main table that are not among them, further ones, and
+/// motion quality.
 pub static ALL: &[&Metric] = &[
     &fid::FID,
     &diversity::DIVERSITY,
@@ -39,6 +40,10 @@ pub static ALL: &[&Metric] = &[
     &retrieval::E2T_RECALL_2,
     &retrieval::E2T_RECALL_3,
     &retrieval::E2T_AVERAGE_RANK,
+    &motion_quality::FOOT_SLIDE,
+    &motion_quality::TARGET_FOOT_SLIDE,
+    &position_error::ERROR_INSIDE,
+    &position_error::ERROR_OUTSIDE,
     &fid::FID_RAW,
     &retrieval::E2S_MEDIAN_RANK,
     &retrieval::E2T_MEDIAN_RANK,
@@ -50,7 +55,6 @@ pub static ALL: &[&Metric] = &[
     &motion_quality::SEAM_ACCELERATION,
     &motion_quality::INSIDE_ACCELERATION,
     &motion_quality::JERK,
-    &motion_quality::CONTACT_SLIDE,
     &gliding::GLIDING,
     &motion_quality::ROTATION_STEP,
 ];
@@ -60,6 +64,20 @@ pub fn of_part(part: Part) -> Vec<&'static Metric> {
     let all = ALL.iter().copied();
     all.filter(|metric| metric.part == part).collect()
 }
+
+/// The metrics of the main table: retrieval of the target, foot slide with that of the target, and the error inside and
+/// outside of what the item asks to change.
+pub fn main_columns() -> Vec<&'static Metric> {
+    [vec![&retrieval::E2T_RECALL_1], of_part(Part::Main)].concat()
+}
+
+/// What a claim is made of: two of these must agree that one system is better than another.
+pub static CLAIMS: [&Metric; 4] = [
+    &retrieval::E2T_RECALL_1,
+    &motion_quality::FOOT_SLIDE,
+    &position_error::ERROR_INSIDE,
+    &position_error::ERROR_OUTSIDE,
+];
 
 /// The metric of a name in the table of scores.
 pub fn from_name(name: &str) -> Option<&'static Metric> {
@@ -80,7 +98,7 @@ mod tests {
             assert_eq!(from_name(metric.name), Some(*metric));
         }
         assert_eq!(from_name("FVD"), None);
-        let parts = [Part::Paper, Part::Further, Part::Quality].map(of_part);
+        let parts = [Part::Paper, Part::Main, Part::Further, Part::Quality].map(of_part);
         assert_eq!(parts.concat(), ALL);
     }
 

@@ -43,13 +43,22 @@ pub static JERK: Metric = Metric {
     measure: Measure::Motion(|sample| jerk(sample.keypoints, sample.motion.fps())),
 };
 
-/// Mean speed of feet that touch the floor, in m/s.
-pub static CONTACT_SLIDE: Metric = Metric {
-    name: "Contact slide (m/s)",
-    part: Part::Quality,
+/// Mean speed over the ground of the lowest foot, in m/s.
+pub static FOOT_SLIDE: Metric = Metric {
+    name: "Foot slide (m/s)",
+    part: Part::Main,
     better: |_| Better::NearReal,
     decimals: 3,
-    measure: Measure::Motion(|sample| contact_slide(sample.keypoints, sample.motion.fps())),
+    measure: Measure::Motion(|sample| foot_slide(sample.keypoints, sample.motion.fps())),
+};
+
+/// [`FOOT_SLIDE`] of the item's target, in m/s: what that of an edit is held against.
+pub static TARGET_FOOT_SLIDE: Metric = Metric {
+    name: "Target's foot slide (m/s)",
+    part: Part::Main,
+    better: |_| Better::NearReal,
+    decimals: 3,
+    measure: Measure::Motion(|sample| foot_slide(sample.target, sample.motion.fps())),
 };
 
 /// Largest rotation of a joint from one frame to the next, in degrees.
@@ -65,11 +74,8 @@ pub static ROTATION_STEP: Metric = Metric {
     }),
 };
 
-/// The keypoints whose contact with the floor is looked at: both ankles and both feet.
+/// Keypoints of the feet: both ankles and both feet.
 const FEET: [usize; 4] = [7, 8, 10, 11];
-
-/// Height in metres above the lowest foot of the clip below which a foot touches the floor (DIMOS).
-const TOUCH_HEIGHT: f64 = 0.05;
 
 /// Where one generated window ends and the next begins, in frames of the edited motion: the last
 /// frame of the one and the first of the other, with what interpolation put between.
@@ -181,21 +187,21 @@ pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
     mean.get().map(|value| value * fps.get().powi(3))
 }
 
-/// Mean horizontal speed in m/s of ankles and feet that touch the floor, which is taken to be at the
-/// lowest of them in the clip; none if none touches it in two consecutive frames.
-pub fn contact_slide(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
-    let floor = points
-        .iter()
-        .flat_map(|frame| FEET.map(|slot| frame[slot].y))
-        .fold(f64::INFINITY, f64::min);
+/// Mean horizontal speed in m/s of the ankle or foot that is lowest in two consecutive frames together; none for fewer
+/// than two frames.
+///
+/// One point of a body that stands or walks is on the floor and still, so it is near 0; of a body that glides it is the
+/// speed of the body. No height decides what is a contact, so a body that floats counts as well.
+pub fn foot_slide(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
     let mut mean = Mean::default();
     for frames in points.windows(2) {
-        for slot in FEET {
-            let [before, after] = [frames[0][slot], frames[1][slot]];
-            if before.y.max(after.y) - floor < TOUCH_HEIGHT {
-                mean.add((after - before).with_y(0.0).length());
-            }
-        }
+        let height = |slot: &usize| frames[0][*slot].y + frames[1][*slot].y;
+        let lowest = FEET
+            .into_iter()
+            .min_by(|a, b| height(a).total_cmp(&height(b)))
+            .expect("there are feet");
+        let step = frames[1][lowest] - frames[0][lowest];
+        mean.add(step.with_y(0.0).length());
     }
     mean.get().map(|value| value * fps.get())
 }
@@ -302,14 +308,20 @@ mod tests {
     }
 
     #[test]
-    fn only_feet_on_the_floor_slide() {
-        near(
-            contact_slide(&moving(5, |t| DVec3::Z * (0.3 * t)), FPS),
-            0.3,
-        );
-        // The whole body rises by more than a contact's height a frame: nothing stays on the floor.
-        let rising = moving(5, |t| DVec3::new(t, 2.0 * t, 0.0));
-        assert_eq!(contact_slide(&rising, FPS), None);
+    fn the_lowest_foot_slides_at_its_own_speed() {
+        // A body that glides, on the floor or above it.
+        for rise in [0.0, 2.0] {
+            let gliding = moving(5, |t| DVec3::new(0.0, rise * t, 0.3 * t));
+            near(foot_slide(&gliding, FPS), 0.3);
+        }
+        // One foot is planted below the other, which swings.
+        let mut walking = moving(5, |t| DVec3::Z * t);
+        let planted = walking[0][FEET[2]] - DVec3::Y * 0.2;
+        for frame in &mut walking {
+            frame[FEET[2]] = planted;
+        }
+        near(foot_slide(&walking, FPS), 0.0);
+        assert_eq!(foot_slide(&walking[..1], FPS), None);
     }
 
     #[test]

@@ -2,8 +2,9 @@
 
 use kinematics::KeypointFrame;
 use kinematics::canonical::GroundTransform;
+use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
-use super::definition::{Better, Measure, Metric, Part};
+use super::definition::{Better, Measure, Metric, MotionSample, Part};
 
 /// Centimetres in a metre.
 const CM_PER_M: f64 = 100.0;
@@ -17,12 +18,55 @@ pub static POSITION_ERROR: Metric = Metric {
     part: Part::Further,
     better: |_| Better::Lower,
     decimals: 2,
+    measure: Measure::Motion(|sample| error_cm(sample, |_| true)),
+};
+
+/// [`POSITION_ERROR`] of the keypoints that the item asks to change, in centimetres; none where the item does not tell
+/// them.
+pub static ERROR_INSIDE: Metric = Metric {
+    name: "Error inside the mask (cm)",
+    part: Part::Main,
+    better: |_| Better::Lower,
+    decimals: 2,
     measure: Measure::Motion(|sample| {
-        let count = sample.protocol.keypoints.count();
-        let [found, expected] = [sample.keypoints, sample.target].map(from_start);
-        Some(CM_PER_M * mean_position_error(&found, &expected, count))
+        error_cm(sample, |slot| sample.edited.contains(body_joint(slot)))
     }),
 };
+
+/// [`POSITION_ERROR`] of all other keypoints, in centimetres; none where the item does not tell which they are, or
+/// asks to change all.
+pub static ERROR_OUTSIDE: Metric = Metric {
+    name: "Error outside the mask (cm)",
+    part: Part::Main,
+    better: |_| Better::Lower,
+    decimals: 2,
+    measure: Measure::Motion(|sample| {
+        let is_known = !sample.edited.is_empty();
+        error_cm(sample, |slot| {
+            is_known && !sample.edited.contains(body_joint(slot))
+        })
+    }),
+};
+
+/// Mean distance to some keypoints of the target in centimetres, both motions placed by their first frames; none for no
+/// keypoint.
+fn error_cm(sample: &MotionSample<'_>, is_counted: impl Fn(usize) -> bool) -> Option<f64> {
+    let count = sample.protocol.keypoints.count();
+    let slots: Vec<usize> = (0..count).filter(|&slot| is_counted(slot)).collect();
+    if slots.is_empty() {
+        return None;
+    }
+    let [found, expected] = [sample.keypoints, sample.target].map(from_start);
+    Some(CM_PER_M * mean_error_of(&found, &expected, &slots))
+}
+
+/// The body joint that moves a keypoint: itself, or the one that an eye or a finger hangs from.
+fn body_joint(mut slot: usize) -> usize {
+    while slot >= NUM_BODY_JOINTS {
+        slot = parent_of(slot);
+    }
+    slot
+}
 
 /// The motion as seen from its first frame: the pelvis starts over the origin, and the hips lie along x, the left one
 /// at the greater x, so that the body starts facing +z. Heights stay.
@@ -57,25 +101,36 @@ pub fn mean_position_error(
     expected: &[KeypointFrame],
     count: usize,
 ) -> f64 {
+    let slots: Vec<usize> = (0..count).collect();
+    mean_error_of(found, expected, &slots)
+}
+
+/// [`mean_position_error`] of some keypoints.
+fn mean_error_of(found: &[KeypointFrame], expected: &[KeypointFrame], slots: &[usize]) -> f64 {
     let num_frames = found.len().min(expected.len());
     assert!(num_frames > 0, "position error of an empty motion");
     let total: f64 = found
         .iter()
         .zip(expected)
-        .flat_map(|(found, expected)| found[..count].iter().zip(expected))
-        .map(|(found, expected)| found.distance(*expected))
+        .flat_map(|(found, expected)| {
+            slots
+                .iter()
+                .map(|&slot| found[slot].distance(expected[slot]))
+        })
         .sum();
-    total / (num_frames * count) as f64
+    total / (num_frames * slots.len()) as f64
 }
 
 #[cfg(test)]
 mod tests {
+    use datasets_spec::{BodyPart, Fps, JointSet, Motion};
     use glam::{DQuat, DVec3};
-    use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
+    use kinematics::skeleton::{Joint, NUM_KEYPOINTS};
     use kinematics::{Pose, Skeleton};
 
     use super::*;
-    use crate::protocol::Keypoints;
+    use crate::metric::Metric;
+    use crate::protocol::{Keypoints, Protocol};
 
     #[test]
     fn a_constant_offset_is_its_length_and_surplus_frames_do_not_count() {
@@ -153,5 +208,76 @@ mod tests {
         let error = |keypoints: Keypoints| mean_position_error(&here, &there, keypoints.count());
         assert_eq!(error(Keypoints::Body), 0.0);
         assert!((error(Keypoints::All) - 1.0 / 56.0).abs() < 1e-12);
+    }
+
+    /// The three errors of a body whose left hand is 0.28 m off and whose head is 0.14 m off, in two of four frames.
+    fn errors(edited: JointSet, keypoints: Keypoints) -> [Option<f64>; 3] {
+        let target = [[DVec3::ZERO; NUM_KEYPOINTS]; 4].map(|mut frame| {
+            (frame[1], frame[2]) = (DVec3::X, -DVec3::X);
+            frame
+        });
+        let mut found = target;
+        for frame in &mut found[2..] {
+            for (slot, point) in frame.iter_mut().enumerate() {
+                match body_joint(slot) {
+                    joint if joint == Joint::LeftWrist.index() => point.y += 0.28,
+                    joint if joint == Joint::Head.index() => point.y += 0.14,
+                    _ => {}
+                }
+            }
+        }
+        let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 4]).expect("valid");
+        let sample = MotionSample {
+            motion: &motion,
+            keypoints: &found,
+            target: &target,
+            edited,
+            seams: &[],
+            edit: None,
+            composed: None,
+            protocol: &Protocol {
+                keypoints,
+                ..Protocol::default()
+            },
+        };
+        let value = |metric: &Metric| match metric.measure {
+            Measure::Motion(value) => value(&sample),
+            Measure::Set(_) | Measure::Takes(_) | Measure::Rank(..) => unreachable!("of motions"),
+        };
+        [&POSITION_ERROR, &ERROR_INSIDE, &ERROR_OUTSIDE].map(value)
+    }
+
+    #[test]
+    fn errors_inside_and_outside_of_a_mask_make_up_the_error() {
+        let near = |found: Option<f64>, expected: f64| {
+            assert!(
+                (found.expect("known") - expected).abs() < 1e-9,
+                "{found:?} {expected}"
+            );
+        };
+        let arm = BodyPart::LeftArm.joints();
+        for keypoints in [Keypoints::All, Keypoints::Body] {
+            let points = (0..keypoints.count()).map(body_joint);
+            let [wrist, head, inside] = [
+                JointSet::of(&[Joint::LeftWrist.index()]),
+                JointSet::of(&[Joint::Head.index()]),
+                arm,
+            ]
+            .map(|set| points.clone().filter(|&joint| set.contains(joint)).count() as f64);
+            let outside = keypoints.count() as f64 - inside;
+            let [whole, within, without] = errors(arm, keypoints);
+            near(within, 14.0 * wrist / inside);
+            near(without, 7.0 * head / outside);
+            near(
+                whole,
+                (14.0 * wrist + 7.0 * head) / keypoints.count() as f64,
+            );
+            let [whole, within, without] = errors(JointSet::ALL, keypoints);
+            assert_eq!((whole, without), (within, None));
+            let [_, within, without] = errors(JointSet::EMPTY, keypoints);
+            assert_eq!((within, without), (None, None));
+        }
+        // Fingers belong to the wrist, eyes to the head.
+        assert!((22..NUM_KEYPOINTS).all(|slot| [15, 20, 21].contains(&body_joint(slot))));
     }
 }

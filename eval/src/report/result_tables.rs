@@ -61,7 +61,7 @@ pub(super) fn html(tables: &[Table]) -> String {
     if !html.is_empty() {
         html.push_str(
             "<p class=\"head legend\">Mean ± half width of the 95 % interval. Bold: best measured \
-             system of the column, where the identity editor is not better. ↓ lower, ↑ higher, → closer to the real data is better.</p>\n",
+             system of the column, where the identity editor is worse. ↓ lower, ↑ higher, → closer to the real data is better.</p>\n",
         );
     }
     html

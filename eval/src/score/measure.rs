@@ -1,6 +1,6 @@
 //! From motions to numbers: latents of every motion, and the metrics of single motions.
 
-use datasets_spec::{Motion, Progress};
+use datasets_spec::{JointSet, Motion, Progress};
 use kinematics::KeypointFrame;
 use rayon::prelude::*;
 
@@ -159,14 +159,15 @@ impl Measuring<'_> {
             let decoded = rows
                 .par_iter()
                 .zip(targets)
-                .map(|(row, target)| {
-                    let (motion, target) = decoded(*row, *target, cut)?;
+                .map(|(row, asked)| {
+                    let (motion, target) = decoded(*row, *asked, cut)?;
                     let points = |motion| skeleton.motion_keypoints(motion).points;
                     let (keypoints, target) = (points(&motion), points(&target));
                     Ok(Decoded {
                         motion,
                         keypoints,
                         target,
+                        edited: asked.edited_joints()?,
                     })
                 })
                 .collect::<Result<Vec<_>, Error>>()?;
@@ -182,6 +183,7 @@ impl Measuring<'_> {
                         motion,
                         keypoints,
                         target,
+                        edited,
                     } = &decoded[index];
                     let windows = rows[index].windows().or(first_windows);
                     let seams = windows.map_or_else(Vec::new, |windows| {
@@ -191,6 +193,7 @@ impl Measuring<'_> {
                         motion,
                         keypoints,
                         target,
+                        edited: *edited,
                         seams: &seams,
                         edit: rows[index].edit(),
                         composed: composed.as_ref().map(|shares| shares[index]),
@@ -268,11 +271,12 @@ impl Measuring<'_> {
     }
 }
 
-/// A motion with its keypoints, and those of its target.
+/// A motion with its keypoints, those of its target, and the joints that its item asks to change.
 struct Decoded {
     motion: Motion,
     keypoints: Vec<KeypointFrame>,
     target: Vec<KeypointFrame>,
+    edited: JointSet,
 }
 
 /// A motion and its target, at one rate and long enough to be measured.

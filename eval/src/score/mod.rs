@@ -15,13 +15,16 @@ use datasets_spec::record::{EditRow, ItemRow, ScoreRow};
 use rayon::prelude::*;
 
 use crate::Error;
+use crate::compare::{Comparison, Pairing};
 use crate::evaluators::Evaluators;
 use crate::judge::TOLD_APART;
-use crate::metric::interval::Interval;
+use crate::metric::interval::{Interval, MIN_TARGETS};
 use crate::metric::retrieval::E2T_RECALL_1;
-use crate::metric::{self, Measure, Metric, RankSummary, fid};
-use crate::names::{IDENTITY, NOISE_FLOOR, RECAPTURED};
+use crate::metric::{self, CLAIMS, Measure, Metric, RankSummary};
+use crate::names::{GIVEN, IDENTITY, NOISE_FLOOR, RECAPTURED};
 use crate::protocol::{Protocol, SET_RESAMPLES, Spread};
+use crate::table::Items;
+use crate::table::notes::shortage_of_targets;
 
 pub(crate) use measure::{Measured, System, Take, measured};
 pub(crate) use resample::{Resamples, drawn};
@@ -42,7 +45,7 @@ pub(crate) use values::{Ranks, of_items};
 /// comes first. Items that have a target of another capture also make the task [`RECAPTURED`], in
 /// which [`NOISE_FLOOR`] follows the identity editor. Items of several novelties make a task of each
 /// ([`NOVELTIES`](crate::names::NOVELTIES)). A metric that needs more items than a task has
-/// is left out. The last row of the identity editor is no metric: [`TOLD_APART`] says whether the encoder tells its targets from its
+/// is left out, and so are bootstrap intervals over fewer targets than [`MIN_TARGETS`]. The last row of the identity editor is no metric: [`TOLD_APART`] says whether the encoder tells its targets from its
 /// sources.
 ///
 /// # Errors
@@ -60,19 +63,72 @@ pub fn score(
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> Result<Vec<ScoreRow>, Error> {
+    Ok(score_and_compare(items, edits, evaluators, protocol, progress)?.0)
+}
+
+/// [`score`], and in each task the paired differences of the metrics that claims are made of
+/// ([`CLAIMS`](crate::metric::CLAIMS)): of every system against the identity editor, and of each against the next one
+/// behind it in E2T R@1.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_and_compare(
+    items: &[ItemRow],
+    edits: &[EditRow],
+    evaluators: Evaluators<'_>,
+    protocol: &Protocol,
+    progress: &dyn Progress,
+) -> Result<(Vec<ScoreRow>, Vec<Comparison>), Error> {
     protocol.check()?;
     let test_set = TestSet::new(items, edits, protocol)?;
     let measured = measured(&test_set, evaluators, protocol, progress)?;
     let encoder_hash = evaluators.encoder.hash();
+    let weakness = evaluators.encoder.weakness();
     let tasks = test_set.tasks();
     progress.begin("score", Some((tasks.len() * protocol.repeats) as u64));
-    let mut scores = Vec::new();
+    let (mut scores, mut comparisons) = (Vec::new(), Vec::new());
     for (task, indices) in tasks {
-        let sources = measured.sources.select(&indices);
+        let of_task = OfTask::new(task, &indices, &test_set, &measured, protocol)?;
+        scores.extend(of_task.scores(&encoder_hash, progress)?);
+        let mut found = of_task.claims()?;
+        for comparison in &mut found {
+            comparison.encoder_hash.clone_from(&encoder_hash);
+            if let Some(weakness) = &weakness {
+                comparison.rank_nothing(weakness);
+            }
+        }
+        comparisons.extend(found);
+    }
+    progress.finish(&format!("{} scores", scores.len()));
+    Ok((scores, comparisons))
+}
+
+/// The systems on the items of one task.
+struct OfTask<'a> {
+    task: &'a str,
+    /// The real data, the identity editor, the noise floor where there is one, and the systems by name.
+    systems: Vec<System<'a>>,
+    /// Ranks of each system in every repeat.
+    ranks: Vec<Vec<Ranks>>,
+    resamples: Resamples,
+    counts: Items,
+    latent_width: usize,
+    protocol: &'a Protocol,
+}
+
+impl<'a> OfTask<'a> {
+    fn new(
+        task: &'a str,
+        indices: &[usize],
+        test_set: &TestSet<'a>,
+        measured: &Measured<'a>,
+        protocol: &'a Protocol,
+    ) -> Result<Self, Error> {
+        let sources = measured.sources.select(indices);
         let mut systems: Vec<System<'_>> = measured
             .systems
             .iter()
-            .map(|system| system.select(&indices))
+            .map(|system| system.select(indices))
             .collect();
         if task == RECAPTURED {
             let floor = System {
@@ -82,56 +138,46 @@ pub fn score(
             systems.insert(2, floor);
         }
         let targets = &systems[0].takes[0];
-        let ranks: Vec<Vec<Ranks>> = systems
+        let ranks = systems
             .iter()
             .map(|system| Ranks::of_system(&sources, targets, system, protocol))
             .collect::<Result<_, _>>()?;
+        Ok(Self {
+            task,
+            systems,
+            ranks,
+            resamples: Resamples::new(test_set.targets(indices), protocol),
+            counts: test_set.counts(indices),
+            latent_width: sources.latents.raw.num_cols(),
+            protocol,
+        })
+    }
+
+    /// A row for each system and metric.
+    fn scores(&self, encoder_hash: &str, progress: &dyn Progress) -> Result<Vec<ScoreRow>, Error> {
+        let Self {
+            systems,
+            ranks,
+            resamples,
+            protocol,
+            ..
+        } = self;
         let repeats = (0..protocol.repeats)
             .into_par_iter()
             .map(|repeat| {
-                let found = values::of_repeat(&systems, &ranks, protocol, repeat)?;
+                let found = values::of_repeat(systems, ranks, protocol, repeat)?;
                 progress.advance(1);
                 Ok(found)
             })
             .collect::<Result<Vec<_>, Error>>()?;
-        let resamples = Resamples::new(test_set.targets(&indices), protocol);
-        let told_apart = told_apart(&systems[..2], &ranks[..2], &resamples, protocol)?;
+        let told_apart = told_apart(&systems[..2], &ranks[..2], resamples, protocol)?;
         let resampled = match protocol.interval {
             Spread::Repeats => None,
-            Spread::Targets => Some(resampled(&systems, &ranks, &resamples, protocol)?),
+            Spread::Targets => Some(resampled(systems, ranks, resamples, protocol)?),
         };
-        let counts = test_set.counts(&indices);
-        let [real, compared] = protocol
-            .fid_items(indices.len(), 0)
-            .map(|items| items.len());
-        let fid_items = if real.min(compared) < fid::MIN_ROWS {
-            0
-        } else {
-            real
-        };
-        let (gallery, ranked) = protocol.gallery_sizes(indices.len());
-        let row = |system: &System<'_>, metric: &str, Interval { mean, ci95 }| ScoreRow {
-            system: system.name.to_owned(),
-            task: task.to_owned(),
-            metric: metric.to_owned(),
-            protocol: protocol.name(indices.len()),
-            encoder_hash: encoder_hash.clone(),
-            n: indices.len() as u32,
-            repeats: protocol.repeats as u32,
-            mean,
-            ci95,
-            takes: system.takes.len() as u32,
-            targets: counts.targets,
-            sources: counts.sources,
-            instructions: counts.instructions,
-            gallery: gallery as u32,
-            ranked: ranked as u32,
-            fid_items: fid_items as u32,
-            latent_width: sources.latents.raw.num_cols() as u32,
-            novelty: counts.novelty.clone(),
-            items_digest: counts.digest.clone(),
-        };
+        let mut scores = Vec::new();
         for (position, system) in systems.iter().enumerate() {
+            let row = |metric, interval| self.row(system, metric, interval, encoder_hash);
             for &metric in metric::ALL {
                 let found: Option<Vec<f64>> = repeats
                     .iter()
@@ -143,6 +189,10 @@ pub fn score(
                 let over_repeats = Interval::of(&found);
                 let interval = match &resampled {
                     None => over_repeats,
+                    Some(_) if self.counts.targets < MIN_TARGETS => Interval {
+                        ci95: None,
+                        ..over_repeats
+                    },
                     Some(resampled) => {
                         let resampled = resampled[position].get(metric);
                         let resampled = resampled.map_or(&[][..], Vec::as_slice);
@@ -153,15 +203,91 @@ pub fn score(
                         Interval::of_resamples(over_repeats.mean, resampled, repeats)
                     }
                 };
-                scores.push(row(system, metric.name, interval));
+                scores.push(row(metric.name, interval));
             }
             if system.name == IDENTITY {
-                scores.push(row(system, TOLD_APART, told_apart));
+                scores.push(row(TOLD_APART, told_apart));
             }
         }
+        Ok(scores)
     }
-    progress.finish(&format!("{} scores", scores.len()));
-    Ok(scores)
+
+    fn row(
+        &self,
+        system: &System<'_>,
+        metric: &str,
+        Interval { mean, ci95 }: Interval,
+        encoder_hash: &str,
+    ) -> ScoreRow {
+        let (counts, protocol) = (&self.counts, self.protocol);
+        let num_items = counts.count as usize;
+        let (gallery, ranked) = protocol.gallery_sizes(num_items);
+        ScoreRow {
+            system: system.name.to_owned(),
+            task: self.task.to_owned(),
+            metric: metric.to_owned(),
+            protocol: protocol.name(num_items),
+            encoder_hash: encoder_hash.to_owned(),
+            n: counts.count,
+            repeats: protocol.repeats as u32,
+            mean,
+            ci95,
+            takes: system.takes.len() as u32,
+            targets: counts.targets,
+            sources: counts.sources,
+            instructions: counts.instructions,
+            gallery: gallery as u32,
+            ranked: ranked as u32,
+            fid_items: protocol.fid_size(num_items) as u32,
+            latent_width: self.latent_width as u32,
+            novelty: counts.novelty.clone(),
+            items_digest: counts.digest.clone(),
+        }
+    }
+
+    /// Paired differences of the metrics of [`CLAIMS`](crate::metric::CLAIMS): each system against the identity editor,
+    /// and each against the one behind it in E2T R@1. The hash of the encoder is left out.
+    fn claims(&self) -> Result<Vec<Comparison>, Error> {
+        let values = self
+            .systems
+            .iter()
+            .zip(&self.ranks)
+            .map(|(system, ranks)| of_items(system, ranks, self.protocol))
+            .collect::<Result<Vec<_>, Error>>()?;
+        let recall = |place: usize| -> f64 {
+            let of_system = values[place].get(&E2T_RECALL_1);
+            let known = of_system.into_iter().flatten();
+            known.filter(|value| value.is_finite()).sum()
+        };
+        let mut ranked: Vec<usize> = (0..self.systems.len())
+            .filter(|&place| !GIVEN.contains(&self.systems[place].name))
+            .collect();
+        ranked.sort_by(|&a, &b| recall(b).total_cmp(&recall(a)));
+        let against_identity = ranked.iter().map(|&place| [1, place]);
+        let neighbours = ranked.windows(2).map(|pair| [pair[1], pair[0]]);
+        let pairs = against_identity.chain(neighbours);
+        let of_pair = |pair: [usize; 2]| Comparison {
+            task: self.task.to_owned(),
+            n: self.counts.count as usize,
+            targets: self.counts.targets,
+            items_digest: self.counts.digest.clone(),
+            systems: pair.map(|place| self.systems[place].name.to_owned()),
+            protocol: self.protocol.name(self.counts.count as usize),
+            encoder_hash: String::new(),
+            unranked: None,
+            differences: Pairing {
+                task: self.task,
+                real: &values[0],
+                sides: pair.map(|place| &values[place]),
+                resamples: &self.resamples,
+            }
+            .differences(&CLAIMS),
+            notes: shortage_of_targets(self.counts.targets)
+                .into_iter()
+                .collect(),
+        };
+        Ok(pairs.map(of_pair).collect())
+    }
 }
 
 /// How far the real data is above the identity editor in R@1 by targets, on the same items.

@@ -39,6 +39,11 @@ impl Resamples {
         Self { groups, counts }
     }
 
+    /// Distinct targets.
+    pub(crate) fn num_targets(&self) -> usize {
+        self.groups.len()
+    }
+
     /// How often each item is drawn in each of the first resamples.
     pub(crate) fn weights(&self, count: usize) -> impl ExactSizeIterator<Item = Vec<u32>> {
         let num_items = self.groups.iter().map(Vec::len).sum();

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{Fps, Motion};
+use datasets_spec::{Fps, JointSet, Motion};
 use kinematics::canonical::FIXED_FRAMES;
 
 use crate::Error;
@@ -224,6 +224,19 @@ impl<'a> Side<'a> {
             Self::Edit(row) => row.motion(),
         };
         motion.map_err(|source| self.not_a_motion(source))
+    }
+
+    /// The joints that an item asks to change; none for an edit, whose item is another side.
+    pub(super) fn edited_joints(self) -> Result<JointSet, Error> {
+        match self {
+            Self::Source(item) | Self::Target(item) | Self::OtherTake(item) => {
+                item.edited_joints().map_err(|source| Error::Item {
+                    id: item.id.clone(),
+                    source: Box::new(source),
+                })
+            }
+            Self::Edit(_) => Ok(JointSet::EMPTY),
+        }
     }
 
     pub(super) fn not_a_motion(self, source: datasets_spec::Error) -> Error {

@@ -7,16 +7,17 @@ use crate::error::EncoderError;
 use crate::evaluators::MotionEncoder;
 use crate::judge::TOLD_APART;
 use crate::metric::composed::COMPOSED;
+use crate::metric::diversity::DIVERSITY;
 use crate::metric::fid::{FID, FID_RAW};
 use crate::metric::fit_error::{BONE_DRIFT, FIT_ERROR};
 use crate::metric::foot_score::FOOT_SCORE;
 use crate::metric::gliding::GLIDING;
-use crate::metric::motion_quality::{CONTACT_SLIDE, INSIDE_ACCELERATION, JERK, SEAM_ACCELERATION};
+use crate::metric::motion_quality::{FOOT_SLIDE, INSIDE_ACCELERATION, JERK, SEAM_ACCELERATION};
 use crate::metric::multimodality::MULTIMODALITY;
 use crate::metric::position_error::POSITION_ERROR;
 use crate::metric::retrieval;
 use crate::names::{ALL_TASKS, IDENTITY, REAL_DATA};
-use crate::protocol::{FidSample, Gallery, Queries};
+use crate::protocol::{FidSample, Gallery, Queries, Spread};
 
 /// Latents that are a fixed function of the first frame: enough to tell motions apart.
 struct FirstFrame;
@@ -64,6 +65,7 @@ fn item(index: usize, task: &str) -> ItemRow {
     let mut row = ItemRow {
         task: task.to_owned(),
         instruction: "wave".to_owned(),
+        parts: vec!["LEFT_ARM".to_owned()],
         source_id: name("source"),
         ..ItemRow::blank(&name("target"), Split::Test)
     };
@@ -154,7 +156,11 @@ fn other_takes_make_a_task_with_a_noise_floor() {
 fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
     let items = questions(80);
     let edits = [perfect("perfect", &items), lazy("lazy", &items)].concat();
-    let scores = scored(&items, &edits, &Protocol::default()).expect("valid");
+    let protocol = Protocol {
+        diversity_pairs: 40,
+        ..Protocol::default()
+    };
+    let scores = scored(&items, &edits, &protocol).expect("valid");
     let tasks = ["all", "semantic", "style"];
     // Neither generated keypoints, nor a classifier, nor several takes.
     let absent = [
@@ -237,7 +243,7 @@ fn a_pop_at_a_seam_shows_there_and_real_data_are_looked_at_in_the_same_frames() 
     assert!(of("pops", &INSIDE_ACCELERATION) < 1e-3);
     assert!(of(REAL_DATA, &SEAM_ACCELERATION) < 1e-3);
     assert!(of(IDENTITY, &SEAM_ACCELERATION) < 1e-3);
-    assert!(of("pops", &JERK) > 1.0 && of("pops", &CONTACT_SLIDE) > 0.01);
+    assert!(of("pops", &JERK) > 1.0 && of("pops", &FOOT_SLIDE) > 0.01);
 }
 
 #[test]
@@ -331,6 +337,101 @@ fn a_task_of_one_item_keeps_the_metrics_that_mean_something() {
     assert!(!metrics.contains(&"FID") && !metrics.contains(&"Diversity"));
     assert!(metrics.contains(&"FS") && metrics.contains(&"E2T R@1"));
     assert!(scores.iter().all(|row| row.task == "semantic"));
+}
+
+#[test]
+fn metrics_and_intervals_need_their_items() {
+    let found = |num_items: usize, protocol: &Protocol, metric: &Metric| {
+        let items: Vec<ItemRow> = (0..num_items).map(|index| item(index, "style")).collect();
+        let scores = scored(&items, &perfect("copy", &items), protocol).expect("valid");
+        let row = scores
+            .into_iter()
+            .find(|row| row.system == IDENTITY && row.metric == metric.name);
+        row.map(|row| (row.fid_items, row.ci95.is_some()))
+    };
+    let default = Protocol::default();
+    // Latents of twelve numbers, in halves and whole.
+    for metric in [&FID, &FID_RAW] {
+        assert_eq!(found(25, &default, metric), None);
+        assert_eq!(found(26, &default, metric), Some((13, true)));
+        let whole = Protocol {
+            fid_sample: FidSample::All,
+            ..default
+        };
+        assert_eq!(found(12, &whole, metric), None);
+        assert_eq!(found(13, &whole, metric), Some((13, true)));
+    }
+    let pairs = Protocol {
+        diversity_pairs: 12,
+        ..default
+    };
+    assert_eq!(found(11, &pairs, &DIVERSITY), None);
+    assert!(found(12, &pairs, &DIVERSITY).is_some());
+    // Each item has a target of its own.
+    for (targets, interval, is_known) in [
+        (9, Spread::Targets, false),
+        (10, Spread::Targets, true),
+        (9, Spread::Repeats, false),
+    ] {
+        let protocol = Protocol {
+            interval,
+            ..default
+        };
+        let found = found(targets, &protocol, &POSITION_ERROR).expect("measured");
+        assert_eq!(found.1, is_known, "{targets} {interval:?}");
+    }
+}
+
+#[test]
+fn every_system_is_compared_with_the_identity_editor_and_with_the_next_one() {
+    let items = questions(40);
+    // The half of the items that are style is answered by the sources.
+    let half: Vec<EditRow> = perfect("half", &items)
+        .into_iter()
+        .zip(lazy("half", &items))
+        .enumerate()
+        .map(|(index, (good, lazy))| if index % 2 == 0 { good } else { lazy })
+        .collect();
+    let edits = [half, perfect("perfect", &items), lazy("lazy", &items)].concat();
+    let evaluators = Evaluators {
+        encoder: &FirstFrame,
+        classifier: None,
+        skeleton: &Skeleton::smplx_neutral(),
+    };
+    let protocol = Protocol::default();
+    let (_, comparisons) =
+        score_and_compare(&items, &edits, evaluators, &protocol, &NoProgress).expect("valid");
+    let of_all: Vec<(&str, &str, String)> = comparisons
+        .iter()
+        .filter(|found| found.task == "all")
+        .map(|found| {
+            let [a, b] = &found.systems;
+            (a.as_str(), b.as_str(), found.claim().expect("measured"))
+        })
+        .collect();
+    let pairs: Vec<(&str, &str)> = of_all.iter().map(|(a, b, _)| (*a, *b)).collect();
+    assert_eq!(
+        pairs,
+        [
+            (IDENTITY, "perfect"),
+            (IDENTITY, "half"),
+            (IDENTITY, "lazy"),
+            ("half", "perfect"),
+            ("lazy", "half")
+        ]
+    );
+    for (_, name, claim) in &of_all {
+        let is_better = claim.contains("agree that it is better");
+        assert_eq!(is_better, *name != "lazy", "{claim}");
+        assert!(claim.starts_with(&format!("{name} against ")), "{claim}");
+        assert_eq!(claim.contains("nothing is claimed"), *name == "lazy");
+    }
+    assert!(
+        of_all[0].2.contains("foot slide +0.000 "),
+        "{}",
+        of_all[0].2
+    );
+    assert!(comparisons.iter().all(|found| found.encoder_hash == "00ff"));
 }
 
 #[test]

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use datasets_spec::record::ScoreRow;
 
-use crate::metric::interval::Interval;
+use crate::metric::interval::{Interval, MIN_TARGETS};
 
 /// Averages scores over trainings. Each element holds the rows of one training, all of the same items. The result has
 /// one row for each task, system and metric, in the order in which they first appear. A system may be missing from
-/// some trainings. Rows that are equal in all trainings, such as those of the identity editor, stay as they are.
+/// some trainings. There are no intervals over fewer than [`MIN_TARGETS`] targets. Rows that are equal in all trainings, such as those of the identity editor, stay as they are.
 ///
 /// # Panics
 /// If a system has more than [`MOST_TRAININGS`](crate::metric::interval::MOST_TRAININGS) trainings.
@@ -32,9 +32,11 @@ pub fn over_trainings(trainings: &[Vec<ScoreRow>]) -> Vec<ScoreRow> {
         .map(|row| {
             let Interval { mean, ci95 } =
                 Interval::over_trainings(&values[&[&*row.task, &*row.system, &*row.metric]]);
+            // Without the part that the items add, an interval would be too narrow.
+            let is_known = row.targets == 0 || row.targets >= MIN_TARGETS;
             ScoreRow {
                 mean,
-                ci95,
+                ci95: ci95.filter(|_| is_known),
                 ..row.clone()
             }
         })

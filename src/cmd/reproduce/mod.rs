@@ -28,7 +28,7 @@ use self::made::TableMade;
 use self::plan::{FigureSpecs, PaperTable, Plan, Trained};
 use self::record::Record;
 use self::work::{Work, write};
-use crate::cmd::eval::paper_tables;
+use crate::cmd::eval::result_tables;
 use crate::cmd::page;
 use crate::evaluators::WeakJudgeArgs;
 use crate::exit::Exit;
@@ -271,6 +271,7 @@ fn scored(
         scores: Scores {
             rows: Vec::new(),
             judges: Judges::new(),
+            comparisons: Vec::new(),
         },
         trainings: Vec::with_capacity(count),
         left_out: 0,
@@ -349,7 +350,7 @@ fn tables(
     let Scored {
         scores, trainings, ..
     } = scored(&edits, None, &protocol, work)?;
-    let mut tables = paper_tables(&scores, paper);
+    let mut tables = result_tables(&scores, table.paper, paper);
     for laid_out in &mut tables {
         laid_out.sort_systems(&wanted);
         laid_out.notes.extend(note_of_trainings(&found));

@@ -140,7 +140,7 @@ fn number<'de, D: serde::Deserializer<'de>>(from: D) -> Result<TableArg, D::Erro
     let text = String::deserialize(from)?;
     TableArg::from_str(&text, true).map_err(|_| {
         serde::de::Error::custom(format!(
-            "there is no table {text:?}; there are 1, 2, a1, a2, a3 and a4"
+            "there is no table {text:?}; there are main, 1, 2, a1, a2, a3 and a4"
         ))
     })
 }

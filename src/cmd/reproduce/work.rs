@@ -214,6 +214,7 @@ impl<'a> Work<'a> {
             return Ok(Scores {
                 rows: done.read(None)?,
                 judges: self.judges(),
+                comparisons: Vec::new(),
             });
         }
         let scores = stages::scores(answered, &self.runs(), protocol, self.global)?;

@@ -1,0 +1,124 @@
+//! Sentences below a table: systems that are no better than doing nothing, and what is left out for want of items.
+
+use datasets_spec::record::ScoreRow;
+
+use super::Column;
+use super::ranking::{Standing, idle};
+use crate::metric::diversity::DIVERSITY;
+use crate::metric::interval::MIN_TARGETS;
+use crate::metric::{Metric, fid};
+use crate::protocol::Protocol;
+
+/// Names the systems that do nothing, and those behind the identity editor in some of the columns.
+pub(super) fn of_ranking(
+    scores: &[&ScoreRow],
+    standings: &[Standing],
+    columns: &[Column],
+) -> Vec<String> {
+    let mut notes = Vec::new();
+    let idle: Vec<&str> = idle(scores).into_iter().collect();
+    if !idle.is_empty() {
+        notes.push(format!(
+            "Never marked as best, as all values are those of the identity editor: {}.",
+            idle.join(", ")
+        ));
+    }
+    // Systems that fall behind in the same columns share a clause.
+    let mut clauses: Vec<(Vec<&str>, Vec<&str>)> = Vec::new();
+    let mut systems: Vec<&str> = Vec::new();
+    for row in scores {
+        if !systems.contains(&row.system.as_str()) {
+            systems.push(&row.system);
+        }
+    }
+    for system in systems {
+        let is_behind = |column: &&Column| {
+            let mut rows = scores.iter().zip(standings);
+            rows.any(|(row, standing)| {
+                standing.behind_identity && row.system == system && row.metric == column.metric.name
+            })
+        };
+        let behind: Vec<&str> = columns
+            .iter()
+            .filter(is_behind)
+            .map(|column| column.metric.name)
+            .collect();
+        match clauses.iter_mut().find(|(known, _)| *known == behind) {
+            _ if behind.is_empty() => {}
+            Some((_, systems)) => systems.push(system),
+            None => clauses.push((behind, vec![system])),
+        }
+    }
+    let clauses: Vec<String> = clauses
+        .into_iter()
+        .map(|(behind, systems)| {
+            let systems = systems.join(", ");
+            if behind.len() == columns.len() {
+                format!("{systems} in every column")
+            } else {
+                format!("{systems} in {}", behind.join(", "))
+            }
+        })
+        .collect();
+    if !clauses.is_empty() {
+        notes.push(format!(
+            "Behind the identity editor, which returns the original unchanged: {}.",
+            clauses.join("; ")
+        ));
+    }
+    notes
+}
+
+/// Says which of the metrics, and whether the intervals, are left out of a table for want of items; `row` is any score
+/// of the table. Scores from before the counts were recorded have none.
+pub(crate) fn of_shortages(row: &ScoreRow, metrics: &[&Metric]) -> Vec<String> {
+    let of_metric = |metric: &&Metric| {
+        if [&fid::FID, &fid::FID_RAW].contains(metric) {
+            let (items, width) = (row.fid_items as usize, row.latent_width as usize);
+            (width > 0).then(|| shortage_of_fid(metric.name, items, width))?
+        } else if **metric == DIVERSITY {
+            let needed = Protocol::diversity_pairs_of(&row.protocol)?;
+            ((row.n as usize) < needed).then(|| {
+                format!(
+                    "{metric} is not measured: it draws {needed} pairs and needs as many items, and there {}.",
+                    are(row.n as usize)
+                )
+            })
+        } else {
+            None
+        }
+    };
+    let mut notes: Vec<String> = metrics.iter().filter_map(of_metric).collect();
+    if Protocol::is_drawn_from_targets(&row.protocol) && row.targets > 0 {
+        notes.extend(shortage_of_targets(row.targets));
+    }
+    notes
+}
+
+/// Says that a Fréchet distance lacks items, if it does.
+pub(crate) fn shortage_of_fid(name: &str, items: usize, latent_width: usize) -> Option<String> {
+    let needed = fid::min_items(latent_width);
+    (items < needed).then(|| {
+        format!(
+            "{name} is not measured: latents of {latent_width} numbers need {needed} items a side, and there {}.",
+            are(items)
+        )
+    })
+}
+
+/// Says that intervals lack targets, if they do.
+pub(crate) fn shortage_of_targets(targets: u32) -> Option<String> {
+    (targets < MIN_TARGETS).then(|| {
+        format!(
+            "There are no intervals: they need {MIN_TARGETS} targets, and there {}.",
+            are(targets as usize)
+        )
+    })
+}
+
+fn are(items: usize) -> String {
+    match items {
+        1 => "is 1".to_owned(),
+        _ => format!("are {items}"),
+    }
+}

@@ -1,0 +1,131 @@
+//! Which scores of a table are the best, and which are no better than doing nothing.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use datasets_spec::record::ScoreRow;
+
+use super::{Column, Key, key};
+use crate::judge::{Judges, unranked};
+use crate::metric::{self, Better};
+use crate::names::{GIVEN, IDENTITY, REAL_DATA};
+
+/// Where a score stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub(crate) struct Standing {
+    /// Whether its table ranks systems.
+    pub(crate) ranks_systems: bool,
+    /// Whether it is worse than the identity editor's.
+    pub(crate) behind_identity: bool,
+    /// Whether no system is better, and the identity editor is worse.
+    pub(crate) best: bool,
+}
+
+/// Where each score stands among those of the same task, items, protocol and encoder. In a table that ranks nothing,
+/// none is best or behind.
+pub(crate) fn standings(scores: &[ScoreRow], judges: &Judges) -> Vec<Standing> {
+    let mut groups: BTreeMap<Key<'_>, Vec<usize>> = BTreeMap::new();
+    for (place, row) in scores.iter().enumerate() {
+        groups.entry(key(row)).or_default().push(place);
+    }
+    let mut standings = vec![Standing::default(); scores.len()];
+    for places in groups.into_values() {
+        let rows: Vec<&ScoreRow> = places.iter().map(|&place| &scores[place]).collect();
+        if unranked(rows[0], rows.iter().copied(), judges).is_some() {
+            continue;
+        }
+        for (place, found) in places.into_iter().zip(of_table(&rows)) {
+            standings[place] = found;
+        }
+    }
+    standings
+}
+
+/// Where each score of one table stands, if the table ranks.
+///
+/// The best of a metric are the systems with the best value as printed, if it is better than that of the identity
+/// editor: a system that ties with doing nothing has shown nothing. One that does nothing ([`idle`]) is never best.
+pub(super) fn of_table(scores: &[&ScoreRow]) -> Vec<Standing> {
+    let idle = idle(scores);
+    let mut of_metrics: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for (place, row) in scores.iter().enumerate() {
+        of_metrics.entry(&row.metric).or_default().push(place);
+    }
+    let ranked = Standing {
+        ranks_systems: true,
+        ..Standing::default()
+    };
+    let mut standings = vec![ranked; scores.len()];
+    for (name, places) in of_metrics {
+        let Some(metric) = metric::from_name(name) else {
+            continue;
+        };
+        let column = Column {
+            metric,
+            better: (metric.better)(&scores[places[0]].task),
+        };
+        let given = |name: &str| {
+            let place = places.iter().find(|&&place| scores[place].system == name);
+            place.map(|&place| scores[place].mean)
+        };
+        let real = given(REAL_DATA);
+        let badness = |mean: f64| badness(column, mean, real);
+        let limit = given(IDENTITY).and_then(badness);
+        let systems: Vec<(usize, f64)> = places
+            .iter()
+            .filter(|&&place| !GIVEN.contains(&scores[place].system.as_str()))
+            .filter_map(|&place| Some((place, badness(scores[place].mean)?)))
+            .collect();
+        let best = systems
+            .iter()
+            .filter(|(place, _)| !idle.contains(scores[*place].system.as_str()))
+            .map(|(_, found)| *found)
+            .min_by(f64::total_cmp)
+            .filter(|best| limit.is_none_or(|limit| *best < limit));
+        for (place, found) in systems {
+            let is_idle = idle.contains(scores[place].system.as_str());
+            standings[place].best = !is_idle && best == Some(found);
+            standings[place].behind_identity = limit.is_some_and(|limit| found > limit);
+        }
+    }
+    standings
+}
+
+/// Systems that do nothing: they print as the identity editor in every metric that both have. Such a system may have
+/// values where the identity editor has none, such as an error of its fit.
+pub(super) fn idle<'a>(scores: &[&'a ScoreRow]) -> BTreeSet<&'a str> {
+    let printed = |row: &ScoreRow| {
+        let metric = metric::from_name(&row.metric)?;
+        Some(printed(row.mean, metric.decimals))
+    };
+    let of_identity: BTreeMap<&str, f64> = scores
+        .iter()
+        .filter(|row| row.system == IDENTITY)
+        .filter_map(|row| Some((row.metric.as_str(), printed(row)?)))
+        .collect();
+    let mut idle: BTreeMap<&str, bool> = BTreeMap::new();
+    for row in scores {
+        let shared = of_identity.get(row.metric.as_str()).zip(printed(row));
+        if let (Some((identity, own)), false) = (shared, GIVEN.contains(&row.system.as_str())) {
+            *idle.entry(&row.system).or_insert(true) &= *identity == own;
+        }
+    }
+    let idle = idle.into_iter().filter(|(_, is_idle)| *is_idle);
+    idle.map(|(system, _)| system).collect()
+}
+
+/// A value as printed, in units of its last digit.
+fn printed(mean: f64, decimals: usize) -> f64 {
+    let unit = 10f64.powi(decimals as i32);
+    (mean * unit).round()
+}
+
+/// How far a value is from the best, as printed; none where values near real data are good and there
+/// is no real data.
+fn badness(column: Column, mean: f64, real: Option<f64>) -> Option<f64> {
+    let printed = |mean: f64| printed(mean, column.metric.decimals);
+    match column.better {
+        Better::Lower => Some(printed(mean)),
+        Better::Higher => Some(-printed(mean)),
+        Better::NearReal => real.map(|real| (printed(mean) - printed(real)).abs()),
+    }
+}
