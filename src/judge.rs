@@ -5,6 +5,8 @@ use std::path::Path;
 use anyhow::Context;
 use datasets_spec::Skeleton;
 use eval::judge::JudgeReport;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 use train::checkpoint::check_skeleton_of;
 use train::tmr::TmrEncoder;
 
@@ -16,6 +18,51 @@ pub(crate) const BUILTIN: &str = "builtin";
 const CONFIG: &str = include_str!("../eval/judge/builtin/config.json");
 const WEIGHTS: &[u8] = include_bytes!("../eval/judge/builtin/tmr.safetensors");
 const REPORT: &str = include_str!("../eval/judge/builtin/report.json");
+
+/// Key `encoder`: the encoder that evaluates.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "encoder is \"builtin\", or a section [encoder] with settings of one to train"
+)]
+pub(crate) enum EncoderConfig {
+    /// The one that ships with the program.
+    Named(Builtin),
+    /// One that is trained, with values in place of the preset's.
+    Trained(Map<String, Value>),
+}
+
+/// The name of the encoder that ships with the program.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Builtin {
+    /// As `--encoder builtin`.
+    Builtin,
+}
+
+impl Default for EncoderConfig {
+    fn default() -> Self {
+        Self::Trained(Map::new())
+    }
+}
+
+impl EncoderConfig {
+    /// The encoder that ships with the program.
+    pub(crate) const BUILTIN: Self = Self::Named(Builtin::Builtin);
+
+    /// Whether it is the one that ships with the program.
+    pub(crate) fn is_builtin(&self) -> bool {
+        matches!(self, Self::Named(_))
+    }
+
+    /// Values in place of the preset's.
+    pub(crate) fn settings(&self) -> Map<String, Value> {
+        match self {
+            Self::Named(_) => Map::new(),
+            Self::Trained(settings) => settings.clone(),
+        }
+    }
+}
 
 /// Whether a path names the built-in encoder. A folder of that name in the working folder is `./builtin`.
 pub(crate) fn is_builtin(run: &Path) -> bool {

@@ -12,6 +12,7 @@ use crate::cmd::run::{Plan, RunConfig, finish};
 use crate::evaluators::WeakJudgeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::judge::EncoderConfig;
 use crate::test_set::{self, ADJUSTED};
 use crate::trainings::TrainingsArgs;
 
@@ -73,8 +74,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         true => config.items.count = ItemCount::Exactly(QUICK_ITEMS),
         false => config.items = test_set::items(seed, args.full),
     }
+    config.encoder = EncoderConfig::BUILTIN;
     let mut plan = Plan::new(config, global)?;
-    plan.with_builtin = true;
     if args.quick {
         shorten(&mut plan);
     } else {

@@ -127,6 +127,32 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         );
     }
 
+    // The encoder that ships with the program takes the place of one that is trained.
+    let text = fs::read_to_string(&config).expect("written");
+    let builtin = dir.path().join("builtin.toml");
+    let (settings, rest) = text.split_once("[encoder]").expect("a section");
+    let (_, items) = rest.split_once("[items]").expect("a section");
+    let named = |encoder: &str| format!("encoder = \"{encoder}\"\n{settings}[items]{items}");
+    fs::write(&builtin, named("builtin")).expect("writes");
+    let judged = stance(&["--json", "run", "--weak-judge", "--config", arg(&builtin)])
+        .expect_code(0)
+        .stdout;
+    let judged: serde_json::Value = serde_json::from_str(&judged).expect("JSON");
+    assert_eq!(judged["encoder"], serde_json::Value::Null);
+    let report = include_str!("../../eval/judge/builtin/report.json");
+    let report: serde_json::Value = serde_json::from_str(report).expect("JSON");
+    for row in judged["scores"].as_array().expect("rows") {
+        assert_eq!(row["encoder_hash"], report["encoder_hash"]);
+    }
+    fs::write(&builtin, named("another")).expect("writes");
+    let refused = stance(&["run", "--config", arg(&builtin)])
+        .expect_code(1)
+        .stderr;
+    assert!(
+        refused.contains("builtin.toml:1:11: encoder is \"builtin\", or a section [encoder]"),
+        "{refused}"
+    );
+
     // Each stage is also a verb of its own.
     let dataset = run.join("dataset");
     let explained = stance(&[

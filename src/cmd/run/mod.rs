@@ -34,7 +34,7 @@ use train::tmr::TmrConfig;
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, report_on_encoder};
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::judge::BUILTIN;
+use crate::judge::{BUILTIN, EncoderConfig};
 use crate::local;
 use crate::seeds::Seeds;
 use crate::session::{stopped, text_encoder, with_session};
@@ -96,9 +96,10 @@ pub(crate) struct RunConfig {
     /// Values in place of the preset's for the pose network.
     #[serde(default)]
     poses: Map<String, Value>,
-    /// Values in place of the preset's for the encoder.
+    /// `"builtin"` for the encoder that ships with the program, or values in place of the preset's for one that is
+    /// trained.
     #[serde(default)]
-    encoder: Map<String, Value>,
+    pub(crate) encoder: EncoderConfig,
     /// Seeds of split, items, training and sampling.
     #[serde(default)]
     seeds: Seeds,
@@ -164,7 +165,7 @@ impl RunConfig {
             train: Map::new(),
             coordinator: Map::new(),
             poses: Map::new(),
-            encoder: Map::new(),
+            encoder: EncoderConfig::default(),
             seeds: Seeds::default(),
             items: ItemConfig::default(),
             edit: EditConfig::default(),
@@ -182,7 +183,7 @@ pub(crate) struct Plan {
     pub(crate) poses: J2sConfig,
     pub(crate) encoder: TmrConfig,
     /// Whether the built-in encoder evaluates, and none is trained.
-    pub(crate) with_builtin: bool,
+    with_builtin: bool,
     pub(crate) title: String,
     pub(crate) commands: Vec<String>,
 }
@@ -193,8 +194,9 @@ impl Plan {
         let preset = config.preset;
         let own = &config.train;
         let mut train = settings::over(&TrainConfig::preset(preset), "train", own)?;
-        let own = &config.encoder;
-        let mut encoder = settings::over(&TmrConfig::preset(preset), "encoder", own)?;
+        let own_encoder = &config.encoder.settings();
+        let with_builtin = config.encoder.is_builtin();
+        let mut encoder = settings::over(&TmrConfig::preset(preset), "encoder", own_encoder)?;
         let own = &config.coordinator;
         let mut coordinator =
             settings::over(&CoordinatorConfig::preset(preset), "coordinator", own)?;
@@ -204,7 +206,7 @@ impl Plan {
             (&mut train.run.seed, &config.train),
             (&mut coordinator.run.seed, &config.coordinator),
             (&mut poses.run.seed, &config.poses),
-            (&mut encoder.run.seed, &config.encoder),
+            (&mut encoder.run.seed, own_encoder),
         ] {
             *seed = seeds.of_model(*seed, own, global).0;
         }
@@ -217,7 +219,7 @@ impl Plan {
             coordinator,
             poses,
             encoder,
-            with_builtin: false,
+            with_builtin,
             title: "stance run".to_owned(),
             commands: Vec::new(),
         })
