@@ -3,15 +3,20 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use datasets_spec::license::licenses;
+use datasets_spec::record::EditRow;
 use datasets_spec::{Dataset, Fps};
+use pipeline::answers::bundle::Bundle;
 use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
+use pipeline::write::replace_file;
 use serde::Serialize;
 
+use crate::evaluators::judge_hash;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// Import answers to items from systems outside this program.
+/// Import answers to items from systems outside this program, and bundle answers for a leaderboard.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -21,6 +26,26 @@ pub(crate) struct Args {
 #[derive(clap::Subcommand, Debug)]
 enum Action {
     Import(ImportArgs),
+    Bundle(BundleArgs),
+}
+
+/// Pack the answers of one system into a zip that `stance eval` checks and scores.
+///
+/// It holds the answers, the digest of the items, the hash of the judge, the name of the system, its settings,
+/// the licence, and a card. Equal answers give equal bytes.
+#[derive(clap::Args, Debug)]
+struct BundleArgs {
+    /// Table of edits, of one system to all items
+    edits: PathBuf,
+    /// Licence of the answers, such as CC-BY-4.0 [default: what the table records]
+    #[arg(long, value_name = "SPDX", value_parser = parse_license)]
+    license: Option<String>,
+    /// Encoder that the answers are to be judged by: a run folder, or `builtin` [default: any]
+    #[arg(long, value_name = "RUN")]
+    encoder: Option<PathBuf>,
+    /// File to write
+    #[arg(long, value_name = "FILE.zip", value_parser = parse_zip)]
+    out: PathBuf,
 }
 
 /// Make a table of edits from answers of another program, so that `stance eval` can score them.
@@ -82,6 +107,21 @@ fn parse_name(text: &str) -> Result<String, String> {
     }
 }
 
+fn parse_license(text: &str) -> Result<String, String> {
+    match text.trim() {
+        "" => Err("expected a licence".to_owned()),
+        license => Ok(license.to_owned()),
+    }
+}
+
+fn parse_zip(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match path.extension().is_some_and(|end| end == "zip") {
+        true => Ok(path),
+        false => Err("expected a file that ends in .zip".to_owned()),
+    }
+}
+
 fn parse_fps(text: &str) -> Result<Fps, String> {
     let fps = text.parse().map_err(|_| "expected a number".to_owned())?;
     Fps::new(fps).map_err(|error| error.to_string())
@@ -90,6 +130,7 @@ fn parse_fps(text: &str) -> Result<Fps, String> {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     match &args.action {
         Action::Import(args) => import(args, global),
+        Action::Bundle(args) => bundle(args, global),
     }
 }
 
@@ -159,6 +200,46 @@ fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
         0 => Exit::Done,
         _ => Exit::Quarantined,
     })
+}
+
+fn bundle(args: &BundleArgs, global: &Global) -> anyhow::Result<Exit> {
+    let folder = Dataset::open(&args.edits)?;
+    let recorded = || {
+        let tags = licenses(folder.manifest()).into_keys();
+        let mut tags = tags.filter(|tag| !tag.is_empty());
+        tags.next().filter(|_| tags.next().is_none())
+    };
+    let Some(license) = args.license.clone().or_else(recorded) else {
+        bail!(
+            "{} records no licence of its answers; name it: --license CC-BY-4.0",
+            args.edits.display()
+        );
+    };
+    let judge = args.encoder.as_deref().map(judge_hash).transpose()?;
+    let rows: Vec<EditRow> = folder.read(None)?;
+    let (items, skeleton) = (folder.items()?, folder.skeleton()?);
+    let bundle = Bundle::new(&args.edits, rows, &items, &skeleton, &license, judge)?;
+    let zip = bundle.to_zip()?;
+    replace_file(&args.out, &zip)
+        .with_context(|| format!("cannot write {}", args.out.display()))?;
+    if global.json {
+        report::json(&serde_json::json!({
+            "out": args.out,
+            "bytes": zip.len(),
+            "answers": bundle.rows.len(),
+            "bundle": bundle.facts,
+        }))?;
+    } else {
+        report::text(&format!(
+            "{} answers of {} to the items {}, in {} ({} kB)",
+            bundle.rows.len(),
+            bundle.facts.system,
+            bundle.facts.item_hash,
+            args.out.display(),
+            zip.len() / 1000
+        ));
+    }
+    Ok(Exit::Done)
 }
 
 /// The JSON object of `--settings`, in one form however it was written.

@@ -234,6 +234,37 @@ fn the_sources_of_exported_items_score_as_the_identity() {
         let tolerance = 1e-3 * identity[key].abs().max(1.0);
         assert!((value - identity[key]).abs() < tolerance, "{key:?}");
     }
+    // It is best in nothing, in any form: with an encoder that ranks, alone and beside a system.
+    let editor = bench.edits("here", &["--name", "Here"]);
+    let page = at("page.html");
+    for systems in [vec![at("lazy")], vec![at("lazy"), editor]] {
+        let systems: Vec<&str> = systems.iter().map(|path| arg(path)).collect();
+        let eval = |more: &[&str]| {
+            let args = ["eval", "--encoder", "builtin", "--repeats", "2"];
+            stance(&[&args, &systems[..], more].concat()).expect_code(0)
+        };
+        let rows: Value = eval(&["--json"]).json();
+        let of_lazy = rows.as_array().expect("rows").iter();
+        let of_lazy = of_lazy.filter(|row| row["system"] == "Lazy");
+        let of_lazy: Vec<&Value> = of_lazy.collect();
+        assert!(of_lazy.iter().any(|row| row["ranks_systems"] == true));
+        assert!(of_lazy.iter().all(|row| row["best"] == false));
+        let text = eval(&["--table", "1", "--further", "--format", "markdown"]).stdout;
+        let marked: Vec<&str> = text.lines().filter(|line| line.contains("**")).collect();
+        assert!(
+            marked.iter().all(|line| !line.starts_with("| Lazy")),
+            "{text}"
+        );
+        assert!(text.contains(
+            "Never marked as best, as all values are those of the identity editor: Lazy."
+        ));
+        let args = ["report", "--encoder", "builtin", "--out", arg(&page)];
+        stance(&[&args, &systems[..]].concat()).expect_code(0);
+        let html = fs::read_to_string(&page).expect("written");
+        let mut lines = html.lines().filter(|line| line.contains(">Lazy</th>"));
+        assert!(lines.clone().count() > 1, "no row of the system");
+        assert!(lines.all(|line| !line.contains("class=\"best\"")));
+    }
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod annotate;
 mod answers;
 mod archives;
 mod baselines;
+mod bundles;
 mod captures;
 mod chain;
 mod compose;
