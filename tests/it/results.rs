@@ -161,7 +161,11 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
         "Diversity is not measured: it draws 300 pairs and needs as many items, and there are 80."
     );
     let novelty = format!("Items by what training has shown of them: {shown}.");
-    assert!(of_targets.notes.contains(&novelty), "{:?}", of_targets.notes);
+    assert!(
+        of_targets.notes.contains(&novelty),
+        "{:?}",
+        of_targets.notes
+    );
     let names = ["Real Data", "Identity", "MotionReFit"];
     of_targets.check_measured(&names, &scores);
     let of_repeats = table(&["--interval", "repeats"]);
