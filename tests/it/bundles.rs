@@ -19,8 +19,10 @@ fn bundle(edits: &Path, out: &Path, more: &[&str]) -> Ran {
     stance(&[&args, more].concat())
 }
 
-/// Members of a zip by name.
-fn members(zip: &[u8]) -> Vec<(String, Vec<u8>)> {
+/// Members of a zip with their names.
+type Members = Vec<(String, Vec<u8>)>;
+
+fn members(zip: &[u8]) -> Members {
     let mut zip = zip::ZipArchive::new(Cursor::new(zip)).expect("a zip");
     (0..zip.len())
         .map(|number| {
@@ -267,7 +269,7 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
         let said = eval(name, zip);
         assert!(said.contains(problem), "{said}");
     }
-    let changed = |change: &dyn Fn(&mut Vec<(String, Vec<u8>)>)| {
+    let changed = |change: &dyn Fn(&mut Members)| {
         let mut members = members(&good);
         change(&mut members);
         zipped(&members)

@@ -203,10 +203,10 @@ def metrics_have_their_closed_forms() -> None:
     assert stance.diversity(np.ones((10, 3))) == 0 and stance.diversity(latents) == stance.diversity(latents)
     assert stance.multimodality(np.ones((5, 20, 3))) == 0
     still = np.zeros((10, 28, 3))
-    assert stance.foot_score(still, 20) == 1 and stance.jerk(still, 20) == 0 and stance.contact_slide(still, 20) == 0
+    assert stance.foot_score(still, 20) == 1 and stance.jerk(still, 20) == 0 and stance.foot_slide(still, 20) == 0
     # All points move sideways by 0.1 m a frame at 20 fps.
     moving = still + np.arange(10)[:, None, None] * [0.1, 0, 0]
-    assert abs(stance.contact_slide(moving, 20) - 2) < 1e-9
+    assert abs(stance.foot_slide(moving, 20) - 2) < 1e-9
     assert abs(stance.position_error(still, still + [0, 3, 4]) - 5) < 1e-12
 
 

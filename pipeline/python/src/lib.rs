@@ -25,7 +25,7 @@ mod _native {
     use super::ingest::{corpus, ingest};
     #[pymodule_export]
     use super::metrics::{
-        contact_slide, diversity, fid, foot_score, jerk, multimodality, position_error, retrieval,
+        diversity, fid, foot_score, foot_slide, jerk, multimodality, position_error, retrieval,
     };
     #[pymodule_export]
     use super::mix::{Mix, Triplet};

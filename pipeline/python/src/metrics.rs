@@ -173,9 +173,9 @@ pub(crate) fn jerk(keypoints: Points<'_>, fps: f64) -> PyResult<Option<f64>> {
     Ok(metric::motion_quality::jerk(&points, fps_of(fps)?))
 }
 
-/// Mean horizontal speed in m/s of feet that touch the floor, of keypoints `[L, 28, 3]`; none if none touches it.
+/// Mean horizontal speed in m/s of the lowest foot, of keypoints `[L, 28, 3]`; none for fewer than two frames.
 #[pyfunction]
-pub(crate) fn contact_slide(keypoints: Points<'_>, fps: f64) -> PyResult<Option<f64>> {
+pub(crate) fn foot_slide(keypoints: Points<'_>, fps: f64) -> PyResult<Option<f64>> {
     let points = points("keypoints", &keypoints)?;
-    Ok(metric::motion_quality::contact_slide(&points, fps_of(fps)?))
+    Ok(metric::motion_quality::foot_slide(&points, fps_of(fps)?))
 }

@@ -180,8 +180,8 @@ def position_error(found: ArrayLike, expected: ArrayLike) -> float:
 def jerk(keypoints: ArrayLike, fps: float) -> float | None:
     """Mean jerk of keypoints ``[L, 28, 3]`` in m/s³."""
 
-def contact_slide(keypoints: ArrayLike, fps: float) -> float | None:
-    """Mean horizontal speed in m/s of feet that touch the floor, of keypoints ``[L, 28, 3]``."""
+def foot_slide(keypoints: ArrayLike, fps: float) -> float | None:
+    """Mean horizontal speed in m/s of the lowest foot, of keypoints ``[L, 28, 3]``; none for fewer than two frames."""
 
 def evaluate(
     items: _Path,
