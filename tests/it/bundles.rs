@@ -287,6 +287,11 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
     let foreign = changed(&|members| members[0].1 = b"{\"format\": 2}".to_vec());
     assert!(eval("foreign.zip", &foreign).contains("bundle.json is not understood"));
 
+    // Rows of a bundle are in the order of their ids.
+    let (first, last) = (
+        rows.iter().map(|row| &row.id).min().expect("rows"),
+        rows.iter().map(|row| &row.id).max().expect("rows"),
+    );
     type Change<'a> = (&'static str, &'a dyn Fn(&mut Vec<EditRow>), String);
     let scratch = bench.workshop.path("scratch");
     fs::create_dir(&scratch).expect("made");
