@@ -67,7 +67,7 @@ pub fn score(
 }
 
 /// [`score`], and in each task the paired differences of the metrics that claims are made of
-/// ([`CLAIMS`](crate::metric::CLAIMS)): of every system against the identity editor, and of each against the next one
+/// ([`CLAIMS`]): of every system against the identity editor, and of each against the next one
 /// behind it in E2T R@1.
 ///
 /// # Errors
