@@ -138,3 +138,45 @@ fn shells_and_man_know_every_verb() {
         assert!(page.expect("a page").contains(".TH"), "{verb}");
     }
 }
+
+#[test]
+fn links_between_documents_lead_to_files() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut documents = Vec::new();
+    let mut folders = vec![root.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            let name = path
+                .file_name()
+                .and_then(|name| name.to_str())
+                .unwrap_or("");
+            if path.is_dir()
+                && !name.starts_with('.')
+                && !["target", "node_modules"].contains(&name)
+            {
+                folders.push(path);
+            } else if name.ends_with(".md") {
+                documents.push(path);
+            }
+        }
+    }
+    let mut links = 0;
+    for document in &documents {
+        let text = fs::read_to_string(document).expect("text");
+        for link in text.split("](").skip(1) {
+            let target = link.split([')', ' ', '#']).next().unwrap_or("");
+            if target.is_empty() || target.contains("://") || target.starts_with("mailto:") {
+                continue;
+            }
+            let path = document.with_file_name("").join(target);
+            assert!(path.exists(), "{}: {target}", document.display());
+            links += 1;
+        }
+    }
+    assert!(
+        documents.len() > 8 && links > 50,
+        "{} documents, {links} links",
+        documents.len()
+    );
+}

@@ -98,6 +98,7 @@ const PLANS: &[(&str, &str)] = plans![
     "real-small",
     "real-small-choices",
     "real-small-text",
+    "real-few",
 ];
 
 /// Items in the viewer of the page.
