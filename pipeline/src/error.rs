@@ -42,9 +42,16 @@ pub enum Error {
         /// The prefix asked for.
         id: String,
     },
-    /// A question to the tables of a dataset cannot be understood or answered.
-    #[error(transparent)]
-    Tables(#[from] tables::Error),
+    /// A filter of clips cannot be understood.
+    #[error("filter {text:?}, at character {at}: {problem}")]
+    Filter {
+        /// The filter.
+        text: String,
+        /// Place of the mistake, counted from 1.
+        at: usize,
+        /// What is wrong, and what there is.
+        problem: String,
+    },
     /// A dataset holds nothing that could be a triplet.
     #[error(
         "{} holds neither recorded triplets, nor items with targets, nor pairs with instructions; \
@@ -55,7 +62,7 @@ pub enum Error {
         /// The dataset.
         path: PathBuf,
     },
-    /// A condition chooses no clip.
+    /// A filter chooses no clip.
     #[error("no clip of {} fulfils the condition; `stance stats` shows which values there are", path.display())]
     NoneChosen {
         /// The dataset.

@@ -29,7 +29,6 @@ mod mdm;
 mod names;
 mod novelty;
 mod pairs;
-mod query;
 mod reasons;
 mod remote;
 mod results;

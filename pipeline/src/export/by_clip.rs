@@ -6,7 +6,7 @@ use datasets_spec::Progress;
 use datasets_spec::record::MotionRow;
 
 use crate::Error;
-use crate::clips::Clips;
+use crate::filter::Clips;
 
 /// Clips that are read and written together.
 pub(super) const PART_CLIPS: usize = 256;

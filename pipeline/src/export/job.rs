@@ -13,13 +13,12 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, NoProgress, Progress};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use tables::Condition;
 
 use super::by_clip::{Note, PART_CLIPS};
 use super::form::Form;
 use super::{Exported, Layout};
 use crate::Error;
-use crate::clips::{Clips, Part, Shard};
+use crate::filter::{Clips, Filter, Part, Shard};
 use crate::work::{
     self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, absolute,
     hash_file,
@@ -69,7 +68,7 @@ struct Export {
 pub fn plan_export(
     root: &Path,
     layout: Layout,
-    filter: Option<&Condition>,
+    filter: Option<&Filter>,
     destination: &Path,
     out: &Path,
 ) -> Result<Plan, Error> {
@@ -137,14 +136,13 @@ pub(crate) fn open_job(plan: &Plan) -> Result<Box<dyn Job>, Failed> {
     let filter = stored
         .filter
         .as_deref()
-        .map(str::parse::<Condition>)
-        .transpose()
-        .map_err(Error::from)?;
+        .map(str::parse::<Filter>)
+        .transpose()?;
     Ok(Box::new(Export::open(dataset, layout, filter.as_ref())?))
 }
 
 impl Export {
-    fn open(dataset: Dataset, layout: Layout, filter: Option<&Condition>) -> Result<Self, Error> {
+    fn open(dataset: Dataset, layout: Layout, filter: Option<&Filter>) -> Result<Self, Error> {
         let clips = match filter {
             Some(filter) => Clips::chosen(&dataset, filter)?,
             None => Clips::all(&dataset),

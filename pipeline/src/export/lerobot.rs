@@ -32,7 +32,7 @@ use serde_json::json;
 use self::statistics::Statistics;
 use super::Exported;
 use crate::Error;
-use crate::clips::Clips;
+use crate::filter::Clips;
 
 /// Numbers of a frame.
 const STATE_WIDTH: usize = 69;

@@ -7,10 +7,9 @@ use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{MarkerRow, MotionRow, SkippedRow};
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId};
-use tables::Condition;
 
 use crate::Error;
-use crate::clips::Clips;
+use crate::filter::{Clips, Filter};
 
 /// Ids named in an error.
 const SHOWN: usize = 5;
@@ -24,7 +23,7 @@ pub(super) const NOT_SELECTED: &str = " was not selected";
 #[derive(Clone, Debug)]
 pub enum Choice {
     /// Those for which a condition holds.
-    Where(Condition),
+    Where(Filter),
     /// Those whose ids a file lists, one a line.
     Ids {
         /// The file, for errors.

@@ -313,7 +313,7 @@ pub(crate) fn finish(
     )
     .context("stage ingest")?;
     global
-        .stage(|context| stage::masks(&places.dataset, &config.masks, Judged::Keep, None, context))
+        .stage(|context| stage::masks(&places.dataset, &config.masks, Judged::Keep, context))
         .context("stage masks")?;
     if config.stages.pairs {
         global
@@ -322,7 +322,6 @@ pub(crate) fn finish(
                     &places.dataset,
                     &config.pairs,
                     config.seeds.split(global),
-                    None,
                     context,
                 )
             })
@@ -333,7 +332,6 @@ pub(crate) fn finish(
         count: config.triplets,
         config: plan.compose.clone(),
         seed: Seed(plan.train.run.seed),
-        condition: None,
     };
     global
         .stage(|context| recording::record(&places.dataset, &places.triplets, &recorded, context))
@@ -344,7 +342,7 @@ pub(crate) fn finish(
         return Ok(stopped());
     };
     stages::items(
-        &dataset,
+        &places.dataset,
         &places.items,
         Split::Test,
         &config.items,
@@ -497,7 +495,7 @@ fn train_one(
     text_encoder: &TextEncoderSource,
     global: &Global,
 ) -> anyhow::Result<Option<TrainReport>> {
-    let dataset = &Dataset::open(&places.dataset)?;
+    let dataset = &places.dataset;
     let composed_once = ComposeConfig {
         fixed_pairs: true,
         ..plan.compose.clone()

@@ -1,5 +1,7 @@
 //! Training of the body-part coordinator on a dataset.
 
+use std::path::Path;
+
 use datasets_spec::{Dataset, Seed};
 use pipeline::compose::ComposeConfig;
 use pipeline::stage::COMPOSED;
@@ -26,7 +28,7 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 /// # Errors
 /// As [`coordinator::train_coordinator`], or the dataset cannot be read.
 pub fn train_coordinator<'a>(
-    dataset: &Dataset,
+    root: &Path,
     start: impl Into<Start<'a>>,
     config: &CoordinatorConfig,
     compose: &ComposeConfig,
@@ -34,6 +36,7 @@ pub fn train_coordinator<'a>(
 ) -> Result<TrainReport, Error> {
     let start = start.into();
     let seed = config.run.seed;
+    let dataset = Dataset::open(root)?;
     let compose = ComposeConfig {
         mirrored_ratio: if compose.mirrored_ratio > 0.0 {
             compose.mirrored_ratio
@@ -42,7 +45,7 @@ pub fn train_coordinator<'a>(
         },
         ..compose.clone()
     };
-    let streams = Streams::open(dataset, &compose, config.window, seed, start.range()?)?;
+    let streams = Streams::open(&dataset, &compose, config.window, seed, start.range()?)?;
     let record = ComposeRecord {
         config: streams.compose,
         seed: Seed(seed),

@@ -46,7 +46,7 @@ pub struct EditorInputs<'a> {
 /// # Errors
 /// As [`train_motionrefit`], or the dataset, recorded windows or the text encoder cannot be read.
 pub fn train_editor<'a>(
-    dataset: &Dataset,
+    root: &Path,
     start: impl Into<Start<'a>>,
     config: &TrainConfig,
     inputs: &EditorInputs<'_>,
@@ -54,7 +54,14 @@ pub fn train_editor<'a>(
 ) -> Result<TrainReport, Error> {
     let start = start.into();
     let seed = config.run.seed;
-    let streams = Streams::open(dataset, inputs.compose, config.window, seed, start.range()?)?;
+    let dataset = Dataset::open(root)?;
+    let streams = Streams::open(
+        &dataset,
+        inputs.compose,
+        config.window,
+        seed,
+        start.range()?,
+    )?;
     let Streams {
         compose,
         train,
@@ -63,7 +70,7 @@ pub fn train_editor<'a>(
     } = &streams;
     let recorded = match inputs.windows {
         Some(folder) => {
-            let fitted = library(dataset, Split::Train)?.fit_normalizer(compose)?;
+            let fitted = library(&dataset, Split::Train)?.fit_normalizer(compose)?;
             Some(recorded_windows(folder, [&fitted, normalizer], Seed(seed))?)
         }
         None => None,
@@ -93,7 +100,7 @@ pub fn train_editor<'a>(
         vectors: vectors.as_ref().map(|table| table as _),
         normalizer: *normalizer,
         skeleton: &dataset.skeleton()?,
-        dataset_hash: &data_hash(dataset, inputs.windows)?,
+        dataset_hash: &data_hash(&dataset, inputs.windows)?,
         compose: &ComposeRecord {
             config: compose.clone(),
             seed: Seed(seed),
