@@ -1,6 +1,7 @@
 //! From captures in styles to a dataset that a model can be trained from.
 
 use std::fs;
+use std::path::Path;
 
 use datasets_spec::record::{NormalizerRow, PairRow, TripletRow, WindowRow};
 use datasets_spec::table::Row;
@@ -174,4 +175,27 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
         13,
         "twelve strips in one picture"
     );
+}
+
+#[test]
+fn the_examples_build_datasets() {
+    let dir = corpus(24);
+    let source = dir.path().join("corpus");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipeline/examples");
+    let examples = crate::util::files_with_extension(&folder, "toml");
+    assert_eq!(examples.len(), 2);
+    for example in &examples {
+        let out = dir.path().join(example.file_stem().expect("a name"));
+        let build = ["--json", "build", "--config", arg(example)];
+        let places = ["--sources", arg(&source), "--out", arg(&out)];
+        let built: Built = stance(&[&build[..], &places].concat())
+            .expect_code(0)
+            .json();
+        assert_eq!(built.motions, 24);
+        assert!(
+            built.pairs > 0 && built.recorded > 0,
+            "{}",
+            example.display()
+        );
+    }
 }

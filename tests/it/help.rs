@@ -142,21 +142,25 @@ fn shells_and_man_know_every_verb() {
 #[test]
 fn links_between_documents_lead_to_files() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut documents = Vec::new();
-    let mut folders = vec![root.to_owned()];
+    let mut documents = ["README.md", "CHANGELOG.md"]
+        .map(|name| root.join(name))
+        .to_vec();
+    let crates = [
+        "datasets-spec",
+        "pipeline",
+        "annotate",
+        "train",
+        "eval",
+        "tests",
+    ];
+    let mut folders = crates.map(|name| root.join(name)).to_vec();
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(&folder).expect("a folder") {
             let path = entry.expect("an entry").path();
-            let name = path
-                .file_name()
-                .and_then(|name| name.to_str())
-                .unwrap_or("");
-            if path.is_dir()
-                && !name.starts_with('.')
-                && !["target", "node_modules"].contains(&name)
-            {
+            // Packages of npm have documents of their own.
+            if path.is_dir() && !path.ends_with("node_modules") {
                 folders.push(path);
-            } else if name.ends_with(".md") {
+            } else if path.extension().is_some_and(|extension| extension == "md") {
                 documents.push(path);
             }
         }
@@ -166,17 +170,13 @@ fn links_between_documents_lead_to_files() {
         let text = fs::read_to_string(document).expect("text");
         for link in text.split("](").skip(1) {
             let target = link.split([')', ' ', '#']).next().unwrap_or("");
-            if target.is_empty() || target.contains("://") || target.starts_with("mailto:") {
+            if target.is_empty() || target.contains("://") {
                 continue;
             }
-            let path = document.with_file_name("").join(target);
+            let path = document.with_file_name(target);
             assert!(path.exists(), "{}: {target}", document.display());
             links += 1;
         }
     }
-    assert!(
-        documents.len() > 8 && links > 50,
-        "{} documents, {links} links",
-        documents.len()
-    );
+    assert!(links > 50, "{links} links in {} documents", documents.len());
 }
