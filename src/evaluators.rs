@@ -164,13 +164,12 @@ pub(crate) fn encoder_retrieval(
 /// Measures how well the texts and motions of a trained encoder retrieve each other on the validation clips of its
 /// dataset, and writes the report into its run folder.
 pub(crate) fn report_on_encoder(
-    root: &Path,
+    dataset: &Dataset,
     run: &Path,
     seed: Seed,
 ) -> anyhow::Result<JudgeReport> {
     let encoder = TmrEncoder::load(run, Slot::Best, &device())?;
-    let dataset = Dataset::open(root)?;
-    let clips = captioned_clips(&dataset, Split::Val)?;
+    let clips = captioned_clips(dataset, Split::Val)?;
     let texts: Vec<&str> = clips.iter().map(|clip| clip.captions[0].as_str()).collect();
     let motions: Vec<&Motion> = clips.iter().map(|clip| &clip.motion).collect();
     let report = JudgeReport::measure(

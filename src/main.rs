@@ -1,5 +1,6 @@
 //! The `stance` command: parse, dispatch, render. The work is done by the library crates.
 
+mod chosen;
 mod cli;
 mod cmd;
 mod device;

@@ -46,18 +46,18 @@ pub(crate) fn ingested(
 
 /// Draws test questions.
 pub(crate) fn items(
-    root: &Path,
+    dataset: &Dataset,
     out: &Path,
     split: Split,
     config: &ItemConfig,
     seed: Seed,
     global: &Global,
 ) -> anyhow::Result<Dataset> {
-    let drawn = global.stage(|context| stage::items(root, out, split, config, seed, context))?;
+    let drawn = global.stage(|context| stage::items(dataset, out, split, config, seed, context))?;
     if let Some(count) = drawn.fewer {
         report::note(&format!(
             "split {split} of {} gives {count} different items, {} were asked for",
-            root.display(),
+            dataset.root().display(),
             config.count
         ));
     }

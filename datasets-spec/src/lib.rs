@@ -33,7 +33,7 @@ mod card;
 mod croissant;
 pub mod dataset;
 mod error;
-pub mod facts;
+pub mod flags;
 mod ids;
 mod joint_set;
 pub mod license;

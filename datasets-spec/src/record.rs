@@ -16,7 +16,7 @@ pub type Frames<const D: usize> = Vec<[f32; D]>;
 
 table! {
     /// A clip.
-    pub struct MotionRow = "motions" {
+    pub struct MotionRow = "motions", of clips id {
         /// Stable name: source path relative to the ingested root, plus crop or mirror suffix
         pub id: MotionId [""],
         /// train, val or test, decided on the source clip
@@ -87,7 +87,7 @@ table! {
 table! {
     /// An accepted (motion, mask, text).
     #[derive(Serialize, Deserialize)]
-    pub struct MaskRow = "masks" {
+    pub struct MaskRow = "masks", of clips motion_id {
         /// Id of the mask
         pub id: String [""],
         /// Motion the mask belongs to
@@ -116,7 +116,7 @@ table! {
 table! {
     /// A captured or generated pair: a motion and its edit.
     #[derive(Serialize, Deserialize)]
-    pub struct PairRow = "pairs" {
+    pub struct PairRow = "pairs", of clips source_id and target_id {
         /// Id of the pair
         pub id: String [""],
         /// Split of both motions
@@ -144,7 +144,7 @@ table! {
 
 table! {
     /// Markers of an optical capture.
-    pub struct MarkerRow = "markers" {
+    pub struct MarkerRow = "markers", of clips id {
         /// Id of the capture; the motion solved from it, if there is one, has the same
         pub id: MotionId [""],
         /// Split of the capture
@@ -176,7 +176,7 @@ table! {
 
 table! {
     /// Features of a motion by the HumanML3D recipe.
-    pub struct HumanMl3dRow = "humanml3d" {
+    pub struct HumanMl3dRow = "humanml3d", of clips id {
         /// Motion the features are of
         pub id: MotionId [""],
         /// Split of the motion

@@ -54,6 +54,7 @@ fn main() -> Result<(), Failure> {
                     count,
                     config: ComposeConfig::default(),
                     seed: Seed(0),
+                    condition: None,
                 };
                 let (dataset, out) = (Path::new(dataset), Path::new(out));
                 let made = recording::record(dataset, out, &settings, &context)?;

@@ -1,13 +1,12 @@
 //! What a dataset holds, counted from the metadata columns alone.
 
-use std::collections::BTreeMap;
-
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, ScoreRow, TripletRow, WindowRow};
-use datasets_spec::table::{Row, ShardReader};
+use datasets_spec::table::Row;
 use serde::Serialize;
 
 use crate::Error;
+use crate::counts::{Counts, Share};
 
 /// Clips that share a label.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -38,55 +37,22 @@ pub struct Catalogue {
 /// # Errors
 /// A file cannot be read or lacks a column.
 pub fn catalogue(dataset: &Dataset) -> Result<Catalogue, Error> {
-    let [mut splits, mut sources, mut actions, mut styles] = [const { BTreeMap::new() }; 4];
-    for (path, _) in dataset.files(MotionRow::TABLE, None) {
-        let shard = ShardReader::open(&path)?;
-        let frames = shard.column::<MotionRow, i32>("n_frames")?;
-        let rates = shard.column::<MotionRow, f32>("fps")?;
-        let clips: Vec<(i32, f32)> = frames.into_iter().zip(rates).collect();
-        let stated = |name| shard.column::<MotionRow, String>(name);
-        let optional = |name| -> Result<Vec<String>, datasets_spec::Error> {
-            let labels = shard.column::<MotionRow, Option<String>>(name)?;
-            Ok(labels.into_iter().map(Option::unwrap_or_default).collect())
-        };
-        count(&mut splits, stated("split")?, &clips);
-        count(&mut sources, stated("source")?, &clips);
-        count(&mut actions, optional("action")?, &clips);
-        count(&mut styles, optional("style")?, &clips);
-    }
-    Ok(Catalogue {
-        splits: groups(splits),
-        sources: groups(sources),
-        actions: groups(actions),
-        styles: groups(styles),
-    })
-}
-
-/// Clips and frames by label and frame rate (as bits, which order like positive rates). Frames are
-/// summed as integers, so that minutes do not depend on the order of the clips.
-type Counts = BTreeMap<String, BTreeMap<u32, (u64, i64)>>;
-
-fn count(counts: &mut Counts, labels: Vec<String>, clips: &[(i32, f32)]) {
-    for (label, &(frames, fps)) in labels.into_iter().zip(clips) {
-        let of_rate = counts.entry(label).or_default();
-        let sum = of_rate.entry(fps.to_bits()).or_default();
-        sum.0 += 1;
-        sum.1 += i64::from(frames);
-    }
-}
-
-fn groups(counts: Counts) -> Vec<Group> {
-    let minutes = |(fps, (_, frames)): (&u32, &(u64, i64))| {
-        *frames as f64 / (60.0 * f64::from(f32::from_bits(*fps)))
-    };
-    counts
-        .into_iter()
-        .map(|(label, rates)| Group {
+    let mut counts = Counts::new(dataset, None)?;
+    let mut by = |label: &str| -> Result<Vec<Group>, Error> {
+        let shares = counts.shares(&format!("COALESCE({label}, '')"))?;
+        let group = |(label, share): (String, Share)| Group {
             label,
-            clips: rates.values().map(|(clips, _)| clips).sum(),
-            minutes: rates.iter().map(minutes).sum(),
-        })
-        .collect()
+            clips: share.clips,
+            minutes: 60.0 * share.hours,
+        };
+        Ok(shares.into_iter().map(group).collect())
+    };
+    Ok(Catalogue {
+        splits: by("split")?,
+        sources: by("source")?,
+        actions: by("action")?,
+        styles: by("style")?,
+    })
 }
 
 /// What a folder without motions holds, and which verbs take it; none if it holds motions.

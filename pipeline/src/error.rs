@@ -42,16 +42,9 @@ pub enum Error {
         /// The prefix asked for.
         id: String,
     },
-    /// A filter of clips cannot be understood.
-    #[error("filter {text:?}, at character {at}: {problem}")]
-    Filter {
-        /// The filter.
-        text: String,
-        /// Place of the mistake, counted from 1.
-        at: usize,
-        /// What is wrong, and what there is.
-        problem: String,
-    },
+    /// A question to the tables of a dataset cannot be understood or answered.
+    #[error(transparent)]
+    Tables(#[from] tables::Error),
     /// A dataset holds nothing that could be a triplet.
     #[error(
         "{} holds neither recorded triplets, nor items with targets, nor pairs with instructions; \
@@ -62,7 +55,7 @@ pub enum Error {
         /// The dataset.
         path: PathBuf,
     },
-    /// A filter chooses no clip.
+    /// A condition chooses no clip.
     #[error("no clip of {} fulfils the condition; `stance stats` shows which values there are", path.display())]
     NoneChosen {
         /// The dataset.

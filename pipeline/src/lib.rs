@@ -27,13 +27,15 @@ pub mod catalogue;
 pub mod check;
 pub mod clip;
 mod clip_table;
+pub mod clips;
 pub mod compose;
+mod counts;
 mod csv_lines;
 pub mod doctor;
 mod error;
 pub mod export;
 pub mod feature;
-pub mod filter;
+
 #[cfg(test)]
 mod fixture;
 pub mod floor;

@@ -9,7 +9,7 @@ use datasets_spec::{Dataset, Motion, Skeleton};
 
 use crate::Error;
 use crate::clip::Outcome;
-use crate::filter::check_content;
+use crate::clips::check_content;
 use crate::source::labels::ClipLabels;
 use crate::source::{Format, ReadOptions, Recognised, read_clip, recognise};
 

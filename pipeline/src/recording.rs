@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::compose::{ComposeConfig, Stream};
-use crate::stage::{COMPOSED, Context, train_stream};
+use crate::stage::{COMPOSED, Context, chosen, train_stream};
 use crate::work::{
     self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Quarantine, absolute,
 };
@@ -56,6 +56,9 @@ pub struct Settings {
     pub config: ComposeConfig,
     /// Seed of the stream.
     pub seed: Seed,
+    /// What holds for the clips that are composed.
+    #[serde(default, rename = "where", skip_serializing_if = "Option::is_none")]
+    pub condition: Option<String>,
 }
 
 /// The settings of a plan.
@@ -182,8 +185,10 @@ impl Recording {
             count,
             config,
             seed,
+            condition,
         } = settings;
-        let dataset = Dataset::open(root)?;
+        let condition = condition.as_deref().map(str::parse).transpose()?;
+        let dataset = chosen(&Dataset::open(root)?, condition.as_ref())?;
         let content_hash = dataset.content_hash(&COMPOSED);
         let inputs = (&content_hash, config, seed, count);
         let plan_hash = plan_hash(kind.table(), &inputs);

@@ -10,15 +10,16 @@ use std::sync::Arc;
 use datasets_spec::dataset::{Commit, Transaction, commit_rows, table_facts};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow, MaskRow, MotionRow, PairRow};
-use datasets_spec::table::{Row, read_column, read_rows};
+use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, Fps, MotionId, Progress, Resample, Seed, Skeleton, Split};
 use kinematics::normalise::Normalizer;
 use serde::{Deserialize, Serialize};
+use tables::Condition;
 
 use crate::Error;
 use crate::annotation::masks::{MaskConfig, automatic_masks};
 use crate::annotation::pairs::{
-    self, PairConfig, PairList, RefusedLine, is_from_labels, style_pairs,
+    self, LabelledClip, PairConfig, PairList, RefusedLine, is_from_labels, style_pairs,
 };
 use crate::annotation::variants::Candidates;
 use crate::catalogue::other_than_motions;
@@ -139,6 +140,23 @@ fn with_motions(dataset: Dataset) -> Result<Dataset, Error> {
     }
 }
 
+/// The dataset as if it held the clips alone for which a condition is true, if there is one.
+///
+/// # Errors
+/// No clip fulfils it, or a table cannot be read.
+pub fn chosen(dataset: &Dataset, condition: Option<&Condition>) -> Result<Dataset, Error> {
+    let Some(condition) = condition else {
+        return Ok(dataset.clone());
+    };
+    let chosen = condition.of(dataset)?;
+    match chosen.num_chosen() {
+        Some(0) => Err(Error::NoneChosen {
+            path: dataset.root().to_owned(),
+        }),
+        _ => Ok(chosen),
+    }
+}
+
 /// Handling of human-judged masks when automatic ones are requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Judged {
@@ -153,7 +171,7 @@ pub enum Judged {
 }
 
 /// Derives the automatic masks of a dataset and commits them beside its motions. Clips whose source
-/// came with masks get no automatic ones.
+/// came with masks get no automatic ones. With a condition, the masks of other clips stay as they are.
 ///
 /// # Errors
 /// The dataset cannot be read or written, or people have judged its masks ([`Judged::Refuse`]).
@@ -161,19 +179,23 @@ pub fn masks(
     root: &Path,
     config: &MaskConfig,
     judged: Judged,
+    condition: Option<&Condition>,
     context: &Context<'_>,
 ) -> Result<Dataset, Error> {
     let dataset = open_motions(root)?;
-    let plan = plan_hash(
-        "masks",
-        &(dataset.manifest().plan(MotionRow::TABLE), config),
-    );
+    let motions_plan = dataset.manifest().plan(MotionRow::TABLE);
+    let plan = match condition {
+        None => plan_hash("masks", &(motions_plan, config)),
+        Some(condition) => plan_hash("masks", &(motions_plan, config, condition.text())),
+    };
     if dataset.manifest().plan(MaskRow::TABLE) == plan {
         return Ok(dataset);
     }
+    let chosen = chosen(&dataset, condition)?;
     let present: Vec<MaskRow> = dataset.read(None)?;
     let by_people = present
         .iter()
+        .filter(|mask| chosen.has_clip(&mask.motion_id))
         .filter(|mask| ["human", "draft"].contains(&mask.text_origin.as_str()))
         .count();
     match judged {
@@ -191,13 +213,17 @@ pub fn masks(
     let skeleton = dataset.skeleton()?;
     let mut rows: Vec<MaskRow> = present
         .into_iter()
-        .filter(|mask| judged == Judged::Add || mask.text_origin == "imported")
+        .filter(|mask| {
+            let stays = judged == Judged::Add || mask.text_origin == "imported";
+            stays || !chosen.has_clip(&mask.motion_id)
+        })
         .collect();
     let masked: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
     let automatic = automatic_masks(&motions, &skeleton, config)?;
     rows.extend(
         automatic
             .into_iter()
+            .filter(|mask| chosen.has_clip(&mask.motion_id))
             .filter(|mask| !masked.contains(&mask.motion_id)),
     );
     context
@@ -207,7 +233,8 @@ pub fn masks(
 }
 
 /// Makes style pairs from the labels of a dataset and commits them beside those of its sources. Also
-/// returns the styled motions without a counterpart.
+/// returns the styled motions without a counterpart. With a condition, both clips of a pair fulfil it, and pairs of other
+/// clips stay as they are.
 ///
 /// # Errors
 /// The dataset cannot be read or written.
@@ -215,19 +242,27 @@ pub fn pairs(
     root: &Path,
     config: &PairConfig,
     seed: Seed,
+    condition: Option<&Condition>,
     context: &Context<'_>,
 ) -> Result<(Dataset, Vec<MotionId>), Error> {
     let dataset = open_motions(root)?;
-    let inputs = (dataset.manifest().plan(MotionRow::TABLE), config, seed);
-    let plan = plan_hash(pairs::SOURCE, &inputs);
-    let motions: Vec<MotionRow> = dataset.read(None)?;
-    let made = style_pairs(&motions, config, seed);
+    let motions_plan = dataset.manifest().plan(MotionRow::TABLE);
+    let plan = match condition {
+        None => plan_hash(pairs::SOURCE, &(motions_plan, config, seed)),
+        Some(condition) => {
+            let inputs = (motions_plan, config, seed, condition.text());
+            plan_hash(pairs::SOURCE, &inputs)
+        }
+    };
+    let chosen = chosen(&dataset, condition)?;
+    let made = style_pairs(&LabelledClip::read(&chosen)?, config, seed);
     if dataset.manifest().plan(PairRow::TABLE) == plan {
         return Ok((dataset, made.alone));
     }
     context.progress.begin("pairs", None);
     let mut rows: Vec<PairRow> = dataset.read(None)?;
-    rows.retain(|row| !is_from_labels(row));
+    let is_chosen = |row: &PairRow| row.clips().into_iter().all(|clip| chosen.has_clip(clip));
+    rows.retain(|row| !is_from_labels(row) || !is_chosen(row));
     rows.extend(made.rows);
     context.progress.finish(&format!("{} pairs", rows.len()));
     if rows.is_empty() && !dataset.manifest().tables.contains_key(PairRow::TABLE) {
@@ -250,11 +285,8 @@ pub fn listed_pairs(
 ) -> Result<(Dataset, Vec<RefusedLine>), Error> {
     let list = PairList::read(file)?;
     let dataset = open_motions(root)?;
-    let mut motions = BTreeMap::new();
-    for (path, _) in dataset.files(MotionRow::TABLE, None) {
-        let rows = read_rows::<MotionRow>(&path)?.into_iter();
-        motions.extend(rows.map(|row| (row.id, row.split)));
-    }
+    let clips = LabelledClip::read(&dataset)?.into_iter();
+    let motions: BTreeMap<MotionId, Split> = clips.map(|clip| (clip.id, clip.split)).collect();
     let mut before: Vec<PairRow> = dataset.read(None)?;
     before.sort_by(|a, b| a.id.cmp(&b.id));
     let (listed, known): (Vec<PairRow>, Vec<PairRow>) = before
@@ -342,14 +374,13 @@ pub struct DrawnItems {
 /// # Errors
 /// The split cannot be composed, or the folder cannot be written.
 pub fn items(
-    root: &Path,
+    dataset: &Dataset,
     out: &Path,
     split: Split,
     config: &ItemConfig,
     seed: Seed,
     context: &Context<'_>,
 ) -> Result<DrawnItems, Error> {
-    let dataset = Dataset::open(root)?;
     let content = dataset.content_hash(&COMPOSED);
     let plan = plan_hash("items", &(content, split, config, seed));
     if let Ok(done) = Dataset::open_unverified(out)
@@ -361,9 +392,9 @@ pub fn items(
         });
     }
     let rows = draw_items(
-        &library(&dataset, split)?,
+        &library(dataset, split)?,
         config,
-        &Shown::read(&dataset)?,
+        &Shown::read(dataset)?,
         seed,
     )?;
     let fewer = match config.count {

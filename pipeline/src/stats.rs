@@ -1,32 +1,22 @@
 //! Statistics of a dataset.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fmt;
 
 use datasets_spec::Dataset;
-use datasets_spec::facts::ClipFacts;
 use datasets_spec::quantile::quantile;
-use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, PairRow};
-use datasets_spec::table::{Row, ShardReader, read_rows};
-use serde::Serialize;
+use datasets_spec::record::CAPTION_BY_RULE;
+use serde::{Deserialize, Serialize};
+use tables::Condition;
 
 use crate::Error;
-use crate::check::FLAG_NAMES;
+use crate::check::flag_names;
+pub use crate::counts::Share;
+use crate::counts::{Counts, Group};
 use crate::ingest::REMARKS_FACT;
 
 /// Upper bounds of the duration classes in seconds; the last class has none.
 const DURATIONS: [f64; 6] = [1.0, 2.0, 5.0, 10.0, 20.0, 60.0];
-
-/// Totals of a group of clips.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Share {
-    /// Clips.
-    pub clips: u64,
-    /// Stored frames.
-    pub frames: u64,
-    /// Hours.
-    pub hours: f64,
-}
 
 /// Distribution of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -109,67 +99,97 @@ pub struct Statistics {
     pub remarks: Option<String>,
 }
 
-/// Counts a dataset, shard by shard. The frames of the motions are not read.
+/// Counts a dataset, or the clips of it for which a condition is true, with their masks and pairs. The frames of the motions
+/// are not read.
 ///
 /// # Errors
-/// A table cannot be read.
-pub fn statistics(dataset: &Dataset) -> Result<Statistics, Error> {
-    let mut statistics = Statistics {
-        remarks: dataset.manifest().facts.get(REMARKS_FACT).cloned(),
-        ..Statistics::default()
-    };
-    let (mut speeds, mut skates) = (Vec::new(), Vec::new());
-    let mut errors: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+/// A table cannot be read, or no clip fulfils the condition.
+pub fn statistics(dataset: &Dataset, condition: Option<&Condition>) -> Result<Statistics, Error> {
+    let mut counts = Counts::new(dataset, condition)?;
+    let facts: Vec<Facts> = counts.rows(
+        "source, seconds, max_speed, foot_skate, fit_error_m, texts, caption_origins, part_texts, \
+         mirrored_of IS NOT NULL AS mirrored, quality.flags AS flags",
+        "motions",
+    )?;
+    if facts.is_empty() && condition.is_some() {
+        return Err(Error::NoneChosen {
+            path: dataset.root().to_owned(),
+        });
+    }
     let mut durations = [0u64; DURATIONS.len() + 1];
-    for (path, _) in dataset.files(ClipFacts::TABLE, None) {
-        for row in ShardReader::open(&path)?.rows::<ClipFacts>()? {
-            let seconds = row.secs();
-            let class = DURATIONS.partition_point(|end| *end <= seconds);
-            durations[class] += 1;
-            speeds.push(row.quality.max_speed.into());
-            skates.push(row.quality.foot_skate.into());
-            if let Some(error) = row.fit_error_m {
-                errors
-                    .entry(row.source.clone())
-                    .or_default()
-                    .push(error.into());
-            }
-            statistics.take(&row, seconds);
+    let mut errors: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    let mut flags = BTreeMap::new();
+    for row in &facts {
+        durations[DURATIONS.partition_point(|end| *end <= row.seconds)] += 1;
+        if let Some(error) = row.fit_error_m {
+            errors.entry(row.source.clone()).or_default().push(error);
+        }
+        for name in flag_names(row.flags) {
+            *flags.entry(name.to_owned()).or_default() += 1;
         }
     }
-    statistics.durations = durations
-        .into_iter()
-        .enumerate()
-        .map(|(class, clips)| (class_name(class), clips))
-        .collect();
-    statistics.max_speed = Spread::of(speeds);
-    statistics.foot_skate = Spread::of(skates);
-    statistics.fit_error_m = errors
-        .into_iter()
-        .filter_map(|(source, errors)| Some((source, Spread::of(errors)?)))
-        .collect();
-    let mut masked = BTreeSet::new();
-    for (path, _) in dataset.files(MaskRow::TABLE, None) {
-        for row in read_rows::<MaskRow>(&path)? {
-            masked.insert(row.motion_id);
-            *statistics.masks.entry(row.parts.join("+")).or_default() += 1;
-        }
-    }
-    let num_masks: u64 = statistics.masks.values().sum();
-    statistics.masked_clips = masked.len() as u64;
-    statistics.masks_per_clip =
-        (!masked.is_empty()).then(|| num_masks as f64 / masked.len() as f64);
-    for (path, _) in dataset.files(PairRow::TABLE, None) {
-        for row in read_rows::<PairRow>(&path)? {
-            if let Some(style) = row.style {
-                *statistics.pair_styles.entry(style).or_default() += 1;
-            }
-            *statistics.pairs.entry(row.kind).or_default() += 1;
-            let split = row.split.to_string();
-            *statistics.pair_splits.entry(split).or_default() += 1;
-        }
-    }
-    Ok(statistics)
+    let sum = |of: fn(&Facts) -> usize| facts.iter().map(of).sum::<usize>() as u64;
+    let splits = counts.groups("split")?;
+    let masks = counts.labelled("array_to_string(parts, '+')", "masks")?;
+    let masked_clips = counts.labelled("motion_id", "masks")?.len() as u64;
+    let num_masks: u64 = masks.values().sum();
+    Ok(Statistics {
+        total: Group::sums(&splits, |_| Some(()))
+            .remove(&())
+            .unwrap_or_default(),
+        rates: Group::sums(&splits, |group| Some(format!("{} fps", group.fps))),
+        splits: Group::sums(&splits, |group| group.label.clone()),
+        sources: counts.shares("source")?,
+        rotations: counts.shares("rotation_source")?,
+        licenses: counts.shares("COALESCE(license, 'not stated')")?,
+        actions: counts.shares("action")?,
+        styles: counts.shares("style")?,
+        mirrored: sum(|row| row.mirrored.into()),
+        captions: sum(|row| row.texts.len()),
+        made_captions: sum(|row| {
+            let origins = row.caption_origins.iter().flatten();
+            origins.filter(|origin| *origin == CAPTION_BY_RULE).count()
+        }),
+        words: sum(|row| {
+            let texts = row.texts.iter();
+            texts.map(|text| text.split_whitespace().count()).sum()
+        }),
+        silent: sum(|row| (row.texts.is_empty() && row.part_texts.is_empty()).into()),
+        durations: durations
+            .into_iter()
+            .enumerate()
+            .map(|(class, clips)| (class_name(class), clips))
+            .collect(),
+        flags,
+        max_speed: Spread::of(facts.iter().map(|row| row.max_speed).collect()),
+        foot_skate: Spread::of(facts.iter().map(|row| row.foot_skate).collect()),
+        fit_error_m: errors
+            .into_iter()
+            .filter_map(|(source, errors)| Some((source, Spread::of(errors)?)))
+            .collect(),
+        masked_clips,
+        masks_per_clip: (masked_clips > 0).then(|| num_masks as f64 / masked_clips as f64),
+        masks,
+        pairs: counts.labelled("kind", "pairs")?,
+        pair_styles: counts.labelled("style", "pairs")?,
+        pair_splits: counts.labelled("split", "pairs")?,
+        remarks: dataset.manifest().facts.get(REMARKS_FACT).cloned(),
+    })
+}
+
+/// What is looked at clip by clip.
+#[derive(Deserialize)]
+struct Facts {
+    source: String,
+    seconds: f64,
+    max_speed: f64,
+    foot_skate: f64,
+    fit_error_m: Option<f64>,
+    texts: Vec<String>,
+    caption_origins: Option<Vec<String>>,
+    part_texts: Vec<String>,
+    mirrored: bool,
+    flags: u32,
 }
 
 fn class_name(class: usize) -> String {
@@ -181,50 +201,6 @@ fn class_name(class: usize) -> String {
         (Some(start), Some(end)) => format!("{start} to {end} s"),
         (Some(start), None) => format!("{start} s and more"),
         (None, None) => "all".to_owned(),
-    }
-}
-
-impl Statistics {
-    fn take(&mut self, row: &ClipFacts, seconds: f64) {
-        let add = |share: &mut Share| {
-            share.clips += 1;
-            share.frames += u64::try_from(row.n_frames).unwrap_or(0);
-            share.hours += seconds / 3600.0;
-        };
-        add(&mut self.total);
-        add(self.splits.entry(row.split.to_string()).or_default());
-        add(self.sources.entry(row.source.clone()).or_default());
-        add(self
-            .rotations
-            .entry(row.rotation_source.clone())
-            .or_default());
-        add(self.rates.entry(format!("{} fps", row.fps)).or_default());
-        let license = row
-            .license
-            .clone()
-            .unwrap_or_else(|| "not stated".to_owned());
-        add(self.licenses.entry(license).or_default());
-        if let Some(action) = &row.action {
-            add(self.actions.entry(action.clone()).or_default());
-        }
-        if let Some(style) = &row.style {
-            add(self.styles.entry(style.clone()).or_default());
-        }
-        self.mirrored += u64::from(row.mirrored_of.is_some());
-        self.captions += row.captions.len() as u64;
-        let origins = row.caption_origins.iter();
-        self.made_captions += origins.filter(|origin| *origin == CAPTION_BY_RULE).count() as u64;
-        let words = row
-            .captions
-            .iter()
-            .map(|said| said.text.split_whitespace().count());
-        self.words += words.sum::<usize>() as u64;
-        self.silent += u64::from(row.captions.is_empty() && row.part_captions.is_empty());
-        for (flag, name) in FLAG_NAMES {
-            if row.quality.flags & flag != 0 {
-                *self.flags.entry(name.to_owned()).or_default() += 1;
-            }
-        }
     }
 }
 

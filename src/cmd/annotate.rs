@@ -13,7 +13,7 @@ use annotate::http::{PATIENCE, Server, ServerConfig, TrustedProxy, UPLOAD_PATIEN
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
 use annotate::store::{self, MotionRecord, Store, TokenUse, Who};
-use annotate::transfer::{self, Selection, Taken};
+use annotate::transfer::{self, CHOSEN, Selection, Taken};
 use annotate::wire::{
     BulkAction, BulkDone, BulkRequest, ExportFormat, Role, RuleUndone, RulesApplied, TaskFilter,
     TaskKind, TaskState, User, Verdict,
@@ -25,6 +25,7 @@ use pipeline::source::stance::exported_labels;
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
+use tables::Condition;
 
 use crate::exit::Exit;
 use crate::global::Global;
@@ -63,6 +64,10 @@ pub(crate) struct Args {
     /// Dataset folder with motions
     #[arg(value_parser = crate::local::path())]
     dataset: PathBuf,
+    /// Make tasks of the clips alone that fulfil a condition in SQL, such as "NOT has_mask"; it is kept for later imports,
+    /// tasks that exist stay, and "TRUE" takes all clips again. `stance query --help` tells more
+    #[arg(long = "where", value_name = "CONDITION")]
+    condition: Option<Condition>,
     /// Address to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8765")]
     listen: SocketAddr,
@@ -803,6 +808,9 @@ fn taken_text(taken: &Taken) -> String {
 }
 
 fn import_dataset(args: &Args, store: &Store, global: &Global) -> anyhow::Result<Taken> {
+    if let Some(condition) = &args.condition {
+        store.put_note(CHOSEN, condition.text())?;
+    }
     let bars = global.bars();
     bars.begin("import", None);
     let mut last = 0;
@@ -971,7 +979,8 @@ fn has_password(url: &str) -> bool {
 fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::Result<Exit> {
     let model = model()?;
     let dataset = Dataset::open(&args.dataset)?;
-    if store.note(IMPORTED)?.as_deref() != Some(&dataset.manifest().root_hash) {
+    let is_imported = store.note(IMPORTED)?.as_deref() == Some(&dataset.manifest().root_hash);
+    if !is_imported || args.condition.is_some() {
         import_dataset(args, store.as_ref(), global)?;
     }
     let admin = match store

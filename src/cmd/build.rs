@@ -7,9 +7,9 @@ use datasets_spec::record::{MaskRow, MotionRow, PairRow, TripletRow};
 use datasets_spec::table::Row;
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
+use pipeline::clips::Clips;
 use pipeline::compose::ComposeConfig;
 use pipeline::export::{Layout, export};
-use pipeline::filter::Clips;
 use pipeline::ingest::SourceArg;
 use pipeline::recording::{self, Kind, Settings};
 use pipeline::stage::{self, IngestConfig, Judged};
@@ -92,13 +92,13 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     )
     .context("stage ingest")?;
     global
-        .stage(|context| stage::masks(&root, &config.masks, Judged::Keep, context))
+        .stage(|context| stage::masks(&root, &config.masks, Judged::Keep, None, context))
         .context("stage masks")?;
     let seed = global.seed();
     let alone = match &config.pairs {
         Some(pairs) => {
             global
-                .stage(|context| stage::pairs(&root, pairs, seed, context))
+                .stage(|context| stage::pairs(&root, pairs, seed, None, context))
                 .context("stage pairs")?
                 .1
         }
@@ -110,6 +110,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         count: config.triplets,
         config: config.compose.clone(),
         seed,
+        condition: None,
     };
     let recorded = global
         .stage(|context| recording::record(&root, &triplets, &settings, context))

@@ -6,13 +6,14 @@ use anyhow::bail;
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, TripletRow};
 use datasets_spec::table::Row;
+use pipeline::clips::Clips;
 use pipeline::export::{
     Counts, Exported, Layout, Sides, before, export, export_edits, export_triplets, plan_export,
     untagged_captions,
 };
-use pipeline::filter::{Clips, Filter};
 use pipeline::work::Plan;
 
+use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
@@ -23,9 +24,7 @@ use crate::report;
 /// edits.json with the instructions. Recorded triplets, items and pairs become dumps of MotionFix. The folder appears
 /// when it is complete; a failed export leaves nothing behind.
 ///
-/// --where chooses clips by their metadata, as in SQL: =, !=, <, <=, >, >=, like, in, is null, and, or, not and
-/// parentheses. Columns are those of the table of motions (stance inspect SHARD), seconds, max_speed, foot_skate, and
-/// flags.NAME for the findings of the checks. Only the chosen clips are read.
+/// With --where only the chosen clips are read.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder, or folder of edits
@@ -33,9 +32,8 @@ pub(crate) struct Args {
     /// Layout to write; edits go to amass, bvh or gltf, triplets and items to motionfix
     #[arg(long, value_enum)]
     to: LayoutArg,
-    /// Export only clips that fulfil a condition, such as "split = 'train' and not flags.poor_fit"
-    #[arg(long = "where", value_name = "CONDITION")]
-    filter: Option<Filter>,
+    #[command(flatten)]
+    chosen: ChosenArgs,
     /// Also write the source motions, to sources/ITEM
     #[arg(long)]
     sources: bool,
@@ -110,7 +108,7 @@ impl Args {
         Ok(plan_export(
             &self.dataset,
             layout,
-            self.filter.as_ref(),
+            self.chosen.condition.as_ref(),
             &self.out,
             plan,
         )?)
@@ -118,8 +116,8 @@ impl Args {
 
     /// The clips that are exported.
     fn clips<'a>(&self, dataset: &'a Dataset) -> anyhow::Result<Clips<'a>> {
-        Ok(match &self.filter {
-            Some(filter) => Clips::chosen(dataset, filter)?,
+        Ok(match &self.chosen.condition {
+            Some(condition) => Clips::chosen(dataset, condition)?,
             None => Clips::all(dataset),
         })
     }
@@ -137,7 +135,7 @@ fn remark_before(layout: Layout, clips: &Clips) -> anyhow::Result<Vec<String>> {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let layout = Layout::from(args.to);
-    let dataset = match &args.filter {
+    let dataset = match &args.chosen.condition {
         // Hashing every file would read every clip; those that are chosen are checked one by one. Stored
         // features of HumanML3D have no hashes of their own.
         Some(_) if layout != Layout::HumanMl3d => Dataset::open_unverified(&args.dataset)?,
@@ -153,7 +151,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         || (has(ItemRow::TABLE) && !has(MotionRow::TABLE) && !has(EditRow::TABLE));
     let mut remarks = Vec::new();
     let done = if layout == Layout::MotionFix && composed {
-        if args.filter.is_some() || sides != Sides::default() {
+        if args.chosen.condition.is_some() || sides != Sides::default() {
             bail!(
                 "{} holds triplets; --where is of motions, --sources and --targets are of edits",
                 args.dataset.display()
@@ -170,7 +168,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         let clips = args.clips(&dataset)?;
         remarks = remark_before(layout, &clips)?;
         export(&clips, layout, &args.out, &bars)?
-    } else if args.filter.is_some() {
+    } else if args.chosen.condition.is_some() {
         bail!(
             "{} holds no motions; --where is of motions",
             args.dataset.display()

@@ -9,6 +9,7 @@ use datasets_spec::{Dataset, Seed, Split};
 use pipeline::compose::{ItemConfig, ItemCount, ItemTask, Novelty, digest_of_ids};
 use pipeline::export::export_items;
 
+use crate::chosen::ChosenArgs;
 use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
@@ -31,7 +32,7 @@ pub(crate) struct Args {
     #[arg(required = true)]
     dataset: Option<PathBuf>,
     /// Draw a test set that comes with the program: builtin-1, 300 questions on the built-in corpus
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs"])]
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs", "ChosenArgs"])]
     set: Option<TestSet>,
     /// Split to draw from
     #[arg(long, default_value = "test")]
@@ -48,6 +49,8 @@ pub(crate) struct Args {
     novelty: Vec<Novelty>,
     #[command(flatten)]
     compose: ComposeArgs,
+    #[command(flatten)]
+    chosen: ChosenArgs,
     /// Folder to write
     #[arg(long, required = true)]
     out: Option<PathBuf>,
@@ -109,7 +112,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         None => own()?,
     };
     let seed = global.seed();
-    let drawn = stages::items(dataset, out, args.split, &config, seed, global);
+    let opened = args.chosen.open(dataset)?;
+    let drawn = stages::items(&opened, out, args.split, &config, seed, global);
     let drawn = match args.set {
         Some(TestSet::Builtin1) => drawn.with_context(|| {
             format!(

@@ -12,6 +12,7 @@ use pipeline::annotation::masks::MaskConfig;
 use pipeline::stage::{self, Judged};
 use serde::Serialize;
 
+use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::local;
@@ -23,6 +24,8 @@ use crate::report;
 /// move fast compared with the training split. With --drafts the masks are written as one JSON
 /// object a line for people to edit; with --accept the edited lines are checked and taken back. A line that was edited
 /// and has no verdict yet stays a draft with what was written.
+///
+/// --where marks some clips alone, or writes their drafts; the masks of the others stay as they are.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder
@@ -35,7 +38,7 @@ pub(crate) struct Args {
         long,
         value_name = "FILE",
         requires = "author",
-        conflicts_with = "replace"
+        conflicts_with_all = ["replace", "condition"]
     )]
     accept: Option<PathBuf>,
     /// Name of the reviewer
@@ -47,6 +50,8 @@ pub(crate) struct Args {
     /// Keep all masks and derive those of clips without any
     #[arg(long, conflicts_with_all = ["drafts", "accept", "replace"])]
     add: bool,
+    #[command(flatten)]
+    chosen: ChosenArgs,
 }
 
 /// The `--json` document.
@@ -60,7 +65,7 @@ struct Document {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(file) = &args.drafts {
-        let dataset = Dataset::open(&args.dataset)?;
+        let dataset = args.chosen.open(&args.dataset)?;
         let lines = annotate::drafts(&dataset.read::<MaskRow>(None)?);
         local::write(file, annotate::to_json_lines(&lines)?.as_bytes())?;
         report::note(&format!(
@@ -82,7 +87,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             } else {
                 Judged::Refuse
             };
-            global.stage(|context| stage::masks(&args.dataset, &config, judged, context))?
+            global.stage(|context| {
+                let condition = args.chosen.condition.as_ref();
+                stage::masks(&args.dataset, &config, judged, condition, context)
+            })?
         }
     };
     print(&dataset, global)?;

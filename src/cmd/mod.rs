@@ -18,6 +18,7 @@ pub(crate) mod masks;
 pub(crate) mod model;
 pub(crate) mod page;
 pub(crate) mod pairs;
+pub(crate) mod query;
 pub(crate) mod render;
 pub(crate) mod reproduce;
 pub(crate) mod run;

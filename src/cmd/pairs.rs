@@ -10,6 +10,7 @@ use pipeline::annotation::pairs::{PairConfig, RefusedLine};
 use pipeline::stage;
 use serde::Serialize;
 
+use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
@@ -18,6 +19,8 @@ use crate::report;
 ///
 /// Every motion with a style meets one without, of the same action, session and split, and of the
 /// same take where there is one. Pairs that a source came with stay beside them.
+///
+/// --where pairs some clips alone with each other; the pairs of the others stay as they are.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder
@@ -27,11 +30,13 @@ pub(crate) struct Args {
     neutral: Vec<String>,
     /// Add the pairs of this list in place of making them from labels: lines of styled clip, original
     /// clip, style and text, and as you like kind (style or fine-grained) and body parts
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["neutral", "per_motion"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["neutral", "per_motion", "condition"])]
     csv: Option<PathBuf>,
     /// Most pairs made of one styled motion
     #[arg(long, value_name = "N", default_value_t = PairConfig::default().per_motion)]
     per_motion: usize,
+    #[command(flatten)]
+    chosen: ChosenArgs,
 }
 
 /// The `--json` document.
@@ -58,8 +63,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 per_motion: args.per_motion,
             };
             let seed = global.seed();
-            let (dataset, alone) =
-                global.stage(|context| stage::pairs(&args.dataset, &config, seed, context))?;
+            let (dataset, alone) = global.stage(|context| {
+                let condition = args.chosen.condition.as_ref();
+                stage::pairs(&args.dataset, &config, seed, condition, context)
+            })?;
             (dataset, alone, Vec::new())
         }
     };

@@ -8,7 +8,9 @@ use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
 use eval::draw::raster;
 use eval::draw::strip::{Row, Style, View, sheet, strip};
+use pipeline::clips::Clips;
 use pipeline::open::{clip_of_file, stored_clip, stored_item};
+use tables::Condition;
 
 use crate::exit::Exit;
 use crate::global::Global;
@@ -23,11 +25,15 @@ use crate::report;
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Motion files, FILE#NAME for one motion of a file with several, or ids of clips or items of --dataset
-    #[arg(required = true)]
+    #[arg(required_unless_present = "condition")]
     clips: Vec<String>,
     /// Dataset the ids belong to
     #[arg(long)]
     dataset: Option<PathBuf>,
+    /// Draw also the clips of --dataset that fulfil a condition in SQL, such as "flags.poor_fit"; `stance query --help` tells
+    /// more
+    #[arg(long = "where", value_name = "CONDITION", requires = "dataset")]
+    condition: Option<Condition>,
     /// Further folders of edits whose answers to the items are drawn too, such as those without a coordinator
     #[arg(long, num_args = 1.., requires = "dataset", value_name = "EDITS")]
     edits: Vec<PathBuf>,
@@ -128,6 +134,28 @@ fn name_of_file(path: &Path) -> String {
     }
 }
 
+/// Clips in one picture.
+const MOST_CLIPS: usize = 200;
+
+/// Ids of the clips that fulfil a condition.
+fn chosen(dataset: &Dataset, condition: &Condition) -> anyhow::Result<Vec<String>> {
+    anyhow::ensure!(
+        !holds_items(dataset),
+        "{} holds items; --where is of the clips of a dataset",
+        dataset.root().display()
+    );
+    let mut ids = Vec::new();
+    for shard in Clips::chosen(dataset, condition)?.shards(None) {
+        ids.extend(shard.column::<String>("id")?);
+    }
+    anyhow::ensure!(
+        ids.len() <= MOST_CLIPS,
+        "{} clips fulfil the condition, and a picture shows {MOST_CLIPS} at most; add to --where",
+        ids.len()
+    );
+    Ok(ids)
+}
+
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let dataset = args.dataset.as_deref().map(open_for_clips).transpose()?;
     let skeleton = match &dataset {
@@ -152,14 +180,18 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let mut rows: Vec<Row> = Vec::new();
     // Instruction of each item, and the index of its first row.
     let mut instructions: Vec<(String, usize)> = Vec::new();
+    let mut clips = args.clips.clone();
+    if let (Some(condition), Some(dataset)) = (&args.condition, &dataset) {
+        clips.extend(chosen(dataset, condition)?);
+    }
     let names: Vec<String> = match dataset {
-        Some(_) => args.clips.clone(),
+        Some(_) => clips.clone(),
         None => {
-            let files = args.clips.iter();
+            let files = clips.iter();
             files.map(|file| name_of_file(Path::new(file))).collect()
         }
     };
-    for (clip, label) in args.clips.iter().zip(labels(&names)) {
+    for (clip, label) in clips.iter().zip(labels(&names)) {
         match &dataset {
             Some(dataset) if holds_items(dataset) => {
                 let item = stored_item(dataset, clip)?;

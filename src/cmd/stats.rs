@@ -5,21 +5,27 @@ use std::path::PathBuf;
 use pipeline::stage::open_metadata;
 use pipeline::stats::statistics;
 
+use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
 /// Count a dataset: clips, hours, captions, masks, pairs, findings of the quality checks, speeds and fit errors.
 ///
-/// Only metadata is read; `stance verify` checks the motions.
+/// With --where, of some clips, with their masks and pairs. Only metadata is read; `stance verify` checks the motions.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder
     dataset: PathBuf,
+    #[command(flatten)]
+    chosen: ChosenArgs,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let statistics = statistics(&open_metadata(&args.dataset)?)?;
+    let statistics = statistics(
+        &open_metadata(&args.dataset)?,
+        args.chosen.condition.as_ref(),
+    )?;
     if global.json {
         report::json(&statistics)?;
     } else {

@@ -11,6 +11,7 @@ use train::config::{RunLength, TrainConfig};
 use train::kind::TrainRequest;
 use train::registry::{self, MODELS};
 
+use crate::chosen::ChosenArgs;
 use crate::cmd::model::Features;
 use crate::cmd::render::write_picture;
 use crate::cmd::triplets::ComposeArgs;
@@ -40,6 +41,8 @@ pub(crate) struct Args {
     /// Dataset folder
     #[arg(required = true)]
     dataset: Option<PathBuf>,
+    #[command(flatten)]
+    chosen: ChosenArgs,
     /// Run folder to write
     #[arg(long, required = true, value_parser = crate::local::path())]
     out: Option<PathBuf>,
@@ -150,6 +153,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }),
         (None, None) => None,
     };
+    let dataset = &args.chosen.open(dataset)?;
     let request = TrainRequest {
         dataset,
         start: Start {

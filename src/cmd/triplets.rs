@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
+use datasets_spec::{JointSet, Motion, Skeleton};
 use eval::draw::strip::{Row, Style, strip};
 use eval::metric::foot_score::foot_score;
 use eval::protocol::Floor;
@@ -15,6 +15,7 @@ use serde::Serialize;
 use serde_json::Value;
 use train::config::overlay;
 
+use crate::chosen::ChosenArgs;
 use crate::cmd::render;
 use crate::exit::Exit;
 use crate::global::Global;
@@ -43,6 +44,8 @@ pub(crate) struct Args {
     windows: Option<u64>,
     #[command(flatten)]
     compose: ComposeArgs,
+    #[command(flatten)]
+    chosen: ChosenArgs,
     /// Rebuild the triplet with this id and say what it is made of
     #[arg(long, value_name = "ID", conflicts_with_all = ["out", "windows"])]
     explain: Option<String>,
@@ -97,6 +100,8 @@ struct StatsArgs {
     sheet: Option<PathBuf>,
     #[command(flatten)]
     compose: ComposeArgs,
+    #[command(flatten)]
+    chosen: ChosenArgs,
 }
 
 /// The `--json` document of `stats`.
@@ -111,7 +116,7 @@ struct Counted {
 
 fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
     let config = args.compose.config()?;
-    let dataset = Dataset::open(&args.dataset)?;
+    let dataset = args.chosen.open(&args.dataset)?;
     let (stream, _) = stage::train_stream(&dataset, &config, global.seed(), None)?;
     let skeleton = dataset.skeleton()?;
     let triplets = stream.first_triplets(args.count.max(1))?;
@@ -267,6 +272,7 @@ impl Args {
             count,
             config,
             seed: global.seed(),
+            condition: self.chosen.text(),
         }
     }
 }
@@ -278,7 +284,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let root = args.dataset.as_deref().context("DATASET is missing")?;
     let config = args.compose.config()?;
     if let Some(id) = &args.explain {
-        let dataset = Dataset::open(root)?;
+        let dataset = args.chosen.open(root)?;
         let (stream, _) = stage::train_stream(&dataset, &config, global.seed(), None)?;
         let triplet = stream.explain(id)?;
         let explained = Explained {

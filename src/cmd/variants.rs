@@ -15,6 +15,7 @@ use train::stage::variants::{
 };
 use train::work::variants::plan_variants;
 
+use crate::chosen::ChosenArgs;
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
@@ -27,11 +28,13 @@ use crate::session::{surroundings, text_encoder, with_session};
 /// of it with a little noise. Pairs that are identical, too different or broken are left out and
 /// counted. `stance annotate` shows the candidates of an instruction as one bundle. Without
 /// --generator, the motions of the dataset are the variants: those whose ids share a folder, as
-/// base/variant.
+/// base/variant. --where chooses the clips whose captions are instructions, or that are the variants.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder: its captions are instructions; without --generator, its motions are the variants
     dataset: PathBuf,
+    #[command(flatten)]
+    chosen: ChosenArgs,
     /// Run folder of the generator
     #[arg(long, value_name = "RUN", requires = "instructions")]
     generator: Option<PathBuf>,
@@ -120,7 +123,7 @@ impl Args {
         };
         Ok(plan_variants(
             [&self.dataset, generator, &self.out].map(PathBuf::as_path),
-            &read_instructions(instructions)?,
+            &read_instructions(instructions, self.chosen.text())?,
             (&self.config(), global.seed()),
             self.text_encoder.as_deref(),
             self.device.to_json()?,
@@ -135,7 +138,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let holder = global.holder();
     let made = match (&args.generator, &args.instructions) {
         (Some(generator), Some(instructions)) => {
-            let instructions = read_instructions(instructions)?;
+            let instructions = read_instructions(instructions, args.chosen.text())?;
             let config = args.config();
             let folders = [&args.dataset, generator, &args.out].map(PathBuf::as_path);
             let encoder = text_encoder(args.text_encoder.as_deref());
@@ -151,14 +154,19 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 )
             })?
         }
-        _ => pair_variants(&args.dataset, &args.out, &args.filter(), &holder)?,
+        _ => pair_variants(
+            &args.chosen.open(&args.dataset)?,
+            &args.out,
+            &args.filter(),
+            &holder,
+        )?,
     };
     print(&made, global)
 }
 
-fn read_instructions(file: &Path) -> anyhow::Result<Instructions> {
+fn read_instructions(file: &Path, condition: Option<String>) -> anyhow::Result<Instructions> {
     if file == Path::new("captions") {
-        return Ok(Instructions::Captions);
+        return Ok(Instructions::Captions(condition));
     }
     let text = std::fs::read_to_string(file)
         .with_context(|| format!("cannot read the instructions in {}", file.display()))?;

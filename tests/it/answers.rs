@@ -2,12 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::Cursor;
+use std::io::{Cursor, Write as _};
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow};
-use npyz::WriterBuilder;
 use serde_json::Value;
 
 use crate::evaluate::Bench;
@@ -54,33 +53,38 @@ fn rows(folder: &Path) -> Vec<EditRow> {
     dataset.read(None).expect("rows")
 }
 
+/// An array as `numpy.save` writes one (version 1.0 of the format).
+fn npy(descr: &str, shape: &str, numbers: &[u8]) -> Vec<u8> {
+    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    // The data begin at a multiple of 64, after a line feed.
+    let len = (bytes.len() + 2 + header.len() + 1).next_multiple_of(64) - bytes.len() - 2;
+    bytes.extend(u16::try_from(len).expect("short").to_le_bytes());
+    bytes.extend(format!("{header:<width$}\n", width = len - 1).bytes());
+    bytes.extend(numbers);
+    bytes
+}
+
 /// An archive as `numpy.savez` writes one, of `[T, width]` arrays and a rate.
-fn npz(arrays: &[(&str, &[f32], u64)], fps: f64) -> Vec<u8> {
+fn npz(arrays: &[(&str, &[f32], usize)], fps: f64) -> Vec<u8> {
     let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
     let options =
         zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
-    for (name, values, width) in arrays {
+    let mut put = |name: &str, array: Vec<u8>| {
         archive
             .start_file(format!("{name}.npy"), options)
             .expect("in memory");
-        let mut writer = npyz::WriteOptions::new()
-            .default_dtype()
-            .shape(&[values.len() as u64 / width, *width])
-            .writer(&mut archive)
-            .begin_nd()
-            .expect("a shape");
-        writer.extend(values.iter()).expect("in memory");
-        writer.finish().expect("in memory");
+        archive.write_all(&array).expect("in memory");
+    };
+    for (name, values, width) in arrays {
+        let numbers: Vec<u8> = values
+            .iter()
+            .flat_map(|value| value.to_le_bytes())
+            .collect();
+        let shape = format!("{}, {width}", values.len() / width);
+        put(name, npy("<f4", &shape, &numbers));
     }
-    archive.start_file("fps.npy", options).expect("in memory");
-    let mut writer = npyz::WriteOptions::new()
-        .default_dtype()
-        .shape(&[])
-        .writer(&mut archive)
-        .begin_nd()
-        .expect("a shape");
-    writer.push(&fps).expect("in memory");
-    writer.finish().expect("in memory");
+    put("fps", npy("<f8", "", &fps.to_le_bytes()));
     archive.finish().expect("in memory").into_inner()
 }
 

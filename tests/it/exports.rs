@@ -78,9 +78,9 @@ fn a_mistaken_condition_is_a_mistake_of_usage() {
     for (condition, said) in [
         (
             "splitt = 'train'",
-            "at character 1: there is no column \"splitt\"; the columns are id, split",
+            "there is no column splitt (was split meant?); there are id, split",
         ),
-        ("split = 'train' or", "at character 19: expected a column"),
+        ("split = 'train' or", "Expected: an expression"),
     ] {
         let ran = stance(&[
             "export",

@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::util::{arg, stance};
 
 /// The verbs of this version; scripts rely on them.
-const VERBS: [&str; 28] = [
+const VERBS: [&str; 29] = [
     "demo",
     "run",
     "build",
@@ -17,6 +17,7 @@ const VERBS: [&str; 28] = [
     "verify",
     "dataset",
     "stats",
+    "query",
     "export",
     "annotate",
     "masks",

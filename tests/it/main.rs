@@ -29,6 +29,7 @@ mod mdm;
 mod names;
 mod novelty;
 mod pairs;
+mod query;
 mod reasons;
 mod remote;
 mod results;

@@ -634,30 +634,34 @@ fn losses(run: &Path) -> Vec<f64> {
 }
 
 #[test]
-fn training_is_the_same_without_the_fused_operations_and_on_another_backend() {
+fn training_is_the_same_without_the_fused_operations_and_on_burn_ndarray() {
     let workshop = Workshop::open();
     let (dataset, toml) = (workshop.dataset(), workshop.path("small.toml"));
-    let train = |name: &str, more: &[&str]| {
+    let train = |name: &str, steps: &str, more: &[&str]| {
         let run = workshop.path(name);
         let mut args = vec!["train", "motionrefit", arg(&dataset), "--out", arg(&run)];
-        args.extend(["--config", arg(&toml), "--steps", "6"]);
+        args.extend(["--config", arg(&toml), "--steps", steps]);
         args.extend(more);
         stance(&args).expect_code(0);
         losses(&run)
     };
-    let fused = train("fused", &[]);
-    assert!(!fused.is_empty());
-    let mut others = vec![train("composed", &["--no-fused"])];
-    if cfg!(feature = "ndarray") {
-        others.push(train("ndarray", &["--device", "ndarray"]));
-    }
-    for other in others {
-        assert_eq!(other.len(), fused.len());
-        for (a, b) in fused.iter().zip(&other) {
-            // Rounding of six steps.
-            assert!((a - b).abs() < 1e-4 * a, "{fused:?} {other:?}");
+    let near = |a: &[f64], b: &[f64], bound: f64| {
+        assert!(!a.is_empty() && a.len() == b.len(), "{a:?} {b:?}");
+        for (left, right) in a.iter().zip(b) {
+            assert!((left - right).abs() < bound * left, "{a:?} {b:?}");
         }
-    }
+    };
+    let fused = train("fused", "20", &[]);
+    // Rounding of twenty steps.
+    near(&fused, &train("composed", "20", &["--no-fused"]), 3e-4);
+    // Its derivative of GELU is an approximation whose error is up to 1e-3.
+    let ndarray = train("ndarray", "20", &["--device", "ndarray"]);
+    near(&fused, &ndarray, 3e-3);
+    assert_ne!(fused, ndarray, "both are the same device");
+    // Runs are the same files on both devices.
+    let went_on = train("fused", "26", &["--device", "ndarray"]);
+    let back = train("ndarray", "26", &[]);
+    near(&went_on, &back, 3e-3);
 }
 
 #[test]
@@ -675,6 +679,7 @@ fn devices_are_listed_on_any_command_line_and_others_are_refused() {
     let listed: Value =
         serde_json::from_str(&stance(&["train", "--device=list", "--json"]).stdout).expect("JSON");
     assert_eq!(listed[0]["name"], "cpu");
+    assert_eq!(listed[1]["name"], "ndarray");
     let train = ["train", "tmr", "x", "--out", "y"];
     let refused = |more: &[&str], code| stance(&[&train, more].concat()).expect_code(code).stderr;
     let unknown = refused(&["--device", "gpu"], 2);

@@ -303,7 +303,7 @@ def the_stages_read_and_write_urls(bench: Bench) -> None:
     shutil.copytree(WORK / "local", WORK / "chain", dirs_exist_ok=True)
     url, local = bench.upload(WORK / "chain", "chain"), WORK / "chain"
     hashes: dict[str, list[str]] = {}
-    tables = []
+    tables, answers = [], []
     for place in (str(local), url):
         base = place.rsplit("/", 1)[0]
         bench.run("masks", place)
@@ -316,6 +316,8 @@ def the_stages_read_and_write_urls(bench: Bench) -> None:
         bench.run("train", "motionrefit", place, "--out", run, "--config", config, "--steps", 2)
         bench.run("edit", run, "--items", f"{base}/items", "--name", "a", "--out", f"{base}/edits")
         bench.run("stats", place)
+        asked = "SELECT action, has_mask, count(*) AS n, sum(seconds) AS s FROM motions GROUP BY action, has_mask ORDER BY action, has_mask"
+        answers.append(bench.json("query", place, asked))
         bench.run("verify", place)
         for table in ("chain", "triplets", "items"):
             hashes.setdefault(table, []).append(bench.json("inspect", f"{base}/{table}")["root_hash"])
@@ -333,6 +335,7 @@ def the_stages_read_and_write_urls(bench: Bench) -> None:
     )
     assert ours and ours == theirs
     assert tables[0] and tables[0] == tables[1]
+    assert answers[0] and answers[0] == answers[1]
 
 
 @test

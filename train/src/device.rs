@@ -124,7 +124,7 @@ pub fn open(name: DeviceName, count: usize) -> Result<Vec<Device>, Error> {
             ));
         }
         DeviceName::Cpu => return Ok(vec![Device::flex()]),
-        DeviceName::Ndarray => return backend::ndarray().map(|device| vec![device]).map_err(fails),
+        DeviceName::Ndarray => return Ok(vec![ndarray()]),
         DeviceName::Cuda => backend::cuda(count),
         DeviceName::Wgpu => {
             let mut problem = String::new();
@@ -147,21 +147,30 @@ pub fn open(name: DeviceName, count: usize) -> Result<Vec<Device>, Error> {
     Ok(devices)
 }
 
+/// The processor by an independent backend, which results are compared with.
+#[expect(
+    deprecated,
+    reason = "burn counts on its default for the processor; ours is compared with the other"
+)]
+fn ndarray() -> Device {
+    Device::ndarray()
+}
+
 /// The devices of this machine that this build of the program can use. Every card is opened, none is tested.
 pub fn list() -> Vec<FoundDevice> {
     let threads = rayon::current_num_threads();
-    let mut found = vec![FoundDevice {
-        name: DeviceName::Cpu.to_string(),
+    let processor = |name: DeviceName, description: String| FoundDevice {
+        name: name.to_string(),
         index: 0,
-        description: format!("the processor, {threads} threads"),
-    }];
-    if backend::ndarray().is_ok() {
-        found.push(FoundDevice {
-            name: DeviceName::Ndarray.to_string(),
-            index: 0,
-            description: "the processor, by burn-ndarray".to_owned(),
-        });
-    }
+        description,
+    };
+    let mut found = vec![
+        processor(DeviceName::Cpu, format!("the processor, {threads} threads")),
+        processor(
+            DeviceName::Ndarray,
+            "the processor, by burn-ndarray".to_owned(),
+        ),
+    ];
     let cards = backend::list();
     found.extend(
         cards
@@ -284,24 +293,9 @@ fn compare(what: &str, found: &[f32], expected: &[f32], tolerance: f32) -> Resul
 mod backend {
     use super::{Adapter, Device, DeviceName};
 
-    #[cfg(not(all(feature = "ndarray", feature = "cuda", feature = "wgpu")))]
+    #[cfg(not(all(feature = "cuda", feature = "wgpu")))]
     fn without(feature: &str) -> String {
         format!("needs a program built with --features {feature}")
-    }
-
-    #[cfg(feature = "ndarray")]
-    #[expect(
-        clippy::unnecessary_wraps,
-        deprecated,
-        reason = "without the feature it fails; the independent backend that results are compared with"
-    )]
-    pub(super) fn ndarray() -> Result<Device, String> {
-        Ok(Device::ndarray())
-    }
-
-    #[cfg(not(feature = "ndarray"))]
-    pub(super) fn ndarray() -> Result<Device, String> {
-        Err(without("ndarray"))
     }
 
     #[cfg(feature = "cuda")]

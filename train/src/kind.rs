@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use datasets_spec::Skeleton;
+use datasets_spec::{Dataset, Skeleton};
 use pipeline::compose::ComposeConfig;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -43,8 +43,8 @@ pub type OpenSystem =
 /// A training run as it is asked for. Models ignore inputs that they have no use for.
 #[derive(Clone, Copy, Debug)]
 pub struct TrainRequest<'a> {
-    /// Dataset folder.
-    pub dataset: &'a Path,
+    /// The dataset, or what was chosen of it.
+    pub dataset: &'a Dataset,
     /// Run folder, and what the run begins with.
     pub start: Start<'a>,
     /// Named settings.

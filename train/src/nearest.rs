@@ -66,7 +66,7 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     };
     let mut config = request.settings(&preset)?;
     config.seed = request.seed.unwrap_or(config.seed);
-    let dataset = Dataset::open(request.dataset)?;
+    let dataset = request.dataset;
     let record = RunRecord::new(
         KIND,
         &dataset.content_hash(&COMPOSED),
@@ -87,9 +87,10 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
         count: config.triplets,
         config: request.compose.clone(),
         seed: Seed(config.seed),
+        condition: dataset.condition().map(str::to_owned),
     };
     let triplets = run.join(TRIPLETS);
-    let made = recording::record(request.dataset, &triplets, &settings, &context)?;
+    let made = recording::record(dataset.root(), &triplets, &settings, &context)?;
     let rows: Vec<TripletRow> = made.read(None)?;
     let instructions: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
     let (triplets, instructions) = (rows.len(), instructions.len());

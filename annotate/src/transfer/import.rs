@@ -9,6 +9,7 @@ use datasets_spec::{Dataset, MotionId, Split};
 use pipeline::source::stance::ExportedLabels;
 use serde::Serialize;
 use serde_json::Value;
+use tables::Condition;
 
 use super::release::{self, SaidPair};
 use crate::Error;
@@ -28,6 +29,9 @@ pub(super) const CANDIDATE: &str = "takes:";
 pub(super) const PAIR: &str = "pair:";
 /// Conflicts that an import lists by name.
 const LISTED_CONFLICTS: usize = 50;
+
+/// Note of a store: what holds for the clips that tasks are made of, in SQL. Without it they are made of all.
+pub const CHOSEN: &str = "clips of tasks";
 
 /// Result of an import.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -170,10 +174,11 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
 /// pair. Masks of the pipeline become suggestions; masks by people and pairs written by this program become accepted answers. Clips of one action are
 /// paired as candidates.
 ///
-/// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on.
+/// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on. Where the store has a
+/// note [`CHOSEN`], new tasks are of the clips alone for which it is true, and of pairs of these.
 ///
 /// # Errors
-/// The dataset cannot be read, or the store fails.
+/// The dataset cannot be read, the condition cannot be answered, or the store fails.
 pub fn from_dataset(
     store: &Store,
     root: &Path,
@@ -181,9 +186,10 @@ pub fn from_dataset(
     now: Millis,
     progress: &mut dyn FnMut(i64, i64),
 ) -> Result<Taken, Error> {
-    let dataset = Dataset::open(root)?;
+    let whole = Dataset::open(root)?;
+    let dataset = chosen(store, &whole)?;
     let mut taken = Taken::default();
-    let clips = clips(&dataset)?;
+    let clips = clips(&whole)?;
     let mut by_hash: BTreeSet<&str> = BTreeSet::new();
     let (clips, copies): (Vec<&Clip>, Vec<&Clip>) = clips
         .iter()
@@ -212,8 +218,8 @@ pub fn from_dataset(
             .push(row);
     }
     let mut tasks = Vec::new();
-    let pairs: Vec<PairRow> = dataset.read(None)?;
-    let of_variants = pairs
+    let all_pairs: Vec<PairRow> = whole.read(None)?;
+    let of_variants = all_pairs
         .iter()
         .filter(|pair| pair.source.starts_with(VARIANT_SOURCE));
     let variants: BTreeSet<&str> = of_variants
@@ -221,7 +227,12 @@ pub fn from_dataset(
         .collect();
     // Judged pairs have another source, and unusable ones are gone.
     let are_variants = dataset.manifest().facts.contains_key(VARIANTS_FACT);
-    for clip in clips.iter().filter(|clip| !clip.mirrored) {
+    let is_chosen =
+        |clip: &Clip| MotionId::parse(&clip.record.id).is_ok_and(|id| dataset.has_clip(&id));
+    for clip in clips
+        .iter()
+        .filter(|clip| !clip.mirrored && is_chosen(clip))
+    {
         let id = clip.record.id.as_str();
         let new = mask_task(&clip.record, masks.get(id).map_or(&[][..], Vec::as_slice));
         if new.accepted.is_none() && (are_variants || variants.contains(id)) {
@@ -230,9 +241,16 @@ pub fn from_dataset(
             tasks.push(new);
         }
     }
+    let pairs: Vec<PairRow> = dataset.read(None)?;
     let (fine, styles) = tasks_of_pairs(pairs.iter(), &by_id, &mut taken);
     tasks.extend(styles);
-    let mut candidates = candidates(&clips);
+    let chosen: Vec<&Clip> = clips
+        .iter()
+        .copied()
+        .filter(|clip| is_chosen(clip))
+        .collect();
+    taken.count("clips_not_chosen", (clips.len() - chosen.len()) as i64);
+    let mut candidates = candidates(&chosen);
     // Two clips are judged only once. A pair of the dataset is no candidate, and neither is one that people judged
     // unusable, which is no longer in the dataset.
     let known: BTreeSet<(&str, &str)> = pairs
@@ -267,6 +285,20 @@ pub fn from_dataset(
         progress(seen, total);
     }
     Ok(taken)
+}
+
+/// The dataset as if it held the clips alone that tasks are made of.
+fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
+    let Some(text) = store.note(CHOSEN)? else {
+        return Ok(dataset.clone());
+    };
+    let chosen = text
+        .parse::<Condition>()
+        .and_then(|condition| condition.of(dataset));
+    chosen.map_err(|error| Error::Import {
+        what: dataset.root().display().to_string(),
+        problem: error.to_string(),
+    })
 }
 
 /// Tasks of the pairs whose motions are there: of fine-grained ones by their hint, and of style pairs.

@@ -6,7 +6,7 @@ mod import;
 mod release;
 mod tables;
 
+pub use self::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
 pub use annotations::from_annotations;
 pub use export::{Exported, Selection, check_files, export};
-pub use import::{Taken, from_dataset, from_labels, from_release};
-pub use tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
+pub use import::{CHOSEN, Taken, from_dataset, from_labels, from_release};

@@ -1,5 +1,6 @@
 //! Datasets opened for reading.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -10,7 +11,7 @@ use crate::manifest::{FileEntry, Manifest};
 use crate::record::ItemRow;
 use crate::store::{ByPath, Store, is_url};
 use crate::table::{self, Row};
-use crate::{Error, Skeleton, Split};
+use crate::{Error, MotionId, Skeleton, Split};
 
 /// A dataset opened for reading, in a folder or at a URL.
 #[derive(Clone, Debug)]
@@ -18,6 +19,14 @@ pub struct Dataset {
     root: PathBuf,
     manifest: Manifest,
     store: Arc<dyn Store>,
+    chosen: Option<Arc<Chosen>>,
+}
+
+/// Clips of a dataset that somebody chose.
+#[derive(Debug)]
+struct Chosen {
+    condition: String,
+    clips: BTreeSet<MotionId>,
 }
 
 impl Dataset {
@@ -30,7 +39,42 @@ impl Dataset {
             root,
             manifest,
             store,
+            chosen: None,
         }
+    }
+
+    /// The same dataset as if it held some clips alone: [`Dataset::read`] gives the rows that are about these, and
+    /// [`Dataset::content_hash`] is another one. Its files are those of the whole dataset.
+    pub fn of_clips(&self, condition: &str, clips: BTreeSet<MotionId>) -> Self {
+        let condition = match &self.chosen {
+            Some(before) => format!("({}) AND ({condition})", before.condition),
+            None => condition.to_owned(),
+        };
+        let clips = clips
+            .into_iter()
+            .filter(|clip| self.has_clip(clip))
+            .collect();
+        Self {
+            chosen: Some(Arc::new(Chosen { condition, clips })),
+            ..self.clone()
+        }
+    }
+
+    /// Whether a clip is one of those that were chosen; all are where nobody chose.
+    pub fn has_clip(&self, clip: &MotionId) -> bool {
+        self.chosen
+            .as_ref()
+            .is_none_or(|chosen| chosen.clips.contains(clip))
+    }
+
+    /// How many clips were chosen.
+    pub fn num_chosen(&self) -> Option<usize> {
+        Some(self.chosen.as_ref()?.clips.len())
+    }
+
+    /// The condition by which clips were chosen.
+    pub fn condition(&self) -> Option<&str> {
+        Some(&self.chosen.as_ref()?.condition)
     }
 
     /// Opens the newest committed version and verifies the hash of every file. At a URL, where that would
@@ -122,9 +166,15 @@ impl Dataset {
         &self.manifest
     }
 
-    /// Hash of the rows of some tables: [`Manifest::content_hash`].
+    /// Hash of the rows of some tables ([`Manifest::content_hash`]), and of the condition by which clips were chosen.
     pub fn content_hash(&self, tables: &[&str]) -> String {
-        self.manifest.content_hash(tables)
+        let whole = self.manifest.content_hash(tables);
+        match self.condition() {
+            Some(condition) => blake3::hash(format!("{whole} where {condition}").as_bytes())
+                .to_hex()
+                .to_string(),
+            None => whole,
+        }
     }
 
     /// The skeleton its motions are posed on.
@@ -163,7 +213,8 @@ impl Dataset {
             .collect()
     }
 
-    /// All rows of a table, or those of one split, in the order of the files.
+    /// All rows of a table, or those of one split, in the order of the files; where clips were chosen, the rows that are
+    /// about these alone.
     ///
     /// # Errors
     /// A file cannot be read.
@@ -173,7 +224,10 @@ impl Dataset {
             .par_iter()
             .map(|(path, _)| table::read_rows_on(self.store.as_ref(), path))
             .collect::<Result<_, _>>()?;
-        Ok(shards.into_iter().flatten().collect())
+        let rows = shards.into_iter().flatten();
+        Ok(rows
+            .filter(|row| row.clips().into_iter().all(|clip| self.has_clip(clip)))
+            .collect())
     }
 
     /// The test questions of the folder, each checked against its id.

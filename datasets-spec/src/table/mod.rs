@@ -12,7 +12,7 @@ pub use arrow_array::RecordBatch;
 use arrow_schema::{DataType, Field, Schema};
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
+use crate::{Error, MotionId};
 
 pub use cell::Cell;
 pub use pages::{ClipReader, FramePages};
@@ -112,6 +112,12 @@ pub trait Row: Sized + Clone + Send + Sync {
     /// Rows that are read together. One, unless the rows are small and read by the thousand.
     const PAGE_ROWS: usize = 1;
 
+    /// The clips that the row is about. A dataset of chosen clips ([`Dataset::of_clips`](crate::Dataset::of_clips)) has
+    /// the rows that are about these alone.
+    fn clips(&self) -> Vec<&MotionId> {
+        Vec::new()
+    }
+
     /// The columns, in order.
     fn columns() -> Vec<Column>;
 
@@ -156,7 +162,8 @@ pub(crate) fn column<'a>(
 }
 
 /// Declares a row struct and derives its table from it. A column marked `newer` was added after
-/// version 1.0.0: where a file lacks it, its value is the default one.
+/// version 1.0.0: where a file lacks it, its value is the default one. After `of clips` stand the columns that name the
+/// clips which a row is about.
 #[macro_export]
 macro_rules! table {
     (@decode $ty:ty, $table:literal, $name:expr, $batch:ident) => {
@@ -171,7 +178,7 @@ macro_rules! table {
     (
         $(#[doc = $struct_doc:literal])*
         $(#[derive($($derive:ident),+)])?
-        pub struct $name:ident = $table:literal $(, pages of $page_rows:literal rows)? {
+        pub struct $name:ident = $table:literal $(, pages of $page_rows:literal rows)? $(, of clips $($clip:ident)and+)? {
             $( #[doc = $doc:literal] pub $field:ident : $ty:ty [$unit:literal $(, $since:ident)?], )*
         }
     ) => {
@@ -184,6 +191,10 @@ macro_rules! table {
         impl $crate::table::Row for $name {
             const TABLE: &'static str = $table;
             const PAGE_ROWS: usize = 1 $(* $page_rows)?;
+
+            $(fn clips(&self) -> Vec<&$crate::MotionId> {
+                vec![$( &self.$clip ),+]
+            })?
 
             fn columns() -> Vec<$crate::table::Column> {
                 vec![$( $crate::table::Column {

@@ -20,7 +20,7 @@ use parquet::file::reader::ChunkReader;
 use parquet::schema::types::ColumnPath;
 
 use super::chunks::Chunks;
-use super::{Cell, Row, SCHEMA_VERSION, decode_column};
+use super::{Cell, RecordBatch, Row, SCHEMA_VERSION, decode_column};
 use crate::Error;
 use crate::store::{ByPath, Store};
 
@@ -33,6 +33,8 @@ const ZSTD_LEVEL: i32 = 1;
 const PAGE_BYTES: usize = 64 << 20;
 /// Rows decoded at a time.
 const READ_BATCH_ROWS: usize = 64;
+/// Rows of a batch of columns.
+const COLUMN_BATCH_ROWS: usize = 4096;
 
 /// Columns of frames: their leaves are encoded byte by byte and read clip by clip.
 fn frame_leaves(schema: &Schema) -> Vec<ColumnPath> {
@@ -299,6 +301,24 @@ impl ShardReader {
             values.extend(decode_column::<T>(R::TABLE, name, &batch)?);
         }
         Ok(values)
+    }
+
+    /// Reads the named columns of all rows, batch by batch; names that the file lacks are left out. No other column is read
+    /// from the disk.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn batches(&self, names: &[&str]) -> Result<Vec<RecordBatch>, Error> {
+        let mask = ProjectionMask::columns(self.metadata.parquet_schema(), names.iter().copied());
+        let (file, metadata) = (self.ahead(&mask, None)?, self.metadata.clone());
+        let reader = ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata)
+            .with_projection(mask)
+            .with_batch_size(COLUMN_BATCH_ROWS)
+            .build()
+            .map_err(Error::parquet("read", &self.path))?;
+        reader
+            .map(|batch| batch.map_err(|error| Error::parquet("read", &self.path)(error.into())))
+            .collect()
     }
 
     /// What the writer noted of the file: the facts of [`write_rows`].

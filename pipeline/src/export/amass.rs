@@ -22,8 +22,8 @@ mod tests {
     use glam::{DQuat, DVec3};
     use kinematics::rotation::{angle_between, from_axis_angle};
 
+    use crate::clips::Clips;
     use crate::export::{Layout, export};
-    use crate::filter::Clips;
     use crate::ingest::{IngestOptions, ingest};
     use crate::retarget::tests::walk;
 

@@ -6,7 +6,7 @@ use datasets_spec::table::Caption;
 use super::Layout;
 use super::paths::is_shortened;
 use crate::Error;
-use crate::filter::Clips;
+use crate::clips::Clips;
 
 /// What a user should know before the clips are written in a layout: that its loaders would find no texts, or that
 /// names are shortened. Only columns of labels are read.

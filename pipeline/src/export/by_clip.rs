@@ -6,7 +6,7 @@ use datasets_spec::Progress;
 use datasets_spec::record::MotionRow;
 
 use crate::Error;
-use crate::filter::Clips;
+use crate::clips::Clips;
 
 /// Clips that are read and written together.
 pub(super) const PART_CLIPS: usize = 256;

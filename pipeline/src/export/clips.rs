@@ -12,7 +12,7 @@ use super::amass::file_stem;
 use super::by_clip::{ByClip, Note};
 use super::humanml3d::ids;
 use super::paths::{safe_stem, unique};
-use crate::filter::Clips;
+use crate::clips::Clips;
 use crate::sidecar::{LabelCaption, Sidecar};
 use crate::{Error, write};
 

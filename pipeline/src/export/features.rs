@@ -15,8 +15,8 @@ use super::feature_files::{Lines, file, read_features};
 use super::humanml3d::{caption_line, ids, names};
 use super::paths::{safe_stem, unique};
 use crate::Error;
+use crate::clips::Clips;
 use crate::feature::{Statistics, hy_motion, representation_272};
-use crate::filter::Clips;
 
 type Features<const WIDTH: usize> = Vec<[f32; WIDTH]>;
 

@@ -10,7 +10,7 @@ use super::features::{self, FeatureFolder};
 use super::humanml3d::HumanMl3dFolder;
 use super::{Exported, Layout, lerobot, motionfix, stance, webdataset};
 use crate::Error;
-use crate::filter::Clips;
+use crate::clips::Clips;
 
 /// How the files of a layout are written.
 pub(super) enum Form {

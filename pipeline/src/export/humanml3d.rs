@@ -13,11 +13,11 @@ use rayon::prelude::*;
 use super::by_clip::{ByClip, Note};
 use super::feature_files::{Lines, file, read_features};
 use crate::Error;
+use crate::clips::Clips;
 use crate::feature::humanml3d::{
     Features, RECIPE, features_of_joints, joints_of_motion, recover_joints,
 };
 use crate::feature::{Statistics, smpl_body};
-use crate::filter::Clips;
 use crate::source::humanml3d::is_id;
 use pickle::npy;
 

@@ -13,12 +13,13 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, NoProgress, Progress};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use tables::Condition;
 
 use super::by_clip::{Note, PART_CLIPS};
 use super::form::Form;
 use super::{Exported, Layout};
 use crate::Error;
-use crate::filter::{Clips, Filter, Part, Shard};
+use crate::clips::{Clips, Part, Shard};
 use crate::work::{
     self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, absolute,
     hash_file,
@@ -68,7 +69,7 @@ struct Export {
 pub fn plan_export(
     root: &Path,
     layout: Layout,
-    filter: Option<&Filter>,
+    filter: Option<&Condition>,
     destination: &Path,
     out: &Path,
 ) -> Result<Plan, Error> {
@@ -136,13 +137,14 @@ pub(crate) fn open_job(plan: &Plan) -> Result<Box<dyn Job>, Failed> {
     let filter = stored
         .filter
         .as_deref()
-        .map(str::parse::<Filter>)
-        .transpose()?;
+        .map(str::parse::<Condition>)
+        .transpose()
+        .map_err(Error::from)?;
     Ok(Box::new(Export::open(dataset, layout, filter.as_ref())?))
 }
 
 impl Export {
-    fn open(dataset: Dataset, layout: Layout, filter: Option<&Filter>) -> Result<Self, Error> {
+    fn open(dataset: Dataset, layout: Layout, filter: Option<&Condition>) -> Result<Self, Error> {
         let clips = match filter {
             Some(filter) => Clips::chosen(&dataset, filter)?,
             None => Clips::all(&dataset),

@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::Layout;
 use crate::Error;
+use crate::clips::{Clips, Shard};
 use crate::feature::released_fps;
-use crate::filter::{Clips, Shard};
 
 /// Numbers by name, such as `masks`.
 pub type Counts = BTreeMap<String, u64>;

@@ -32,7 +32,7 @@ use serde_json::json;
 use self::statistics::Statistics;
 use super::Exported;
 use crate::Error;
-use crate::filter::Clips;
+use crate::clips::Clips;
 
 /// Numbers of a frame.
 const STATE_WIDTH: usize = 69;

@@ -30,7 +30,7 @@ use datasets_spec::table::Row;
 use serde::Serialize;
 
 use crate::Error;
-use crate::filter::Clips;
+use crate::clips::Clips;
 use crate::write::NewFolder;
 
 use self::by_clip::PART_CLIPS;

@@ -20,8 +20,8 @@ use rayon::prelude::*;
 use super::left_out::{PAIRS, put};
 use super::{Exported, write_json};
 use crate::Error;
+use crate::clips::Clips;
 use crate::compose::style_instruction;
-use crate::filter::Clips;
 use crate::write::NewFolder;
 use crate::write::motionfix::Parameters;
 

@@ -16,7 +16,7 @@ use serde::Serialize;
 
 use super::left_out::{Exported, put};
 use crate::Error;
-use crate::filter::Clips;
+use crate::clips::Clips;
 use crate::source::stance::origin::{self, Origin, Record};
 use crate::source::stance::{
     ADJUSTMENT, BASE_MOTION, FIRST_FREE_NUMBER, REGEN, SPLIT, STYLE_TRANSFER, file_stem,

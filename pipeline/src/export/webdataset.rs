@@ -14,7 +14,7 @@ use serde_json::json;
 
 use super::Exported;
 use crate::Error;
-use crate::filter::Clips;
+use crate::clips::Clips;
 use pickle::npy;
 
 /// Limits on the clips and bytes of a shard.

@@ -7,9 +7,10 @@ use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{MarkerRow, MotionRow, SkippedRow};
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId};
+use tables::Condition;
 
 use crate::Error;
-use crate::filter::{Clips, Filter};
+use crate::clips::Clips;
 
 /// Ids named in an error.
 const SHOWN: usize = 5;
@@ -23,7 +24,7 @@ pub(super) const NOT_SELECTED: &str = " was not selected";
 #[derive(Clone, Debug)]
 pub enum Choice {
     /// Those for which a condition holds.
-    Where(Filter),
+    Where(Condition),
     /// Those whose ids a file lists, one a line.
     Ids {
         /// The file, for errors.

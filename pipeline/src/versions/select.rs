@@ -12,13 +12,13 @@ use datasets_spec::record::{
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Progress, Transaction};
 use serde::{Deserialize, Serialize};
+use tables::Condition;
 
 use super::choose::{NOT_SELECTED, accounting, left_out};
 use super::labels::Labels;
 use super::rows::ClipIndex;
 use super::{Choice, rows_of};
 use crate::Error;
-use crate::filter::Filter;
 use crate::ingest::Places;
 
 /// Fact of a manifest: the datasets and conditions that its clips were selected from and by, as JSON.
@@ -64,7 +64,7 @@ pub struct Selected {
 /// The condition holds for no clip, `out` is a dataset already, or reading or writing fails.
 pub fn select(
     root: &Path,
-    filter: &Filter,
+    filter: &Condition,
     out: &Path,
     holder: &str,
     progress: &dyn Progress,
@@ -125,7 +125,7 @@ pub fn select(
 }
 
 /// The selections that led to a dataset, with this one.
-fn selected_from(dataset: &Dataset, filter: &Filter) -> String {
+fn selected_from(dataset: &Dataset, filter: &Condition) -> String {
     let manifest = dataset.manifest();
     let earlier = manifest.facts.get(SELECTED_FACT);
     let mut selections: Vec<Origin> = earlier

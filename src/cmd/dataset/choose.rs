@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use datasets_spec::Dataset;
-use pipeline::filter::Filter;
 use pipeline::versions::{Choice, RemoveOptions, Removed, Selected, remove, select};
+use tables::Condition;
 
 use super::versions::{listing, lost_labels};
 use crate::exit::Exit;
@@ -22,7 +22,7 @@ pub(super) struct Select {
     dataset: PathBuf,
     /// Condition on the clips, such as "split = 'train' and not flags.poor_fit"
     #[arg(long = "where", value_name = "CONDITION")]
-    condition: Filter,
+    condition: Condition,
     /// Folder of the new dataset
     #[arg(long)]
     out: PathBuf,
@@ -43,7 +43,7 @@ pub(super) struct Remove {
         value_name = "CONDITION",
         required_unless_present = "ids"
     )]
-    condition: Option<Filter>,
+    condition: Option<Condition>,
     /// Remove the clips that a file lists by their ids, one a line
     #[arg(long, value_name = "FILE", conflicts_with = "condition")]
     ids: Option<PathBuf>,

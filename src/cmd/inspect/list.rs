@@ -1,10 +1,10 @@
 //! Lists of a dataset: its clips, the files that were rejected, and the files without a motion.
 
-use datasets_spec::record::{MotionRow, QuarantineRow, SkippedRow};
-use datasets_spec::table::{Quality, ShardReader};
-use datasets_spec::{Dataset, table::Row};
+use datasets_spec::Dataset;
 use pipeline::check::flag_names;
-use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer, Serialize};
+use tables::Tables;
 
 use crate::exit::Exit;
 use crate::global::Global;
@@ -21,15 +21,16 @@ pub(crate) enum List {
     Skipped,
 }
 
-#[derive(Serialize)]
+#[derive(Deserialize, Serialize)]
 struct ListedClip {
     id: String,
     split: String,
     path: String,
+    #[serde(deserialize_with = "names_of_flags")]
     flags: Vec<&'static str>,
 }
 
-#[derive(Serialize)]
+#[derive(Deserialize, Serialize)]
 struct ListedRejection {
     path: String,
     code: String,
@@ -37,7 +38,7 @@ struct ListedRejection {
     byte_offset: Option<u64>,
 }
 
-#[derive(Serialize)]
+#[derive(Deserialize, Serialize)]
 struct ListedSkip {
     path: String,
     reason: String,
@@ -46,77 +47,53 @@ struct ListedSkip {
 impl List {
     pub(super) fn show(self, dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
         match self {
-            Self::Clips => print(&clips(dataset)?, global, |clip| {
-                vec![
-                    clip.id.clone(),
-                    clip.split.clone(),
-                    clip.path.clone(),
-                    clip.flags.join(","),
-                ]
-            }),
-            Self::Quarantine => print(&rejections(dataset)?, global, |row| {
-                let place = row
-                    .byte_offset
-                    .map_or(String::new(), |at| format!("byte {at}"));
-                vec![
-                    row.path.clone(),
-                    row.code.clone(),
-                    place,
-                    row.reason.clone(),
-                ]
-            }),
-            Self::Skipped => print(&skips(dataset)?, global, |row| {
-                vec![row.path.clone(), row.reason.clone()]
-            }),
+            Self::Clips => {
+                let columns = "id, split, source_path AS path, quality.flags AS flags";
+                let clips: Vec<ListedClip> =
+                    rows(dataset, &format!("SELECT {columns} FROM motions"))?;
+                print(&clips, global, |clip| {
+                    vec![
+                        clip.id.clone(),
+                        clip.split.clone(),
+                        clip.path.clone(),
+                        clip.flags.join(","),
+                    ]
+                })
+            }
+            Self::Quarantine => {
+                let columns = "path, code, reason, byte_offset";
+                let rejections: Vec<ListedRejection> =
+                    rows(dataset, &format!("SELECT {columns} FROM quarantine"))?;
+                print(&rejections, global, |row| {
+                    let place = row
+                        .byte_offset
+                        .map_or(String::new(), |at| format!("byte {at}"));
+                    vec![
+                        row.path.clone(),
+                        row.code.clone(),
+                        place,
+                        row.reason.clone(),
+                    ]
+                })
+            }
+            Self::Skipped => {
+                let skips: Vec<ListedSkip> = rows(dataset, "SELECT path, reason FROM skipped")?;
+                print(&skips, global, |row| {
+                    vec![row.path.clone(), row.reason.clone()]
+                })
+            }
         }
     }
 }
 
-/// Reads metadata columns only.
-fn clips(dataset: &Dataset) -> anyhow::Result<Vec<ListedClip>> {
-    let mut clips = Vec::new();
-    for (path, _) in dataset.files(MotionRow::TABLE, None) {
-        let shard = ShardReader::open(&path)?;
-        let text = |column| shard.column::<MotionRow, String>(column);
-        let (ids, splits, paths) = (text("id")?, text("split")?, text("source_path")?);
-        let quality = shard.column::<MotionRow, Quality>("quality")?;
-        let facts = splits.into_iter().zip(paths).zip(quality);
-        clips.extend(
-            ids.into_iter()
-                .zip(facts)
-                .map(|(id, ((split, path), quality))| ListedClip {
-                    id,
-                    split,
-                    path,
-                    flags: flag_names(quality.flags),
-                }),
-        );
-    }
-    Ok(clips)
+/// The rows of a query, as the fields of a type.
+fn rows<T: DeserializeOwned>(dataset: &Dataset, query: &str) -> anyhow::Result<Vec<T>> {
+    Ok(Tables::of(dataset)?.ask(query)?.rows()?)
 }
 
-fn rejections(dataset: &Dataset) -> anyhow::Result<Vec<ListedRejection>> {
-    let rows: Vec<QuarantineRow> = dataset.read(None)?;
-    let rows = rows.into_iter();
-    Ok(rows
-        .map(|row| ListedRejection {
-            path: row.path,
-            code: row.code,
-            reason: row.reason,
-            byte_offset: row.byte_offset,
-        })
-        .collect())
-}
-
-fn skips(dataset: &Dataset) -> anyhow::Result<Vec<ListedSkip>> {
-    let rows: Vec<SkippedRow> = dataset.read(None)?;
-    let rows = rows.into_iter();
-    Ok(rows
-        .map(|row| ListedSkip {
-            path: row.path,
-            reason: row.reason,
-        })
-        .collect())
+/// The names of flags from their bits.
+fn names_of_flags<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<&'static str>, D::Error> {
+    u32::deserialize(from).map(flag_names)
 }
 
 /// Prints rows as columns of text, or as a JSON array.

@@ -47,10 +47,11 @@ type Unless<T> = anyhow::Result<Option<T>>;
 impl<'a> Work<'a> {
     /// Draws the items, and trains the encoder.
     pub(super) fn begin(plan: &'a Plan, global: &'a Global) -> Unless<Self> {
-        let data = Dataset::open(&plan.dataset)?.content_hash(&COMPOSED);
+        let dataset = Dataset::open(&plan.dataset)?;
+        let data = dataset.content_hash(&COMPOSED);
         let items = plan.out.join("items");
         let seed = plan.seeds.items(global);
-        let drawn = stages::items(&plan.dataset, &items, plan.split, &plan.items, seed, global)
+        let drawn = stages::items(&dataset, &items, plan.split, &plan.items, seed, global)
             .context("items")?;
         let mut work = Self {
             plan,
@@ -113,8 +114,9 @@ impl<'a> Work<'a> {
 
     fn trained(&self, training: &Training) -> Unless<PathBuf> {
         let run = self.run_folder(training);
+        let dataset = Dataset::open(&self.plan.dataset)?;
         let request = TrainRequest {
-            dataset: &self.plan.dataset,
+            dataset: &dataset,
             start: Start::from(run.as_path()),
             preset: training.preset,
             own: &training.own,
@@ -132,7 +134,7 @@ impl<'a> Work<'a> {
         .with_context(|| format!("training {}", training.model.name))?;
         if training.model.name == ENCODER && done.is_complete {
             let seed = Seed(training.seed.unwrap_or_default());
-            report_on_encoder(&self.plan.dataset, &run, seed).context("report on the encoder")?;
+            report_on_encoder(&dataset, &run, seed).context("report on the encoder")?;
         }
         Ok(done.is_complete.then_some(run))
     }

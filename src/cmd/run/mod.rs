@@ -313,7 +313,7 @@ pub(crate) fn finish(
     )
     .context("stage ingest")?;
     global
-        .stage(|context| stage::masks(&places.dataset, &config.masks, Judged::Keep, context))
+        .stage(|context| stage::masks(&places.dataset, &config.masks, Judged::Keep, None, context))
         .context("stage masks")?;
     if config.stages.pairs {
         global
@@ -322,6 +322,7 @@ pub(crate) fn finish(
                     &places.dataset,
                     &config.pairs,
                     config.seeds.split(global),
+                    None,
                     context,
                 )
             })
@@ -332,6 +333,7 @@ pub(crate) fn finish(
         count: config.triplets,
         config: plan.compose.clone(),
         seed: Seed(plan.train.run.seed),
+        condition: None,
     };
     global
         .stage(|context| recording::record(&places.dataset, &places.triplets, &recorded, context))
@@ -342,7 +344,7 @@ pub(crate) fn finish(
         return Ok(stopped());
     };
     stages::items(
-        &places.dataset,
+        &dataset,
         &places.items,
         Split::Test,
         &config.items,
@@ -495,7 +497,7 @@ fn train_one(
     text_encoder: &TextEncoderSource,
     global: &Global,
 ) -> anyhow::Result<Option<TrainReport>> {
-    let dataset = &places.dataset;
+    let dataset = &Dataset::open(&places.dataset)?;
     let composed_once = ComposeConfig {
         fixed_pairs: true,
         ..plan.compose.clone()

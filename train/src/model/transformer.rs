@@ -435,7 +435,6 @@ mod tests {
     }
 
     /// The same layer on another backend: its products, its autodiff, its normalisation.
-    #[cfg(feature = "ndarray")]
     #[test]
     fn the_fused_layer_is_that_of_burn_ndarray() {
         #[expect(deprecated, reason = "the independent backend")]

@@ -72,9 +72,9 @@ pub(super) fn train_on_captions(
     session: &Session<'_>,
     fit: impl FnOnce(CaptionedCorpus<'_>) -> Result<TrainReport, Error>,
 ) -> Result<Trained, Error> {
-    let dataset = Dataset::open(request.dataset)?;
-    let train = timed_clips(&dataset, Split::Train)?;
-    let val = timed_clips(&dataset, Split::Val)?;
+    let dataset = request.dataset;
+    let train = timed_clips(dataset, Split::Train)?;
+    let val = timed_clips(dataset, Split::Val)?;
     let vectors = caption_vectors(encoder, train.iter().chain(&val), request, session)?;
     let report = fit(CaptionedCorpus {
         train: &views(&train),

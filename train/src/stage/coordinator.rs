@@ -1,7 +1,5 @@
 //! Training of the body-part coordinator on a dataset.
 
-use std::path::Path;
-
 use datasets_spec::{Dataset, Seed};
 use pipeline::compose::ComposeConfig;
 use pipeline::stage::COMPOSED;
@@ -28,7 +26,7 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 /// # Errors
 /// As [`coordinator::train_coordinator`], or the dataset cannot be read.
 pub fn train_coordinator<'a>(
-    root: &Path,
+    dataset: &Dataset,
     start: impl Into<Start<'a>>,
     config: &CoordinatorConfig,
     compose: &ComposeConfig,
@@ -36,7 +34,6 @@ pub fn train_coordinator<'a>(
 ) -> Result<TrainReport, Error> {
     let start = start.into();
     let seed = config.run.seed;
-    let dataset = Dataset::open(root)?;
     let compose = ComposeConfig {
         mirrored_ratio: if compose.mirrored_ratio > 0.0 {
             compose.mirrored_ratio
@@ -45,7 +42,7 @@ pub fn train_coordinator<'a>(
         },
         ..compose.clone()
     };
-    let streams = Streams::open(&dataset, &compose, config.window, seed, start.range()?)?;
+    let streams = Streams::open(dataset, &compose, config.window, seed, start.range()?)?;
     let record = ComposeRecord {
         config: streams.compose,
         seed: Seed(seed),

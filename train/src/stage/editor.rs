@@ -46,7 +46,7 @@ pub struct EditorInputs<'a> {
 /// # Errors
 /// As [`train_motionrefit`], or the dataset, recorded windows or the text encoder cannot be read.
 pub fn train_editor<'a>(
-    root: &Path,
+    dataset: &Dataset,
     start: impl Into<Start<'a>>,
     config: &TrainConfig,
     inputs: &EditorInputs<'_>,
@@ -54,14 +54,7 @@ pub fn train_editor<'a>(
 ) -> Result<TrainReport, Error> {
     let start = start.into();
     let seed = config.run.seed;
-    let dataset = Dataset::open(root)?;
-    let streams = Streams::open(
-        &dataset,
-        inputs.compose,
-        config.window,
-        seed,
-        start.range()?,
-    )?;
+    let streams = Streams::open(dataset, inputs.compose, config.window, seed, start.range()?)?;
     let Streams {
         compose,
         train,
@@ -70,7 +63,7 @@ pub fn train_editor<'a>(
     } = &streams;
     let recorded = match inputs.windows {
         Some(folder) => {
-            let fitted = library(&dataset, Split::Train)?.fit_normalizer(compose)?;
+            let fitted = library(dataset, Split::Train)?.fit_normalizer(compose)?;
             Some(recorded_windows(folder, [&fitted, normalizer], Seed(seed))?)
         }
         None => None,
@@ -100,7 +93,7 @@ pub fn train_editor<'a>(
         vectors: vectors.as_ref().map(|table| table as _),
         normalizer: *normalizer,
         skeleton: &dataset.skeleton()?,
-        dataset_hash: &data_hash(&dataset, inputs.windows)?,
+        dataset_hash: &data_hash(dataset, inputs.windows)?,
         compose: &ComposeRecord {
             config: compose.clone(),
             seed: Seed(seed),

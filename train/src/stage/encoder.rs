@@ -1,7 +1,5 @@
 //! Training of the evaluation encoder on a dataset.
 
-use std::path::Path;
-
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Motion, Split};
 
@@ -73,15 +71,14 @@ pub(super) fn views(clips: &[CaptionedClip]) -> Vec<CaptionedMotion<'_>> {
 /// # Errors
 /// As [`train_tmr`], or the dataset cannot be read.
 pub fn train_encoder<'a>(
-    root: &Path,
+    dataset: &Dataset,
     start: impl Into<Start<'a>>,
     config: &TmrConfig,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
-    let dataset = Dataset::open(root)?;
     let (train, val) = (
-        captioned_clips(&dataset, Split::Train)?,
-        captioned_clips(&dataset, Split::Val)?,
+        captioned_clips(dataset, Split::Train)?,
+        captioned_clips(dataset, Split::Val)?,
     );
     let corpus = TmrCorpus {
         train: &views(&train),

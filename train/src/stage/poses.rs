@@ -1,7 +1,5 @@
 //! Training of the network from keypoints to rotations on a dataset.
 
-use std::path::Path;
-
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Motion, Split};
 
@@ -26,12 +24,11 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 /// # Errors
 /// As [`j2s::train_j2s`], or the dataset cannot be read.
 pub fn train_j2s<'a>(
-    root: &Path,
+    dataset: &Dataset,
     start: impl Into<Start<'a>>,
     config: &J2sConfig,
     session: &Session<'_>,
 ) -> Result<J2sReport, Error> {
-    let dataset = Dataset::open(root)?;
     let motions = |split: Split| -> Result<Vec<Motion>, Error> {
         let rows: Vec<MotionRow> = dataset.read(Some(split))?;
         rows.iter()

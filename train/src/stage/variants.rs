@@ -14,7 +14,7 @@ use pipeline::annotation::variants::{
 };
 use pipeline::feature::humanml3d::{Features, recover_joints};
 use pipeline::feature::motion_of_joints;
-use pipeline::stage::commit_candidates;
+use pipeline::stage::{chosen, commit_candidates};
 use pipeline::work::Quarantine;
 use rand::RngExt;
 use rand::seq::SliceRandom;
@@ -36,8 +36,9 @@ const LENGTH_UNIT: usize = 4;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Instructions {
-    /// The captions of the dataset's clips, each once, as long as its clip.
-    Captions,
+    /// The captions of the dataset's clips, each once, as long as its clip; of those alone for which a condition is true, if
+    /// there is one.
+    Captions(Option<String>),
     /// Texts; lengths are drawn.
     Texts(Vec<String>),
 }
@@ -257,17 +258,17 @@ impl Making {
 /// The dataset cannot be read, no folder of it has two motions, or `out` holds another dataset or cannot be
 /// written.
 pub fn pair_variants(
-    root: &Path,
+    dataset: &Dataset,
     out: &Path,
     config: &VariantConfig,
     holder: &str,
 ) -> Result<VariantReport, Error> {
-    let dataset = Dataset::open(root)?;
     let skeleton = dataset.skeleton()?;
-    let plan = plan_hash(
-        "variants-1",
-        &(dataset.manifest().plan(MotionRow::TABLE), config),
-    );
+    let motions = dataset.manifest().plan(MotionRow::TABLE);
+    let plan = match dataset.condition() {
+        None => plan_hash("variants-1", &(motions, config)),
+        Some(condition) => plan_hash("variants-1", &(motions, config, condition)),
+    };
     if let Some(dataset) = made_before(out, &plan)? {
         return Ok(VariantReport {
             dataset,
@@ -327,7 +328,11 @@ fn bases(
     seed: Seed,
 ) -> Result<Vec<(Base, Split)>, Error> {
     let mut texts: Vec<Instruction> = match instructions {
-        Instructions::Captions => captions(dataset)?,
+        Instructions::Captions(condition) => {
+            let condition = condition.as_deref().map(str::parse).transpose();
+            let condition = condition.map_err(pipeline::Error::from)?;
+            captions(&chosen(dataset, condition.as_ref())?)?
+        }
         Instructions::Texts(texts) => {
             let mut known = BTreeSet::new();
             let texts = texts.iter().filter(|text| known.insert(text.as_str()));

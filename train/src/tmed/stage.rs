@@ -1,7 +1,5 @@
 //! Training of TMED on a dataset.
 
-use std::path::Path;
-
 use datasets_spec::record::{MotionRow, PairRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
@@ -36,7 +34,7 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 /// # Errors
 /// As [`train_tmed`], or the dataset or the text encoder cannot be read.
 pub fn train_on_dataset<'a>(
-    root: &Path,
+    dataset: &Dataset,
     start: impl Into<Start<'a>>,
     config: &TmedConfig,
     compose: &ComposeConfig,
@@ -46,7 +44,6 @@ pub fn train_on_dataset<'a>(
     // Before texts are encoded.
     config.check()?;
     let start = start.into();
-    let dataset = Dataset::open(root)?;
     let skeleton = dataset.skeleton()?;
     let seed = Seed(config.run.seed);
     let record = ComposeRecord {
@@ -56,13 +53,13 @@ pub fn train_on_dataset<'a>(
     let ([(train, texts), (val, val_texts)], dataset_hash) = match config.data {
         ClipData::Pairs => (
             [
-                captured(&dataset, Split::Train)?,
-                captured(&dataset, Split::Val)?,
+                captured(dataset, Split::Train)?,
+                captured(dataset, Split::Val)?,
             ],
             dataset.content_hash(&[MotionRow::TABLE, PairRow::TABLE]),
         ),
         ClipData::Composed => (
-            composed(&dataset, compose, seed)?,
+            composed(dataset, compose, seed)?,
             dataset.content_hash(&COMPOSED),
         ),
     };

@@ -1,7 +1,7 @@
 //! Questions for editing systems.
 
 use datasets_spec::record::ItemRow;
-use datasets_spec::{NoProgress, Seed, Split};
+use datasets_spec::{Dataset, NoProgress, Seed, Split};
 use pipeline::compose::{ItemConfig, ItemCount};
 use pipeline::stage::{self, Context};
 
@@ -17,7 +17,8 @@ pub(crate) fn items(data: &Data) -> Vec<ItemRow> {
         count: ItemCount::Exactly(2),
         ..ItemConfig::default()
     };
-    let (dataset, place) = (data.dataset(), data.run("items"));
+    let dataset = Dataset::open(&data.dataset()).expect("a dataset");
+    let place = data.run("items");
     let drawn = stage::items(&dataset, &place, Split::Test, &config, Seed(0), &context);
     drawn.expect("items").dataset.read(None).expect("rows")
 }

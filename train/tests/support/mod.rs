@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use burn::tensor::Device;
 use corpus::{CLIPS_PER_TAKE, CorpusOptions, write_corpus};
-use datasets_spec::{NoProgress, Progress, Seed};
+use datasets_spec::{Dataset, NoProgress, Progress, Seed};
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::ingest::ingest;
 use pipeline::stage::{self, Context, IngestConfig, Judged};
@@ -40,7 +40,14 @@ impl Data {
             progress: &NoProgress,
             holder: "a test",
         };
-        stage::masks(&dataset, &MaskConfig::default(), Judged::Keep, &context).expect("masks");
+        stage::masks(
+            &dataset,
+            &MaskConfig::default(),
+            Judged::Keep,
+            None,
+            &context,
+        )
+        .expect("masks");
         Self { folder }
     }
 
@@ -108,7 +115,7 @@ pub(crate) fn settings(network: &str, steps: u64, log_every: u64) -> Value {
 pub(crate) fn train(data: &Data, network: &str, run: &Path, own: &Value, session: &Session<'_>) {
     let kind = registry::model(network).expect("a network");
     let request = TrainRequest {
-        dataset: &data.dataset(),
+        dataset: &Dataset::open(&data.dataset()).expect("a dataset"),
         start: Start::from(run),
         preset: Preset::Tiny,
         own,

@@ -4,11 +4,13 @@ mod list;
 
 use std::collections::BTreeMap;
 
-use datasets_spec::record::{MotionRow, PairRow};
-use datasets_spec::{MotionId, Seed};
+use datasets_spec::record::PairRow;
+use datasets_spec::{Dataset, MotionId, Seed, Split};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
+use tables::Tables;
 
+use crate::Error;
 use crate::compose::{EditKind, style_instruction};
 pub use list::{ListedPairs, PairList, RefusedLine};
 pub(crate) use list::{names_of, originals};
@@ -81,20 +83,48 @@ pub struct StylePairs {
     pub alone: Vec<MotionId>,
 }
 
+/// What pairs are made from.
+#[derive(Clone, Debug, Deserialize)]
+pub struct LabelledClip {
+    /// Id of the clip.
+    pub id: MotionId,
+    /// Its split.
+    pub split: Split,
+    /// Path of its source file.
+    pub source_path: String,
+    /// Its action.
+    pub action: Option<String>,
+    /// Its style.
+    pub style: Option<String>,
+}
+
+impl LabelledClip {
+    /// The clips of a dataset, those chosen if some were.
+    ///
+    /// # Errors
+    /// The table of motions cannot be read.
+    pub fn read(dataset: &Dataset) -> Result<Vec<Self>, Error> {
+        let columns = "SELECT id, split, source_path, action, style FROM motions";
+        let mut clips: Vec<Self> = Tables::of(dataset)?.ask(columns)?.rows()?;
+        clips.retain(|clip| dataset.has_clip(&clip.id));
+        Ok(clips)
+    }
+}
+
 /// Pairs every styled motion with neutral ones of the same action, session and split, drawn by the
 /// seed: those of the same take come first. A session is a folder, apart from folders named after
 /// the style. Motions without a style or an action are skipped.
 ///
 /// # Source
 /// Paper Sec. 3.2: a style pair is one action, performed as it is and in a style.
-pub fn style_pairs(motions: &[MotionRow], config: &PairConfig, seed: Seed) -> StylePairs {
+pub fn style_pairs(motions: &[LabelledClip], config: &PairConfig, seed: Seed) -> StylePairs {
     let is_neutral = |style: &str| config.neutral.iter().any(|n| n.eq_ignore_ascii_case(style));
     // Captures of one session have the same body, floor and actor.
-    let group = |row: &'_ MotionRow, style: &str| -> Option<(String, String, &'static str)> {
+    let group = |row: &'_ LabelledClip, style: &str| -> Option<(String, String, &'static str)> {
         let session = session(&row.source_path, style).join("/");
         Some((session, row.action.clone()?, row.split.as_str()))
     };
-    let mut neutral: BTreeMap<_, Vec<&MotionRow>> = BTreeMap::new();
+    let mut neutral: BTreeMap<_, Vec<&LabelledClip>> = BTreeMap::new();
     for row in motions {
         if let Some(style) = &row.style
             && is_neutral(style)
@@ -114,7 +144,7 @@ pub fn style_pairs(motions: &[MotionRow], config: &PairConfig, seed: Seed) -> St
         let candidates = neutral.get(&group).into_iter().flatten().copied();
         let candidates = candidates.filter(|row| row.id.source_clip() != target.id.source_clip());
         let take_of_target = take(&target.source_path);
-        let (mut same_take, mut others): (Vec<&MotionRow>, Vec<&MotionRow>) =
+        let (mut same_take, mut others): (Vec<&LabelledClip>, Vec<&LabelledClip>) =
             candidates.partition(|row| take(&row.source_path) == take_of_target);
         if same_take.is_empty() && others.is_empty() {
             pairs.alone.push(target.id.clone());
@@ -151,17 +181,16 @@ pub fn style_pairs(motions: &[MotionRow], config: &PairConfig, seed: Seed) -> St
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::Split;
-
     use super::*;
-    use crate::compose::fixture::{motion_row, wandering};
 
-    fn row(id: &str, action: &str, style: &str, split: Split) -> MotionRow {
-        let mut row = motion_row(id, split, &wandering(id, 40));
-        row.action = Some(action.to_owned());
-        row.style = Some(style.to_owned());
-        row.source_path = format!("set/{id}.bvh");
-        row
+    fn row(id: &str, action: &str, style: &str, split: Split) -> LabelledClip {
+        LabelledClip {
+            id: MotionId::parse(id).expect("an id"),
+            split,
+            source_path: format!("set/{id}.bvh"),
+            action: Some(action.to_owned()),
+            style: Some(style.to_owned()),
+        }
     }
 
     #[test]

@@ -39,6 +39,9 @@ datasets_spec::table! {
     }
 }
 
+/// The chosen clips of a file, with their places in it.
+type ChosenClips = Vec<(usize, LabelledClip)>;
+
 impl Library {
     /// Reads a split of a dataset. Motions that take more memory than they may are not held: their frames are
     /// copied to a file of the cache folder once, and read from there.
@@ -47,12 +50,16 @@ impl Library {
     /// As [`Library::new`], or a file cannot be read or written.
     pub fn read(dataset: &Dataset, split: Split, paging: &Paging) -> Result<Self, Error> {
         let skeleton = dataset.skeleton()?;
-        let shards: Vec<(PathBuf, String, Vec<LabelledClip>)> = dataset
+        let shards: Vec<(PathBuf, String, ChosenClips)> = dataset
             .files(MotionRow::TABLE, Some(split))
             .into_par_iter()
             .map(|(path, entry)| {
                 let clips = ShardReader::open(&path)?.rows::<LabelledClip>()?;
-                for clip in &clips {
+                let clips = clips.into_iter().enumerate();
+                let clips: ChosenClips = clips
+                    .filter(|(_, clip)| dataset.has_clip(&clip.id))
+                    .collect();
+                for (_, clip) in &clips {
                     check(clip, &skeleton)?;
                 }
                 Ok((path, entry.blake3.clone(), clips))
@@ -61,7 +68,7 @@ impl Library {
         let num_frames: u64 = shards
             .iter()
             .flat_map(|(.., clips)| clips)
-            .map(|clip| len_of(clip) as u64)
+            .map(|(_, clip)| len_of(clip) as u64)
             .sum();
         let mut rows = LibraryRows::new(split, &skeleton);
         let mut paged = None;
@@ -70,35 +77,44 @@ impl Library {
                 .par_iter()
                 .map(|(path, _, clips)| {
                     let reader = ShardMotions::open(path, clips.len())?;
-                    let all = clips.par_iter().enumerate();
-                    all.map(|(row, clip)| reader.motion(row, clip)).collect()
+                    let all = clips.par_iter();
+                    all.map(|(row, clip)| reader.motion(*row, clip)).collect()
                 })
                 .collect::<Result<_, Error>>()?;
             for ((.., clips), motions) in shards.iter().zip(motions) {
-                for (clip, motion) in clips.iter().zip(motions) {
+                for ((_, clip), motion) in clips.iter().zip(motions) {
                     add(&mut rows, clip, Frames::Memory(Arc::new(motion)))?;
                 }
             }
         } else {
-            // The hashes of the shards are those of the motions and their order.
+            // The hashes of the shards are those of the motions and their order; a condition says which of them.
             let mut hasher = blake3::Hasher::new();
+            hasher.update(dataset.condition().unwrap_or_default().as_bytes());
             for (_, hash, _) in &shards {
                 hasher.update(hash.as_bytes());
             }
             let key = hasher.finalize().to_hex().to_string();
             let fps = match shards.iter().flat_map(|(.., clips)| clips).next() {
-                Some(clip) => rate_of(clip)?,
+                Some((_, clip)) => rate_of(clip)?,
                 None => Fps::STORE,
             };
             let file = FrameFile::open(paging, &key, num_frames, fps, |writer| {
                 for (path, _, clips) in &shards {
                     let reader = ShardMotions::open(path, clips.len())?;
-                    let lens: Vec<usize> = clips.iter().map(len_of).collect();
-                    writer.extend(&lens, |row| reader.motion(row, &clips[row]))?;
+                    let lens: Vec<usize> = clips.iter().map(|(_, clip)| len_of(clip)).collect();
+                    writer.extend(&lens, |place| {
+                        let (row, clip) = &clips[place];
+                        reader.motion(*row, clip)
+                    })?;
                 }
                 Ok(())
             })?;
-            let all = || shards.iter().flat_map(|(.., clips)| clips);
+            let all = || {
+                shards
+                    .iter()
+                    .flat_map(|(.., clips)| clips)
+                    .map(|(_, clip)| clip)
+            };
             let frames = frames_of_file(Arc::new(file), all().map(len_of));
             for (clip, frames) in all().zip(frames) {
                 add(&mut rows, clip, frames)?;
@@ -108,10 +124,14 @@ impl Library {
         drop(shards);
         rows.end_of_clips()?;
         for (path, _) in dataset.files(MaskRow::TABLE, Some(split)) {
-            rows.add_masks(&read_rows(&path)?)?;
+            let mut masks: Vec<MaskRow> = read_rows(&path)?;
+            masks.retain(|mask| dataset.has_clip(&mask.motion_id));
+            rows.add_masks(&masks)?;
         }
         for (path, _) in dataset.files(PairRow::TABLE, Some(split)) {
-            rows.add_pairs(&read_rows(&path)?)?;
+            let mut pairs: Vec<PairRow> = read_rows(&path)?;
+            pairs.retain(|pair| pair.clips().into_iter().all(|clip| dataset.has_clip(clip)));
+            rows.add_pairs(&pairs)?;
         }
         Ok(Self {
             paged,

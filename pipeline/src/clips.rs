@@ -1,4 +1,4 @@
-//! The clips of a dataset, all or those that a filter chooses, read shard by shard.
+//! The clips of a dataset, all or those that a condition chooses, read shard by shard.
 
 use std::ops::Range;
 use std::path::PathBuf;
@@ -8,7 +8,8 @@ use datasets_spec::table::{Cell, Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, Split};
 use serde::{Deserialize, Serialize};
 
-use super::Filter;
+use tables::Condition;
+
 use crate::Error;
 
 /// Clips of a dataset.
@@ -54,14 +55,13 @@ impl<'a> Clips<'a> {
         }
     }
 
-    /// The clips that a filter chooses. Only the columns that it names are read.
+    /// The clips for which a condition is true. Only the columns that it names are read.
     ///
     /// # Errors
     /// It chooses none, or a file cannot be read.
-    pub fn chosen(dataset: &'a Dataset, filter: &Filter) -> Result<Self, Error> {
+    pub fn chosen(dataset: &'a Dataset, condition: &Condition) -> Result<Self, Error> {
         let mut clips = Self::all(dataset);
-        for shard in &mut clips.shards {
-            let rows = filter.rows(&ShardReader::open(&shard.path)?)?;
+        for (shard, rows) in clips.shards.iter_mut().zip(condition.rows(dataset)?) {
             shard.num_clips = rows.len() as u64;
             shard.rows = Some(rows);
         }
@@ -165,7 +165,7 @@ impl Shard {
         &self.path
     }
 
-    /// The rows of the clips. Where a filter chose them, only their pages are read, and each motion is
+    /// The rows of the clips. Where a condition chose them, only their pages are read, and each motion is
     /// checked against its hash.
     ///
     /// # Errors

@@ -1,0 +1,168 @@
+//! Answers to queries.
+
+use std::sync::Arc;
+
+use arrow_array::{ArrayRef, RecordBatch, RecordBatchOptions};
+use arrow_schema::{Field, Schema};
+use parquet::arrow::ArrowWriter;
+use parquet::basic::{Compression, ZstdLevel};
+use parquet::file::properties::WriterProperties;
+use polars::prelude as pl;
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Number, Value};
+
+use crate::Error;
+use crate::arrays::arrow_array;
+use crate::scan::PLACE;
+
+/// The rows that answer a query.
+#[derive(Clone, Debug)]
+pub struct Answer {
+    frame: pl::DataFrame,
+}
+
+impl Answer {
+    pub(crate) fn new(frame: pl::DataFrame) -> Self {
+        Self { frame }
+    }
+
+    /// Names of the columns.
+    pub fn columns(&self) -> Vec<String> {
+        let names = self.frame.get_column_names().into_iter();
+        names.map(|name| name.to_string()).collect()
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.frame.height()
+    }
+
+    /// Whether there is no row.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Whether a column holds numbers.
+    pub fn is_number(&self, column: usize) -> bool {
+        let columns = self.frame.columns();
+        columns
+            .get(column)
+            .is_some_and(|column| column.dtype().is_primitive_numeric())
+    }
+
+    /// The values of a row, in the order of the columns. What JSON does not have, such as a date, is text; numbers that are
+    /// not finite are null.
+    pub fn row(&self, row: usize) -> Vec<Value> {
+        let columns = self.frame.columns().iter();
+        columns
+            .map(|column| column.get(row).map_or(Value::Null, |value| json(&value)))
+            .collect()
+    }
+
+    /// The rows as objects of a type, whose fields are the columns.
+    ///
+    /// # Errors
+    /// A row is not of the type.
+    pub fn rows<T: DeserializeOwned>(&self) -> Result<Vec<T>, Error> {
+        let names = self.columns();
+        let object = |row: usize| {
+            let fields: Map<String, Value> = names.iter().cloned().zip(self.row(row)).collect();
+            serde_json::from_value(Value::Object(fields)).map_err(|error| Error::Sql {
+                text: names.join(", "),
+                problem: error.to_string(),
+            })
+        };
+        (0..self.len()).map(object).collect()
+    }
+
+    /// The rows as a batch of Arrow. Dates and times become texts.
+    ///
+    /// # Errors
+    /// A column has no type that Arrow could hold.
+    pub fn batch(&self) -> Result<RecordBatch, Error> {
+        let mut fields = Vec::new();
+        let mut arrays: Vec<ArrayRef> = Vec::new();
+        for column in self.frame.columns() {
+            let array = arrow_array(column.as_materialized_series()).map_err(Error::Parquet)?;
+            fields.push(Field::new(
+                column.name().as_str(),
+                array.data_type().clone(),
+                true,
+            ));
+            arrays.push(array);
+        }
+        let options = RecordBatchOptions::new().with_row_count(Some(self.len()));
+        let schema = Arc::new(Schema::new(fields));
+        RecordBatch::try_new_with_options(schema, arrays, &options)
+            .map_err(|error| Error::Parquet(error.to_string()))
+    }
+
+    /// The rows as a Parquet file.
+    ///
+    /// # Errors
+    /// As [`Answer::batch`].
+    pub fn parquet(&self) -> Result<Vec<u8>, Error> {
+        let fails = |error: parquet::errors::ParquetError| Error::Parquet(error.to_string());
+        let batch = self.batch()?;
+        let properties = WriterProperties::builder()
+            .set_compression(Compression::ZSTD(ZstdLevel::default()))
+            .build();
+        let mut bytes = Vec::new();
+        let mut writer =
+            ArrowWriter::try_new(&mut bytes, batch.schema(), Some(properties)).map_err(fails)?;
+        writer.write(&batch).map_err(fails)?;
+        writer.close().map_err(fails)?;
+        Ok(bytes)
+    }
+
+    /// The places of a condition's rows, ascending.
+    pub(crate) fn places(&self) -> Vec<usize> {
+        let column = self.frame.column(PLACE).and_then(|column| column.u32());
+        let places = column
+            .into_iter()
+            .flat_map(|places| places.iter().flatten());
+        let mut places: Vec<usize> = places
+            .filter_map(|place| usize::try_from(place).ok())
+            .collect();
+        places.sort_unstable();
+        places
+    }
+}
+
+fn json(value: &pl::AnyValue<'_>) -> Value {
+    let items =
+        |series: &pl::Series| Value::Array(series.iter().map(|value| json(&value)).collect());
+    match value {
+        pl::AnyValue::Null => Value::Null,
+        pl::AnyValue::Boolean(is) => Value::Bool(*is),
+        pl::AnyValue::String(text) => Value::String((*text).to_owned()),
+        pl::AnyValue::StringOwned(text) => Value::String(text.to_string()),
+        pl::AnyValue::Float32(number) => {
+            // The shortest digits that give the number, and not those of its double.
+            let shortest = number.to_string().parse::<f64>().ok();
+            shortest
+                .and_then(Number::from_f64)
+                .map_or(Value::Null, Value::Number)
+        }
+        pl::AnyValue::Float64(number) => {
+            Number::from_f64(*number).map_or(Value::Null, Value::Number)
+        }
+        pl::AnyValue::List(series) | pl::AnyValue::Array(series, _) => items(series),
+        pl::AnyValue::Struct(..) | pl::AnyValue::StructOwned(_) => {
+            let names = match value.dtype() {
+                pl::DataType::Struct(fields) => fields,
+                _ => Vec::new(),
+            };
+            let mut values = Vec::new();
+            value._materialize_struct_av(&mut values);
+            let named = names.iter().zip(&values);
+            let fields = named.map(|(field, value)| (field.name().to_string(), json(value)));
+            Value::Object(fields.collect())
+        }
+        other => match (other.extract::<i64>(), other.extract::<u64>()) {
+            (Some(number), _) if other.is_integer() => number.into(),
+            (_, Some(number)) if other.is_integer() => number.into(),
+            _ => Value::String(other.to_string()),
+        },
+    }
+}

@@ -1,0 +1,53 @@
+//! SQL over the tables of datasets.
+//!
+//! [`Tables`] answers a query over the tables of one dataset or of several, [`Condition`] chooses clips of one. polars plans and
+//! computes; the columns come from [`ShardReader`](datasets_spec::table::ShardReader), which reads those alone that a
+//! query names, from disks and from buckets alike. Nothing else can be reached: there are no table functions, and the
+//! only statement is `SELECT`.
+//!
+//! The table of motions has further columns, which are derived from its own and from the tables beside it:
+//!
+//! | column | type | meaning |
+//! |---|---|---|
+//! | `seconds` | f64 | `n_frames / fps` |
+//! | `max_speed`, `foot_skate` | f32 | of `quality` |
+//! | `flags` | struct of bool | findings of the quality checks, such as `flags.poor_fit` |
+//! | `texts`, `part_texts` | `list<utf8>` | the texts of `captions` and `part_captions` |
+//! | `n_captions` | u32 | captions, those of parts not counted |
+//! | `has_mask`, `has_pair` | bool | whether a mask is of the clip, or a pair has it on either side |
+//!
+//! Beside what polars knows, `LIKE` takes `ESCAPE`, and `len` is the length of a list or the characters of a text. A test of a
+//! list (`captions LIKE '%walk%'`, `notes = 'x'`, `parts IN ('HEAD')`) holds if it holds for one of its texts; without texts
+//! it is neither true nor false.
+
+mod answer;
+mod arrays;
+mod condition;
+mod derived;
+mod known;
+mod rewrite;
+mod scan;
+mod tables;
+
+pub use self::answer::Answer;
+pub use self::condition::Condition;
+pub use self::tables::Tables;
+
+/// What can go wrong with a question.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A table cannot be read.
+    #[error(transparent)]
+    Spec(#[from] datasets_spec::Error),
+    /// A question cannot be understood or answered.
+    #[error("{text:?}: {problem}")]
+    Sql {
+        /// The question.
+        text: String,
+        /// What is wrong, and what there is.
+        problem: String,
+    },
+    /// An answer cannot be written as Parquet.
+    #[error("the answer cannot be written as Parquet: {0}")]
+    Parquet(String),
+}

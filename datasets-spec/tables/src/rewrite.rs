@@ -1,0 +1,578 @@
+//! SQL as people write it becomes SQL that polars answers: only `SELECT`, and with `LIKE ... ESCAPE`, tests of lists, `len`
+//! and names of several datasets.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::ControlFlow;
+
+use arrow_schema::DataType;
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::{Column, Row as _};
+use polars::prelude::PolarsError;
+use sqlparser::ast::{
+    Expr, Function, FunctionArg, FunctionArgExpr, FunctionArguments, Ident, ObjectName, Query,
+    Select, SelectItem, Statement, TableFactor, Value, ValueWithSpan, Visit, VisitMut, Visitor,
+    VisitorMut,
+};
+use sqlparser::dialect::GenericDialect;
+use sqlparser::parser::{Parser, ParserOptions};
+use sqlparser::tokenizer::{Token, Tokenizer};
+
+use crate::derived::Derived;
+
+/// Operators in a question. Each may nest what is before it, so that endless ones would exhaust the stack.
+const MOST_OPERATORS: usize = 1_000;
+
+/// Columns whose items are structs, and the derived columns with their texts.
+const OF_STRUCTS: [(&str, Derived); 2] = [
+    ("captions", Derived::Texts),
+    ("part_captions", Derived::PartTexts),
+];
+
+/// The names that a question may use.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Names {
+    /// Names of datasets, if there are several.
+    datasets: BTreeSet<String>,
+    /// Columns of each table; of the motions also the derived ones.
+    tables: BTreeMap<String, Vec<String>>,
+    /// Columns that are lists of texts.
+    lists: BTreeSet<String>,
+    /// Fields of columns that are structs.
+    fields: BTreeMap<String, Vec<String>>,
+}
+
+impl Names {
+    /// Adds a table; `full` has the name of its dataset before it, if there are several.
+    pub(crate) fn add(
+        &mut self,
+        dataset: Option<&str>,
+        full: &str,
+        table: &str,
+        columns: &[Column],
+    ) {
+        self.datasets.extend(dataset.map(str::to_owned));
+        let mut typed: Vec<(&str, DataType)> = columns
+            .iter()
+            .map(|column| (column.name, column.data_type.clone()))
+            .collect();
+        if table == MotionRow::TABLE {
+            let derived = Derived::ALL.into_iter();
+            typed.extend(derived.map(|derived| (derived.name(), derived.data_type())));
+        }
+        for (name, data_type) in &typed {
+            match data_type {
+                DataType::List(item) if *item.data_type() == DataType::Utf8 => {
+                    self.lists.insert((*name).to_owned());
+                }
+                DataType::Struct(fields) => {
+                    let names = fields.iter().map(|field| field.name().clone());
+                    self.fields.insert((*name).to_owned(), names.collect());
+                }
+                _ => {}
+            }
+        }
+        let names = typed.into_iter().map(|(name, _)| name.to_owned());
+        self.tables.insert(full.to_owned(), names.collect());
+    }
+
+    /// A column that is a list, as an expression whose items are texts.
+    fn list(&self, expr: &Expr) -> Option<Expr> {
+        let texts = |ident: &Ident| {
+            let of_structs = OF_STRUCTS.iter().find(|(name, _)| *name == ident.value);
+            match of_structs {
+                Some((_, derived)) => Some(Ident::new(derived.name())),
+                None => self.lists.contains(&ident.value).then(|| ident.clone()),
+            }
+        };
+        match expr {
+            Expr::Nested(inner) => self.list(inner),
+            Expr::Identifier(ident) => Some(Expr::Identifier(texts(ident)?)),
+            Expr::CompoundIdentifier(parts) => {
+                let (last, before) = parts.split_last()?;
+                let mut parts = before.to_vec();
+                parts.push(texts(last)?);
+                Some(Expr::CompoundIdentifier(parts))
+            }
+            _ => None,
+        }
+    }
+}
+
+fn parser(text: &str) -> Result<Parser<'static>, String> {
+    let tokens = Tokenizer::new(&GenericDialect, text)
+        .tokenize()
+        .map_err(|error| error.to_string())?;
+    let operators = tokens.iter().filter(|token| match token {
+        Token::Whitespace(_) | Token::Comma | Token::Period => false,
+        Token::Word(word) => matches!(
+            word.value.to_ascii_lowercase().as_str(),
+            "and" | "or" | "not"
+        ),
+        Token::Number(..) | Token::SingleQuotedString(_) | Token::LParen | Token::RParen => false,
+        _ => true,
+    });
+    if operators.count() > MOST_OPERATORS {
+        return Err(format!(
+            "it has more than {MOST_OPERATORS} operators; compare one column with many values by IN (...)"
+        ));
+    }
+    let options = ParserOptions::default().with_trailing_commas(true);
+    let parser = Parser::new(&GenericDialect).with_options(options);
+    Ok(parser.with_tokens(tokens))
+}
+
+/// A query that polars answers.
+///
+/// # Errors
+/// It is not one `SELECT`, calls a function in place of a table, or tests a list as polars cannot.
+pub(crate) fn rewrite_query(text: &str, names: &Names) -> Result<String, String> {
+    let mut statements = parser(text)?
+        .parse_statements()
+        .map_err(|error| error.to_string())?;
+    let [Statement::Query(query)] = statements.as_mut_slice() else {
+        return Err("it is not one SELECT, the only statement there is".to_owned());
+    };
+    visited(VisitMut::visit(query, &mut Rewriting { names }))?;
+    Ok(query.to_string())
+}
+
+/// A condition that polars understands.
+///
+/// # Errors
+/// It is not one expression, or as [`rewrite_query`].
+pub(crate) fn rewrite_condition(text: &str, names: &Names) -> Result<String, String> {
+    let mut expr = condition(text)?;
+    visited(VisitMut::visit(&mut expr, &mut Rewriting { names }))?;
+    Ok(format!("({expr})"))
+}
+
+fn condition(text: &str) -> Result<Expr, String> {
+    let mut parser = parser(text)?;
+    let expr = parser.parse_expr().map_err(|error| error.to_string())?;
+    match parser.peek_token().token {
+        Token::EOF => Ok(expr),
+        token => Err(format!("a condition ends where {token} stands")),
+    }
+}
+
+fn visited(flow: ControlFlow<String>) -> Result<(), String> {
+    match flow {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(problem) => Err(problem),
+    }
+}
+
+struct Rewriting<'a> {
+    names: &'a Names,
+}
+
+impl VisitorMut for Rewriting<'_> {
+    type Break = String;
+
+    /// Columns of functions are named by their text, as `min(seconds)` and `max(seconds)` would else be one name.
+    fn pre_visit_select(&mut self, select: &mut Select) -> ControlFlow<String> {
+        for item in &mut select.projection {
+            if let SelectItem::UnnamedExpr(expr @ Expr::Function(_)) = item {
+                *item = SelectItem::ExprWithAlias {
+                    alias: Ident::with_quote('"', expr.to_string()),
+                    expr: expr.clone(),
+                };
+            }
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn pre_visit_table_factor(&mut self, factor: &mut TableFactor) -> ControlFlow<String> {
+        match factor {
+            TableFactor::Table { args: None, .. }
+            | TableFactor::Derived { .. }
+            | TableFactor::NestedJoin { .. }
+            | TableFactor::UNNEST { .. } => ControlFlow::Continue(()),
+            _ => ControlFlow::Break(format!(
+                "{factor} is no table; a query reads the tables of its datasets alone: {}",
+                listed(self.names.tables.keys())
+            )),
+        }
+    }
+
+    /// `NAME.TABLE` is registered as one name.
+    fn pre_visit_relation(&mut self, relation: &mut ObjectName) -> ControlFlow<String> {
+        let parts: Vec<Ident> = relation
+            .0
+            .iter()
+            .filter_map(|part| part.as_ident().cloned())
+            .collect();
+        if let Some(joined) = self.joined(&parts) {
+            *relation = ObjectName::from(joined);
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn pre_visit_expr(&mut self, expr: &mut Expr) -> ControlFlow<String> {
+        match expr {
+            Expr::CompoundIdentifier(parts) => {
+                if let Some(joined) = self.joined(parts) {
+                    *parts = joined;
+                }
+            }
+            Expr::Function(function) => {
+                if takes_texts(function)
+                    && let FunctionArguments::List(list) = &mut function.args
+                {
+                    for arg in &mut list.args {
+                        if let FunctionArg::Unnamed(FunctionArgExpr::Expr(arg)) = arg
+                            && let Some(texts) = self.names.list(arg)
+                        {
+                            *arg = texts;
+                        }
+                    }
+                }
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn post_visit_expr(&mut self, expr: &mut Expr) -> ControlFlow<String> {
+        let made = match expr {
+            Expr::Like {
+                negated,
+                any: false,
+                expr,
+                pattern,
+                escape_char,
+            } => self.like(expr, pattern, escape_char.as_ref(), *negated, false),
+            Expr::ILike {
+                negated,
+                any: false,
+                expr,
+                pattern,
+                escape_char,
+            } => self.like(expr, pattern, escape_char.as_ref(), *negated, true),
+            Expr::BinaryOp { left, op, right } => {
+                let name = op.to_string();
+                match (self.names.list(left), name.as_str()) {
+                    (Some(list), "=") => {
+                        Ok(Some(one_of(&list, false, std::slice::from_ref(&**right))))
+                    }
+                    (Some(list), "<>" | "!=") => {
+                        Ok(Some(one_of(&list, true, std::slice::from_ref(&**right))))
+                    }
+                    _ => Ok(None),
+                }
+            }
+            Expr::InList {
+                expr,
+                list: values,
+                negated,
+            } => Ok(self
+                .names
+                .list(expr)
+                .map(|list| one_of(&list, *negated, values))),
+            Expr::IsNull(inner) => Ok(self
+                .names
+                .list(inner)
+                .map(|list| format!("array_length({list}) = 0"))),
+            Expr::IsNotNull(inner) => Ok(self
+                .names
+                .list(inner)
+                .map(|list| format!("array_length({list}) > 0"))),
+            Expr::Function(function) => Ok(self.length(function)),
+            _ => Ok(None),
+        };
+        match made.and_then(|made| made.map(|made| parsed(&made)).transpose()) {
+            Ok(Some(made)) => *expr = Expr::Nested(Box::new(made)),
+            Ok(None) => {}
+            Err(problem) => return ControlFlow::Break(problem),
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+impl Rewriting<'_> {
+    /// The name of a dataset and that of its table as one.
+    fn joined(&self, parts: &[Ident]) -> Option<Vec<Ident>> {
+        let [dataset, table, rest @ ..] = parts else {
+            return None;
+        };
+        let full = format!("{}.{}", dataset.value, table.value);
+        let is_table =
+            self.names.datasets.contains(&dataset.value) && self.names.tables.contains_key(&full);
+        is_table.then(|| {
+            let mut joined = vec![Ident::with_quote('"', full)];
+            joined.extend(rest.iter().cloned());
+            joined
+        })
+    }
+
+    /// A test of a pattern that polars has not: of a list, or with an escape character.
+    fn like(
+        &self,
+        subject: &Expr,
+        pattern: &Expr,
+        escape: Option<&ValueWithSpan>,
+        negated: bool,
+        any_case: bool,
+    ) -> Result<Option<String>, String> {
+        let list = self.names.list(subject);
+        if list.is_none() && escape.is_none() {
+            return Ok(None);
+        }
+        let Some(pattern) = text_of(pattern) else {
+            return Err(format!("{pattern} is no text in quotes, as a pattern is"));
+        };
+        let escape = match escape {
+            None => None,
+            Some(escape) => {
+                let text = escape.value.clone().into_string().unwrap_or_default();
+                let mut chars = text.chars();
+                match (chars.next(), chars.next()) {
+                    (Some(escape), None) => Some(escape),
+                    _ => return Err(format!("ESCAPE takes one character, not {escape}")),
+                }
+            }
+        };
+        let case = if any_case { "i" } else { "" };
+        let regex = regex_of(pattern, escape)?;
+        let not = if negated { "NOT " } else { "" };
+        Ok(Some(match list {
+            // The texts are lines, which `.` does not cross. Without any the test is neither true nor false.
+            Some(list) => format!(
+                "{not}regexp_like(NULLIF(array_to_string({list}, '\n'), ''), {})",
+                quoted(&format!("(?m{case})^{regex}$"))
+            ),
+            None => format!(
+                "{not}regexp_like({subject}, {})",
+                quoted(&format!("(?s{case})^{regex}$"))
+            ),
+        }))
+    }
+
+    /// `len` of a list or a text.
+    fn length(&self, function: &Function) -> Option<String> {
+        if !function.name.to_string().eq_ignore_ascii_case("len") {
+            return None;
+        }
+        let FunctionArguments::List(list) = &function.args else {
+            return None;
+        };
+        let [FunctionArg::Unnamed(FunctionArgExpr::Expr(of))] = list.args.as_slice() else {
+            return None;
+        };
+        Some(match self.names.list(of) {
+            Some(list) => format!("array_length({list})"),
+            None => format!("char_length({of})"),
+        })
+    }
+}
+
+/// Whether a function is one of texts in a list.
+fn takes_texts(function: &Function) -> bool {
+    let name = function.name.to_string().to_ascii_lowercase();
+    matches!(
+        name.as_str(),
+        "array_contains" | "array_to_string" | "array_unique" | "unnest"
+    )
+}
+
+/// Whether a list holds one of some values; neither true nor false without texts.
+fn one_of(list: &Expr, negated: bool, values: &[Expr]) -> String {
+    let tests = values
+        .iter()
+        .map(|value| format!("array_contains({list}, {value})"));
+    let tests: Vec<String> = tests.collect();
+    let not = if negated { "NOT " } else { "" };
+    format!(
+        "{not}CASE WHEN array_length({list}) > 0 THEN ({}) END",
+        tests.join(" OR ")
+    )
+}
+
+fn parsed(text: &str) -> Result<Expr, String> {
+    let parser = Parser::new(&GenericDialect).try_with_sql(text);
+    let expr = parser.and_then(|mut parser| parser.parse_expr());
+    expr.map_err(|error| error.to_string())
+}
+
+fn text_of(expr: &Expr) -> Option<&str> {
+    match expr {
+        Expr::Value(ValueWithSpan {
+            value: Value::SingleQuotedString(text),
+            ..
+        }) => Some(text),
+        _ => None,
+    }
+}
+
+fn quoted(text: &str) -> String {
+    format!("'{}'", text.replace('\'', "''"))
+}
+
+/// A pattern of `LIKE` as a regular expression.
+fn regex_of(pattern: &str, escape: Option<char>) -> Result<String, String> {
+    let mut regex = String::new();
+    let mut chars = pattern.chars();
+    while let Some(next) = chars.next() {
+        match next {
+            _ if Some(next) == escape => {
+                let Some(literal) = chars.next() else {
+                    return Err(format!(
+                        "pattern '{pattern}' ends with its escape character"
+                    ));
+                };
+                regex += &regex::escape(&literal.to_string());
+            }
+            '%' => regex += ".*",
+            '_' => regex.push('.'),
+            literal => regex += &regex::escape(&literal.to_string()),
+        }
+    }
+    Ok(regex)
+}
+
+/// Checks the columns of a condition, but for those of queries in it.
+///
+/// # Errors
+/// There is no such column of motions: which was meant, and what there is.
+pub(crate) fn check_columns(text: &str, names: &Names) -> Result<(), String> {
+    struct Checking<'a> {
+        names: &'a Names,
+        depth: usize,
+    }
+
+    impl Visitor for Checking<'_> {
+        type Break = String;
+
+        fn pre_visit_query(&mut self, _: &Query) -> ControlFlow<String> {
+            self.depth += 1;
+            ControlFlow::Continue(())
+        }
+
+        fn post_visit_query(&mut self, _: &Query) -> ControlFlow<String> {
+            self.depth -= 1;
+            ControlFlow::Continue(())
+        }
+
+        fn pre_visit_expr(&mut self, expr: &Expr) -> ControlFlow<String> {
+            if self.depth > 0 {
+                return ControlFlow::Continue(());
+            }
+            let table = MotionRow::TABLE;
+            let columns = self
+                .names
+                .tables
+                .get(table)
+                .map(Vec::as_slice)
+                .unwrap_or_default();
+            let parts: &[Ident] = match expr {
+                Expr::Identifier(ident) => std::slice::from_ref(ident),
+                Expr::CompoundIdentifier(parts) => parts,
+                _ => return ControlFlow::Continue(()),
+            };
+            let parts = match parts {
+                [first, rest @ ..] if first.value == table && !rest.is_empty() => rest,
+                parts => parts,
+            };
+            let Some(column) = parts.first() else {
+                return ControlFlow::Continue(());
+            };
+            if !columns.contains(&column.value) {
+                return ControlFlow::Break(unknown("column", &column.value, columns));
+            }
+            let fields = self.names.fields.get(&column.value);
+            match (parts.get(1), fields) {
+                (Some(field), Some(fields)) if !fields.contains(&field.value) => {
+                    let what = format!("field of {}", column.value);
+                    ControlFlow::Break(unknown(&what, &field.value, fields))
+                }
+                _ => ControlFlow::Continue(()),
+            }
+        }
+    }
+
+    let checking = &mut Checking { names, depth: 0 };
+    visited(Visit::visit(&condition(text)?, checking))
+}
+
+/// There is no such thing: which was meant, and what there is.
+fn unknown(what: &str, name: &str, known: &[String]) -> String {
+    /// Names farther away than this were hardly meant.
+    const NEAR: f64 = 0.75;
+    let folded = name.to_lowercase();
+    let nearest = known
+        .iter()
+        .map(|known| (strsim::jaro_winkler(&folded, known), known))
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|(near, _)| *near >= NEAR);
+    let meant = nearest.map_or(String::new(), |(_, known)| format!(" (was {known} meant?)"));
+    format!(
+        "there is no {what} {name}{meant}; there are {}. Texts stand in single quotes",
+        listed(known)
+    )
+}
+
+fn listed<T: AsRef<str>>(names: impl IntoIterator<Item = T>) -> String {
+    let names: Vec<String> = names
+        .into_iter()
+        .map(|name| name.as_ref().to_owned())
+        .collect();
+    names.join(", ")
+}
+
+/// The tables that a query names.
+fn relations(query: &str) -> BTreeSet<String> {
+    struct Named(BTreeSet<String>);
+
+    impl Visitor for Named {
+        type Break = ();
+
+        fn pre_visit_relation(&mut self, relation: &ObjectName) -> ControlFlow<()> {
+            let parts = relation.0.iter().filter_map(|part| part.as_ident());
+            let parts: Vec<&str> = parts.map(|part| part.value.as_str()).collect();
+            self.0.insert(parts.join("."));
+            ControlFlow::Continue(())
+        }
+    }
+
+    let mut named = Named(BTreeSet::new());
+    if let Ok(statements) = parser(query)
+        .and_then(|mut parser| parser.parse_statements().map_err(|error| error.to_string()))
+    {
+        // It never breaks.
+        let _flow = Visit::visit(&statements, &mut named);
+    }
+    named.0
+}
+
+/// What is wrong with a query, from an error of polars.
+pub(crate) fn problem_of(query: &str, error: &PolarsError, names: &Names) -> String {
+    let text = error.to_string();
+    let first = text
+        .split("\n\nResolved plan")
+        .next()
+        .unwrap_or(&text)
+        .trim();
+    let named = relations(query);
+    let tables = names
+        .tables
+        .iter()
+        .filter(|(table, _)| named.contains(*table));
+    let columns: BTreeSet<&String> = tables.flat_map(|(_, columns)| columns).collect();
+    let columns: Vec<String> = columns.into_iter().cloned().collect();
+    match error {
+        PolarsError::ColumnNotFound(name) => {
+            let name = name.to_string();
+            let name = name.trim().trim_start_matches("unable to find column ");
+            let name = name
+                .split(';')
+                .next()
+                .unwrap_or(name)
+                .trim_matches(['"', '\'']);
+            unknown("column", name, &columns)
+        }
+        PolarsError::SQLInterface(_) if first.contains("relation") => {
+            format!("{first}; the tables are {}", listed(names.tables.keys()))
+        }
+        _ => first.to_owned(),
+    }
+}

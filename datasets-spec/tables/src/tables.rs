@@ -1,0 +1,115 @@
+//! Queries over the tables of datasets.
+
+use datasets_spec::Dataset;
+use datasets_spec::record::MotionRow;
+use datasets_spec::table::Row as _;
+use polars::sql::SQLContext;
+
+use crate::rewrite::{Names, problem_of, rewrite_query};
+use crate::scan::Scan;
+use crate::{Answer, Error, known};
+
+/// The tables of one dataset by their names, or of several as `NAME.TABLE`.
+pub struct Tables {
+    context: SQLContext,
+    names: Names,
+}
+
+impl std::fmt::Debug for Tables {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("Tables")
+            .field(&self.context.get_tables())
+            .finish()
+    }
+}
+
+impl Tables {
+    /// The tables of a dataset. Nothing is read before a query asks for it.
+    ///
+    /// # Errors
+    /// A table of this version cannot be asked for, which means a bug.
+    pub fn of(dataset: &Dataset) -> Result<Self, Error> {
+        let mut tables = Self {
+            context: SQLContext::new(),
+            names: Names::default(),
+        };
+        tables.add(None, dataset, false)?;
+        Ok(tables)
+    }
+
+    /// The tables of several datasets, each with a name.
+    ///
+    /// # Errors
+    /// As [`Tables::of`].
+    pub fn of_several(datasets: &[(String, Dataset)]) -> Result<Self, Error> {
+        let mut tables = Self {
+            context: SQLContext::new(),
+            names: Names::default(),
+        };
+        for (name, dataset) in datasets {
+            tables.add(Some(name), dataset, false)?;
+        }
+        Ok(tables)
+    }
+
+    /// The tables of a dataset, whose motions have the places of their rows.
+    pub(crate) fn with_places(dataset: &Dataset) -> Result<Self, Error> {
+        let mut tables = Self {
+            context: SQLContext::new(),
+            names: Names::default(),
+        };
+        tables.add(None, dataset, true)?;
+        Ok(tables)
+    }
+
+    fn add(
+        &mut self,
+        name: Option<&str>,
+        dataset: &Dataset,
+        with_places: bool,
+    ) -> Result<(), Error> {
+        for (table, columns) in known::tables() {
+            let fails = |problem: String| Error::Sql {
+                text: table.to_owned(),
+                problem,
+            };
+            let full = match name {
+                Some(name) => format!("{name}.{table}"),
+                None => table.to_owned(),
+            };
+            let with_places = with_places && table == MotionRow::TABLE;
+            self.names.add(name, &full, table, &columns);
+            let scan = Scan::new(dataset, table, columns, with_places).map_err(fails)?;
+            let frame = scan.frame().map_err(|error| fails(error.to_string()))?;
+            self.context.register(&full, frame);
+        }
+        Ok(())
+    }
+
+    /// Answers a `SELECT`. Only the columns that it names are read.
+    ///
+    /// # Errors
+    /// The query cannot be understood, names what there is not, or a table cannot be read.
+    pub fn ask(&mut self, query: &str) -> Result<Answer, Error> {
+        let fails = |problem: String| Error::Sql {
+            text: shortened(query),
+            problem,
+        };
+        let rewritten = rewrite_query(query, &self.names).map_err(fails)?;
+        let frame = self.context.execute(&rewritten);
+        let answer = frame.and_then(polars::prelude::LazyFrame::collect);
+        match answer {
+            Ok(frame) => Ok(Answer::new(frame)),
+            Err(error) => Err(fails(problem_of(&rewritten, &error, &self.names))),
+        }
+    }
+}
+
+/// A question as far as an error shows it.
+pub(crate) fn shortened(text: &str) -> String {
+    const SHOWN: usize = 200;
+    match text.char_indices().nth(SHOWN) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text.to_owned(),
+    }
+}

@@ -1,0 +1,30 @@
+//! The option of verbs that take a dataset: which of its clips are meant.
+
+use std::path::Path;
+
+use datasets_spec::Dataset;
+use pipeline::stage;
+use tables::Condition;
+
+/// Which clips are meant.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub(crate) struct ChosenArgs {
+    /// Only clips that fulfil a condition in SQL on the columns of the table of motions, such as "split = 'train' AND NOT
+    /// flags.poor_fit"; `stance query --help` tells more
+    #[arg(long = "where", value_name = "CONDITION")]
+    pub(crate) condition: Option<Condition>,
+}
+
+impl ChosenArgs {
+    /// The condition as it was written.
+    pub(crate) fn text(&self) -> Option<String> {
+        let condition = self.condition.as_ref()?;
+        Some(condition.text().to_owned())
+    }
+
+    /// Opens and verifies a dataset, as if it held the chosen clips alone.
+    pub(crate) fn open(&self, root: &Path) -> anyhow::Result<Dataset> {
+        let dataset = Dataset::open(root)?;
+        Ok(stage::chosen(&dataset, self.condition.as_ref())?)
+    }
+}

@@ -1,0 +1,156 @@
+//! `stance query`
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use datasets_spec::Dataset;
+use serde_json::{Map, Value};
+use tables::{Answer, Tables};
+
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::{local, report};
+
+/// Ask the tables of datasets in SQL.
+///
+/// The tables of a dataset have their own names: motions, masks, pairs, markers, humanml3d, triplets, windows, quarantine,
+/// skipped; those of a folder of items or edits: items, edits, scores. Of several datasets, each with a name, they are
+/// NAME.TABLE. Only the columns that a query names are read, of URLs too; nothing but these tables can be read, and nothing
+/// is changed.
+///
+/// Motions have further columns: seconds, max_speed, foot_skate, flags.NAME for the findings of the quality checks, texts and
+/// part_texts (those of captions), n_captions, has_mask and has_pair.
+///
+///   stance query DATASET "SELECT split, count(*), sum(seconds)/3600 AS hours FROM motions GROUP BY split"
+///   stance query DATASET "SELECT id FROM motions WHERE flags.poor_fit AND NOT has_mask"
+///   stance query a=OLD b=NEW "SELECT id FROM a.motions WHERE id NOT IN (SELECT id FROM b.motions)"
+#[derive(clap::Args, Debug)]
+#[command(verbatim_doc_comment)]
+pub(crate) struct Args {
+    /// Dataset folders or URLs; several need names, NAME=PATH
+    #[arg(required = true, value_name = "[NAME=]DATASET")]
+    datasets: Vec<String>,
+    /// The query: one SELECT
+    #[arg(value_name = "SQL")]
+    query: String,
+    /// Print comma-separated values; lists and structs are JSON
+    #[arg(long, conflicts_with = "out")]
+    csv: bool,
+    /// Write the rows to this Parquet file
+    #[arg(long, value_name = "FILE.parquet", value_parser = local::path())]
+    out: Option<PathBuf>,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let mut tables = match args.datasets.as_slice() {
+        [one] => Tables::of(&open(named(one).map_or(one, |(_, path)| path))?)?,
+        several => {
+            let mut datasets: Vec<(String, Dataset)> = Vec::new();
+            for text in several {
+                let Some((name, path)) = named(text) else {
+                    bail!("each of several datasets needs a name, as in a={text}");
+                };
+                if datasets.iter().any(|(known, _)| known == name) {
+                    bail!(
+                        "two datasets are named {name}; their tables are NAME.TABLE, so give them two names"
+                    );
+                }
+                datasets.push((name.to_owned(), open(path)?));
+            }
+            Tables::of_several(&datasets)?
+        }
+    };
+    let answer = tables.ask(&args.query)?;
+    match &args.out {
+        Some(out) => {
+            local::write(out, &answer.parquet()?)?;
+            let rows = answer.len();
+            match global.json {
+                true => report::json(&serde_json::json!({ "rows": rows, "out": out }))?,
+                false => report::text(&format!("{rows} rows in {}", out.display())),
+            }
+        }
+        None if args.csv => report::text(&csv(&answer)),
+        None if global.json => report::json(&objects(&answer))?,
+        None => report::text(&table(&answer)),
+    }
+    Ok(Exit::Done)
+}
+
+fn open(path: &str) -> anyhow::Result<Dataset> {
+    Ok(Dataset::open_unverified(path.as_ref())?)
+}
+
+/// The name and the path of `NAME=PATH`. What stands before the first = is a name unless it holds a slash.
+fn named(text: &str) -> Option<(&str, &str)> {
+    let (name, path) = text.split_once('=')?;
+    let is_name = !name.is_empty() && !name.contains(['/', '\\']);
+    is_name.then_some((name, path))
+}
+
+fn objects(answer: &Answer) -> Vec<Map<String, Value>> {
+    let names = answer.columns();
+    let object = |row| names.iter().cloned().zip(answer.row(row)).collect();
+    (0..answer.len()).map(object).collect()
+}
+
+/// A value as text stands in a line.
+fn cell(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
+    }
+}
+
+fn csv(answer: &Answer) -> String {
+    let quoted = |text: String| match text.contains([',', '"', '\n', '\r']) {
+        true => format!("\"{}\"", text.replace('"', "\"\"")),
+        false => text,
+    };
+    let line =
+        |cells: Vec<String>| cells.into_iter().map(quoted).collect::<Vec<_>>().join(",") + "\n";
+    let mut text = line(answer.columns());
+    for row in 0..answer.len() {
+        text += &line(answer.row(row).iter().map(cell).collect());
+    }
+    text
+}
+
+/// Columns of text, numbers to the right. Cells that are longer than this are cut, with a mark; `--json` and `--csv` have
+/// them whole.
+const LONGEST_CELL: usize = 80;
+
+fn table(answer: &Answer) -> String {
+    let names = answer.columns();
+    let shown = |value: &Value| {
+        let text = cell(value).replace('\n', " ");
+        match text.char_indices().nth(LONGEST_CELL) {
+            Some((end, _)) => format!("{}…", &text[..end]),
+            None => text,
+        }
+    };
+    let rows: Vec<Vec<String>> = (0..answer.len())
+        .map(|row| answer.row(row).iter().map(shown).collect())
+        .collect();
+    let width = |column: usize| {
+        let cells = rows.iter().map(|row| &row[column]).chain([&names[column]]);
+        cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
+    };
+    let widths: Vec<usize> = (0..names.len()).map(width).collect();
+    let line = |cells: &[String]| {
+        let mut line = String::new();
+        for (column, (cell, &width)) in cells.iter().zip(&widths).enumerate() {
+            line += &match answer.is_number(column) {
+                true => format!("{cell:>width$}  "),
+                false => format!("{cell:<width$}  "),
+            };
+        }
+        line.trim_end().to_owned() + "\n"
+    };
+    let mut text = line(&names);
+    for row in &rows {
+        text += &line(row);
+    }
+    text
+}
