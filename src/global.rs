@@ -1,7 +1,7 @@
 //! Options that several verbs share.
 
 use datasets_spec::Seed;
-use pipeline::compose::Paging;
+use pipeline::compose::FrameCache;
 use pipeline::stage::Context;
 use train::config::Preset;
 
@@ -36,9 +36,8 @@ impl Global {
                 .num_threads(threads.into())
                 .build_global()?;
         }
-        Paging::from_environment(|name| std::env::var_os(name))
-            .map_err(anyhow::Error::msg)?
-            .set_for_process();
+        // Long work ought not to end by a variable that was wrong from the start.
+        FrameCache::from_environment(|name| std::env::var_os(name)).map_err(anyhow::Error::msg)?;
         Ok(())
     }
 

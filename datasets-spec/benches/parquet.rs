@@ -6,8 +6,8 @@
 use std::hint::black_box;
 use std::path::Path;
 
-use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
-use datasets_spec::table::{ClipReader, ShardReader, read_rows, write_rows};
+use datasets_spec::record::{FramesRow, HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
+use datasets_spec::table::{ShardReader, read_rows, write_rows};
 use datasets_spec::{Fps, Motion, MotionId, Pose, Seed, Split};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
@@ -127,13 +127,13 @@ fn read_random_clip(bencher: Bencher) {
     let path = dir.path().join("shard.parquet");
     let bytes = write_rows(Vec::new(), &path, &motion_rows(), &[]).expect("written");
     std::fs::write(&path, bytes).expect("written");
-    let reader = ClipReader::open(&path).expect("a shard");
+    let reader = ShardReader::open(&path).expect("a shard");
     let mut clip = 0;
     bencher
         .counter(ItemsCount::new(NUM_FRAMES))
         .bench_local(|| {
             clip = (clip + 37) % NUM_CLIPS;
-            reader.motion(black_box(clip))
+            reader.rows_at::<FramesRow>(&[black_box(clip)])
         });
 }
 

@@ -120,14 +120,6 @@ pub enum Error {
         /// The id of the content.
         found: String,
     },
-    /// A file cannot be read page by page.
-    #[error("{} cannot be read page by page ({problem}); record it again", path.display())]
-    Pages {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        problem: String,
-    },
     /// A file differs from what the manifest records.
     #[error("{} does not match its manifest ({detail}); restore the file or ingest again", path.display())]
     Corrupt {

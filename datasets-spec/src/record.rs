@@ -573,6 +573,13 @@ impl MotionRow {
         motion_of(self.fps, &self.transl, &self.global_orient, &self.body_pose)
     }
 
+    /// Drops the frames, which are most of a row.
+    pub fn forget_frames(&mut self) {
+        self.transl = Vec::new();
+        self.global_orient = Vec::new();
+        self.body_pose = Vec::new();
+    }
+
     /// The captions and who wrote each. Tables older than 1.5.0 do not say, and name the source.
     pub fn captions_by_origin(&self) -> impl Iterator<Item = (&Caption, &str)> {
         self.captions.iter().enumerate().map(|(index, caption)| {
@@ -854,6 +861,36 @@ impl EditRow {
     /// The row's columns do not make a motion.
     pub fn motion(&self) -> Result<Motion, Error> {
         motion_of(self.fps, &self.transl, &self.global_orient, &self.body_pose)
+    }
+}
+
+table! {
+    /// The motion of a clip, without what is said of it.
+    pub struct FramesRow = "motions" {
+        /// Stored frame rate
+        pub fps: f32 ["1/s"],
+        /// Root translation
+        pub transl: Frames<3> ["m"],
+        /// Root orientation, axis-angle
+        pub global_orient: Frames<3> ["rad"],
+        /// Joint rotations, axis-angle
+        pub body_pose: Frames<BODY_POSE_WIDTH> ["rad"],
+    }
+}
+
+impl FramesRow {
+    /// The motion.
+    ///
+    /// # Errors
+    /// The row's columns do not make a motion.
+    pub fn motion(self) -> Result<Motion, Error> {
+        let fps = Fps::new(self.fps.into())?;
+        Ok(Motion::new(
+            fps,
+            self.transl,
+            self.global_orient,
+            self.body_pose,
+        )?)
     }
 }
 

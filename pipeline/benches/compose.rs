@@ -18,7 +18,7 @@ use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
 use pipeline::annotation::masks::{MaskConfig, automatic_masks};
 use pipeline::compose::{
-    ComposeConfig, CoordinatorBatch, EditKind, Library, Paging, ReadOrder, Stream, WindowBatch,
+    ComposeConfig, CoordinatorBatch, EditKind, FrameCache, Library, ReadOrder, Stream, WindowBatch,
     WindowLoader,
 };
 use pipeline::ingest::{IngestOptions, ingest};
@@ -31,13 +31,8 @@ fn main() {
     divan::main();
 }
 
-/// Bytes for the motions: all of them are in memory.
-const IN_MEMORY: u64 = u64::MAX;
-/// Bytes for the motions: all of them are read from a file.
-const PAGED: u64 = 0;
-
 /// The built-in corpus, ingested, with its automatic masks and pairs of neighbouring clips.
-fn library(memory: u64) -> Arc<Library> {
+fn library() -> Arc<Library> {
     let dir = tempfile::tempdir().expect("a folder");
     let (corpus, out) = (dir.path().join("corpus"), dir.path().join("dataset"));
     let options = CorpusOptions {
@@ -97,16 +92,15 @@ fn library(memory: u64) -> Arc<Library> {
         ..Commit::default()
     };
     let dataset = transaction.commit(commit).expect("committed");
-    let paging = Paging {
-        memory,
+    let cache = FrameCache {
         folder: dir.path().join("frames"),
-        ..Paging::default()
+        ..FrameCache::default()
     };
-    Arc::new(Library::read(&dataset, Split::Train, &paging).expect("valid rows"))
+    Arc::new(Library::read(&dataset, Split::Train, &cache).expect("valid rows"))
 }
 
-fn stream(kind: EditKind, memory: u64) -> Stream {
-    let library = library(memory);
+fn stream(kind: EditKind) -> Stream {
+    let library = library();
     let config = ComposeConfig {
         kinds: vec![kind],
         ..ComposeConfig::default()
@@ -115,8 +109,8 @@ fn stream(kind: EditKind, memory: u64) -> Stream {
     Stream::new(library, config, Seed(0), &normalizer).expect("a stream")
 }
 
-fn fill(bencher: Bencher, kind: EditKind, memory: u64) {
-    let stream = stream(kind, memory);
+fn fill(bencher: Bencher, kind: EditKind) {
+    let stream = stream(kind);
     let count = BATCH.min(stream.epoch_len() as usize);
     let mut batch = WindowBatch::default();
     let mut epoch = 0;
@@ -127,19 +121,19 @@ fn fill(bencher: Bencher, kind: EditKind, memory: u64) {
     });
 }
 
-#[divan::bench(args = [IN_MEMORY, PAGED])]
-fn semantic_windows(bencher: Bencher, memory: u64) {
-    fill(bencher, EditKind::Semantic, memory);
+#[divan::bench]
+fn semantic_windows(bencher: Bencher) {
+    fill(bencher, EditKind::Semantic);
 }
 
-#[divan::bench(args = [IN_MEMORY, PAGED])]
-fn style_windows(bencher: Bencher, memory: u64) {
-    fill(bencher, EditKind::Style, memory);
+#[divan::bench]
+fn style_windows(bencher: Bencher) {
+    fill(bencher, EditKind::Style);
 }
 
-#[divan::bench(args = [IN_MEMORY, PAGED])]
-fn coordinator_windows(bencher: Bencher, memory: u64) {
-    let stream = stream(EditKind::Semantic, memory);
+#[divan::bench]
+fn coordinator_windows(bencher: Bencher) {
+    let stream = stream(EditKind::Semantic);
     let mut batch = CoordinatorBatch::default();
     let mut first = 0;
     bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
@@ -158,7 +152,7 @@ fn recorded(dir: &Path) -> Dataset {
     if let Some(root) = std::env::var_os("STANCE_BENCH_WINDOWS") {
         return Dataset::open(Path::new(&root)).expect("recorded windows");
     }
-    let stream = stream(EditKind::Semantic, IN_MEMORY);
+    let stream = stream(EditKind::Semantic);
     let mut rows = Vec::new();
     let recorded = stream.for_each_recorded(0..RECORDED, |row, _, _| rows.push(row));
     recorded.expect("in memory");

@@ -7,7 +7,7 @@
 //! cargo bench --bench hours -- loader DATASET 100000         # batches of 256 windows, nothing written
 //! ```
 //!
-//! `STANCE_MEMORY=0` has the motions read from a file, `STANCE_MEMORY=1TB` has all of them in memory.
+//! `STANCE_CACHE` names the folder of the frames.
 
 #![expect(clippy::print_stdout, reason = "the figures are its result")]
 
@@ -21,7 +21,7 @@ use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, MotionId, NoProgress, Seed, Split};
 use pipeline::annotation::masks::{MaskConfig, automatic_masks};
-use pipeline::compose::{ComposeConfig, Paging, WindowBatch};
+use pipeline::compose::{ComposeConfig, WindowBatch};
 use pipeline::ingest::{IngestOptions, ingest};
 use pipeline::recording;
 use pipeline::stage::{self, Context};
@@ -39,7 +39,6 @@ fn main() -> Result<(), Failure> {
         .filter(|arg| arg != "--bench")
         .collect();
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
-    Paging::from_environment(|name| std::env::var_os(name))?.set_for_process();
     match args[..] {
         ["make", dataset, hours, fps] => make(Path::new(dataset), hours.parse()?, fps.parse()?),
         ["windows", dataset, out, count] => {

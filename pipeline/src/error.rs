@@ -20,6 +20,15 @@ pub enum Error {
         /// The split asked for.
         split: datasets_spec::Split,
     },
+    /// Recorded windows of several lengths.
+    #[error(
+        "the windows recorded in {} are of several lengths; record them again: stance triplets DATASET --windows N --out FOLDER",
+        path.display()
+    )]
+    UnequalWindows {
+        /// The dataset.
+        path: PathBuf,
+    },
     /// A dataset has no such clip.
     #[error("no clip {id:?} in {}", path.display())]
     NoClip {

@@ -10,24 +10,27 @@ use std::sync::Arc;
 use datasets_spec::dataset::{Commit, Transaction, commit_rows, table_facts};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow, MaskRow, MotionRow, PairRow};
-use datasets_spec::table::{Row, read_column};
+use datasets_spec::table::{Row, ShardReader, read_column};
 use datasets_spec::{Dataset, Fps, MotionId, Progress, Resample, Seed, Skeleton, Split};
 use kinematics::normalise::Normalizer;
 use serde::{Deserialize, Serialize};
 use tables::Condition;
 
 use crate::Error;
-use crate::annotation::masks::{MaskConfig, automatic_masks};
+use crate::annotation::masks::{self, MaskConfig};
 use crate::annotation::pairs::{
     self, LabelledClip, PairConfig, PairList, RefusedLine, is_from_labels, style_pairs,
 };
 use crate::annotation::variants::Candidates;
 use crate::catalogue::other_than_motions;
 use crate::compose::{
-    ComposeConfig, ItemConfig, ItemCount, Library, Paging, Shown, Stream, draw_items,
+    self, ComposeConfig, FrameCache, ItemConfig, ItemCount, Library, Shown, Stream, draw_items,
 };
 use crate::ingest::{IngestOptions, SplitBy};
 use crate::work::Quarantine;
+
+/// Clips whose frames are in memory while masks are made.
+const CLIPS_AT_ONCE: usize = 256;
 
 /// Tables that composed edits depend on.
 pub const COMPOSED: [&str; 3] = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE];
@@ -208,9 +211,23 @@ pub fn masks(
         }
         Judged::Keep | Judged::Refuse | Judged::Replace | Judged::Add => {}
     }
-    let motions: Vec<MotionRow> = dataset.read(None)?;
-    context.progress.begin("masks", Some(motions.len() as u64));
+    let num_clips = dataset.manifest().rows(MotionRow::TABLE, None);
+    context.progress.begin("masks", Some(num_clips));
     let skeleton = dataset.skeleton()?;
+    let (mut motions, mut activities) = (Vec::new(), Vec::new());
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let shard = ShardReader::open(&path)?;
+        for first in (0..shard.num_rows()).step_by(CLIPS_AT_ONCE) {
+            let places: Vec<usize> = (first..first + CLIPS_AT_ONCE).collect();
+            let mut clips: Vec<MotionRow> = shard.rows_at(&places)?;
+            activities.extend(masks::activities(&clips, &skeleton, config)?);
+            for clip in &mut clips {
+                clip.forget_frames();
+            }
+            context.progress.advance(clips.len() as u64);
+            motions.extend(clips);
+        }
+    }
     let mut rows: Vec<MaskRow> = present
         .into_iter()
         .filter(|mask| {
@@ -219,7 +236,7 @@ pub fn masks(
         })
         .collect();
     let masked: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
-    let automatic = automatic_masks(&motions, &skeleton, config)?;
+    let automatic = masks::masks_from(&motions, &activities, config)?;
     rows.extend(
         automatic
             .into_iter()
@@ -311,7 +328,7 @@ pub fn listed_pairs(
     Ok((dataset, made.refused))
 }
 
-/// The motions, masks and pairs of one split. [`Paging::of_process`] says how many motions are in memory.
+/// The motions, masks and pairs of one split. The environment names the folder of their frames ([`FrameCache`]).
 ///
 /// # Errors
 /// The split has neither masks nor pairs, or a table cannot be read.
@@ -323,7 +340,9 @@ pub fn library(dataset: &Dataset, split: Split) -> Result<Arc<Library>, Error> {
             split,
         });
     }
-    let library = Library::read(dataset, split, &Paging::of_process())?;
+    let cache = FrameCache::from_environment(|name| std::env::var_os(name));
+    let cache = cache.map_err(compose::Error::Environment)?;
+    let library = Library::read(dataset, split, &cache)?;
     Ok(Arc::new(library))
 }
 

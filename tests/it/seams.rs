@@ -421,7 +421,7 @@ fn windows_of_a_trained_editor_join() {
     for (run, diffusion) in [
         (
             "joined",
-            "prediction = \"residual\"\ngenerated_starts = 0.2\ncontact_weight = 0.05\n",
+            "prediction = \"gated\"\ngenerated_starts = 0.2\ncontact_weight = 0.05\n",
         ),
         (
             "apart",

@@ -659,8 +659,8 @@ fn training_is_the_same_without_the_fused_operations_and_on_burn_ndarray() {
     near(&fused, &ndarray, 3e-3);
     assert_ne!(fused, ndarray, "both are the same device");
     // Runs are the same files on both devices.
-    let went_on = train("fused", "26", &["--device", "ndarray"]);
-    let back = train("ndarray", "26", &[]);
+    let went_on = train("fused", "26", &["--extend", "--device", "ndarray"]);
+    let back = train("ndarray", "26", &["--extend"]);
     near(&went_on, &back, 3e-3);
 }
 

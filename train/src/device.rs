@@ -142,7 +142,10 @@ pub fn open(name: DeviceName, count: usize) -> Result<Vec<Device>, Error> {
     }
     .map_err(&fails)?;
     for device in &devices {
-        check(device).map_err(&fails)?;
+        if check(device).map_err(&fails)? == Products::Bf16 {
+            let problem = "computes products of single precision in bf16, of which 8 bits are right; do not train on it";
+            return Err(fails(problem.to_owned()));
+        }
     }
     Ok(devices)
 }
@@ -184,13 +187,80 @@ pub fn list() -> Vec<FoundDevice> {
     found
 }
 
+/// How a device computes matrix products of single precision. Cards round their factors where that is faster.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Products {
+    /// As they are.
+    Single,
+    /// With factors of 11 bits, as NVIDIA's tensor cores do.
+    Tf32,
+    /// With factors of 8 bits.
+    Bf16,
+}
+
+impl Products {
+    const ALL: [Self; 3] = [Self::Single, Self::Tf32, Self::Bf16];
+
+    /// Largest relative error of a factor, which hardware may round to nearest or cut off.
+    fn rounding(self) -> f64 {
+        match self {
+            Self::Single => 0.0,
+            Self::Tf32 => 2f64.powi(-10),
+            Self::Bf16 => 2f64.powi(-7),
+        }
+    }
+
+    /// Which of them a product `[M, N]` of `a` `[M, K]` and `b` `[K, N]` is: the first whose error bound holds for
+    /// all numbers. With factors off by `u` and sums in single precision a number is off by at most
+    /// `(2u + u^2 + K 2^-23) sum |a| |b|`.
+    ///
+    /// # Errors
+    /// It is none: the number that is farthest off.
+    fn of(found: &[f32], a: &[f32], b: &[f32], inner: usize) -> Result<Self, String> {
+        let columns = b.len() / inner;
+        let is_right = |kind: Self| {
+            let u = kind.rounding();
+            let share = 2.0 * u + u * u + inner as f64 * 2f64.powi(-23);
+            let mut wrong = Ok(());
+            for (index, found) in found.iter().enumerate() {
+                let (row, column) = (index / columns, index % columns);
+                let terms = (0..inner)
+                    .map(|k| f64::from(a[row * inner + k]) * f64::from(b[k * columns + column]));
+                let (right, most) = terms.fold((0.0, 0.0), |(sum, most), term: f64| {
+                    (sum + term, most + term.abs())
+                });
+                // Not-a-number compares as false.
+                let is_near = (f64::from(*found) - right).abs() <= share * most;
+                if !is_near && wrong.is_ok() {
+                    wrong = Err(wrong_number(
+                        "a matrix product",
+                        index,
+                        *found,
+                        right as f32,
+                    ));
+                }
+            }
+            wrong
+        };
+        if found.len() * inner != a.len() * columns {
+            return Err(wrong_count(
+                "a matrix product",
+                found.len(),
+                a.len() / inner * columns,
+            ));
+        }
+        let known = Self::ALL.into_iter().find(|kind| is_right(*kind).is_ok());
+        known.map_or_else(|| is_right(Self::Bf16).map(|()| Self::Bf16), Ok)
+    }
+}
+
 /// Tests a device on known numbers, in seconds: a sum, a product, a softmax, a gradient and a layer of a
 /// transformer, forwards and backwards. Backends and drivers have faults that give wrong numbers without an
-/// error; the README of this crate lists those that are known.
+/// error; the README of this crate lists those that are known. Returns how it computes products.
 ///
 /// # Errors
 /// A description of what is wrong.
-pub fn check(device: &Device) -> Result<(), String> {
+pub fn check(device: &Device) -> Result<Products, String> {
     let device = device.clone().inner();
     let ones: Vec<f32> = (1..=1000u16).map(f32::from).collect();
     let sum = Tensor::<1>::from_data(TensorData::new(ones, [1000]), &device).sum();
@@ -201,15 +271,9 @@ pub fn check(device: &Device) -> Result<(), String> {
         waves(&[40, 29], 0.71, &device),
     );
     let flex = Device::flex();
-    let product = |device: &Device| {
-        let (a, b) = (
-            waves(&[33, 40], 0.37, device),
-            waves(&[40, 29], 0.71, device),
-        );
-        read(a.matmul(b))
-    };
-    let found = read(a.clone().matmul(b));
-    compare("a matrix product", &found, &product(&flex), 1e-4)?;
+    let factors = [&a, &b].map(|factor| read(factor.clone()));
+    let product = read(a.clone().matmul(b));
+    let products = Products::of(&product, &factors[0], &factors[1], 40)?;
 
     let found = read(softmax(a.mul_scalar(8.0), 1));
     let rows: Vec<f32> = found.chunks_exact(40).map(|row| row.iter().sum()).collect();
@@ -223,11 +287,14 @@ pub fn check(device: &Device) -> Result<(), String> {
     let grad = weight.grad(&grads).ok_or("no gradient came back")?;
     compare("a gradient", &read(grad), &read(weight.inner()), 1e-6)?;
 
+    // Errors of rounded factors add up over the six products of a layer, and over as many of its gradient; a wrong
+    // kernel is off by about one.
+    let tolerance = 5e-3 + 16.0 * products.rounding() as f32;
     let (found, expected) = (layer(&device)?, layer(&flex)?);
     for ((what, found), (_, expected)) in found.iter().zip(&expected) {
-        compare(what, found, expected, 5e-3)?;
+        compare(what, found, expected, tolerance)?;
     }
-    Ok(())
+    Ok(products)
 }
 
 /// Numbers between -1 and 1 that do not repeat.
@@ -272,21 +339,25 @@ fn compare(what: &str, found: &[f32], expected: &[f32], tolerance: f32) -> Resul
         // Not-a-number compares as false.
         let is_equal = (found - expected).abs() <= tolerance * unit;
         if !is_equal {
-            return Err(format!(
-                "computes {what} wrongly: number {index} is {found}, and {expected} is right; do not \
-                 train on it (see \"Training on a GPU\" in train/README.md)"
-            ));
+            return Err(wrong_number(what, index, *found, *expected));
         }
     }
     if found.len() == expected.len() {
         Ok(())
     } else {
-        Err(format!(
-            "computes {what} wrongly: {} numbers in place of {}",
-            found.len(),
-            expected.len()
-        ))
+        Err(wrong_count(what, found.len(), expected.len()))
     }
+}
+
+fn wrong_number(what: &str, index: usize, found: f32, expected: f32) -> String {
+    format!(
+        "computes {what} wrongly: number {index} is {found}, and {expected} is right; do not train on it (see \
+         \"Training on a GPU\" in train/README.md)"
+    )
+}
+
+fn wrong_count(what: &str, found: usize, expected: usize) -> String {
+    format!("computes {what} wrongly: {found} numbers in place of {expected}")
 }
 
 /// What the features of this build reach. Errors say what is wrong with the device.
@@ -434,7 +505,58 @@ mod tests {
 
     #[test]
     fn the_processor_passes_the_test_of_devices() {
-        assert_eq!(check(&Device::flex()), Ok(()));
+        assert_eq!(check(&Device::flex()), Ok(Products::Single));
+    }
+
+    /// Devices that round factors are told from those that compute wrongly, and by how much they round.
+    #[test]
+    fn rounded_products_are_told_from_wrong_ones() {
+        const SHAPE: [usize; 3] = [33, 40, 29];
+        let [rows, inner, columns] = SHAPE;
+        let flex = Device::flex();
+        let a = read(waves(&[rows, inner], 0.37, &flex));
+        let b = read(waves(&[inner, columns], 0.71, &flex));
+        // The factors, each rounded by cutting off bits or to nearest, multiplied in single precision.
+        let product = |round: &dyn Fn(f32) -> f32| -> Vec<f32> {
+            let number = |index: usize| {
+                let (row, column) = (index / columns, index % columns);
+                (0..inner)
+                    .map(|k| round(a[row * inner + k]) * round(b[k * columns + column]))
+                    .sum()
+            };
+            (0..rows * columns).map(number).collect()
+        };
+        let cut = |bits: u32| move |x: f32| f32::from_bits(x.to_bits() & (u32::MAX << bits));
+        let nearest = |bits: u32| {
+            move |x: f32| {
+                let half = 1 << (bits - 1);
+                f32::from_bits((x.to_bits() + half) & (u32::MAX << bits))
+            }
+        };
+        let verdict = |found: &[f32]| Products::of(found, &a, &b, inner);
+        assert_eq!(verdict(&product(&|x| x)), Ok(Products::Single));
+        for bits in [13, 16] {
+            let kind = if bits == 13 {
+                Products::Tf32
+            } else {
+                Products::Bf16
+            };
+            assert_eq!(verdict(&product(&cut(bits))), Ok(kind));
+            assert_eq!(verdict(&product(&nearest(bits))), Ok(kind));
+        }
+        let right = product(&|x| x);
+        let transposed: Vec<f32> = (0..rows * columns)
+            .map(|index| right[index % rows * columns + index / rows])
+            .collect();
+        // A buffer that holds the product before the last block of columns was written.
+        let mut stale = right.clone();
+        stale[rows * columns - 1] = right[0];
+        for wrong in [transposed, stale, vec![0.0; rows * columns]] {
+            let problem = verdict(&wrong).expect_err("wrong");
+            assert!(problem.contains("a matrix product wrongly"), "{problem}");
+        }
+        let short = verdict(&right[1..]).expect_err("too few");
+        assert!(short.contains("956 numbers in place of 957"), "{short}");
     }
 
     #[test]

@@ -41,15 +41,6 @@ impl Schedule {
             Prediction::Noise => self.predict_x0(x_t.clone(), timesteps, predicted),
             Prediction::Clean => predicted,
             Prediction::Change => predicted + original.clone(),
-            Prediction::Velocity => {
-                let (signal, _) = self.mixture(timesteps);
-                let change_t = x_t.clone() - signal.times(original.clone());
-                original.clone() + self.from_velocity(change_t, timesteps, predicted)
-            }
-            Prediction::Residual => {
-                let (guess, spread) = basis.guess(x_t);
-                original.clone() + guess + predicted * spread
-            }
             Prediction::Gated => {
                 let (guess, spread) = basis.guess(x_t);
                 // In bones, the guess and the spread of a frame are as in points: both are the same for all
@@ -155,7 +146,7 @@ const BONE_UNIT: f64 = 0.1;
 pub struct Objective<'a> {
     /// Noise added to windows.
     pub schedule: &'a Schedule,
-    /// What a predicted residual is relative to; none of other predictions.
+    /// What gated predictions are relative to; none of other predictions.
     pub extrapolation: Option<&'a Extrapolation>,
     /// Prediction, losses and their weights.
     pub config: &'a DiffusionConfig,
@@ -221,14 +212,6 @@ impl Objective<'_> {
             (Prediction::Noise, _) => (predicted, noise),
             (Prediction::Clean, _) => (predicted, x0.clone()),
             (Prediction::Change, _) => (predicted, change()),
-            (Prediction::Velocity, _) => {
-                let velocity = schedule.velocity(change(), &batch.timesteps, noise);
-                (predicted, velocity)
-            }
-            (Prediction::Residual, _) => {
-                let (guess, spread) = basis.guess(&x_t);
-                (predicted, (change() - guess) / spread)
-            }
             (Prediction::Gated, clean) => {
                 let clean = clean.clone().expect("gates need it");
                 let (_, spread) = basis.guess(&x_t);
@@ -621,8 +604,7 @@ mod tests {
             for (prediction, predicted) in [
                 (Prediction::Noise, tensor(&noise)),
                 (Prediction::Clean, tensor(&x0)),
-                (Prediction::Change, change.clone()),
-                (Prediction::Velocity, schedule.velocity(change.clone(), &[t], tensor(&noise))),
+                (Prediction::Change, change),
             ] {
                 let basis = Basis::new(tensor(&original), &[false], None);
                 let back = schedule.clean_of(prediction, predicted, &x_t, &basis, &[t]);

@@ -253,8 +253,6 @@ impl Basis {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Prediction, ScheduleName};
-    use crate::schedule::Schedule;
 
     fn values(tensor: Tensor<3>) -> Vec<f32> {
         tensor.into_data().try_into_vec_as().expect("floats")
@@ -306,11 +304,10 @@ mod tests {
                 &Device::flex(),
             )
         };
-        let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
         let x0 = windows(&edited);
-        let nothing = x0.zeros_like();
         let basis = Basis::new(windows(&original), &[false; 64], Some(&fitted));
-        let back = schedule.clean_of(Prediction::Residual, nothing, &x0, &basis, &[0; 64]);
+        let (guess, _) = basis.guess(&x0);
+        let back = windows(&original) + guess;
         for (a, b) in edited.iter().zip(values(back)) {
             // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
             assert!((a - b).abs() < 0.02, "{a} {b}");

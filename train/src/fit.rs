@@ -65,7 +65,7 @@ pub struct EditorRecord {
     pub text: TextRecord,
     /// How the windows were composed.
     pub compose: ComposeRecord,
-    /// What a predicted residual is relative to; none of other predictions.
+    /// What gated predictions are relative to; none of other predictions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub extrapolation: Option<Extrapolation>,
 }
@@ -84,8 +84,7 @@ impl EditorRecord {
             return Err(Error::Config {
                 field: "extrapolation",
                 problem:
-                    "a residual is relative to one of the model's window, other predictions to \
-                          none"
+                    "gated predictions are relative to one of the model's window, others to none"
                         .to_owned(),
             });
         }

@@ -179,25 +179,6 @@ impl Schedule {
         of_x.times(x_t) - of_eps.times(eps)
     }
 
-    /// The velocity of clean numbers and noise: `sqrt(a) noise - sqrt(1 - a) x0`.
-    ///
-    /// # Shapes
-    /// As [`Schedule::q_sample`].
-    pub fn velocity(&self, x0: Tensor<3>, timesteps: &[usize], noise: Tensor<3>) -> Tensor<3> {
-        let (signal, spread) = self.mixture(timesteps);
-        signal.times(noise) - spread.times(x0)
-    }
-
-    /// The clean numbers that noisy ones and their velocity imply; the inverse of
-    /// [`Schedule::velocity`].
-    ///
-    /// # Shapes
-    /// As [`Schedule::q_sample`].
-    pub fn from_velocity(&self, x_t: Tensor<3>, timesteps: &[usize], v: Tensor<3>) -> Tensor<3> {
-        let (signal, spread) = self.mixture(timesteps);
-        signal.times(x_t) - spread.times(v)
-    }
-
     /// Weights of signal and noise in noisy windows.
     pub(crate) fn mixture(&self, timesteps: &[usize]) -> (Column, Column) {
         (

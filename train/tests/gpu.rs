@@ -12,7 +12,7 @@ use burn::tensor::Device;
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{NoProgress, Progress, Seed, Skeleton};
 use support::{Data, on, settings, train};
-use train::device::{Adapter, DeviceName, check, list, open};
+use train::device::{Adapter, DeviceName, Products, check, list, open};
 use train::metrics::{self, Curves};
 use train::mld::{Base, Generator, LatentNoise};
 use train::registry::open_system;
@@ -119,7 +119,7 @@ fn check_motions(network: &str) {
 /// Everything in one test: a process opens the device once, and its kernels are compiled once.
 #[test]
 fn every_network_trains_and_samples_as_on_the_processor() {
-    assert_eq!(check(&DEVICE), Ok(()));
+    assert_eq!(check(&DEVICE), Ok(Products::Single));
     let listed = list();
     assert!(
         listed.iter().any(|device| device.name == NAME.to_string()),

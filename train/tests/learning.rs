@@ -468,7 +468,7 @@ fn gates_are_learned_and_loaded_and_never_exported_in_part() {
     assert!(found.contains("gate"), "{found}");
     let told = tempfile::tempdir().expect("a folder");
     let mut config = small_config(1);
-    config.diffusion.prediction = Prediction::Residual;
+    config.diffusion.prediction = Prediction::Change;
     config.diffusion.noise = NoiseKind::White;
     config.diffusion.tell_frames = true;
     train(told.path(), &config, &Waves { items: 16 });

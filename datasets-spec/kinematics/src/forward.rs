@@ -72,14 +72,6 @@ impl Skeleton {
         keypoints_of(self, poses)
     }
 
-    /// Computes the local rotations and keypoints of all frames of a motion, and writes them to one sink a frame.
-    ///
-    /// # Panics
-    /// If there are not as many frames as sinks.
-    pub fn place_motion<S: FrameSink>(&self, motion: &Motion, out: &mut [S]) {
-        placed(self, motion.columns(0..motion.len()), FrameParts::ALL, out);
-    }
-
     /// Computes the requested parts of stored frames, and writes them to one sink a frame.
     ///
     /// # Panics
@@ -364,9 +356,6 @@ mod tests {
                 points: points.map(|point| Some(point.as_vec3().to_array())),
             })
             .collect();
-        let mut written = vec![NOTHING; motion.len()];
-        skeleton.place_motion(&motion, &mut written);
-        assert_eq!(written, expected);
         for (points, one) in [(true, false), (false, true), (true, true)] {
             let parts = FrameParts {
                 rotations: std::array::from_fn(|joint| one && joint % 3 == 1),

@@ -2,7 +2,6 @@
 
 mod cell;
 mod chunks;
-mod pages;
 mod shard;
 
 use std::sync::Arc;
@@ -15,7 +14,6 @@ use serde::{Deserialize, Serialize};
 use crate::{Error, MotionId};
 
 pub use cell::Cell;
-pub use pages::{ClipReader, FramePages};
 pub use shard::{
     ColumnDescription, RowWriter, ShardDescription, ShardReader, describe, read_column, read_rows,
     read_rows_on, write_rows,

@@ -3,7 +3,6 @@
 use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use arrow_schema::{DataType, Schema};
 use bytes::Bytes;
@@ -182,7 +181,7 @@ fn options() -> ArrowReaderOptions {
 }
 
 /// Refuses files of a newer major version; an older reader would misread them.
-pub(super) fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Result<(), Error> {
+fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Result<(), Error> {
     let found = metadata
         .metadata()
         .file_metadata()
@@ -258,14 +257,13 @@ impl ShardReader {
     /// # Errors
     /// The file cannot be read or holds something else.
     pub fn rows<R: Row>(&self) -> Result<Vec<R>, Error> {
-        let names: Vec<&str> = R::columns().iter().map(|column| column.name).collect();
-        let mask = ProjectionMask::columns(self.metadata.parquet_schema(), names);
+        let mask = self.columns_of::<R>();
         let file = self.ahead(&mask, None)?;
         read_selected(&self.path, file, self.metadata.clone(), None, mask)
     }
 
-    /// Reads the rows at the given places, in file order; places after the end are ignored. Only their
-    /// pages are read and decoded.
+    /// Reads the rows at the given places, in file order; places after the end are ignored. Of a table's columns only
+    /// the pages of these rows are read and decoded, from a distant file by one request.
     ///
     /// # Errors
     /// The file cannot be read or holds something else.
@@ -274,11 +272,12 @@ impl ShardReader {
         let mut wanted: Vec<usize> = rows.iter().copied().filter(|&row| row < total).collect();
         wanted.sort_unstable();
         wanted.dedup();
-        let file = self.ahead(&ProjectionMask::all(), Some(&wanted))?;
+        let mask = self.columns_of::<R>();
+        let file = self.ahead(&mask, Some(&wanted))?;
         let ranges = wanted.into_iter().map(|row| row..row + 1);
         let selection = RowSelection::from_consecutive_ranges(ranges, total);
-        let (metadata, all) = (self.metadata.clone(), ProjectionMask::all());
-        read_selected(&self.path, file, metadata, Some(selection), all)
+        let metadata = self.metadata.clone();
+        read_selected(&self.path, file, metadata, Some(selection), mask)
     }
 
     /// Reads one column of all rows. No other column is read from the disk.
@@ -333,16 +332,10 @@ impl ShardReader {
         facts.collect()
     }
 
-    pub(super) fn path(&self) -> &Path {
-        &self.path
-    }
-
-    pub(super) fn file(&self) -> &Chunks {
-        &self.file
-    }
-
-    pub(super) fn metadata(&self) -> &Arc<ParquetMetaData> {
-        self.metadata.metadata()
+    fn columns_of<R: Row>(&self) -> ProjectionMask {
+        let columns = R::columns();
+        let names = columns.iter().map(|column| column.name);
+        ProjectionMask::columns(self.metadata.parquet_schema(), names)
     }
 
     /// The file, with what a reader of these columns and sorted rows needs read ahead if it is distant.

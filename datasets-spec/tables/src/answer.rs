@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use arrow_array::{ArrayRef, RecordBatch, RecordBatchOptions};
-use arrow_schema::{Field, Schema};
+use arrow_schema::Schema;
 use parquet::arrow::ArrowWriter;
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::file::properties::WriterProperties;
@@ -12,7 +12,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Number, Value};
 
 use crate::Error;
-use crate::arrays::arrow_array;
+use crate::arrays::{arrow_array, field};
 use crate::scan::PLACE;
 
 /// The rows that answer a query.
@@ -84,11 +84,7 @@ impl Answer {
         let mut arrays: Vec<ArrayRef> = Vec::new();
         for column in self.frame.columns() {
             let array = arrow_array(column.as_materialized_series()).map_err(Error::Parquet)?;
-            fields.push(Field::new(
-                column.name().as_str(),
-                array.data_type().clone(),
-                true,
-            ));
+            fields.push(field(column.name().as_str(), &array));
             arrays.push(array);
         }
         let options = RecordBatchOptions::new().with_row_count(Some(self.len()));

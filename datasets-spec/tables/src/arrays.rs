@@ -158,14 +158,14 @@ pub(crate) fn arrow_array(series: &pl::Series) -> Result<ArrayRef, String> {
             let offsets = OffsetBuffer::<i32>::from_lengths(lengths);
             let values = series.explode(EXPLODED).map_err(fails)?;
             let values = arrow_array(&values)?;
-            let item = Arc::new(Field::new("item", values.data_type().clone(), true));
+            let item = item(&values);
             let nulls = nulls(&series);
             Arc::new(ListArray::try_new(item, offsets, values, nulls).map_err(|e| e.to_string())?)
         }
         pl::DataType::Array(_, width) => {
             let values = series.explode(EXPLODED).map_err(fails)?;
             let values = arrow_array(&values)?;
-            let item = Arc::new(Field::new("item", values.data_type().clone(), true));
+            let item = item(&values);
             let width = i32::try_from(*width).unwrap_or(i32::MAX);
             let made = FixedSizeListArray::try_new(item, width, values, nulls(&series));
             Arc::new(made.map_err(|error| error.to_string())?)
@@ -178,10 +178,8 @@ pub(crate) fn arrow_array(series: &pl::Series) -> Result<ArrayRef, String> {
                 .iter()
                 .map(|field| Ok((field.name().to_string(), arrow_array(field)?)))
                 .collect::<Result<_, String>>()?;
-            let field = |(name, column): &(String, ArrayRef)| {
-                Field::new(name, column.data_type().clone(), true)
-            };
-            let fields: Fields = columns.iter().map(field).collect();
+            let fields = columns.iter().map(|(name, column)| field(name, column));
+            let fields: Fields = fields.collect();
             let columns = columns.into_iter().map(|(_, column)| column).collect();
             let made = StructArray::try_new(fields, columns, nulls(&series));
             Arc::new(made.map_err(|error| error.to_string())?)
@@ -194,6 +192,15 @@ pub(crate) fn arrow_array(series: &pl::Series) -> Result<ArrayRef, String> {
         }
         _ => arrow_array(&series.cast(&pl::DataType::String).map_err(fails)?)?,
     })
+}
+
+/// A field of a column: one without missing values takes none, as in the tables.
+pub(crate) fn field(name: &str, column: &ArrayRef) -> Field {
+    Field::new(name, column.data_type().clone(), column.null_count() > 0)
+}
+
+fn item(values: &ArrayRef) -> Arc<Field> {
+    Arc::new(field("item", values))
 }
 
 /// Items of lists, without any in place of empty or missing ones.

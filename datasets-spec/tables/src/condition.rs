@@ -3,14 +3,14 @@
 use std::collections::BTreeSet;
 use std::str::FromStr;
 
-use datasets_spec::record::MotionRow;
+use datasets_spec::record::{MotionRow, all_tables};
 use datasets_spec::table::{Row as _, read_column};
 use datasets_spec::{Dataset, MotionId};
 
+use crate::Error;
 use crate::rewrite::{Names, check_columns, rewrite_condition};
 use crate::scan::PLACE;
 use crate::tables::{Tables, shortened};
-use crate::{Error, known};
 
 /// A condition on the clips of a dataset: an expression of SQL over the columns of the table of motions. It may ask the
 /// other tables too, as in `id IN (SELECT motion_id FROM masks WHERE author = 'anna')`.
@@ -29,7 +29,7 @@ impl FromStr for Condition {
             problem,
         };
         let mut names = Names::default();
-        for (table, columns) in known::tables() {
+        for (table, columns) in all_tables() {
             names.add(None, table, table, &columns);
         }
         let sql = rewrite_condition(text, &names).map_err(fails)?;

@@ -24,7 +24,6 @@ mod answer;
 mod arrays;
 mod condition;
 mod derived;
-mod known;
 mod rewrite;
 mod scan;
 mod tables;

@@ -9,9 +9,9 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Column, Row as _};
 use polars::prelude::PolarsError;
 use sqlparser::ast::{
-    Expr, Function, FunctionArg, FunctionArgExpr, FunctionArguments, Ident, ObjectName, Query,
-    Select, SelectItem, Statement, TableFactor, Value, ValueWithSpan, Visit, VisitMut, Visitor,
-    VisitorMut,
+    CastKind, DataType as SqlType, Expr, Function, FunctionArg, FunctionArgExpr, FunctionArguments,
+    Ident, ObjectName, Query, Select, SelectItem, Statement, TableFactor, Value, ValueWithSpan,
+    Visit, VisitMut, Visitor, VisitorMut,
 };
 use sqlparser::dialect::GenericDialect;
 use sqlparser::parser::{Parser, ParserOptions};
@@ -233,6 +233,18 @@ impl VisitorMut for Rewriting<'_> {
         ControlFlow::Continue(())
     }
 
+    /// Polars takes a number without a point for an integer of 64 bits.
+    fn pre_visit_value(&mut self, value: &mut ValueWithSpan) -> ControlFlow<String> {
+        if let Value::Number(number, _) = &mut value.value
+            && !number.contains('.')
+            && number.parse::<i64>().is_err()
+        {
+            let end = number.find(['e', 'E']).unwrap_or(number.len());
+            number.insert_str(end, ".0");
+        }
+        ControlFlow::Continue(())
+    }
+
     fn post_visit_expr(&mut self, expr: &mut Expr) -> ControlFlow<String> {
         let made = match expr {
             Expr::Like {
@@ -278,6 +290,15 @@ impl VisitorMut for Rewriting<'_> {
                 .list(inner)
                 .map(|list| format!("array_length({list}) > 0"))),
             Expr::Function(function) => Ok(self.length(function)),
+            Expr::Cast {
+                kind: CastKind::Cast | CastKind::DoubleColon,
+                expr,
+                data_type: SqlType::Date,
+                ..
+            } => Ok(date(expr)),
+            Expr::TypedString(typed) if typed.data_type == SqlType::Date => {
+                Ok(Some(format!("DATE({})", typed.value)))
+            }
             _ => Ok(None),
         };
         match made.and_then(|made| made.map(|made| parsed(&made)).transpose()) {
@@ -364,6 +385,15 @@ impl Rewriting<'_> {
             None => format!("char_length({of})"),
         })
     }
+}
+
+/// The date that a text says. A cast does the same, with a warning by polars that it soon will not.
+fn date(text: &Expr) -> Option<String> {
+    let is_text = match text {
+        Expr::Identifier(_) | Expr::CompoundIdentifier(_) => true,
+        text => text_of(text).is_some(),
+    };
+    is_text.then(|| format!("DATE({text})"))
 }
 
 /// Whether a function is one of texts in a list.

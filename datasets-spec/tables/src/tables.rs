@@ -1,13 +1,13 @@
 //! Queries over the tables of datasets.
 
 use datasets_spec::Dataset;
-use datasets_spec::record::MotionRow;
+use datasets_spec::record::{MotionRow, all_tables};
 use datasets_spec::table::Row as _;
 use polars::sql::SQLContext;
 
 use crate::rewrite::{Names, problem_of, rewrite_query};
 use crate::scan::Scan;
-use crate::{Answer, Error, known};
+use crate::{Answer, Error};
 
 /// The tables of one dataset by their names, or of several as `NAME.TABLE`.
 pub struct Tables {
@@ -68,7 +68,7 @@ impl Tables {
         dataset: &Dataset,
         with_places: bool,
     ) -> Result<(), Error> {
-        for (table, columns) in known::tables() {
+        for (table, columns) in all_tables() {
             let fails = |problem: String| Error::Sql {
                 text: table.to_owned(),
                 problem,

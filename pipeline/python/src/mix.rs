@@ -6,7 +6,7 @@ use std::sync::Arc;
 use datasets_spec::{Dataset, Seed, Skeleton, Split};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
-use pipeline::compose::{ComposeConfig, Paging, Stream, WindowBatch};
+use pipeline::compose::{ComposeConfig, Stream, WindowBatch};
 use pipeline::stage;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -53,8 +53,6 @@ impl Mix {
             .transpose()
             .map_err(Failure::from)?;
         let split: Split = split.parse().map_err(Failure::from)?;
-        let paging = Paging::from_environment(|name| std::env::var_os(name));
-        paging.map_err(Failure::new)?.set_for_process();
         work::long(py, false, |_| {
             let dataset = Dataset::open(&path)?;
             let skeleton = Arc::new(dataset.skeleton()?);

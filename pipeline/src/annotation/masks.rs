@@ -125,29 +125,53 @@ pub fn automatic_masks(
     skeleton: &Skeleton,
     config: &MaskConfig,
 ) -> Result<Vec<MaskRow>, Error> {
+    masks_from(motions, &activities(motions, skeleton, config)?, config)
+}
+
+/// How much each region of the body moves in a clip, in m/s.
+pub(crate) type Activity = [f64; Region::ALL.len()];
+
+/// The activities of clips.
+///
+/// # Errors
+/// A setting is out of range, or a row is not usable.
+pub(crate) fn activities(
+    motions: &[MotionRow],
+    skeleton: &Skeleton,
+    config: &MaskConfig,
+) -> Result<Vec<Activity>, Error> {
     config.check()?;
-    let activities: Vec<[f64; Region::ALL.len()]> = motions
-        .par_iter()
-        .map(|row| {
-            let motion = motion_on(row, skeleton)?;
-            Ok(activity(&motion, skeleton, config.frame_quantile))
-        })
-        .collect::<Result<_, Error>>()?;
-    let train: Vec<[f64; Region::ALL.len()]> = motions
+    let of = |row: &MotionRow| {
+        let motion = motion_on(row, skeleton)?;
+        Ok(activity(&motion, skeleton, config.frame_quantile))
+    };
+    motions.par_iter().map(of).collect()
+}
+
+/// [`automatic_masks`] of clips whose activities are known; their frames are not looked at.
+///
+/// # Errors
+/// No motion is of the training split, or the captions of a row are not usable.
+pub(crate) fn masks_from(
+    motions: &[MotionRow],
+    activities: &[Activity],
+    config: &MaskConfig,
+) -> Result<Vec<MaskRow>, Error> {
+    let train: Vec<Activity> = motions
         .iter()
-        .zip(&activities)
+        .zip(activities)
         .filter(|(row, _)| row.split == Split::Train)
         .map(|(_, activity)| *activity)
         .collect();
     if train.is_empty() {
         return Err(Error::NoTrainMotions);
     }
-    let reference: [f64; Region::ALL.len()] = std::array::from_fn(|region| {
+    let reference: Activity = std::array::from_fn(|region| {
         let mut all: Vec<f64> = train.iter().map(|activity| activity[region]).collect();
         quantile(&mut all, config.clip_quantile).unwrap_or(0.0)
     });
     let mut masks = Vec::new();
-    for (row, activity) in motions.iter().zip(&activities) {
+    for (row, activity) in motions.iter().zip(activities) {
         let active: BTreeSet<Region> = Region::ALL
             .into_iter()
             .filter(|&region| {
@@ -162,7 +186,7 @@ pub fn automatic_masks(
 }
 
 /// Activity of each region: the quantile `frame_quantile` over the frames of its mean joint speed in m/s.
-fn activity(motion: &Motion, skeleton: &Skeleton, frame_quantile: f64) -> [f64; Region::ALL.len()] {
+fn activity(motion: &Motion, skeleton: &Skeleton, frame_quantile: f64) -> Activity {
     let carried: Vec<[DVec3; 22]> = motion
         .poses()
         .into_iter()

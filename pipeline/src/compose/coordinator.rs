@@ -44,7 +44,7 @@ impl Stream {
     /// odd one blends a body part of one segment into another segment of a different source clip. All draws derive from seed, epoch and item.
     ///
     /// # Errors
-    /// The motions are not in memory and cannot be read.
+    /// The motions cannot be read.
     ///
     /// # Panics
     /// If [`Stream::check_coordinator`] fails.

@@ -127,6 +127,9 @@ pub enum Error {
     /// A file of the dataset cannot be read.
     #[error(transparent)]
     Spec(#[from] datasets_spec::Error),
+    /// A variable of the environment cannot be read.
+    #[error("{0}")]
+    Environment(String),
     /// A file of frames changed after it was written.
     #[error("{} is damaged: {problem}; remove it, and it is made again", path.display())]
     Frames {
@@ -135,9 +138,9 @@ pub enum Error {
         /// What was found.
         problem: &'static str,
     },
-    /// The frames of motions that do not fit in memory cannot be written to the disk.
+    /// The frames of motions cannot be written to the disk.
     #[error(
-        "cannot write {:.1} GB of frames to {}; free as much, name another folder in STANCE_CACHE, or raise STANCE_MEMORY",
+        "cannot write {:.1} GB of frames to {}; free as much, or name another folder in STANCE_CACHE",
         *bytes as f64 / 1e9,
         path.display()
     )]

@@ -430,7 +430,7 @@ impl Drawer<'_> {
             .map(|novelty| novelty.as_str().to_owned());
         row.source_id = source.id.clone();
         row.target_id = target.id.clone();
-        row.set_motions(&*source.motion()?, Some(&*target.motion()?), None);
+        row.set_motions(&source.motion()?, Some(&target.motion()?), None);
         row.id = row.content_id();
         Ok(row)
     }

@@ -1,128 +1,140 @@
 //! Recorded training windows, read in recorded or shuffled order.
 
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
 use datasets_spec::record::WindowRow;
-use datasets_spec::table::{FramePages, Row, read_column};
+use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, Seed, Split};
+use kinematics::normalise::FRAME_WIDTH;
 use rayon::prelude::*;
 
 use super::WindowBatch;
 use super::draw::Shuffle;
 use crate::Error;
 
-/// Pages that are shuffled together: a batch of 1,024 windows.
-const MIXED_PAGES: usize = 16;
+/// Blocks that are shuffled together: a batch of 1,024 windows.
+const MIXED_BLOCKS: usize = 16;
+/// Groups of blocks that are held: a batch may lie in two.
+const HELD_GROUPS: usize = 2;
+
+datasets_spec::table! {
+    /// The numbers of a recorded window.
+    pub struct WindowFrames = "windows" {
+        /// Window of the original, frame by frame, in model units
+        pub original: Vec<[f32; FRAME_WIDTH]> [""],
+        /// Window of the edited motion, frame by frame, in model units
+        pub edited: Vec<[f32; FRAME_WIDTH]> [""],
+    }
+}
+
+datasets_spec::table! {
+    /// What a recorded window says beside its numbers.
+    pub struct WindowWords = "windows" {
+        /// Where the window starts in the motion its instruction speaks of, as a share of its length
+        pub progress: f32 [""],
+        /// What turns the original into the edited window
+        pub instruction: String [""],
+    }
+}
 
 /// Order in which recorded windows are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReadOrder {
     /// As they were recorded.
     Sequential,
-    /// Pages shuffled over all files for each epoch, and windows shuffled within every 16 pages. The recorded
-    /// stream is shuffled itself, so windows of a page are unrelated.
+    /// Blocks shuffled over all files for each epoch, and windows shuffled within every 16 blocks. The recorded
+    /// stream is shuffled itself, so windows of a block are unrelated.
     Shuffled(Seed),
 }
 
 /// The windows of a dataset of table `windows`. Item `i` of an epoch does not depend on earlier reads. Only
-/// instructions and the requested windows are in memory.
+/// instructions and the windows of two groups of blocks are in memory.
 #[derive(Debug)]
 pub struct WindowLoader {
-    files: Vec<FramePages>,
-    pages: Vec<PageRef>,
-    /// Windows before each page, in recorded order.
-    first_rows: Vec<u64>,
-    num_windows: u64,
+    root: PathBuf,
+    files: Vec<ShardReader>,
+    blocks: Vec<Block>,
     progress: Vec<f32>,
     /// Distinct instructions, and the index of each window's instruction.
     instructions: Vec<String>,
     instruction_of: Vec<u32>,
     window: usize,
     order: ReadOrder,
+    held: Mutex<Vec<Arc<Group>>>,
 }
 
+/// Windows that lie beside each other in a file.
 #[derive(Clone, Copy, Debug)]
-struct PageRef {
+struct Block {
     file: usize,
-    page: usize,
+    /// Its first window in the file and of all windows.
+    first: [usize; 2],
     num_rows: usize,
 }
 
-/// Rows of a page, and their destinations.
-type Room<'a> = Vec<(usize, &'a mut [f32])>;
-
-/// Destinations of a page's windows.
-struct Placed {
-    page: usize,
-    /// Row of the page and place in the batch.
-    rows: Vec<(usize, usize)>,
+/// The windows of blocks that are shuffled together.
+#[derive(Debug)]
+struct Group {
+    epoch: u64,
+    index: usize,
+    blocks: Vec<Vec<WindowFrames>>,
 }
 
 impl WindowLoader {
     /// Opens the windows of a split.
     ///
     /// # Errors
-    /// The dataset cannot be read or has no windows in the split.
+    /// The dataset cannot be read, or has no windows in the split or windows of several lengths.
     pub fn open(dataset: &Dataset, split: Split, order: ReadOrder) -> Result<Self, Error> {
-        let mut files = Vec::new();
-        let mut pages = Vec::new();
-        let mut first_rows = Vec::new();
-        let mut num_windows = 0;
-        let mut known = std::collections::BTreeMap::new();
         let mut loader = Self {
+            root: dataset.root().to_owned(),
             files: Vec::new(),
-            pages: Vec::new(),
-            first_rows: Vec::new(),
-            num_windows: 0,
+            blocks: Vec::new(),
             progress: Vec::new(),
             instructions: Vec::new(),
             instruction_of: Vec::new(),
             window: 0,
             order,
+            held: Mutex::default(),
         };
+        let mut known = std::collections::BTreeMap::new();
         for (path, _) in dataset.files(WindowRow::TABLE, Some(split)) {
-            let file = FramePages::open(&path, &["original", "edited"])?;
-            for (page, num_rows) in file.rows_of_pages().enumerate() {
-                pages.push(PageRef {
-                    file: files.len(),
-                    page,
-                    num_rows,
-                });
-                first_rows.push(num_windows);
-                num_windows += num_rows as u64;
-            }
-            files.push(file);
-            loader.window = files.last().map_or(Ok(0), |file| file.row_len(0))?;
-            for text in read_column::<WindowRow, String>(&path, "instruction")? {
+            let file = ShardReader::open(&path)?;
+            let num_rows = file.num_rows();
+            let block = |first: usize| Block {
+                file: loader.files.len(),
+                first: [first, loader.progress.len() + first],
+                num_rows: WindowRow::PAGE_ROWS.min(num_rows - first),
+            };
+            let firsts = (0..num_rows).step_by(WindowRow::PAGE_ROWS);
+            loader.blocks.extend(firsts.map(block));
+            for words in file.rows::<WindowWords>()? {
                 let next = known.len() as u32;
-                loader
-                    .instruction_of
-                    .push(*known.entry(text).or_insert(next));
+                let instruction = *known.entry(words.instruction).or_insert(next);
+                loader.instruction_of.push(instruction);
+                loader.progress.push(words.progress);
             }
-            let progress = read_column::<WindowRow, f32>(&path, "progress")?;
-            loader.progress.extend(progress);
+            loader.files.push(file);
         }
-        let mut instructions = vec![String::new(); known.len()];
-        for (text, index) in known {
-            instructions[index as usize] = text;
-        }
-        if num_windows == 0 || num_windows != loader.progress.len() as u64 {
+        let Some(first) = loader.blocks.first() else {
             return Err(Error::NoWindows {
-                path: dataset.root().to_owned(),
+                path: loader.root,
                 split,
             });
+        };
+        let first: Vec<WindowFrames> = loader.files[first.file].rows_at(&[0])?;
+        loader.window = first.iter().map(|row| row.edited.len()).sum::<usize>() * FRAME_WIDTH;
+        loader.instructions.resize(known.len(), String::new());
+        for (text, index) in known {
+            loader.instructions[index as usize] = text;
         }
-        Ok(Self {
-            files,
-            pages,
-            first_rows,
-            num_windows,
-            instructions,
-            ..loader
-        })
+        Ok(loader)
     }
 
     /// Windows of an epoch.
     pub fn epoch_len(&self) -> u64 {
-        self.num_windows
+        self.progress.len() as u64
     }
 
     /// Numbers of a window.
@@ -138,7 +150,7 @@ impl WindowLoader {
     /// Reads the items `first_item..first_item + num_items` of an epoch.
     ///
     /// # Errors
-    /// A page cannot be read.
+    /// A file cannot be read, or a window is of another length than the first.
     ///
     /// # Panics
     /// If the items are not all in the epoch.
@@ -149,97 +161,40 @@ impl WindowLoader {
         num_items: usize,
         batch: &mut WindowBatch,
     ) -> Result<(), Error> {
-        let end = first_item.saturating_add(num_items as u64);
+        let wanted = first_item..first_item.saturating_add(num_items as u64);
         assert!(
-            end <= self.num_windows,
-            "items {first_item}..{end} of an epoch of {}",
-            self.num_windows
+            wanted.end <= self.epoch_len(),
+            "items {wanted:?} of an epoch of {}",
+            self.epoch_len()
         );
         batch.resize(num_items, self.window);
-        let placed = self.places(epoch, first_item, num_items);
-        for page in &placed {
-            let first = self.first_rows[page.page] as usize;
-            for &(row, place) in &page.rows {
-                batch.progress[place] = self.progress[first + row];
-                let text = &self.instructions[self.instruction_of[first + row] as usize];
-                batch.instructions[place].clear();
-                batch.instructions[place].push_str(text);
-            }
-        }
-        for (column, numbers) in [&mut batch.original, &mut batch.edited]
-            .into_iter()
-            .enumerate()
-        {
-            self.read_column(&placed, column, numbers)?;
-        }
-        Ok(())
-    }
-
-    /// Reads a column of pages into windows.
-    fn read_column(
-        &self,
-        placed: &[Placed],
-        column: usize,
-        numbers: &mut [f32],
-    ) -> Result<(), Error> {
-        // Every window of the batch is written by one page: hand each page its own.
-        let mut windows: Vec<Option<&mut [f32]>> =
-            numbers.chunks_exact_mut(self.window).map(Some).collect();
-        let jobs: Vec<(&Placed, Room<'_>)> = placed
-            .iter()
-            .map(|page| {
-                let mine = page.rows.iter().map(|&(row, place)| {
-                    let window = windows[place].take();
-                    (row, window.expect("every place is filled once"))
-                });
-                (page, mine.collect::<Room<'_>>())
-            })
-            .collect();
-        jobs.into_par_iter().try_for_each(|(page, mut mine)| {
-            let place = self.pages[page.page];
-            mine.sort_unstable_by_key(|(row, _)| *row);
-            let mut mine = mine.into_iter().peekable();
-            let mut rows: Vec<Option<&mut [f32]>> = (0..place.num_rows)
-                .map(|row| {
-                    let wanted = mine.next_if(|(wanted, _)| *wanted == row);
-                    wanted.map(|(_, window)| window)
-                })
-                .collect();
-            let file = &self.files[place.file];
-            Ok(file.read(place.page, column, &mut rows)?)
-        })
-    }
-
-    /// The pages of the items of an epoch, and the destinations of their windows.
-    fn places(&self, epoch: u64, first_item: u64, num_items: usize) -> Vec<Placed> {
-        let wanted = first_item..first_item + num_items as u64;
-        let mut placed = Vec::new();
         let mut start = 0;
-        for (group, pages) in self.groups(epoch).enumerate() {
-            let count: usize = pages.iter().map(|&page| self.pages[page].num_rows).sum();
+        for (index, blocks) in self.groups(epoch).enumerate() {
+            let count: usize = blocks
+                .iter()
+                .map(|&block| self.blocks[block].num_rows)
+                .sum();
             let end = start + count as u64;
             if end > wanted.start && start < wanted.end {
+                let group = self.group(epoch, index, &blocks)?;
                 let mix = match self.order {
                     ReadOrder::Sequential => None,
                     ReadOrder::Shuffled(seed) => {
-                        let name = ["window order", &epoch.to_string(), &group.to_string()];
+                        let name = ["window order", &epoch.to_string(), &index.to_string()];
                         Some(Shuffle::new(count as u64, seed.draw_u64(&name)))
                     }
                 };
-                let mut in_group = 0;
-                for &page in &pages {
-                    let rows: Vec<(usize, usize)> = (0..self.pages[page].num_rows)
-                        .filter_map(|row| {
-                            let own = in_group + row as u64;
-                            let item = start + mix.as_ref().map_or(own, |mix| mix.at(own));
-                            wanted
-                                .contains(&item)
-                                .then(|| (row, (item - wanted.start) as usize))
-                        })
-                        .collect();
-                    in_group += self.pages[page].num_rows as u64;
-                    if !rows.is_empty() {
-                        placed.push(Placed { page, rows });
+                let of_blocks = std::iter::zip(&blocks, &group.blocks);
+                let windows = of_blocks.flat_map(|(&block, rows)| {
+                    let first = self.blocks[block].first[1];
+                    rows.iter()
+                        .enumerate()
+                        .map(move |(row, window)| (first + row, window))
+                });
+                for (own, (row, window)) in (0u64..).zip(windows) {
+                    let item = start + mix.as_ref().map_or(own, |mix| mix.at(own));
+                    if wanted.contains(&item) {
+                        self.put(row, window, batch, (item - wanted.start) as usize);
                     }
                 }
             }
@@ -248,12 +203,56 @@ impl WindowLoader {
                 break;
             }
         }
-        placed
+        Ok(())
     }
 
-    /// The pages of an epoch in groups that are shuffled together.
+    /// Writes a window to its place in a batch.
+    fn put(&self, row: usize, window: &WindowFrames, batch: &mut WindowBatch, place: usize) {
+        batch.progress[place] = self.progress[row];
+        let text = &self.instructions[self.instruction_of[row] as usize];
+        batch.instructions[place].clone_from(text);
+        let numbers = place * self.window..(place + 1) * self.window;
+        batch.original[numbers.clone()].copy_from_slice(window.original.as_flattened());
+        batch.edited[numbers].copy_from_slice(window.edited.as_flattened());
+    }
+
+    /// The windows of a group of blocks, read unless they are held.
+    fn group(&self, epoch: u64, index: usize, blocks: &[usize]) -> Result<Arc<Group>, Error> {
+        let held = || self.held.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_it = |group: &&Arc<Group>| (group.epoch, group.index) == (epoch, index);
+        if let Some(group) = held().iter().find(is_it) {
+            return Ok(Arc::clone(group));
+        }
+        // Not under the lock: the threads that read may wait for it.
+        let read = |&block: &usize| {
+            let block = self.blocks[block];
+            let rows: Vec<usize> = (block.first[0]..block.first[0] + block.num_rows).collect();
+            let read: Vec<WindowFrames> = self.files[block.file].rows_at(&rows)?;
+            let fits = |frames: &Vec<_>| frames.len() * FRAME_WIDTH == self.window;
+            if read
+                .iter()
+                .all(|row| fits(&row.original) && fits(&row.edited))
+            {
+                return Ok(read);
+            }
+            Err(Error::UnequalWindows {
+                path: self.root.clone(),
+            })
+        };
+        let group = Arc::new(Group {
+            epoch,
+            index,
+            blocks: blocks.par_iter().map(read).collect::<Result<_, Error>>()?,
+        });
+        let mut held = held();
+        held.insert(0, Arc::clone(&group));
+        held.truncate(HELD_GROUPS);
+        Ok(group)
+    }
+
+    /// The blocks of an epoch in groups that are shuffled together.
     fn groups(&self, epoch: u64) -> impl Iterator<Item = Vec<usize>> + '_ {
-        let count = self.pages.len();
+        let count = self.blocks.len();
         let order = match self.order {
             ReadOrder::Sequential => None,
             ReadOrder::Shuffled(seed) => {
@@ -261,9 +260,9 @@ impl WindowLoader {
                 Some(Shuffle::new(count as u64, key))
             }
         };
-        (0..count.div_ceil(MIXED_PAGES)).map(move |group| {
-            let first = group * MIXED_PAGES;
-            (first..count.min(first + MIXED_PAGES))
+        (0..count.div_ceil(MIXED_BLOCKS)).map(move |group| {
+            let first = group * MIXED_BLOCKS;
+            (first..count.min(first + MIXED_BLOCKS))
                 .map(|place| match &order {
                     Some(order) => order.at(place as u64) as usize,
                     None => place,

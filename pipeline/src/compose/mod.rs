@@ -1,6 +1,6 @@
 //! MotionCutMix: edits composed from pairs of motions while a model trains.
 //!
-//! A [`Library`] holds the motions and masks of one split. A [`Stream`] turns item numbers into
+//! A [`Library`] knows the motions and masks of one split. A [`Stream`] turns item numbers into
 //! training windows ([`Stream::fill`]) or whole-clip triplets ([`Stream::triplet`]); both come from
 //! the same draws, so a recorded shard is the stream a trainer would have seen. Every draw derives
 //! from the seed, the epoch and the item, never from the order in which threads arrive.
@@ -10,6 +10,7 @@
 
 mod align;
 mod blend;
+mod cache;
 mod caption;
 mod config;
 mod coordinator;
@@ -22,7 +23,6 @@ mod items;
 mod library;
 mod loader;
 mod novelty;
-mod paging;
 mod sinc;
 mod stats;
 mod stream;
@@ -31,6 +31,7 @@ mod triplet;
 mod window;
 
 pub use blend::{blend_motion, blend_pose};
+pub use cache::FrameCache;
 pub use caption::{Described, described};
 pub use config::{
     Alignment, AlphaDistribution, BaseFilter, COMPOSE_VERSION, ComposeConfig, EditKind, RangeRule,
@@ -44,7 +45,6 @@ pub use library::Library;
 pub(crate) use library::{check_mask, check_pair, motion_on};
 pub use loader::{ReadOrder, WindowLoader};
 pub use novelty::{Novelty, Shown};
-pub use paging::Paging;
 pub use stats::{StreamStats, TripletStats, triplet_stats};
 pub use stream::{Stream, WindowBatch};
 pub use task::ItemTask;

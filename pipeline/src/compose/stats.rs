@@ -81,7 +81,7 @@ impl Stream {
     /// The first whole-clip triplets of the stream, epoch after epoch.
     ///
     /// # Errors
-    /// The motions are not in memory and cannot be read.
+    /// The motions cannot be read.
     pub fn first_triplets(&self, count: u64) -> Result<Vec<Triplet>, Error> {
         (0..count)
             .into_par_iter()
@@ -92,7 +92,7 @@ impl Stream {
     /// Triplets for a picture: the first of every kind with soft joints, then of other masks, if there are any.
     ///
     /// # Errors
-    /// The motions are not in memory and cannot be read.
+    /// The motions cannot be read.
     pub fn sample_for_sheet(&self, count: usize) -> Result<Vec<Triplet>, Error> {
         const LOOKED_AT: u64 = 512;
         let mut seen = BTreeMap::new();

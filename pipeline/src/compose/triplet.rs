@@ -54,7 +54,7 @@ impl Stream {
     /// [`Stream::fill`] uses for the same item, on all frames the clips share.
     ///
     /// # Errors
-    /// The motions are not in memory and cannot be read.
+    /// The motions cannot be read.
     ///
     /// # Panics
     /// If the item is not in the epoch.
@@ -75,7 +75,7 @@ impl Stream {
     /// of which a motion has as many as windows.
     ///
     /// # Errors
-    /// The motions are not in memory and cannot be read.
+    /// The motions cannot be read.
     ///
     /// # Panics
     /// If the number is not below [`Stream::num_clips`].
@@ -118,7 +118,7 @@ impl Stream {
     /// The crop of the target that the edit of one of this stream's triplets takes from.
     ///
     /// # Errors
-    /// The motions are not in memory and cannot be read.
+    /// The motions cannot be read.
     ///
     /// # Panics
     /// If the triplet is another stream's.
@@ -129,7 +129,7 @@ impl Stream {
     /// The edited motion without soft joints.
     ///
     /// # Errors
-    /// The motions are not in memory and cannot be read.
+    /// The motions cannot be read.
     ///
     /// # Panics
     /// If the triplet is another stream's.

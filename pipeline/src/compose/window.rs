@@ -7,7 +7,7 @@
 
 use std::f32::consts::FRAC_PI_2;
 
-use datasets_spec::{BlendMask, Motion};
+use datasets_spec::BlendMask;
 use glam::{DMat3, Quat};
 use kinematics::canonical::Anchor;
 use kinematics::motion::StoredFrame;
@@ -67,46 +67,6 @@ impl FrameSink for Frame {
     #[inline(always)]
     fn set_point(&mut self, slot: usize, point: [f32; 3]) {
         self.points[place(slot)..place(slot) + 3].copy_from_slice(&point);
-    }
-}
-
-/// A motion subsampled to the model's rate, at every phase: with a stride of 2, even frames are one phase and
-/// odd frames the next, so that a window may start at any stored frame with its frames adjacent in memory.
-#[derive(Clone, Debug)]
-pub(super) struct Thinned {
-    stride: usize,
-    /// First frame of each phase, and one past the last frame of the last.
-    phase_bounds: Vec<usize>,
-    frames: Vec<Frame>,
-}
-
-impl Thinned {
-    /// Prepares a motion.
-    pub(super) fn new(motion: &Motion, stride: usize, skeleton: &Skeleton) -> Self {
-        let mut in_time = vec![Frame::EMPTY; motion.len()];
-        skeleton.place_motion(motion, &mut in_time);
-        let mut frames = Vec::with_capacity(motion.len());
-        let mut phase_bounds = vec![0];
-        for phase in 0..stride {
-            frames.extend(in_time.iter().skip(phase).step_by(stride).cloned());
-            phase_bounds.push(frames.len());
-        }
-        Self {
-            stride,
-            phase_bounds,
-            frames,
-        }
-    }
-
-    /// The `num_frames` frames at the model's rate from the stored frame `start` on.
-    pub(super) fn window(&self, start: usize, num_frames: usize) -> &[Frame] {
-        let phase = &self.phase_bounds[start % self.stride..];
-        let first = phase[0] + start / self.stride;
-        assert!(
-            first + num_frames <= phase[1],
-            "the window leaves the motion"
-        );
-        &self.frames[first..first + num_frames]
     }
 }
 
@@ -610,9 +570,10 @@ fn sinc_of_square(square: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::{BodyPart, Pose};
+    use datasets_spec::{BodyPart, Motion, Pose};
     use glam::{DQuat, DVec3};
     use kinematics::canonical::{WINDOW_FRAMES, canonicalise};
+    use kinematics::motion::BODY_POSE_WIDTH;
     use proptest::prelude::*;
 
     use super::*;
@@ -642,6 +603,27 @@ mod tests {
         }
     }
 
+    /// Some frames of a motion.
+    fn framed(motion: &Motion, start: usize, count: usize, stride: usize) -> Vec<Frame> {
+        let stored = (0..count).map(|frame| {
+            let at = start + frame * stride;
+            let mut row = [0.0; 6 + BODY_POSE_WIDTH];
+            row[..3].copy_from_slice(&motion.transl()[at]);
+            row[3..6].copy_from_slice(&motion.global_orient()[at]);
+            row[6..].copy_from_slice(&motion.body_pose()[at]);
+            row
+        });
+        let stored: Vec<StoredFrame> = stored.collect();
+        let mut frames = Vec::new();
+        Frame::prepare(
+            &stored,
+            FrameParts::ALL,
+            &Skeleton::smplx_neutral(),
+            &mut frames,
+        );
+        frames
+    }
+
     #[test]
     fn windows_agree_with_the_contract() {
         let skeleton = Skeleton::smplx_neutral();
@@ -668,17 +650,15 @@ mod tests {
                     .zip(frames(&target, target_start))
                     .map(|(s, t)| blend_pose(s, &t, mask, &[alpha.into(); NUM_BODY_JOINTS]))
                     .collect();
-                let source_frames = Thinned::new(&source, stride, &skeleton);
-                let target_frames = Thinned::new(&target, stride, &skeleton);
                 let composer = Composer::new(&skeleton, anchor, &RANGE);
                 let mut out = vec![0.0; window * FRAME_WIDTH];
-                let from = source_frames.window(source_start, window);
-                composer.original(from, &mut out);
+                let from = framed(&source, source_start, window, stride);
+                composer.original(&from, &mut out);
                 check_close(&out, &reference(sources, anchor, &skeleton));
-                let to = target_frames.window(target_start, window);
+                let to = framed(&target, target_start, window, stride);
                 composer.blended(
-                    from,
-                    to,
+                    &from,
+                    &to,
                     &BlendPlan::new(mask, SlerpRule::Exact),
                     alpha,
                     &mut out,
@@ -694,8 +674,7 @@ mod tests {
             points: [f32::NAN; FRAME_WIDTH + 2 * MARGIN],
             rotations: [[f32::NAN; QUAT]; NUM_BODY_JOINTS],
         };
-        let mut whole = vec![Frame::EMPTY; motion.len()];
-        Skeleton::smplx_neutral().place_motion(motion, &mut whole);
+        let whole = framed(motion, 0, WINDOW_FRAMES, 1);
         let only = |frame: Frame| Frame {
             points: if parts.points {
                 frame.points
@@ -707,7 +686,7 @@ mod tests {
                 false => UNKNOWN.rotations[joint],
             }),
         };
-        whole.into_iter().take(WINDOW_FRAMES).map(only).collect()
+        whole.into_iter().map(only).collect()
     }
 
     #[test]

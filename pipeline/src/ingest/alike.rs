@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use datasets_spec::dataset::{ShardName, Staging};
 use datasets_spec::manifest::FileEntry;
-use datasets_spec::record::MotionRow;
-use datasets_spec::table::{ClipReader, Row, ShardReader};
+use datasets_spec::record::{FramesRow, MotionRow};
+use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{MotionId, Skeleton, Split};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -199,6 +199,9 @@ fn may_be_near(a: &Numbers, b: &Numbers) -> bool {
         && centres.is_some_and(|(a, b)| std::iter::zip(a, b).all(|(a, b)| is_near(a, b)))
 }
 
+/// Clips that are decoded at a time.
+const CLIPS_AT_ONCE: usize = 32;
+
 /// The files that motions are read from.
 #[derive(Default)]
 struct Files {
@@ -226,14 +229,23 @@ impl Files {
             of_file.insert(&numbers.id, index);
         }
         let of_file = |(file, wanted): (usize, BTreeMap<&str, usize>)| {
-            let reader = ClipReader::open(&self.paths[file])?;
-            let ids = reader.ids().iter().enumerate();
-            let rows = ids.filter_map(|(row, id)| Some((row, *wanted.get(id.as_str())?)));
-            let made = rows.map(|(row, index)| {
-                let sketch = Sketch::of(&reader.motion(row)?, skeleton);
-                Ok((index, made_of(sketch)))
-            });
-            made.collect::<Result<Vec<_>, Error>>()
+            let shard = ShardReader::open(&self.paths[file])?;
+            let ids = shard.column::<MotionRow, MotionId>("id")?.into_iter();
+            let rows = ids
+                .enumerate()
+                .filter_map(|(row, id)| Some((row, *wanted.get(id.as_str())?)));
+            let (rows, indices): (Vec<usize>, Vec<usize>) = rows.unzip();
+            let mut made = Vec::new();
+            for (rows, indices) in
+                std::iter::zip(rows.chunks(CLIPS_AT_ONCE), indices.chunks(CLIPS_AT_ONCE))
+            {
+                let clips: Vec<FramesRow> = shard.rows_at(rows)?;
+                for (clip, index) in std::iter::zip(clips, indices) {
+                    let sketch = Sketch::of(&clip.motion()?, skeleton);
+                    made.push((*index, made_of(sketch)));
+                }
+            }
+            Ok(made)
         };
         let made = by_file.into_par_iter().map(of_file);
         let made: Vec<Vec<(usize, T)>> = made.collect::<Result<_, Error>>()?;

@@ -57,30 +57,21 @@ pub enum Prediction {
     /// The clean window minus the original one. Both are canonical, so an edit that leaves most of
     /// the body alone is mostly zero; a narrow network learns it far sooner (our addition).
     Change,
-    /// The velocity of that change: with `y` the change and `e` the noise, `sqrt(a) e - sqrt(1 - a) y`
-    /// (Salimans and Ho 2022, Sec. 4, applied to the change). Where there is much noise it is the
-    /// change, and where there is little its error counts little, so that a narrow network does not
-    /// have to pass every number of a frame to keep it.
-    Velocity,
-    /// What the change differs by from its best linear
-    /// [extrapolation](crate::extrapolation::Extrapolation) from the fixed frames, in units
-    /// of the spread of that difference in each frame. The frames just after the fixed ones, which
-    /// follow from them almost, then count as much as any other, and what the network misses there is
-    /// scaled down to what was open: windows join (our addition; the scaling is that of Karras et al.
-    /// 2022, Sec. 5, by frame in place of by noise level).
-    Residual,
     /// Bones, as vectors from joint to joint, each the sum of three parts with a gate between 0 and 1: the
     /// original's bone, the extrapolated change from the fixed frames, and a bone of the network's own. A
     /// bone that the instruction does not touch is copied, and one that it replaces need not be cancelled
     /// first: a narrow network can say which it is, while the numbers of both do not fit through it (our
-    /// addition).
+    /// addition). Errors count in units of the spread of what the
+    /// [extrapolation](crate::extrapolation::Extrapolation) leaves open in each frame: the frames just after the
+    /// fixed ones, which follow from them almost, count as much as any other, and windows join (the scaling is that of
+    /// Karras et al. 2022, Sec. 5, by frame in place of by noise level).
     Gated,
 }
 
 impl Prediction {
     /// Whether it is relative to an [extrapolation](crate::extrapolation::Extrapolation) of the change.
     pub fn is_extrapolated(self) -> bool {
-        matches!(self, Self::Residual | Self::Gated)
+        self == Self::Gated
     }
 }
 

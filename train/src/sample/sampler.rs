@@ -71,7 +71,7 @@ pub struct Sampler<'a> {
     pub schedule: &'a Schedule,
     /// What it predicts.
     pub prediction: Prediction,
-    /// What a predicted residual is relative to.
+    /// What gated predictions are relative to.
     pub extrapolation: Option<&'a Extrapolation>,
     /// Whether estimates of the clean window are clipped to [-1, 1].
     pub clip: bool,

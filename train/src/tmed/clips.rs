@@ -69,8 +69,8 @@ impl ClipSource for CapturedPairs {
         let (instruction, [source, target]) = self.0.pair(number as usize)?;
         Ok(ClipEdit {
             instruction: instruction.to_owned(),
-            source: source.into_owned(),
-            target: target.into_owned(),
+            source,
+            target,
         })
     }
 }

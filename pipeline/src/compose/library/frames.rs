@@ -1,14 +1,15 @@
 //! Frames of motions in a flat file, read by their place.
 //!
 //! A page of Parquet holds a whole clip, compressed, and decoding one takes fifty times as long as composing a
-//! window of it. A process whose motions do not fit in memory therefore decodes each clip once and writes its
-//! frames one after another to a file of a cache folder; a window is then one read at one place.
+//! window of it. Each clip is therefore decoded once and its frames are written one after another to a file of a cache
+//! folder; a window is then one read at one place.
 //!
 //! The file's name is the hash of what it was made of, so that processes share it. It is written under another
 //! name and renamed when it is whole. Each frame ends with a checksum, because the file may stay for months.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, ErrorKind, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -17,7 +18,7 @@ use datasets_spec::{Fps, Motion};
 use kinematics::motion::{BODY_POSE_WIDTH, StoredFrame};
 use rayon::prelude::*;
 
-use crate::compose::{Error, Paging};
+use crate::compose::{Error, FrameCache};
 
 /// First bytes of a file; its frames follow their number.
 const MAGIC: [u8; 16] = *b"stance frames 1\n";
@@ -26,8 +27,10 @@ const HEADER_BYTES: usize = MAGIC.len() + 8;
 const NUMBERS: usize = 6 + BODY_POSE_WIDTH;
 /// Bytes of a frame: its numbers and their CRC-32, little endian.
 const FRAME_BYTES: usize = 4 * NUMBERS + 4;
-/// Clips that are decoded at a time while a file is written.
-const CLIPS_AT_ONCE: usize = 256;
+/// Clips that a thread decodes at a time.
+const CLIPS_AT_ONCE: usize = 16;
+/// Clips that are in memory at a time while a file is written.
+const CLIPS_IN_MEMORY: usize = 256;
 /// Frames that are decoded at a time, unless a clip has more.
 const FRAMES_AT_ONCE: usize = 32_768;
 
@@ -49,19 +52,19 @@ impl FrameFile {
     /// # Panics
     /// If `make` writes another number of frames.
     pub(super) fn open(
-        paging: &Paging,
+        cache: &FrameCache,
         key: &str,
         num_frames: u64,
         fps: Fps,
         make: impl FnOnce(&mut FrameWriter) -> Result<(), Error>,
     ) -> Result<Self, Error> {
-        let path = paging.file(key);
+        let path = cache.file(key);
         if let Some(found) = Self::found(&path, num_frames, fps)? {
-            Paging::touch(&path);
+            FrameCache::touch(&path);
             return Ok(found);
         }
         let failed = |source| unwritten(&path, num_frames, source);
-        fs::create_dir_all(&paging.folder).map_err(failed)?;
+        fs::create_dir_all(&cache.folder).map_err(failed)?;
         let part = path.with_extension("part");
         let file = File::options()
             .create(true)
@@ -92,7 +95,7 @@ impl FrameFile {
             let _removed = fs::remove_file(&part);
             return Err(error);
         }
-        paging.remove_others(&path);
+        cache.remove_others(&path);
         Self::found(&path, num_frames, fps)?
             .ok_or_else(|| damaged(&path, "it was removed or changed as soon as it was written"))
     }
@@ -213,28 +216,34 @@ impl FrameWriter {
     pub(super) fn extend(
         &mut self,
         lens: &[usize],
-        motion_of: impl Fn(usize) -> Result<Motion, Error> + Sync,
+        motions_of: impl Fn(Range<usize>) -> Result<Vec<Motion>, Error> + Sync,
     ) -> Result<(), Error> {
         let mut start = 0;
         while start < lens.len() {
             let mut end = start;
             let mut frames = 0;
-            while end < lens.len() && end - start < CLIPS_AT_ONCE {
+            while end < lens.len() && end - start < CLIPS_IN_MEMORY {
                 frames += lens[end];
                 if frames > FRAMES_AT_ONCE && end > start {
                     break;
                 }
                 end += 1;
             }
-            let encoded: Vec<Vec<u8>> = (start..end)
+            let encoded: Vec<Vec<Vec<u8>>> = (start..end)
                 .into_par_iter()
-                .map(|clip| {
-                    let motion = motion_of(clip)?;
-                    assert_eq!(motion.len(), lens[clip], "clips have the stated length");
-                    Ok(encode(&motion))
+                .step_by(CLIPS_AT_ONCE)
+                .map(|from| {
+                    let clips = from..end.min(from + CLIPS_AT_ONCE);
+                    let motions = motions_of(clips.clone())?;
+                    let found = motions.iter().map(Motion::len);
+                    assert!(
+                        found.eq(lens[clips].iter().copied()),
+                        "clips have the stated length"
+                    );
+                    Ok(motions.iter().map(encode).collect())
                 })
                 .collect::<Result<_, Error>>()?;
-            for bytes in encoded {
+            for bytes in encoded.into_iter().flatten() {
                 self.write(&bytes)?;
                 self.num_frames += (bytes.len() / FRAME_BYTES) as u64;
             }

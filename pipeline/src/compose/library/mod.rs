@@ -1,24 +1,24 @@
 //! The motions, masks and pairs of one split, and every rule on them: which rows fit together, which
 //! clips partners are drawn from, and who may be blended with whom.
 
+#[cfg(test)]
+mod cached_tests;
 mod frames;
 mod normaliser;
 #[cfg(test)]
-mod paged_tests;
+mod of_rows;
 mod pairing;
 mod read;
 mod rows;
 
-use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::Arc;
 
 use datasets_spec::{BlendMask, BodyPart, Fps, Motion, MotionId, Skeleton, Split};
-use rayon::prelude::*;
 
 use super::config::{Alignment, COMPOSE_VERSION, EditKind};
-use super::{Error, Paging, align};
+use super::{Error, FrameCache, align};
 use frames::FrameFile;
 pub(super) use frames::FrameRoom;
 
@@ -35,41 +35,32 @@ pub(super) struct Clip {
     pub(super) source: Arc<str>,
     pub(super) action: Option<Arc<str>>,
     pub(super) style: Option<Arc<str>>,
-    frames: Frames,
+    frames: FileFrames,
     /// Whether it may be drawn as a partner. Time-warped copies may not.
     pub(super) in_base: bool,
 }
 
 /// Where the frames of a clip are.
 #[derive(Clone, Debug)]
-enum Frames {
-    Memory(Arc<Motion>),
-    File {
-        file: Arc<FrameFile>,
-        /// Its first frame there.
-        first: u64,
-        len: usize,
-    },
+struct FileFrames {
+    file: Arc<FrameFile>,
+    /// Its first frame there.
+    first: u64,
+    len: usize,
 }
 
 impl Clip {
     /// Number of frames.
     pub(super) fn len(&self) -> usize {
-        match &self.frames {
-            Frames::Memory(motion) => motion.len(),
-            Frames::File { len, .. } => *len,
-        }
+        self.frames.len
     }
 
     /// All frames.
     ///
     /// # Errors
     /// They cannot be read.
-    pub(super) fn motion(&self) -> Result<Cow<'_, Motion>, Error> {
-        match &self.frames {
-            Frames::Memory(motion) => Ok(Cow::Borrowed(motion)),
-            Frames::File { file, first, len } => Ok(Cow::Owned(file.motion(*first, *len)?)),
-        }
+    pub(super) fn motion(&self) -> Result<Motion, Error> {
+        self.crop(0..self.len())
     }
 
     /// The frames of a range.
@@ -80,16 +71,12 @@ impl Clip {
     /// # Panics
     /// If the range is empty or leaves the clip.
     pub(super) fn crop(&self, frames: Range<usize>) -> Result<Motion, Error> {
-        match &self.frames {
-            Frames::Memory(motion) => Ok(motion.crop(frames).expect("a range inside the clip")),
-            Frames::File { file, first, len } => {
-                assert!(
-                    !frames.is_empty() && frames.end <= *len,
-                    "a range inside the clip"
-                );
-                file.motion(first + frames.start as u64, frames.len())
-            }
-        }
+        let FileFrames { file, first, len } = &self.frames;
+        assert!(
+            !frames.is_empty() && frames.end <= *len,
+            "a range inside the clip"
+        );
+        file.motion(first + frames.start as u64, frames.len())
     }
 
     /// Reads `count` frames, each `stride` after the one before, from frame `start` on.
@@ -98,7 +85,7 @@ impl Clip {
     /// They cannot be read.
     ///
     /// # Panics
-    /// If the frames leave the clip, or are in memory.
+    /// If the frames leave the clip.
     pub(super) fn thinned(
         &self,
         start: usize,
@@ -106,9 +93,7 @@ impl Clip {
         stride: usize,
         room: &mut FrameRoom,
     ) -> Result<(), Error> {
-        let Frames::File { file, first, len } = &self.frames else {
-            unreachable!("frames in memory need not be read")
-        };
+        let FileFrames { file, first, len } = &self.frames;
         assert!(
             count > 0 && start + (count - 1) * stride < *len,
             "the window leaves the motion"
@@ -152,8 +137,7 @@ struct Pair {
 /// All motions and masks of one split: the motion base and the annotated set of MotionCutMix.
 ///
 /// Clips and annotations are ordered by id, so nothing depends on the order of the rows it was
-/// made from. Ids, lengths and labels are in memory. The frames are too, or are read from a file when they are
-/// needed ([`Paging`]): every result is the same to the last bit.
+/// made from. Ids, lengths and labels are in memory; frames are read from a file when they are needed ([`FrameCache`]).
 #[derive(Clone, Debug)]
 pub struct Library {
     split: Split,
@@ -165,8 +149,10 @@ pub struct Library {
     annotations: Vec<Annotation>,
     pairs: Vec<Pair>,
     alignment: Alignment,
-    /// Where the frames are that are not in memory, and the key of their file.
-    paged: Option<(Paging, String)>,
+    /// Where the files of frames are.
+    cache: FrameCache,
+    /// The key of the file of the clips as they were captured.
+    key: String,
 }
 
 impl Library {
@@ -190,17 +176,6 @@ impl Library {
         self.clips.len()
     }
 
-    /// Number of motions whose frames are in memory: all motions, or 0 if frames are read from a file.
-    pub fn num_in_memory(&self) -> usize {
-        let in_memory = |clip: &&Clip| matches!(clip.frames, Frames::Memory(_));
-        self.clips.iter().filter(in_memory).count()
-    }
-
-    /// Whether frames are read from a file when they are needed.
-    pub(super) fn is_paged(&self) -> bool {
-        self.paged.is_some()
-    }
-
     /// Number of pairs.
     pub fn num_pairs(&self) -> usize {
         self.pairs.len()
@@ -214,7 +189,7 @@ impl Library {
     ///
     /// # Panics
     /// If the index is not below [`Library::num_pairs`].
-    pub fn pair(&self, index: usize) -> Result<(&str, [Cow<'_, Motion>; 2]), Error> {
+    pub fn pair(&self, index: usize) -> Result<(&str, [Motion; 2]), Error> {
         let pair = &self.pairs[index];
         let [source, target] = [pair.captured, pair.target].map(|clip| self.clips[clip].motion());
         Ok((&pair.instruction, [source?, target?]))
@@ -294,34 +269,27 @@ impl Library {
         let warped = |pair: &Pair| -> Result<Motion, Error> {
             let [source, target] =
                 [pair.captured, pair.target].map(|clip| self.clips[clip].motion());
-            Ok(align::warped(&*source?, &*target?, &self.skeleton))
+            Ok(align::warped(&source?, &target?, &self.skeleton))
         };
-        let frames: Vec<Frames> = match &self.paged {
-            None => self
-                .pairs
-                .par_iter()
-                .map(|pair| Ok(Frames::Memory(Arc::new(warped(pair)?))))
-                .collect::<Result<_, Error>>()?,
-            Some((paging, key)) => {
-                let lens: Vec<usize> = (self.pairs.iter())
-                    .map(|pair| self.clips[pair.target].len())
-                    .collect();
-                let mut hasher = blake3::Hasher::new();
-                let rules = (COMPOSE_VERSION, env!("CARGO_PKG_VERSION"));
-                hasher.update(format!("time warp by {rules:?} of {key} ").as_bytes());
-                hasher.update(self.skeleton.name().as_bytes());
-                for pair in &self.pairs {
-                    hasher.update(&(pair.captured as u64).to_le_bytes());
-                    hasher.update(&(pair.target as u64).to_le_bytes());
-                }
-                let key = hasher.finalize().to_hex().to_string();
-                let num_frames = lens.iter().sum::<usize>() as u64;
-                let file = FrameFile::open(paging, &key, num_frames, self.fps, |writer| {
-                    writer.extend(&lens, |pair| warped(&self.pairs[pair]))
-                })?;
-                frames_of_file(Arc::new(file), lens).collect()
-            }
-        };
+        let lens: Vec<usize> = (self.pairs.iter())
+            .map(|pair| self.clips[pair.target].len())
+            .collect();
+        let mut hasher = blake3::Hasher::new();
+        let rules = (COMPOSE_VERSION, env!("CARGO_PKG_VERSION"));
+        hasher.update(format!("time warp by {rules:?} of {} ", self.key).as_bytes());
+        hasher.update(self.skeleton.name().as_bytes());
+        for pair in &self.pairs {
+            hasher.update(&(pair.captured as u64).to_le_bytes());
+            hasher.update(&(pair.target as u64).to_le_bytes());
+        }
+        let key = hasher.finalize().to_hex().to_string();
+        let num_frames = lens.iter().sum::<usize>() as u64;
+        let file = FrameFile::open(&self.cache, &key, num_frames, self.fps, |writer| {
+            writer.extend(&lens, |pairs| {
+                self.pairs[pairs].iter().map(warped).collect()
+            })
+        })?;
+        let frames = frames_of_file(Arc::new(file), lens);
         let clips = self.pairs.iter().zip(frames).map(|(pair, frames)| Clip {
             frames,
             in_base: false,
@@ -335,12 +303,12 @@ impl Library {
 fn frames_of_file(
     file: Arc<FrameFile>,
     lens: impl IntoIterator<Item = usize>,
-) -> impl Iterator<Item = Frames> {
+) -> impl Iterator<Item = FileFrames> {
     let mut next = 0;
     lens.into_iter().map(move |len| {
         let first = next;
         next += len as u64;
-        Frames::File {
+        FileFrames {
             file: Arc::clone(&file),
             first,
             len,

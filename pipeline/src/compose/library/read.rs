@@ -1,21 +1,17 @@
 //! A split of a dataset as a library, read shard by shard.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
-use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::table::{ClipReader, Row, ShardReader, read_rows};
+use datasets_spec::record::{FramesRow, MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, Fps, Motion, MotionId, Skeleton, Split};
 use rayon::prelude::*;
 
 use super::frames::FrameFile;
 use super::rows::{LibraryRows, StatedClip};
-use super::{Frames, Library, frames_of_file};
-use crate::compose::window::Frame;
-use crate::compose::{Error, Paging};
-
-/// Bytes of a frame in memory: as it is stored, and prepared for windows.
-pub(super) const BYTES_PER_FRAME: u64 = 4 * 69 + size_of::<Frame>() as u64;
+use super::{Library, frames_of_file};
+use crate::compose::{Error, FrameCache};
 
 datasets_spec::table! {
     /// What a library holds of a clip beside its frames.
@@ -43,12 +39,13 @@ datasets_spec::table! {
 type ChosenClips = Vec<(usize, LabelledClip)>;
 
 impl Library {
-    /// Reads a split of a dataset. Motions that take more memory than they may are not held: their frames are
-    /// copied to a file of the cache folder once, and read from there.
+    /// Reads a split of a dataset; one without motions gives an empty library. Frames are copied to a file of the cache
+    /// once, and read from there.
     ///
     /// # Errors
-    /// As [`Library::new`], or a file cannot be read or written.
-    pub fn read(dataset: &Dataset, split: Split, paging: &Paging) -> Result<Self, Error> {
+    /// A row is of another split, skeleton or rate, appears twice, or is not usable; a mask or pair belongs to a motion
+    /// that is not among the rows; or a file cannot be read or written.
+    pub fn read(dataset: &Dataset, split: Split, cache: &FrameCache) -> Result<Self, Error> {
         let skeleton = dataset.skeleton()?;
         let shards: Vec<(PathBuf, String, ChosenClips)> = dataset
             .files(MotionRow::TABLE, Some(split))
@@ -65,61 +62,41 @@ impl Library {
                 Ok((path, entry.blake3.clone(), clips))
             })
             .collect::<Result<_, Error>>()?;
-        let num_frames: u64 = shards
-            .iter()
-            .flat_map(|(.., clips)| clips)
-            .map(|(_, clip)| len_of(clip) as u64)
-            .sum();
+        let all = || {
+            let clips = shards.iter().flat_map(|(.., clips)| clips);
+            clips.map(|(_, clip)| clip)
+        };
+        // The hashes of the shards are those of the motions and their order; a condition says which of them.
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(dataset.condition().unwrap_or_default().as_bytes());
+        for (_, hash, _) in &shards {
+            hasher.update(hash.as_bytes());
+        }
+        let key = hasher.finalize().to_hex().to_string();
+        let fps = match all().next() {
+            Some(clip) => rate_of(clip)?,
+            None => Fps::STORE,
+        };
+        let num_frames = all().map(|clip| len_of(clip) as u64).sum();
+        let file = FrameFile::open(cache, &key, num_frames, fps, |writer| {
+            for (path, _, clips) in &shards {
+                let shard = ShardReader::open(path)?;
+                let lens: Vec<usize> = clips.iter().map(|(_, clip)| len_of(clip)).collect();
+                writer.extend(&lens, |places| motions_of(&shard, &clips[places]))?;
+            }
+            Ok(())
+        })?;
         let mut rows = LibraryRows::new(split, &skeleton);
-        let mut paged = None;
-        if num_frames * BYTES_PER_FRAME <= paging.memory {
-            let motions: Vec<Vec<Motion>> = shards
-                .par_iter()
-                .map(|(path, _, clips)| {
-                    let reader = ShardMotions::open(path, clips.len())?;
-                    let all = clips.par_iter();
-                    all.map(|(row, clip)| reader.motion(*row, clip)).collect()
-                })
-                .collect::<Result<_, Error>>()?;
-            for ((.., clips), motions) in shards.iter().zip(motions) {
-                for ((_, clip), motion) in clips.iter().zip(motions) {
-                    add(&mut rows, clip, Frames::Memory(Arc::new(motion)))?;
-                }
-            }
-        } else {
-            // The hashes of the shards are those of the motions and their order; a condition says which of them.
-            let mut hasher = blake3::Hasher::new();
-            hasher.update(dataset.condition().unwrap_or_default().as_bytes());
-            for (_, hash, _) in &shards {
-                hasher.update(hash.as_bytes());
-            }
-            let key = hasher.finalize().to_hex().to_string();
-            let fps = match shards.iter().flat_map(|(.., clips)| clips).next() {
-                Some((_, clip)) => rate_of(clip)?,
-                None => Fps::STORE,
+        let frames = frames_of_file(Arc::new(file), all().map(len_of));
+        for (clip, frames) in all().zip(frames) {
+            let stated = StatedClip {
+                id: &clip.id,
+                split: clip.split,
+                source: &clip.source,
+                action: clip.action.as_deref(),
+                style: clip.style.as_deref(),
             };
-            let file = FrameFile::open(paging, &key, num_frames, fps, |writer| {
-                for (path, _, clips) in &shards {
-                    let reader = ShardMotions::open(path, clips.len())?;
-                    let lens: Vec<usize> = clips.iter().map(|(_, clip)| len_of(clip)).collect();
-                    writer.extend(&lens, |place| {
-                        let (row, clip) = &clips[place];
-                        reader.motion(*row, clip)
-                    })?;
-                }
-                Ok(())
-            })?;
-            let all = || {
-                shards
-                    .iter()
-                    .flat_map(|(.., clips)| clips)
-                    .map(|(_, clip)| clip)
-            };
-            let frames = frames_of_file(Arc::new(file), all().map(len_of));
-            for (clip, frames) in all().zip(frames) {
-                add(&mut rows, clip, frames)?;
-            }
-            paged = Some((paging.clone(), key));
+            rows.add_clip(&stated, rate_of(clip)?, frames)?;
         }
         drop(shards);
         rows.end_of_clips()?;
@@ -133,22 +110,8 @@ impl Library {
             pairs.retain(|pair| pair.clips().into_iter().all(|clip| dataset.has_clip(clip)));
             rows.add_pairs(&pairs)?;
         }
-        Ok(Self {
-            paged,
-            ..rows.library()?
-        })
+        rows.library(cache.clone(), key)
     }
-}
-
-fn add(rows: &mut LibraryRows<'_>, clip: &LabelledClip, frames: Frames) -> Result<(), Error> {
-    let stated = StatedClip {
-        id: &clip.id,
-        split: clip.split,
-        source: &clip.source,
-        action: clip.action.as_deref(),
-        style: clip.style.as_deref(),
-    };
-    rows.add_clip(&stated, rate_of(clip)?, frames)
 }
 
 fn len_of(clip: &LabelledClip) -> usize {
@@ -173,29 +136,12 @@ fn check(clip: &LabelledClip, skeleton: &Skeleton) -> Result<(), Error> {
     })
 }
 
-/// The motions of a shard.
-enum ShardMotions {
-    /// Read one at a time.
-    Pages(ClipReader),
-    /// Of a file that another program wrote, whose pages hold several clips or parts of them.
-    Rows(Vec<MotionRow>),
-}
-
-impl ShardMotions {
-    fn open(path: &Path, num_clips: usize) -> Result<Self, Error> {
-        match ClipReader::open(path) {
-            Ok(reader) if num_clips == 0 || reader.motion(0).is_ok() => Ok(Self::Pages(reader)),
-            // The general reader tells what is wrong, if anything is.
-            _ => Ok(Self::Rows(read_rows(path)?)),
-        }
-    }
-
-    fn motion(&self, row: usize, clip: &LabelledClip) -> Result<Motion, Error> {
-        let motion = match self {
-            Self::Pages(reader) => reader.motion(row),
-            Self::Rows(rows) => rows[row].motion(),
-        };
-        let motion = motion.map_err(|source| Error::Motion {
+/// The motions of some clips of a shard.
+fn motions_of(shard: &ShardReader, clips: &[(usize, LabelledClip)]) -> Result<Vec<Motion>, Error> {
+    let rows: Vec<usize> = clips.iter().map(|(row, _)| *row).collect();
+    let read: Vec<FramesRow> = shard.rows_at(&rows)?;
+    let of = |(read, (_, clip)): (FramesRow, &(usize, LabelledClip))| {
+        let motion = read.motion().map_err(|source| Error::Motion {
             motion: clip.id.clone(),
             source,
         })?;
@@ -207,5 +153,6 @@ impl ShardMotions {
             });
         }
         Ok(motion)
-    }
+    };
+    std::iter::zip(read, clips).map(of).collect()
 }

@@ -6,42 +6,9 @@ use std::sync::Arc;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Motion, MotionId, Skeleton, Split};
 
-use super::{Annotation, Clip, Frames, Library, Pair};
+use super::{Annotation, Clip, FileFrames, Library, Pair};
 use crate::compose::config::{Alignment, EditKind};
-use crate::compose::{Error, ItemTask, style_instruction};
-
-impl Library {
-    /// Takes the rows of one split, with all motions in memory. A split without motions gives an empty library.
-    ///
-    /// # Errors
-    /// A row is of another split, skeleton or rate, appears twice, or is not usable; or a mask
-    /// or pair belongs to a motion that is not among the rows.
-    pub fn new(
-        split: Split,
-        motions: &[MotionRow],
-        masks: &[MaskRow],
-        pairs: &[PairRow],
-        skeleton: &Skeleton,
-    ) -> Result<Self, Error> {
-        let mut rows = LibraryRows::new(split, skeleton);
-        for row in motions {
-            let stated = StatedClip {
-                id: &row.id,
-                split: row.split,
-                source: &row.source,
-                action: row.action.as_deref(),
-                style: row.style.as_deref(),
-            };
-            let motion = motion_on(row, skeleton)?;
-            let fps = motion.fps();
-            rows.add_clip(&stated, fps, Frames::Memory(Arc::new(motion)))?;
-        }
-        rows.end_of_clips()?;
-        rows.add_masks(masks)?;
-        rows.add_pairs(pairs)?;
-        rows.library()
-    }
-}
+use crate::compose::{Error, FrameCache, ItemTask, style_instruction};
 
 /// What the row of a clip states beside its frames.
 pub(super) struct StatedClip<'a> {
@@ -95,7 +62,7 @@ impl<'a> LibraryRows<'a> {
         &mut self,
         stated: &StatedClip<'_>,
         fps: Fps,
-        frames: Frames,
+        frames: FileFrames,
     ) -> Result<(), Error> {
         self.check_split("motions", stated.id.as_str(), stated.split)?;
         let expected = *self.fps.get_or_insert(fps);
@@ -181,8 +148,8 @@ impl<'a> LibraryRows<'a> {
         })
     }
 
-    /// The library of all rows.
-    pub(super) fn library(mut self) -> Result<Library, Error> {
+    /// The library of all rows, whose frames lie in the file of this key.
+    pub(super) fn library(mut self, cache: FrameCache, key: String) -> Result<Library, Error> {
         self.annotations.sort_by(|a, b| a.id.cmp(&b.id));
         check_distinct("masks", &self.annotations, |annotation| &annotation.id)?;
         self.pairs.sort_by(|a, b| a.id.cmp(&b.id));
@@ -196,7 +163,8 @@ impl<'a> LibraryRows<'a> {
             annotations: self.annotations,
             pairs: self.pairs,
             alignment: Alignment::None,
-            paged: None,
+            cache,
+            key,
         })
     }
 }

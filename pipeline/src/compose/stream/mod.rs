@@ -18,7 +18,7 @@ use target::{SharedSides, Target};
 use super::draw::Shuffle;
 use super::instruction::mirrored;
 use super::library::{FrameRoom, Pairing, Subject};
-use super::window::{BlendPlan, Composer, Frame, PARTS_OF_ORIGINAL, Thinned, both_parts};
+use super::window::{BlendPlan, Composer, Frame, PARTS_OF_ORIGINAL, both_parts};
 use super::{ComposeConfig, EditKind, Error, Library};
 
 /// Training windows, item after item. The buffers are reused from call to call.
@@ -46,15 +46,6 @@ impl WindowBatch {
         self.progress.resize(num_items, 0.0);
         self.instructions.resize(num_items, String::new());
     }
-}
-
-/// The clips in use at the model's rate.
-#[derive(Clone, Debug)]
-enum Prepared {
-    /// All of them, by clip index.
-    Ahead(Vec<Option<Thinned>>),
-    /// Each window when it is drawn, from frames that are read then.
-    WhenDrawn,
 }
 
 /// A window of a clip: its first stored frame.
@@ -88,7 +79,6 @@ pub struct Stream {
     pub(super) seed: Seed,
     pub(super) recipe_hash: String,
     pub(super) composer: Composer,
-    prepared: Prepared,
     /// Stored frames from one of a window to the next.
     stride: usize,
     /// Indices of the clips partners are drawn from.
@@ -163,36 +153,12 @@ impl Stream {
             });
         }
 
-        let prepared = if library.is_paged() {
-            Prepared::WhenDrawn
-        } else {
-            let mut used = vec![false; library.num_motions()];
-            for &clip in &base {
-                used[clip] = true;
-            }
-            for target in &targets {
-                for clip in library.clips_of(target.subject) {
-                    used[clip] = true;
-                }
-            }
-            let prepare = |clip: usize| -> Result<Thinned, Error> {
-                let motion = library.clip(clip).motion()?;
-                Ok(Thinned::new(&motion, stride, library.skeleton()))
-            };
-            let thinned = used
-                .into_par_iter()
-                .enumerate()
-                .map(|(clip, used)| used.then(|| prepare(clip)).transpose())
-                .collect::<Result<_, Error>>()?;
-            Prepared::Ahead(thinned)
-        };
         Ok(Self {
             composer: Composer::new(library.skeleton(), config.anchor, normalizer),
             recipe_hash: config.recipe_hash(),
             library,
             config,
             seed,
-            prepared,
             stride,
             base,
             targets,
@@ -259,7 +225,7 @@ impl Stream {
     /// edited window.
     ///
     /// # Errors
-    /// The motions are not in memory and cannot be read.
+    /// The motions cannot be read.
     ///
     /// # Panics
     /// If the items are not all in the epoch.
@@ -319,7 +285,7 @@ impl Stream {
     /// its batch and its index in the batch.
     ///
     /// # Errors
-    /// The motions are not in memory and cannot be read.
+    /// The motions cannot be read.
     pub fn for_each_recorded(
         &self,
         windows: std::ops::Range<u64>,
@@ -428,29 +394,18 @@ impl Stream {
         self.seed.derive(&["compose", &epoch.to_string()])
     }
 
-    /// Returns the frames of a window. Frames that are not in memory are read into `room`, and of those only `parts`
-    /// hold values.
+    /// Reads the frames of a window into `room`; only `parts` of them hold values.
     pub(super) fn window_of<'a>(
-        &'a self,
+        &self,
         at: WindowPlace,
         parts: FrameParts,
         room: &'a mut Room,
     ) -> Result<&'a [Frame], Error> {
-        let (clip, window) = (at.clip, self.config.window);
-        match &self.prepared {
-            Prepared::Ahead(thinned) => {
-                let thinned = thinned[clip].as_ref();
-                let thinned = thinned.expect("every clip that can be drawn is thinned out");
-                Ok(thinned.window(at.start, window))
-            }
-            Prepared::WhenDrawn => {
-                let clip = self.library.clip(clip);
-                clip.thinned(at.start, window, self.stride, &mut room.stored)?;
-                let rows = &room.stored.frames;
-                Frame::prepare(rows, parts, self.library.skeleton(), &mut room.frames);
-                Ok(&room.frames)
-            }
-        }
+        let clip = self.library.clip(at.clip);
+        clip.thinned(at.start, self.config.window, self.stride, &mut room.stored)?;
+        let rows = &room.stored.frames;
+        Frame::prepare(rows, parts, self.library.skeleton(), &mut room.frames);
+        Ok(&room.frames)
     }
 
     /// The target of an item, and the index of its window.

@@ -1,4 +1,4 @@
-//! A library whose frames are read from a file gives what one in memory gives, bit for bit.
+//! Libraries of datasets, whose frames lie in a file.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use rand::RngExt;
 use super::Library;
 use super::frames::FrameFile;
 use crate::compose::{
-    Alignment, ComposeConfig, CoordinatorBatch, Error, ItemConfig, ItemCount, Paging, Shown,
+    Alignment, ComposeConfig, CoordinatorBatch, Error, FrameCache, ItemConfig, ItemCount, Shown,
     Stream, WindowBatch, draw_items, fixture,
 };
 
@@ -46,9 +46,8 @@ fn committed(root: &Path, motions: &[MotionRow], masks: &[MaskRow], pairs: &[Pai
     transaction.commit(commit).expect("committed")
 }
 
-fn paging(memory: u64, folder: &Path) -> Paging {
-    Paging {
-        memory,
+fn cache(folder: &Path) -> FrameCache {
+    FrameCache {
         folder: folder.join("frames"),
         kept: u64::MAX,
     }
@@ -123,7 +122,7 @@ fn composed(library: &Arc<Library>, config: &ComposeConfig, seed: u64) -> Compos
     };
     let pairs = (0..library.num_pairs()).map(|pair| {
         let (text, motions) = library.pair(pair).expect("read");
-        (text.to_owned(), motions.map(std::borrow::Cow::into_owned))
+        (text.to_owned(), motions)
     });
     Composed {
         normalizer,
@@ -143,7 +142,7 @@ fn composed(library: &Arc<Library>, config: &ComposeConfig, seed: u64) -> Compos
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
-    fn frames_in_a_file_and_in_memory_give_the_same_bits(
+    fn a_dataset_gives_what_its_rows_give(
         seed in any::<u64>(), num_clips in 5..12usize,
         alignment in prop::sample::select(vec![Alignment::None, Alignment::TimeWarp]),
         fixed_pairs in any::<bool>(), undonored_ratio in 0.0..1.0f64,
@@ -157,20 +156,16 @@ proptest! {
             undonored_ratio: Some(undonored_ratio),
             ..ComposeConfig::default()
         };
-        let read = |memory| {
-            let paging = paging(memory, folder.path());
-            Arc::new(Library::read(&dataset, Split::Train, &paging).expect("a library"))
+        let read = || {
+            let library = Library::read(&dataset, Split::Train, &cache(folder.path()));
+            Arc::new(library.expect("a library"))
         };
         let skeleton = Skeleton::smplx_neutral();
         let given = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
         let expected = composed(&Arc::new(given.expect("valid rows")), &config, seed);
-        let (held, paged) = (read(u64::MAX), read(0));
-        prop_assert_eq!(held.num_in_memory(), num_clips);
-        prop_assert_eq!(paged.num_in_memory(), 0);
-        prop_assert_eq!(&composed(&held, &config, seed), &expected);
-        prop_assert_eq!(&composed(&paged, &config, seed), &expected);
+        prop_assert_eq!(&composed(&read(), &config, seed), &expected);
         // The second process finds the files of the first.
-        prop_assert_eq!(&composed(&read(0), &config, seed), &expected);
+        prop_assert_eq!(&composed(&read(), &config, seed), &expected);
     }
 }
 
@@ -190,24 +185,6 @@ fn frame_files(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[test]
-fn motions_are_in_memory_up_to_the_budget() {
-    let (folder, dataset) = nine_clips();
-    let num_frames: u64 = (0..9).map(|clip| (fixture::SPAN + 13 * clip) as u64).sum();
-    let needed = num_frames * super::read::BYTES_PER_FRAME;
-    for (memory, held) in [(needed, 9), (needed - 1, 0)] {
-        let paging = paging(memory, folder.path());
-        let library = Library::read(&dataset, Split::Train, &paging).expect("a library");
-        assert_eq!(library.num_in_memory(), held);
-        assert_eq!(library.num_motions(), 9);
-    }
-    assert_eq!(
-        frame_files(folder.path()).len(),
-        1,
-        "one file, and nothing unfinished"
-    );
-}
-
-#[test]
 fn few_motions_are_in_memory_while_the_file_is_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let motion = fixture::wandering("short", 3);
@@ -215,14 +192,14 @@ fn few_motions_are_in_memory_while_the_file_is_written() {
         let read = AtomicUsize::new(0);
         let mut most = 0;
         let file = FrameFile::open(
-            &paging(0, folder.path()),
+            &cache(folder.path()),
             &format!("{num_clips} clips"),
             3 * num_clips as u64,
             Fps::STORE,
             |writer| {
-                writer.extend(&vec![3; num_clips], |_| {
-                    read.fetch_add(1, Ordering::Relaxed);
-                    Ok(motion.clone())
+                writer.extend(&vec![3; num_clips], |clips| {
+                    read.fetch_add(clips.len(), Ordering::Relaxed);
+                    Ok(vec![motion.clone(); clips.len()])
                 })?;
                 most = writer.most_at_once();
                 Ok(())
@@ -241,12 +218,12 @@ fn long_clips_are_decoded_a_few_at_a_time() {
     let folder = tempfile::tempdir().expect("a folder");
     let motion = fixture::wandering("long", 20_000);
     FrameFile::open(
-        &paging(0, folder.path()),
+        &cache(folder.path()),
         "long",
         80_000,
         Fps::STORE,
         |writer| {
-            writer.extend(&[20_000; 4], |_| Ok(motion.clone()))?;
+            writer.extend(&[20_000; 4], |clips| Ok(vec![motion.clone(); clips.len()]))?;
             assert_eq!(writer.most_at_once(), 1);
             Ok(())
         },
@@ -257,7 +234,7 @@ fn long_clips_are_decoded_a_few_at_a_time() {
 #[test]
 fn a_damaged_file_is_an_error_and_a_cut_one_is_made_again() {
     let (folder, dataset) = nine_clips();
-    let read = || Library::read(&dataset, Split::Train, &paging(0, folder.path()));
+    let read = || Library::read(&dataset, Split::Train, &cache(folder.path()));
     let triplets = |library: Library| -> Result<_, Error> {
         let config = ComposeConfig::default();
         let normalizer = library.fit_normalizer(&config)?;
@@ -292,7 +269,7 @@ fn a_folder_that_cannot_be_written_is_named() {
     let (folder, dataset) = nine_clips();
     let file = folder.path().join("a file");
     fs::write(&file, "").expect("written");
-    let error = Library::read(&dataset, Split::Train, &paging(0, &file)).expect_err("no folder");
+    let error = Library::read(&dataset, Split::Train, &cache(&file)).expect_err("no folder");
     assert!(matches!(error, Error::UnwrittenFrames { .. }), "{error}");
     assert!(error.to_string().contains("STANCE_CACHE"), "{error}");
 }
@@ -303,13 +280,11 @@ fn a_row_that_states_another_length_is_refused() {
     let (mut motions, masks) = fixture::rows(Split::Train, 3);
     motions[1].n_frames += 1;
     let dataset = committed(&folder.path().join("dataset"), &motions, &masks, &[]);
-    for memory in [0, u64::MAX] {
-        let read = Library::read(&dataset, Split::Train, &paging(memory, folder.path()));
-        assert!(matches!(
-            read,
-            Err(Error::Length { motion, .. }) if motion == motions[1].id
-        ));
-    }
+    let read = Library::read(&dataset, Split::Train, &cache(folder.path()));
+    assert!(matches!(
+        read,
+        Err(Error::Length { motion, .. }) if motion == motions[1].id
+    ));
     assert!(
         frame_files(folder.path()).is_empty(),
         "nothing unfinished stays"

@@ -1,80 +1,58 @@
-//! How much memory the motions that edits are composed of may take, and where those lie that take more.
+//! Where the frames of motions lie that edits are composed of.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 use std::time::SystemTime;
 
-/// Bytes that motions may take in memory by default: 40 hours of training clips.
-const DEFAULT_MEMORY: u64 = 3_000_000_000;
 /// Bytes that the files of frames may take together by default: 3,000 hours.
 const DEFAULT_KEPT: u64 = 64_000_000_000;
+/// Variable that names those bytes.
+const SIZE: &str = "STANCE_CACHE_SIZE";
 
-/// Settings of this process, if it made any.
-static OF_PROCESS: OnceLock<Paging> = OnceLock::new();
-
-/// Where a process holds the motions that it composes edits of. It is like the number of threads: no result
-/// depends on it.
+/// Folder of the files of frames that edits are composed of. It is like the number of threads: no result depends on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Paging {
-    /// Bytes that the motions of a split may take in memory. Those that take more are read from a file of
-    /// frames while edits are composed.
-    pub memory: u64,
-    /// Folder of the files of frames. It should be on a disk of this machine.
+pub struct FrameCache {
+    /// The folder. It should be on a disk of this machine.
     pub folder: PathBuf,
     /// Bytes that the files of the folder may take together; those that were not used for longest are removed
     /// when one is added.
     pub kept: u64,
 }
 
-impl Default for Paging {
+impl Default for FrameCache {
     fn default() -> Self {
         Self {
-            memory: DEFAULT_MEMORY,
             folder: std::env::temp_dir().join("stance").join("frames"),
             kept: DEFAULT_KEPT,
         }
     }
 }
 
-impl Paging {
-    /// What the environment says: `STANCE_MEMORY` (bytes, such as `8GB`), `STANCE_CACHE` (a folder, else `stance` in
-    /// `XDG_CACHE_HOME` or in `.cache` of the home folder, else in the folder of temporary files) and
-    /// `STANCE_CACHE_SIZE` (bytes). The caller passes the way to read a variable.
+impl FrameCache {
+    /// What the environment says: `STANCE_CACHE` (a folder, else `stance` in `XDG_CACHE_HOME` or in `.cache` of the home
+    /// folder, else in the folder of temporary files) and `STANCE_CACHE_SIZE` (bytes, such as `8GB`). The caller passes
+    /// the way to read a variable.
     ///
     /// # Errors
     /// A size cannot be read; the text says which.
     pub fn from_environment(get: impl Fn(&str) -> Option<OsString>) -> Result<Self, String> {
         let named = |name: &str| get(name).filter(|value| !value.is_empty());
-        let size = |name: &str, otherwise: u64| match named(name) {
-            None => Ok(otherwise),
-            Some(text) => {
-                parse_bytes(&text.to_string_lossy()).map_err(|problem| format!("{name}: {problem}"))
-            }
+        let otherwise = Self::default();
+        let kept = match named(SIZE) {
+            None => otherwise.kept,
+            Some(text) => parse_bytes(&text.to_string_lossy())
+                .map_err(|problem| format!("{SIZE}: {problem}"))?,
         };
         let folder = |name: &str| named(name).map(PathBuf::from);
         let cache = folder("STANCE_CACHE")
             .or_else(|| Some(folder("XDG_CACHE_HOME")?.join("stance")))
             .or_else(|| Some(folder("LOCALAPPDATA")?.join("stance")))
             .or_else(|| Some(folder("HOME")?.join(".cache").join("stance")));
-        let otherwise = Self::default();
         Ok(Self {
-            memory: size("STANCE_MEMORY", otherwise.memory)?,
             folder: cache.map_or(otherwise.folder, |cache| cache.join("frames")),
-            kept: size("STANCE_CACHE_SIZE", otherwise.kept)?,
+            kept,
         })
-    }
-
-    /// Makes these the settings of the process, unless it has some.
-    pub fn set_for_process(self) {
-        // The first settings hold, as with the threads of the process.
-        let _set = OF_PROCESS.set(self);
-    }
-
-    /// The settings of the process.
-    pub fn of_process() -> Self {
-        OF_PROCESS.get().cloned().unwrap_or_default()
     }
 
     /// The file of this key.
@@ -175,40 +153,35 @@ mod tests {
     }
 
     #[test]
-    fn the_environment_names_memory_and_folder() {
+    fn the_environment_names_folder_and_size() {
         let of = |known: &[(&str, &str)]| {
-            Paging::from_environment(|name| {
+            FrameCache::from_environment(|name| {
                 let found = known.iter().find(|(known, _)| *known == name);
                 found.map(|(_, value)| OsString::from(value))
             })
         };
-        let none = of(&[("STANCE_MEMORY", "")]).expect("valid");
-        assert_eq!(none, Paging::default());
-        let all = [
-            ("HOME", "/home/ada"),
-            ("STANCE_MEMORY", "1GB"),
-            ("STANCE_CACHE_SIZE", "5GB"),
-        ];
+        let none = of(&[("STANCE_CACHE_SIZE", "")]).expect("valid");
+        assert_eq!(none, FrameCache::default());
+        let all = [("HOME", "/home/ada"), ("STANCE_CACHE_SIZE", "5GB")];
         let found = of(&all).expect("valid");
-        assert_eq!((found.memory, found.kept), (1_000_000_000, 5_000_000_000));
+        assert_eq!(found.kept, 5_000_000_000);
         assert_eq!(found.folder, Path::new("/home/ada/.cache/stance/frames"));
         let found = of(&[all.as_slice(), &[("STANCE_CACHE", "/scratch")]].concat());
         assert_eq!(found.expect("valid").folder, Path::new("/scratch/frames"));
-        let wrong = of(&[("STANCE_MEMORY", "much")]).expect_err("no size");
-        assert!(wrong.starts_with("STANCE_MEMORY"), "{wrong}");
+        let wrong = of(&[("STANCE_CACHE_SIZE", "much")]).expect_err("no size");
+        assert!(wrong.starts_with("STANCE_CACHE_SIZE"), "{wrong}");
     }
 
     #[test]
     fn the_files_that_were_not_used_for_longest_are_removed() {
         let folder = tempfile::tempdir().expect("a folder");
-        let paging = Paging {
-            memory: 0,
+        let cache = FrameCache {
             folder: folder.path().to_owned(),
             kept: 250,
         };
         let at = |secs| SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(secs);
         for (name, secs) in [("a", 1), ("b", 2), ("c", 3), ("added", 0)] {
-            let path = paging.file(name);
+            let path = cache.file(name);
             fs::write(&path, [0; 100]).expect("written");
             let file = File::options().append(true).open(&path).expect("opens");
             file.set_modified(at(secs)).expect("set");
@@ -217,9 +190,9 @@ mod tests {
         fs::write(&killed, [0; 100]).expect("written");
         let file = File::options().append(true).open(&killed).expect("opens");
         file.set_modified(at(2)).expect("set");
-        Paging::touch(&paging.file("a"));
+        FrameCache::touch(&cache.file("a"));
         fs::write(folder.path().join("other.txt"), [0; 100]).expect("written");
-        paging.remove_others(&paging.file("added"));
+        cache.remove_others(&cache.file("added"));
         let mut left: Vec<String> = fs::read_dir(folder.path())
             .expect("listed")
             .map(|entry| {
