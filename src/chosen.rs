@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use datasets_spec::Dataset;
-use pipeline::stage;
 use tables::Condition;
 
 /// Which clips are meant.
@@ -25,6 +24,6 @@ impl ChosenArgs {
     /// Opens and verifies a dataset, as if it held the chosen clips alone.
     pub(crate) fn open(&self, root: &Path) -> anyhow::Result<Dataset> {
         let dataset = Dataset::open(root)?;
-        Ok(stage::chosen(&dataset, self.condition.as_ref())?)
+        Ok(tables::chosen(&dataset, self.condition.as_ref())?)
     }
 }

@@ -1,5 +1,6 @@
 //! Exit codes. Scripts rely on them.
 
+use std::error::Error as StdError;
 use std::process::ExitCode;
 
 /// How a command ended. A command line that cannot be parsed exits with 2 before any command runs.
@@ -22,23 +23,9 @@ pub(crate) enum Exit {
 impl Exit {
     /// The code of a command that ended with an error.
     pub(crate) fn of_error(error: &anyhow::Error) -> Self {
-        fn is_lock(error: &datasets_spec::Error) -> bool {
-            use datasets_spec::Error::{Locked, Overtaken};
-            matches!(error, Locked { .. } | Overtaken { .. })
-        }
-        fn is_pipeline_lock(error: &pipeline::Error) -> bool {
-            matches!(error, pipeline::Error::Spec(error) if is_lock(error))
-        }
-        // The wrappers of other crates are transparent, so that the chain leaves out what they wrap.
         let locked = error.chain().any(|cause| {
-            cause.downcast_ref().is_some_and(is_lock)
-                || cause.downcast_ref().is_some_and(is_pipeline_lock)
-                || match cause.downcast_ref() {
-                    Some(train::Error::Spec(error)) => is_lock(error),
-                    Some(train::Error::Pipeline(error)) => is_pipeline_lock(error),
-                    _ => false,
-                }
-                || matches!(cause.downcast_ref(), Some(eval::Error::Spec(error)) if is_lock(error))
+            use datasets_spec::Error::{Locked, Overtaken};
+            matches!(wrapped(cause), Some(Locked { .. } | Overtaken { .. }))
         });
         let asked = error.chain().any(|cause| {
             matches!(
@@ -61,6 +48,49 @@ impl Exit {
         } else {
             Self::Failed
         }
+    }
+}
+
+/// The error of a dataset that another one is. The wrappers of other crates are transparent, so that a chain leaves out
+/// what they wrap.
+fn wrapped<'a>(cause: &'a (dyn StdError + 'static)) -> Option<&'a datasets_spec::Error> {
+    fn of_work(error: &work::Error) -> Option<&datasets_spec::Error> {
+        match error {
+            work::Error::Spec(error) => Some(error),
+            _ => None,
+        }
+    }
+    fn of_compose(error: &compose::Error) -> Option<&datasets_spec::Error> {
+        match error {
+            compose::Error::Spec(error) => Some(error),
+            compose::Error::Work(error) => of_work(error),
+            _ => None,
+        }
+    }
+    if let Some(error) = cause.downcast_ref() {
+        return Some(error);
+    }
+    if let Some(error) = cause.downcast_ref() {
+        return of_work(error);
+    }
+    if let Some(error) = cause.downcast_ref() {
+        return of_compose(error);
+    }
+    match cause.downcast_ref() {
+        Some(pipeline::Error::Spec(error)) => return Some(error),
+        Some(pipeline::Error::Work(error)) => return of_work(error),
+        Some(pipeline::Error::Compose(error)) => return of_compose(error),
+        _ => {}
+    }
+    match cause.downcast_ref() {
+        Some(train::Error::Spec(error)) => return Some(error),
+        Some(train::Error::Work(error)) => return of_work(error),
+        Some(train::Error::Compose(error)) => return of_compose(error),
+        _ => {}
+    }
+    match cause.downcast_ref() {
+        Some(eval::Error::Spec(error)) => Some(error),
+        _ => None,
     }
 }
 

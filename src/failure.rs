@@ -48,6 +48,15 @@ fn known(cause: &(dyn Error + 'static)) -> Option<Code> {
     if let Some(error) = cause.downcast_ref::<pipeline::Error>() {
         return error.code();
     }
+    if let Some(error) = cause.downcast_ref::<work::Error>() {
+        return error.code();
+    }
+    if let Some(error) = cause.downcast_ref::<compose::Error>() {
+        return error.code();
+    }
+    if let Some(error) = cause.downcast_ref::<formats::Error>() {
+        return error.code();
+    }
     if let Some(error) = cause.downcast_ref::<datasets_spec::Error>() {
         return error.code();
     }

@@ -1,9 +1,9 @@
 //! Options that several verbs share.
 
+use compose::FrameCache;
 use datasets_spec::Seed;
-use pipeline::compose::FrameCache;
-use pipeline::stage::Context;
 use train::config::Preset;
+use work::Context;
 
 use crate::progress::Bars;
 
@@ -66,11 +66,11 @@ impl Global {
         Seed(self.seed.or(own).unwrap_or(0))
     }
 
-    /// Runs a stage of `pipeline`.
-    pub(crate) fn stage<T>(
+    /// Runs a stage.
+    pub(crate) fn stage<T, E>(
         &self,
-        act: impl FnOnce(&Context<'_>) -> Result<T, pipeline::Error>,
-    ) -> Result<T, pipeline::Error> {
+        act: impl FnOnce(&Context<'_>) -> Result<T, E>,
+    ) -> Result<T, E> {
         act(&Context {
             progress: &self.bars(),
             holder: &self.holder(),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use datasets_spec::store::is_url;
-use pipeline::write::replace_file;
+use datasets_spec::store::replace_file;
 
 /// Parses a path and refuses a URL: datasets and sources can be remote, runs, exports and stores cannot.
 pub(crate) fn path() -> impl TypedValueParser<Value = PathBuf> {

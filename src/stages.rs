@@ -4,11 +4,11 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use compose::ItemConfig;
 use datasets_spec::{Dataset, Progress, Seed, Split};
 use eval::answers::{Answered, Scores};
 use eval::protocol::Protocol;
 use eval::times::WindowTimes;
-use pipeline::compose::ItemConfig;
 use pipeline::ingest::{IngestReport, SourceArg, ingest};
 use pipeline::stage::{self, IngestConfig};
 use train::registry::open_system;

@@ -5,9 +5,9 @@
 use std::path::Path;
 use std::str::FromStr;
 
+use compose::{ItemConfig, ItemCount, Novelty};
 use corpus::{CorpusOptions, HELD_OUT_CLIPS, PAIR_LIST};
 use datasets_spec::Seed;
-use pipeline::compose::{ItemConfig, ItemCount, Novelty};
 
 /// A test set by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,7 +34,7 @@ pub(crate) const BUILTIN_1: &str = "builtin-1";
 const COUNT: usize = 300;
 /// The items that the demo is scored on, if it is not asked for all.
 const PART: usize = 150;
-/// What the ids of its items come to, as [`pipeline::compose::digest_of_ids`] has it.
+/// What the ids of its items come to, as [`compose::digest_of_ids`] has it.
 const DIGEST: &str = "099accb8ce2b9bbe74622c0a5611bf21";
 /// Adjusted clips of each neutral one, which make the fine-grained pairs.
 pub(crate) const ADJUSTED: usize = 2;

@@ -63,7 +63,7 @@ pub enum Error {
     Motion(#[from] kinematics::Error),
     /// Motions cannot be blended.
     #[error(transparent)]
-    Compose(#[from] pipeline::compose::Error),
+    Compose(#[from] compose::Error),
     /// A file cannot be read or written.
     #[error("cannot {action} {}", path.display())]
     Io {

@@ -2,7 +2,7 @@
 //!
 //! [`http::Server`] serves the pages and the API of `API.md`. Its [`store::Store`] keeps an append-only log
 //! and tables derived from it. [`transfer`] imports tasks from a dataset and exports
-//! accepted answers to it. Computations on motion come from `kinematics` and `pipeline::compose`
+//! accepted answers to it. Computations on motion come from `kinematics` and `compose`
 //! ([`motions`]); the browser only draws.
 //!
 //! Masks can also be reviewed without a browser: [`drafts`] writes them as JSON lines, [`accept`] reads

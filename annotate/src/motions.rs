@@ -8,13 +8,13 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+use compose::{SlerpRule, blend_motion};
 use datasets_spec::quantile::quantile;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Row as _, ShardReader, read_column};
 use datasets_spec::{BlendMask, BodyPart, Dataset, Motion, Resample, Skeleton};
 use glam::DVec3;
 use kinematics::skeleton::NUM_KEYPOINTS;
-use pipeline::compose::{SlerpRule, blend_motion};
 use rayon::prelude::*;
 
 use crate::Error;

@@ -1,6 +1,8 @@
 //! The rows of every table. Columns, types, units and docs derive from one struct declaration, and a test
 //! compares them with `datasets-spec/README.md`.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use serde::{Deserialize, Serialize};
 
 use crate::table::{Caption, PartCaption, Quality, Row, table};
@@ -906,6 +908,17 @@ fn motion_of(
         global_orient.to_vec(),
         body_pose.to_vec(),
     )?)
+}
+
+/// The labels of an exported dataset, for whoever has its motions already.
+#[derive(Clone, Debug)]
+pub struct ExportedLabels {
+    /// Hashes of each motion by its id: in the dataset, and as it was written.
+    pub motions: BTreeMap<String, BTreeSet<String>>,
+    /// Masks.
+    pub masks: Vec<MaskRow>,
+    /// Pairs.
+    pub pairs: Vec<PairRow>,
 }
 
 /// Name, columns and key of every table, for documents and tools.

@@ -270,6 +270,16 @@ pub fn wherever<T>(path: &Path, act: impl Fn(&Path) -> io::Result<T>) -> io::Res
     }
 }
 
+/// Writes a file of a disk whole or not at all. Of two writers the later one wins.
+///
+/// # Errors
+/// The file cannot be created, written or renamed; the temporary file is then removed.
+pub fn replace_file(path: &Path, content: &[u8]) -> io::Result<()> {
+    let mut file = Disk.create(path)?;
+    file.write_all(content)?;
+    file.publish()
+}
+
 /// Writes a file whole or not at all.
 ///
 /// # Errors

@@ -5,15 +5,15 @@
 
 use std::path::Path;
 
+use clip::check::check;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Quality, write_rows};
 use datasets_spec::{Fps, Motion, MotionId, Resample, Skeleton, Split};
 use divan::counter::{BytesCount, ItemsCount};
 use divan::{Bencher, black_box};
-use pipeline::check::check;
-use pipeline::retarget;
-use pipeline::source::ReadOptions;
-use pipeline::source::bvh::BvhFile;
+use formats::retarget;
+use formats::source::ReadOptions;
+use formats::source::bvh::BvhFile;
 
 /// Frames of the synthetic file: a clip of half a minute.
 const NUM_FRAMES: usize = 1000;

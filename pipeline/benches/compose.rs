@@ -9,6 +9,10 @@ use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
 
+use compose::{
+    ComposeConfig, CoordinatorBatch, EditKind, FrameCache, Library, ReadOrder, Stream, WindowBatch,
+    WindowLoader,
+};
 use corpus::{CorpusOptions, write_corpus};
 use datasets_spec::dataset::{Commit, Transaction, commit_rows};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, WindowRow};
@@ -17,10 +21,6 @@ use datasets_spec::{Dataset, NoProgress, Seed, Split};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
 use pipeline::annotation::masks::{MaskConfig, automatic_masks};
-use pipeline::compose::{
-    ComposeConfig, CoordinatorBatch, EditKind, FrameCache, Library, ReadOrder, Stream, WindowBatch,
-    WindowLoader,
-};
 use pipeline::ingest::{IngestOptions, ingest};
 
 /// Windows of a batch.

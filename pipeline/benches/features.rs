@@ -6,16 +6,16 @@
 use std::hint::black_box;
 use std::path::Path;
 
+use clip::Outcome;
 use corpus::{CorpusOptions, clip};
 use datasets_spec::record::HumanMl3dRow;
 use datasets_spec::table::write_rows;
 use datasets_spec::{Fps, Motion, MotionId, Resample, Skeleton, Split};
 use divan::Bencher;
 use divan::counter::{BytesCount, ItemsCount};
-use pipeline::clip::Outcome;
-use pipeline::feature::{self, humanml3d};
-use pipeline::source::{ReadOptions, amass};
-use pipeline::write;
+use features::humanml3d;
+use formats::source::{ReadOptions, amass};
+use formats::write;
 
 fn main() {
     divan::main();
@@ -49,20 +49,20 @@ fn joints_of_motion(bencher: Bencher) {
 #[divan::bench]
 fn recover_joints(bencher: Bencher) {
     let joints = humanml3d::joints_of_motion(&motion(), &skeleton());
-    let features = humanml3d::features_of_joints(&joints).expect("a clip");
+    let rows = humanml3d::features_of_joints(&joints).expect("a clip");
     bencher
-        .counter(ItemsCount::new(features.len()))
-        .bench_local(|| humanml3d::recover_joints(black_box(&features)));
+        .counter(ItemsCount::new(rows.len()))
+        .bench_local(|| humanml3d::recover_joints(black_box(&rows)));
 }
 
 #[divan::bench]
 fn motion_of_features(bencher: Bencher) {
     let skeleton = skeleton();
     let joints = humanml3d::joints_of_motion(&motion(), &skeleton);
-    let features = humanml3d::features_of_joints(&joints).expect("a clip");
+    let rows = humanml3d::features_of_joints(&joints).expect("a clip");
     bencher
-        .counter(ItemsCount::new(features.len()))
-        .bench_local(|| feature::motion_of_features(black_box(&features), Fps::STORE, &skeleton));
+        .counter(ItemsCount::new(rows.len()))
+        .bench_local(|| features::motion_of_features(black_box(&rows), Fps::STORE, &skeleton));
 }
 
 #[divan::bench]
@@ -71,7 +71,7 @@ fn motion_of_joints(bencher: Bencher) {
     let joints = humanml3d::joints_of_motion(&motion(), &skeleton);
     bencher
         .counter(ItemsCount::new(joints.len()))
-        .bench_local(|| feature::motion_of_joints(black_box(&joints), Fps::STORE, &skeleton));
+        .bench_local(|| features::motion_of_joints(black_box(&joints), Fps::STORE, &skeleton));
 }
 
 /// Input frames at 120 fps.
@@ -106,14 +106,14 @@ fn amass_to_parquet(bencher: Bencher) {
             .map(|(index, bytes)| {
                 let motion = read(black_box(bytes), Some(Fps::STORE));
                 let joints = humanml3d::joints_of_motion(&motion, &skeleton);
-                let features = humanml3d::features_of_joints(&joints).expect("a clip");
+                let rows = humanml3d::features_of_joints(&joints).expect("a clip");
                 HumanMl3dRow {
                     id: MotionId::parse(&index.to_string()).expect("valid"),
                     split: Split::Train,
                     recipe: humanml3d::RECIPE.to_owned(),
                     fps: 20.0,
-                    n_frames: features.len() as i32,
-                    features,
+                    n_frames: rows.len() as i32,
+                    features: rows,
                 }
             })
             .collect();

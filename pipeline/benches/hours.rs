@@ -15,16 +15,16 @@ use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
 
+use compose::recording;
+use compose::{ComposeConfig, WindowBatch};
 use corpus::{CorpusOptions, write_corpus};
 use datasets_spec::dataset::{Commit, Transaction, table_facts};
 use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, MotionId, NoProgress, Seed, Split};
 use pipeline::annotation::masks::{MaskConfig, automatic_masks};
-use pipeline::compose::{ComposeConfig, WindowBatch};
 use pipeline::ingest::{IngestOptions, ingest};
-use pipeline::recording;
-use pipeline::stage::{self, Context};
+use work::Context;
 
 /// Clips that are repeated.
 const CLIPS: usize = 400;
@@ -63,7 +63,7 @@ fn main() -> Result<(), Failure> {
         ["loader", dataset, count] => {
             let dataset = Dataset::open_unverified(Path::new(dataset))?;
             let config = ComposeConfig::default();
-            let (stream, _) = stage::train_stream(&dataset, &config, Seed(0), None)?;
+            let (stream, _) = compose::train_stream(&dataset, &config, Seed(0), None)?;
             let mut batch = WindowBatch::default();
             let count: u64 = count.parse()?;
             measured(count, || {

@@ -66,9 +66,8 @@ impl<'a> Clips<'a> {
             shard.rows = Some(rows);
         }
         if clips.is_empty() {
-            return Err(Error::NoneChosen {
-                path: dataset.root().to_owned(),
-            });
+            let path = dataset.root().to_owned();
+            return Err(tables::Error::NoneChosen { path }.into());
         }
         Ok(clips)
     }

@@ -3,32 +3,12 @@
 use std::path::PathBuf;
 
 use datasets_spec::Code;
+use work::Failed;
 
 /// An error that ends a run. A faulty source file is not an error but a row of the `quarantine` table.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A dataset holds no recorded windows of a split.
-    #[error(
-        "{} holds no recorded windows of split {split}; run: stance triplets DATASET --windows N --out {}",
-        path.display(),
-        path.display()
-    )]
-    NoWindows {
-        /// The dataset.
-        path: PathBuf,
-        /// The split asked for.
-        split: datasets_spec::Split,
-    },
-    /// Recorded windows of several lengths.
-    #[error(
-        "the windows recorded in {} are of several lengths; record them again: stance triplets DATASET --windows N --out FOLDER",
-        path.display()
-    )]
-    UnequalWindows {
-        /// The dataset.
-        path: PathBuf,
-    },
     /// A dataset has no such clip.
     #[error("no clip {id:?} in {}", path.display())]
     NoClip {
@@ -64,22 +44,6 @@ pub enum Error {
         /// The dataset.
         path: PathBuf,
     },
-    /// A condition chooses no clip.
-    #[error("no clip of {} fulfils the condition; `stance stats` shows which values there are", path.display())]
-    NoneChosen {
-        /// The dataset.
-        path: PathBuf,
-    },
-    /// A file gives no motion.
-    #[error("{}: {reason}", path.display())]
-    UnusableFile {
-        /// The file.
-        path: PathBuf,
-        /// Code that scripts may rely on: that of the rejection, or `E-NO-MOTION`.
-        code: &'static str,
-        /// Why.
-        reason: String,
-    },
     /// A folder holds something else than motions.
     #[error("{} is {other}", path.display())]
     OtherThanMotions {
@@ -99,20 +63,6 @@ pub enum Error {
         path: PathBuf,
         /// Judged masks.
         count: usize,
-    },
-    /// Edits cannot be composed without masks or pairs.
-    #[error(
-        "{} has neither masks nor pairs in split {split}; run `stance masks {}` for semantic edits, \
-         `stance pairs {}` for styles",
-        path.display(),
-        path.display(),
-        path.display()
-    )]
-    NoAnnotations {
-        /// The dataset.
-        path: PathBuf,
-        /// The split.
-        split: datasets_spec::Split,
     },
     /// The rate to store motions at is implausible.
     #[error(
@@ -239,18 +189,6 @@ pub enum Error {
         /// What is there instead, or what to check.
         hint: String,
     },
-    /// An archive cannot be unpacked to be read.
-    #[error(
-        "cannot unpack an archive to {}: {reason}; set TMPDIR to a folder with more room, or unpack the archive and name \
-         its folder",
-        path.display()
-    )]
-    Scratch {
-        /// The file or folder.
-        path: PathBuf,
-        /// Why not.
-        reason: String,
-    },
     /// A plan for many processes with an archive that each of them would have to unpack.
     #[error(
         "{}: the members of a packed tar cannot be read by many processes; unpack it and name its folder, or pack it \
@@ -268,12 +206,6 @@ pub enum Error {
         path: PathBuf,
         /// Why not.
         reason: String,
-    },
-    /// The folder of an export exists.
-    #[error("{} exists and is not empty; name a new folder", path.display())]
-    Occupied {
-        /// The folder.
-        path: PathBuf,
     },
     /// A dataset without motions was to be exported.
     #[error(
@@ -304,92 +236,6 @@ pub enum Error {
         /// The id.
         id: String,
     },
-    /// A file is not a usable body model.
-    #[error("{} cannot serve as body model ({code}): {reason}", path.display())]
-    BodyModel {
-        /// The file.
-        path: PathBuf,
-        /// Code that scripts may rely on, such as `E-BODY-SHAPE`.
-        code: &'static str,
-        /// What is wrong, with what was found and expected.
-        reason: String,
-    },
-    /// A list of crops cannot be used.
-    #[error("{} is no HumanML3D index: {reason}", path.display())]
-    Index {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong, with what was found and expected.
-        reason: String,
-    },
-    /// A folder is not a plan that this program can use.
-    #[error("{} is no usable plan: {reason}", path.display())]
-    BadPlan {
-        /// The folder.
-        path: PathBuf,
-        /// What is wrong, and what to do.
-        reason: String,
-    },
-    /// The destination of a plan changed since it was made.
-    #[error(
-        "{} has version {now} now and the plan {} starts from version {base}; plan again",
-        destination.display(),
-        path.display()
-    )]
-    StalePlan {
-        /// The plan.
-        path: PathBuf,
-        /// The destination.
-        destination: PathBuf,
-        /// Version that the plan starts from; 0 for none.
-        base: u64,
-        /// Version that is there now; 0 for none.
-        now: u64,
-    },
-    /// A file changed since a plan was made.
-    #[error("{} changed since it was planned; plan again", path.display())]
-    SourceChanged {
-        /// The file or folder.
-        path: PathBuf,
-    },
-    /// Pieces of a plan are not there.
-    #[error(
-        "{missing} of {of} pieces are missing; make them: stance stage work {} (`stance stage status` lists them)",
-        path.display()
-    )]
-    PiecesMissing {
-        /// The plan.
-        path: PathBuf,
-        /// Pieces that are missing.
-        missing: usize,
-        /// Pieces of the plan.
-        of: usize,
-    },
-    /// Pieces of a plan failed.
-    #[error(
-        "{failed} of {of} pieces failed: {shown}. Try them again: stance stage work {}; or commit without them: \
-         stance stage commit {} --quarantine-failed",
-        path.display(),
-        path.display()
-    )]
-    PiecesFailed {
-        /// The plan.
-        path: PathBuf,
-        /// Pieces that failed.
-        failed: usize,
-        /// Pieces of the plan.
-        of: usize,
-        /// The first of them, with code and reason.
-        shown: String,
-    },
-    /// The job of a plan cannot go on.
-    #[error("{reason} ({code})")]
-    Job {
-        /// Code of the failure.
-        code: String,
-        /// What failed, and what to do.
-        reason: String,
-    },
     /// A path cannot be listed or read.
     #[error("cannot {action} {}", path.display())]
     Io {
@@ -416,9 +262,15 @@ pub enum Error {
     /// A motion is invalid.
     #[error(transparent)]
     Motion(#[from] kinematics::Error),
+    /// A file or folder cannot be read as its format says.
+    #[error(transparent)]
+    Formats(#[from] formats::Error),
+    /// A job in pieces, or the folder that it writes, cannot go on.
+    #[error(transparent)]
+    Work(#[from] work::Error),
     /// Composing motions failed.
     #[error(transparent)]
-    Compose(#[from] crate::compose::Error),
+    Compose(#[from] compose::Error),
 }
 
 impl Error {
@@ -427,23 +279,14 @@ impl Error {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),
             Self::Compose(error) => return error.code(),
-            Self::UnusableFile { path, code, .. } | Self::BodyModel { path, code, .. } => {
-                (*code, path)
-            }
+            Self::Formats(error) => return error.code(),
+            Self::Work(error) => return error.code(),
             Self::Io { path, .. } => ("E-IO", path),
             Self::MissingSource { path } => ("E-MISSING", path),
             Self::Mixture { path, .. } => ("E-MIXTURE", path),
             Self::AskedSource { .. } => return Some(("E-SOURCE-NAME", None)),
-            Self::Occupied { path } => ("E-OCCUPIED", path),
             Self::IdList { path, .. } => ("E-ID-LIST", path),
             Self::PackedTar { path } => ("E-PACKED-TAR", path),
-            Self::Scratch { path, .. } => ("E-SCRATCH", path),
-            Self::Index { path, .. } => ("E-INDEX", path),
-            Self::BadPlan { path, .. } => ("E-PLAN", path),
-            Self::SourceChanged { path } => ("E-SOURCE-CHANGED", path),
-            Self::StalePlan { path, .. } => ("E-PLAN-STALE", path),
-            Self::PiecesMissing { path, .. } => ("E-PIECES-MISSING", path),
-            Self::PiecesFailed { path, .. } => ("E-PIECES-FAILED", path),
             Self::NoFiles { paths, .. } => return Some(("E-NO-FILES", Some(paths.clone()))),
             Self::NoClip { id, .. } => return Some(("E-CLIP-UNKNOWN", Some(id.clone()))),
             Self::NoItem { id, .. } => return Some(("E-ITEM-UNKNOWN", Some(id.clone()))),
@@ -462,6 +305,22 @@ impl Error {
             action,
             path,
             source,
+        }
+    }
+}
+
+impl From<Error> for Failed {
+    fn from(error: Error) -> Self {
+        Self::of(error.code(), &error)
+    }
+}
+
+impl From<Error> for work::Error {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Work(error) => error,
+            Error::Spec(error) => error.into(),
+            error => Failed::from(error).into(),
         }
     }
 }

@@ -1,8 +1,7 @@
 //! Raw files to motions to triplets.
 //!
-//! [`source`] reads foreign formats and [`retarget`] poses them on the SMPL-X skeleton; [`ingest`]
-//! turns folders into a committed dataset; [`annotation`] marks what each clip is about; [`compose`]
-//! is MotionCutMix; [`export`] writes other layouts.
+//! [`ingest`] turns folders into a committed dataset, with the readers of [`formats`]; [`annotation`] marks what each
+//! clip is about; [`compose`] is MotionCutMix; [`export`] writes other layouts.
 //!
 //! A bad file is a row of the `quarantine` table, never an error of the run. Read [`ingest::ingest`]
 //! and [`compose::Stream`] first.
@@ -24,41 +23,22 @@
 pub mod annotation;
 pub mod answers;
 pub mod catalogue;
-pub mod check;
-pub mod clip;
 mod clip_table;
 pub mod clips;
-pub mod compose;
 mod counts;
-mod csv_lines;
 pub mod doctor;
 mod error;
 pub mod export;
-pub mod feature;
-
-#[cfg(test)]
-mod fixture;
-pub mod floor;
-mod foreign_table;
-#[cfg(test)]
-mod golden;
 pub mod ingest;
-mod jobs;
+pub mod jobs;
 pub mod likeness;
-pub mod markers;
 pub mod merge;
 pub mod open;
-pub mod recording;
 mod recordings;
 pub mod reference;
-pub mod retarget;
-pub mod sidecar;
-pub mod source;
 pub mod stage;
 pub mod stats;
 pub mod verify;
 pub mod versions;
-pub mod work;
-pub mod write;
 
 pub use error::Error;

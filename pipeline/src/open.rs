@@ -2,16 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
+use clip::Outcome;
 use datasets_spec::record::{ItemRow, MotionRow};
 use datasets_spec::store::{ByPath, Store, is_url};
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, Motion, Skeleton};
+use formats::source::labels::ClipLabels;
+use formats::source::{Format, ReadOptions, Recognised, read_clip, recognise};
 
 use crate::Error;
-use crate::clip::Outcome;
 use crate::clips::check_content;
-use crate::source::labels::ClipLabels;
-use crate::source::{Format, ReadOptions, Recognised, read_clip, recognise};
 
 /// Code of a file that gives no motion and is not rejected either.
 const NO_MOTION: &str = "E-NO-MOTION";
@@ -68,10 +68,9 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<Motion, Error> {
     };
     let (file, key) = file_and_key(path);
     let (_, mut outcomes) = read_file(&file, &options)?;
-    let refused = |code, reason: String| Error::UnusableFile {
-        path: path.to_owned(),
-        code,
-        reason,
+    let refused = |code, reason: String| {
+        let path = path.to_owned();
+        Error::from(formats::Error::UnusableFile { path, code, reason })
     };
     if let Some(key) = key {
         let names: Vec<String> = outcomes.iter().map(|(name, _)| name.clone()).collect();
@@ -115,11 +114,12 @@ pub fn read_file(
     let format = match recognise(path, &bytes) {
         Recognised::Motion(format) => format,
         Recognised::NotMotion { reason } => {
-            return Err(Error::UnusableFile {
+            return Err(formats::Error::UnusableFile {
                 path: path.to_owned(),
                 code: NO_MOTION,
                 reason: format!("it holds no motion this program reads: {reason}"),
-            });
+            }
+            .into());
         }
     };
     let folder = path.parent().unwrap_or(Path::new("."));

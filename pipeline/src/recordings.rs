@@ -230,8 +230,9 @@ pub(crate) fn unite_alike(groups: &mut Groups, sketches: Vec<(usize, Sketch)>) {
 
 #[cfg(test)]
 mod tests {
+    use formats::source::FORMATS;
+
     use super::*;
-    use crate::source::FORMATS;
 
     fn origin(id: &str, source: &str, hash: &str) -> Origin {
         Origin {

@@ -4,19 +4,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use clip::Rejected;
 use datasets_spec::record::{HumanMl3dRow, MotionRow};
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Fps, Progress, Resample, Skeleton};
+use features::humanml3d::{
+    Features, GROUPS, Joints, RECIPE, features_of_joints, joints_of_motion, recover_joints,
+};
+use features::smpl_body;
+use formats::source::{self};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
-use crate::clip::Rejected;
-use crate::feature::humanml3d::{
-    Features, GROUPS, Joints, RECIPE, features_of_joints, joints_of_motion, recover_joints,
-};
-use crate::feature::smpl_body;
-use crate::source::{self};
 use pickle::npy;
 
 /// Folders of the vectors and joints in a published folder.
@@ -535,9 +535,9 @@ impl Missing {
 mod tests {
     use datasets_spec::dataset::commit_rows;
     use datasets_spec::{MotionId, NoProgress, Split};
+    use testkit::{motion_row, wandering};
 
     use super::*;
-    use crate::compose::fixture::{motion_row, wandering};
     use pickle::npy::encode;
 
     const CONTACTS: &str = "foot contacts";

@@ -5,65 +5,26 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
-use datasets_spec::dataset::{Commit, Transaction, commit_rows, table_facts};
+use compose::{COMPOSED, ItemConfig, ItemCount, Shown, draw_items, library};
 use datasets_spec::manifest::plan_hash;
-use datasets_spec::record::{EditRow, ItemRow, MaskRow, MotionRow, PairRow};
+use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader, read_column};
-use datasets_spec::{Dataset, Fps, MotionId, Progress, Resample, Seed, Skeleton, Split};
-use kinematics::normalise::Normalizer;
+use datasets_spec::{Dataset, Fps, MotionId, Resample, Seed, Split};
 use serde::{Deserialize, Serialize};
-use tables::Condition;
+use tables::{Condition, chosen};
+pub use work::Context;
 
 use crate::Error;
 use crate::annotation::masks::{self, MaskConfig};
 use crate::annotation::pairs::{
     self, LabelledClip, PairConfig, PairList, RefusedLine, is_from_labels, style_pairs,
 };
-use crate::annotation::variants::Candidates;
 use crate::catalogue::other_than_motions;
-use crate::compose::{
-    self, ComposeConfig, FrameCache, ItemConfig, ItemCount, Library, Shown, Stream, draw_items,
-};
 use crate::ingest::{IngestOptions, SplitBy};
-use crate::work::Quarantine;
 
 /// Clips whose frames are in memory while masks are made.
 const CLIPS_AT_ONCE: usize = 256;
-
-/// Tables that composed edits depend on.
-pub const COMPOSED: [&str; 3] = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE];
-
-/// Context of a stage: where it reports and who locks the folder it writes.
-#[derive(Clone, Copy)]
-pub struct Context<'a> {
-    /// Receives the progress.
-    pub progress: &'a dyn Progress,
-    /// Names this run to another one that finds the folder locked.
-    pub holder: &'a str,
-}
-
-impl Context<'_> {
-    /// Commits a table, unless the folder holds it by the same plan.
-    fn commit<R: Row>(
-        &self,
-        root: &Path,
-        rows: &[R],
-        split_of: Option<fn(&R) -> Split>,
-        skeleton: &Skeleton,
-        plan_hash: &str,
-    ) -> Result<Dataset, Error> {
-        Ok(commit_rows(
-            root,
-            rows,
-            split_of,
-            skeleton,
-            plan_hash,
-            self.holder,
-        )?)
-    }
-}
 
 /// Section `[ingest]` of a plan: how files become rows.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -140,23 +101,6 @@ fn with_motions(dataset: Dataset) -> Result<Dataset, Error> {
             path: dataset.root().to_owned(),
             other,
         }),
-    }
-}
-
-/// The dataset as if it held the clips alone for which a condition is true, if there is one.
-///
-/// # Errors
-/// No clip fulfils it, or a table cannot be read.
-pub fn chosen(dataset: &Dataset, condition: Option<&Condition>) -> Result<Dataset, Error> {
-    let Some(condition) = condition else {
-        return Ok(dataset.clone());
-    };
-    let chosen = condition.of(dataset)?;
-    match chosen.num_chosen() {
-        Some(0) => Err(Error::NoneChosen {
-            path: dataset.root().to_owned(),
-        }),
-        _ => Ok(chosen),
     }
 }
 
@@ -246,7 +190,8 @@ pub fn masks(
     context
         .progress
         .finish(&format!("{} masks on {} clips", rows.len(), motions.len()));
-    context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)
+    let dataset = context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)?;
+    Ok(dataset)
 }
 
 /// Makes style pairs from the labels of a dataset and commits them beside those of its sources. Also
@@ -328,44 +273,6 @@ pub fn listed_pairs(
     Ok((dataset, made.refused))
 }
 
-/// The motions, masks and pairs of one split. The environment names the folder of their frames ([`FrameCache`]).
-///
-/// # Errors
-/// The split has neither masks nor pairs, or a table cannot be read.
-pub fn library(dataset: &Dataset, split: Split) -> Result<Arc<Library>, Error> {
-    let rows = |table| dataset.manifest().rows(table, Some(split));
-    if rows(MaskRow::TABLE) == 0 && rows(PairRow::TABLE) == 0 {
-        return Err(Error::NoAnnotations {
-            path: dataset.root().to_owned(),
-            split,
-        });
-    }
-    let cache = FrameCache::from_environment(|name| std::env::var_os(name));
-    let cache = cache.map_err(compose::Error::Environment)?;
-    let library = Library::read(dataset, split, &cache)?;
-    Ok(Arc::new(library))
-}
-
-/// The composer's stream over the training split and its normaliser: the one given, or else the one
-/// fitted to the split.
-///
-/// # Errors
-/// The split cannot be composed.
-pub fn train_stream(
-    dataset: &Dataset,
-    config: &ComposeConfig,
-    seed: Seed,
-    normalizer: Option<Normalizer>,
-) -> Result<(Stream, Normalizer), Error> {
-    let library = library(dataset, Split::Train)?;
-    let normalizer = match normalizer {
-        Some(normalizer) => normalizer,
-        None => library.fit_normalizer(config)?,
-    };
-    let stream = Stream::new(library, config.clone(), seed, &normalizer)?;
-    Ok((stream, normalizer))
-}
-
 /// Whether the training split can teach a coordinator: composing takes motions of two sources.
 ///
 /// # Errors
@@ -423,93 +330,4 @@ pub fn items(
     let skeleton = dataset.skeleton()?;
     let dataset = context.commit(out, &rows, Some(|row| row.split), &skeleton, &plan)?;
     Ok(DrawnItems { dataset, fewer })
-}
-
-/// Commits items and edits of them together.
-///
-/// # Errors
-/// The folder is locked or cannot be written.
-pub fn commit_edits(
-    out: &Path,
-    items: &[ItemRow],
-    edits: &[EditRow],
-    skeleton: &Skeleton,
-    plan_hash: &str,
-    holder: &str,
-) -> Result<Dataset, Error> {
-    let transaction = Transaction::begin(out, holder)?;
-    let none = Quarantine::default();
-    commit_edits_in(transaction, items, edits, skeleton, plan_hash, &none)
-}
-
-/// [`commit_edits`] within a transaction that has begun, with the pieces that failed.
-///
-/// # Errors
-/// The folder cannot be written.
-pub fn commit_edits_in(
-    transaction: Transaction,
-    items: &[ItemRow],
-    edits: &[EditRow],
-    skeleton: &Skeleton,
-    plan_hash: &str,
-    quarantine: &Quarantine,
-) -> Result<Dataset, Error> {
-    let item_split: fn(&ItemRow) -> Split = |row| row.split;
-    let edit_split: fn(&EditRow) -> Split = |row| row.split;
-    let mut tables = BTreeMap::from([
-        (
-            ItemRow::TABLE.to_owned(),
-            transaction.write_rows(items, Some(item_split), skeleton, plan_hash)?,
-        ),
-        (
-            EditRow::TABLE.to_owned(),
-            transaction.write_rows(edits, Some(edit_split), skeleton, plan_hash)?,
-        ),
-    ]);
-    let facts = table_facts(skeleton, plan_hash);
-    let accounting = quarantine.write(&transaction, &mut tables, &facts)?;
-    Ok(transaction.commit(Commit {
-        tables,
-        plan_hash: plan_hash.to_owned(),
-        skeleton: skeleton.clone(),
-        accounting,
-        ..Commit::default()
-    })?)
-}
-
-/// Commits candidate pairs and their motions as a dataset, with the pieces that failed.
-/// `facts` tells how they were made.
-///
-/// # Errors
-/// The folder cannot be written.
-pub fn commit_candidates(
-    transaction: Transaction,
-    candidates: &Candidates,
-    facts: BTreeMap<String, String>,
-    skeleton: &Skeleton,
-    plan_hash: &str,
-    quarantine: &Quarantine,
-) -> Result<Dataset, Error> {
-    let motion_split: fn(&MotionRow) -> Split = |row| row.split;
-    let pair_split: fn(&PairRow) -> Split = |row| row.split;
-    let mut tables = BTreeMap::from([
-        (
-            MotionRow::TABLE.to_owned(),
-            transaction.write_rows(&candidates.motions, Some(motion_split), skeleton, plan_hash)?,
-        ),
-        (
-            PairRow::TABLE.to_owned(),
-            transaction.write_rows(&candidates.pairs, Some(pair_split), skeleton, plan_hash)?,
-        ),
-    ]);
-    let table_facts = table_facts(skeleton, plan_hash);
-    let accounting = quarantine.write(&transaction, &mut tables, &table_facts)?;
-    Ok(transaction.commit(Commit {
-        tables,
-        plan_hash: plan_hash.to_owned(),
-        skeleton: skeleton.clone(),
-        accounting,
-        facts,
-        ..Commit::default()
-    })?)
 }

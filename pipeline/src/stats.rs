@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use clip::check::flag_names;
 use datasets_spec::Dataset;
 use datasets_spec::quantile::quantile;
 use datasets_spec::record::CAPTION_BY_RULE;
@@ -10,7 +11,6 @@ use serde::{Deserialize, Serialize};
 use tables::Condition;
 
 use crate::Error;
-use crate::check::flag_names;
 pub use crate::counts::Share;
 use crate::counts::{Counts, Group};
 use crate::ingest::REMARKS_FACT;
@@ -112,9 +112,8 @@ pub fn statistics(dataset: &Dataset, condition: Option<&Condition>) -> Result<St
         "motions",
     )?;
     if facts.is_empty() && condition.is_some() {
-        return Err(Error::NoneChosen {
-            path: dataset.root().to_owned(),
-        });
+        let path = dataset.root().to_owned();
+        return Err(tables::Error::NoneChosen { path }.into());
     }
     let mut durations = [0u64; DURATIONS.len() + 1];
     let mut errors: BTreeMap<String, Vec<f64>> = BTreeMap::new();

@@ -456,7 +456,7 @@ fn change(verb: &str, store: Arc<dyn Store>, dataset: &Path) -> Result<(), Error
             let choice = Choice::Where("id like '%sit%'".parse()?);
             match remove_in(transaction, &choice, RemoveOptions::default()) {
                 // They are gone already.
-                Err(Error::NoneChosen { .. }) => Ok(()),
+                Err(Error::Tables(tables::Error::NoneChosen { .. })) => Ok(()),
                 done => done.map(|_| ()),
             }
         }

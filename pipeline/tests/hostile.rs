@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use corpus::{CorpusOptions, clip};
 use datasets_spec::record::{MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, NoProgress, Skeleton};
+use formats::write;
 use pipeline::ingest::{IngestOptions, ingest};
-use pipeline::write;
 use serde_json::{Value, json};
 
 /// What must become of a file.

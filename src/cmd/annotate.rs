@@ -19,9 +19,9 @@ use annotate::wire::{
     TaskKind, TaskState, User, Verdict,
 };
 use anyhow::{Context, bail};
+use compose::Phrases;
 use datasets_spec::{Dataset, Progress as _, Split};
-use pipeline::compose::Phrases;
-use pipeline::source::stance::exported_labels;
+use formats::source::stance::exported_labels;
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;

@@ -3,15 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use compose::ComposeConfig;
+use compose::recording::{self, Kind, Settings};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, TripletRow};
 use datasets_spec::table::Row;
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
 use pipeline::clips::Clips;
-use pipeline::compose::ComposeConfig;
 use pipeline::export::{Layout, export};
 use pipeline::ingest::SourceArg;
-use pipeline::recording::{self, Kind, Settings};
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use compose::ItemCount;
 use corpus::{CLIPS_PER_TAKE, CorpusOptions, PAIR_LIST, write_corpus, write_held_out_corpus};
 use datasets_spec::Seed;
-use pipeline::compose::ItemCount;
 use pipeline::ingest::SourceArg;
 use train::config::{Preset, RunLength, TrainConfig};
 

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use formats::source::{ReadOptions, Unit};
 use pipeline::doctor::examine;
-use pipeline::source::{ReadOptions, Unit};
 
 use crate::cmd::ingest::read_markers;
 use crate::exit::Exit;

@@ -5,15 +5,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::store::replace_file;
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Motion, MotionId, Resample, Seed, Skeleton, Split};
 use eval::draw::raster;
 use eval::draw::strip::{self, Style};
 use eval::format::grid::Grid;
 use pipeline::open::{clip_of_file, stored_clip};
-use pipeline::stage::commit_edits;
-use pipeline::work::Plan;
-use pipeline::write::replace_file;
 use train::checkpoint::Slot;
 use train::history::EditHistory;
 use train::registry::open_system;
@@ -23,6 +21,8 @@ use train::system::{
     edit_layers, edit_motion, whole,
 };
 use train::work::edits::plan_edits;
+use work::Plan;
+use work::commit_edits;
 
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
@@ -644,9 +644,9 @@ impl Shown<'_> {
         };
         let style = Style::default();
         let bytes = match out.extension().and_then(|extension| extension.to_str()) {
-            Some("npz") => pipeline::write::amass::encode(edited, skeleton)?,
-            Some("bvh") => pipeline::write::bvh::encode(edited, skeleton).into_bytes(),
-            Some("glb") => pipeline::write::gltf::encode(edited, skeleton)?,
+            Some("npz") => formats::write::amass::encode(edited, skeleton)?,
+            Some("bvh") => formats::write::bvh::encode(edited, skeleton).into_bytes(),
+            Some("glb") => formats::write::gltf::encode(edited, skeleton)?,
             Some("svg") => strip::strip(&rows(), &style).into_bytes(),
             Some("png") => raster::png(&strip::strip(&rows(), &style), 2.0)?,
             Some("gif") => raster::gif(&rows(), &style, 1.0)?,

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use datasets_spec::license::licenses;
 use datasets_spec::record::EditRow;
+use datasets_spec::store::replace_file;
 use datasets_spec::{Dataset, Fps};
 use pipeline::answers::bundle::Bundle;
 use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
-use pipeline::write::replace_file;
 use serde::Serialize;
 
 use crate::evaluators::judge_hash;

@@ -11,7 +11,7 @@ use pipeline::export::{
     Counts, Exported, Layout, Sides, before, export, export_edits, export_triplets, plan_export,
     untagged_captions,
 };
-use pipeline::work::Plan;
+use work::Plan;
 
 use crate::chosen::ChosenArgs;
 use crate::exit::Exit;

@@ -6,22 +6,22 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use clap::builder::{OsStringValueParser, PossibleValuesParser, TypedValueParser};
+use clip::LabelProblem;
+use clip::check::Teleports;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use datasets_spec::{Fps, Resample, Skeleton};
+use formats::markers::MarkerSet;
+use formats::retarget::UserMap;
+use formats::source::body_model::{Subjects, read_skeleton};
+use formats::source::{FORMATS, Format, ReadOptions, Unit, format_named};
 use pipeline::annotation::pairs::{PairList, RefusedLine};
-use pipeline::check::Teleports;
-use pipeline::clip::LabelProblem;
 use pipeline::ingest::{
     AlikeClips, Forecast, Growth, IdList, IngestOptions, IngestReport, SourceArg, SplitBy,
     SplitList, forecast, ingest, plan_ingest,
 };
-use pipeline::markers::MarkerSet;
-use pipeline::retarget::UserMap;
-use pipeline::source::body_model::{Subjects, read_skeleton};
-use pipeline::source::{FORMATS, Format, ReadOptions, Unit, format_named};
-use pipeline::work::Plan;
 use serde::Serialize;
+use work::Plan;
 
 use crate::exit::Exit;
 use crate::failure::Failure;

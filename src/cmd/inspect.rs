@@ -6,17 +6,17 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use clip::check::flag_names;
+use clip::{Outcome, Rejected, SourceClip};
 use datasets_spec::manifest::{Accounting, Manifest};
 use datasets_spec::record::{CAPTION_BY_RULE, EditRow, ItemRow, MotionRow};
 use datasets_spec::store::{ByPath, Store, is_url};
 use datasets_spec::table::{Row, ShardDescription, describe, read_column};
 use datasets_spec::{Dataset, Skeleton};
+use formats::source::ReadOptions;
 use pipeline::catalogue::{Catalogue, Group, catalogue};
-use pipeline::check::flag_names;
-use pipeline::clip::{Outcome, Rejected, SourceClip};
 use pipeline::ingest::REMARKS_FACT;
 use pipeline::open::{read_file, stored_clip, stored_item};
-use pipeline::source::ReadOptions;
 use serde::Serialize;
 
 use self::list::List;
@@ -489,7 +489,7 @@ impl ForeignMotion {
                 if let Some(error) = fit_error_m {
                     fact("fit error", format!("{:.1} cm", 100.0 * error));
                 }
-                match pipeline::check::check(read, skeleton) {
+                match clip::check::check(read, skeleton) {
                     Ok(quality) => {
                         fact("max speed", format!("{:.2} m/s", quality.max_speed));
                         fact("foot skate", format!("{:.2} m/s", quality.foot_skate));

@@ -4,9 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use anyhow::Context;
+use compose::{ItemConfig, ItemCount, ItemTask, Novelty, digest_of_ids};
 use datasets_spec::record::ItemRow;
 use datasets_spec::{Dataset, Seed, Split};
-use pipeline::compose::{ItemConfig, ItemCount, ItemTask, Novelty, digest_of_ids};
 use pipeline::export::export_items;
 
 use crate::chosen::ChosenArgs;

@@ -9,13 +9,10 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use datasets_spec::store::temporary_beside;
 use pipeline::export::Exported;
-use pipeline::work::{
-    self, CommitOptions, Failed, Jobs, Outcome, Piece, Plan, Record, Sample, Worker,
-};
-use pipeline::write::NewFolder;
 use serde::{Deserialize, Serialize};
 use train::sample::EditTimes;
 use train::work::{Surroundings, device_of, edits, variants};
+use work::{CommitOptions, Failed, Jobs, NewFolder, Outcome, Piece, Plan, Record, Sample, Worker};
 
 use crate::cmd;
 use crate::device::DeviceArgs;
@@ -151,7 +148,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 
 /// The jobs of this program.
 fn jobs() -> Jobs {
-    Jobs::default()
+    pipeline::jobs::jobs()
         .with(
             edits::JOB,
             Box::new(|plan| edits::open_job(plan, of_plan(plan)?)),
@@ -224,7 +221,7 @@ fn dry_run(
     // A plan is written where nothing is.
     let place = folder.path().join("plan");
     let plan = make(&place)?;
-    let worker = Worker::with_jobs(&place, jobs())?;
+    let worker = Worker::open(&place, jobs())?;
     let sample = worker.sample(SAMPLE).map_err(failure)?;
     say(&plan, None, sample, global)
 }
@@ -288,7 +285,7 @@ fn work(args: &WorkArgs, global: &Global) -> anyhow::Result<Exit> {
         rlimit::setrlimit(rlimit::Resource::AS, bytes, bytes)
             .context("cannot limit the memory of this process")?;
     }
-    let worker = Worker::with_jobs(&args.plan, jobs())?;
+    let worker = Worker::open(&args.plan, jobs())?;
     let ids = chosen(args, worker.plan())?;
     let (mut done, mut before, mut failed) = (0u64, 0u64, 0u64);
     let bars = global.bars();

@@ -3,17 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use compose::recording::{self, Kind, Settings, plan_recording};
+use compose::{ComposeConfig, Stream, StreamStats, TripletStats, triplet_stats};
 use datasets_spec::{JointSet, Motion, Skeleton};
 use eval::draw::strip::{Row, Style, strip};
 use eval::metric::foot_score::foot_score;
 use eval::protocol::Floor;
-use pipeline::compose::{ComposeConfig, Stream, StreamStats, TripletStats, triplet_stats};
-use pipeline::recording::{self, Kind, Settings, plan_recording};
-use pipeline::stage;
-use pipeline::work::Plan;
 use serde::Serialize;
 use serde_json::Value;
 use train::config::overlay;
+use work::Plan;
 
 use crate::chosen::ChosenArgs;
 use crate::cmd::render;
@@ -117,7 +116,7 @@ struct Counted {
 fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
     let config = args.compose.config()?;
     let dataset = args.chosen.open(&args.dataset)?;
-    let (stream, _) = stage::train_stream(&dataset, &config, global.seed(), None)?;
+    let (stream, _) = compose::train_stream(&dataset, &config, global.seed(), None)?;
     let skeleton = dataset.skeleton()?;
     let triplets = stream.first_triplets(args.count.max(1))?;
     let foot_scores: Vec<[Option<f64>; 2]> = triplets
@@ -285,7 +284,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let config = args.compose.config()?;
     if let Some(id) = &args.explain {
         let dataset = args.chosen.open(root)?;
-        let (stream, _) = stage::train_stream(&dataset, &config, global.seed(), None)?;
+        let (stream, _) = compose::train_stream(&dataset, &config, global.seed(), None)?;
         let triplet = stream.explain(id)?;
         let explained = Explained {
             instruction: triplet.instruction,

@@ -6,14 +6,14 @@ use anyhow::{Context, bail};
 use datasets_spec::Split;
 use datasets_spec::record::PairRow;
 use datasets_spec::table::Row;
-use pipeline::annotation::variants::{VariantConfig, VariantCounts};
-use pipeline::work::Plan;
 use serde::Serialize;
+use train::candidates::{VariantConfig, VariantCounts};
 use train::mld::LatentNoise;
 use train::stage::variants::{
     Instructions, MakeVariants, VariantReport, make_variants, pair_variants,
 };
 use train::work::variants::plan_variants;
+use work::Plan;
 
 use crate::chosen::ChosenArgs;
 use crate::device::DeviceArgs;

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
+use clip::check::flag_names;
 use datasets_spec::record::{HumanMl3dRow, MotionRow};
 use datasets_spec::{Dataset, Fps, Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
-use pipeline::check::flag_names;
 use serde::Deserialize;
 
 use crate::util::{arg, corpus, files_with_extension, stance};
@@ -75,7 +75,7 @@ fn walk(frames: usize) -> Vec<Pose> {
 fn bvh(poses: &[Pose]) -> String {
     let fps = Fps::new(30.0).expect("valid");
     let motion = Motion::from_poses(fps, poses).expect("finite");
-    pipeline::write::bvh::encode(&motion, &Skeleton::smplx_neutral())
+    formats::write::bvh::encode(&motion, &Skeleton::smplx_neutral())
 }
 
 #[test]

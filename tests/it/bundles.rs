@@ -90,7 +90,7 @@ fn a_bundle_scores_as_its_folder_and_has_the_same_bytes() {
     let items: Vec<ItemRow> = Dataset::open(&at("items"))
         .and_then(|folder| folder.read(None))
         .expect("items");
-    assert_eq!(facts["item_hash"], pipeline::compose::digest_of_ids(&items));
+    assert_eq!(facts["item_hash"], compose::digest_of_ids(&items));
     assert_eq!(facts["system"], "MotionReFit");
     assert_eq!(facts["settings"]["guidance"], 1.0);
     assert_eq!(facts["judge_hash"], Value::Null);
@@ -227,8 +227,7 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
         let items: Vec<ItemRow> = folder.read(None).expect("items");
         let skeleton = folder.skeleton().expect("built in");
         let out = at(name);
-        pipeline::stage::commit_edits(&out, &items, &rows, &skeleton, name, "test")
-            .expect("writes");
+        work::commit_edits(&out, &items, &rows, &skeleton, name, "test").expect("writes");
         bundle(&out, &at("refused.zip"), &license)
             .expect_code(1)
             .stderr

@@ -5,8 +5,8 @@ use std::fmt::Write;
 
 use datasets_spec::record::{MarkerRow, MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, Pose, Skeleton, Split};
+use formats::markers::{MarkerSet, marker_sets};
 use glam::DVec3;
-use pipeline::markers::{MarkerSet, marker_sets};
 
 use crate::formats::{all_in_train, ingested, inspected, put, walk};
 use crate::util::{arg, real_data, stance};

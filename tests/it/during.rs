@@ -144,7 +144,7 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     stance(&[&args[..], &["--during", &during, "--out", arg(&out)]].concat()).expect_code(0);
     // What a file of this format keeps of the source, axes turned and turned back.
     let unedited = workshop.path("unedited.npz");
-    let bytes = pipeline::write::amass::encode(&source, &skeleton).expect("an archive");
+    let bytes = formats::write::amass::encode(&source, &skeleton).expect("an archive");
     fs::write(&unedited, bytes).expect("writes");
     let [unedited, edited] =
         [unedited, out].map(|path| clip_of_file(&path, &skeleton).expect("a clip"));

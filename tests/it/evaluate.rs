@@ -757,7 +757,7 @@ fn tall_body(path: &Path) -> Skeleton {
         }
     }
     fs::write(path, bytes).expect("writes");
-    pipeline::source::body_model::read_skeleton(path).expect("a body")
+    formats::source::body_model::read_skeleton(path).expect("a body")
 }
 
 #[test]

@@ -95,7 +95,7 @@ fn the_stance_release_comes_back_bit_for_bit() {
 
 #[test]
 fn humanml3d_joints_come_back() {
-    use pipeline::feature::{humanml3d, smpl_body};
+    use features::{humanml3d, smpl_body};
 
     let dir = corpus(CLIPS);
     ingested(dir.path(), "corpus", "dataset");
@@ -120,7 +120,7 @@ fn humanml3d_joints_come_back() {
 
 #[test]
 fn features_of_272_dimensions_come_back_in_every_layout() {
-    use pipeline::feature::representation_272::features_of_motion;
+    use features::representation_272::features_of_motion;
 
     let skeleton = Skeleton::smplx_neutral();
     let dir = corpus(CLIPS);

@@ -3,11 +3,11 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use clip::check::FLAG_NAMES;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, MotionId};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use pipeline::check::FLAG_NAMES;
 use serde_json::{Value, json};
 use tables::{Condition, Tables};
 

@@ -9,8 +9,8 @@ use datasets_spec::Dataset;
 use datasets_spec::dataset::Transaction;
 use datasets_spec::record::QuarantineRow;
 use datasets_spec::table::read_rows;
-use pipeline::work::{Outcome, Piece, Record};
 use serde::Deserialize;
+use work::{Outcome, Piece, Record};
 
 use crate::train::Workshop;
 use crate::util::{Ran, arg, command, corpus, files_with_extension, real_data, stance};

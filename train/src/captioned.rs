@@ -2,8 +2,8 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::{Fps, Resample, Seed, Skeleton};
-use pipeline::feature::humanml3d::{Features, features_of_joints, joints_of_motion};
-use pipeline::feature::{Statistics, smpl_body};
+use features::humanml3d::{Features, features_of_joints, joints_of_motion};
+use features::{Statistics, smpl_body};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;

@@ -1,7 +1,7 @@
 //! How the windows of a run were composed, as its record keeps it.
 
+use compose::ComposeConfig;
 use datasets_spec::Seed;
-use pipeline::compose::ComposeConfig;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;

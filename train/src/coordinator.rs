@@ -4,10 +4,10 @@ use std::path::Path;
 
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor, TensorData};
+use compose::{CoordinatorBatch, Stream};
 use datasets_spec::{Motion, Resample, Seed, Skeleton};
 use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES, canonicalise, window_starts};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
-use pipeline::compose::{CoordinatorBatch, Stream};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;

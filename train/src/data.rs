@@ -3,11 +3,11 @@
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Scope;
 
+pub use compose::WindowBatch;
+use compose::{Stream, WindowLoader};
 use datasets_spec::Seed;
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::FRAME_WIDTH;
-pub use pipeline::compose::WindowBatch;
-use pipeline::compose::{Stream, WindowLoader};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;

@@ -3,12 +3,12 @@
 use std::borrow::Cow;
 
 use burn::tensor::Device;
+use compose::EditKind;
 use datasets_spec::{Fps, Motion, Seed, Skeleton};
 use kinematics::KeypointFrame;
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::fit::{AdamFit, FitOptions, fit_motion_from};
 use kinematics::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
-use pipeline::compose::EditKind;
 use rayon::prelude::*;
 
 use crate::checkpoint::{Slot, check_skeleton};

@@ -18,18 +18,21 @@ pub enum Error {
     },
     /// The motions to train on do not give what the model learns from.
     #[error(transparent)]
-    Compose(#[from] pipeline::compose::Error),
+    Compose(#[from] compose::Error),
     /// A dataset cannot be opened, read or written.
     #[error(transparent)]
     Spec(#[from] datasets_spec::Error),
-    /// A stage that prepares the data failed.
+    /// A job in pieces, or the folder that it writes, cannot go on.
     #[error(transparent)]
-    Pipeline(#[from] pipeline::Error),
+    Work(#[from] work::Error),
+    /// A condition on clips cannot be understood, or chooses none.
+    #[error(transparent)]
+    Tables(#[from] tables::Error),
     /// The validation split cannot be composed.
     #[error("the validation split cannot be composed; ingest more clips")]
     Validation {
         /// The cause.
-        source: pipeline::compose::Error,
+        source: compose::Error,
     },
     /// Recorded windows do not fit the run.
     #[error("the windows in {} {problem}", path.display())]
@@ -360,7 +363,7 @@ impl Error {
     pub fn code(&self) -> Option<Code> {
         match self {
             Self::Spec(error) => error.code(),
-            Self::Pipeline(error) => error.code(),
+            Self::Work(error) => error.code(),
             Self::Compose(error) => error.code(),
             _ => None,
         }

@@ -6,9 +6,9 @@ use std::ops::Range;
 
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Fps, Motion, Pose, Resample, Skeleton};
+use features::humanml3d::{features_of_joints, joints_of_motion};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation;
-use pipeline::feature::humanml3d::{features_of_joints, joints_of_motion};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;

@@ -2,14 +2,14 @@
 
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Fps, JointSet, Motion, Pose, Skeleton};
+use features::humanml3d::{
+    FeatureError, Features, Joints, UNIFORM_BONES, features_of_joints, recover_joints,
+};
+use features::smpl_body;
 use glam::{DQuat, DVec3};
 use kinematics::KeypointFrame;
 use kinematics::fit::{FitOptions, fit_motion_from};
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, parent_of};
-use pipeline::feature::humanml3d::{
-    FeatureError, Features, Joints, UNIFORM_BONES, features_of_joints, recover_joints,
-};
-use pipeline::feature::smpl_body;
 
 use crate::system::Misfit;
 

@@ -4,8 +4,8 @@
 use std::path::Path;
 
 use burn::tensor::Device;
+use compose::ComposeConfig;
 use datasets_spec::{Dataset, Skeleton};
-use pipeline::compose::ComposeConfig;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;

@@ -53,6 +53,7 @@
 //! ```
 
 mod bones;
+pub mod candidates;
 pub mod captioned;
 pub mod checkpoint;
 pub mod compose;

@@ -4,8 +4,8 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Fps, JointSet, Motion, Resample, Rng, Seed, Skeleton};
+use features::humanml3d::Features;
 use kinematics::resample::grid;
-use pipeline::feature::humanml3d::Features;
 use rayon::prelude::*;
 
 use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash};

@@ -4,16 +4,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use burn::tensor::Device;
+use compose::recording::{self, Kind, Settings};
+use compose::{COMPOSED, ComposeConfig};
 use datasets_spec::record::TripletRow;
 use datasets_spec::{Dataset, Fps, Motion, Pose, Resample, Seed, Skeleton};
 use glam::DQuat;
 use kinematics::canonical::{Anchor, canonicalise, world_from_segment};
 use kinematics::resample::grid;
-use pipeline::compose::ComposeConfig;
-use pipeline::recording::{self, Kind, Settings};
-use pipeline::stage::{COMPOSED, Context};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
+use work::Context;
 
 use crate::checkpoint::{Run, RunRecord, read_record};
 use crate::kind::{ModelKind, TrainRequest, Trained};

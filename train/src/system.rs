@@ -9,8 +9,8 @@ use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, JointSet, Motion, Seed};
-use pipeline::stage::commit_edits;
 use serde::{Deserialize, Serialize};
+use work::commit_edits;
 
 use crate::checkpoint::Slot;
 use crate::during::{keep_outside, leaves_frames};

@@ -15,11 +15,11 @@ use std::time::{Duration, Instant};
 
 use burn::optim::{AdamWConfig, GradientsParams};
 use burn::tensor::{Device, Tensor};
+use compose::{ComposeConfig, CoordinatorBatch};
 use datasets_spec::{Fps, Motion, NoProgress, Pose, Progress, Seed, Skeleton};
 use glam::{DQuat, DVec3};
 use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
-use pipeline::compose::{ComposeConfig, CoordinatorBatch};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use train::checkpoint::{Slot, Start};

@@ -5,12 +5,12 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use burn::tensor::{Device, Tensor, TensorData};
+use compose::ComposeConfig;
 use datasets_spec::{Fps, Motion, NoProgress, Pose, Seed, Skeleton};
 use glam::{DQuat, DVec3};
 use kinematics::canonical::{Anchor, FIXED_FRAMES, canonicalise};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use kinematics::rotation::from_axis_angle;
-use pipeline::compose::ComposeConfig;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use train::compose::ComposeRecord;

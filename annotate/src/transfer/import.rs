@@ -3,10 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, MotionRow, PairRow};
+use datasets_spec::record::{CAPTION_BY_RULE, ExportedLabels, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Caption, Row, read_column};
 use datasets_spec::{Dataset, MotionId, Split};
-use pipeline::source::stance::ExportedLabels;
 use serde::Serialize;
 use serde_json::Value;
 use tables::Condition;

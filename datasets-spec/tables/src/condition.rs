@@ -97,3 +97,20 @@ impl Condition {
         Ok(rows)
     }
 }
+
+/// The dataset as if it held the clips alone for which a condition is true, if there is one.
+///
+/// # Errors
+/// No clip fulfils it, or a table cannot be read.
+pub fn chosen(dataset: &Dataset, condition: Option<&Condition>) -> Result<Dataset, Error> {
+    let Some(condition) = condition else {
+        return Ok(dataset.clone());
+    };
+    let chosen = condition.of(dataset)?;
+    match chosen.num_chosen() {
+        Some(0) => Err(Error::NoneChosen {
+            path: dataset.root().to_owned(),
+        }),
+        _ => Ok(chosen),
+    }
+}

@@ -28,8 +28,10 @@ mod rewrite;
 mod scan;
 mod tables;
 
+use std::path::PathBuf;
+
 pub use self::answer::Answer;
-pub use self::condition::Condition;
+pub use self::condition::{Condition, chosen};
 pub use self::tables::Tables;
 
 /// What can go wrong with a question.
@@ -49,4 +51,10 @@ pub enum Error {
     /// An answer cannot be written as Parquet.
     #[error("the answer cannot be written as Parquet: {0}")]
     Parquet(String),
+    /// A condition chooses no clip.
+    #[error("no clip of {} fulfils the condition; `stance stats` shows which values there are", path.display())]
+    NoneChosen {
+        /// The dataset.
+        path: PathBuf,
+    },
 }

@@ -13,8 +13,9 @@ use datafusion::error::DataFusionError;
 use datafusion::prelude::{ParquetReadOptions, SessionContext};
 use datasets_spec::NoProgress;
 use indicatif::{ProgressBar, ProgressStyle};
-use pipeline::work::{CommitOptions, Committed, Jobs, Plan, Record, commit, status};
+use pipeline::jobs::jobs;
 use serde::Serialize;
+use work::{CommitOptions, Committed, Plan, Record, commit, status};
 
 use crate::function::{Isolation, NAME, function};
 use crate::{note, result, session, work_list};
@@ -111,7 +112,7 @@ pub(crate) async fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     document.made = before.pieces - before.done - document.failed.len() as u64;
     let is_whole = document.failed.is_empty() || args.quarantine_failed;
-    let jobs = Jobs::default();
+    let jobs = jobs();
     if is_whole && !args.no_commit && !jobs.know(&plan) {
         note(&format!(
             "jobs of {} are committed by the command: stance stage commit {}",

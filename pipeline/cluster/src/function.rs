@@ -11,7 +11,8 @@ use datafusion::common::{Result, exec_err};
 use datafusion::logical_expr::{
     ColumnarValue, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, Volatility,
 };
-use pipeline::work::{Failed, Outcome, Record, Worker};
+use pipeline::jobs::jobs;
+use work::{Failed, Outcome, Record, Worker};
 
 /// Name of the function, on scheduler, executors and client.
 pub(crate) const NAME: &str = "stance_piece";
@@ -123,7 +124,7 @@ fn worker(plan: &Path) -> std::result::Result<Arc<Worker>, String> {
     {
         return Ok(Arc::clone(worker));
     }
-    let worker = Arc::new(Worker::open(plan).map_err(|error| error.to_string())?);
+    let worker = Arc::new(Worker::open(plan, jobs()).map_err(|error| error.to_string())?);
     *opened = Some((plan.to_owned(), Arc::clone(&worker)));
     Ok(worker)
 }

@@ -34,15 +34,16 @@ mod text;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use compose::EditKind;
+use datasets_spec::store::replace_file;
 use datasets_spec::{BodyPart, Fps, Motion, Progress, Seed, Skeleton, Split};
+use formats::sidecar::Sidecar;
+use formats::write;
 use rayon::prelude::*;
 
 use action::{Action, Facts};
 use adjust::Adjustment;
 use performer::Performer;
-use pipeline::compose::EditKind;
-use pipeline::sidecar::Sidecar;
-use pipeline::write;
 
 /// Frame rate of the clips in frames per second: that of many captures, and a multiple of the
 /// store's 20 and the model's 10.
@@ -359,8 +360,7 @@ fn write_with(
     if summary.adjusted > 0 {
         let list = format!("styled,original,style,text,kind,parts\n{lines}");
         let path = out.join(PAIR_LIST);
-        write::replace_file(&path, list.as_bytes())
-            .map_err(|source| Error::Write { path, source })?;
+        replace_file(&path, list.as_bytes()).map_err(|source| Error::Write { path, source })?;
         summary.bytes += list.len() as u64;
     }
     progress.finish(&format!(
@@ -426,8 +426,8 @@ fn write_clip(out: &Path, index: usize, clip: &CorpusClip) -> Result<CorpusSumma
         std::fs::create_dir_all(folder).map_err(failed)?;
     }
     // The sidecar is written first, so that every motion has its description.
-    write::replace_file(&sidecar_path, &sidecar).map_err(failed)?;
-    write::replace_file(&path, &motion).map_err(failed)?;
+    replace_file(&sidecar_path, &sidecar).map_err(failed)?;
+    replace_file(&path, &motion).map_err(failed)?;
     Ok(CorpusSummary {
         amass: usize::from(format == ClipFormat::Amass),
         bvh: usize::from(format == ClipFormat::Bvh),

@@ -11,15 +11,15 @@ use std::path::Path;
 
 use datasets_spec::Skeleton;
 use datasets_spec::manifest::Manifest;
+use formats::retarget;
+use formats::sidecar::Sidecar;
+use formats::source::bvh::BvhFile;
+use formats::source::c3d::C3dFile;
+use formats::source::labels::parse_captions;
+use formats::source::seed::Timelines;
+use formats::source::trc::TrcFile;
+use formats::source::{ReadOptions, amass, fbx, gltf, motionx, representation_272, stance};
 use pickle::{joblib, npy};
-use pipeline::retarget;
-use pipeline::sidecar::Sidecar;
-use pipeline::source::bvh::BvhFile;
-use pipeline::source::c3d::C3dFile;
-use pipeline::source::labels::parse_captions;
-use pipeline::source::seed::Timelines;
-use pipeline::source::trc::TrcFile;
-use pipeline::source::{ReadOptions, amass, fbx, gltf, motionx, representation_272, stance};
 
 /// Parses and retargets a BVH file.
 pub fn bvh(bytes: &[u8]) {

@@ -56,21 +56,22 @@ macro_rules! plain {
 coded!(
     datasets_spec::Error,
     pipeline::Error,
-    pipeline::compose::Error,
+    compose::Error,
+    formats::Error,
     train::Error,
     eval::Error
 );
 plain!(
     corpus::Error,
     kinematics::Error,
-    pipeline::feature::humanml3d::FeatureError,
+    features::humanml3d::FeatureError,
     serde_json::Error,
     std::io::Error,
     train::config::SettingError
 );
 
-impl From<pipeline::clip::Rejected> for Failure {
-    fn from(rejected: pipeline::clip::Rejected) -> Self {
+impl From<clip::Rejected> for Failure {
+    fn from(rejected: clip::Rejected) -> Self {
         Self {
             message: rejected.to_string(),
             code: Some((rejected.code, None)),

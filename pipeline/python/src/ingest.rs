@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use ::corpus::{CorpusOptions, write_corpus};
+use clip::check::Teleports;
 use datasets_spec::{Fps, Resample, Seed};
+use formats::source::{ReadOptions, format_named};
 use pipeline::annotation::pairs::PairList;
-use pipeline::check::Teleports;
 use pipeline::ingest::{IngestOptions, SourceArg, SplitList, ingest as run};
-use pipeline::source::{ReadOptions, format_named};
 use pyo3::prelude::*;
 
 use crate::error::Failure;

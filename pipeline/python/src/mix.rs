@@ -3,11 +3,10 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use compose::{ComposeConfig, Stream, WindowBatch};
 use datasets_spec::{Dataset, Seed, Skeleton, Split};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
-use pipeline::compose::{ComposeConfig, Stream, WindowBatch};
-use pipeline::stage;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use serde_json::Value;
@@ -58,14 +57,16 @@ impl Mix {
             let skeleton = Arc::new(dataset.skeleton()?);
             let (stream, normalizer) = match (split, normalizer) {
                 (Split::Train, normalizer) => {
-                    stage::train_stream(&dataset, &config, Seed(seed), normalizer)?
+                    compose::train_stream(&dataset, &config, Seed(seed), normalizer)?
                 }
                 (split, normalizer) => {
                     let normalizer = match normalizer {
                         Some(normalizer) => normalizer,
-                        None => stage::library(&dataset, Split::Train)?.fit_normalizer(&config)?,
+                        None => {
+                            compose::library(&dataset, Split::Train)?.fit_normalizer(&config)?
+                        }
                     };
-                    let library = stage::library(&dataset, split)?;
+                    let library = compose::library(&dataset, split)?;
                     let stream = Stream::new(library, config, Seed(seed), &normalizer)?;
                     (stream, normalizer)
                 }

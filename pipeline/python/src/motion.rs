@@ -3,10 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use clip::Outcome;
+use compose::{SlerpRule, blend_motion};
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{
     BlendMask, BodyPart, Fps, Joint, JointSet, Motion as Inner, Pose, Resample, Skeleton,
 };
+use features::{
+    humanml3d, hy_motion, motion_of_features, motion_of_joints, representation_272, smpl_body,
+};
+use formats::source::{ReadOptions, amass};
 use glam::DVec3;
 use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
@@ -14,13 +20,7 @@ use numpy::{
     AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLike2, PyArrayMethods,
     PyUntypedArrayMethods,
 };
-use pipeline::clip::Outcome;
-use pipeline::compose::{SlerpRule, blend_motion};
-use pipeline::feature::{
-    humanml3d, hy_motion, motion_of_features, motion_of_joints, representation_272, smpl_body,
-};
 use pipeline::open::clip_of_file;
-use pipeline::source::{ReadOptions, amass};
 use pyo3::prelude::*;
 use train::tmed::features::{self as motionfix, NUM_FEATURES};
 
@@ -215,7 +215,7 @@ impl Motion {
     /// The motion as an AMASS archive with the keys of the SMPL-X release, at its own rate.
     fn to_amass_bytes(&self, py: Python<'_>) -> PyResult<Vec<u8>> {
         work::quick(py, || {
-            Ok(pipeline::write::amass::encode_smplx(
+            Ok(formats::write::amass::encode_smplx(
                 &self.inner,
                 &self.skeleton,
             )?)

@@ -15,7 +15,7 @@ use kinematics::rotation;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::compose::{Error, described, instruction, motion_on};
+use compose::{Error, described, instruction, motion_on};
 
 /// Author of these masks; the number is the version of the rules.
 pub const AUTHOR: &str = "stance-activity-1";
@@ -287,9 +287,9 @@ mod tests {
     use datasets_spec::table::PartCaption;
     use datasets_spec::{Fps, Pose};
     use kinematics::rotation::from_axis_angle;
+    use testkit as fixture;
 
     use super::*;
-    use crate::compose::fixture;
 
     /// A clip of 60 frames in which some joints swing by 0.8 rad at 1 Hz.
     fn swinging(id: &str, split: Split, joints: &[usize]) -> MotionRow {

@@ -2,4 +2,3 @@
 
 pub mod masks;
 pub mod pairs;
-pub mod variants;

@@ -8,18 +8,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Cursor, Read, Seek, Write};
 use std::path::Path;
 
+use clip::Rejected;
+use compose::digest_of_ids;
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::{Row, write_rows};
 use datasets_spec::{Motion, Skeleton};
+use formats::foreign_table;
 use serde::{Deserialize, Serialize};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, System, ZipArchive, ZipWriter};
 
 use crate::Error;
-use crate::clip::Rejected;
-use crate::compose::digest_of_ids;
-use crate::foreign_table;
 
 /// Member with the answers, a Parquet file.
 pub const ANSWERS: &str = "answers.parquet";

@@ -2,7 +2,10 @@
 
 use std::path::Path;
 
+use clip::Rejected;
 use datasets_spec::{Fps, Skeleton};
+use formats::source::smpl::column;
+use formats::source::{amass, humanml3d};
 use glam::DQuat;
 use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::rotation::{from_six_d_rows, to_axis_angle};
@@ -10,9 +13,6 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::recorded::{Recorded, VECTORS_WIDTH};
 use super::{AnswerOptions, Place, Up};
-use crate::clip::Rejected;
-use crate::source::smpl::column;
-use crate::source::{amass, humanml3d};
 use pickle::joblib;
 use pickle::npy;
 use pickle::npz::Archive;
@@ -60,14 +60,14 @@ const STORE_KEYS: [&str; 3] = ["transl", "global_orient", "body_pose"];
 /// Reads a file with one answer.
 ///
 /// # Errors
-/// Those of the readers in [`crate::source`]; `E-ANSWER-KEYS` where arrays of a motion are missing.
+/// Those of the readers in [`formats::source`]; `E-ANSWER-KEYS` where arrays of a motion are missing.
 pub(super) fn read(
     kind: Kind,
     bytes: &[u8],
     skeleton: &Skeleton,
     options: &AnswerOptions,
 ) -> Result<Recorded, Rejected> {
-    crate::source::refuse_pointer(bytes)?;
+    formats::source::refuse_pointer(bytes)?;
     match kind {
         Kind::Npz => npz(bytes, options),
         Kind::Npy => npy(bytes, skeleton),

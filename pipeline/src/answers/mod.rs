@@ -11,6 +11,7 @@ mod table;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use clip::Rejected;
 use datasets_spec::dataset::Commit;
 use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
@@ -22,7 +23,6 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
-use crate::clip::Rejected;
 use crate::export::item_stem;
 use crate::ingest::list_files;
 use file::Kind;
@@ -188,7 +188,7 @@ impl Names {
 
 /// The number of a pair in MotionFix, which its evaluation uses as a file name.
 fn motionfix_number(item: &ItemRow) -> Option<String> {
-    if item.task != crate::compose::ItemTask::MotionFix.as_str() {
+    if item.task != compose::ItemTask::MotionFix.as_str() {
         return None;
     }
     let name = item.source_id.as_str().rsplit('/').next()?;
@@ -434,9 +434,10 @@ impl Answers {
                 .keys()
                 .any(|table| !own.contains(&table.as_str()))
             {
-                return Err(Error::Occupied {
+                return Err(work::Error::Occupied {
                     path: out.to_owned(),
-                });
+                }
+                .into());
             }
             if base.plans.get(EditRow::TABLE) == Some(&plan_hash) {
                 drop(transaction);

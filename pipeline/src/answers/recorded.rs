@@ -1,7 +1,10 @@
 //! A motion of a foreign file, and its conversion to the frame of an item.
 
+use clip::{MAX_FPS, MIN_FPS, Rejected};
 use datasets_spec::record::ItemRow;
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
+use features::floor;
+use formats::source::smpl;
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::motion::{self, BODY_POSE_WIDTH};
 use kinematics::resample;
@@ -9,9 +12,6 @@ use kinematics::rotation::{self, to_axis_angle};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::{AnswerOptions, Place, Up};
-use crate::clip::{MAX_FPS, MIN_FPS, Rejected};
-use crate::floor;
-use crate::source::smpl;
 
 /// Numbers of the rotation vectors of a frame: root and 21 body joints.
 pub(super) const VECTORS_WIDTH: usize = 3 * NUM_BODY_JOINTS;
@@ -211,9 +211,10 @@ fn stand_where(poses: &mut [Pose], first: &Pose, rest_pelvis: DVec3) {
 
 #[cfg(test)]
 mod tests {
+    use testkit::wandering;
+
     use super::*;
     use crate::answers::tests::{item, options};
-    use crate::compose::fixture::wandering;
 
     #[test]
     fn a_motion_of_the_store_keeps_its_bits() {

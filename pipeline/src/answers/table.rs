@@ -7,11 +7,11 @@ use arrow_array::cast::AsArray;
 use arrow_array::types::{Int64Type, UInt64Type};
 use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::DataType;
+use clip::Rejected;
+use formats::foreign_table::{self, ForeignTable, MAX_DEPTH, is_list, list, numbers, text};
 use kinematics::motion::BODY_POSE_WIDTH;
 
 use super::recorded::Recorded;
-use crate::clip::Rejected;
-use crate::foreign_table::{self, ForeignTable, MAX_DEPTH, is_list, list, numbers, text};
 
 /// Columns that may hold the id of the item; the first that exists is used.
 const ID_COLUMNS: [&str; 2] = ["id", "item"];

@@ -11,13 +11,13 @@ use glam::{DMat3, DQuat};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::Compression;
 use parquet::file::properties::WriterProperties;
+use testkit::clip_members;
+use testkit::npz;
+use testkit::wandering;
+use testkit::{npy, npy_f8};
 
 use super::*;
-use crate::compose::fixture::wandering;
 use crate::export::export_items;
-use crate::fixture::npz;
-use crate::fixture::{npy, npy_f8};
-use crate::source::amass::tests::clip_members;
 use crate::verify::verify;
 use pickle::{Array as PickleArray, Value};
 
@@ -188,7 +188,7 @@ fn every_format_brings_the_motion_back_within_its_precision() {
     let dir = dir();
     let motion = |number: usize| wandering(&format!("answer {number}"), 40);
     let id = |number: usize| items[number].id.as_str();
-    let amass = crate::write::amass::encode(&motion(0), &skeleton).expect("encoded");
+    let amass = formats::write::amass::encode(&motion(0), &skeleton).expect("encoded");
     put(dir.path(), &format!("{}.npz", id(0)), amass);
     put(
         dir.path(),
@@ -202,18 +202,15 @@ fn every_format_brings_the_motion_back_within_its_precision() {
         &format!("{}.npy", id(3)),
         npy_of(motionfix_rots(&at_30(&motion(3)))),
     );
-    let joints = crate::feature::humanml3d::joints_of_motion(
-        &motion(4),
-        &crate::feature::smpl_body(&skeleton),
-    );
-    let features = crate::feature::humanml3d::features_of_joints(&joints).expect("a clip");
+    let joints = features::humanml3d::joints_of_motion(&motion(4), &features::smpl_body(&skeleton));
+    let features = features::humanml3d::features_of_joints(&joints).expect("a clip");
     let wide: Vec<f64> = features.iter().flatten().map(|&v| f64::from(v)).collect();
     put(
         dir.path(),
         &format!("{}.npy", id(4)),
         npy_f8(&[39, 263], &wide),
     );
-    let release = crate::source::stance::tests::dictionary(&motion(5));
+    let release = testkit::dictionary(&motion(5));
     put(
         dir.path(),
         &format!("{}.pkl", id(5)),
@@ -243,9 +240,9 @@ fn every_format_brings_the_motion_back_within_its_precision() {
     // to the proportions of SMPL against SMPL-X.
     let (vector, expected) = (&got[4], placed(&motion(4), &items[4]));
     assert_eq!(vector.len(), 39);
-    let body = crate::feature::smpl_body(&skeleton);
+    let body = features::smpl_body(&skeleton);
     let [a, b] = [vector, &expected.crop(0..39).expect("inside")]
-        .map(|motion| crate::feature::humanml3d::joints_of_motion(motion, &body));
+        .map(|motion| features::humanml3d::joints_of_motion(motion, &body));
     let pairs = a.iter().flatten().zip(b.iter().flatten());
     let mean = pairs.map(|(a, b)| a.distance(*b)).sum::<f64>() / (39.0 * 22.0);
     assert!(mean < 0.05, "{mean}");
@@ -644,15 +641,14 @@ fn the_folder_is_one_that_passes_its_checks() {
     assert!(done.passed(false), "{:?}", done.findings);
     // A dataset of motions is never replaced.
     let dataset = self::dir();
-    let rows = [crate::compose::fixture::motion_row(
-        "a",
-        Split::Train,
-        &wandering("a", 30),
-    )];
+    let rows = [testkit::motion_row("a", Split::Train, &wandering("a", 30))];
     datasets_spec::dataset::commit_rows(dataset.path(), &rows, None, &skeleton, "p", "the test")
         .expect("committed");
     let refused = answers.commit(dataset.path(), &items, &skeleton, "the test");
-    assert!(matches!(refused, Err(Error::Occupied { .. })));
+    assert!(matches!(
+        refused,
+        Err(Error::Work(work::Error::Occupied { .. }))
+    ));
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! What to do before ingesting.
 
+use formats::source::amass::catalogue::Subset;
+use formats::source::motionfix;
+
 use super::findings::{Findings, HumanMl3dFindings, IndexFindings};
-use crate::source::amass::catalogue::Subset;
-use crate::source::motionfix;
 
 /// Name of the variant HumanML3D was cut from.
 const NEEDED_VARIANT: &str = "SMPL-H G";

@@ -4,12 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::Fps;
 use datasets_spec::store::{ByPath, Reader, Store};
+use formats::source::Recognised;
+use formats::source::amass::catalogue::Recording;
+use formats::source::amass::{self, Variant};
 
 use super::findings::{Estimate, SubsetFindings};
 use super::listed::{Looked, seconds_in};
-use crate::source::Recognised;
-use crate::source::amass::catalogue::Recording;
-use crate::source::amass::{self, Variant};
 
 /// Files sampled from a subset. A subset comes from one archive, so a few files show its variant and
 /// the ratio of duration to size.

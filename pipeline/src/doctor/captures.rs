@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use clip::Rejected;
 use datasets_spec::store::{ByPath, Store};
+use formats::source::{ReadOptions, Recognised, c3d, trc};
 use rayon::prelude::*;
 
 use super::findings::{CaptureFindings, EXAMPLES};
 use super::listed::Looked;
-use crate::clip::Rejected;
-use crate::source::{ReadOptions, Recognised, c3d, trc};
 
 /// Reads the captures among the files as ingestion would, short of solving, and says which give no motion.
 pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFindings> {

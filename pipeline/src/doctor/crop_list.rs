@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use formats::source::amass::catalogue::{Recording, subset_of};
+use formats::source::humanml3d::{self, IndexRow};
+use formats::source::{Files, humanml3d_amass};
+
 use super::findings::{EXAMPLES, IndexFindings, IndexSubset};
-use crate::source::amass::catalogue::{Recording, subset_of};
-use crate::source::humanml3d::{self, IndexRow};
-use crate::source::{Files, humanml3d_amass};
 
 /// The first crop list among the files.
 pub(super) fn index_among(files: &Files) -> Option<(PathBuf, Vec<IndexRow>)> {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use kinematics::motion::BODY_POSE_WIDTH;
 use serde::Serialize;
 
-use crate::clip::LabelProblem;
+use clip::LabelProblem;
 
 /// Number of examples named of what is missing.
 pub(super) const EXAMPLES: usize = 3;

@@ -4,11 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::Fps;
 use datasets_spec::record::HUMANML3D_WIDTH;
+use formats::source::humanml3d::{self, Layout};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::findings::{EXAMPLES, Estimate, HumanMl3dFindings, ListFindings};
 use super::listed::{Looked, seconds_in};
-use crate::source::humanml3d::{self, Layout};
 
 /// The files of a HumanML3D folder.
 pub(super) fn files_of(layout: &Layout) -> impl Iterator<Item = &str> {

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::store::{ByPath, Store};
+use formats::source::{Format, Recognised, is_pointer, recognise};
 use rayon::prelude::*;
 
-use crate::ingest::read_head;
-use crate::source::{Format, Recognised, is_pointer, recognise};
+use formats::source::read_head;
 
 /// Seconds of motion in files of a format, estimated from their size.
 pub(super) fn seconds_in(format: Format, bytes: u64) -> f64 {

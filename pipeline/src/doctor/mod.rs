@@ -23,6 +23,10 @@ use datasets_spec::{Dataset, Fps, Progress};
 use advice::advise;
 use amass::amass_subsets;
 use crop_list::{ask, index_among};
+use formats::source::archive::Archives;
+use formats::source::humanml3d::{FORMAT as HUMANML3D, layouts, parse_index};
+use formats::source::labels::FolderLabels;
+use formats::source::{Files, ReadOptions, Recognised, motionfix, stance};
 use humanml3d::{estimate_layouts, files_of};
 use listed::{Looked, look, seconds_in};
 use release::{is_stance, motionfix_folders, stance_folders};
@@ -30,10 +34,6 @@ use release::{is_stance, motionfix_folders, stance_folders};
 use crate::Error;
 use crate::catalogue::other_than_motions;
 use crate::ingest::{list_each, with_label};
-use crate::source::archive::Archives;
-use crate::source::humanml3d::{FORMAT as HUMANML3D, layouts, parse_index};
-use crate::source::labels::FolderLabels;
-use crate::source::{Files, ReadOptions, Recognised, motionfix, stance};
 
 pub use findings::{
     CaptureFindings, Diagnosis, Estimate, Findings, HumanMl3dFindings, IndexFindings, IndexSubset,
@@ -85,7 +85,7 @@ pub fn examine(
     let index = match index {
         Some(path) => {
             let bytes = fs::read(path).map_err(Error::io("read", path))?;
-            let rows = parse_index(&bytes).map_err(|rejected| Error::Index {
+            let rows = parse_index(&bytes).map_err(|rejected| formats::Error::Index {
                 path: path.to_owned(),
                 reason: rejected.reason,
             })?;
@@ -198,7 +198,7 @@ fn estimate_others(rest: &[&Looked]) -> Estimate {
         let format = match file.kind {
             _ if is_stance(&file.relative) => stance::FORMAT,
             _ if motionfix::is_dump(&file.relative) => motionfix::FORMAT,
-            Recognised::Motion(format) if format != crate::source::amass::FORMAT => format,
+            Recognised::Motion(format) if format != formats::source::amass::FORMAT => format,
             _ => continue,
         };
         let frames = seconds_in(format, file.bytes) * Fps::STORE.get();

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use formats::source::motionfix;
+
 use super::findings::{Part, ReleaseFindings};
 use super::listed::Looked;
-use crate::source::motionfix;
 
 /// Parts of the STANCE release and the number of files published, those of its earlier form
 /// included.

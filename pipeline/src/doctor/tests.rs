@@ -1,9 +1,9 @@
 use datasets_spec::NoProgress;
+use testkit::clip_members;
+use testkit::npy_f8;
+use testkit::npz;
 
 use super::*;
-use crate::fixture::npy_f8;
-use crate::fixture::npz;
-use crate::source::amass::tests::clip_members;
 
 fn write(folder: &Path, name: &str, bytes: &[u8]) {
     let path = folder.join(name);

@@ -21,11 +21,11 @@ mod tests {
     use datasets_spec::{Dataset, Motion, NoProgress, Skeleton};
     use glam::{DQuat, DVec3};
     use kinematics::rotation::{angle_between, from_axis_angle};
+    use testkit::walk;
 
     use crate::clips::Clips;
     use crate::export::{Layout, export};
     use crate::ingest::{IngestOptions, ingest};
-    use crate::retarget::tests::walk;
 
     fn ingested(source: &Path, out: &Path) -> Dataset {
         let sources = [PathBuf::from(source)];
@@ -51,7 +51,7 @@ mod tests {
         fs::create_dir_all(at("in/a")).expect("made");
         let skeleton = Skeleton::smplx_neutral();
         let motion = Motion::from_poses(datasets_spec::Fps::STORE, &walk(60)).expect("valid");
-        let bytes = crate::write::amass::encode(&motion, &skeleton).expect("encoded");
+        let bytes = formats::write::amass::encode(&motion, &skeleton).expect("encoded");
         fs::write(at("in/a/walk_poses.npz"), bytes).expect("written");
         let first = ingested(&at("in"), &at("first"));
         let clips = Clips::all(&first);

@@ -6,15 +6,15 @@ use std::path::Path;
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Progress, Skeleton};
+use formats::sidecar::{LabelCaption, Sidecar};
 use rayon::prelude::*;
 
 use super::amass::file_stem;
 use super::by_clip::{ByClip, Note};
 use super::humanml3d::ids;
 use super::paths::{safe_stem, unique};
+use crate::Error;
 use crate::clips::Clips;
-use crate::sidecar::{LabelCaption, Sidecar};
-use crate::{Error, write};
 
 /// Makes the bytes of a clip's file.
 type Encode = fn(&MotionRow, &Skeleton) -> Result<std::io::Result<Vec<u8>>, Error>;
@@ -54,7 +54,9 @@ impl Files {
     pub(super) fn bvh(clips: &Clips) -> Result<Self, Error> {
         let stem = |id: &str, taken: &mut _| unique(safe_stem(id, ".bvh"), taken);
         Self::new(clips, "bvh", stem, |row, skeleton| {
-            Ok(Ok(write::bvh::encode(&row.motion()?, skeleton).into_bytes()))
+            Ok(Ok(
+                formats::write::bvh::encode(&row.motion()?, skeleton).into_bytes()
+            ))
         })
     }
 
@@ -62,15 +64,15 @@ impl Files {
     pub(super) fn gltf(clips: &Clips) -> Result<Self, Error> {
         let stem = |id: &str, taken: &mut _| unique(safe_stem(id, ".glb"), taken);
         Self::new(clips, "glb", stem, |row, skeleton| {
-            Ok(write::gltf::encode(&row.motion()?, skeleton))
+            Ok(formats::write::gltf::encode(&row.motion()?, skeleton))
         })
     }
 
     /// AMASS archives, named as those of the release, at the rate of recordings.
     pub(super) fn amass(clips: &Clips) -> Result<Self, Error> {
         Self::new(clips, "npz", file_stem, |row, skeleton| {
-            let motion = write::amass::at_rate_of_recordings(&row.motion()?)?;
-            Ok(write::amass::encode_smplx(&motion, skeleton))
+            let motion = formats::write::amass::at_rate_of_recordings(&row.motion()?)?;
+            Ok(formats::write::amass::encode_smplx(&motion, skeleton))
         })
     }
 }

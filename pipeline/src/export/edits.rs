@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::paths::{safe_path, unique};
 use super::{Layout, amass, item_stem, write_json};
 use crate::Error;
-use crate::write::{self, NewFolder};
+use work::NewFolder;
 
 const LIST: &str = "edits.json";
 
@@ -73,9 +73,9 @@ pub fn export_edits(
     };
     let skeleton = dataset.skeleton()?;
     let encode = |motion: &Motion, skeleton: &Skeleton| match layout {
-        Layout::Amass => crate::write::amass::encode_smplx(motion, skeleton),
-        Layout::Bvh => Ok(write::bvh::encode(motion, skeleton).into_bytes()),
-        _ => write::gltf::encode(motion, skeleton),
+        Layout::Amass => formats::write::amass::encode_smplx(motion, skeleton),
+        Layout::Bvh => Ok(formats::write::bvh::encode(motion, skeleton).into_bytes()),
+        _ => formats::write::gltf::encode(motion, skeleton),
     };
     let edits = dataset.read::<EditRow>(None)?;
     let items = dataset.read::<ItemRow>(None)?;
@@ -101,7 +101,7 @@ pub fn export_edits(
         .map(|(file, mut clip)| {
             let path = folder.path().join(&file);
             if layout == Layout::Amass {
-                clip.motion = write::amass::at_rate_of_recordings(&clip.motion)?;
+                clip.motion = formats::write::amass::at_rate_of_recordings(&clip.motion)?;
                 clip.said.fps = clip.motion.fps().get() as f32;
                 clip.said.frames = clip.motion.len();
             }

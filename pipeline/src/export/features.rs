@@ -7,6 +7,7 @@ use std::path::Path;
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Motion, Progress, Skeleton, Split};
+use features::{Statistics, hy_motion, representation_272};
 use pickle::npy;
 use rayon::prelude::*;
 
@@ -16,7 +17,6 @@ use super::humanml3d::{caption_line, ids, names};
 use super::paths::{safe_stem, unique};
 use crate::Error;
 use crate::clips::Clips;
-use crate::feature::{Statistics, hy_motion, representation_272};
 
 type Features<const WIDTH: usize> = Vec<[f32; WIDTH]>;
 

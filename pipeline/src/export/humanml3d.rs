@@ -7,6 +7,9 @@ use std::path::Path;
 use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
 use datasets_spec::table::{Caption, Row, ShardReader};
 use datasets_spec::{Dataset, Fps, Progress, Resample, Skeleton, Split};
+use features::humanml3d::{Features, RECIPE, features_of_joints, joints_of_motion, recover_joints};
+use features::{Statistics, smpl_body};
+use formats::source::humanml3d::is_id;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use rayon::prelude::*;
 
@@ -14,11 +17,6 @@ use super::by_clip::{ByClip, Note};
 use super::feature_files::{Lines, file, read_features};
 use crate::Error;
 use crate::clips::Clips;
-use crate::feature::humanml3d::{
-    Features, RECIPE, features_of_joints, joints_of_motion, recover_joints,
-};
-use crate::feature::{Statistics, smpl_body};
-use crate::source::humanml3d::is_id;
 use pickle::npy;
 
 /// A HumanML3D folder.
@@ -273,13 +271,13 @@ fn words(text: &str) -> String {
 mod tests {
     use std::path::PathBuf;
 
+    use features::humanml3d::{UNIFORM_BONES, process_joints};
     use glam::DVec3;
+    use testkit::walk;
 
     use super::*;
     use crate::export::{Layout, export};
-    use crate::feature::humanml3d::{UNIFORM_BONES, process_joints};
     use crate::ingest::{IngestOptions, ingest};
-    use crate::retarget::tests::walk;
     use datasets_spec::{Dataset, Motion, NoProgress};
     use pickle::npy::read_numbers;
 
@@ -317,7 +315,7 @@ mod tests {
         fs::create_dir_all(at("in/KIT")).expect("made");
         let skeleton = Skeleton::smplx_neutral();
         let motion = Motion::from_poses(Fps::STORE, &walk(60)).expect("valid");
-        let bytes = crate::write::amass::encode(&motion, &skeleton).expect("encoded");
+        let bytes = formats::write::amass::encode(&motion, &skeleton).expect("encoded");
         fs::write(at("in/KIT/walk_poses.npz"), bytes).expect("written");
         fs::write(
             at("in/KIT/walk_poses.txt"),

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::write_json;
 use crate::Error;
-use crate::write::NewFolder;
+use work::NewFolder;
 
 const LIST: &str = "items.json";
 const SOURCES: &str = "sources";
@@ -86,7 +86,7 @@ pub fn export_items(
             let put = |side: &str, motion: &Motion| -> Result<File, Error> {
                 let file = format!("{side}/{}.npz", item_stem(&item.id));
                 let path = folder.path().join(&file);
-                let bytes = crate::write::amass::encode_with_keypoints(motion, skeleton)
+                let bytes = formats::write::amass::encode_with_keypoints(motion, skeleton)
                     .map_err(Error::io("encode", &path))?;
                 fs::write(&path, bytes).map_err(Error::io("write", &path))?;
                 let frames = motion.len();

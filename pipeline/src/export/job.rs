@@ -20,11 +20,11 @@ use super::form::Form;
 use super::{Exported, Layout};
 use crate::Error;
 use crate::clips::{Clips, Part, Shard};
-use crate::work::{
+use work::{
     self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, absolute,
     hash_file,
 };
-use crate::write::{NewFolder, is_occupied};
+use work::{NewFolder, is_occupied};
 
 /// Name of the job.
 pub(crate) const JOB: &str = "export";
@@ -80,9 +80,10 @@ pub fn plan_export(
         });
     }
     if is_occupied(destination) {
-        return Err(Error::Occupied {
+        return Err(work::Error::Occupied {
             path: destination.to_owned(),
-        });
+        }
+        .into());
     }
     let stored = Stored {
         dataset: absolute(root)?,
@@ -119,7 +120,7 @@ pub fn plan_export(
         plan_hash,
         base: (0, BTreeSet::new()),
     };
-    draft.write(out, |_| Ok(()))
+    Ok(draft.write(out, |_| Ok(()))?)
 }
 
 /// Opens the job of a plan.
@@ -128,7 +129,7 @@ pub(crate) fn open_job(plan: &Plan) -> Result<Box<dyn Job>, Failed> {
     let dataset = Dataset::open_unverified(&stored.dataset)?;
     if dataset.manifest().root_hash != stored.root_hash {
         let path = stored.dataset;
-        return Err(Error::SourceChanged { path }.into());
+        return Err(work::Error::SourceChanged { path }.into());
     }
     let mut layouts = Layout::ALL.into_iter();
     let layout = layouts.find(|layout| layout.as_str() == stored.layout);
@@ -217,7 +218,7 @@ impl Export {
                 continue;
             }
             if hash_file(&path)? != file.blake3 {
-                return Err(Error::SourceChanged { path });
+                return Err(work::Error::SourceChanged { path }.into());
             }
             checked.insert(path);
         }
@@ -239,10 +240,11 @@ impl Export {
                     whole,
                 })
             }
-            _ => Err(Error::BadPlan {
+            _ => Err(work::Error::BadPlan {
                 path: PathBuf::from(JOB),
                 reason: "its pieces are those of another layout; plan again".to_owned(),
-            }),
+            }
+            .into()),
         }
     }
 }
@@ -325,7 +327,7 @@ impl Job for Export {
         pieces: Vec<Finished>,
         options: &CommitOptions,
         _progress: &dyn Progress,
-    ) -> Result<Committed, Error> {
+    ) -> Result<Committed, work::Error> {
         let (home, out) = (&plan.home(), plan.destination());
         let meta = home.join("meta");
         fs::create_dir_all(&meta).map_err(Error::io("create folder", &meta))?;
@@ -337,7 +339,7 @@ impl Job for Export {
                 return Err(datasets_spec::Error::Locked { path, holder }.into());
             }
             Locking::NoLocks => {
-                return Err(Error::Occupied {
+                return Err(work::Error::Occupied {
                     path: home.to_owned(),
                 });
             }
@@ -352,7 +354,7 @@ impl Job for Export {
         let mut done = Exported::default();
         for Finished { piece, made } in pieces {
             // A layout has no table of what is missing.
-            let made = made.map_err(|Failed { code, reason }| Error::Job {
+            let made = made.map_err(|Failed { code, reason }| work::Error::Job {
                 code,
                 reason: format!(
                     "an export is whole or not at all, and piece {} {} failed: {reason}",

@@ -6,12 +6,12 @@ use std::path::PathBuf;
 use datasets_spec::record::{CAPTION_BY_RULE, HumanMl3dRow, MarkerRow, MaskRow, PairRow};
 use datasets_spec::table::{Caption, Cell, PartCaption, Row, read_column};
 use datasets_spec::{Dataset, Fps};
+use features::released_fps;
 use serde::{Deserialize, Serialize};
 
 use super::Layout;
 use crate::Error;
 use crate::clips::{Clips, Shard};
-use crate::feature::released_fps;
 
 /// Numbers by name, such as `masks`.
 pub type Counts = BTreeMap<String, u64>;

@@ -448,9 +448,9 @@ mod tests {
     use datasets_spec::table::Caption;
     use datasets_spec::{NoProgress, Skeleton};
     use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+    use testkit::{motion_row, wandering};
 
     use super::*;
-    use crate::compose::fixture::{motion_row, wandering};
 
     fn table(path: &Path) -> RecordBatch {
         let file = File::open(path).expect("written");

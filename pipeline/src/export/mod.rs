@@ -31,7 +31,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::clips::Clips;
-use crate::write::NewFolder;
+use work::NewFolder;
 
 use self::by_clip::PART_CLIPS;
 use self::form::Form;

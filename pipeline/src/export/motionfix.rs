@@ -11,9 +11,11 @@ use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
+use compose::style_instruction;
 use datasets_spec::record::{ItemRow, MotionRow, PairRow, TripletRow};
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Motion, MotionId, Progress, Skeleton, Split};
+use formats::write::motionfix::Parameters;
 use pickle::{DictWriter, Value};
 use rayon::prelude::*;
 
@@ -21,9 +23,7 @@ use super::left_out::{PAIRS, put};
 use super::{Exported, write_json};
 use crate::Error;
 use crate::clips::Clips;
-use crate::compose::style_instruction;
-use crate::write::NewFolder;
-use crate::write::motionfix::Parameters;
+use work::NewFolder;
 
 const ALL: &str = "motionfix.pth.tar";
 
@@ -450,16 +450,16 @@ mod tests {
     use datasets_spec::record::MotionRow;
     use datasets_spec::{Fps, NoProgress};
     use pickle::joblib;
+    use testkit::put;
+    use testkit::walk;
 
     use super::*;
     use crate::export::{Layout, export};
     use crate::ingest::{IngestOptions, ingest};
-    use crate::retarget::tests::walk;
-    use crate::source::stance::tests::put;
 
     fn ingested(source: &Path, out: &Path) -> Dataset {
         let options = IngestOptions {
-            fps: Some(crate::feature::released_fps()),
+            fps: Some(features::released_fps()),
             ..IngestOptions::default()
         };
         let sources = [PathBuf::from(source)];
@@ -471,7 +471,7 @@ mod tests {
     fn dump() -> Vec<u8> {
         let skeleton = Skeleton::smplx_neutral();
         let side = |frames: usize| {
-            let motion = Motion::from_poses(crate::feature::released_fps(), &walk(frames));
+            let motion = Motion::from_poses(features::released_fps(), &walk(frames));
             let motion = motion.expect("valid");
             Parameters::of(&motion, &skeleton)
                 .expect("at its rate")
@@ -551,7 +551,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary folder");
         let at = |name: &str| dir.path().join(name);
         let motion = Motion::from_poses(Fps::STORE, &walk(60)).expect("valid");
-        let bytes = crate::write::amass::encode(&motion, &Skeleton::smplx_neutral());
+        let bytes = formats::write::amass::encode(&motion, &Skeleton::smplx_neutral());
         put(dir.path(), "in/walk_poses.npz", bytes.expect("encoded"));
         let dataset = ingested(&at("in"), &at("first"));
         let refused = export(

@@ -12,15 +12,15 @@ use std::sync::Arc;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::PartCaption;
 use datasets_spec::{BodyPart, Fps, Motion, Progress, Resample, Split};
+use formats::source::stance::origin::{self, Origin, Record};
+use formats::source::stance::{
+    ADJUSTMENT, BASE_MOTION, FIRST_FREE_NUMBER, REGEN, SPLIT, STYLE_TRANSFER, file_stem,
+};
 use serde::Serialize;
 
 use super::left_out::{Exported, put};
 use crate::Error;
 use crate::clips::Clips;
-use crate::source::stance::origin::{self, Origin, Record};
-use crate::source::stance::{
-    ADJUSTMENT, BASE_MOTION, FIRST_FREE_NUMBER, REGEN, SPLIT, STYLE_TRANSFER, file_stem,
-};
 use pickle::{self, Array, Value};
 
 /// Writes the motions, pairs and masks of a dataset into an empty folder.

@@ -3,11 +3,12 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use formats::source::labels::{names_beside, names_in_folder};
+use formats::source::name_of_text;
+
 use super::deal::Item;
 use super::list::labelled;
 use super::plan::Plan;
-use crate::source::labels::{names_beside, names_in_folder};
-use crate::source::name_of_text;
 
 impl Plan {
     /// A file that was not planned and may say something about some motions: one beside a motion, or one of its

@@ -6,9 +6,9 @@ use datasets_spec::dataset::ShardName;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use datasets_spec::{MotionId, Split};
+use formats::source::{Entry, Format};
 
 use super::plan::Plan;
-use crate::source::{Entry, Format};
 
 /// Source items per shard: few enough that every thread can hold a shard in memory.
 pub(crate) const SHARD_SOURCES: usize = 256;

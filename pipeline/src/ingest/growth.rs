@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use clip::LabelProblem;
 use datasets_spec::record::{MaskRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use datasets_spec::{MotionId, Split};
@@ -11,7 +12,6 @@ use super::fates::{Fate, Fates};
 use super::plan::Plan;
 use super::recorded::Recorded;
 use super::sources::SourceLabel;
-use crate::clip::LabelProblem;
 use crate::versions::{is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source};
 
 /// What became of the clips and labels that a dataset had.

@@ -4,13 +4,13 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use datasets_spec::record::SkippedRow;
+use formats::source::Entry;
+use formats::source::labels::{is_pattern, matches};
 use serde::{Deserialize, Serialize};
 
 use super::list::path_of;
 use super::plan::{Plan, source_hash};
 use crate::Error;
-use crate::source::Entry;
-use crate::source::labels::{is_pattern, matches};
 
 /// The lines of a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::{MotionId, Seed, Split};
+use formats::source::{Entry, Format, escaped};
 
 use super::alike::Alike;
 use super::id_list::NOT_CHOSEN;
@@ -11,7 +12,6 @@ use super::list::path_of;
 use super::plan::{Plan, Planned, without_extension};
 use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
-use crate::source::{Entry, Format, escaped};
 use crate::versions::taken_out;
 
 impl Plan {

@@ -3,8 +3,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use formats::source::Contents;
+
 use super::list::Source;
-use crate::source::Contents;
 
 /// Label and licence files that apply to all clips in their folder and below. A file is one of them if its
 /// name begins with one of these words.

@@ -17,7 +17,7 @@ use super::run::{Pieces, foreseen, labels, piece, refuse_loss, refuse_mixture, s
 use super::shard::ShardNotes;
 use super::{Prepared, SourceArg, effective};
 use crate::Error;
-use crate::work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece};
+use work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece};
 
 /// Name of the job.
 pub(crate) const JOB: &str = "ingest";
@@ -76,7 +76,7 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
         plan_hash,
         base: Staging::base(&ByPath, destination, newest.as_ref())?,
     };
-    draft.write(out, |folder| plan.write(folder))
+    Ok(draft.write(out, |folder| Ok(plan.write(folder)?))?)
 }
 
 impl Plan {
@@ -195,7 +195,7 @@ impl Ingestion {
         let place = self.plan.files.path(path);
         let place = place.map_or(PathBuf::from(path), Path::to_owned);
         Err(match found {
-            Ok(_) => Error::SourceChanged { path: place }.into(),
+            Ok(_) => work::Error::SourceChanged { path: place }.into(),
             Err(error) => Failed::new(
                 "E-IO",
                 format!(
@@ -213,7 +213,7 @@ impl Job for Ingestion {
         self.check(&detail)?;
         let items = self.plan.items_of(shard);
         if let Some(path) = self.plan.added(&items) {
-            return Err(Error::SourceChanged { path }.into());
+            return Err(work::Error::SourceChanged { path }.into());
         }
         let (entry, notes) = self.plan.make_shard(
             staging,
@@ -243,7 +243,7 @@ impl Job for Ingestion {
         pieces: Vec<Finished>,
         options: &CommitOptions,
         progress: &dyn Progress,
-    ) -> Result<Committed, Error> {
+    ) -> Result<Committed, work::Error> {
         let transaction = plan.begin(options)?;
         let (store, root) = (transaction.store(), plan.destination());
         let prepared = Prepared::of(store.as_ref(), root, transaction.base(), &self.given)?;
@@ -254,7 +254,7 @@ impl Job for Ingestion {
             .hash(&prepared.settings, &prepared.options, version)
             != plan.hash()
         {
-            return Err(Error::BadPlan {
+            return Err(work::Error::BadPlan {
                 path: plan.path().to_owned(),
                 reason: "its tables were altered; plan again".to_owned(),
             });
@@ -265,10 +265,13 @@ impl Job for Ingestion {
                 Err(failed) => return Ok(Err(failed)),
             };
             let notes: ShardNotes = work::notes(plan, &finished.piece, notes)?;
-            let shard = files.into_iter().next().ok_or_else(|| Error::BadPlan {
-                path: plan.path().to_owned(),
-                reason: format!("piece {} has no shard", finished.piece.name),
-            })?;
+            let shard = files
+                .into_iter()
+                .next()
+                .ok_or_else(|| work::Error::BadPlan {
+                    path: plan.path().to_owned(),
+                    reason: format!("piece {} has no shard", finished.piece.name),
+                })?;
             Ok(Ok((shard, notes)))
         });
         let taken = taken.collect::<Result<Vec<_>, Error>>()?;

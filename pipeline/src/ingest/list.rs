@@ -4,21 +4,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use clip::Rejected;
 use datasets_spec::Progress;
 use datasets_spec::dataset::PRIVATE;
 use datasets_spec::record::QuarantineRow;
 use datasets_spec::store::{ByPath, Store, is_url};
+use formats::source::archive::{self, Archives};
+use formats::source::read_head;
+use formats::source::text_of_name;
 use rayon::prelude::*;
 
 use super::places::{Kind, Places};
 use super::sources::{SourceArg, name_of_folder};
 use crate::Error;
-use crate::clip::Rejected;
-use crate::source::archive::{self, Archives};
-use crate::source::text_of_name;
-
-/// Bytes looked at to recognise a file.
-pub(super) const HEAD_BYTES: usize = 512;
 
 /// A source file in the plan.
 #[derive(Clone, Debug)]
@@ -501,18 +499,6 @@ pub(super) fn hash_files(
     };
     progress.finish(&format!("{} files", sources.len()));
     sources
-}
-
-/// The first bytes of a file; none if it cannot be read, which the hash reports.
-pub(crate) fn read_head(path: &Path) -> Vec<u8> {
-    let read = || {
-        let file = ByPath.open_at(path)?;
-        let length = file.size().min(HEAD_BYTES as u64);
-        let mut head = vec![0; usize::try_from(length).unwrap_or(HEAD_BYTES)];
-        file.read_exact_at(&mut head, 0)?;
-        std::io::Result::Ok(head)
-    };
-    read().unwrap_or_default()
 }
 
 /// The row of a file that was rejected; `key` names one of several motions of it.

@@ -41,6 +41,7 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::Row;
 use datasets_spec::{Progress, Resample, Seed, Transaction};
+use formats::source::ReadOptions;
 
 use self::fates::Fates;
 use self::list::{Listed, list_sources};
@@ -52,7 +53,6 @@ use self::report::already_complete;
 use self::run::{Pieces, Run};
 use self::sources::Known;
 use crate::Error;
-use crate::source::ReadOptions;
 
 pub use self::alike::AlikeClips;
 pub(crate) use self::deal::SHARD_SOURCES as SHARD_CLIPS;
@@ -61,7 +61,7 @@ pub use self::growth::{Growth, LostLabel};
 pub use self::id_list::IdList;
 pub use self::job::plan_ingest;
 pub(crate) use self::job::{JOB, open_job};
-pub(crate) use self::list::{labelled as with_label, read_head};
+pub(crate) use self::list::labelled as with_label;
 pub use self::options::{IngestOptions, REMARKS_FACT};
 pub(crate) use self::recorded::{MergedSources, recorded_settings};
 pub use self::report::IngestReport;

@@ -4,7 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use clip::check::Teleports;
 use datasets_spec::{Fps, Resample, Seed, Skeleton};
+use features::humanml3d;
+use formats::markers::MarkerSet;
+use formats::retarget::UserMap;
+use formats::source::body_model::Subjects;
+use formats::source::{Format, ReadOptions, Unit, format_named};
 use serde::{Deserialize, Serialize};
 
 use super::id_list::IdList;
@@ -12,13 +18,7 @@ use super::split_by::SplitBy;
 use super::split_list::SplitList;
 use crate::Error;
 use crate::annotation::pairs::PairList;
-use crate::check::Teleports;
-use crate::feature::humanml3d;
-use crate::markers::MarkerSet;
-use crate::retarget::UserMap;
-use crate::source::body_model::Subjects;
-use crate::source::{Format, ReadOptions, Unit, format_named};
-use crate::work::{absolute, hash_file};
+use work::{absolute, hash_file};
 
 /// Version of the code that turns files into rows. A dataset made by an older version is read again.
 const INGEST_VERSION: u32 = 4;
@@ -170,7 +170,7 @@ impl StoredOptions {
     /// # Errors
     /// One of them is gone or changed.
     pub(super) fn options(self) -> Result<IngestOptions, Error> {
-        let changed = |path: PathBuf| Error::SourceChanged { path };
+        let changed = |path: PathBuf| Error::from(work::Error::SourceChanged { path });
         let subjects = match self.subjects {
             Some((folder, hash)) => {
                 let subjects = Subjects::read(&folder)?;

@@ -6,9 +6,17 @@ use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use clip::Rejected;
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
 use datasets_spec::{MotionId, Progress, Split};
+use formats::sidecar::Sidecar;
+use formats::source::archive::{self, Archives};
+use formats::source::labels::{self, FolderLabels};
+use formats::source::{
+    Entry, Files, Format, FoundRelease, ReadOptions, Recognised, find_releases, name_of_text,
+    recognise, refuse_pointer,
+};
 use rayon::prelude::*;
 
 use super::inputs;
@@ -20,14 +28,6 @@ use super::split_by::SplitBy;
 use super::split_list::{SplitList, name_of_subject};
 use crate::Error;
 use crate::annotation::pairs::{PairList, RefusedLine, names_of, originals, style_group};
-use crate::clip::Rejected;
-use crate::sidecar::Sidecar;
-use crate::source::archive::{self, Archives};
-use crate::source::labels::{self, FolderLabels};
-use crate::source::{
-    Entry, Files, Format, FoundRelease, ReadOptions, Recognised, find_releases, name_of_text,
-    recognise, refuse_pointer,
-};
 
 /// Everything a run will do, known before any motion is read.
 pub(super) struct Plan {
@@ -632,8 +632,9 @@ pub(super) fn without_extension(relative: &str) -> &str {
 
 #[cfg(test)]
 mod tests {
+    use formats::source::gltf;
+
     use super::*;
-    use crate::source::gltf;
 
     #[test]
     fn files_are_not_listed_beyond_the_limit_or_if_they_cannot_be_read() {

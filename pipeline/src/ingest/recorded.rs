@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use clip::LabelProblem;
 use datasets_spec::manifest::{FileEntry, Manifest};
 use datasets_spec::record::{MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
@@ -14,7 +15,6 @@ use super::options::{LABEL_PROBLEMS_FACT, PAIRS_FACT, SEED_FACT, SETTINGS_FACT, 
 use super::places::Places;
 use super::sources::{SOURCES_FACT, SourceLabel, UNNAMED, below, free, of_path, with_names};
 use crate::Error;
-use crate::clip::LabelProblem;
 use crate::clip_table::CLIP_TABLES;
 
 /// The version that a run starts from.

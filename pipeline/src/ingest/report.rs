@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use clip::LabelProblem;
 use datasets_spec::license;
 use datasets_spec::manifest::{Accounting, FileEntry};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
@@ -17,7 +18,6 @@ use super::plan::Plan;
 use super::shard::ShardNotes;
 use crate::Error;
 use crate::annotation::pairs::{ListedPairs, PairList, RefusedLine};
-use crate::clip::LabelProblem;
 use crate::versions::taken_out;
 
 /// The report of a run.

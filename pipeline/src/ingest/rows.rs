@@ -1,21 +1,21 @@
 //! Rows of a clip, and of a file that was rejected.
 
+use clip::check::{
+    FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, FLAG_REFERENCE_DROPPED, Teleports,
+    check_with, starts_apart,
+};
+use clip::{EditOf, Markers, Rejected, SourceClip, SourceMask, check_resampled};
 use datasets_spec::record::{
     CAPTION_BY_RULE, CAPTION_BY_SOURCE, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow,
 };
 use datasets_spec::{
     BlendMask, BodyPart, MASK_DEF_VERSION, Motion, MotionId, Resample, Skeleton, Split,
 };
+use features::humanml3d::{self, Features};
+use features::smpl_body;
 
 use super::deal::Item;
 use super::options::IngestOptions;
-use crate::check::{
-    FLAG_CAPTION_OUTSIDE, FLAG_NO_CAPTION, FLAG_POOR_FIT, FLAG_REFERENCE_DROPPED, Teleports,
-    check_with, starts_apart,
-};
-use crate::clip::{EditOf, Markers, Rejected, SourceClip, SourceMask, check_resampled};
-use crate::feature::humanml3d::{self, Features};
-use crate::feature::smpl_body;
 use crate::likeness::Sketch;
 
 /// Mean distance in metres between source and stored joints that is worth a flag: retargeted

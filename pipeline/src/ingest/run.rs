@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use clip::LabelProblem;
 use datasets_spec::dataset::{Commit, ShardName};
 use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{Accounting, FileEntry, SPLIT_BY_FACT};
@@ -29,9 +30,8 @@ use super::shard::{Done, ShardNotes};
 use super::sources::SOURCES_FACT;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
-use crate::clip::LabelProblem;
 use crate::clip_table::CLIP_TABLES;
-use crate::work::{self, Failed, Made, Piece};
+use work::{self, Failed, Made, Piece};
 
 /// A run from its plan to the report.
 pub(super) struct Run<'a> {

@@ -3,11 +3,14 @@
 use std::cell::RefCell;
 use std::path::Path;
 
+use clip::{LabelProblem, Outcome, Rejected};
 use datasets_spec::Progress;
 use datasets_spec::dataset::{ShardName, Staging};
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{MaskRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
+use formats::source::labels::{self, ClipLabels};
+use formats::source::{Entry, ReadOptions, label, name_of_text, read_clip};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -17,9 +20,6 @@ use super::options::IngestOptions;
 use super::plan::{Plan, bounded_length, source_hash};
 use super::rows::{ClipRows, clip_rows, mask_row, pair_row};
 use crate::Error;
-use crate::clip::{LabelProblem, Outcome, Rejected};
-use crate::source::labels::{self, ClipLabels};
-use crate::source::{Entry, ReadOptions, label, name_of_text, read_clip};
 
 /// Data of a shard for the commit, beside its file.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]

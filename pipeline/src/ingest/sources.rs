@@ -9,13 +9,13 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Progress;
+use formats::source::{name_of_text, text_of_name};
 use serde::{Deserialize, Serialize};
 
 use super::list::{Listed, list_sources, merged};
 use super::places::{Kind, Places};
 use super::recorded::{Recorded, RecordedClip};
 use crate::Error;
-use crate::source::{name_of_text, text_of_name};
 
 pub(crate) use super::list::Listing;
 

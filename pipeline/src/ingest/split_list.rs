@@ -6,14 +6,14 @@ use std::path::Path;
 use csv::StringRecord;
 use datasets_spec::Split;
 
+use formats::csv_lines;
+use formats::source::labels::{is_pattern, matches};
 use serde::{Deserialize, Serialize};
 
 use super::plan::without_extension;
 use super::recorded::Recorded;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
-use crate::csv_lines;
-use crate::source::labels::{is_pattern, matches};
 
 /// Prefix of a name that means all clips of a subject.
 const SUBJECT: &str = "subject:";

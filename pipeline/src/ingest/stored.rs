@@ -9,6 +9,9 @@ use datasets_spec::Split;
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
 use datasets_spec::table::read_rows;
+use formats::source::archive::Archives;
+use formats::source::labels::FolderLabels;
+use formats::source::{Entry, Files, find_releases, format_named, name_of_text, text_of_name};
 use serde::{Deserialize, Serialize};
 
 use super::list::Source;
@@ -18,10 +21,7 @@ use super::sources::Given;
 use super::split_by::SplitBy;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
-use crate::source::archive::Archives;
-use crate::source::labels::FolderLabels;
-use crate::source::{Entry, Files, find_releases, format_named, name_of_text, text_of_name};
-use crate::work::{absolute, read_json, write_json, write_table};
+use work::{absolute, read_json, write_json, write_table};
 
 const SOURCES: &str = "sources.parquet";
 const MOTIONS: &str = "motions.parquet";
@@ -140,7 +140,7 @@ impl Plan {
             refused_splits: self.refused_splits.clone(),
             split_by: self.split_by,
         };
-        write_json(&folder.join(REST), &rest)
+        Ok(write_json(&folder.join(REST), &rest)?)
     }
 
     /// Reads a plan that was written. No source is listed or hashed; of the sources, only what says something about
@@ -186,9 +186,10 @@ impl Plan {
             None => true,
         };
         if let Some(item) = items.iter().find(|item| !is_known(item)) {
-            return Err(Error::SourceChanged {
+            return Err(work::Error::SourceChanged {
                 path: PathBuf::from(&item.entry.file),
-            });
+            }
+            .into());
         }
         let rest: Rest = read_json(&folder.join(REST))?;
         let skipped: Vec<SkippedRow> = read_rows(&folder.join(SKIPPED))?;
@@ -257,7 +258,7 @@ fn row_of(item: &Planned) -> PlannedMotion {
 
 fn item_of(row: PlannedMotion, folder: &Path) -> Result<Planned, Error> {
     let split = |name: Option<String>| name.map(|name| name.parse::<Split>()).transpose();
-    let format = format_named(&row.format).ok_or_else(|| Error::BadPlan {
+    let format = format_named(&row.format).ok_or_else(|| work::Error::BadPlan {
         path: folder.to_owned(),
         reason: format!("{:?} is an unknown format; plan again", row.format),
     })?;

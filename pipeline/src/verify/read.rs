@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use compose::{check_mask, check_pair};
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{
     EditRow, HumanMl3dRow, ItemRow, MarkerRow, MaskRow, MotionRow, NormalizerRow, PairRow,
@@ -14,7 +15,6 @@ use datasets_spec::{MotionId, Skeleton, Split};
 
 use super::answers::{Answer, Asked};
 use super::{Check, Finding};
-use crate::compose::{check_mask, check_pair};
 use crate::likeness::Sketch;
 use crate::recordings::Origin;
 
@@ -65,7 +65,7 @@ struct Label<'a> {
     split: Split,
     motions: Vec<&'a MotionId>,
     /// Whether the composer accepts it.
-    usable: Result<(), crate::compose::Error>,
+    usable: Result<(), compose::Error>,
 }
 
 /// Contents of one file.

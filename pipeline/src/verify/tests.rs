@@ -3,9 +3,9 @@ use datasets_spec::dataset::{Commit, ShardName, Transaction};
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
+use testkit as fixture;
 
 use super::*;
-use crate::compose::fixture;
 
 /// A dataset of the given motions, each in the shard of its split.
 fn dataset(root: &Path, rows: &[MotionRow]) -> Dataset {

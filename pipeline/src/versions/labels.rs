@@ -6,13 +6,13 @@ use std::path::Path;
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Skeleton, Split, Transaction};
+use formats::source::format_named;
 use serde::Serialize;
 
 use crate::Error;
 use crate::annotation::masks::AUTHOR;
 use crate::annotation::pairs::is_from_labels;
 use crate::ingest::LostLabel;
-use crate::source::format_named;
 
 /// Labels named in an error.
 const SHOWN: usize = 5;

@@ -1,7 +1,7 @@
 //! Lists of a dataset: its clips, the files that were rejected, and the files without a motion.
 
+use clip::check::flag_names;
 use datasets_spec::Dataset;
-use pipeline::check::flag_names;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use tables::Tables;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::ValueEnum as _;
+use compose::{ComposeConfig, ItemConfig, ItemTask};
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, Seed, Split};
@@ -13,7 +14,6 @@ use eval::metric::interval::MOST_TRAININGS;
 use eval::metric::{self, Metric};
 use eval::names::ALL_TASKS;
 use eval::protocol::Protocol;
-use pipeline::compose::{ComposeConfig, ItemConfig, ItemTask};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use train::checkpoint::Slot;

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use compose::COMPOSED;
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{Dataset, Seed};
@@ -12,7 +13,6 @@ use eval::answers::{Answered, Scores};
 use eval::judge::{Judge, Judges};
 use eval::metric::METRICS_VERSION;
 use eval::protocol::Protocol;
-use pipeline::stage::COMPOSED;
 use serde::Serialize;
 use train::checkpoint::Start;
 use train::kind::TrainRequest;

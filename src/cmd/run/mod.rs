@@ -5,6 +5,8 @@ mod page;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use compose::recording::{self, Kind, Settings};
+use compose::{ComposeConfig, EditKind, ItemConfig};
 use datasets_spec::record::PairRow;
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, Seed, Split};
@@ -13,9 +15,7 @@ use eval::protocol::Protocol;
 use page::{Done, page, print};
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
-use pipeline::compose::{ComposeConfig, EditKind, ItemConfig};
 use pipeline::ingest::SourceArg;
-use pipeline::recording::{self, Kind, Settings};
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};

@@ -1,11 +1,11 @@
 //! Blending and fitting against scipy and the released code.
 
+use compose::blend_pose;
 use datasets_spec::{BlendMask, Fps, Joint, JointSet, Pose, Skeleton};
 use glam::{DMat3, DVec3};
 use kinematics::fit::{AdamFit, FitOptions, Parameters, fit_motion};
 use kinematics::rotation::from_axis_angle;
 use kinematics::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_JOINTS, NUM_KEYPOINTS};
-use pipeline::compose::blend_pose;
 
 use super::{Golden, row_major};
 

@@ -10,10 +10,10 @@ use serde_json::{Value, json};
 use crate::Error;
 use crate::text::clip::ClipModel;
 use crate::text::source::FrozenEncoder;
+use compose::{ComposeConfig, RangeRule, SlerpRule};
 use kinematics::canonical::{Anchor, FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::FRAME_WIDTH;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
-use pipeline::compose::{ComposeConfig, RangeRule, SlerpRule};
 
 pub(crate) use self::diffusion::is_zero;
 pub use self::diffusion::{

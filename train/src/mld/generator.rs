@@ -4,7 +4,7 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::Seed;
-use pipeline::feature::humanml3d::Features;
+use features::humanml3d::Features;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};

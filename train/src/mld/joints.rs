@@ -5,7 +5,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::record::HUMANML3D_WIDTH;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-/// The joints of features, as [`pipeline::feature::humanml3d::recover_joints`] finds them.
+/// The joints of features, as [`features::humanml3d::recover_joints`] finds them.
 ///
 /// # Shapes
 /// `[B, T, 263]`, not normalised, give `[B, T, 66]`.
@@ -55,7 +55,7 @@ fn sums(frames: usize, is_added: impl Fn(usize, usize) -> bool, device: &Device)
 
 #[cfg(test)]
 mod tests {
-    use pipeline::feature::humanml3d::{Features, recover_joints};
+    use features::humanml3d::{Features, recover_joints};
 
     use super::*;
 

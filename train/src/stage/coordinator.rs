@@ -1,8 +1,8 @@
 //! Training of the body-part coordinator on a dataset.
 
+use compose::COMPOSED;
+use compose::ComposeConfig;
 use datasets_spec::{Dataset, Seed};
-use pipeline::compose::ComposeConfig;
-use pipeline::stage::COMPOSED;
 
 use super::Streams;
 use crate::checkpoint::Start;

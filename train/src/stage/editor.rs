@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
+use compose::{COMPOSED, library};
+use compose::{ComposeConfig, ReadOrder, WindowLoader};
 use datasets_spec::record::{NormalizerRow, WindowRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
 use kinematics::normalise::Normalizer;
-use pipeline::compose::{ComposeConfig, ReadOrder, WindowLoader};
-use pipeline::stage::{COMPOSED, library};
 
 use super::{Streams, create_dir};
 use crate::checkpoint::Start;

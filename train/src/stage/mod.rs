@@ -13,13 +13,13 @@ pub mod variants;
 
 use std::path::Path;
 
+use compose::{ComposeConfig, Stream};
+use compose::{library, train_stream};
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
 use kinematics::canonical::WINDOW_FRAMES;
 use kinematics::normalise::Normalizer;
-use pipeline::compose::{ComposeConfig, Stream};
-use pipeline::stage::{library, train_stream};
 
 use crate::Error;
 

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 
+use compose::{ComposeConfig, Stream};
+use compose::{library, train_stream};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
-use pipeline::compose::{ComposeConfig, Stream};
-use pipeline::stage::{library, train_stream};
 
 use super::unthinned;
 use crate::Error;
@@ -40,7 +40,7 @@ pub fn texts(dataset: &Dataset, compose: &ComposeConfig) -> Result<Vec<String>, 
             match stream {
                 Ok(stream) => texts.extend(stream.instructions()),
                 // No motion of this split is as long as a window, so it has no instructions.
-                Err(pipeline::compose::Error::NoItem { .. }) => {}
+                Err(compose::Error::NoItem { .. }) => {}
                 Err(error) => return Err(error.into()),
             }
         }

@@ -3,23 +3,23 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use crate::candidates::{
+    Candidates, Variant, VariantConfig, VariantCounts, VariantGroup, candidates, commit_candidates,
+    generated_row, groups_of_motions,
+};
 use burn::tensor::Device;
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, MotionId, Seed, Skeleton, Split, Transaction};
-use pipeline::annotation::variants::{
-    Candidates, Variant, VariantConfig, VariantCounts, VariantGroup, candidates, generated_row,
-    groups_of_motions,
-};
-use pipeline::feature::humanml3d::{Features, recover_joints};
-use pipeline::feature::motion_of_joints;
-use pipeline::stage::{chosen, commit_candidates};
-use pipeline::work::Quarantine;
+use features::humanml3d::{Features, recover_joints};
+use features::motion_of_joints;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use tables::chosen;
+use work::Quarantine;
 
 use crate::humanml3d::mean_bone_drift_m;
 use crate::mld::{Base, Generator, LatentNoise};
@@ -240,14 +240,7 @@ impl Making {
             variants_fact(&self.config),
         ]);
         let (skeleton, plan) = (&self.skeleton, &self.plan_hash);
-        Ok(commit_candidates(
-            transaction,
-            made,
-            facts,
-            skeleton,
-            plan,
-            quarantine,
-        )?)
+        commit_candidates(transaction, made, facts, skeleton, plan, quarantine)
     }
 }
 
@@ -330,7 +323,7 @@ fn bases(
     let mut texts: Vec<Instruction> = match instructions {
         Instructions::Captions(condition) => {
             let condition = condition.as_deref().map(str::parse).transpose();
-            let condition = condition.map_err(pipeline::Error::from)?;
+            let condition = condition?;
             captions(&chosen(dataset, condition.as_ref())?)?
         }
         Instructions::Texts(texts) => {

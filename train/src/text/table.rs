@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use pipeline::write::replace_file;
+use datasets_spec::store::replace_file;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use compose::{Library, Stream};
 use datasets_spec::{Fps, Motion, Seed, Skeleton};
-use pipeline::compose::{Library, Stream};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_distr::StandardNormal;

@@ -1,10 +1,10 @@
 //! Training of TMED on a dataset.
 
+use compose::{COMPOSED, library, train_stream};
+use compose::{ComposeConfig, Stream};
 use datasets_spec::record::{MotionRow, PairRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
-use pipeline::compose::{ComposeConfig, Stream};
-use pipeline::stage::{COMPOSED, library, train_stream};
 
 use super::clips::{CapturedPairs, ClipSource};
 use super::config::{ClipData, TmedConfig};

@@ -8,13 +8,13 @@ use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::store::ByPath;
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Progress, Seed, Skeleton};
-use pipeline::stage::commit_edits_in;
-use pipeline::work::{
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use work::commit_edits_in;
+use work::{
     self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, Quarantine,
     absolute,
 };
-use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 
 use super::{Surroundings, of_commit};
 use crate::checkpoint::Slot;
@@ -255,7 +255,7 @@ impl Job for Editing {
         pieces: Vec<Finished>,
         options: &CommitOptions,
         _progress: &dyn Progress,
-    ) -> Result<Committed, pipeline::Error> {
+    ) -> Result<Committed, work::Error> {
         let transaction = plan.begin(options)?;
         let staging = plan.staging();
         let (made, quarantine) = Quarantine::of(pieces);

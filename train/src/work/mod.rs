@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use burn::tensor::Device;
 use datasets_spec::NoProgress;
-use pipeline::work::{Failed, Plan};
 use serde_json::Value;
+use work::{Failed, Plan};
 
 use crate::text::hub::HubCache;
 use crate::text::source::TextEncoderSource;
@@ -51,7 +51,7 @@ impl Surroundings {
 ///
 /// # Errors
 /// The plan is of another job.
-pub fn device_of(plan: &Plan) -> Result<Value, pipeline::Error> {
+pub fn device_of(plan: &Plan) -> Result<Value, work::Error> {
     Ok(plan.settings::<Value>()?["device"].take())
 }
 
@@ -61,14 +61,11 @@ impl From<Error> for Failed {
     }
 }
 
-/// The error of a commit, which is one of the pipeline.
-fn of_commit(error: Error) -> pipeline::Error {
+/// The error of a commit, which is one of work in pieces.
+fn of_commit(error: Error) -> work::Error {
     match error {
-        Error::Pipeline(error) => error,
+        Error::Work(error) => error,
         Error::Spec(error) => error.into(),
-        error => {
-            let Failed { code, reason } = error.into();
-            pipeline::Error::Job { code, reason }
-        }
+        error => Failed::from(error).into(),
     }
 }

@@ -3,18 +3,18 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+use crate::candidates::{Candidates, VariantCounts};
 use datasets_spec::dataset::{ShardName, Staging, table_facts};
 use datasets_spec::record::{MotionRow, PairRow};
 use datasets_spec::store::ByPath;
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Progress, Seed};
-use pipeline::annotation::variants::{Candidates, VariantCounts};
-use pipeline::work::{
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use work::{
     self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, Quarantine,
     absolute,
 };
-use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 
 use super::{Surroundings, of_commit};
 use crate::Error;
@@ -167,14 +167,14 @@ impl Job for Variants {
         pieces: Vec<Finished>,
         options: &CommitOptions,
         _progress: &dyn Progress,
-    ) -> Result<Committed, pipeline::Error> {
+    ) -> Result<Committed, work::Error> {
         let transaction = plan.begin(options)?;
         let staging = plan.staging();
         let (made, quarantine) = Quarantine::of(pieces);
         let mut all = Candidates::default();
         for (piece, Made { files, notes }) in made {
             let [motions, pairs] = &files[..] else {
-                return Err(pipeline::Error::BadPlan {
+                return Err(work::Error::BadPlan {
                     path: plan.path().to_owned(),
                     reason: format!("piece {} has not two files", piece.name),
                 });

@@ -2,9 +2,9 @@
 
 use burn::tensor::TensorData;
 use datasets_spec::JointSet;
+use features::humanml3d::{Features, features_of_joints, joints_of_motion};
+use features::{Statistics, smpl_body};
 use kinematics::skeleton::NUM_BODY_JOINTS;
-use pipeline::feature::humanml3d::{Features, features_of_joints, joints_of_motion};
-use pipeline::feature::{Statistics, smpl_body};
 use train::captioned::CaptionedCorpus;
 use train::mdm::{MdmConfig, masked_l2, train_mdm};
 use train::model::conditioned::Conditioned;

@@ -1,8 +1,8 @@
 //! MLD learns, continues, and makes variants.
 
 use burn::tensor::TensorData;
-use pipeline::feature::Statistics;
-use pipeline::feature::humanml3d::Features;
+use features::Statistics;
+use features::humanml3d::Features;
 use train::captioned::CaptionedCorpus;
 use train::mld::{Base, Generator, LatentNoise, MldConfig, train_mld};
 use train::model::mld::{LatentDenoiser, MotionVae};

@@ -1,8 +1,8 @@
 //! Questions for editing systems.
 
+use compose::{ItemConfig, ItemCount};
 use datasets_spec::record::ItemRow;
 use datasets_spec::{Dataset, NoProgress, Seed, Split};
-use pipeline::compose::{ItemConfig, ItemCount};
 use pipeline::stage::{self, Context};
 
 use crate::support::Data;

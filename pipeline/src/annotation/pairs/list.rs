@@ -4,15 +4,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use compose::{EditKind, style_instruction};
 use csv::StringRecord;
 use datasets_spec::record::PairRow;
 use datasets_spec::{BodyPart, MotionId, Split};
+use formats::csv_lines;
 use serde::{Deserialize, Serialize};
 
 use super::LISTED;
 use crate::Error;
-use crate::compose::{EditKind, style_instruction};
-use crate::csv_lines;
 
 /// The pairs of a file, by its names of clips.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -395,7 +395,7 @@ mod tests {
         );
         assert!(slow.parts.is_empty());
         for row in &made.rows {
-            crate::compose::check_pair(row).expect("the composer takes it");
+            compose::check_pair(row).expect("the composer takes it");
         }
     }
 

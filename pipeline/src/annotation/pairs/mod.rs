@@ -4,6 +4,7 @@ mod list;
 
 use std::collections::BTreeMap;
 
+use compose::{EditKind, style_instruction};
 use datasets_spec::record::PairRow;
 use datasets_spec::{Dataset, MotionId, Seed, Split};
 use rand::RngExt;
@@ -11,7 +12,6 @@ use serde::{Deserialize, Serialize};
 use tables::Tables;
 
 use crate::Error;
-use crate::compose::{EditKind, style_instruction};
 pub use list::{ListedPairs, PairList, RefusedLine};
 pub(crate) use list::{names_of, originals};
 

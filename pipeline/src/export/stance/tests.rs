@@ -2,11 +2,11 @@ use std::path::PathBuf;
 
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::{Dataset, MotionId, NoProgress};
+use testkit::write_release;
 
 use super::*;
 use crate::export::{Layout, export};
 use crate::ingest::{IngestOptions, ingest};
-use crate::source::stance::tests::write_release;
 
 fn ingested(source: &Path, out: &Path) -> Dataset {
     let sources: [PathBuf; 1] = [source.to_owned()];

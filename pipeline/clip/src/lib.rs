@@ -1,0 +1,395 @@
+//! The result of a reader: a motion, or the reason why there is none.
+
+pub mod check;
+
+use std::fmt;
+use std::ops::Range;
+
+use datasets_spec::record::{HUMANML3D_WIDTH, MaskRow, PairRow};
+use datasets_spec::table::{Caption, PartCaption};
+use datasets_spec::{BodyPart, Fps, Motion, Skeleton};
+use serde::{Deserialize, Serialize};
+
+/// Where the rotations of a clip come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RotationSource {
+    /// The file holds them for this body.
+    Native,
+    /// The file holds them for another skeleton.
+    Retargeted,
+    /// They were recovered from positions.
+    Fitted,
+}
+
+impl RotationSource {
+    /// The name used in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Native => "native",
+            Self::Retargeted => "retargeted",
+            Self::Fitted => "fitted",
+        }
+    }
+
+    /// The source of a name; native if the name is unknown.
+    pub fn of_name(name: &str) -> Self {
+        let all = [Self::Retargeted, Self::Fitted];
+        let found = all.into_iter().find(|source| source.as_str() == name);
+        found.unwrap_or(Self::Native)
+    }
+}
+
+/// A clip as read from one file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SourceClip {
+    /// The motion: SMPL-X parameters, y up, metres, floor at y = 0. At the file's own rate, or at
+    /// that of `ReadOptions::rate`.
+    pub motion: Motion,
+    /// The rate of the file.
+    pub source_fps: Fps,
+    /// Where its rotations come from.
+    pub rotation_source: RotationSource,
+    /// Mean distance in metres between the joints of the motion and those of the file, the latter
+    /// with their bones brought to this body's lengths; none for native rotations of a file without joints.
+    pub fit_error_m: Option<f32>,
+    /// Frames of the file the motion was made of.
+    pub source_frames: Range<usize>,
+    /// Captions that the source states.
+    pub captions: Vec<Caption>,
+    /// Captions made by rule from the file's name.
+    pub made_captions: Vec<Caption>,
+    /// Captions of single body parts.
+    pub part_captions: Vec<PartCaption>,
+    /// Who performs it.
+    pub subject: Option<String>,
+    /// Action label.
+    pub action: Option<String>,
+    /// Style label.
+    pub style: Option<String>,
+    /// Licence tag.
+    pub license: Option<String>,
+    /// Labels beside the file that could not be used.
+    pub label_problems: Vec<LabelProblem>,
+    /// Decisions a reader may want to check, such as the unit that was assumed.
+    pub notes: Vec<String>,
+    /// Quality flags that only the reader can see, such as [`crate::check::FLAG_CAPTION_OUTSIDE`].
+    pub flags: u32,
+    /// The captured markers the motion was solved from.
+    pub markers: Option<Markers>,
+    /// The edits that lead to it.
+    pub edits: Vec<EditOf>,
+    /// Body-part masks the source comes with.
+    pub masks: Vec<SourceMask>,
+    /// The HumanML3D features the motion was made of, a row for each of its frames.
+    pub features: Option<Vec<[f32; HUMANML3D_WIDTH]>>,
+    /// The body features are computed on, where it is not the store's.
+    pub body: Option<Skeleton>,
+}
+
+impl SourceClip {
+    /// A clip of a whole file, without captions and labels.
+    pub fn new(motion: Motion, rotation_source: RotationSource) -> Self {
+        let (num_frames, source_fps) = (motion.len(), motion.fps());
+        Self {
+            motion,
+            rotation_source,
+            fit_error_m: None,
+            source_fps,
+            source_frames: 0..num_frames,
+            captions: Vec::new(),
+            made_captions: Vec::new(),
+            label_problems: Vec::new(),
+            subject: None,
+            part_captions: Vec::new(),
+            action: None,
+            style: None,
+            license: None,
+            notes: Vec::new(),
+            flags: 0,
+            markers: None,
+            edits: Vec::new(),
+            masks: Vec::new(),
+            features: None,
+            body: None,
+        }
+    }
+}
+
+impl SourceClip {
+    /// Source frames per frame of the motion.
+    fn stride(&self) -> f64 {
+        let (source, own) = (self.source_fps.get(), self.motion.fps().get());
+        if source != own {
+            return source / own;
+        }
+        // A crop may skip frames and state the rate it has then.
+        let (covered, frames) = (self.source_frames.len(), self.motion.len());
+        let steps = frames.saturating_sub(1).max(1);
+        (covered.saturating_sub(1) as f64 / steps as f64)
+            .round()
+            .max(1.0)
+    }
+
+    /// Narrows source frames, captions and features to a part of the motion, and leaves the motion as
+    /// it is. `kept` counts frames of `step` frames of [`SourceClip::motion`] each.
+    ///
+    /// Captions with a time move along; one that speaks only of frames that are cut off becomes a
+    /// note.
+    pub fn narrow(&mut self, kept: &Range<usize>, step: f64) {
+        let Some(last) = kept.clone().next_back() else {
+            return;
+        };
+        let secs = |frames: usize| (frames as f64 * step / self.motion.fps().get()) as f32;
+        let (from, length) = (secs(kept.start), secs(kept.len()));
+        let mut cut_off = Vec::new();
+        self.captions.retain_mut(|caption| {
+            let is_whole = caption.from_s == 0.0 && caption.to_s == 0.0;
+            if is_whole {
+                return true;
+            }
+            if caption.to_s <= from || caption.from_s >= from + length {
+                cut_off.push(format!(
+                    "a caption speaks of frames cut off: {}",
+                    caption.text
+                ));
+                return false;
+            }
+            caption.from_s = (caption.from_s - from).max(0.0);
+            caption.to_s = (caption.to_s - from).min(length);
+            true
+        });
+        self.notes.extend(cut_off);
+        let stride = step * self.stride();
+        let frames = self.source_frames.clone();
+        let end = frames.start + (last as f64 * stride).ceil() as usize + 1;
+        let start = frames.start + (kept.start as f64 * stride).floor() as usize;
+        self.source_frames = start.min(frames.end)..end.min(frames.end);
+        let carried = self.features.take().filter(|_| step == 1.0);
+        self.features = carried.and_then(|features| Some(features.get(kept.clone())?.to_vec()));
+    }
+}
+
+/// A file of labels, or a part of one, that could not be used. The motions it describes are ingested
+/// without it.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct LabelProblem {
+    /// Path of the file relative to the ingested root.
+    pub file: String,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
+impl std::fmt::Display for LabelProblem {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}: {}", self.file, self.reason)
+    }
+}
+
+/// Markers of an optical capture, y up and in metres.
+///
+/// # Shapes
+/// `T` frames of `M = labels.len()` markers, frame by frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Markers {
+    /// Frame rate of the capture.
+    pub fps: Fps,
+    /// Names, `[M]`.
+    pub labels: Vec<String>,
+    /// Positions in metres, `[T * M]`; zero where the residual is negative.
+    pub positions: Vec<[f32; 3]>,
+    /// Reconstruction residuals in metres, `[T * M]`; negative where a marker was not seen.
+    pub residuals: Vec<f32>,
+    /// The known set the labels belong to.
+    pub set: Option<String>,
+    /// Root-mean-square distance in metres between the markers seen in a frame and those of the
+    /// solved body, `[T]`; empty until a body is solved.
+    pub fit_residuals: Vec<f32>,
+}
+
+/// The edit that leads to a clip from another one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EditOf {
+    /// Id of the motion before the edit.
+    pub source_id: String,
+    /// semantic, style or fine-grained.
+    pub kind: &'static str,
+    /// Style of the edit.
+    pub style: Option<String>,
+    /// Body parts that the edit changes, as stated.
+    pub parts: Vec<BodyPart>,
+    /// Instruction of the edit; empty if the source has none.
+    pub instruction: String,
+    /// The pair that it was in a dataset of this program; others follow from the fields above.
+    pub made: Option<PairRow>,
+}
+
+/// A body-part mask that a source comes with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SourceMask {
+    /// The parts it is made of.
+    pub parts: Vec<BodyPart>,
+    /// What the masked parts do; empty if the source does not say.
+    pub text: String,
+    /// The mask that it was in a dataset of this program; others follow from their parts.
+    pub made: Option<MaskRow>,
+}
+
+impl EditOf {
+    /// The edit of a pair of a dataset.
+    pub fn of_row(row: PairRow) -> Self {
+        let kinds = ["style", "fine-grained", "semantic"];
+        Self {
+            source_id: row.source_id.to_string(),
+            kind: kinds
+                .into_iter()
+                .find(|kind| *kind == row.kind)
+                .unwrap_or_default(),
+            style: row.style.clone(),
+            parts: parts_of(&row.parts),
+            instruction: row.instruction.clone(),
+            made: Some(row),
+        }
+    }
+}
+
+impl SourceMask {
+    /// A mask of a dataset.
+    pub fn of_row(row: MaskRow) -> Self {
+        Self {
+            parts: parts_of(&row.parts),
+            text: row.text.clone(),
+            made: Some(row),
+        }
+    }
+}
+
+fn parts_of(names: &[String]) -> Vec<BodyPart> {
+    names.iter().filter_map(|name| name.parse().ok()).collect()
+}
+
+/// Outcome of a source item.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// It is a clip.
+    Clip(Box<SourceClip>),
+    /// It is no motion, though it looked like one.
+    Skipped {
+        /// Why.
+        reason: String,
+    },
+    /// It is a motion that cannot be used.
+    Rejected(Rejected),
+}
+
+impl From<Result<SourceClip, Rejected>> for Outcome {
+    fn from(read: Result<SourceClip, Rejected>) -> Self {
+        match read {
+            Ok(clip) => Self::Clip(Box::new(clip)),
+            Err(rejected) => Self::Rejected(rejected),
+        }
+    }
+}
+
+/// Why a file was put into quarantine.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rejected {
+    /// Code that scripts may rely on, such as `E-BVH-FRAMES`.
+    pub code: &'static str,
+    /// What is wrong, with the numbers found and expected.
+    pub reason: String,
+    /// Where in the file, if there is such a place.
+    pub byte_offset: Option<u64>,
+    /// What was being done: [`Rejected::READ`], [`Rejected::RETARGET`] or [`Rejected::CHECK`].
+    pub stage: &'static str,
+}
+
+impl Rejected {
+    /// Stage of parsing the file.
+    pub const READ: &'static str = "read";
+    /// Stage of retargeting the motion to the body.
+    pub const RETARGET: &'static str = "retarget";
+    /// Stage of checking the finished motion.
+    pub const CHECK: &'static str = "check";
+
+    /// Rejects a file for something found while reading it.
+    pub fn read(code: &'static str, reason: impl Into<String>) -> Self {
+        Self {
+            code,
+            reason: reason.into(),
+            byte_offset: None,
+            stage: Self::READ,
+        }
+    }
+
+    /// Rejects a file for something found while retargeting it.
+    pub fn retarget(code: &'static str, reason: impl Into<String>) -> Self {
+        Self {
+            stage: Self::RETARGET,
+            ..Self::read(code, reason)
+        }
+    }
+
+    /// Rejects a motion for something the checks found.
+    pub fn check(code: &'static str, reason: impl Into<String>) -> Self {
+        Self {
+            stage: Self::CHECK,
+            ..Self::read(code, reason)
+        }
+    }
+
+    /// The same finding at a place in the file.
+    #[must_use]
+    pub fn at(self, byte_offset: usize) -> Self {
+        Self {
+            byte_offset: Some(byte_offset as u64),
+            ..self
+        }
+    }
+}
+
+/// Code, reason and place.
+impl fmt::Display for Rejected {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}", self.code, self.reason)?;
+        match self.byte_offset {
+            Some(offset) => write!(f, " at byte {offset}"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl From<pickle::Error> for Rejected {
+    fn from(error: pickle::Error) -> Self {
+        Self {
+            byte_offset: error.byte_offset,
+            ..Self::read(error.code, error.reason)
+        }
+    }
+}
+
+/// Most frames that resampling may make of a clip: 55 hours at 20 fps, 3 GB while it is processed.
+const MAX_RESAMPLED_FRAMES: f64 = 4e6;
+
+/// Refuses to resample a clip to more frames than fit into memory.
+///
+/// # Errors
+/// `E-TOO-LARGE`.
+pub fn check_resampled(num_frames: usize, from: Fps, to: Fps) -> Result<(), Rejected> {
+    let resampled = num_frames as f64 / from.get() * to.get();
+    if to <= from || resampled <= MAX_RESAMPLED_FRAMES {
+        return Ok(());
+    }
+    Err(Rejected::check(
+        "E-TOO-LARGE",
+        format!(
+            "{num_frames} frames at {from} become {resampled:.0} at {to}, expected at most \
+             {MAX_RESAMPLED_FRAMES:.0}; choose a lower rate"
+        ),
+    ))
+}
+
+/// Lowest accepted frame rate in 1/s. Resampling from a wrong rate of one frame a day would turn a few
+/// frames into millions.
+pub const MIN_FPS: f64 = 1.0;
+/// Highest accepted frame rate in 1/s; optical capture reaches about 2000.
+pub const MAX_FPS: f64 = 10_000.0;

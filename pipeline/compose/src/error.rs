@@ -1,0 +1,355 @@
+//! Errors of composing edits and deriving masks.
+
+use std::path::PathBuf;
+
+use datasets_spec::{Code, MotionId, Split};
+use work::Failed;
+
+/// An error that names the row, motion or setting it happened to.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A dataset holds no recorded windows of a split.
+    #[error(
+        "{} holds no recorded windows of split {split}; run: stance triplets DATASET --windows N --out {}",
+        path.display(),
+        path.display()
+    )]
+    NoWindows {
+        /// The dataset.
+        path: PathBuf,
+        /// The split asked for.
+        split: Split,
+    },
+    /// Recorded windows of several lengths.
+    #[error(
+        "the windows recorded in {} are of several lengths; record them again: stance triplets DATASET --windows N --out FOLDER",
+        path.display()
+    )]
+    UnequalWindows {
+        /// The dataset.
+        path: PathBuf,
+    },
+    /// Edits cannot be composed without masks or pairs.
+    #[error(
+        "{} has neither masks nor pairs in split {split}; run `stance masks {}` for semantic edits, \
+         `stance pairs {}` for styles",
+        path.display(),
+        path.display(),
+        path.display()
+    )]
+    NoAnnotations {
+        /// The dataset.
+        path: PathBuf,
+        /// The split.
+        split: Split,
+    },
+    /// Whole clips are composed with a setting of windows.
+    #[error(
+        "mirrored_ratio mirrors training windows, not whole clips (recorded triplets, items, TMED); leave it out of their settings"
+    )]
+    MirroredClip,
+    /// A row belongs to another split than the library.
+    #[error(
+        "{table} row {id:?} is of split {found}, the library of split {expected}; pass the rows of one split only"
+    )]
+    OtherSplit {
+        /// Table of the row.
+        table: &'static str,
+        /// Id of the row.
+        id: String,
+        /// Split of the row.
+        found: Split,
+        /// Split of the library.
+        expected: Split,
+    },
+    /// A motion drives another skeleton than the library's.
+    #[error(
+        "motion {motion} drives skeleton {found:?}, the library {expected:?}; ingest all motions with one body model"
+    )]
+    OtherSkeleton {
+        /// The motion.
+        motion: MotionId,
+        /// Its skeleton.
+        found: String,
+        /// The library's skeleton.
+        expected: String,
+    },
+    /// A motion has another frame rate than the first one.
+    #[error(
+        "motion {motion} is stored at {found} fps, others at {expected} fps; ingest all motions at one rate"
+    )]
+    OtherRate {
+        /// The motion.
+        motion: MotionId,
+        /// Its rate.
+        found: f64,
+        /// The rate of the first motion.
+        expected: f64,
+    },
+    /// Two rows have the same id.
+    #[error("{table} row {id:?} appears twice; remove one")]
+    Duplicate {
+        /// Table of the rows.
+        table: &'static str,
+        /// Their id.
+        id: String,
+    },
+    /// A mask or pair belongs to a motion that is not there.
+    #[error(
+        "{table} {row:?} belongs to motion {motion}, which is not in the library; pass all motions of its split"
+    )]
+    UnknownMotion {
+        /// What names the motion.
+        table: &'static str,
+        /// Its id.
+        row: String,
+        /// The motion it names.
+        motion: MotionId,
+    },
+    /// A mask takes no joint.
+    #[error("mask {mask:?} names no joint; annotate it again")]
+    EmptyMask {
+        /// Id of the mask.
+        mask: String,
+    },
+    /// A mask or pair has no instruction.
+    #[error("{table} {row:?} has no text; annotate it again")]
+    EmptyText {
+        /// What has no text.
+        table: &'static str,
+        /// Its id.
+        row: String,
+    },
+    /// A pair is of a kind that is not known.
+    #[error("pair {pair:?} is of kind {found:?}; known are semantic, style and fine-grained")]
+    PairKind {
+        /// Id of the pair.
+        pair: String,
+        /// The kind found.
+        found: String,
+    },
+    /// A pair row names something that does not exist.
+    #[error("pair {pair:?} is not usable")]
+    Pair {
+        /// Id of the pair.
+        pair: String,
+        /// What is wrong with it.
+        source: datasets_spec::Error,
+    },
+    /// A template cannot be filled in.
+    #[error(
+        "phrases.of_parts must hold templates with {{instruction}} and {{part}} in each; correct the phrases"
+    )]
+    Template,
+    /// A motion row does not hold a motion.
+    #[error("motion {motion} is not usable")]
+    Motion {
+        /// The motion.
+        motion: MotionId,
+        /// What is wrong with it.
+        source: datasets_spec::Error,
+    },
+    /// A motion has another length than its row states.
+    #[error("motion {motion} has {found} frames, and its row states {stated}; ingest it again")]
+    Length {
+        /// The motion.
+        motion: MotionId,
+        /// Its frames.
+        found: usize,
+        /// The frames that `n_frames` states.
+        stated: i32,
+    },
+    /// A file of the dataset cannot be read.
+    #[error(transparent)]
+    Spec(#[from] datasets_spec::Error),
+    /// A recording cannot go on.
+    #[error(transparent)]
+    Work(#[from] work::Error),
+    /// A condition on clips cannot be understood, or chooses none.
+    #[error(transparent)]
+    Tables(#[from] tables::Error),
+    /// A variable of the environment cannot be read.
+    #[error("{0}")]
+    Environment(String),
+    /// A file of frames changed after it was written.
+    #[error("{} is damaged: {problem}; remove it, and it is made again", path.display())]
+    Frames {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        problem: &'static str,
+    },
+    /// The frames of motions cannot be written to the disk.
+    #[error(
+        "cannot write {:.1} GB of frames to {}; free as much, or name another folder in STANCE_CACHE",
+        *bytes as f64 / 1e9,
+        path.display()
+    )]
+    UnwrittenFrames {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        bytes: u64,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// A mask row does not hold a mask.
+    #[error("mask {mask:?} is not usable")]
+    Mask {
+        /// Id of the mask.
+        mask: String,
+        /// What is wrong with it.
+        source: datasets_spec::Error,
+    },
+    /// A description speaks of a body part that does not exist.
+    #[error("motion {motion} describes an unknown body part")]
+    Part {
+        /// The motion.
+        motion: MotionId,
+        /// The name found and those that would do.
+        source: datasets_spec::Error,
+    },
+    /// A setting is out of range.
+    #[error("setting {key} must be {expected}, got {got}")]
+    Config {
+        /// Name of the setting.
+        key: &'static str,
+        /// What is allowed.
+        expected: &'static str,
+        /// The value found.
+        got: f64,
+    },
+    /// The stored rate is no multiple of the model's.
+    #[error(
+        "motions at {stored} fps cannot be thinned out to {model} fps; ingest at a whole multiple of it"
+    )]
+    Stride {
+        /// Rate of the motions.
+        stored: f64,
+        /// Rate of the model.
+        model: f64,
+    },
+    /// No annotated motion is long enough.
+    #[error(
+        "split {split} has no annotated motion of {frames} frames or more, which a window takes; annotate longer motions"
+    )]
+    NoItem {
+        /// The split.
+        split: Split,
+        /// Stored frames a window spans.
+        frames: usize,
+    },
+    /// The items drawn are not those of a published set.
+    #[error(
+        "{count} items were drawn whose ids come to {found}, and those of the set come to {expected}: the dataset is not that \
+         of the set, or was made by another version"
+    )]
+    OtherSet {
+        /// Digest of the set.
+        expected: String,
+        /// Digest of the items drawn.
+        found: String,
+        /// Number of the items drawn.
+        count: usize,
+    },
+    /// A motion has nothing to be blended with.
+    #[error(
+        "motion {motion} has no partner: no other clip drawn from its split is long enough; add motions, raise mcm_ratio or widen base.sources"
+    )]
+    NoPartner {
+        /// The motion.
+        motion: MotionId,
+    },
+    /// The motion base is empty, because no motion is of the sources it is limited to.
+    #[error(
+        "split {split} has no motion of the sources that base.sources names ({}); it has motions of {}: correct the setting or ingest such motions",
+        wanted.join(", "),
+        found.join(", ")
+    )]
+    BaseSources {
+        /// The split.
+        split: Split,
+        /// The kinds of source asked for.
+        wanted: Vec<String>,
+        /// The kinds of source there are.
+        found: Vec<String>,
+    },
+    /// The motion base has one origin, so that no two of its segments can be combined.
+    #[error(
+        "the coordinator learns from segments of two different clips, and the motion base of split {split} has {} long enough; add motions, raise mcm_ratio or widen base.sources",
+        match clip {
+            Some(clip) => format!("only {clip} and its copies"),
+            None => "no clip".to_owned(),
+        }
+    )]
+    SingleOrigin {
+        /// The split.
+        split: Split,
+        /// The clip all motions of the base are made of; none if the base is empty.
+        clip: Option<String>,
+    },
+    /// Statistics were asked of another split than train.
+    #[error("statistics are fitted on split train alone, the library holds split {split}")]
+    NotTrain {
+        /// The split of the library.
+        split: Split,
+    },
+    /// No motion of the training split is there to compare with.
+    #[error(
+        "no motion of split train is present, and activity is measured relative to it; pass all motions of the dataset"
+    )]
+    NoTrainMotions,
+    /// An id names no triplet of the stream.
+    #[error("{id:?} is no triplet of this stream, whose ids read {expected}")]
+    TripletId {
+        /// The id found.
+        id: String,
+        /// The form expected.
+        expected: String,
+    },
+    /// Two motions to be blended do not run in step.
+    #[error(
+        "cannot blend {source_frames} frames at {source_fps} fps with {target_frames} frames at {target_fps} fps; crop and resample them first"
+    )]
+    OutOfStep {
+        /// Frames of the source.
+        source_frames: usize,
+        /// Rate of the source.
+        source_fps: f64,
+        /// Frames of the target.
+        target_frames: usize,
+        /// Rate of the target.
+        target_fps: f64,
+    },
+}
+
+impl Error {
+    /// The code of the error, if it has one, and what it happened to.
+    pub fn code(&self) -> Option<Code> {
+        let (code, path) = match self {
+            Self::Spec(error) => return error.code(),
+            Self::Work(error) => return error.code(),
+            Self::Frames { path, .. } => ("E-CORRUPT", path),
+            Self::UnwrittenFrames { path, .. } => ("E-IO", path),
+            _ => return None,
+        };
+        Some((code, Some(path.display().to_string())))
+    }
+}
+
+impl From<Error> for Failed {
+    fn from(error: Error) -> Self {
+        Self::of(error.code(), &error)
+    }
+}
+
+impl From<Error> for work::Error {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Work(error) => error,
+            Error::Spec(error) => error.into(),
+            error => Failed::from(error).into(),
+        }
+    }
+}

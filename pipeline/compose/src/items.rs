@@ -1,0 +1,676 @@
+//! Test questions: the fixed items that systems are evaluated on.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use datasets_spec::record::ItemRow;
+use datasets_spec::{BlendMask, Motion, MotionId, Seed};
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use super::library::{Clip, Subject};
+use super::novelty::{Asked, Novelty, Shown};
+use super::triplet::{Place, Triplet};
+use super::{ComposeConfig, Error, ItemTask, Library, blend_motion};
+
+/// Preferred length of an item in windows: the paper edits clips of several segments, and the
+/// released demo uses at least three.
+const PREFERRED_WINDOWS: usize = 3;
+/// Attempts at a new item of a mask or pair before it is skipped.
+const MAX_REPEATS: usize = 16;
+/// Digits of the digest of a set.
+const DIGEST_DIGITS: usize = 32;
+
+/// How many items are drawn. In text: a number, or `all`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "CountText", into = "CountText")]
+pub enum ItemCount {
+    /// One of every mask and every pair.
+    All,
+    /// This many. Every mask and pair is used before any is used again.
+    Exactly(usize),
+}
+
+impl FromStr for ItemCount {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "all" => Ok(Self::All),
+            _ => text
+                .parse()
+                .ok()
+                .filter(|count| *count > 0)
+                .map(Self::Exactly)
+                .ok_or_else(|| format!("{text:?} is neither a positive number nor `all`")),
+        }
+    }
+}
+
+impl fmt::Display for ItemCount {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::All => f.write_str("all"),
+            Self::Exactly(count) => count.fmt(f),
+        }
+    }
+}
+
+/// A count in configuration files.
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum CountText {
+    Number(usize),
+    Word(String),
+}
+
+impl TryFrom<CountText> for ItemCount {
+    type Error = String;
+
+    fn try_from(text: CountText) -> Result<Self, String> {
+        match text {
+            CountText::Number(count) => count.to_string().parse(),
+            CountText::Word(word) => word.parse(),
+        }
+    }
+}
+
+impl From<ItemCount> for CountText {
+    fn from(count: ItemCount) -> Self {
+        match count {
+            ItemCount::All => Self::Word("all".to_owned()),
+            ItemCount::Exactly(count) => Self::Number(count),
+        }
+    }
+}
+
+/// Which items are drawn.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ItemConfig {
+    /// How many.
+    pub count: ItemCount,
+    /// Of which tasks; if empty, of all that have data.
+    pub tasks: Vec<ItemTask>,
+    /// Of which novelty, in equal parts; if empty, of any, as it comes.
+    pub novelty: Vec<Novelty>,
+    /// How many of those drawn are kept, the first ones of each novelty in equal parts; all if there is no such number.
+    pub part: Option<usize>,
+    /// Digest that the sorted ids of those drawn must have ([`digest_of_ids`]), before a part of them is kept: that of a
+    /// published set.
+    pub digest: Option<String>,
+    /// How they are composed; `mcm_ratio` and `annotated_ratio` are ignored.
+    pub compose: ComposeConfig,
+}
+
+impl Default for ItemConfig {
+    fn default() -> Self {
+        Self {
+            count: ItemCount::Exactly(128),
+            tasks: Vec::new(),
+            novelty: Vec::new(),
+            part: None,
+            digest: None,
+            compose: ComposeConfig::default(),
+        }
+    }
+}
+
+/// Draws the items that systems are evaluated on, the same for the same arguments.
+///
+/// Every usable mask and pair is a target before any is used again, in an order drawn from the seed.
+/// Partners are clips of other actions, where actions are known, and long enough for three windows,
+/// if such clips exist. Pairs of MotionFix are used without a donor, each once. All items differ in content:
+/// if nothing new can be drawn, fewer items are returned than requested. `shown` is what training shows: it decides on
+/// the novelty of items.
+///
+/// # Errors
+/// A setting is out of range, no mask or pair of the tasks can be used, one has no partner, or the motions
+/// cannot be read.
+pub fn draw_items(
+    library: &Arc<Library>,
+    config: &ItemConfig,
+    shown: &Shown,
+    seed: Seed,
+) -> Result<Vec<ItemRow>, Error> {
+    let compose = ComposeConfig {
+        mcm_ratio: 1.0,
+        annotated_ratio: 1.0,
+        ..config.compose.clone()
+    };
+    compose.check()?;
+    let library = Arc::clone(library).aligned(compose.alignment)?;
+    let stride = compose.stride(library.fps())?;
+    let span = compose.span(stride);
+    let drawer = Drawer {
+        base: library.base(&compose, seed, span)?,
+        preferred: span + (PREFERRED_WINDOWS - 1) * compose.advance(stride),
+        recipe_hash: compose.recipe_hash(),
+        library: &library,
+        config: &compose,
+        shown,
+        span,
+        seed,
+    };
+    let is_wanted = |task: ItemTask| config.tasks.is_empty() || config.tasks.contains(&task);
+    let mut subjects: Vec<(u64, Subject)> = library
+        .all_subjects()
+        .filter(|subject| is_wanted(library.task_of(*subject)))
+        .filter(|subject| {
+            library.is_asked_as_is(*subject)
+                || (compose.kinds.contains(&library.kind_of(*subject))
+                    && library.frames_of(*subject) >= span)
+        })
+        .map(|subject| {
+            let id = library.subject_id(subject);
+            (seed.draw_u64(&["evaluation order", id]), subject)
+        })
+        .collect();
+    subjects.sort_unstable_by_key(|(order, _)| *order);
+    if subjects.is_empty() {
+        return Err(Error::NoItem {
+            split: library.split(),
+            frames: span,
+        });
+    }
+    let count = match config.count {
+        ItemCount::All => subjects.len(),
+        ItemCount::Exactly(count) => count,
+    };
+    let rows = drawer.draw(&subjects, &mut Quota::of(&config.novelty, count))?;
+    let found = digest_of_ids(&rows);
+    if let Some(expected) = config
+        .digest
+        .as_ref()
+        .filter(|expected| **expected != found)
+    {
+        return Err(Error::OtherSet {
+            expected: expected.clone(),
+            found,
+            count: rows.len(),
+        });
+    }
+    Ok(match config.part {
+        Some(part) => Quota::of(&config.novelty, part).first(rows),
+        None => rows,
+    })
+}
+
+/// What a set of items is known by: BLAKE3 of their sorted ids, each with a line end, 32 hexadecimal digits.
+pub fn digest_of_ids(items: &[ItemRow]) -> String {
+    let mut ids: Vec<&str> = items.iter().map(|item| item.id.as_str()).collect();
+    ids.sort_unstable();
+    let mut hasher = blake3::Hasher::new();
+    for id in ids {
+        hasher.update(id.as_bytes());
+        hasher.update(b"\n");
+    }
+    let mut digest = hasher.finalize().to_hex().to_string();
+    digest.truncate(DIGEST_DIGITS);
+    digest
+}
+
+/// How many items are still wanted.
+struct Quota {
+    /// Of any novelty.
+    left: usize,
+    /// Of each that is asked for; none if any will do.
+    of_each: Option<BTreeMap<Novelty, usize>>,
+}
+
+impl Quota {
+    /// So many items in equal parts; what is left over goes to the first ones.
+    fn of(novelty: &[Novelty], count: usize) -> Self {
+        let asked: BTreeSet<Novelty> = novelty.iter().copied().collect();
+        let (each, over) = match asked.len() {
+            0 => (0, 0),
+            values => (count / values, count % values),
+        };
+        let values = asked.iter().enumerate();
+        let of_each = values.map(|(place, value)| (*value, each + usize::from(place < over)));
+        Self {
+            left: count,
+            of_each: (!asked.is_empty()).then(|| of_each.collect()),
+        }
+    }
+
+    fn is_wanted(&self, novelty: Option<Novelty>) -> bool {
+        let of_value = |of_each: &BTreeMap<Novelty, usize>| {
+            novelty.is_some_and(|novelty| of_each.get(&novelty).is_some_and(|left| *left > 0))
+        };
+        self.left > 0 && self.of_each.as_ref().is_none_or(of_value)
+    }
+
+    fn take(&mut self, novelty: Option<Novelty>) {
+        self.left -= 1;
+        let of_each = self.of_each.as_mut();
+        if let Some(left) = of_each
+            .zip(novelty)
+            .and_then(|(all, novelty)| all.get_mut(&novelty))
+        {
+            *left -= 1;
+        }
+    }
+
+    /// The first items that are wanted.
+    fn first(mut self, mut rows: Vec<ItemRow>) -> Vec<ItemRow> {
+        rows.retain(|row| {
+            let novelty = row.novelty.as_deref().and_then(|name| name.parse().ok());
+            let is_wanted = self.is_wanted(novelty);
+            if is_wanted {
+                self.take(novelty);
+            }
+            is_wanted
+        });
+        rows
+    }
+}
+
+/// What an attempt at an item gave.
+enum Attempt {
+    Drawn(Box<ItemRow>),
+    /// A question of a novelty that is not wanted any more.
+    Unwanted,
+    /// The subject has no more.
+    Exhausted,
+}
+
+struct Drawer<'a> {
+    library: &'a Library,
+    config: &'a ComposeConfig,
+    /// What training shows.
+    shown: &'a Shown,
+    /// Indices of the clips partners are drawn from.
+    base: Vec<usize>,
+    /// Stored frames of a window.
+    span: usize,
+    /// Stored frames a partner should have.
+    preferred: usize,
+    recipe_hash: String,
+    seed: Seed,
+}
+
+impl Drawer<'_> {
+    /// Goes through the subjects again and again until nothing is wanted any more, or a round gives nothing new.
+    fn draw(&self, subjects: &[(u64, Subject)], wanted: &mut Quota) -> Result<Vec<ItemRow>, Error> {
+        let mut rows: Vec<ItemRow> = Vec::with_capacity(wanted.left);
+        let mut seen = BTreeSet::new();
+        for round in 0.. {
+            let before = rows.len();
+            for &(_, subject) in subjects {
+                if wanted.left == 0 {
+                    return Ok(rows);
+                }
+                for attempt in 0..MAX_REPEATS {
+                    let row = match self.item(subject, round, attempt, wanted)? {
+                        Attempt::Drawn(row) => *row,
+                        Attempt::Unwanted => continue,
+                        Attempt::Exhausted => break,
+                    };
+                    if seen.insert(row.id.clone()) {
+                        wanted.take(self.novelty(subject, &row.source_id));
+                        rows.push(row);
+                        break;
+                    }
+                }
+            }
+            if rows.len() == before {
+                break;
+            }
+        }
+        Ok(rows)
+    }
+
+    /// The novelty of an item of a subject whose source, where it is a mask, is of this clip.
+    fn novelty(&self, subject: Subject, source: &MotionId) -> Option<Novelty> {
+        let library = self.library;
+        let text = library.text_of(subject);
+        let [before, after] = library
+            .captured_of(subject)
+            .map(|clip| &library.clip(clip).id);
+        self.shown.novelty(match subject {
+            Subject::Annotation(_) => Asked::Mask {
+                source,
+                target: after,
+                text,
+            },
+            Subject::Pair(_) => Asked::Pair {
+                source: before,
+                target: after,
+                text,
+                kind: library.kind_of(subject),
+            },
+        })
+    }
+
+    /// An item of a subject.
+    fn item(
+        &self,
+        subject: Subject,
+        round: usize,
+        attempt: usize,
+        wanted: &Quota,
+    ) -> Result<Attempt, Error> {
+        let library = self.library;
+        if library.is_asked_as_is(subject) {
+            if round > 0 || attempt > 0 {
+                return Ok(Attempt::Exhausted);
+            }
+            let row = self.as_is(subject)?;
+            return Ok(
+                match wanted.is_wanted(self.novelty(subject, &row.source_id)) {
+                    true => Attempt::Drawn(Box::new(row)),
+                    false => Attempt::Unwanted,
+                },
+            );
+        }
+        let id = library.subject_id(subject);
+        let mut place = vec![
+            "evaluation item".to_owned(),
+            id.to_owned(),
+            round.to_string(),
+        ];
+        if attempt > 0 {
+            place.push(attempt.to_string());
+        }
+        let place: Vec<&str> = place.iter().map(String::as_str).collect();
+        let mut rng = self.seed.rng(&place);
+        let partners = library.partners(&self.base, subject, self.preferred)?;
+        let partner = partners[rng.random_range(0..partners.len())];
+        let novelty = self.novelty(subject, &library.clip(partner).id);
+        if !wanted.is_wanted(novelty) {
+            return Ok(Attempt::Unwanted);
+        }
+        let pairing = library.paired(partner, subject, self.config, &mut rng);
+        let triplet = library.compose(
+            Place {
+                id: place.join("/"),
+                seed: self.seed,
+                epoch: 0,
+                recipe_hash: self.recipe_hash.clone(),
+                instruction: library.first_wording(&pairing, self.config),
+            },
+            &pairing,
+            self.config,
+        )?;
+        let other = self.other_take(&triplet)?;
+        let parts = match pairing.half {
+            Some(half) => vec![half.name().to_owned()],
+            None => library.parts_of(subject).to_vec(),
+        };
+        let mut row = ItemRow {
+            parts,
+            ..self.blank(subject, &triplet.instruction)
+        };
+        row.source_id = triplet.source_id.clone();
+        row.target_id = triplet.target_id.clone();
+        row.donor_ids = triplet.donor_ids.iter().map(MotionId::to_string).collect();
+        row.hard_joints = triplet.mask.hard().names();
+        row.soft_joints = triplet.mask.soft().names();
+        row.alpha = triplet.alpha as f32;
+        row.recipe_hash.clone_from(&self.recipe_hash);
+        row.set_motions(&triplet.original, Some(&triplet.edited), other.as_ref());
+        row.novelty = novelty.map(|novelty| novelty.as_str().to_owned());
+        row.id = row.content_id();
+        Ok(Attempt::Drawn(Box::new(row)))
+    }
+
+    /// The item of a pair without a donor.
+    fn as_is(&self, subject: Subject) -> Result<ItemRow, Error> {
+        let library = self.library;
+        let [source, target] = library.captured_of(subject).map(|clip| library.clip(clip));
+        let mut row = ItemRow {
+            parts: library.parts_of(subject).to_vec(),
+            ..self.blank(subject, library.text_of(subject))
+        };
+        row.novelty = self
+            .novelty(subject, &source.id)
+            .map(|novelty| novelty.as_str().to_owned());
+        row.source_id = source.id.clone();
+        row.target_id = target.id.clone();
+        row.set_motions(&source.motion()?, Some(&target.motion()?), None);
+        row.id = row.content_id();
+        Ok(row)
+    }
+
+    fn blank(&self, subject: Subject, instruction: &str) -> ItemRow {
+        let library = self.library;
+        let target = &library.clip(library.target_of(subject)).id;
+        let made_of = match subject {
+            Subject::Annotation(_) => "mask",
+            Subject::Pair(_) => "pair",
+        };
+        ItemRow {
+            task: library.task_of(subject).as_str().to_owned(),
+            instruction: instruction.to_owned(),
+            origin: format!("{made_of} {}", library.subject_id(subject)),
+            seed: self.seed.0,
+            ..ItemRow::blank(target, library.split())
+        }
+    }
+
+    /// The edited motion of an item, made with another capture of the same action in the same style:
+    /// an upper bound on how near an editor can come to the target. None without such a capture of
+    /// at least a window.
+    fn other_take(&self, item: &Triplet) -> Result<Option<Motion>, Error> {
+        let library = self.library;
+        let target = library.captured(&item.target_id);
+        let takes: Vec<&Clip> = library
+            .other_takes(target)
+            .filter(|clip| clip.id != item.source_id)
+            .filter(|clip| clip.len() >= self.span.min(item.original.len()))
+            .collect();
+        let Some(longest) = takes.iter().map(|clip| clip.len()).max() else {
+            return Ok(None);
+        };
+        // Draw one of the takes that cover most of the edit.
+        let frames = longest.min(item.original.len());
+        let takes: Vec<&Clip> = takes
+            .into_iter()
+            .filter(|clip| clip.len() >= frames)
+            .collect();
+        let mut rng = self.seed.rng(&["other take", &item.id]);
+        let take = takes[rng.random_range(0..takes.len())];
+        let start = item.target_start.min(take.len() - frames);
+        let over = take.crop(start..start + frames)?;
+        if item.mask == BlendMask::EMPTY {
+            return Ok(Some(over));
+        }
+        let under = match item.donor_ids.first() {
+            Some(donor) => {
+                let donor = library.captured(donor);
+                donor.crop(item.donor_start..item.donor_start + frames)?
+            }
+            None => {
+                let original = item.original.crop(0..frames);
+                original.expect("as long as the take or longer")
+            }
+        };
+        blend_motion(&under, &over, item.mask, item.alpha, self.config.slerp).map(Some)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::{JointSet, Skeleton, Split};
+
+    use super::*;
+    use crate::fixture;
+
+    const CLIPS: usize = 9;
+
+    fn of_count(count: usize) -> ItemConfig {
+        ItemConfig {
+            count: ItemCount::Exactly(count),
+            ..ItemConfig::default()
+        }
+    }
+
+    #[test]
+    fn the_annotations_are_covered_before_any_is_used_again() {
+        let library = Arc::new(fixture::library(Split::Test, CLIPS));
+        let items =
+            draw_items(&library, &of_count(13), &Shown::default(), Seed(3)).expect("enough clips");
+        assert_eq!(
+            items,
+            draw_items(&library, &of_count(13), &Shown::default(), Seed(3)).expect("enough clips")
+        );
+        let num_masks = (library.all_subjects())
+            .filter(|subject| matches!(subject, Subject::Annotation(_)))
+            .count();
+        let mut targets: Vec<&MotionId> = items.iter().map(|item| &item.target_id).collect();
+        targets[..num_masks].sort_unstable();
+        targets[..num_masks]
+            .windows(2)
+            .for_each(|pair| assert_ne!(pair[0], pair[1]));
+        for item in &items {
+            assert_eq!(item.split, Split::Test);
+            assert_ne!(item.source_id, item.target_id);
+            // Annotated clips wave, the others kick.
+            let source = library.captured(&item.source_id);
+            assert_eq!(source.action.as_deref(), Some("kick"));
+            item.check().expect("named by its content");
+        }
+        let ids: BTreeSet<&str> = items.iter().map(|item| item.id.as_str()).collect();
+        assert_eq!(ids.len(), items.len());
+        let all = ItemConfig {
+            count: ItemCount::All,
+            ..ItemConfig::default()
+        };
+        let all = draw_items(&library, &all, &Shown::default(), Seed(3)).expect("enough clips");
+        assert_eq!(all, items[..num_masks]);
+    }
+
+    #[test]
+    fn the_id_follows_from_the_content_alone() {
+        let library = Arc::new(fixture::library(Split::Test, CLIPS));
+        let items =
+            draw_items(&library, &of_count(2), &Shown::default(), Seed(3)).expect("enough clips");
+        let mut found_otherwise = items[0].clone();
+        found_otherwise.seed = 9;
+        found_otherwise.origin = "elsewhere".to_owned();
+        assert_eq!(found_otherwise.content_id(), items[0].id);
+        let changes: [fn(&mut ItemRow); 8] = [
+            |row| row.instruction.push('!'),
+            |row| row.task = "style".to_owned(),
+            |row| row.parts.push("HEAD".to_owned()),
+            |row| row.donor_ids.push("clip1".to_owned()),
+            |row| row.alpha += 0.5,
+            |row| row.source_transl[0][0] += 1.0,
+            |row| row.target_body_pose[3][2] += 1e-3,
+            |row| row.fps = 30.0,
+        ];
+        for change in changes {
+            let mut changed = items[0].clone();
+            change(&mut changed);
+            assert_ne!(changed.content_id(), items[0].id);
+            assert!(changed.check().is_err());
+        }
+    }
+
+    #[test]
+    fn pairs_of_motionfix_are_asked_about_as_they_are() {
+        let (motions, _) = fixture::rows(Split::Test, CLIPS);
+        let mut pair = fixture::pair_row("fine-grained", Split::Test, 0, 8);
+        pair.source = "motionfix".to_owned();
+        let skeleton = Skeleton::smplx_neutral();
+        let library = Library::new(Split::Test, &motions, &[], &[pair], &skeleton);
+        let library = Arc::new(library.expect("valid rows"));
+        let items =
+            draw_items(&library, &of_count(5), &Shown::default(), Seed(3)).expect("one pair");
+        let [item] = items.as_slice() else {
+            panic!("{} items of one pair", items.len())
+        };
+        assert_eq!(item.task, "motionfix");
+        assert!(item.donor_ids.is_empty() && item.hard_joints.is_empty());
+        assert_eq!(
+            item.source().expect("valid"),
+            motions[0].motion().expect("valid")
+        );
+        assert_eq!(
+            item.target().expect("valid"),
+            motions[8].motion().expect("valid")
+        );
+        assert_ne!(item.source_frames, item.target_frames);
+        let style = ItemConfig {
+            tasks: vec![ItemTask::Style],
+            ..ItemConfig::default()
+        };
+        assert!(matches!(
+            draw_items(&library, &style, &Shown::default(), Seed(3)),
+            Err(Error::NoItem { .. })
+        ));
+    }
+
+    #[test]
+    fn other_takes_are_of_the_same_action_and_style_and_blended_alike() {
+        let (mut motions, masks) = fixture::rows(Split::Test, CLIPS);
+        let skeleton = Skeleton::smplx_neutral();
+        // The waving clips are the annotated ones; the last of them is alone in its style.
+        for (number, row) in motions.iter_mut().enumerate() {
+            row.style = Some(if number == 8 { "old" } else { "plain" }.to_owned());
+        }
+        let library = Library::new(Split::Test, &motions, &masks, &[], &skeleton);
+        let library = Arc::new(library.expect("valid rows"));
+        let items =
+            draw_items(&library, &of_count(10), &Shown::default(), Seed(3)).expect("enough clips");
+        assert!(items.iter().any(|item| item.target_id.as_str() == "clip8"));
+        for item in &items {
+            let other = item.other_take().expect("valid");
+            if item.target_id.as_str() == "clip8" {
+                assert_eq!(other, None);
+                continue;
+            }
+            let other = other.expect("three more clips wave in plain style");
+            let (source, target) = (item.source().expect("valid"), item.target().expect("valid"));
+            assert!(other.len() <= source.len() && other.len() >= fixture::SPAN);
+            // Outside the mask it is the original, inside it is not the target.
+            let masked = [item.hard_joints.as_slice(), item.soft_joints.as_slice()].concat();
+            let masked = JointSet::try_from(masked).expect("known joints");
+            for joint in 0..22 {
+                let outside = !masked.contains(joint);
+                let equal = |motion: &Motion| {
+                    (0..other.len())
+                        .all(|at| other.axis_angle(at, joint) == motion.axis_angle(at, joint))
+                };
+                assert_eq!(equal(&source), outside, "joint {joint}");
+                assert_eq!(equal(&target), outside, "joint {joint}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_target_of_a_fine_grained_pair_is_no_other_take_and_has_none() {
+        let (motions, masks) = fixture::rows(Split::Test, CLIPS);
+        let others = |kind: &str, number: usize| {
+            let pairs = [fixture::pair_row(kind, Split::Test, 0, 2)];
+            let skeleton = Skeleton::smplx_neutral();
+            let library = Library::new(Split::Test, &motions, &masks, &pairs, &skeleton);
+            let library = library.expect("valid rows");
+            let clip = library.captured(&motions[number].id);
+            let others = library.other_takes(clip).map(|clip| clip.id.to_string());
+            others.collect::<Vec<_>>()
+        };
+        assert_eq!(others("style", 0), ["clip2", "clip4", "clip6", "clip8"]);
+        assert_eq!(others("fine-grained", 0), ["clip4", "clip6", "clip8"]);
+        assert_eq!(others("style", 2), ["clip0", "clip4", "clip6", "clip8"]);
+        assert!(others("fine-grained", 2).is_empty());
+    }
+
+    #[test]
+    fn counts_read_back() {
+        for (text, count) in [("all", ItemCount::All), ("7", ItemCount::Exactly(7))] {
+            assert_eq!(text.parse(), Ok(count));
+            assert_eq!(count.to_string(), text);
+            let json = serde_json::to_string(&count).expect("serialises");
+            assert_eq!(
+                serde_json::from_str::<ItemCount>(&json).expect("its own text"),
+                count
+            );
+        }
+        assert!("0".parse::<ItemCount>().is_err());
+        assert!("some".parse::<ItemCount>().is_err());
+    }
+}

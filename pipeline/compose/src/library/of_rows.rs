@@ -1,0 +1,70 @@
+//! Libraries of rows, for tests.
+
+use std::sync::Arc;
+
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::{Fps, Motion, Skeleton, Split};
+
+use super::frames::FrameFile;
+use super::rows::{LibraryRows, StatedClip, motion_on};
+use super::{Library, frames_of_file};
+use crate::{Error, FrameCache};
+
+impl Library {
+    /// Takes the rows of one split.
+    pub(crate) fn new(
+        split: Split,
+        rows: &[MotionRow],
+        masks: &[MaskRow],
+        pairs: &[PairRow],
+        skeleton: &Skeleton,
+    ) -> Result<Self, Error> {
+        let motions = rows.iter().map(|row| motion_on(row, skeleton));
+        let motions: Vec<Motion> = motions.collect::<Result<_, _>>()?;
+        let cache = FrameCache {
+            folder: std::env::temp_dir().join("stance-tests"),
+            kept: 1 << 30,
+        };
+        let mut hasher = blake3::Hasher::new();
+        for motion in &motions {
+            let columns = [
+                motion.transl().as_flattened(),
+                motion.global_orient().as_flattened(),
+                motion.body_pose().as_flattened(),
+            ];
+            hasher.update(&(motion.len() as u64).to_le_bytes());
+            for number in columns.concat() {
+                hasher.update(&number.to_le_bytes());
+            }
+        }
+        let key = hasher.finalize().to_hex().to_string();
+        let lens: Vec<usize> = motions.iter().map(Motion::len).collect();
+        let num_frames = lens.iter().sum::<usize>() as u64;
+        let fps = motions.first().map_or(Fps::STORE, Motion::fps);
+        let file = FrameFile::open(&cache, &key, num_frames, fps, |writer| {
+            writer.extend(&lens, |places| Ok(motions[places].to_vec()))
+        })?;
+        let mut library = LibraryRows::new(split, skeleton);
+        let frames = frames_of_file(Arc::new(file), lens);
+        for ((row, motion), frames) in rows.iter().zip(&motions).zip(frames) {
+            let stated = StatedClip {
+                id: &row.id,
+                split: row.split,
+                source: &row.source,
+                action: row.action.as_deref(),
+                style: row.style.as_deref(),
+            };
+            library.add_clip(&stated, motion.fps(), frames)?;
+        }
+        library.end_of_clips()?;
+        library.add_masks(masks)?;
+        library.add_pairs(pairs)?;
+        library.library(cache, key)
+    }
+}
+
+/// A library of the clips of [`testkit::rows`].
+pub(crate) fn library(split: Split, num_clips: usize) -> Library {
+    let (motions, masks) = testkit::rows(split, num_clips);
+    Library::new(split, &motions, &masks, &[], &Skeleton::smplx_neutral()).expect("valid rows")
+}

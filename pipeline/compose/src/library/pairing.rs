@@ -1,0 +1,374 @@
+//! Who is edited and who may be blended with whom.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use datasets_spec::{BlendMask, BodyPart, Rng, Seed};
+use rand::RngExt;
+
+use super::{Clip, Library, Pair};
+use crate::config::EditKind;
+use crate::draw::{Crop, subset};
+use crate::sinc::whole_parts;
+use crate::{ComposeConfig, Error, ItemTask};
+
+/// The annotation or pair that an item is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Subject {
+    /// Index of an annotation.
+    Annotation(usize),
+    /// Index of a pair.
+    Pair(usize),
+}
+
+/// The clips, crops and draws that an edit is composed of.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pairing {
+    pub(crate) subject: Subject,
+    /// Index of the clip from the base: the source of a semantic edit, the donor of a pair; none for
+    /// a pair without a donor.
+    pub(crate) partner: Option<usize>,
+    /// Half of the body that a blended pair is edited in.
+    pub(crate) half: Option<BodyPart>,
+    pub(crate) alpha: f64,
+    /// Which wording of the instruction is used, as a fraction of their number.
+    pub(crate) wording: f64,
+    /// Overlap of the partner with the annotated motion, or of the two motions of a pair.
+    pub(crate) crop: Crop,
+    /// Overlap of the donor with the pair's common frames (whole-clip triplets only).
+    pub(crate) donor: Crop,
+}
+
+impl Library {
+    /// The clips partners are drawn from.
+    ///
+    /// # Errors
+    /// No motion is of the kinds of source that the base is limited to.
+    pub(crate) fn base(
+        &self,
+        config: &ComposeConfig,
+        seed: Seed,
+        span: usize,
+    ) -> Result<Vec<usize>, Error> {
+        let is_of_base = |clip: &Clip| clip.in_base && config.base.takes(&clip.source);
+        if !self.clips.is_empty() && !self.clips.iter().any(is_of_base) {
+            let found: BTreeSet<&str> = self.clips.iter().map(|clip| &*clip.source).collect();
+            return Err(Error::BaseSources {
+                split: self.split(),
+                wanted: config.base.sources.clone(),
+                found: found.into_iter().map(str::to_owned).collect(),
+            });
+        }
+        let candidates: Vec<usize> = (0..self.clips.len())
+            .filter(|&clip| is_of_base(&self.clips[clip]))
+            .filter(|&clip| self.clips[clip].len() >= span)
+            .collect();
+        let ids: Vec<&str> = candidates
+            .iter()
+            .map(|&clip| self.clips[clip].id.as_str())
+            .collect();
+        let kept = subset(config.mcm_ratio, seed, "motion base", &ids);
+        Ok(kept.into_iter().map(|place| candidates[place]).collect())
+    }
+
+    /// The annotations and pairs in use: those that are as long as a window.
+    pub(crate) fn subjects(&self, config: &ComposeConfig, seed: Seed, span: usize) -> Vec<Subject> {
+        let candidates: Vec<Subject> = self
+            .all_subjects()
+            .filter(|subject| config.kinds.contains(&self.kind_of(*subject)))
+            .filter(|subject| self.frames_of(*subject) >= span)
+            .collect();
+        let ids: Vec<&str> = candidates
+            .iter()
+            .map(|subject| self.subject_id(*subject))
+            .collect();
+        subset(config.annotated_ratio, seed, "annotated set", &ids)
+            .into_iter()
+            .map(|place| candidates[place])
+            .collect()
+    }
+
+    pub(crate) fn subject_id(&self, subject: Subject) -> &str {
+        match subject {
+            Subject::Annotation(annotation) => &self.annotations[annotation].id,
+            Subject::Pair(pair) => &self.pairs[pair].id,
+        }
+    }
+
+    pub(crate) fn kind_of(&self, subject: Subject) -> EditKind {
+        match subject {
+            Subject::Annotation(_) => EditKind::Semantic,
+            Subject::Pair(pair) => self.pairs[pair].kind,
+        }
+    }
+
+    /// The motion after the edit.
+    pub(crate) fn target_of(&self, subject: Subject) -> usize {
+        match subject {
+            Subject::Annotation(annotation) => self.annotations[annotation].clip,
+            Subject::Pair(pair) => self.pairs[pair].target,
+        }
+    }
+
+    /// The annotated motion, or both motions of a pair.
+    pub(crate) fn clips_of(&self, subject: Subject) -> Vec<usize> {
+        match subject {
+            Subject::Annotation(annotation) => vec![self.annotations[annotation].clip],
+            Subject::Pair(pair) => vec![self.pairs[pair].source, self.pairs[pair].target],
+        }
+    }
+
+    /// Halves of the body that a pair may be edited in; none for an annotation, which has a mask.
+    pub(crate) fn halves_of(&self, subject: Subject) -> &[BodyPart] {
+        match subject {
+            Subject::Annotation(_) => &[],
+            Subject::Pair(pair) => &self.pairs[pair].halves,
+        }
+    }
+
+    /// Number of frames of a clip.
+    pub(crate) fn len_of(&self, clip: usize) -> usize {
+        self.clips[clip].len()
+    }
+
+    /// Frames that windows can be taken from.
+    pub(crate) fn frames_of(&self, subject: Subject) -> usize {
+        let clips = self.clips_of(subject).into_iter();
+        clips.map(|clip| self.clips[clip].len()).min().unwrap_or(0)
+    }
+
+    /// The joints of the partner that are replaced.
+    pub(crate) fn mask_of(
+        &self,
+        subject: Subject,
+        half: Option<BodyPart>,
+        config: &ComposeConfig,
+    ) -> BlendMask {
+        let mask = match (subject, half) {
+            (Subject::Annotation(annotation), _) => self.annotations[annotation].mask,
+            (Subject::Pair(_), Some(half)) => half.mask(),
+            (Subject::Pair(_), None) => BlendMask::EMPTY,
+        };
+        if config.fixed_pairs {
+            whole_parts(mask)
+        } else {
+            mask
+        }
+    }
+
+    /// All wordings of the instruction.
+    pub(crate) fn wordings(
+        &self,
+        subject: Subject,
+        half: Option<BodyPart>,
+        config: &ComposeConfig,
+    ) -> Vec<String> {
+        config.phrases.wordings(self.text_of(subject), half)
+    }
+
+    /// Whether two clips may be blended: not a clip with itself, its mirror image or another crop of the
+    /// same source.
+    pub(crate) fn may_pair(&self, source: usize, target: usize) -> bool {
+        self.clips[source].origin != self.clips[target].origin
+    }
+
+    /// Whether a clip may be the partner of an edit.
+    pub(crate) fn may_meet(&self, clip: usize, subject: Subject) -> bool {
+        match subject {
+            Subject::Annotation(annotation) => {
+                self.may_pair(clip, self.annotations[annotation].clip)
+            }
+            Subject::Pair(pair) => {
+                let Pair { source, target, .. } = self.pairs[pair];
+                self.may_pair(clip, source) && self.may_pair(clip, target)
+            }
+        }
+    }
+
+    /// Draws a partner from the base and everything else of an edit. At least one clip of the base
+    /// must be a possible partner.
+    pub(crate) fn draw_pairing(
+        &self,
+        base: &[usize],
+        subject: Subject,
+        config: &ComposeConfig,
+        rng: &mut Rng,
+    ) -> Pairing {
+        let partner = loop {
+            let partner = base[rng.random_range(0..base.len())];
+            if self.may_meet(partner, subject) {
+                break partner;
+            }
+        };
+        self.paired(partner, subject, config, rng)
+    }
+
+    /// Draws everything but the partner.
+    pub(crate) fn paired(
+        &self,
+        partner: usize,
+        subject: Subject,
+        config: &ComposeConfig,
+        rng: &mut Rng,
+    ) -> Pairing {
+        let frames_of = |clip: usize| self.len_of(clip);
+        let mut draw_crop = |first: usize, second: usize| match config.fixed_pairs {
+            true => Crop::centred(first, second),
+            false => Crop::draw(first, second, rng),
+        };
+        match subject {
+            Subject::Annotation(annotation) => {
+                let target = self.annotations[annotation].clip;
+                let crop = draw_crop(frames_of(partner), frames_of(target));
+                Pairing {
+                    subject,
+                    partner: Some(partner),
+                    half: None,
+                    alpha: config.alpha.draw(rng),
+                    wording: rng.random(),
+                    donor: Crop::whole(crop.num_frames),
+                    crop,
+                }
+            }
+            Subject::Pair(pair) => {
+                let Pair {
+                    source,
+                    target,
+                    ref halves,
+                    is_motionfix,
+                    ..
+                } = self.pairs[pair];
+                let mut crop = draw_crop(frames_of(source), frames_of(target));
+                let plain = rng.random::<f64>() < config.undonored_ratio_of(is_motionfix);
+                let half = halves[rng.random_range(0..halves.len())];
+                // A whole-clip triplet lasts as long as the shortest of the three.
+                let mut donor = match config.fixed_pairs {
+                    true => Crop::centred(frames_of(partner), crop.num_frames),
+                    false => Crop::draw(frames_of(partner), crop.num_frames, rng),
+                };
+                let alpha = config.alpha.draw(rng);
+                let wording = rng.random();
+                if plain {
+                    return Pairing {
+                        subject,
+                        partner: None,
+                        half: None,
+                        alpha,
+                        wording,
+                        donor: Crop::whole(crop.num_frames),
+                        crop,
+                    };
+                }
+                if config.fixed_pairs {
+                    crop.source_start += donor.target_start;
+                    crop.target_start += donor.target_start;
+                    crop.num_frames = donor.num_frames;
+                    donor.target_start = 0;
+                }
+                Pairing {
+                    subject,
+                    partner: Some(partner),
+                    half: Some(half),
+                    alpha,
+                    wording,
+                    crop,
+                    donor,
+                }
+            }
+        }
+    }
+
+    /// All annotations and pairs, usable or not.
+    pub(crate) fn all_subjects(&self) -> impl Iterator<Item = Subject> + use<> {
+        let annotations = (0..self.annotations.len()).map(Subject::Annotation);
+        annotations.chain((0..self.pairs.len()).map(Subject::Pair))
+    }
+
+    /// Whether a subject is a test question without being composed.
+    pub(crate) fn is_asked_as_is(&self, subject: Subject) -> bool {
+        self.task_of(subject) == ItemTask::MotionFix
+    }
+
+    /// Probability that a subject is used without a partner.
+    pub(crate) fn undonored_ratio(&self, subject: Subject, config: &ComposeConfig) -> f64 {
+        match subject {
+            Subject::Annotation(_) => 0.0,
+            Subject::Pair(pair) => config.undonored_ratio_of(self.pairs[pair].is_motionfix),
+        }
+    }
+
+    pub(crate) fn task_of(&self, subject: Subject) -> ItemTask {
+        match subject {
+            Subject::Pair(pair) if self.pairs[pair].is_motionfix => ItemTask::MotionFix,
+            _ => match self.kind_of(subject) {
+                EditKind::Semantic => ItemTask::Semantic,
+                EditKind::Style => ItemTask::Style,
+                EditKind::FineGrained => ItemTask::FineGrained,
+            },
+        }
+    }
+
+    /// Names of the parts of an annotation or pair.
+    pub(crate) fn parts_of(&self, subject: Subject) -> &[String] {
+        match subject {
+            Subject::Annotation(annotation) => &self.annotations[annotation].parts,
+            Subject::Pair(pair) => &self.pairs[pair].parts,
+        }
+    }
+
+    /// The instruction of the dataset.
+    pub(crate) fn text_of(&self, subject: Subject) -> &Arc<str> {
+        match subject {
+            Subject::Annotation(annotation) => &self.annotations[annotation].instruction,
+            Subject::Pair(pair) => &self.pairs[pair].instruction,
+        }
+    }
+
+    /// The clips before and after an edit, as stored in the dataset.
+    pub(crate) fn captured_of(&self, subject: Subject) -> [usize; 2] {
+        match subject {
+            Subject::Annotation(annotation) => [self.annotations[annotation].clip; 2],
+            Subject::Pair(pair) => [self.pairs[pair].captured, self.pairs[pair].target],
+        }
+    }
+
+    /// The best partners in the base: clips of another action that are as long as `preferred` or the
+    /// target, else clips of another action, else any.
+    pub(crate) fn partners(
+        &self,
+        base: &[usize],
+        subject: Subject,
+        preferred: usize,
+    ) -> Result<Vec<usize>, Error> {
+        let target = &self.clips[self.target_of(subject)];
+        let other: Vec<usize> = base
+            .iter()
+            .copied()
+            .filter(|&clip| self.may_meet(clip, subject))
+            .collect();
+        let same_action = |clip: &Clip| clip.action.is_some() && clip.action == target.action;
+        let other_action: Vec<usize> = other
+            .iter()
+            .copied()
+            .filter(|&clip| !same_action(&self.clips[clip]))
+            .collect();
+        let needed = preferred.min(self.frames_of(subject));
+        let long: Vec<usize> = other_action
+            .iter()
+            .copied()
+            .filter(|&clip| self.clips[clip].len() >= needed)
+            .collect();
+        [long, other_action, other]
+            .into_iter()
+            .find(|partners| !partners.is_empty())
+            .ok_or_else(|| Error::NoPartner {
+                motion: target.id.clone(),
+            })
+    }
+
+    /// The instruction of the dataset, with the part added by the first template.
+    pub(crate) fn first_wording(&self, pairing: &Pairing, config: &ComposeConfig) -> String {
+        let wordings = self.wordings(pairing.subject, pairing.half, config);
+        wordings.into_iter().next().unwrap_or_default()
+    }
+}

@@ -1,0 +1,158 @@
+//! A split of a dataset as a library, read shard by shard.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use datasets_spec::record::{FramesRow, MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{Row, ShardReader, read_rows};
+use datasets_spec::{Dataset, Fps, Motion, MotionId, Skeleton, Split};
+use rayon::prelude::*;
+
+use super::frames::FrameFile;
+use super::rows::{LibraryRows, StatedClip};
+use super::{Library, frames_of_file};
+use crate::{Error, FrameCache};
+
+datasets_spec::table! {
+    /// What a library holds of a clip beside its frames.
+    pub struct LabelledClip = "motions" {
+        /// Id of the clip
+        pub id: MotionId [""],
+        /// Its split
+        pub split: Split [""],
+        /// Kind of source
+        pub source: String [""],
+        /// Skeleton the parameters drive
+        pub skeleton: String [""],
+        /// Stored frame rate
+        pub fps: f32 ["1/s"],
+        /// Stored frames
+        pub n_frames: i32 ["frame"],
+        /// Action label
+        pub action: Option<String> [""],
+        /// Style label
+        pub style: Option<String> [""],
+    }
+}
+
+/// The chosen clips of a file, with their places in it.
+type ChosenClips = Vec<(usize, LabelledClip)>;
+
+impl Library {
+    /// Reads a split of a dataset; one without motions gives an empty library. Frames are copied to a file of the cache
+    /// once, and read from there.
+    ///
+    /// # Errors
+    /// A row is of another split, skeleton or rate, appears twice, or is not usable; a mask or pair belongs to a motion
+    /// that is not among the rows; or a file cannot be read or written.
+    pub fn read(dataset: &Dataset, split: Split, cache: &FrameCache) -> Result<Self, Error> {
+        let skeleton = dataset.skeleton()?;
+        let shards: Vec<(PathBuf, String, ChosenClips)> = dataset
+            .files(MotionRow::TABLE, Some(split))
+            .into_par_iter()
+            .map(|(path, entry)| {
+                let clips = ShardReader::open(&path)?.rows::<LabelledClip>()?;
+                let clips = clips.into_iter().enumerate();
+                let clips: ChosenClips = clips
+                    .filter(|(_, clip)| dataset.has_clip(&clip.id))
+                    .collect();
+                for (_, clip) in &clips {
+                    check(clip, &skeleton)?;
+                }
+                Ok((path, entry.blake3.clone(), clips))
+            })
+            .collect::<Result<_, Error>>()?;
+        let all = || {
+            let clips = shards.iter().flat_map(|(.., clips)| clips);
+            clips.map(|(_, clip)| clip)
+        };
+        // The hashes of the shards are those of the motions and their order; a condition says which of them.
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(dataset.condition().unwrap_or_default().as_bytes());
+        for (_, hash, _) in &shards {
+            hasher.update(hash.as_bytes());
+        }
+        let key = hasher.finalize().to_hex().to_string();
+        let fps = match all().next() {
+            Some(clip) => rate_of(clip)?,
+            None => Fps::STORE,
+        };
+        let num_frames = all().map(|clip| len_of(clip) as u64).sum();
+        let file = FrameFile::open(cache, &key, num_frames, fps, |writer| {
+            for (path, _, clips) in &shards {
+                let shard = ShardReader::open(path)?;
+                let lens: Vec<usize> = clips.iter().map(|(_, clip)| len_of(clip)).collect();
+                writer.extend(&lens, |places| motions_of(&shard, &clips[places]))?;
+            }
+            Ok(())
+        })?;
+        let mut rows = LibraryRows::new(split, &skeleton);
+        let frames = frames_of_file(Arc::new(file), all().map(len_of));
+        for (clip, frames) in all().zip(frames) {
+            let stated = StatedClip {
+                id: &clip.id,
+                split: clip.split,
+                source: &clip.source,
+                action: clip.action.as_deref(),
+                style: clip.style.as_deref(),
+            };
+            rows.add_clip(&stated, rate_of(clip)?, frames)?;
+        }
+        drop(shards);
+        rows.end_of_clips()?;
+        for (path, _) in dataset.files(MaskRow::TABLE, Some(split)) {
+            let mut masks: Vec<MaskRow> = read_rows(&path)?;
+            masks.retain(|mask| dataset.has_clip(&mask.motion_id));
+            rows.add_masks(&masks)?;
+        }
+        for (path, _) in dataset.files(PairRow::TABLE, Some(split)) {
+            let mut pairs: Vec<PairRow> = read_rows(&path)?;
+            pairs.retain(|pair| pair.clips().into_iter().all(|clip| dataset.has_clip(clip)));
+            rows.add_pairs(&pairs)?;
+        }
+        rows.library(cache.clone(), key)
+    }
+}
+
+fn len_of(clip: &LabelledClip) -> usize {
+    usize::try_from(clip.n_frames).unwrap_or(0)
+}
+
+fn rate_of(clip: &LabelledClip) -> Result<Fps, Error> {
+    Fps::new(f64::from(clip.fps)).map_err(|source| Error::Motion {
+        motion: clip.id.clone(),
+        source: source.into(),
+    })
+}
+
+fn check(clip: &LabelledClip, skeleton: &Skeleton) -> Result<(), Error> {
+    if clip.skeleton == skeleton.name() {
+        return Ok(());
+    }
+    Err(Error::OtherSkeleton {
+        motion: clip.id.clone(),
+        found: clip.skeleton.clone(),
+        expected: skeleton.name().to_owned(),
+    })
+}
+
+/// The motions of some clips of a shard.
+fn motions_of(shard: &ShardReader, clips: &[(usize, LabelledClip)]) -> Result<Vec<Motion>, Error> {
+    let rows: Vec<usize> = clips.iter().map(|(row, _)| *row).collect();
+    let read: Vec<FramesRow> = shard.rows_at(&rows)?;
+    let of = |(read, (_, clip)): (FramesRow, &(usize, LabelledClip))| {
+        let motion = read.motion().map_err(|source| Error::Motion {
+            motion: clip.id.clone(),
+            source,
+        })?;
+        if motion.len() != len_of(clip) {
+            return Err(Error::Length {
+                motion: clip.id.clone(),
+                found: motion.len(),
+                stated: clip.n_frames,
+            });
+        }
+        Ok(motion)
+    };
+    std::iter::zip(read, clips).map(of).collect()
+}

@@ -1,0 +1,310 @@
+//! Rows of a dataset as a library, and what makes a row unusable.
+
+use std::collections::{BTreeMap, HashSet};
+use std::sync::Arc;
+
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Motion, MotionId, Skeleton, Split};
+
+use super::{Annotation, Clip, FileFrames, Library, Pair};
+use crate::config::{Alignment, EditKind};
+use crate::{Error, FrameCache, ItemTask, style_instruction};
+
+/// What the row of a clip states beside its frames.
+pub(super) struct StatedClip<'a> {
+    pub(super) id: &'a MotionId,
+    pub split: Split,
+    pub(super) source: &'a str,
+    pub(super) action: Option<&'a str>,
+    pub(super) style: Option<&'a str>,
+}
+
+/// A library to which rows are added: first all clips, then masks and pairs.
+pub(super) struct LibraryRows<'a> {
+    split: Split,
+    skeleton: &'a Skeleton,
+    fps: Option<Fps>,
+    clips: Vec<Clip>,
+    annotations: Vec<Annotation>,
+    pairs: Vec<Pair>,
+    texts: Shared<str>,
+    lists: Shared<[String]>,
+}
+
+impl<'a> LibraryRows<'a> {
+    pub(super) fn new(split: Split, skeleton: &'a Skeleton) -> Self {
+        Self {
+            split,
+            skeleton,
+            fps: None,
+            clips: Vec::new(),
+            annotations: Vec::new(),
+            pairs: Vec::new(),
+            texts: Shared::default(),
+            lists: Shared::default(),
+        }
+    }
+
+    fn check_split(&self, table: &'static str, id: &str, found: Split) -> Result<(), Error> {
+        if found == self.split {
+            return Ok(());
+        }
+        Err(Error::OtherSplit {
+            table,
+            id: id.to_owned(),
+            found,
+            expected: self.split,
+        })
+    }
+
+    /// Adds a clip, whose skeleton is the library's.
+    pub(super) fn add_clip(
+        &mut self,
+        stated: &StatedClip<'_>,
+        fps: Fps,
+        frames: FileFrames,
+    ) -> Result<(), Error> {
+        self.check_split("motions", stated.id.as_str(), stated.split)?;
+        let expected = *self.fps.get_or_insert(fps);
+        if fps != expected {
+            return Err(Error::OtherRate {
+                motion: stated.id.clone(),
+                found: fps.get(),
+                expected: expected.get(),
+            });
+        }
+        let mut shared = |text: &str| self.texts.get(text);
+        self.clips.push(Clip {
+            id: stated.id.clone(),
+            origin: 0,
+            source: shared(stated.source),
+            action: stated.action.map(&mut shared),
+            style: stated.style.map(&mut shared),
+            frames,
+            in_base: true,
+        });
+        Ok(())
+    }
+
+    /// Orders and numbers the clips.
+    pub(super) fn end_of_clips(&mut self) -> Result<(), Error> {
+        self.clips.sort_by(|a, b| a.id.cmp(&b.id));
+        check_distinct("motions", &self.clips, |clip| clip.id.as_str())?;
+        let mut origins = BTreeMap::new();
+        for clip in &mut self.clips {
+            let next = origins.len();
+            clip.origin = *origins
+                .entry(clip.id.source_clip().to_owned())
+                .or_insert(next);
+        }
+        Ok(())
+    }
+
+    /// Adds masks, in any order.
+    pub(super) fn add_masks(&mut self, rows: &[MaskRow]) -> Result<(), Error> {
+        for row in rows {
+            self.check_split("masks", &row.id, row.split)?;
+            let clip = self.clip("mask", &row.id, &row.motion_id)?;
+            self.annotations.push(Annotation {
+                id: row.id.clone(),
+                clip,
+                mask: blend_of_mask(row)?,
+                parts: self.lists.get(row.parts.as_slice()),
+                instruction: self.texts.get(row.text.as_str()),
+            });
+        }
+        Ok(())
+    }
+
+    /// Adds pairs, in any order.
+    pub(super) fn add_pairs(&mut self, rows: &[PairRow]) -> Result<(), Error> {
+        for row in rows {
+            self.check_split("pairs", &row.id, row.split)?;
+            let source = self.clip("pair", &row.id, &row.source_id)?;
+            let target = self.clip("pair", &row.id, &row.target_id)?;
+            let (kind, instruction, parts) = meaning_of_pair(row)?;
+            self.pairs.push(Pair {
+                id: row.id.clone(),
+                kind,
+                captured: source,
+                source,
+                target,
+                halves: halves_of(&parts),
+                parts: self.lists.get(row.parts.as_slice()),
+                is_motionfix: row.source == ItemTask::MotionFix.as_str(),
+                instruction: self.texts.get(instruction.as_str()),
+            });
+        }
+        Ok(())
+    }
+
+    /// Index of the clip that a row belongs to.
+    fn clip(&self, table: &'static str, row: &str, id: &MotionId) -> Result<usize, Error> {
+        let found = self.clips.binary_search_by(|clip| clip.id.cmp(id));
+        found.map_err(|_| Error::UnknownMotion {
+            table,
+            row: row.to_owned(),
+            motion: id.clone(),
+        })
+    }
+
+    /// The library of all rows, whose frames lie in the file of this key.
+    pub(super) fn library(mut self, cache: FrameCache, key: String) -> Result<Library, Error> {
+        self.annotations.sort_by(|a, b| a.id.cmp(&b.id));
+        check_distinct("masks", &self.annotations, |annotation| &annotation.id)?;
+        self.pairs.sort_by(|a, b| a.id.cmp(&b.id));
+        check_distinct("pairs", &self.pairs, |pair| &pair.id)?;
+        Ok(Library {
+            split: self.split,
+            fps: self.fps.unwrap_or(Fps::STORE),
+            skeleton: self.skeleton.clone(),
+            num_captured: self.clips.len(),
+            clips: self.clips,
+            annotations: self.annotations,
+            pairs: self.pairs,
+            alignment: Alignment::None,
+            cache,
+            key,
+        })
+    }
+}
+
+/// Checks sorted rows.
+fn check_distinct<T>(
+    table: &'static str,
+    rows: &[T],
+    id_of: impl Fn(&T) -> &str,
+) -> Result<(), Error> {
+    match rows.windows(2).find(|two| id_of(&two[0]) == id_of(&two[1])) {
+        None => Ok(()),
+        Some(two) => Err(Error::Duplicate {
+            table,
+            id: id_of(&two[0]).to_owned(),
+        }),
+    }
+}
+
+/// Values that many rows repeat, each held once.
+struct Shared<T: ?Sized>(HashSet<Arc<T>>);
+
+impl<T: ?Sized> Default for Shared<T> {
+    fn default() -> Self {
+        Self(HashSet::new())
+    }
+}
+
+impl<T: ?Sized + Eq + std::hash::Hash> Shared<T> {
+    fn get<'b>(&mut self, value: &'b T) -> Arc<T>
+    where
+        Arc<T>: From<&'b T>,
+    {
+        if let Some(known) = self.0.get(value) {
+            return Arc::clone(known);
+        }
+        let new = Arc::from(value);
+        self.0.insert(Arc::clone(&new));
+        new
+    }
+}
+
+/// The motion of a row, whose skeleton must be the given one.
+///
+/// # Errors
+/// The row has another skeleton, or its columns do not make a motion.
+pub fn motion_on(row: &MotionRow, skeleton: &Skeleton) -> Result<Motion, Error> {
+    if row.skeleton != skeleton.name() {
+        return Err(Error::OtherSkeleton {
+            motion: row.id.clone(),
+            found: row.skeleton.clone(),
+            expected: skeleton.name().to_owned(),
+        });
+    }
+    row.motion().map_err(|source| Error::Motion {
+        motion: row.id.clone(),
+        source,
+    })
+}
+
+/// Checks the row of a pair, except for the motions it names.
+///
+/// # Errors
+/// The kind is unknown, the text is empty, or a part does not exist.
+pub fn check_pair(row: &PairRow) -> Result<(), Error> {
+    meaning_of_pair(row).map(|_| ())
+}
+
+/// Checks the row of a mask, except for the motion it names.
+///
+/// # Errors
+/// A joint is unknown or twice in the mask, the mask is empty, or the text is empty.
+pub fn check_mask(row: &MaskRow) -> Result<(), Error> {
+    blend_of_mask(row).map(|_| ())
+}
+
+/// The kind, instruction and parts of a pair.
+fn meaning_of_pair(row: &PairRow) -> Result<(EditKind, String, Vec<BodyPart>), Error> {
+    let kind = EditKind::parse(&row.kind).ok_or_else(|| Error::PairKind {
+        pair: row.id.clone(),
+        found: row.kind.clone(),
+    })?;
+    let instruction = match (row.instruction.trim(), &row.style) {
+        ("", Some(style)) => style_instruction(style),
+        ("", None) => {
+            return Err(Error::EmptyText {
+                table: "pair",
+                row: row.id.clone(),
+            });
+        }
+        (text, _) => text.to_owned(),
+    };
+    let parts = row
+        .parts
+        .iter()
+        .map(|name| name.parse())
+        .collect::<Result<_, _>>()
+        .map_err(|source| Error::Pair {
+            pair: row.id.clone(),
+            source,
+        })?;
+    Ok((kind, instruction, parts))
+}
+
+/// The halves of the body that a pair may be edited in: those of its parts, or both if it names none.
+fn halves_of(parts: &[BodyPart]) -> Vec<BodyPart> {
+    let both = [BodyPart::LowerBody, BodyPart::UpperBody];
+    let named = parts
+        .iter()
+        .fold(JointSet::EMPTY, |all, part| all.union(part.mask().hard()));
+    let touched: Vec<BodyPart> = both
+        .into_iter()
+        .filter(|half| !half.mask().hard().intersection(named).is_empty())
+        .collect();
+    if touched.is_empty() {
+        both.to_vec()
+    } else {
+        touched
+    }
+}
+
+/// The blend mask of a row; its text must not be empty.
+fn blend_of_mask(row: &MaskRow) -> Result<BlendMask, Error> {
+    let unusable = |source| Error::Mask {
+        mask: row.id.clone(),
+        source,
+    };
+    let hard = JointSet::try_from(row.hard_joints.clone()).map_err(unusable)?;
+    let soft = JointSet::try_from(row.soft_joints.clone()).map_err(unusable)?;
+    let mask = BlendMask::new(hard, soft).map_err(unusable)?;
+    if mask.is_empty() {
+        return Err(Error::EmptyMask {
+            mask: row.id.clone(),
+        });
+    }
+    if row.text.trim().is_empty() {
+        return Err(Error::EmptyText {
+            table: "mask",
+            row: row.id.clone(),
+        });
+    }
+    Ok(mask)
+}

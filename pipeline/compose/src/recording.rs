@@ -1,0 +1,370 @@
+//! Recorded triplets and windows: the composer's training stream as a dataset, made shard by shard, by one process or
+//! by many.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::dataset::{Commit, SHARD_ROWS, ShardName, Staging, Transaction, table_facts};
+use datasets_spec::manifest::{FileEntry, plan_hash};
+use datasets_spec::record::{NormalizerRow, TripletRow, WindowRow};
+use datasets_spec::store::ByPath;
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, NoProgress, Progress, Seed, Skeleton, Split};
+use kinematics::normalise::Normalizer;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use tables::chosen;
+use work::{
+    CommitOptions, Committed, Context, Draft, Failed, Finished, Job, Made, Piece, Quarantine,
+    absolute,
+};
+
+use crate::{COMPOSED, ComposeConfig, Error, Stream, train_stream};
+
+/// Name of the job.
+pub const JOB: &str = "triplets";
+
+/// What is recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// Triplets of whole clips.
+    Triplets,
+    /// Training windows, with their normaliser.
+    Windows,
+}
+
+impl Kind {
+    /// The table of the rows.
+    pub fn table(self) -> &'static str {
+        match self {
+            Self::Triplets => TripletRow::TABLE,
+            Self::Windows => WindowRow::TABLE,
+        }
+    }
+}
+
+/// What decides about a recording.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// What is recorded.
+    pub kind: Kind,
+    /// How many.
+    pub count: u64,
+    /// How edits are composed.
+    pub config: ComposeConfig,
+    /// Seed of the stream.
+    pub seed: Seed,
+    /// What holds for the clips that are composed.
+    #[serde(default, rename = "where", skip_serializing_if = "Option::is_none")]
+    pub condition: Option<String>,
+}
+
+/// The settings of a plan.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    dataset: PathBuf,
+    /// Hash of what is composed.
+    content_hash: String,
+    settings: Settings,
+    /// Fitted once, when the plan is made.
+    normalizer: Normalizer,
+}
+
+/// The number of a shard.
+#[derive(Serialize, Deserialize)]
+struct Detail {
+    shard: u64,
+}
+
+/// A recording that is ready to be made.
+struct Recording {
+    settings: Settings,
+    content_hash: String,
+    stream: Stream,
+    normalizer: Normalizer,
+    skeleton: Skeleton,
+    plan_hash: String,
+}
+
+/// Records the training stream of the dataset at `root` as a dataset of its own. One that is there by the same plan
+/// stays.
+///
+/// # Errors
+/// The training split cannot be composed, or the folder cannot be written.
+pub fn record(
+    root: &Path,
+    out: &Path,
+    settings: &Settings,
+    context: &Context<'_>,
+) -> Result<Dataset, Error> {
+    let recording = Recording::open(root, settings, None)?;
+    let transaction = Transaction::begin(out, context.holder)?;
+    if recording.is_in(&transaction) {
+        drop(transaction);
+        return Ok(Dataset::open(out)?);
+    }
+    let staging = transaction.staging(&recording.plan_hash);
+    context
+        .progress
+        .begin(settings.kind.table(), Some(settings.count));
+    let mut files = Vec::new();
+    for piece in recording.pieces() {
+        let shard = match work::staged(&staging, &piece.id)? {
+            Some(stored) => stored.record.files,
+            None => {
+                let file = recording.make_shard(piece.number, &staging, context.progress)?;
+                let made = Made::new(vec![file.clone()], &());
+                work::keep(&staging, &piece, made)?;
+                vec![file]
+            }
+        };
+        files.extend(shard);
+    }
+    let dataset = recording.commit(transaction, &staging, files, Quarantine::default())?;
+    context.progress.finish(&format!(
+        "{} {} recorded",
+        settings.count,
+        settings.kind.table()
+    ));
+    Ok(dataset)
+}
+
+/// Plans a recording for any number of processes. `out` is the folder of the plan.
+///
+/// # Errors
+/// The training split cannot be composed, or the folder of the plan is occupied.
+pub fn plan_recording(
+    root: &Path,
+    destination: &Path,
+    settings: &Settings,
+    out: &Path,
+) -> Result<work::Plan, Error> {
+    let recording = Recording::open(root, settings, None)?;
+    let newest = Staging::newest(&ByPath, destination)?;
+    let stored = Stored {
+        dataset: absolute(root)?,
+        content_hash: recording.content_hash.clone(),
+        settings: settings.clone(),
+        normalizer: recording.normalizer,
+    };
+    let draft = Draft {
+        job: JOB,
+        settings: serde_json::to_value(&stored).expect("settings are numbers and texts"),
+        destination: destination.to_owned(),
+        is_dataset: true,
+        pieces: recording.pieces(),
+        plan_hash: recording.plan_hash.clone(),
+        base: Staging::base(&ByPath, destination, newest.as_ref())?,
+    };
+    Ok(draft.write(out, |_| Ok(()))?)
+}
+
+/// Opens the job of a plan.
+pub fn open_job(plan: &work::Plan) -> Result<Box<dyn Job>, Failed> {
+    let stored: Stored = plan.settings()?;
+    let recording = Recording::open(&stored.dataset, &stored.settings, Some(stored.normalizer))?;
+    if recording.content_hash != stored.content_hash || recording.plan_hash != plan.hash() {
+        let path = stored.dataset;
+        return Err(work::Error::SourceChanged { path }.into());
+    }
+    Ok(Box::new(recording))
+}
+
+impl Recording {
+    /// Opens the stream. The normaliser is fitted to the training split unless it is given.
+    fn open(
+        root: &Path,
+        settings: &Settings,
+        normalizer: Option<Normalizer>,
+    ) -> Result<Self, Error> {
+        let Settings {
+            kind,
+            count,
+            config,
+            seed,
+            condition,
+        } = settings;
+        let condition = condition.as_deref().map(str::parse).transpose()?;
+        let dataset = chosen(&Dataset::open(root)?, condition.as_ref())?;
+        let content_hash = dataset.content_hash(&COMPOSED);
+        let inputs = (&content_hash, config, seed, count);
+        let plan_hash = plan_hash(kind.table(), &inputs);
+        let (stream, normalizer) = train_stream(&dataset, config, *seed, normalizer)?;
+        Ok(Self {
+            skeleton: dataset.skeleton()?,
+            settings: settings.clone(),
+            content_hash,
+            stream,
+            normalizer,
+            plan_hash,
+        })
+    }
+
+    /// Hash of the plan of the normaliser, and its row.
+    fn normalizer(&self) -> (String, NormalizerRow) {
+        let settings = self.settings.config.range_settings();
+        let row = NormalizerRow::new(&self.normalizer, &settings, &self.plan_hash);
+        let plan = plan_hash(NormalizerRow::TABLE, &(&self.plan_hash, &row.id));
+        (plan, row)
+    }
+
+    /// Whether a dataset holds this recording.
+    fn is_in(&self, transaction: &Transaction) -> bool {
+        let plan = |table| transaction.base().map_or("", |base| base.plan(table));
+        let has_normalizer = match self.settings.kind {
+            Kind::Triplets => true,
+            Kind::Windows => plan(NormalizerRow::TABLE) == self.normalizer().0,
+        };
+        plan(self.settings.kind.table()) == self.plan_hash && has_normalizer
+    }
+
+    fn num_shards(&self) -> u64 {
+        self.settings.count.div_ceil(SHARD_ROWS).max(1)
+    }
+
+    fn rows_of(&self, shard: u64) -> Range<u64> {
+        let end = self.settings.count.min((shard + 1) * SHARD_ROWS);
+        shard * SHARD_ROWS..end
+    }
+
+    fn name(&self, shard: u64) -> ShardName {
+        ShardName {
+            table: self.settings.kind.table(),
+            split: Some(Split::Train),
+            index: shard as usize,
+            of: self.num_shards() as usize,
+        }
+    }
+
+    /// A piece for each shard.
+    fn pieces(&self) -> Vec<Piece> {
+        let piece = |shard: u64| {
+            let (name, rows) = (self.name(shard), self.rows_of(shard));
+            let name = format!("{}/{name}", name.table);
+            let items = rows.end - rows.start;
+            let none = std::iter::empty();
+            let piece = Piece::new(&self.plan_hash, shard as usize, name, items, none);
+            piece.with(0, &Detail { shard })
+        };
+        (0..self.num_shards()).map(piece).collect()
+    }
+
+    fn make_shard(
+        &self,
+        shard: u64,
+        staging: &Staging,
+        progress: &dyn Progress,
+    ) -> Result<FileEntry, Error> {
+        let facts = table_facts(&self.skeleton, &self.plan_hash);
+        let (name, rows) = (self.name(shard), self.rows_of(shard));
+        Ok(match self.settings.kind {
+            Kind::Triplets => {
+                staging.write_shard(&name, &self.triplets(rows, progress)?, &facts)?
+            }
+            Kind::Windows => staging.write_shard(&name, &self.windows(rows, progress)?, &facts)?,
+        })
+    }
+
+    fn triplets(
+        &self,
+        numbers: Range<u64>,
+        progress: &dyn Progress,
+    ) -> Result<Vec<TripletRow>, Error> {
+        let len = self.stream.epoch_len();
+        let rows = numbers.into_par_iter().map(|number| {
+            let row = self.stream.triplet(number / len, number % len)?.to_row();
+            progress.advance(1);
+            Ok(row)
+        });
+        rows.collect()
+    }
+
+    fn windows(
+        &self,
+        numbers: Range<u64>,
+        progress: &dyn Progress,
+    ) -> Result<Vec<WindowRow>, Error> {
+        let mut rows = Vec::new();
+        self.stream.for_each_recorded(numbers, |row, _, _| {
+            rows.push(row);
+            progress.advance(1);
+        })?;
+        Ok(rows)
+    }
+
+    /// Commits the shards.
+    fn commit(
+        &self,
+        transaction: Transaction,
+        staging: &Staging,
+        mut files: Vec<FileEntry>,
+        quarantine: Quarantine,
+    ) -> Result<Dataset, Error> {
+        let facts = table_facts(&self.skeleton, &self.plan_hash);
+        transaction.adopt(staging, files.iter_mut())?;
+        let mut tables = BTreeMap::new();
+        let mut plans = BTreeMap::new();
+        match self.settings.kind {
+            Kind::Triplets => {
+                // A table that is read by split has a file for each.
+                for split in [Split::Val, Split::Test] {
+                    let none: [TripletRow; 0] = [];
+                    files.extend(transaction.write_shards(Some(split), &none, &facts)?);
+                }
+            }
+            Kind::Windows => {
+                let (plan, row) = self.normalizer();
+                let facts = table_facts(&self.skeleton, &plan);
+                let normalizer = transaction.write_shards(None, &[row], &facts)?;
+                tables.insert(NormalizerRow::TABLE.to_owned(), normalizer);
+                plans.insert(NormalizerRow::TABLE.to_owned(), plan);
+            }
+        }
+        tables.insert(self.settings.kind.table().to_owned(), files);
+        let accounting = quarantine.write(&transaction, &mut tables, &facts)?;
+        Ok(transaction.commit(Commit {
+            tables,
+            plan_hash: self.plan_hash.clone(),
+            plans,
+            skeleton: self.skeleton.clone(),
+            accounting,
+            ..Commit::default()
+        })?)
+    }
+}
+
+impl Job for Recording {
+    fn make(&self, piece: &Piece, staging: &Staging) -> Result<Made, Failed> {
+        let Detail { shard } = piece.detail()?;
+        let file = self.make_shard(shard, staging, &NoProgress)?;
+        Ok(Made::new(vec![file], &()))
+    }
+
+    fn sample(&self, piece: &Piece, count: u64) -> Result<u64, Failed> {
+        let Detail { shard } = piece.detail()?;
+        let rows = self.rows_of(shard);
+        let rows = rows.start..rows.end.min(rows.start + count);
+        let made = match self.settings.kind {
+            Kind::Triplets => self.triplets(rows, &NoProgress)?.len(),
+            Kind::Windows => self.windows(rows, &NoProgress)?.len(),
+        };
+        Ok(made as u64)
+    }
+
+    fn commit(
+        &self,
+        plan: &work::Plan,
+        pieces: Vec<Finished>,
+        options: &CommitOptions,
+        _progress: &dyn Progress,
+    ) -> Result<Committed, work::Error> {
+        let transaction = plan.begin(options)?;
+        let (made, quarantine) = Quarantine::of(pieces);
+        let files = made.into_iter().flat_map(|(_, made)| made.files).collect();
+        let dataset = self.commit(transaction, &plan.staging(), files, quarantine)?;
+        Ok(plan.committed(dataset.manifest()))
+    }
+}

@@ -1,0 +1,141 @@
+//! CSV files that people write: the records with the numbers of their lines.
+
+use csv::{Position, ReaderBuilder, StringRecord, Trim};
+
+/// The records of a file in UTF-8, each with the number of its line and with trimmed fields. A record in another
+/// encoding, or with a quote that is not closed, is a reason to refuse the line.
+pub fn records(bytes: &[u8]) -> impl Iterator<Item = (u64, Result<StringRecord, String>)> {
+    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let mut reader = ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .trim(Trim::All)
+        .from_reader(text);
+    let mut lines = LineNumbers {
+        text,
+        place: 0,
+        line: 1,
+    };
+    std::iter::from_fn(move || {
+        let mut record = StringRecord::new();
+        let start = reader.position().byte() as usize;
+        let read = match reader.read_record(&mut record) {
+            Ok(false) => return None,
+            Ok(true) => Ok(record),
+            Err(error) => Err(error),
+        };
+        let (line, record) = match read {
+            Ok(record) => (lines.at(record.position()), Ok(record)),
+            Err(error) => {
+                let reason = "it is not UTF-8 text; save the file as UTF-8".to_owned();
+                (lines.at(error.position()), Err(reason))
+            }
+        };
+        let end = reader.position().byte() as usize;
+        let raw = text.get(start..end.min(text.len())).unwrap_or_default();
+        let record = match quotes(raw) {
+            Quotes::Closed => record,
+            Quotes::Open => Err(unclosed(raw)),
+        };
+        Some((line, record))
+    })
+}
+
+fn unclosed(raw: &[u8]) -> String {
+    let breaks = raw
+        .trim_ascii()
+        .iter()
+        .filter(|byte| **byte == b'\n')
+        .count();
+    let swallowed = match breaks {
+        0 => String::new(),
+        1 => ", so that it and the line behind it are one and were not used".to_owned(),
+        breaks => {
+            format!(", so that it and the {breaks} lines behind it are one and were not used")
+        }
+    };
+    format!(
+        "a quote in it is not closed, or a quote in a quoted text is not doubled{swallowed}; write a quote in a text \
+         as \"\""
+    )
+}
+
+/// Whether the quotes of a record are in order.
+#[derive(Clone, Copy, PartialEq)]
+enum Quotes {
+    Closed,
+    /// A quoted field does not end, or goes on behind the quote that ends it.
+    Open,
+}
+
+/// Looks at the quotes of a record: a field that begins with one ends with one, and has others only in pairs.
+fn quotes(record: &[u8]) -> Quotes {
+    let mut bytes = record.trim_ascii().iter().copied().peekable();
+    while bytes.peek().is_some() {
+        if bytes.next_if_eq(&b'"').is_some() {
+            loop {
+                match bytes.next() {
+                    None => return Quotes::Open,
+                    Some(b'"') if bytes.next_if_eq(&b'"').is_none() => break,
+                    Some(_) => {}
+                }
+            }
+            while bytes.next_if(|byte| matches!(byte, b' ' | b'\t')).is_some() {}
+            if !matches!(bytes.peek(), None | Some(b',' | b'\r' | b'\n')) {
+                return Quotes::Open;
+            }
+        }
+        // To the beginning of the next field.
+        while bytes.next().is_some_and(|byte| byte != b',') {}
+    }
+    Quotes::Closed
+}
+
+/// Line numbers by byte offset. The CSV reader's own count is wrong for CR LF and empty lines.
+struct LineNumbers<'a> {
+    text: &'a [u8],
+    place: usize,
+    line: u64,
+}
+
+impl LineNumbers<'_> {
+    /// The line number of a record's start; offsets must ascend between calls.
+    fn at(&mut self, position: Option<&Position>) -> u64 {
+        let byte = position.map_or(0, Position::byte) as usize;
+        while self.place < self.text.len()
+            && (self.place < byte || matches!(self.text[self.place], b'\r' | b'\n'))
+        {
+            self.line += u64::from(self.text[self.place] == b'\n');
+            self.place += 1;
+        }
+        self.line
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_quote_that_is_not_closed_is_a_reason_with_its_line() {
+        let lines = |text: &str| -> Vec<(u64, bool)> {
+            let records = records(text.as_bytes());
+            records
+                .map(|(line, record)| (line, record.is_ok()))
+                .collect()
+        };
+        for (text, expected) in [
+            ("a,b\n\"a, b\",\"c\"\"d\"\n", &[(1, true), (2, true)][..]),
+            ("a,\"two\nlines\"\nb,c\n", &[(1, true), (3, true)]),
+            ("a,say \"hello\" to\n", &[(1, true)]),
+            ("a,b\nc,\"d\ne,f\ng,h\n", &[(1, true), (2, false)]),
+            ("a,\"b\nc,\"d\"\ne,f\n", &[(1, false), (3, true)]),
+            ("\r\n\r\na,\"b\" \r\nc,d\"\r\n", &[(3, true), (4, true)]),
+        ] {
+            assert_eq!(lines(text), expected, "{text:?}");
+        }
+        let open: Vec<_> = records(b"a,\"b\nc\nd").collect();
+        let reason = open[0].1.as_ref().expect_err("open");
+        assert!(reason.contains("the 2 lines behind it"), "{reason}");
+    }
+}

@@ -1,0 +1,89 @@
+//! Errors of files that are no motions, which would be rows of a table.
+
+use std::path::PathBuf;
+
+use datasets_spec::Code;
+
+/// An error that names the file or folder it happened to.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file gives no motion.
+    #[error("{}: {reason}", path.display())]
+    UnusableFile {
+        /// The file.
+        path: PathBuf,
+        /// Code that scripts may rely on: that of the rejection, or `E-NO-MOTION`.
+        code: &'static str,
+        /// Why.
+        reason: String,
+    },
+    /// An archive cannot be unpacked to be read.
+    #[error(
+        "cannot unpack an archive to {}: {reason}; set TMPDIR to a folder with more room, or unpack the archive and name \
+         its folder",
+        path.display()
+    )]
+    Scratch {
+        /// The file or folder.
+        path: PathBuf,
+        /// Why not.
+        reason: String,
+    },
+    /// A file is not a usable body model.
+    #[error("{} cannot serve as body model ({code}): {reason}", path.display())]
+    BodyModel {
+        /// The file.
+        path: PathBuf,
+        /// Code that scripts may rely on, such as `E-BODY-SHAPE`.
+        code: &'static str,
+        /// What is wrong, with what was found and expected.
+        reason: String,
+    },
+    /// A list of crops cannot be used.
+    #[error("{} is no HumanML3D index: {reason}", path.display())]
+    Index {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, with what was found and expected.
+        reason: String,
+    },
+    /// A path cannot be listed or read.
+    #[error("cannot {action} {}", path.display())]
+    Io {
+        /// What was tried, as a verb.
+        action: &'static str,
+        /// The path.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+}
+
+impl Error {
+    /// The code of the error and what it happened to.
+    pub fn code(&self) -> Option<Code> {
+        let (code, path) = match self {
+            Self::UnusableFile { path, code, .. } | Self::BodyModel { path, code, .. } => {
+                (*code, path)
+            }
+            Self::Io { path, .. } => ("E-IO", path),
+            Self::Scratch { path, .. } => ("E-SCRATCH", path),
+            Self::Index { path, .. } => ("E-INDEX", path),
+        };
+        Some((code, Some(path.display().to_string())))
+    }
+
+    /// Wraps an I/O error with what was tried on which path.
+    pub fn io(
+        action: &'static str,
+        path: impl Into<PathBuf>,
+    ) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io {
+            action,
+            path,
+            source,
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! From a parsed capture to the outcome of its file.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+
+use super::error::{SolveError, some_of};
+use super::label::{Subject, Subjects};
+use super::solve::Solvable;
+use crate::source::ReadOptions;
+use crate::source::unit::{Unit, misfit, suspected};
+use clip::check::FLAG_GAPS_FILLED;
+use clip::{Markers, Rejected, RotationSource, SourceClip};
+
+/// Code of captures whose markers give no motion.
+const CODE: &str = "E-MARKERS";
+/// Code of captures whose unit is wrong.
+pub(crate) const UNIT_CODE: &str = "E-UNIT";
+
+/// What a file holds.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    pub(crate) markers: Markers,
+    pub(crate) unit: CaptureUnit,
+    /// Decisions that a reader may want to check.
+    pub notes: Vec<String>,
+    pub(crate) flags: u32,
+}
+
+impl Capture {
+    /// The clip of one subject, by its key of [`super::keys`], or of the one that there is.
+    ///
+    /// # Errors
+    /// As [`Capture::check`].
+    pub(crate) fn clip(self, key: &str, options: &ReadOptions) -> Result<SourceClip, Rejected> {
+        let (unit, flags) = (self.unit, self.flags);
+        let (subject, markers, notes) = self.subject(key, options)?;
+        let solved = Solvable::find(markers, &subject, options)
+            .and_then(|solvable| solvable.solve(&options.skeleton))
+            .map_err(|error| unit.rejected(error))?;
+        let known = solved.markers.fit_residuals.iter().copied();
+        let known: Vec<f32> = known.filter(|residual| *residual >= 0.0).collect();
+        let mut clip = SourceClip::new(solved.motion, RotationSource::Fitted);
+        clip.fit_error_m = Some(known.iter().sum::<f32>() / known.len().max(1) as f32);
+        // The name of the only person is often that of a template; folders may say who it is.
+        clip.subject = Some(subject.name).filter(|name| !key.is_empty() && !name.is_empty());
+        clip.flags = flags;
+        clip.notes.extend(notes);
+        clip.notes.extend(solved.notes);
+        if solved.gaps > 0 {
+            clip.flags |= FLAG_GAPS_FILLED;
+            clip.notes.push(format!(
+                "{} frames showed too few markers and were interpolated",
+                solved.gaps
+            ));
+        }
+        clip.markers = Some(solved.markers);
+        Ok(clip)
+    }
+
+    /// Whether a motion can be solved for a subject, without solving it.
+    ///
+    /// # Errors
+    /// `E-MARKERS` if the labels are of no known set, or their markers tell too little of a body; `E-UNIT` if the
+    /// person would be no person's height; `E-TOO-SHORT`.
+    pub fn check(self, key: &str, options: &ReadOptions) -> Result<(), Rejected> {
+        let unit = self.unit;
+        let (subject, markers, _) = self.subject(key, options)?;
+        let solvable = Solvable::find(markers, &subject, options);
+        solvable.map(drop).map_err(|error| unit.rejected(error))
+    }
+
+    /// A subject, its markers, and notes. The markers of the only one are all that there are.
+    fn subject(
+        self,
+        key: &str,
+        options: &ReadOptions,
+    ) -> Result<(Subject, Markers, Vec<String>), Rejected> {
+        let Self {
+            mut markers,
+            mut notes,
+            ..
+        } = self;
+        let mut subjects = Subjects::of(&markers.labels, options.markers.as_ref());
+        let keys = subjects.keys();
+        let place = match key {
+            "" => 0,
+            key => keys.iter().position(|other| other == key).ok_or_else(|| {
+                let reason = format!("found no subject {key} among {}", keys.join(", "));
+                Rejected::read(CODE, reason)
+            })?,
+        };
+        let mut subject = subjects.people.swap_remove(place);
+        if !subjects.others.is_empty() {
+            let others = some_of(subjects.others.iter().map(String::as_str));
+            notes.push(format!("points of no person: {others}"));
+        }
+        if keys.len() > 1 {
+            markers = only(&markers, &mut subject);
+        }
+        if markers.positions.len() / markers.labels.len().max(1) < 2 {
+            let reason = "found 1 frame, expected at least 2";
+            return Err(Rejected::read("E-TOO-SHORT", reason));
+        }
+        Ok((subject, markers, notes))
+    }
+}
+
+/// The columns of one subject, which then are its first ones.
+fn only(markers: &Markers, subject: &mut Subject) -> Markers {
+    let count = markers.labels.len().max(1);
+    let columns = std::mem::take(&mut subject.columns);
+    let frames = markers.positions.len() / count;
+    let mut positions = Vec::with_capacity(frames * columns.len());
+    let mut residuals = Vec::with_capacity(frames * columns.len());
+    for start in (0..frames).map(|frame| frame * count) {
+        positions.extend(
+            columns
+                .iter()
+                .map(|column| markers.positions[start + column]),
+        );
+        residuals.extend(
+            columns
+                .iter()
+                .map(|column| markers.residuals[start + column]),
+        );
+    }
+    subject.columns = (0..columns.len()).collect();
+    Markers {
+        labels: columns
+            .iter()
+            .map(|column| markers.labels[*column].clone())
+            .collect(),
+        positions,
+        residuals,
+        ..markers.clone()
+    }
+}
+
+/// Names of the markers, each different: the second of a name gets `.2`.
+pub(crate) fn unique_labels(stated: impl Iterator<Item = String>) -> Vec<String> {
+    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+    stated
+        .map(|label| {
+            let times = seen.entry(label.clone()).or_insert(0);
+            *times += 1;
+            match *times {
+                1 => label,
+                again => format!("{label}.{again}"),
+            }
+        })
+        .collect()
+}
+
+/// A capture's unit, and where it comes from, in words.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CaptureUnit {
+    pub(crate) unit: Unit,
+    pub(crate) said: &'static str,
+}
+
+impl CaptureUnit {
+    /// Why a capture in this unit gives no motion.
+    fn rejected(self, error: SolveError) -> Rejected {
+        if let SolveError::Height { metres, .. } = error {
+            let height = metres / self.unit.metres();
+            if !suspected(height).is_empty() {
+                return Rejected::read(UNIT_CODE, misfit(height, self.unit, self.said));
+            }
+        }
+        Rejected::read(CODE, error.to_string())
+    }
+
+    /// The unit that the user states, else the file's, and a note where neither does: then it is millimetres,
+    /// unless the body would be the size of a doll. `largest` is the largest coordinate in that unit.
+    pub(crate) fn find(
+        by_user: Option<Unit>,
+        text: &str,
+        largest: impl FnOnce() -> f64,
+    ) -> (Self, Option<String>) {
+        /// A capture volume smaller than this many units is not in millimetres.
+        const SMALLEST_VOLUME: f64 = 20.0;
+        if let Some(unit) = by_user {
+            let said = "as --unit says";
+            let note = format!("unit {unit} {said}; the file says {text:?}");
+            return (Self { unit, said }, Some(note));
+        }
+        if let Some(unit) = Unit::named(text) {
+            let said = "as the file says";
+            return (Self { unit, said }, None);
+        }
+        let (name, unit) = if largest() < SMALLEST_VOLUME {
+            ("metres", Unit::METRE)
+        } else {
+            ("millimetres", Unit::MILLIMETRE)
+        };
+        let said = "assumed because the file states none";
+        let note = format!("unit {text:?} is none; {name} assumed");
+        (Self { unit, said }, Some(note))
+    }
+
+    /// Why positions that are too far away in this unit are likely in another one; none if they are nowhere.
+    /// `frames` are the points that are seen.
+    pub(crate) fn doubt(
+        self,
+        frames: impl Iterator<Item = impl Iterator<Item = DVec3>>,
+    ) -> Option<Rejected> {
+        let mut extents: Vec<f64> = Vec::new();
+        for frame in frames {
+            let empty = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+            let (least, most) =
+                frame.fold(empty, |(least, most), at| (least.min(at), most.max(at)));
+            let extent = (most - least).max_element();
+            if extent.is_finite() {
+                extents.push(extent);
+            }
+        }
+        extents.sort_by(f64::total_cmp);
+        let extent = *extents.get(extents.len() / 2)?;
+        let is_suspect = !suspected(extent).is_empty();
+        is_suspect.then(|| Rejected::read(UNIT_CODE, misfit(extent, self.unit, self.said)))
+    }
+}

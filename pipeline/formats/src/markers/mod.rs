@@ -1,0 +1,17 @@
+//! From the markers of an optical capture to a body.
+
+mod capture;
+mod error;
+mod label;
+mod part;
+mod set;
+mod solve;
+mod worn;
+
+pub use capture::Capture;
+pub use capture::CaptureUnit;
+pub(crate) use capture::{UNIT_CODE, unique_labels};
+pub use label::{bare_label, is_model_output};
+pub(crate) use label::{keys, subject_of};
+pub use part::Part;
+pub use set::{MarkerSet, MarkerSetError, Placement, marker_sets};

@@ -1,0 +1,670 @@
+//! Solving the body from labelled markers: a pose for every frame, and the offsets of the markers.
+//!
+//! The offset of a marker from its joint is unknown, like the pose. They are solved alternately: poses of
+//! some frames with fixed offsets, then offsets and the size of the capture from these poses. Then every
+//! frame is posed, each starting from the one before.
+//!
+//! # Source
+//! The alternation is that of MoSh (Loper et al. 2014) without body shape: the store has one body,
+//! so the capture is scaled to it instead.
+
+use std::collections::BTreeSet;
+
+use datasets_spec::{Motion, Pose, Skeleton};
+use features::floor;
+use glam::{DMat3, DQuat, DVec3};
+use kinematics::rotation::{from_axis_angle, slerp, to_axis_angle};
+use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
+
+use super::error::{SolveError, some_of};
+use super::label::Subject;
+use super::part::{self, Part};
+use super::set::{MarkerSet, Match, marker_sets, nearest};
+use super::worn::{Frames, LabelledMarkers, MIN_SEEN};
+use crate::retarget::body_height;
+use crate::source::ReadOptions;
+use crate::source::unit::PERSON_M;
+use clip::Markers;
+
+/// Frames from which offsets and size are found, and how often.
+const CALIBRATION_FRAMES: usize = 60;
+const CALIBRATION_ROUNDS: usize = 4;
+/// Weight of the initial guess of an offset against measurements.
+const OFFSET_PRIOR: f64 = 0.1;
+/// Unknowns of a pose: the pelvis, and a turn of each joint.
+const UNKNOWNS: usize = 3 + 3 * NUM_BODY_JOINTS;
+/// Weight in m²/rad² of the squared angle of each joint from rest: it determines rotations that no marker
+/// observes, and is negligible elsewhere.
+const REST_WEIGHT: f64 = 4e-4;
+/// The same for joints that hardly move independently, and for the angle from the frame before.
+const STIFF_WEIGHT: f64 = 4e-3;
+const SMOOTH_WEIGHT: f64 = 1e-3;
+/// Spine, collars and toes.
+const STIFF: [usize; 7] = [3, 6, 9, 13, 14, 10, 11];
+const FIRST_ITERATIONS: usize = 60;
+const ITERATIONS: usize = 8;
+/// Step in metres and radians below which a pose has converged.
+const SMALL_STEP: f64 = 1e-5;
+/// Distance in metres beyond which the pull of a marker is constant: it may be mislabelled.
+const OUTLIER_M: f64 = 0.15;
+
+/// A body solved from markers.
+#[derive(Clone, Debug)]
+pub(super) struct Solved {
+    /// The motion, y up, on the floor.
+    pub(super) motion: Motion,
+    /// Frames whose pose was interpolated because too few markers were seen.
+    pub(super) gaps: usize,
+    /// The markers, turned y up, in the size they were captured, with the set and the distances from those of the
+    /// body.
+    pub(super) markers: Markers,
+    /// Decisions a reader may want to check.
+    pub notes: Vec<String>,
+}
+
+/// A capture that a body can be solved in.
+pub(super) struct Solvable<'a> {
+    set: &'a MarkerSet,
+    worn: LabelledMarkers,
+    /// The markers, y up.
+    markers: Markers,
+    frames: Frames,
+    /// Frames with enough markers.
+    usable: Vec<usize>,
+    /// Axis that is up in the file.
+    up: &'static str,
+    /// Height of the captured person as a multiple of the body's.
+    tall: f64,
+    headless: bool,
+}
+
+impl<'a> Solvable<'a> {
+    /// Looks at the markers of a subject in a capture.
+    ///
+    /// # Errors
+    /// The labels are of no known set, tell too little of a body, or the markers do not lie as on one.
+    pub(super) fn find(
+        mut markers: Markers,
+        subject: &Subject,
+        options: &'a ReadOptions,
+    ) -> Result<Self, SolveError> {
+        let skeleton = &options.skeleton;
+        let Match { set, missing, .. } = recognise(subject, options.markers.as_ref())?;
+        let name = || set.name().to_owned();
+        let worn = LabelledMarkers::of(subject, set);
+        let frames = Frames::of(&markers, &worn);
+        let headless = check_parts(&worn.seen_joints(&frames), set, &missing)?;
+        let no_body = || SolveError::NoBody { set: name() };
+        let (turn, up) = frames.up_turn(&worn).ok_or_else(no_body)?;
+        for position in &mut markers.positions {
+            let turned = turn * DVec3::from_array(position.map(f64::from));
+            *position = turned.as_vec3().to_array();
+        }
+        let frames = Frames::of(&markers, &worn);
+        let usable: Vec<usize> = (0..frames.len())
+            .filter(|frame| frames.usable(*frame))
+            .collect();
+        if usable.len() < 2 {
+            return Err(SolveError::NotSeen {
+                set: name(),
+                frames: usable.len(),
+            });
+        }
+        let tall = Solver::of(skeleton, &worn).first_height(&frames, &usable);
+        let tall = tall.ok_or_else(no_body)?;
+        let metres = tall * body_height(skeleton);
+        if !PERSON_M.contains(&metres) {
+            return Err(SolveError::Height {
+                set: name(),
+                metres,
+            });
+        }
+        Ok(Self {
+            set,
+            worn,
+            markers,
+            frames,
+            usable,
+            up,
+            tall,
+            headless,
+        })
+    }
+
+    /// Solves the body.
+    ///
+    /// # Errors
+    /// The markers do not fit a body.
+    pub(super) fn solve(self, skeleton: &Skeleton) -> Result<Solved, SolveError> {
+        let Self {
+            set,
+            worn,
+            mut markers,
+            frames,
+            usable,
+            up,
+            tall,
+            headless,
+        } = self;
+        let no_body = || SolveError::NoBody {
+            set: set.name().to_owned(),
+        };
+        let mut solver = Solver::of(skeleton, &worn);
+        solver.scale = 1.0 / tall;
+        solver.calibrate(&frames, &usable).ok_or_else(no_body)?;
+        let solved = solver.all(&frames, &usable);
+        let (mut poses, fit_residuals, gaps) = solved.ok_or_else(no_body)?;
+        floor::put_on_floor(&mut poses, markers.fps, skeleton);
+        let motion = Motion::from_poses(markers.fps, &poses).map_err(|_| no_body())?;
+        let mut notes = vec![
+            format!(
+                "markers {}, {} of {} labels worn; {up} is up in the file",
+                set.name(),
+                worn.columns.len(),
+                markers.labels.len()
+            ),
+            format!("captured person scaled by {:.3} to the body", solver.scale),
+        ];
+        if headless {
+            notes.push("no marker is on the head: it follows the trunk".to_owned());
+        }
+        if !set.at_rest().is_empty() {
+            let parts = part::names(set.at_rest());
+            notes.push(format!("as at rest where no marker tells: {parts}"));
+        }
+        markers.set = Some(set.name().to_owned());
+        markers.fit_residuals = fit_residuals;
+        Ok(Solved {
+            motion,
+            gaps,
+            markers,
+            notes,
+        })
+    }
+}
+
+/// The set of a subject's markers.
+fn recognise<'a>(subject: &Subject, own: Option<&'a MarkerSet>) -> Result<Match<'a>, SolveError> {
+    let bare: BTreeSet<String> = subject.bare.iter().cloned().collect();
+    let Some(found) = nearest(&bare, own) else {
+        let sets = own.into_iter().chain(marker_sets());
+        let sets: Vec<&str> = sets.map(MarkerSet::name).collect();
+        return Err(SolveError::NoSet {
+            count: subject.bare.len(),
+            labels: some_of(subject.bare.iter().map(String::as_str)),
+            sets: sets.join(", "),
+        });
+    };
+    if found.is_whole() {
+        return Ok(found);
+    }
+    let of_set = |bare: &&String| found.set.placement(bare).is_none();
+    Err(SolveError::NotWhole {
+        set: found.set.name().to_owned(),
+        found: found.found,
+        of: found.set.labels().count(),
+        missing: some_of(found.missing.iter().copied()),
+        count: subject.bare.len(),
+        others: some_of(subject.bare.iter().filter(of_set).map(String::as_str)),
+    })
+}
+
+/// Refuses markers that do not tell the pose of a whole body; whether the head has none.
+fn check_parts(joints: &[usize], set: &MarkerSet, missing: &[&str]) -> Result<bool, SolveError> {
+    let mut untold = Part::untold(joints);
+    untold.retain(|part| !set.at_rest().contains(part));
+    let headless = untold.remove(&Part::Head);
+    match untold.is_empty() {
+        true => Ok(headless),
+        false => Err(SolveError::Parts {
+            set: set.name().to_owned(),
+            parts: part::names(&untold),
+            missing: some_of(missing.iter().copied()),
+        }),
+    }
+}
+
+struct Solver<'a> {
+    skeleton: &'a Skeleton,
+    /// Joint that carries each marker.
+    joints: Vec<usize>,
+    /// Offset of the marker in the joint's frame.
+    offsets: Vec<DVec3>,
+    first_offsets: Vec<DVec3>,
+    /// Scale from the capture to the body.
+    scale: f64,
+}
+
+/// A posed body with cached transforms.
+#[derive(Clone)]
+struct Body {
+    pelvis: DVec3,
+    locals: [DQuat; NUM_BODY_JOINTS],
+    globals: [DQuat; NUM_BODY_JOINTS],
+    points: [DVec3; NUM_BODY_JOINTS],
+}
+
+impl Body {
+    fn posed(pelvis: DVec3, locals: [DQuat; NUM_BODY_JOINTS], skeleton: &Skeleton) -> Self {
+        let mut globals = locals;
+        let mut points = [pelvis; NUM_BODY_JOINTS];
+        for joint in 1..NUM_BODY_JOINTS {
+            let above = parent_of(joint);
+            globals[joint] = (globals[above] * locals[joint]).normalize();
+            points[joint] = points[above] + globals[above] * skeleton.offset(joint);
+        }
+        Self {
+            pelvis,
+            locals,
+            globals,
+            points,
+        }
+    }
+}
+
+impl<'a> Solver<'a> {
+    /// A solver for markers where their set has them, on a person of the body's size.
+    fn of(skeleton: &'a Skeleton, worn: &LabelledMarkers) -> Self {
+        Self {
+            skeleton,
+            joints: worn.joints.clone(),
+            offsets: worn.offsets.clone(),
+            first_offsets: worn.offsets.clone(),
+            scale: 1.0,
+        }
+    }
+
+    /// The ratio of the capture's height between its markers in its tallest frames to that of the body at rest.
+    fn first_height(&self, frames: &Frames, usable: &[usize]) -> Option<f64> {
+        let rest = Body::posed(
+            self.skeleton.rest(0),
+            [DQuat::IDENTITY; NUM_BODY_JOINTS],
+            self.skeleton,
+        );
+        let body_markers: Vec<DVec3> = (0..self.joints.len())
+            .map(|marker| rest.points[self.joints[marker]] + self.offsets[marker])
+            .collect();
+        // Arms are left out, because their height varies.
+        let upright = |marker: &usize| !matches!(self.joints[*marker], 16..=21);
+        let mut ratios: Vec<f64> = Vec::new();
+        for &frame in usable {
+            let seen: Vec<(f64, f64)> = (0..self.joints.len())
+                .filter(upright)
+                .filter_map(|marker| {
+                    Some((body_markers[marker].y, frames.points[frame][marker]?.y))
+                })
+                .collect();
+            let count = seen.len() as f64;
+            if seen.len() < MIN_SEEN {
+                continue;
+            }
+            let mean = |pick: fn(&(f64, f64)) -> f64| seen.iter().map(pick).sum::<f64>() / count;
+            let (body, capture) = (mean(|pair| pair.0), mean(|pair| pair.1));
+            let along: f64 = seen.iter().map(|p| (p.0 - body) * (p.1 - capture)).sum();
+            let spread: f64 = seen.iter().map(|p| (p.0 - body).powi(2)).sum();
+            if along > 0.0 {
+                // Slope of captured height over the body's: how tall the person is.
+                ratios.push(along / spread);
+            }
+        }
+        ratios.sort_by(f64::total_cmp);
+        // People stand in the tallest frames; the very tallest may contain a mislabelled marker.
+        ratios.get(ratios.len().checked_sub(1)? * 9 / 10).copied()
+    }
+
+    /// An initial pose for a frame: the rest pose, rotated so that left, right and up fit.
+    fn start(&self, points: &[Option<DVec3>]) -> Option<Body> {
+        let mean = |keep: &dyn Fn(usize) -> bool| -> Option<DVec3> {
+            let seen: Vec<DVec3> = (0..points.len())
+                .filter(|marker| keep(*marker))
+                .filter_map(|marker| points[marker])
+                .collect();
+            (!seen.is_empty())
+                .then(|| seen.iter().sum::<DVec3>() * (self.scale / seen.len() as f64))
+        };
+        let side = |sign: f64| {
+            move |solver: &Self, marker: usize| {
+                let at = solver.skeleton.rest(solver.joints[marker]) + solver.first_offsets[marker];
+                sign * at.x > 0.03 && !matches!(solver.joints[marker], 16..=21)
+            }
+        };
+        let left = mean(&|marker| side(1.0)(self, marker))?;
+        let right = mean(&|marker| side(-1.0)(self, marker))?;
+        let pelvis = mean(&|marker| self.joints[marker] == 0)
+            .or_else(|| mean(&|marker| matches!(self.joints[marker], 1 | 2)))?;
+        let across = (left - right).with_y(0.0).try_normalize()?;
+        let front = across.cross(DVec3::Y);
+        let facing = DQuat::from_mat3(&DMat3::from_cols(across, DVec3::Y, front)).normalize();
+        let mut locals = [DQuat::IDENTITY; NUM_BODY_JOINTS];
+        locals[0] = facing;
+        for shoulder in [16, 17] {
+            locals[shoulder] = Self::at_rest(shoulder);
+        }
+        Some(Body::posed(pelvis, locals, self.skeleton))
+    }
+
+    /// Finds offsets and scale on frames spread over the capture.
+    fn calibrate(&mut self, frames: &Frames, usable: &[usize]) -> Option<()> {
+        let step = usable.len().div_ceil(CALIBRATION_FRAMES).max(1);
+        let chosen: Vec<usize> = usable.iter().copied().step_by(step).collect();
+        let mut bodies: Vec<Body> = chosen
+            .iter()
+            .map(|&frame| self.start(&frames.points[frame]))
+            .collect::<Option<_>>()?;
+        for _ in 0..CALIBRATION_ROUNDS {
+            for (body, &frame) in bodies.iter_mut().zip(&chosen) {
+                *body = self.posed(body.clone(), &frames.points[frame], None, FIRST_ITERATIONS);
+            }
+            self.refit(frames, &chosen, &bodies);
+        }
+        Some(())
+    }
+
+    /// Offsets and scale by least squares, for fixed poses.
+    fn refit(&mut self, frames: &Frames, chosen: &[usize], bodies: &[Body]) {
+        let (mut along, mut spread) = (0.0, 0.0);
+        for (body, &frame) in bodies.iter().zip(chosen) {
+            let seen: Vec<(DVec3, DVec3)> = (0..self.joints.len())
+                .filter_map(|marker| {
+                    Some((self.marker(body, marker), frames.points[frame][marker]?))
+                })
+                .collect();
+            let count = seen.len().max(1) as f64;
+            let body_mean = seen.iter().map(|(posed, _)| *posed).sum::<DVec3>() / count;
+            let capture_mean = seen.iter().map(|(_, point)| *point).sum::<DVec3>() / count;
+            for (posed, point) in seen {
+                along += (posed - body_mean).dot(point - capture_mean);
+                spread += (point - capture_mean).length_squared();
+            }
+        }
+        if spread > 0.0 && along > 0.0 {
+            self.scale = along / spread;
+        }
+        for marker in 0..self.joints.len() {
+            let joint = self.joints[marker];
+            let measured: Vec<DVec3> = bodies
+                .iter()
+                .zip(chosen)
+                .filter_map(|(body, &frame)| {
+                    let point = frames.points[frame][marker]? * self.scale;
+                    let away = point - body.points[joint];
+                    let offset = body.globals[joint].inverse() * away;
+                    let near = (offset - self.offsets[marker]).length() < OUTLIER_M;
+                    near.then_some(offset)
+                })
+                .collect();
+            if measured.is_empty() {
+                continue;
+            }
+            let count = measured.len() as f64;
+            let prior = OFFSET_PRIOR * count;
+            let sum: DVec3 = measured.into_iter().sum();
+            self.offsets[marker] = (sum + self.first_offsets[marker] * prior) / (count + prior);
+        }
+    }
+
+    /// Poses every frame. Frames with too few markers are interpolated.
+    fn all(&self, frames: &Frames, usable: &[usize]) -> Option<(Vec<Pose>, Vec<f32>, usize)> {
+        let mut solved: Vec<Option<Body>> = vec![None; frames.len()];
+        let mut before: Option<Body> = None;
+        for &frame in usable {
+            let points = &frames.points[frame];
+            let body = match &before {
+                Some(before) => self.posed(before.clone(), points, Some(before), ITERATIONS),
+                None => self.posed(self.start(points)?, points, None, FIRST_ITERATIONS),
+            };
+            solved[frame] = Some(body.clone());
+            before = Some(body);
+        }
+        let residuals = frames
+            .points
+            .iter()
+            .zip(&solved)
+            .map(|(points, body)| {
+                let body = body.as_ref()?;
+                let squares: Vec<f64> = (0..self.joints.len())
+                    .filter_map(|marker| {
+                        let point = points[marker]? * self.scale;
+                        Some((self.marker(body, marker) - point).length_squared())
+                    })
+                    .collect();
+                Some((squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt())
+            })
+            .map(|residual| residual.map_or(-1.0, |residual| residual as f32))
+            .collect();
+        let poses = (0..frames.len())
+            .map(|frame| self.pose_at(frame, &solved, usable))
+            .collect();
+        Some((poses, residuals, frames.len() - usable.len()))
+    }
+
+    fn pose_at(&self, frame: usize, solved: &[Option<Body>], usable: &[usize]) -> Pose {
+        let after = usable.partition_point(|known| *known < frame);
+        let next = usable.get(after).copied();
+        let previous = after.checked_sub(1).map(|before| usable[before]);
+        let pose = |frame: usize| {
+            solved[frame].as_ref().map(|body| Pose {
+                transl: body.pelvis - self.skeleton.rest(0),
+                rotations: body.locals,
+            })
+        };
+        let (from, to) = match (previous, next) {
+            (_, Some(next)) if next == frame => return pose(frame).unwrap_or(Pose::REST),
+            (Some(previous), Some(next)) => (previous, next),
+            (Some(only), None) | (None, Some(only)) => return pose(only).unwrap_or(Pose::REST),
+            (None, None) => return Pose::REST,
+        };
+        let share = (frame - from) as f64 / (to - from) as f64;
+        match (pose(from), pose(to)) {
+            (Some(a), Some(b)) => Pose {
+                transl: a.transl.lerp(b.transl, share),
+                rotations: std::array::from_fn(|joint| {
+                    slerp(a.rotations[joint], b.rotations[joint], share)
+                }),
+            },
+            _ => Pose::REST,
+        }
+    }
+
+    fn marker(&self, body: &Body, marker: usize) -> DVec3 {
+        let joint = self.joints[marker];
+        body.points[joint] + body.globals[joint] * self.offsets[marker]
+    }
+
+    /// The pose nearest to the markers, from a start, by damped Gauss-Newton steps.
+    fn posed(
+        &self,
+        mut body: Body,
+        points: &[Option<DVec3>],
+        before: Option<&Body>,
+        iterations: usize,
+    ) -> Body {
+        let mut cost = self.cost(&body, points, before);
+        let mut damping = 1e-4;
+        for _ in 0..iterations {
+            let Some(step) = self.step(&body, points, before, damping) else {
+                break;
+            };
+            let next = self.stepped(&body, &step);
+            let next_cost = self.cost(&next, points, before);
+            if next_cost < cost {
+                (body, cost) = (next, next_cost);
+                damping = (damping * 0.2f64).max(1e-9);
+                if step.iter().all(|part| part.abs() < SMALL_STEP) {
+                    break;
+                }
+            } else {
+                damping *= 10.0;
+                if damping > 1e3 {
+                    break;
+                }
+            }
+        }
+        body
+    }
+
+    fn stepped(&self, body: &Body, step: &[f64; UNKNOWNS]) -> Body {
+        let mut locals = body.locals;
+        for joint in 0..NUM_BODY_JOINTS {
+            let turn = DVec3::from_slice(&step[3 + 3 * joint..]);
+            // A rotation about world axes, in the parent's frame.
+            let above = match joint {
+                0 => DQuat::IDENTITY,
+                _ => body.globals[parent_of(joint)],
+            };
+            let local = from_axis_angle(above.inverse() * turn);
+            locals[joint] = (local * body.locals[joint]).normalize();
+        }
+        Body::posed(body.pelvis + DVec3::from_slice(step), locals, self.skeleton)
+    }
+
+    /// Default rotation of an unobserved joint. Arms hang down, which is likely in a capture of the legs alone.
+    fn at_rest(joint: usize) -> DQuat {
+        const HANGING: f64 = 1.1;
+        match joint {
+            16 => DQuat::from_rotation_z(-HANGING),
+            17 => DQuat::from_rotation_z(HANGING),
+            _ => DQuat::IDENTITY,
+        }
+    }
+
+    /// Weight of a joint's angle from rest; 0 for the root.
+    fn rest_weight(joint: usize) -> f64 {
+        match joint {
+            0 => 0.0,
+            joint if STIFF.contains(&joint) => STIFF_WEIGHT,
+            _ => REST_WEIGHT,
+        }
+    }
+
+    fn cost(&self, body: &Body, points: &[Option<DVec3>], before: Option<&Body>) -> f64 {
+        let mut cost = 0.0;
+        for (marker, point) in points.iter().enumerate() {
+            let Some(point) = point else { continue };
+            let away = (self.marker(body, marker) - *point * self.scale).length();
+            // Huber weight: quadratic near, linear beyond.
+            cost += if away < OUTLIER_M {
+                away * away
+            } else {
+                2.0 * OUTLIER_M * away - OUTLIER_M * OUTLIER_M
+            };
+        }
+        for joint in 1..NUM_BODY_JOINTS {
+            let from_rest = Self::at_rest(joint).inverse() * body.locals[joint];
+            cost += Self::rest_weight(joint) * to_axis_angle(from_rest).length_squared();
+            if let Some(before) = before {
+                let turned = before.locals[joint].inverse() * body.locals[joint];
+                cost += SMOOTH_WEIGHT * to_axis_angle(turned).length_squared();
+            }
+        }
+        cost
+    }
+
+    /// One damped step.
+    fn step(
+        &self,
+        body: &Body,
+        points: &[Option<DVec3>],
+        before: Option<&Body>,
+        damping: f64,
+    ) -> Option<[f64; UNKNOWNS]> {
+        let mut normal = vec![[0.0; UNKNOWNS]; UNKNOWNS];
+        let mut right = [0.0; UNKNOWNS];
+        for (marker, point) in points.iter().enumerate() {
+            let Some(point) = point else { continue };
+            let posed = self.marker(body, marker);
+            let residual = *point * self.scale - posed;
+            let weight = (OUTLIER_M / residual.length().max(OUTLIER_M)).min(1.0);
+            // The unknowns that move this marker: the pelvis, and every joint above it.
+            let mut columns: Vec<(usize, DMat3)> = vec![(0, DMat3::IDENTITY)];
+            let mut joint = self.joints[marker];
+            loop {
+                columns.push((3 + 3 * joint, cross_matrix(posed - body.points[joint])));
+                if joint == 0 {
+                    break;
+                }
+                joint = parent_of(joint);
+            }
+            for (row, a) in &columns {
+                let pull = a.transpose() * residual * weight;
+                for k in 0..3 {
+                    right[row + k] += pull[k];
+                }
+                for (column, b) in &columns {
+                    let block = a.transpose() * *b * weight;
+                    for i in 0..3 {
+                        for j in 0..3 {
+                            normal[row + i][column + j] += block.col(j)[i];
+                        }
+                    }
+                }
+            }
+        }
+        for joint in 1..NUM_BODY_JOINTS {
+            let above = body.globals[parent_of(joint)];
+            let at = 3 + 3 * joint;
+            let mut hold = |weight: f64, from_held: DQuat| {
+                let angle = above * to_axis_angle(from_held);
+                for k in 0..3 {
+                    normal[at + k][at + k] += weight;
+                    right[at + k] -= weight * angle[k];
+                }
+            };
+            hold(
+                Self::rest_weight(joint),
+                body.locals[joint] * Self::at_rest(joint).inverse(),
+            );
+            if let Some(before) = before {
+                hold(
+                    SMOOTH_WEIGHT,
+                    body.locals[joint] * before.locals[joint].inverse(),
+                );
+            }
+        }
+        for (k, row) in normal.iter_mut().enumerate() {
+            row[k] += damping;
+        }
+        cholesky_solve(&mut normal, &mut right).then_some(right)
+    }
+}
+
+/// Derivative of a point at `arm` from a joint by the joint's rotation: the matrix of `turn x arm`.
+fn cross_matrix(arm: DVec3) -> DMat3 {
+    DMat3::from_cols(
+        DVec3::new(0.0, -arm.z, arm.y),
+        DVec3::new(arm.z, 0.0, -arm.x),
+        DVec3::new(-arm.y, arm.x, 0.0),
+    )
+}
+
+/// Solves a symmetric positive system in place; false if it is not positive.
+fn cholesky_solve(matrix: &mut [[f64; UNKNOWNS]], right: &mut [f64; UNKNOWNS]) -> bool {
+    for row in 0..UNKNOWNS {
+        for column in 0..=row {
+            let known: f64 = (0..column)
+                .map(|k| matrix[row][k] * matrix[column][k])
+                .sum();
+            let sum = matrix[row][column] - known;
+            if row == column {
+                if sum <= 0.0 || !sum.is_finite() {
+                    return false;
+                }
+                matrix[row][row] = sum.sqrt();
+            } else {
+                matrix[row][column] = sum / matrix[column][column];
+            }
+        }
+    }
+    for row in 0..UNKNOWNS {
+        let known: f64 = (0..row).map(|k| matrix[row][k] * right[k]).sum();
+        right[row] = (right[row] - known) / matrix[row][row];
+    }
+    for row in (0..UNKNOWNS).rev() {
+        let known: f64 = (row + 1..UNKNOWNS).map(|k| matrix[k][row] * right[k]).sum();
+        right[row] = (right[row] - known) / matrix[row][row];
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,136 @@
+//! The markers of a capture that a set places on the body.
+
+use glam::{DQuat, DVec3};
+
+use super::label::Subject;
+use super::set::MarkerSet;
+use clip::Markers;
+
+/// Markers that must be seen in a frame for its pose to be solved, and their share of all.
+pub(super) const MIN_SEEN: usize = 6;
+const MIN_SEEN_SHARE: f64 = 0.5;
+
+/// The markers with a known placement.
+pub(super) struct LabelledMarkers {
+    /// Column of each among the labels.
+    pub(super) columns: Vec<usize>,
+    pub joints: Vec<usize>,
+    pub(super) offsets: Vec<DVec3>,
+}
+
+impl LabelledMarkers {
+    pub(super) fn of(subject: &Subject, set: &MarkerSet) -> Self {
+        let mut worn = Self {
+            columns: Vec::new(),
+            joints: Vec::new(),
+            offsets: Vec::new(),
+        };
+        let mut names: Vec<&str> = Vec::new();
+        for (column, name) in subject.columns.iter().zip(&subject.bare) {
+            // Of repeated labels, the first is used.
+            if names.contains(&name.as_str()) {
+                continue;
+            }
+            if let Some(place) = set.placement(name) {
+                worn.columns.push(*column);
+                worn.joints.push(place.joint.index());
+                worn.offsets.push(place.offset);
+                names.push(name);
+            }
+        }
+        worn
+    }
+
+    /// Joints of the markers that are seen in any frame.
+    pub(super) fn seen_joints(&self, frames: &Frames) -> Vec<usize> {
+        let seen = |marker: usize| frames.points.iter().any(|points| points[marker].is_some());
+        let markers = (0..self.joints.len()).filter(|marker| seen(*marker));
+        markers.map(|marker| self.joints[marker]).collect()
+    }
+}
+
+/// Positions of the labelled markers, frame by frame; none where a marker was not seen.
+pub(super) struct Frames {
+    pub(super) points: Vec<Vec<Option<DVec3>>>,
+}
+
+impl Frames {
+    pub(super) fn of(markers: &Markers, worn: &LabelledMarkers) -> Self {
+        let count = markers.labels.len().max(1);
+        let points = markers
+            .positions
+            .chunks_exact(count)
+            .zip(markers.residuals.chunks_exact(count))
+            .map(|(positions, residuals)| {
+                worn.columns
+                    .iter()
+                    .map(|&column| {
+                        (residuals[column] >= 0.0)
+                            .then(|| DVec3::from_array(positions[column].map(f64::from)))
+                    })
+                    .collect()
+            })
+            .collect();
+        Self { points }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    pub(super) fn usable(&self, frame: usize) -> bool {
+        let points = &self.points[frame];
+        let seen = points.iter().flatten().count();
+        seen >= MIN_SEEN && seen as f64 >= MIN_SEEN_SHARE * points.len() as f64
+    }
+
+    /// The rotation to y up, from the direction of the upper markers from the lower ones, and the file's up
+    /// axis.
+    pub(super) fn up_turn(&self, worn: &LabelledMarkers) -> Option<(DQuat, &'static str)> {
+        // Heads, chests and hips are above feet; use those that are present.
+        let level = |joint: usize| match joint {
+            7 | 8 | 10 | 11 => -1.0,
+            4 | 5 => -0.4,
+            0..=2 => 0.3,
+            3 | 6 | 9 | 12..=15 => 1.0,
+            _ => 0.0,
+        };
+        let mut sum = DVec3::ZERO;
+        for points in &self.points {
+            let seen: Vec<(f64, DVec3)> = points
+                .iter()
+                .zip(&worn.joints)
+                .filter_map(|(point, joint)| Some((level(*joint), (*point)?)))
+                .collect();
+            let count = seen.len().max(1) as f64;
+            let middle = seen.iter().map(|(level, _)| level).sum::<f64>() / count;
+            let direction: DVec3 = seen
+                .iter()
+                .map(|(level, point)| *point * (level - middle))
+                .sum();
+            sum += direction.normalize_or_zero();
+        }
+        let axis = sum.abs();
+        let largest = axis.max_element();
+        if largest <= 0.0 || !largest.is_finite() {
+            return None;
+        }
+        Some(if axis.z == largest {
+            if sum.z > 0.0 {
+                (DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2), "z")
+            } else {
+                (DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2), "-z")
+            }
+        } else if axis.y == largest {
+            if sum.y > 0.0 {
+                (DQuat::IDENTITY, "y")
+            } else {
+                (DQuat::from_rotation_x(std::f64::consts::PI), "-y")
+            }
+        } else if sum.x > 0.0 {
+            (DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2), "x")
+        } else {
+            (DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2), "-x")
+        })
+    }
+}

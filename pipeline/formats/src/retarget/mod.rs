@@ -1,0 +1,856 @@
+//! Retargeting a motion from another skeleton to the body.
+//!
+//! Rotations are mapped by a constant rotation per joint. The pelvis follows the midpoint of the source's
+//! hips, scaled by the ratio of leg lengths, so that planted feet stay planted. Other bone lengths of the
+//! source have no effect.
+
+mod align;
+mod confidence;
+mod joint_map;
+mod rig;
+mod topology;
+mod track;
+mod unit;
+mod user_map;
+
+pub(crate) use joint_map::bare;
+pub use joint_map::{JOINT_MAPS, JointMap, Mapping, Origin};
+pub use rig::{Bone, Placed, Rest, Rig};
+pub(crate) use unit::body_height;
+pub use user_map::{UserMap, UserMapError};
+
+use datasets_spec::{Motion, Pose, Skeleton};
+use glam::{DQuat, DVec3};
+use kinematics::MotionBuilder;
+use kinematics::rotation::slerp;
+use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
+
+use self::align::{Alignment, SPINE};
+use self::confidence::Evidence;
+use self::track::{Track, TrackRest, leg_length};
+use self::user_map::{RestPose, Up};
+use crate::source::ReadOptions;
+use clip::check::FLAG_REFERENCE_DROPPED;
+use clip::{Rejected, RotationSource, SourceClip};
+use features::floor;
+
+/// Retargets a parsed file to the body of the options. The user's joint map takes precedence over
+/// known ones if the file has its joints.
+///
+/// # Errors
+/// The rig's code for skeletons if its skeleton is not a body, `E-NOT-FINITE` if joint positions are not
+/// finite, `E-UNIT` if the user states a unit in which the skeleton is no person.
+pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejected> {
+    let (skeleton, joint_map) = (&options.skeleton, options.user_map.as_ref());
+    let bones = rig.bones();
+    let rests = rig.rests();
+    let reject = |reason: String| Rejected::retarget(rig.skeleton_code(), reason);
+    let mapping = Mapping::find(&bones, &rests, joint_map).map_err(reject)?;
+    // The user's unit, axes and rest pose apply to files that the map fits.
+    let user_map = joint_map.filter(|_| mapping.origin == Origin::User);
+    let mut track = Track::follow(rig, &bones, &rests, &mapping)?;
+    let from_rest = by_rest(&track, user_map.and_then(UserMap::rest), skeleton);
+    let mut notes = vec![if mapping.is_guess() {
+        let evidence = Evidence::gather(&mapping, &bones, &track, from_rest.is_some());
+        trust(&evidence, &mapping).map_err(reject)?
+    } else {
+        format!("skeleton map {}", mapping.name)
+    }];
+    let absent = mapping.absent();
+    if !absent.is_empty() {
+        notes.push(format!("not in the source: {}", absent.join(", ")));
+    }
+    if let Some(map) = joint_map.filter(|_| user_map.is_none()) {
+        notes.push(format!(
+            "the joint map {} does not fit the file",
+            map.name()
+        ));
+    }
+    if rig.frames().start > 0 {
+        notes.push("frame 0 is the zero pose and was dropped".to_owned());
+    }
+    let stated_up = user_map.and_then(UserMap::up).map(Up::direction);
+    notes.extend(set_upright(&mut track, stated_up.or_else(|| rig.up())));
+    notes.extend(facing_note(&track, mapping.origin));
+    let alignment = match from_rest {
+        Some((alignment, name)) => {
+            notes.push(format!("joint frames from the {name}"));
+            alignment
+        }
+        None => {
+            notes.push(
+                "joint frames from the motion, as the zero pose is no standing one".to_owned(),
+            );
+            align::by_motion(&track, skeleton)
+        }
+    };
+    let body_leg = leg_length(|joint| skeleton.rest(joint));
+    notes.push(unit::note(rig, &track, body_leg, user_map, options)?);
+
+    let carrier = Carrier {
+        track: &track,
+        alignment,
+        scale: body_leg / track.leg_length(),
+        skeleton,
+    };
+    let carried = carrier.carry(rig, &bones)?;
+    let mut clip = SourceClip::new(carried.motion, RotationSource::Retargeted);
+    clip.fit_error_m = Some(carried.error_m as f32);
+    clip.source_frames = rig.frames();
+    if clip.source_frames.start > 0 {
+        clip.flags |= FLAG_REFERENCE_DROPPED;
+    }
+    clip.notes = notes;
+    Ok(clip)
+}
+
+/// The alignment by the first pose that shows a person standing, and what the pose is called; none
+/// if there is no such pose.
+fn by_rest(
+    track: &Track,
+    stated: Option<RestPose>,
+    skeleton: &Skeleton,
+) -> Option<(Alignment, &'static str)> {
+    let align = |rest: &TrackRest| {
+        align::by_rest_pose(rest, track, skeleton).map(|alignment| (alignment, rest.name))
+    };
+    match stated {
+        Some(RestPose::FirstFrame) => align(&track.first_frame()),
+        Some(RestPose::ZeroPose) | None => track.rests().iter().find_map(align),
+    }
+}
+
+/// The note on a guessed map, or why it is rejected.
+fn trust(evidence: &Evidence, mapping: &Mapping) -> Result<String, String> {
+    let confidence = evidence.confidence();
+    if confidence < confidence::LEAST {
+        return Err(format!(
+            "guessed the skeleton {} with confidence {confidence:.2}, expected at least {:.2}: {}; \
+             a joint map says which joint is which",
+            mapping.name,
+            confidence::LEAST,
+            evidence.doubts(mapping)
+        ));
+    }
+    Ok(format!(
+        "skeleton map guessed with confidence {confidence:.2}: {}",
+        mapping.name
+    ))
+}
+
+/// Rotates a track to y up, and notes the up axis if it was another.
+fn set_upright(track: &mut Track, stated_up: Option<DVec3>) -> Option<String> {
+    let (turn, axis) = match stated_up {
+        Some(up) => (align::y_up_from_axis(up), align::axis_name(up)),
+        None => align::y_up_from_source(mean_up(track)),
+    };
+    if axis == "y" {
+        return None;
+    }
+    track.turn(turn);
+    Some(format!("{axis} is up in the file"))
+}
+
+/// A note if the feet point backwards by the names of left and right.
+fn facing_note(track: &Track, origin: Origin) -> Option<String> {
+    let believed = match origin {
+        Origin::Topology => "build",
+        Origin::User | Origin::Dialect | Origin::Words => "names",
+    };
+    feet_point_backwards(track).then(|| {
+        format!(
+            "feet point away from where left and right put the front; the {believed} of the \
+             skeleton decided"
+        )
+    })
+}
+
+/// The direction from the hips to the head or neck, averaged over the frames.
+fn mean_up(track: &Track) -> DVec3 {
+    let top = if track.is_located(15) { 15 } else { 12 };
+    let sum: DVec3 = (0..track.num_frames())
+        .map(|frame| {
+            let points = track.points(frame);
+            (points[top] - points[1].midpoint(points[2])).normalize_or_zero()
+        })
+        .sum();
+    sum / track.num_frames() as f64
+}
+
+/// Whether the feet point backwards by the names of the sides.
+fn feet_point_backwards(track: &Track) -> bool {
+    let ahead: f64 = (0..track.num_frames())
+        .map(|frame| {
+            let points = track.points(frame);
+            let forward = (points[1] - points[2]).cross(DVec3::Y).normalize_or_zero();
+            [(7, 10), (8, 11)]
+                .into_iter()
+                .filter(|&(_, foot)| track.is_located(foot))
+                .map(|(ankle, foot)| {
+                    forward.dot((points[foot] - points[ankle]).normalize_or_zero())
+                })
+                .sum::<f64>()
+        })
+        .sum();
+    ahead < 0.0
+}
+
+/// Retargets the frames of a track to the body.
+struct Carrier<'a> {
+    track: &'a Track,
+    alignment: Alignment,
+    scale: f64,
+    skeleton: &'a Skeleton,
+}
+
+/// A retargeted motion.
+struct Carried {
+    motion: Motion,
+    /// Mean distance in metres between the joints of the body and of the source, whose bones keep their
+    /// directions but get the body's lengths. Both start from the same hips, which are rigid parts of the
+    /// pelvis.
+    error_m: f64,
+}
+
+/// A bone of the source that is compared with the body's.
+struct Compared {
+    joint: usize,
+    /// The nearest ancestor that the source has a position for.
+    from: usize,
+    /// The bone's length in the body in metres.
+    length: f64,
+}
+
+impl Carrier<'_> {
+    fn carry(&self, rig: &impl Rig, bones: &[Bone<'_>]) -> Result<Carried, Rejected> {
+        /// Poses held in working precision.
+        const AT_ONCE: usize = 1024;
+        let num_frames = rig.frames().len();
+        let offsets: [DVec3; NUM_BODY_JOINTS] =
+            std::array::from_fn(|joint| self.skeleton.offset(joint));
+        let compared = self.compared();
+        let mut builder = MotionBuilder::with_capacity(num_frames);
+        let mut poses = Vec::with_capacity(AT_ONCE);
+        let mut feet = Vec::with_capacity(num_frames);
+        let mut error = 0.0;
+        self.track
+            .every_frame(rig, bones, &mut |rotations, points| {
+                let global = self.global_rotations(rotations);
+                let body = self.joints(points, &global, &offsets);
+                error += self.direction_error(points, &body, &compared);
+                feet.push(floor::FOOT_JOINTS.map(|joint| body[joint]));
+                poses.push(Pose {
+                    transl: body[0] - self.skeleton.rest(0),
+                    rotations: std::array::from_fn(|joint| match joint {
+                        0 => global[0],
+                        _ => global[parent_of(joint)].conjugate() * global[joint],
+                    }),
+                });
+                if poses.len() == AT_ONCE {
+                    builder.extend(&poses);
+                    poses.clear();
+                }
+            });
+        builder.extend(&poses);
+        builder.raise(floor::shift(&feet, rig.fps()));
+        let motion = builder
+            .build(rig.fps())
+            .map_err(|error| Rejected::retarget("E-NOT-FINITE", error.to_string()))?;
+        let count = (num_frames * compared.len()).max(1);
+        Ok(Carried {
+            motion,
+            error_m: error / count as f64,
+        })
+    }
+
+    /// Global rotations of the body in a frame.
+    fn global_rotations(&self, source: &[DQuat; NUM_BODY_JOINTS]) -> [DQuat; NUM_BODY_JOINTS] {
+        let mut global = [DQuat::IDENTITY; NUM_BODY_JOINTS];
+        for joint in 0..NUM_BODY_JOINTS {
+            global[joint] = if self.track.is_mapped(joint) {
+                source[joint] * self.alignment[joint]
+            } else {
+                self.unmapped(&global, source, joint)
+            };
+        }
+        global
+    }
+
+    /// The global rotation of a joint the source lacks: between its neighbours in spine and neck,
+    /// otherwise that of its parent.
+    fn unmapped(
+        &self,
+        global: &[DQuat; NUM_BODY_JOINTS],
+        source: &[DQuat; NUM_BODY_JOINTS],
+        joint: usize,
+    ) -> DQuat {
+        let below = parent_of(joint);
+        let above = match joint {
+            12 => Some(15),
+            _ => SPINE
+                .into_iter()
+                .filter(|_| SPINE.contains(&joint))
+                .find(|&other| other > joint && self.track.is_mapped(other)),
+        };
+        match above.filter(|&above| self.track.is_mapped(above)) {
+            Some(above) => {
+                let height = |joint: usize| self.skeleton.rest(joint).y;
+                let share = (height(joint) - height(below)) / (height(above) - height(below));
+                slerp(global[below], source[above] * self.alignment[above], share)
+            }
+            None => global[below],
+        }
+    }
+
+    /// Positions of the body's joints in a frame in metres, at the height of the scaled source.
+    ///
+    /// It follows the hips, not the pelvis joint: skeletons place that joint differently, and feet would slide
+    /// whenever the pelvis tilts.
+    fn joints(
+        &self,
+        points: &[DVec3; NUM_BODY_JOINTS],
+        global: &[DQuat; NUM_BODY_JOINTS],
+        offsets: &[DVec3; NUM_BODY_JOINTS],
+    ) -> [DVec3; NUM_BODY_JOINTS] {
+        let hips_middle = points[1].midpoint(points[2]) * self.scale;
+        let pelvis = hips_middle - global[0] * offsets[1].midpoint(offsets[2]);
+        let mut body = [pelvis; NUM_BODY_JOINTS];
+        for joint in 1..NUM_BODY_JOINTS {
+            let above = parent_of(joint);
+            body[joint] = body[above] + global[above] * offsets[joint];
+        }
+        body
+    }
+
+    fn compared(&self) -> Vec<Compared> {
+        let is_placed = |joint: usize| joint < 3 || self.track.is_located(joint);
+        (3..NUM_BODY_JOINTS)
+            .filter(|&joint| self.track.is_located(joint))
+            .map(|joint| {
+                let mut from = parent_of(joint);
+                while !is_placed(from) {
+                    from = parent_of(from);
+                }
+                let length = self.skeleton.rest(joint).distance(self.skeleton.rest(from));
+                Compared {
+                    joint,
+                    from,
+                    length,
+                }
+            })
+            .collect()
+    }
+
+    /// Sum of one frame's distances for [`Carried::error_m`]. Bones without a direction in the source count as
+    /// equal to the body's.
+    fn direction_error(
+        &self,
+        points: &[DVec3; NUM_BODY_JOINTS],
+        body: &[DVec3; NUM_BODY_JOINTS],
+        compared: &[Compared],
+    ) -> f64 {
+        let mut placed = *body;
+        let mut sum = 0.0;
+        for bone in compared {
+            if let Some(direction) = (points[bone.joint] - points[bone.from]).try_normalize() {
+                placed[bone.joint] = placed[bone.from] + direction * bone.length;
+            }
+            sum += placed[bone.joint].distance(body[bone.joint]);
+        }
+        sum
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use datasets_spec::{Fps, Pose};
+    use glam::EulerRot;
+    use kinematics::rotation::{angle_between, from_axis_angle};
+    use proptest::prelude::*;
+
+    use testkit::walk;
+
+    use super::*;
+    use crate::source::bvh::BvhFile;
+    use clip::check::check;
+
+    /// How a test file says what the body does.
+    pub(crate) struct Dialect {
+        /// Metres of the file's unit.
+        pub(crate) metres: f64,
+        /// The file's world, seen from y up.
+        pub(crate) source_from_y_up: DQuat,
+        /// Frame of each joint within the body's own.
+        pub(crate) joint_frames: [DQuat; NUM_BODY_JOINTS],
+    }
+
+    impl Default for Dialect {
+        fn default() -> Self {
+            Self {
+                metres: 1.0,
+                source_from_y_up: DQuat::IDENTITY,
+                joint_frames: [DQuat::IDENTITY; NUM_BODY_JOINTS],
+            }
+        }
+    }
+
+    impl Dialect {
+        /// Joint frames turned every way, as rigs do that lay bones along x.
+        fn scrambled() -> Self {
+            Self {
+                metres: 0.01,
+                joint_frames: std::array::from_fn(|joint| {
+                    from_axis_angle(DVec3::new(1.0, -0.7, 0.4) * (0.9 + 0.35 * joint as f64))
+                }),
+                ..Self::default()
+            }
+        }
+
+        /// The poses of a SMPL-X body as a file.
+        pub(crate) fn write(&self, poses: &[Pose], skeleton: &Skeleton) -> String {
+            let names = JOINT_MAPS[0].source_names;
+            let mut text = "HIERARCHY\n".to_owned();
+            self.write_joint(0, skeleton, &names, &mut text);
+            text += &format!("MOTION\nFrames: {}\nFrame Time: 0.0333333\n", poses.len());
+            for pose in poses {
+                let pelvis = self.source_from_y_up * (pose.transl + skeleton.rest(0)) / self.metres;
+                text += &format!("{:.9} {:.9} {:.9}", pelvis.x, pelvis.y, pelvis.z);
+                for joint in joint_order(0) {
+                    let outer = match joint {
+                        0 => self.source_from_y_up,
+                        _ => self.joint_frames[parent_of(joint)].inverse(),
+                    };
+                    let local = outer * pose.rotations[joint] * self.joint_frames[joint];
+                    let (z, x, y) = local.to_euler(EulerRot::ZXY);
+                    for angle in [z, x, y] {
+                        text += &format!(" {:.9}", angle.to_degrees());
+                    }
+                }
+                text += "\n";
+            }
+            text
+        }
+
+        fn write_joint(
+            &self,
+            joint: usize,
+            skeleton: &Skeleton,
+            names: &[&str; NUM_BODY_JOINTS],
+            text: &mut String,
+        ) {
+            let (keyword, offset, positions) = match joint {
+                0 => ("ROOT", DVec3::ZERO, "6 Xposition Yposition Zposition"),
+                _ => {
+                    let in_parent = self.joint_frames[parent_of(joint)].inverse();
+                    (
+                        "JOINT",
+                        in_parent * skeleton.offset(joint) / self.metres,
+                        "3",
+                    )
+                }
+            };
+            *text += &format!(
+                "{keyword} {}\n{{\nOFFSET {:.9} {:.9} {:.9}\n\
+                 CHANNELS {positions} Zrotation Xrotation Yrotation\n",
+                names[joint], offset.x, offset.y, offset.z
+            );
+            for child in (1..NUM_BODY_JOINTS).filter(|&child| parent_of(child) == joint) {
+                self.write_joint(child, skeleton, names, text);
+            }
+            *text += "}\n";
+        }
+    }
+
+    /// The joints depth first, the order a hierarchy lists them in.
+    fn joint_order(joint: usize) -> Vec<usize> {
+        let mut order = vec![joint];
+        for child in (1..NUM_BODY_JOINTS).filter(|&child| parent_of(child) == joint) {
+            order.extend(joint_order(child));
+        }
+        order
+    }
+
+    fn with_map(map: &UserMap) -> ReadOptions {
+        ReadOptions {
+            user_map: Some(map.clone()),
+            ..ReadOptions::default()
+        }
+    }
+
+    fn retarget(text: &str) -> SourceClip {
+        let bvh = BvhFile::parse(text.as_bytes()).expect("the test writes valid files");
+        clip(&bvh, &ReadOptions::default()).expect("the test writes bodies")
+    }
+
+    pub(crate) fn assert_same_motion(clip: &SourceClip, poses: &[Pose]) {
+        assert_eq!(clip.motion.len(), poses.len());
+        let lift = f64::from(clip.motion.transl()[0][1]) - poses[0].transl.y;
+        for (found, expected) in clip.motion.poses().into_iter().zip(poses) {
+            for joint in 0..NUM_BODY_JOINTS {
+                let angle = angle_between(found.rotations[joint], expected.rotations[joint]);
+                assert!(angle < 1e-6, "joint {joint} differs by {angle} rad");
+            }
+            // f32 near 3 m resolves 2.4e-7 m.
+            assert!((found.transl - expected.transl - DVec3::Y * lift).length() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn the_bodys_own_skeleton_comes_back_unchanged() {
+        let skeleton = Skeleton::smplx_neutral();
+        let poses = walk(40);
+        let clip = retarget(&Dialect::default().write(&poses, &skeleton));
+        assert_same_motion(&clip, &poses);
+        assert!(clip.fit_error_m.expect("retargeted") < 1e-6);
+        assert_eq!(clip.rotation_source, RotationSource::Retargeted);
+    }
+
+    #[test]
+    fn long_motions_are_carried_frame_by_frame() {
+        let skeleton = Skeleton::smplx_neutral();
+        // More frames than a track holds, and z up. The walk starts again and again: far from the
+        // origin, f32 is too coarse for the comparison.
+        let poses: Vec<Pose> = walk(60).into_iter().cycle().take(9_000).collect();
+        let dialect = Dialect {
+            source_from_y_up: DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
+            ..Dialect::default()
+        };
+        let clip = retarget(&dialect.write(&poses, &skeleton));
+        assert_same_motion(&clip, &poses);
+        assert!(clip.fit_error_m.expect("retargeted") < 1e-6);
+    }
+
+    #[test]
+    fn unit_and_up_axis_do_not_matter() {
+        let skeleton = Skeleton::smplx_neutral();
+        let poses = walk(40);
+        for (metres, unit) in [
+            (0.01, "centimetres"),
+            (0.0254, "inches"),
+            (0.0254 / 0.45, "CMU"),
+        ] {
+            let dialect = Dialect {
+                metres,
+                source_from_y_up: DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
+                ..Dialect::default()
+            };
+            let clip = retarget(&dialect.write(&poses, &skeleton));
+            assert_same_motion(&clip, &poses);
+            assert!(
+                clip.notes.iter().any(|note| note.contains(unit)),
+                "{:?}",
+                clip.notes
+            );
+            assert!(clip.notes.iter().any(|note| note == "z is up in the file"));
+        }
+    }
+
+    #[test]
+    fn joint_frames_are_found_from_the_motion_where_the_zero_pose_means_nothing() {
+        let skeleton = Skeleton::smplx_neutral();
+        let poses = walk(120);
+        let clip = retarget(&Dialect::scrambled().write(&poses, &skeleton));
+        assert!(
+            clip.notes
+                .iter()
+                .any(|note| note.contains("from the motion")),
+            "{:?}",
+            clip.notes
+        );
+        for (found, expected) in clip.motion.poses().into_iter().zip(&poses) {
+            let (found_points, expected_points) =
+                (skeleton.keypoints(&found), skeleton.keypoints(expected));
+            // Limb bones point exactly where they point in the source.
+            for (joint, child) in [(1, 4), (4, 7), (2, 5), (16, 18), (18, 20), (19, 21)] {
+                let bone = |points: &[DVec3]| (points[child] - points[joint]).normalize();
+                let angle = bone(&found_points).angle_between(bone(&expected_points));
+                assert!(angle < 1e-5, "bone {joint}-{child} is off by {angle} rad");
+            }
+            // Twist and trunk are estimates: the rest pelvis leans by 5 degrees to one side and
+            // the rest spine by up to 11 degrees to the back, which no position tells.
+            let (found_global, expected_global) = (
+                skeleton.global_rotations(&found),
+                skeleton.global_rotations(expected),
+            );
+            for joint in 0..NUM_BODY_JOINTS {
+                let angle = angle_between(found_global[joint], expected_global[joint]);
+                assert!(angle < 0.3, "joint {joint} is off by {angle} rad");
+            }
+        }
+    }
+
+    /// A file with other names for its joints.
+    fn renamed(text: &str, name: impl Fn(usize) -> String) -> String {
+        let mut text = text.to_owned();
+        for (joint, old) in JOINT_MAPS[0].source_names.iter().enumerate() {
+            text = text.replace(&format!(" {old}\n"), &format!(" {}\n", name(joint)));
+        }
+        text
+    }
+
+    /// Names of a rig that no dialect knows, but whose words say what is what.
+    fn wordy(joint: usize) -> String {
+        [
+            "rig_pelvis",
+            "thigh.L",
+            "thigh.R",
+            "low",
+            "shin.L",
+            "shin.R",
+            "mid",
+            "foot.L",
+            "foot.R",
+            "top",
+            "toe.L",
+            "toe.R",
+            "neck",
+            "clavicle.L",
+            "clavicle.R",
+            "head",
+            "upper_arm.L",
+            "upper_arm.R",
+            "forearm.L",
+            "forearm.R",
+            "hand.L",
+            "hand.R",
+        ][joint]
+            .to_owned()
+    }
+
+    fn rejected(text: &str) -> Rejected {
+        let bvh = BvhFile::parse(text.as_bytes()).expect("a valid file");
+        clip(&bvh, &ReadOptions::default()).expect_err("no body")
+    }
+
+    #[test]
+    fn guessed_names_give_the_same_motion_and_say_how_sure_they_are() {
+        let poses = walk(40);
+        let text = Dialect::default().write(&poses, &Skeleton::smplx_neutral());
+        let clip = retarget(&renamed(&text, wordy));
+        assert_same_motion(&clip, &poses);
+        assert_eq!(
+            clip.notes[0],
+            "skeleton map guessed with confidence 1.00: by words in names, 22 of 22 joints found"
+        );
+        let nameless = retarget(&renamed(&text, |joint| format!("b{joint}")));
+        assert_same_motion(&nameless, &poses);
+        assert!(
+            nameless.notes[0].contains("confidence 0.80"),
+            "{:?}",
+            nameless.notes
+        );
+    }
+
+    #[test]
+    fn a_beast_with_human_names_is_refused() {
+        // Hips that never open: the trunk stays level over the legs, in a zero pose of no meaning.
+        let poses: Vec<Pose> = walk(40)
+            .into_iter()
+            .map(|mut pose| {
+                pose.rotations[0] = DQuat::from_rotation_x(1.6);
+                for hip in [1, 2] {
+                    pose.rotations[hip] = DQuat::from_rotation_x(-1.6);
+                }
+                for joint in [3, 4, 5, 6, 9] {
+                    pose.rotations[joint] = DQuat::IDENTITY;
+                }
+                pose
+            })
+            .collect();
+        let text = Dialect::scrambled().write(&poses, &Skeleton::smplx_neutral());
+        let rejected = rejected(&renamed(&text, wordy));
+        assert_eq!(
+            (rejected.code, rejected.stage),
+            ("E-BVH-SKELETON", "retarget")
+        );
+        assert!(
+            rejected.reason.contains("not upright"),
+            "{}",
+            rejected.reason
+        );
+    }
+
+    #[test]
+    fn the_users_map_comes_first() {
+        let skeleton = Skeleton::smplx_neutral();
+        let poses = walk(40);
+        let dialect = Dialect {
+            source_from_y_up: DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
+            ..Dialect::default()
+        };
+        let text = renamed(&dialect.write(&poses, &skeleton), |joint| {
+            format!("b{joint}")
+        });
+        let joints: Vec<String> = datasets_spec::Joint::ALL
+            .iter()
+            .map(|joint| format!("\"{}\": \"b{}\"", joint.name(), joint.index()))
+            .collect();
+        let map = format!(
+            "{{\"name\": \"mine\", \"joints\": {{{}}}, \"unit\": 1.0, \"up\": \"z\"}}",
+            joints.join(", ")
+        );
+        let map = UserMap::parse(&map).expect("a map");
+        let read = |text: &str| {
+            let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
+            clip(&bvh, &with_map(&map)).expect("a body")
+        };
+        let found = read(&text);
+        assert_same_motion(&found, &poses);
+        assert_eq!(found.notes[0], "skeleton map mine of the user");
+        assert!(found.notes.iter().any(|note| note == "z is up in the file"));
+        assert!(
+            found
+                .notes
+                .iter()
+                .any(|note| note.starts_with("unit m, as the joint map says"))
+        );
+        // Where its joints are not there, the file speaks for itself.
+        let other = read(&Dialect::default().write(&poses, &skeleton));
+        assert_eq!(other.notes[0], "skeleton map smplx");
+        assert!(
+            other
+                .notes
+                .iter()
+                .any(|note| note == "the joint map mine does not fit the file")
+        );
+    }
+
+    #[test]
+    fn a_first_frame_that_stands_can_be_the_rest() {
+        let skeleton = Skeleton::smplx_neutral();
+        let mut poses = walk(40);
+        poses[0].rotations = Pose::REST.rotations;
+        let text = Dialect::scrambled().write(&poses, &skeleton);
+        let joints: Vec<String> = datasets_spec::Joint::ALL
+            .iter()
+            .map(|joint| format!("\"{0}\": \"{0}\"", joint.name()))
+            .collect();
+        let map = format!(
+            "{{\"name\": \"mine\", \"joints\": {{{}}}, \"rest\": \"first-frame\"}}",
+            joints.join(", ")
+        );
+        let map = UserMap::parse(&map).expect("a map");
+        let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
+        let clip = clip(&bvh, &with_map(&map)).expect("a body");
+        assert!(
+            clip.notes
+                .iter()
+                .any(|note| note == "joint frames from the first frame")
+        );
+        // Without a rest, the twist of scrambled frames is an estimate; with one it is exact.
+        assert_same_motion(&clip, &poses);
+    }
+
+    #[test]
+    fn skeletons_that_are_no_body_are_refused_by_what_is_missing() {
+        let text = Dialect::default().write(&walk(3), &Skeleton::smplx_neutral());
+        let twice = rejected(&text.replace("JOINT spine2\n", "JOINT left_knee\n"));
+        assert_eq!(twice.code, "E-BVH-SKELETON");
+        let words = "found 2 joints named \"left_knee\"";
+        assert!(twice.reason.contains(words), "{}", twice.reason);
+        let toy = "HIERARCHY ROOT Base { OFFSET 0 0 0 CHANNELS 3 Zrotation Xrotation Yrotation \
+                   JOINT End { OFFSET 0 0 15 CHANNELS 3 Zrotation Xrotation Yrotation } } \
+                   MOTION Frames: 2 Frame Time: 0.1\n0 0 0 0 0 0\n1 1 1 1 1 1\n";
+        let rejected = rejected(toy);
+        assert_eq!(rejected.code, "E-BVH-SKELETON");
+        assert!(rejected.reason.contains("left_knee"), "{}", rejected.reason);
+    }
+
+    #[test]
+    fn bodies_without_size_or_of_absurd_size_are_refused() {
+        let skeleton = Skeleton::smplx_neutral();
+        for (metres, code) in [(1e12, "E-BVH-SKELETON"), (1e-12, "E-NOT-FINITE")] {
+            let dialect = Dialect {
+                metres,
+                ..Dialect::default()
+            };
+            assert_eq!(
+                rejected(&dialect.write(&walk(3), &skeleton)).code,
+                code,
+                "{metres}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_single_pose_is_no_motion() {
+        let clip = retarget(&Dialect::default().write(&walk(1), &Skeleton::smplx_neutral()));
+        let rejected = check(&clip.motion, &Skeleton::smplx_neutral()).expect_err("one frame");
+        assert_eq!(rejected.code, "E-TOO-SHORT");
+    }
+
+    #[test]
+    fn a_leading_zero_pose_is_dropped() {
+        let skeleton = Skeleton::smplx_neutral();
+        let mut poses = walk(20);
+        poses[0].rotations = Pose::REST.rotations;
+        let clip = retarget(&Dialect::default().write(&poses, &skeleton));
+        assert_eq!(
+            (
+                clip.source_frames.start,
+                clip.motion.len(),
+                clip.source_frames.end
+            ),
+            (1, 19, 20)
+        );
+        assert_eq!(clip.flags, FLAG_REFERENCE_DROPPED);
+    }
+
+    #[test]
+    fn feet_that_stand_keep_standing_on_longer_legs() {
+        let skeleton = Skeleton::smplx_neutral();
+        // The pelvis sways over feet that stay: a body of another size does the same.
+        let poses: Vec<Pose> = (0..40)
+            .map(|frame| {
+                let bend = 0.4 + 0.2 * (0.3 * f64::from(frame)).sin();
+                let mut pose = Pose::REST;
+                for (hip, knee, ankle) in [(1, 4, 7), (2, 5, 8)] {
+                    pose.rotations[hip] = DQuat::from_rotation_x(-bend);
+                    pose.rotations[knee] = DQuat::from_rotation_x(2.0 * bend);
+                    pose.rotations[ankle] = DQuat::from_rotation_x(-bend);
+                }
+                let ankles = skeleton.keypoints(&pose);
+                pose.transl = -ankles[7].midpoint(ankles[8]);
+                pose
+            })
+            .collect();
+        let dialect = Dialect {
+            metres: 0.5,
+            ..Dialect::default()
+        };
+        let clip = retarget(&dialect.write(&poses, &skeleton));
+        let quality = check(&clip.motion, &skeleton).expect("a valid motion");
+        // Both legs of the body differ in length by a centimetre, so the midpoint of the ankles
+        // stays while each ankle moves a little.
+        assert!(quality.foot_skate < 0.02, "{}", quality.foot_skate);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn no_edit_of_a_file_makes_it_panic(
+            edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..8),
+            digits in prop::collection::vec(any::<prop::sample::Index>(), 0..8),
+            scrambled in any::<bool>(),
+        ) {
+            let skeleton = Skeleton::smplx_neutral();
+            let dialect = if scrambled { Dialect::scrambled() } else { Dialect::default() };
+            let mut bytes = dialect.write(&walk(4), &skeleton).into_bytes();
+            for (at, byte) in edits {
+                let at = at.index(bytes.len());
+                bytes[at] = byte;
+            }
+            // Exponents in the place of digits keep the file valid and its numbers absurd.
+            for at in digits {
+                let at = at.index(bytes.len());
+                if bytes[at].is_ascii_digit() {
+                    bytes[at] = b'e';
+                }
+            }
+            if let Ok(clip) = BvhFile::parse(&bytes).and_then(|bvh| clip(&bvh, &ReadOptions::default())) {
+                prop_assert!(clip.motion.fps() <= Fps::new(1e4).expect("valid"));
+                prop_assert!(clip.fit_error_m.is_some());
+            }
+        }
+    }
+}

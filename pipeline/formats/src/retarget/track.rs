@@ -1,0 +1,259 @@
+//! The mapped joints of a source, frame by frame.
+
+use glam::{DQuat, DVec3};
+use kinematics::skeleton::NUM_BODY_JOINTS;
+
+use super::joint_map::Mapping;
+use super::rig::{Bone, Placed, Rest, Rig};
+use clip::Rejected;
+
+/// Global rotations and positions of the mapped joints of a source, in its own unit. Of long motions
+/// it holds evenly spaced frames, from which everything is estimated that is constant.
+pub(super) struct Track {
+    source_of: [Option<usize>; NUM_BODY_JOINTS],
+    anchors: [Anchor; NUM_BODY_JOINTS],
+    located: [bool; NUM_BODY_JOINTS],
+    /// Frames of the source to each that is held.
+    stride: usize,
+    /// Rotation of the source's axes so far.
+    turn: DQuat,
+    rotations: Vec<[DQuat; NUM_BODY_JOINTS]>,
+    points: Vec<[DVec3; NUM_BODY_JOINTS]>,
+    rests: Vec<TrackRest>,
+    leg_length: f64,
+}
+
+/// The mapped joints in a pose that may be a standing person, in the axes of the pose.
+pub(super) struct TrackRest {
+    /// Name of the pose.
+    pub(super) name: &'static str,
+    /// Global rotations, `[22]`; the identity for joints that are not mapped.
+    pub(super) rotations: [DQuat; NUM_BODY_JOINTS],
+    /// Positions, `[22]`; zero for joints that are not located.
+    pub(super) points: [DVec3; NUM_BODY_JOINTS],
+}
+
+/// Limit on the frames that a track holds, 1.2 kB each.
+const MAX_FRAMES: usize = 4096;
+
+/// Limit on coordinates in the file's unit: larger values are not motion and would overflow.
+const MAX_COORDINATE: f64 = 1e9;
+
+/// Joints of each foot, and the ankle whose end site replaces a missing foot joint.
+const FOOT_OF_ANKLE: [(usize, usize); 2] = [(7, 10), (8, 11)];
+
+/// The point of a bone that is a body joint: its origin, or its tip.
+type Anchor = Option<(usize, DVec3)>;
+
+impl Track {
+    /// Follows the mapped joints of a source.
+    ///
+    /// # Errors
+    /// `E-NOT-FINITE` if a joint position is not finite, the rig's code for skeletons if the legs have no
+    /// length.
+    pub(super) fn follow(
+        rig: &impl Rig,
+        bones: &[Bone<'_>],
+        rests: &[Rest],
+        mapping: &Mapping,
+    ) -> Result<Self, Rejected> {
+        let anchors = anchors(bones, mapping);
+        let num_frames = rig.frames().len();
+        let stride = num_frames.div_ceil(MAX_FRAMES).max(1);
+        let mut rotations = Vec::with_capacity(num_frames.div_ceil(stride));
+        let mut points = Vec::with_capacity(num_frames.div_ceil(stride));
+        let (mut lost, mut lost_rotation) = (None, None);
+        let mut legs = 0.0;
+        let mut visited = 0;
+        rig.follow(&needed(bones, &anchors), &mut |frame, placed| {
+            let frame_points = points_of(&anchors, placed);
+            // The sum is not finite if any number is not, or if it overflows.
+            let reach = frame_points
+                .iter()
+                .fold(0.0, |sum, point| sum + point.abs().element_sum());
+            if lost.is_none() && (reach.is_nan() || reach >= MAX_COORDINATE) {
+                lost = Some(frame);
+            }
+            let frame_rotations = rotations_of(&mapping.source_of, placed);
+            if lost_rotation.is_none() && !frame_rotations.iter().all(|q| q.is_finite()) {
+                lost_rotation = Some(visited);
+            }
+            legs += leg_length(|joint| frame_points[joint]);
+            if visited % stride == 0 {
+                rotations.push(frame_rotations);
+                points.push(frame_points);
+            }
+            visited += 1;
+        });
+        let lost = lost.or(lost_rotation);
+        if let Some(frame) = lost {
+            return Err(Rejected::retarget(
+                "E-NOT-FINITE",
+                format!(
+                    "found a joint beyond {MAX_COORDINATE:e} units in frame {frame}, expected a body"
+                ),
+            ));
+        }
+        let rests = rests
+            .iter()
+            .map(|rest| TrackRest {
+                name: rest.name,
+                rotations: rotations_of(&mapping.source_of, &rest.bones),
+                points: points_of(&anchors, &rest.bones),
+            })
+            .collect();
+        let track = Self {
+            source_of: mapping.source_of,
+            located: anchors.map(|anchor| anchor.is_some()),
+            anchors,
+            stride,
+            turn: DQuat::IDENTITY,
+            leg_length: legs / num_frames.max(1) as f64,
+            rotations,
+            points,
+            rests,
+        };
+        // Shorter than a micrometre in any unit: there are no bones.
+        const SHORTEST_LEG: f64 = 1e-6;
+        if track.points.is_empty() || track.leg_length < SHORTEST_LEG {
+            return Err(Rejected::retarget(
+                rig.skeleton_code(),
+                format!("found legs of length {}, expected bones", track.leg_length),
+            ));
+        }
+        Ok(track)
+    }
+
+    /// Rotates the whole track.
+    pub(super) fn turn(&mut self, turn: DQuat) {
+        self.turn = turn * self.turn;
+        for rotations in &mut self.rotations {
+            for rotation in rotations {
+                *rotation = turn * *rotation;
+            }
+        }
+        for points in &mut self.points {
+            for point in points {
+                *point = turn * *point;
+            }
+        }
+    }
+
+    /// Calls `visit` with rotations and positions of every frame of the source, in order.
+    pub(super) fn every_frame(
+        &self,
+        rig: &impl Rig,
+        bones: &[Bone<'_>],
+        visit: &mut dyn FnMut(&[DQuat; NUM_BODY_JOINTS], &[DVec3; NUM_BODY_JOINTS]),
+    ) {
+        if self.stride == 1 {
+            for (rotations, points) in self.rotations.iter().zip(&self.points) {
+                visit(rotations, points);
+            }
+            return;
+        }
+        rig.follow(&needed(bones, &self.anchors), &mut |_, placed| {
+            let rotations = rotations_of(&self.source_of, placed).map(|q| self.turn * q);
+            let points = points_of(&self.anchors, placed).map(|point| self.turn * point);
+            visit(&rotations, &points);
+        });
+    }
+
+    /// Number of frames held, at least one.
+    pub(super) fn num_frames(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Whether the source has this body joint.
+    pub(super) fn is_mapped(&self, joint: usize) -> bool {
+        self.source_of[joint].is_some()
+    }
+
+    /// Whether the source has a position for this body joint: the joint itself, or an end site.
+    pub(super) fn is_located(&self, joint: usize) -> bool {
+        self.located[joint]
+    }
+
+    /// Global rotations of a frame, `[22]`; the identity for joints that are not mapped.
+    pub(super) fn rotations(&self, frame: usize) -> &[DQuat; NUM_BODY_JOINTS] {
+        &self.rotations[frame]
+    }
+
+    /// Positions in a frame, `[22]`; zero for joints that are not located.
+    pub(super) fn points(&self, frame: usize) -> &[DVec3; NUM_BODY_JOINTS] {
+        &self.points[frame]
+    }
+
+    /// The poses that may be a standing person, the most reliable first.
+    pub(super) fn rests(&self) -> &[TrackRest] {
+        &self.rests
+    }
+
+    /// The first frame as such a pose.
+    pub(super) fn first_frame(&self) -> TrackRest {
+        TrackRest {
+            name: "first frame",
+            rotations: self.rotations[0],
+            points: self.points[0],
+        }
+    }
+
+    /// Mean length of both legs from hip over knee to ankle, over the frames.
+    pub(super) fn leg_length(&self) -> f64 {
+        self.leg_length
+    }
+}
+
+fn anchors(bones: &[Bone<'_>], mapping: &Mapping) -> [Anchor; NUM_BODY_JOINTS] {
+    let mut anchors = mapping
+        .source_of
+        .map(|source| source.map(|source| (source, DVec3::ZERO)));
+    for (ankle, foot) in FOOT_OF_ANKLE {
+        let tip = mapping.source_of[ankle]
+            .and_then(|source| Some((source, bones[source].tip?)))
+            .filter(|(_, offset)| *offset != DVec3::ZERO);
+        anchors[foot] = anchors[foot].or(tip);
+    }
+    anchors
+}
+
+/// The bones that carry an anchor, with their ancestors.
+fn needed(bones: &[Bone<'_>], anchors: &[Anchor; NUM_BODY_JOINTS]) -> Vec<bool> {
+    let mut needed = vec![false; bones.len()];
+    for (bone, _) in anchors.iter().flatten() {
+        let mut at = Some(*bone);
+        while let Some(index) = at.filter(|&index| !needed[index]) {
+            needed[index] = true;
+            at = bones[index].parent;
+        }
+    }
+    needed
+}
+
+fn rotations_of(
+    source_of: &[Option<usize>; NUM_BODY_JOINTS],
+    placed: &[Placed],
+) -> [DQuat; NUM_BODY_JOINTS] {
+    source_of.map(|source| source.map_or(DQuat::IDENTITY, |source| placed[source].rotation))
+}
+
+fn points_of(anchors: &[Anchor; NUM_BODY_JOINTS], placed: &[Placed]) -> [DVec3; NUM_BODY_JOINTS] {
+    anchors.map(|anchor| {
+        anchor.map_or(DVec3::ZERO, |(source, offset)| {
+            let Placed { position, rotation } = placed[source];
+            if offset == DVec3::ZERO {
+                position
+            } else {
+                position + rotation * offset
+            }
+        })
+    })
+}
+
+/// Mean length of both legs from hip over knee to ankle.
+pub(super) fn leg_length(point: impl Fn(usize) -> DVec3) -> f64 {
+    let leg = |hip: usize, knee: usize, ankle: usize| {
+        point(hip).distance(point(knee)) + point(knee).distance(point(ankle))
+    };
+    0.5 * (leg(1, 4, 7) + leg(2, 5, 8))
+}

@@ -1,0 +1,223 @@
+//! Joint maps that a user writes for a skeleton that is not known.
+
+use std::collections::BTreeMap;
+
+use datasets_spec::Joint;
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+/// A joint map written by a user, as JSON:
+///
+/// ```json
+/// {"name": "my rig", "joints": {"pelvis": "root", "left_hip": "thigh.L"},
+///  "unit": 0.01, "up": "z", "rest": "first-frame"}
+/// ```
+///
+/// `joints` gives the source name of each SMPL-X body joint. `unit` is the number of metres of the
+/// file's unit, `up` the axis that is up in the file (x, y, z or one of them with a minus), `rest`
+/// the pose in which the source stands upright: `zero-pose` or `first-frame`. All three are
+/// optional and found from the motion otherwise.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct UserMap {
+    name: String,
+    joints: BTreeMap<Joint, String>,
+    unit: Option<f64>,
+    up: Option<Up>,
+    rest: Option<RestPose>,
+}
+
+/// The up axis of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Up {
+    #[serde(rename = "x")]
+    X,
+    #[serde(rename = "-x")]
+    MinusX,
+    #[serde(rename = "y")]
+    Y,
+    #[serde(rename = "-y")]
+    MinusY,
+    #[serde(rename = "z")]
+    Z,
+    #[serde(rename = "-z")]
+    MinusZ,
+}
+
+impl Up {
+    /// The axis as a direction.
+    pub(super) fn direction(self) -> DVec3 {
+        match self {
+            Self::X => DVec3::X,
+            Self::MinusX => DVec3::NEG_X,
+            Self::Y => DVec3::Y,
+            Self::MinusY => DVec3::NEG_Y,
+            Self::Z => DVec3::Z,
+            Self::MinusZ => DVec3::NEG_Z,
+        }
+    }
+}
+
+/// The pose in which a source stands upright.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum RestPose {
+    /// All rotations zero, or the bind pose.
+    ZeroPose,
+    /// The first frame of the motion.
+    FirstFrame,
+}
+
+/// Why a joint map is refused.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum UserMapError {
+    /// It is not JSON, or has unknown fields.
+    #[error("a joint map is JSON with name, joints and, if needed, unit, up and rest")]
+    Syntax(#[from] serde_json::Error),
+    /// A joint of the map is not an SMPL-X body joint.
+    #[error("joint map names {joint}, which is no SMPL-X body joint such as left_knee")]
+    Joint {
+        /// The name given.
+        joint: String,
+    },
+    /// Two body joints have the same source joint.
+    #[error("joint map gives {source_name} to two joints; name a source joint once")]
+    Twice {
+        /// The source joint.
+        source_name: String,
+    },
+    /// The unit is not a positive number.
+    #[error("joint map has a unit of {unit} m; expected a positive number of metres")]
+    Unit {
+        /// The unit given.
+        unit: f64,
+    },
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    name: String,
+    joints: BTreeMap<String, String>,
+    unit: Option<f64>,
+    up: Option<Up>,
+    rest: Option<RestPose>,
+}
+
+impl UserMap {
+    /// BLAKE3 of the map, hexadecimal.
+    pub fn hash(&self) -> String {
+        let Self {
+            name,
+            joints,
+            unit,
+            up,
+            rest,
+        } = self;
+        let joints = joints.iter().map(|(joint, name)| (joint.name(), name));
+        let joints: BTreeMap<&str, &String> = joints.collect();
+        let text = serde_json::to_string(&(name, joints, unit, up, rest));
+        let text = text.expect("names and numbers serialise");
+        blake3::hash(text.as_bytes()).to_hex().to_string()
+    }
+
+    /// Parses the JSON text of a map.
+    ///
+    /// # Errors
+    /// The text is no such JSON, a joint is unknown, a source joint is named twice, or the unit is
+    /// not positive.
+    pub fn parse(text: &str) -> Result<Self, UserMapError> {
+        let file: File = serde_json::from_str(text)?;
+        let mut joints: BTreeMap<Joint, String> = BTreeMap::new();
+        for (joint, source_name) in file.joints {
+            let joint = joint.parse().map_err(|_| UserMapError::Joint {
+                joint: joint.clone(),
+            })?;
+            if joints.values().any(|taken| *taken == source_name) {
+                return Err(UserMapError::Twice { source_name });
+            }
+            joints.insert(joint, source_name);
+        }
+        if let Some(unit) = file.unit.filter(|unit| !(unit.is_finite() && *unit > 0.0)) {
+            return Err(UserMapError::Unit { unit });
+        }
+        Ok(Self {
+            name: file.name,
+            joints,
+            unit: file.unit,
+            up: file.up,
+            rest: file.rest,
+        })
+    }
+
+    /// Name of the map.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Source name of a body joint, if the map has it.
+    pub(super) fn source_name(&self, joint: Joint) -> Option<&str> {
+        self.joints.get(&joint).map(String::as_str)
+    }
+
+    /// Metres of the file's unit.
+    pub(super) fn unit(&self) -> Option<f64> {
+        self.unit
+    }
+
+    /// The axis that is up.
+    pub(super) fn up(&self) -> Option<Up> {
+        self.up
+    }
+
+    /// The pose in which the source stands.
+    pub(super) fn rest(&self) -> Option<RestPose> {
+        self.rest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_map_is_read_with_all_its_fields() {
+        let map = UserMap::parse(
+            r#"{"name": "rig", "joints": {"pelvis": "root", "left_hip": "thigh.L"},
+                "unit": 0.01, "up": "-z", "rest": "first-frame"}"#,
+        )
+        .expect("valid");
+        assert_eq!(map.name(), "rig");
+        assert_eq!(map.source_name(Joint::LeftHip), Some("thigh.L"));
+        assert_eq!(map.source_name(Joint::RightHip), None);
+        assert_eq!(map.unit(), Some(0.01));
+        assert_eq!(map.up().map(Up::direction), Some(DVec3::NEG_Z));
+        assert_eq!(map.rest(), Some(RestPose::FirstFrame));
+        let plain = UserMap::parse(r#"{"name": "", "joints": {}}"#).expect("valid");
+        assert_eq!((plain.unit(), plain.up(), plain.rest()), (None, None, None));
+    }
+
+    #[test]
+    fn what_is_no_map_says_what_is_wrong() {
+        for (text, words) in [
+            ("[]", "joint map is JSON"),
+            (
+                r#"{"name": "a", "joints": {}, "scale": 2}"#,
+                "joint map is JSON",
+            ),
+            (
+                r#"{"name": "a", "joints": {}, "up": "w"}"#,
+                "joint map is JSON",
+            ),
+            (r#"{"name": "a", "joints": {"tail": "t"}}"#, "names tail"),
+            (
+                r#"{"name": "a", "joints": {"head": "t", "neck": "t"}}"#,
+                "gives t to two joints",
+            ),
+            (r#"{"name": "a", "joints": {}, "unit": -1}"#, "unit of -1 m"),
+        ] {
+            let error = UserMap::parse(text).expect_err(text);
+            assert!(error.to_string().contains(words), "{text}: {error}");
+        }
+    }
+}

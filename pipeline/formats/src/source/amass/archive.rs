@@ -1,0 +1,268 @@
+//! The arrays of an npz archive as parameters.
+
+use std::io::{Cursor, Read, Seek};
+
+use kinematics::motion::BODY_POSE_WIDTH;
+use pickle::npy::{self, Rows};
+use pickle::npz::Archive;
+
+use super::parameters::Parameters;
+use super::variant::Variant;
+use crate::source::robot;
+use clip::{MAX_FPS, MIN_FPS, Rejected};
+
+/// Both spellings of the frame rate: that of the SMPL-H and that of the SMPL-X releases.
+const FPS_KEYS: [&str; 2] = ["mocap_framerate", "mocap_frame_rate"];
+
+/// Contents of an archive.
+pub enum Parsed<'a> {
+    /// A recording.
+    Parameters(Box<Parameters<'a>>),
+    /// Something that belongs to AMASS and is no motion.
+    NoMotion {
+        /// What it is.
+        reason: String,
+    },
+}
+
+/// Reads the parameters of an archive.
+///
+/// # Errors
+/// As [`super::read`].
+pub fn parse(bytes: &[u8]) -> Result<Parsed<'_>, Rejected> {
+    parse_at(bytes, None)
+}
+
+/// [`parse`], with a rate in 1/s in place of the one the archive states, if any.
+///
+/// # Errors
+/// As [`super::read`].
+pub fn parse_at(bytes: &[u8], rate: Option<f64>) -> Result<Parsed<'_>, Rejected> {
+    let mut archive = Archive::in_memory(bytes)?;
+    let split_poses = archive.has("root_orient") && archive.has("pose_body");
+    if !archive.has("trans") || !(archive.has("poses") || split_poses) {
+        return no_poses(archive.keys());
+    }
+    let gender = read_gender(&mut archive);
+    let known = gender.as_ref().ok().and_then(Option::as_deref);
+    let (variant, root, body, body_at) = if archive.has("poses") {
+        let poses = matrix(&mut archive, bytes, "poses")?;
+        let variant = Variant::of_width(poses.width(), known).ok_or_else(|| {
+            Rejected::read(
+                "E-AMASS-SHAPE",
+                format!(
+                    "found poses of {} columns, expected 72 (SMPL), 156 (SMPL-H) or 165 (SMPL-X)",
+                    poses.width()
+                ),
+            )
+        })?;
+        (variant, poses.clone(), poses, 3)
+    } else {
+        let root = matrix(&mut archive, bytes, "root_orient")?;
+        let body = matrix(&mut archive, bytes, "pose_body")?;
+        expect_columns("root_orient", &root, 3)?;
+        expect_columns("pose_body", &body, BODY_POSE_WIDTH)?;
+        (Variant::smplx(known), root, body, 0)
+    };
+    let trans = matrix(&mut archive, bytes, "trans")?;
+    expect_columns("trans", &trans, 3)?;
+    let num_frames = trans.num_rows();
+    for (key, found) in [
+        ("root orientations", root.num_rows()),
+        ("body poses", body.num_rows()),
+    ] {
+        if found != num_frames {
+            return Err(Rejected::read(
+                "E-AMASS-SHAPE",
+                format!("found {found} {key}, expected {num_frames} as trans has"),
+            ));
+        }
+    }
+    if num_frames == 0 {
+        return Err(Rejected::read(
+            "E-TOO-SHORT",
+            "found 0 frames, expected at least 2",
+        ));
+    }
+    let stated_fps = match rate {
+        Some(rate) => rate,
+        None => read_fps(&mut archive)?,
+    };
+    let betas = read_betas(&mut archive);
+    let parameters = Parameters {
+        stated_fps,
+        variant,
+        gender,
+        betas,
+        trans,
+        root,
+        body,
+        body_at,
+    };
+    parameters.check_finite()?;
+    Ok(Parsed::Parameters(Box::new(parameters)))
+}
+
+/// Variant, number of frames and frame rate, read from the headers of the arrays alone.
+///
+/// # Errors
+/// As [`super::read`], shapes and rates excepted.
+pub fn peek<R: Read + Seek>(reader: R) -> Result<Option<(Variant, usize, f64)>, Rejected> {
+    let mut archive = Archive::open(reader)?;
+    let key = if archive.has("poses") {
+        "poses"
+    } else {
+        "pose_body"
+    };
+    if !archive.has("trans") || !archive.has(key) {
+        return Ok(None);
+    }
+    let gender = read_gender(&mut archive).ok().flatten();
+    let shape = archive.shape(key)?;
+    let [num_frames, width] = shape[..] else {
+        return Ok(None);
+    };
+    let variant = match key {
+        "poses" => Variant::of_width(width, gender.as_deref()),
+        _ => Some(Variant::smplx(gender.as_deref())),
+    };
+    let fps = read_fps(&mut archive)?;
+    Ok(variant.map(|variant| (variant, num_frames, fps)))
+}
+
+/// Refuses a recording whose arrays are too large to be read, by the list of members and the headers alone.
+pub(super) fn refuse_large<R: Read + Seek>(reader: R) -> Option<Rejected> {
+    let mut archive = Archive::open(reader).ok()?;
+    for key in ["poses", "pose_body", "root_orient", "trans"] {
+        let Some(error) = archive
+            .has(key)
+            .then(|| archive.check_size(key).err())
+            .flatten()
+        else {
+            continue;
+        };
+        let mut rejected = Rejected::from(error);
+        if let (Ok(shape), Ok(fps)) = (archive.shape(key), read_fps(&mut archive)) {
+            let frames = shape.first().copied().unwrap_or(0);
+            rejected.reason = format!(
+                "{frames} frames at {fps} fps are {:.1} hours: {}; cut the recording into parts",
+                frames as f64 / fps / 3600.0,
+                rejected.reason
+            );
+        }
+        return Some(rejected);
+    }
+    None
+}
+
+fn no_poses<'a>(keys: &[String]) -> Result<Parsed<'a>, Rejected> {
+    let has = |key: &str| keys.iter().any(|found| found == key);
+    let list = keys.join(", ");
+    let is_still = !has("trans") && !FPS_KEYS.into_iter().any(has);
+    if is_still && (has("betas") || has("markers_latent")) {
+        return Ok(Parsed::NoMotion {
+            reason: format!("body shape of a subject, no motion (keys: {list})"),
+        });
+    }
+    if let Some(reason) = robot::archived(has) {
+        return Ok(Parsed::NoMotion { reason });
+    }
+    let hint = if has("posed_joints") || has("global_rot_mats") {
+        "; joint positions and global rotations of another skeleton than SMPL are not read"
+    } else {
+        ""
+    };
+    Err(Rejected::read(
+        "E-AMASS-KEYS",
+        format!(
+            "found keys {list}; expected trans and either poses or root_orient and pose_body{hint}"
+        ),
+    ))
+}
+
+/// An array of two dimensions.
+fn matrix<'a>(
+    archive: &mut Archive<Cursor<&'a [u8]>>,
+    bytes: &'a [u8],
+    key: &str,
+) -> Result<Rows<'a>, Rejected> {
+    let member = archive.borrowed(bytes, key)?;
+    Rows::new(key, member)?.map_err(|shape| {
+        Rejected::read(
+            "E-AMASS-SHAPE",
+            format!("found {key} of shape {shape:?}, expected frames by columns"),
+        )
+    })
+}
+
+/// The shape of the subject's body, which is optional: empty where it cannot be read.
+fn read_betas<R: Read + Seek>(archive: &mut Archive<R>) -> Vec<f64> {
+    if !archive.has("betas") {
+        return Vec::new();
+    }
+    let betas = archive.numbers("betas").map(|array| array.values);
+    betas
+        .ok()
+        .filter(|betas| betas.iter().all(|beta| beta.is_finite()))
+        .unwrap_or_default()
+}
+
+/// The gender, which releases write as text, as bytes, or as an array of either; or why it cannot be
+/// read. It is optional.
+fn read_gender<R: Read + Seek>(archive: &mut Archive<R>) -> Result<Option<String>, String> {
+    if !archive.has("gender") {
+        return Ok(None);
+    }
+    let gender = archive
+        .member("gender")
+        .and_then(|bytes| npy::read_text("gender", &bytes))
+        .map_err(|rejected| rejected.reason)?;
+    // Python 2 wrote the text of a bytes object.
+    let gender = gender.trim_start_matches("b'").trim_end_matches('\'');
+    Ok(Some(gender.to_owned()))
+}
+
+/// The frame rate an archive states, in 1/s.
+///
+/// # Errors
+/// `E-AMASS-FPS`, or those of [`npy`].
+pub fn read_fps<R: Read + Seek>(archive: &mut Archive<R>) -> Result<f64, Rejected> {
+    let key = FPS_KEYS
+        .into_iter()
+        .find(|key| archive.has(key))
+        .ok_or_else(|| {
+            Rejected::read(
+                "E-AMASS-FPS",
+                format!(
+                    "found keys {}, expected {}",
+                    archive.keys().join(", "),
+                    FPS_KEYS.join(" or ")
+                ),
+            )
+        })?;
+    let rate = archive.numbers(key)?;
+    let value = rate.values.first().copied().unwrap_or(f64::NAN);
+    if rate.values.len() == 1 && (MIN_FPS..=MAX_FPS).contains(&value) {
+        return Ok(value);
+    }
+    Err(Rejected::read(
+        "E-AMASS-FPS",
+        format!(
+            "found {key} {value} ({} values), expected one of {MIN_FPS} to {MAX_FPS}",
+            rate.values.len()
+        ),
+    ))
+}
+
+fn expect_columns(key: &str, rows: &Rows<'_>, expected: usize) -> Result<(), Rejected> {
+    if rows.width() == expected {
+        return Ok(());
+    }
+    Err(Rejected::read(
+        "E-AMASS-SHAPE",
+        format!(
+            "found {key} of {} columns, expected {expected}",
+            rows.width()
+        ),
+    ))
+}

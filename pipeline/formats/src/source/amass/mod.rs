@@ -1,0 +1,117 @@
+//! The AMASS reader: SMPL, SMPL-H and SMPL-X parameters in an npz archive, z up.
+
+mod archive;
+pub mod catalogue;
+mod parameters;
+mod rate;
+#[cfg(test)]
+pub(crate) mod tests;
+mod variant;
+
+use std::path::Path;
+
+use datasets_spec::store::Reader;
+use kinematics::resample;
+
+use rate::Rate;
+
+use super::format::{Format, Recognised, SourceFormat};
+use super::options::ReadOptions;
+use super::smpl::y_up_from_z_up;
+use clip::{Outcome, Rejected, RotationSource, SourceClip, check_resampled};
+
+pub use archive::{Parsed, parse};
+pub use archive::{parse_at, peek, read_fps};
+pub use parameters::Parameters;
+pub use variant::Variant;
+
+/// Reads an archive as a motion of the given body; an archive without motion is skipped. `path` names
+/// the subset, whose known frame rate replaces a wrong stated one; both are noted and the clip is
+/// flagged.
+///
+/// The 22 body rotations are used unchanged: the joints of SMPL, SMPL-H and SMPL-X agree in order and
+/// rest orientation. Body shape is ignored: the store's one body performs the motion. With a
+/// [`ReadOptions::rate`], the clip is interpolated at exact times to that rate; only the frames this
+/// needs are converted, and the floor is estimated from them. All frames are checked to be finite.
+///
+/// # Errors
+/// `E-NPZ-TRUNCATED`, `E-NPZ-LIMIT`, `E-ARCHIVE-PATH`, those of [`pickle::npy`], `E-AMASS-KEYS`,
+/// `E-AMASS-SHAPE`, `E-AMASS-FPS`, `E-TOO-SHORT` or `E-NOT-FINITE`.
+///
+/// # Source
+/// For a rotation `Q` of the world, `R' = Q R` and `t' = Q (t + J0) - J0` with `J0` the rest
+/// position of the pelvis, about which SMPL turns the body.
+pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Outcome, Rejected> {
+    let (rate, skeleton) = (options.rate, &options.skeleton);
+    let parameters = match parse(bytes)? {
+        Parsed::Parameters(parameters) => *parameters,
+        Parsed::NoMotion { reason } => return Ok(Outcome::Skipped { reason }),
+    };
+    let stated = Rate::of(path, parameters.stated_fps)?;
+    let num_frames = parameters.num_frames();
+    let target = rate.unwrap_or(stated.fps);
+    check_resampled(num_frames, stated.fps, target)?;
+    let grid = if target == stated.fps {
+        (0..num_frames).map(|frame| (frame, 0.0)).collect()
+    } else {
+        resample::grid(num_frames, stated.fps, target)
+    };
+    let motion = parameters.motion_at(&grid, y_up_from_z_up(), target, skeleton)?;
+    let mut clip = SourceClip::new(motion, RotationSource::Native);
+    clip.source_frames = 0..num_frames;
+    clip.source_fps = stated.fps;
+    clip.body = parameters.body(options);
+    clip.notes = parameters.notes(skeleton, clip.body.is_some());
+    clip.notes.extend(subset_note(path));
+    clip.notes.extend(stated.note);
+    clip.flags = stated.flags;
+    Ok(Outcome::Clip(Box::new(clip)))
+}
+
+/// A note on the subset that a path belongs to, under its current name.
+fn subset_note(path: &Path) -> Option<String> {
+    let (subset, found) = catalogue::subset_of(path)?;
+    Some(if subset.name == found {
+        format!("AMASS subset {found}")
+    } else {
+        format!("AMASS subset {} (here under the name {found})", subset.name)
+    })
+}
+
+/// AMASS: SMPL, SMPL-H or SMPL-X parameters in an npz archive.
+pub const FORMAT: Format = Format::new(&Amass);
+
+#[derive(Debug)]
+struct Amass;
+
+impl SourceFormat for Amass {
+    fn name(&self) -> &'static str {
+        "amass"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // SMPL-H at 120 fps in f8.
+        160_000.0
+    }
+
+    fn by_name(&self, extension: &str, name: &str, _head: &[u8]) -> Option<Recognised> {
+        let no_motion = |reason: &str| Recognised::NotMotion {
+            reason: reason.to_owned(),
+        };
+        (extension == "npz").then(|| match name {
+            "shape.npz" => no_motion("body shape of a subject, no motion"),
+            name if name.ends_with("_stagei.npz") => {
+                no_motion("body shape of a subject (MoSh stage i), no motion")
+            }
+            _ => Recognised::Motion(FORMAT),
+        })
+    }
+
+    fn refuse_large(&self, file: Reader) -> Option<Rejected> {
+        archive::refuse_large(file)
+    }
+
+    fn read(&self, path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        read(path, bytes, options).unwrap_or_else(Outcome::Rejected)
+    }
+}

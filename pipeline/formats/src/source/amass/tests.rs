@@ -1,0 +1,342 @@
+use std::io::{Cursor, Write};
+
+use kinematics::rotation::angle_between;
+use proptest::prelude::*;
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
+
+use pickle::npy;
+use testkit::{npy, npy_f8, npz};
+
+use super::*;
+use clip::check::FLAG_FPS_DOUBTFUL;
+use datasets_spec::{Fps, Skeleton};
+use glam::{DQuat, DVec3};
+
+pub(crate) use testkit::clip_members;
+
+fn read_at(path: &str, members: &[(&str, Vec<u8>)]) -> Result<Outcome, Rejected> {
+    read(Path::new(path), &npz(members), &ReadOptions::default())
+}
+
+fn read_members(members: &[(&str, Vec<u8>)]) -> Result<Outcome, Rejected> {
+    read_at("clip_poses.npz", members)
+}
+
+fn clip(members: &[(&str, Vec<u8>)]) -> SourceClip {
+    match read_members(members).expect("reads") {
+        Outcome::Clip(clip) => *clip,
+        outcome => panic!("{outcome:?}"),
+    }
+}
+
+fn code(members: &[(&str, Vec<u8>)]) -> &'static str {
+    match read_members(members) {
+        Err(rejected) => rejected.code,
+        Ok(_) => "accepted",
+    }
+}
+
+#[test]
+fn a_body_facing_minus_y_in_z_up_faces_plus_z_in_the_store() {
+    let skeleton = Skeleton::smplx_neutral();
+    // A standing body of AMASS: a quarter turn about x, so that it faces -y.
+    let mut poses = vec![0.0; 2 * 72];
+    for frame in 0..2 {
+        poses[72 * frame] = std::f64::consts::FRAC_PI_2;
+    }
+    let trans = [1.0, 2.0, 3.0, 1.5, 2.0, 3.0];
+    let clip = clip(&[
+        ("poses", npy_f8(&[2, 72], &poses)),
+        ("trans", npy_f8(&[2, 3], &trans)),
+        ("mocap_frame_rate", npy_f8(&[], &[60.0])),
+    ]);
+    assert_eq!(clip.motion.fps().get(), 60.0);
+    let pose = clip.motion.pose(0);
+    assert!(
+        pose.rotations[0].angle_between(DQuat::IDENTITY) < 1e-6,
+        "faces +z"
+    );
+    let pelvis = skeleton.keypoints(&pose)[0];
+    let in_file = DVec3::new(1.0, 2.0, 3.0) + skeleton.rest(0);
+    // Only the height is free: it is set by the floor.
+    assert!((pelvis.x - in_file.x).abs() < 1e-6 && (pelvis.z + in_file.y).abs() < 1e-6);
+    let moved = skeleton.keypoints(&clip.motion.pose(1))[0] - pelvis;
+    assert!((moved - DVec3::X * 0.5).length() < 1e-6);
+}
+
+#[test]
+fn all_layouts_carry_the_same_body_rotations() {
+    let split = {
+        let mut members = clip_members(4, 165);
+        let poses = npy::read_numbers("poses", &members[0].1).expect("valid");
+        let columns = |poses: &npy::Array, range: std::ops::Range<usize>| -> Vec<f64> {
+            let rows = poses.values.chunks_exact(poses.shape[1]);
+            rows.flat_map(|row| row[range.clone()].to_vec()).collect()
+        };
+        members[0] = ("root_orient", npy_f8(&[4, 3], &columns(&poses, 0..3)));
+        members.push(("pose_body", npy_f8(&[4, 63], &columns(&poses, 3..66))));
+        members
+    };
+    for members in [
+        clip_members(4, 72),
+        clip_members(4, 156),
+        clip_members(4, 165),
+        split,
+    ] {
+        let motion = clip(&members).motion;
+        assert_eq!((motion.len(), motion.fps().get()), (4, 120.0));
+        let poses = match npy::read_numbers("poses", &members[0].1).expect("valid") {
+            npy::Array { shape, values } if shape[1] > 3 => values[3..66].to_vec(),
+            _ => npy::read_numbers("pose_body", &members[4].1)
+                .expect("valid")
+                .values[..63]
+                .to_vec(),
+        };
+        for (stored, in_file) in motion.body_pose()[0].iter().zip(poses) {
+            assert_eq!(*stored, in_file as f32, "copied, not recomputed");
+        }
+    }
+}
+
+#[test]
+fn a_clip_read_at_a_rate_is_the_whole_clip_resampled() {
+    // At 120 fps frames of 20 and 30 fps are frames of the file, those of 25 fps lie between.
+    for (fps, between) in [(20.0, false), (30.0, false), (25.0, true)] {
+        let bytes = npz(&clip_members(100, 156));
+        let read_with = |rate: Option<Fps>| {
+            let options = ReadOptions {
+                rate,
+                ..ReadOptions::default()
+            };
+            match read(Path::new("x.npz"), &bytes, &options) {
+                Ok(Outcome::Clip(clip)) => *clip,
+                _ => panic!("the archive is good"),
+            }
+        };
+        let fps = Fps::new(fps).expect("a rate");
+        let (whole, at_rate) = (read_with(None), read_with(Some(fps)));
+        assert_eq!(at_rate.source_fps, whole.motion.fps());
+        assert_eq!(at_rate.source_frames, 0..100);
+        let resampled = resample::Resample::Exact
+            .apply(&whole.motion, fps)
+            .expect("resampled");
+        assert_eq!(at_rate.motion.len(), resampled.len());
+        // The floor is that of other frames.
+        let rise = at_rate.motion.transl()[0][1] - resampled.transl()[0][1];
+        for frame in 0..resampled.len() {
+            let (found, expected) = (at_rate.motion.pose(frame), resampled.pose(frame));
+            let apart = found.transl - expected.transl - DVec3::Y * f64::from(rise);
+            assert!(apart.length() < 1e-6, "{apart}");
+            for joint in 0..22 {
+                let (found, expected) = (found.rotations[joint], expected.rotations[joint]);
+                // Stored in f32, once and twice.
+                assert!(angle_between(found, expected) < 1e-6);
+            }
+            if !between {
+                let copied = at_rate.motion.body_pose()[frame];
+                let stride = (120.0 / fps.get()) as usize;
+                assert_eq!(copied, whole.motion.body_pose()[stride * frame], "bits");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_wrong_is_rejected_by_code() {
+    let without = |key: &str| -> Vec<(&'static str, Vec<u8>)> {
+        clip_members(3, 156)
+            .into_iter()
+            .filter(|(found, _)| *found != key)
+            .collect()
+    };
+    let with = |key: &'static str, bytes: Vec<u8>| {
+        let mut members = without(key);
+        members.push((key, bytes));
+        members
+    };
+    assert_eq!(code(&clip_members(3, 156)), "accepted");
+    assert_eq!(code(&without("trans")), "E-AMASS-KEYS");
+    assert_eq!(code(&without("mocap_framerate")), "E-AMASS-FPS");
+    assert_eq!(
+        code(&with("mocap_framerate", npy_f8(&[], &[0.0]))),
+        "E-AMASS-FPS"
+    );
+    assert_eq!(
+        code(&with("mocap_framerate", npy_f8(&[0], &[]))),
+        "E-AMASS-FPS"
+    );
+    assert_eq!(
+        code(&with("trans", npy_f8(&[2, 3], &[0.0; 6]))),
+        "E-AMASS-SHAPE"
+    );
+    assert_eq!(
+        code(&with("trans", npy_f8(&[9], &[0.0; 9]))),
+        "E-AMASS-SHAPE"
+    );
+    assert_eq!(code(&clip_members(3, 100)), "E-AMASS-SHAPE");
+    assert_eq!(code(&clip_members(0, 156)), "E-TOO-SHORT");
+    let objects = "{'descr': '|O', 'fortran_order': False, 'shape': (3, 3), }";
+    assert_eq!(
+        code(&with("trans", npy(objects, b"cos\nsystem\n."))),
+        "E-PICKLE-REFUSED"
+    );
+    let lie = "{'descr': '<f8', 'fortran_order': False, 'shape': (1099511627776, 156), }";
+    assert_eq!(code(&with("poses", npy(lie, &[0; 16]))), "E-NPY-SHAPE");
+    let mut trans = vec![0.0; 9];
+    trans[7] = f64::NAN;
+    let rejected = read_members(&with("trans", npy_f8(&[3, 3], &trans))).expect_err("not a number");
+    assert_eq!(rejected.code, "E-NOT-FINITE");
+    assert!(rejected.reason.contains("frame 2"), "{}", rejected.reason);
+    // A gender that is pickled costs the gender, not the clip.
+    let pickled = npy(
+        "{'descr': '|O', 'fortran_order': False, 'shape': (), }",
+        b".",
+    );
+    assert!(
+        clip(&with("gender", pickled))
+            .notes
+            .iter()
+            .any(|note| note.contains("pickled"))
+    );
+}
+
+#[test]
+fn shapes_without_motion_are_passed_over() {
+    let numbers = || npy_f8(&[16], &[0.0; 16]);
+    for keys in [&["betas"][..], &["betas", "gender", "markers_latent"]] {
+        let members: Vec<(&str, Vec<u8>)> = keys.iter().map(|key| (*key, numbers())).collect();
+        let shape = read_members(&members).expect("known");
+        assert!(matches!(shape, Outcome::Skipped { .. }), "{keys:?}");
+    }
+    let other = [("posed_joints", numbers()), ("foot_contacts", numbers())];
+    assert_eq!(code(&other), "E-AMASS-KEYS");
+}
+
+#[test]
+fn known_wrong_rates_are_corrected_noted_and_flagged() {
+    let read_clip = |path: &str| match read_at(path, &clip_members(5, 156)) {
+        Ok(Outcome::Clip(clip)) => *clip,
+        _ => panic!("{path} is a clip"),
+    };
+    let corrected = read_clip("BMLhandball/S01/x_poses.npz");
+    assert_eq!(corrected.motion.fps().get(), 240.0);
+    assert_eq!(corrected.flags, FLAG_FPS_DOUBTFUL);
+    let said = corrected.notes.join("; ");
+    assert!(
+        said.contains("120.000045776") && said.contains("240"),
+        "{said}"
+    );
+
+    let plain = read_clip("BioMotionLab_NTroje/rub001/x_poses.npz");
+    assert_eq!((plain.motion.fps().get(), plain.flags), (120.0, 0));
+    assert!(plain.notes.iter().any(|note| note.contains("BMLrub")));
+}
+
+#[test]
+fn every_spelling_of_gender_is_read() {
+    let scalar = |descr: &str, bytes: &[u8]| {
+        npy(
+            &format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': (), }}"),
+            bytes,
+        )
+    };
+    let unicode: Vec<u8> = "male"
+        .chars()
+        .flat_map(|c| (c as u32).to_le_bytes())
+        .collect();
+    let in_array = npy(
+        "{'descr': '|S6', 'fortran_order': False, 'shape': (1,), }",
+        b"female",
+    );
+    for (bytes, gender) in [
+        (scalar("<U4", &unicode), "gender male"),
+        (scalar("|S7", b"neutral"), "gender neutral"),
+        (scalar("|S7", b"b'male'"), "gender male"),
+        (in_array, "gender female"),
+    ] {
+        let mut members = clip_members(3, 165);
+        members.retain(|(key, _)| *key != "gender");
+        members.push(("gender", bytes));
+        let notes = clip(&members).notes.join("; ");
+        assert!(notes.contains(gender), "{notes}");
+    }
+}
+
+#[test]
+fn the_variant_is_told_from_the_headers() {
+    for (width, variant) in [
+        (66, Variant::BodyOnly),
+        (72, Variant::Smpl),
+        (156, Variant::SmplH),
+        (165, Variant::SmplXGendered),
+    ] {
+        let bytes = npz(&clip_members(7, width));
+        let (found, frames, fps) = peek(Cursor::new(&bytes))
+            .expect("a whole archive")
+            .expect("a motion");
+        assert_eq!((found, frames), (variant, 7));
+        assert!((fps - 120.0).abs() < 1e-3);
+    }
+    let shape = npz(&[("betas", npy_f8(&[16], &[0.0; 16]))]);
+    assert_eq!(peek(Cursor::new(&shape)), Ok(None));
+}
+
+#[test]
+fn damaged_archives_are_rejected_by_code() {
+    let bytes = npz(&clip_members(30, 156));
+    for len in [0, 3, 100, bytes.len() / 2, bytes.len() - 1] {
+        let rejected =
+            read(Path::new("x"), &bytes[..len], &ReadOptions::default()).expect_err("cut off");
+        assert_eq!(rejected.code, "E-NPZ-TRUNCATED", "{len} bytes");
+    }
+    let stored = {
+        let options =
+            SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+        let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
+        for (key, member) in clip_members(3, 72) {
+            writer
+                .start_file(format!("{key}.npy"), options)
+                .expect("in memory");
+            writer.write_all(&member).expect("in memory");
+        }
+        writer.finish().expect("in memory").into_inner()
+    };
+    let mut flipped = stored.clone();
+    flipped[400] ^= 1;
+    let rejected =
+        read(Path::new("x"), &flipped, &ReadOptions::default()).expect_err("one bit is wrong");
+    assert_eq!(rejected.code, "E-NPZ-TRUNCATED");
+}
+
+#[test]
+fn a_bomb_is_not_unpacked() {
+    let members = [
+        ("poses", npy_f8(&[40_000, 156], &vec![0.0; 40_000 * 156])),
+        ("trans", npy_f8(&[40_000, 3], &vec![0.0; 120_000])),
+        ("mocap_framerate", npy_f8(&[], &[120.0])),
+    ];
+    assert_eq!(code(&members), "E-NPZ-LIMIT");
+}
+
+proptest! {
+    #[test]
+    fn no_bytes_make_it_panic(
+        bytes in prop::collection::vec(any::<u8>(), 0..300),
+        edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        cut in any::<prop::sample::Index>(),
+    ) {
+        let valid = npz(&clip_members(2, 72));
+        let mut mutated = valid.clone();
+        for (at, byte) in edits {
+            let at = at.index(mutated.len());
+            mutated[at] = byte;
+        }
+        for candidate in [&bytes[..], &mutated, &valid[..cut.index(valid.len())]] {
+            let _ = peek(Cursor::new(candidate));
+            if let Ok(Outcome::Clip(clip)) = read(Path::new("x"), candidate, &ReadOptions::default()) {
+                prop_assert!(clip.motion.len() == clip.source_frames.len());
+            }
+        }
+    }
+}

@@ -1,0 +1,217 @@
+//! Tar archives, as they are or packed.
+
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use bzip2::read::MultiBzDecoder;
+use datasets_spec::store::{ByPath, Reader, Store};
+use flate2::read::MultiGzDecoder;
+use lzma_rust2::XzReader;
+use tar::EntryType;
+
+use super::limits::Budget;
+use super::members::{Member, ReadFrom};
+use super::scratch::no_room;
+use super::unpacked::{Capped, Counting};
+use super::{CLIMBS, Content, DAMAGED, Kind, LIMIT, NAME, Named, Unpacking, named};
+use crate::Error;
+use clip::Rejected;
+
+/// Memory in KiB that an xz stream may ask for; the strongest preset asks for 64 MiB.
+const XZ_MEMORY_KIB: u32 = 128 << 10;
+/// Bytes copied at once.
+const COPIED: usize = 1 << 16;
+/// Size of a tar's blocks.
+const BLOCK: u64 = 512;
+
+fn unreadable(error: &io::Error) -> Rejected {
+    Rejected::read("E-IO", format!("cannot read the archive: {error}"))
+}
+
+fn damaged(reason: String, at: u64) -> Rejected {
+    Rejected {
+        byte_offset: Some(at),
+        ..Rejected::read(DAMAGED, reason)
+    }
+}
+
+fn too_large(reason: String, at: u64) -> Rejected {
+    Rejected {
+        byte_offset: Some(at),
+        ..Rejected::read(LIMIT, reason)
+    }
+}
+
+/// Lists a tar archive that is not packed.
+pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Rejected> {
+    let file = ByPath.open_at(path).map_err(|error| unreadable(&error))?;
+    let mut content = Content::default();
+    let mut archive = tar::Archive::new(Reader::new(Arc::clone(&file)));
+    let entries = archive
+        .entries_with_seek()
+        .map_err(|error| unreadable(&error))?;
+    // Where the next header is expected.
+    let mut end = 0;
+    for entry in entries {
+        let entry = match entry {
+            Ok(entry) => entry,
+            Err(error) => {
+                let what = broken(end, &error);
+                content.refused.push((String::new(), damaged(what, end)));
+                break;
+            }
+        };
+        let (start, size) = (entry.raw_file_position(), entry.size());
+        end = start.saturating_add(size.next_multiple_of(BLOCK));
+        budget
+            .take(size.min(budget.size()))
+            .map_err(|reason| too_large(reason, start))?;
+        let Some(name) = file_name(&mut content, &entry) else {
+            continue;
+        };
+        if start.saturating_add(size) > budget.size() {
+            let reason = "the archive ends before the member does; it is cut short".to_owned();
+            content.refuse(&name, DAMAGED, reason, start);
+            break;
+        }
+        content.add(name, Member::Range { start, size });
+    }
+    content.read_from = Some(ReadFrom::Tar(file));
+    Ok(content)
+}
+
+/// The name of a member that is a file. Other members are noted.
+fn file_name<R: Read>(content: &mut Content, entry: &tar::Entry<'_, R>) -> Option<String> {
+    let kind = entry.header().entry_type();
+    if matches!(kind, EntryType::Directory | EntryType::XGlobalHeader) {
+        return None;
+    }
+    let name = match named(&entry.path_bytes()) {
+        Named::File(name) => name,
+        Named::Special(name, reason) => {
+            content.special.push((name, reason.to_owned()));
+            return None;
+        }
+        Named::Refused(name) => {
+            content.refuse(&name, NAME, CLIMBS.to_owned(), entry.raw_header_position());
+            return None;
+        }
+    };
+    let reason = match kind {
+        EntryType::Regular | EntryType::Continuous => return Some(name),
+        EntryType::Symlink | EntryType::Link => "link in an archive, not followed",
+        EntryType::GNUSparse => "file with holes in an archive, not read; unpack it",
+        _ => "pipe or device in an archive",
+    };
+    content.special.push((name, reason.to_owned()));
+    None
+}
+
+/// What to say of an archive that is broken.
+fn broken(end: u64, error: &io::Error) -> String {
+    match end {
+        0 => format!("it is no tar archive, or damaged at its beginning ({error})"),
+        _ => {
+            format!("it is damaged or cut short ({error}); the members before this place are read")
+        }
+    }
+}
+
+/// Unpacks a packed tar archive into the scratch folder.
+pub(super) fn unpack(
+    path: &Path,
+    kind: Kind,
+    mut budget: Budget,
+    unpacking: &Unpacking<'_>,
+) -> Result<Result<Content, Rejected>, Error> {
+    let scratch = &unpacking.scratch;
+    let packed = match ByPath.open(path) {
+        Ok(packed) => packed,
+        Err(error) => return Ok(Err(unreadable(&error))),
+    };
+    let (packed, count) = Counting::new(packed, unpacking.progress);
+    let place = || count.load(Ordering::Relaxed);
+    let (most, packed_size) = (budget.bytes_left(), budget.size());
+    let unpacked: Box<dyn Read + '_> = match kind {
+        Kind::Gzip => Box::new(MultiGzDecoder::new(packed)),
+        Kind::Bzip2 => Box::new(MultiBzDecoder::new(packed)),
+        Kind::Xz => Box::new(XzReader::new_mem_limit(packed, true, XZ_MEMORY_KIB)),
+        Kind::Zip | Kind::Tar => Box::new(packed),
+    };
+    let mut content = Content::default();
+    // Headers count too: their long names are read into memory.
+    let (unpacked, is_exceeded) = Capped::new(unpacked, most);
+    let too_much = || {
+        let reason = format!(
+            "{packed_size} bytes unpack to more than {most} bytes; if its files are really so large, unpack it and name the \
+             folder"
+        );
+        too_large(reason, place())
+    };
+    let mut archive = tar::Archive::new(unpacked);
+    let entries = match archive.entries() {
+        Ok(entries) => entries,
+        Err(error) => return Ok(Err(unreadable(&error))),
+    };
+    let mut is_first = true;
+    for entry in entries {
+        let mut entry = match entry {
+            Ok(entry) => entry,
+            Err(_) if is_exceeded.load(Ordering::Relaxed) => return Ok(Err(too_much())),
+            Err(error) => {
+                let end = if is_first { 0 } else { place() };
+                content
+                    .refused
+                    .push((String::new(), damaged(broken(end, &error), place())));
+                break;
+            }
+        };
+        is_first = false;
+        let size = entry.size();
+        if let Err(reason) = budget.take(size) {
+            return Ok(Err(too_large(reason, place())));
+        }
+        let Some(name) = file_name(&mut content, &entry) else {
+            continue;
+        };
+        let to = scratch.file()?;
+        let copied = copy(&mut entry, &to)?;
+        match copied {
+            Ok(copied) if copied == size => {
+                content.add(name, Member::Unpacked { path: to, size });
+            }
+            _ if is_exceeded.load(Ordering::Relaxed) => return Ok(Err(too_much())),
+            copied => {
+                let error = copied.err().unwrap_or(io::ErrorKind::UnexpectedEof.into());
+                let what = broken(place().max(1), &error);
+                content
+                    .refused
+                    .push((String::new(), damaged(what, place())));
+                break;
+            }
+        }
+    }
+    content.read_from = Some(ReadFrom::Scratch(Arc::clone(scratch)));
+    Ok(Ok(content))
+}
+
+/// Copies a member to a file. The inner error is the archive's, the outer one that of the folder.
+fn copy(from: &mut impl Read, to: &Path) -> Result<io::Result<u64>, Error> {
+    let mut file = File::create_new(to).map_err(|error| no_room(to, &error))?;
+    let mut buffer = vec![0; COPIED];
+    let mut copied = 0;
+    loop {
+        let read = match from.read(&mut buffer) {
+            Ok(0) => return Ok(Ok(copied)),
+            Ok(read) => read,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(error) => return Ok(Err(error)),
+        };
+        file.write_all(&buffer[..read])
+            .map_err(|error| no_room(to, &error))?;
+        copied += read as u64;
+    }
+}

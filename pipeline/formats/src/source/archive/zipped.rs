@@ -1,0 +1,94 @@
+//! Zip archives: the directory at their end names the members.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use datasets_spec::store::{ByPath, Reader, Store};
+use zip::{CompressionMethod, ZipArchive};
+
+use super::limits::Budget;
+use super::members::{Member, ReadFrom};
+use super::{CLIMBS, Content, DAMAGED, LIMIT, NAME, Named, PACKING, named};
+use clip::Rejected;
+
+/// Lists a zip archive.
+pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Rejected> {
+    let file = ByPath
+        .open_at(path)
+        .map_err(|error| Rejected::read("E-IO", format!("cannot read the archive: {error}")))?;
+    let zip = ZipArchive::new(Reader::new(Arc::clone(&file))).map_err(|error| Rejected {
+        byte_offset: Some(budget.size()),
+        ..Rejected::read(
+            DAMAGED,
+            format!(
+                "found no directory of a zip archive at the end of its {} bytes ({error}); it is cut short or no zip",
+                budget.size()
+            ),
+        )
+    })?;
+    let mut content = Content::default();
+    if zip.has_duplicate_names() {
+        let reason =
+            "the archive has several members of one name; the last one of each is read".to_owned();
+        content.special.push((String::new(), reason));
+    }
+    for number in 0..zip.len() {
+        let Ok(entry) = zip.by_index_data(number) else {
+            continue;
+        };
+        if entry.is_dir() {
+            continue;
+        }
+        let at = entry.header_start();
+        let name = entry.name();
+        let raw = name
+            .as_ref()
+            .map_or(entry.name_raw(), |name| name.as_bytes());
+        let name = match named(raw) {
+            Named::File(name) => name,
+            Named::Special(name, reason) => {
+                content.special.push((name, reason.to_owned()));
+                continue;
+            }
+            Named::Refused(name) => {
+                content.refuse(&name, NAME, CLIMBS.to_owned(), at);
+                continue;
+            }
+        };
+        if entry.is_symlink() {
+            let reason = "link in an archive, not followed".to_owned();
+            content.special.push((name, reason));
+            continue;
+        }
+        if entry.encrypted() {
+            let reason =
+                "it is encrypted; unpack the archive with its password and name the folder";
+            content.refuse(&name, PACKING, reason.to_owned(), at);
+            continue;
+        }
+        let method = entry.compression();
+        if !matches!(
+            method,
+            CompressionMethod::Stored | CompressionMethod::Deflated
+        ) {
+            let reason = format!(
+                "it is packed by {method}, which is not read; unpack the archive and name the folder"
+            );
+            content.refuse(&name, PACKING, reason, at);
+            continue;
+        }
+        if at.saturating_add(entry.compressed_size()) > budget.size() {
+            let reason = "the archive ends before the member does; it is cut short".to_owned();
+            content.refuse(&name, DAMAGED, reason, at);
+            continue;
+        }
+        let size = entry.size();
+        budget.take(size).map_err(|reason| Rejected {
+            byte_offset: Some(at),
+            ..Rejected::read(LIMIT, reason)
+        })?;
+        content.add(name, Member::Zipped { number, size });
+    }
+    content.read_from = Some(ReadFrom::Zip(file, zip));
+    Ok(content)
+}

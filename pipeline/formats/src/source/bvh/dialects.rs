@@ -1,0 +1,650 @@
+//! Files in the hierarchies, channels and rest poses of known rigs, written for tests from poses of the body.
+
+use std::fmt::Write;
+
+use datasets_spec::{Pose, Skeleton};
+use glam::{DQuat, DVec3, EulerRot};
+use kinematics::rotation::angle_between;
+use kinematics::skeleton::NUM_BODY_JOINTS;
+
+use super::soma::tests::frame;
+use super::*;
+use crate::retarget::tests::assert_same_motion;
+use testkit::walk;
+
+/// A joint of a rig.
+#[derive(Clone)]
+struct RigJoint {
+    name: String,
+    parent: Option<usize>,
+    /// The body joint it lies in and turns with.
+    body: usize,
+    /// From that joint, in metres.
+    beyond: DVec3,
+    /// Its frame while the body stands in its rest pose.
+    frame: DQuat,
+    has_positions: bool,
+}
+
+/// How a file says what a body does.
+pub(crate) struct RigText {
+    joints: Vec<RigJoint>,
+    /// Metres of the file's unit.
+    metres: f64,
+    order: (EulerRot, [&'static str; 3]),
+    /// Whether leaves have an end site.
+    ends: bool,
+    frame_time: f64,
+    /// Whether offsets state a rest rotation too.
+    six_numbers: bool,
+    /// Pose of the body in the file's zero pose, in which the frames of all joints are those of the world.
+    zero: Option<Pose>,
+}
+
+impl RigText {
+    /// A rig of (name, parent, body joint), parents first, with every frame that of the world.
+    fn new(joints: &[(&str, &str, usize)]) -> Self {
+        let mut found: Vec<RigJoint> = Vec::new();
+        for (name, parent, body) in joints {
+            let parent = found.iter().position(|joint| joint.name == *parent);
+            found.push(RigJoint {
+                name: (*name).to_owned(),
+                parent,
+                body: *body,
+                beyond: DVec3::ZERO,
+                frame: DQuat::IDENTITY,
+                has_positions: parent.is_none(),
+            });
+        }
+        Self {
+            joints: found,
+            metres: 0.01,
+            order: (EulerRot::ZYX, ["Zrotation", "Yrotation", "Xrotation"]),
+            ends: true,
+            frame_time: 1.0 / 60.0,
+            six_numbers: false,
+            zero: None,
+        }
+    }
+
+    /// The rig of BONES-SEED: 77 joints below a root that stays where it is, no end sites, bones along x.
+    pub(crate) fn soma() -> Self {
+        let mut joints = vec![
+            ("Root".to_owned(), String::new(), 0),
+            ("Hips".to_owned(), "Root".to_owned(), 0),
+        ];
+        let mut chain = |parent: &str, names: &[(&str, usize)], side: &str| {
+            let mut above = parent.to_owned();
+            for (name, body) in names {
+                let name = format!("{side}{name}");
+                joints.push((name.clone(), above, *body));
+                above = name;
+            }
+        };
+        chain(
+            "Hips",
+            &[
+                ("Spine1", 3),
+                ("Spine2", 6),
+                ("Chest", 9),
+                ("Neck1", 12),
+                ("Neck2", 12),
+                ("Head", 15),
+                ("HeadEnd", 15),
+            ],
+            "",
+        );
+        for face in ["Jaw", "LeftEye", "RightEye"] {
+            chain("Head", &[(face, 15)], "");
+        }
+        for (side, right) in [("Left", 0), ("Right", 1)] {
+            let arm = [
+                ("Shoulder", 13 + right),
+                ("Arm", 16 + right),
+                ("ForeArm", 18 + right),
+                ("Hand", 20 + right),
+            ];
+            chain("Chest", &arm, side);
+            let hand = format!("{side}Hand");
+            for finger in ["Thumb", "Index", "Middle", "Ring", "Pinky"] {
+                let bones = if finger == "Thumb" { 3 } else { 4 };
+                let names: Vec<String> = (1..=bones)
+                    .map(|bone| format!("Hand{finger}{bone}"))
+                    .chain([format!("Hand{finger}End")])
+                    .collect();
+                let names: Vec<(&str, usize)> = names
+                    .iter()
+                    .map(|name| (name.as_str(), 20 + right))
+                    .collect();
+                chain(&hand, &names, side);
+            }
+        }
+        for (side, right) in [("Left", 0), ("Right", 1)] {
+            let leg = [
+                ("Leg", 1 + right),
+                ("Shin", 4 + right),
+                ("Foot", 7 + right),
+                ("ToeBase", 10 + right),
+                ("ToeEnd", 10 + right),
+            ];
+            chain("Hips", &leg, side);
+        }
+        let listed: Vec<(&str, &str, usize)> = joints
+            .iter()
+            .map(|(name, parent, body)| (name.as_str(), parent.as_str(), *body))
+            .collect();
+        let mut rig = Self::new(&listed);
+        rig.ends = false;
+        rig.frame_time = 1.0 / 120.0;
+        rig.joints[1].has_positions = true;
+        for index in 1..rig.joints.len() {
+            let name = rig.joints[index].name.clone();
+            let above = rig.joints[index]
+                .parent
+                .map(|parent| rig.joints[parent].frame);
+            let stated = frame(&name);
+            let is_stated = super::soma::tests::is_stated(&name);
+            rig.joints[index].frame = if is_stated {
+                stated
+            } else {
+                above.unwrap_or(DQuat::IDENTITY)
+            };
+            // Joints that the body lacks lie a little beyond the one before.
+            if let Some(parent) = rig.joints[index].parent.filter(|_| index > 1)
+                && rig.joints[parent].body == rig.joints[index].body
+            {
+                rig.joints[index].beyond = rig.joints[parent].beyond + DVec3::new(0.01, 0.02, 0.0);
+            }
+        }
+        rig
+    }
+
+    /// The rig of SnapMoGen: pelvis and spine both hang from the root, whose own rotation is that of the
+    /// pelvis here.
+    fn snapmogen() -> Self {
+        let mut rig = Self::new(&[
+            ("ROOT", "", 0),
+            ("C_spine0001_bind_JNT", "ROOT", 3),
+            ("C_spine0002_bind_JNT", "C_spine0001_bind_JNT", 6),
+            ("C_spine0003_bind_JNT", "C_spine0002_bind_JNT", 9),
+            ("C_neck0001_bind_JNT", "C_spine0003_bind_JNT", 12),
+            ("C_neck0002_bind_JNT", "C_neck0001_bind_JNT", 12),
+            ("C_head_bind_JNT", "C_neck0002_bind_JNT", 15),
+            ("L_clavicle_bind_JNT", "C_spine0003_bind_JNT", 13),
+            ("L_armUpper0001_bind_JNT", "L_clavicle_bind_JNT", 16),
+            ("L_armLower0001_bind_JNT", "L_armUpper0001_bind_JNT", 18),
+            ("L_hand0001_bind_JNT", "L_armLower0001_bind_JNT", 20),
+            ("R_clavicle_bind_JNT", "C_spine0003_bind_JNT", 14),
+            ("R_armUpper0001_bind_JNT", "R_clavicle_bind_JNT", 17),
+            ("R_armLower0001_bind_JNT", "R_armUpper0001_bind_JNT", 19),
+            ("R_hand0001_bind_JNT", "R_armLower0001_bind_JNT", 21),
+            ("C_pelvis0001_bind_JNT", "ROOT", 0),
+            ("L_legUpper0001_bind_JNT", "C_pelvis0001_bind_JNT", 1),
+            ("L_legLower0001_bind_JNT", "L_legUpper0001_bind_JNT", 4),
+            ("L_foot0001_bind_JNT", "L_legLower0001_bind_JNT", 7),
+            ("L_foot0002_bind_JNT", "L_foot0001_bind_JNT", 10),
+            ("R_legUpper0001_bind_JNT", "C_pelvis0001_bind_JNT", 2),
+            ("R_legLower0001_bind_JNT", "R_legUpper0001_bind_JNT", 5),
+            ("R_foot0001_bind_JNT", "R_legLower0001_bind_JNT", 8),
+            ("R_foot0002_bind_JNT", "R_foot0001_bind_JNT", 11),
+        ]);
+        rig.order = (EulerRot::XYZ, ["Xrotation", "Yrotation", "Zrotation"]);
+        rig.frame_time = 0.033_333;
+        // The rig is small: a leg of 37 units.
+        rig.metres = 0.02;
+        rig
+    }
+
+    /// The hierarchy of Xsens MVN.
+    fn xsens() -> Self {
+        let mut rig = Self::new(&[
+            ("Hips", "", 0),
+            ("Chest", "Hips", 3),
+            ("Chest2", "Chest", 3),
+            ("Chest3", "Chest2", 6),
+            ("Chest4", "Chest3", 9),
+            ("Neck", "Chest4", 12),
+            ("Head", "Neck", 15),
+            ("RightCollar", "Chest4", 14),
+            ("RightShoulder", "RightCollar", 17),
+            ("RightElbow", "RightShoulder", 19),
+            ("RightWrist", "RightElbow", 21),
+            ("LeftCollar", "Chest4", 13),
+            ("LeftShoulder", "LeftCollar", 16),
+            ("LeftElbow", "LeftShoulder", 18),
+            ("LeftWrist", "LeftElbow", 20),
+            ("RightHip", "Hips", 2),
+            ("RightKnee", "RightHip", 5),
+            ("RightAnkle", "RightKnee", 8),
+            ("RightToe", "RightAnkle", 11),
+            ("LeftHip", "Hips", 1),
+            ("LeftKnee", "LeftHip", 4),
+            ("LeftAnkle", "LeftKnee", 7),
+            ("LeftToe", "LeftAnkle", 10),
+        ]);
+        rig.order = (EulerRot::YXZ, ["Yrotation", "Xrotation", "Zrotation"]);
+        rig
+    }
+
+    /// The joints that Nokov exports, as far as published retargeting configurations name them.
+    fn nokov() -> Self {
+        Self::new(&[
+            ("Hips", "", 0),
+            ("Spine", "Hips", 3),
+            ("Spine1", "Spine", 6),
+            ("Spine2", "Spine1", 9),
+            ("Neck", "Spine2", 12),
+            ("Head", "Neck", 15),
+            ("LeftShoulder", "Spine2", 13),
+            ("LeftArm", "LeftShoulder", 16),
+            ("LeftForeArm", "LeftArm", 18),
+            ("LeftHand", "LeftForeArm", 20),
+            ("RightShoulder", "Spine2", 14),
+            ("RightArm", "RightShoulder", 17),
+            ("RightForeArm", "RightArm", 19),
+            ("RightHand", "RightForeArm", 21),
+            ("LeftUpLeg", "Hips", 1),
+            ("LeftLeg", "LeftUpLeg", 4),
+            ("LeftFoot", "LeftLeg", 7),
+            ("LeftToeBase", "LeftFoot", 10),
+            ("RightUpLeg", "Hips", 2),
+            ("RightLeg", "RightUpLeg", 5),
+            ("RightFoot", "RightLeg", 8),
+            ("RightToeBase", "RightFoot", 11),
+        ])
+    }
+
+    /// Poses of the body as a file.
+    pub(crate) fn write(&self, poses: &[Pose], skeleton: &Skeleton) -> String {
+        let zero = self.zero.unwrap_or(Pose::REST);
+        let zero_rotations = skeleton.global_rotations(&zero);
+        // World places and frames of the joints in the file's zero pose and in a pose.
+        let placed = |pose: &Pose| -> Vec<(DVec3, DQuat)> {
+            let points = skeleton.keypoints(pose);
+            let rotations = skeleton.global_rotations(pose);
+            self.joints
+                .iter()
+                .enumerate()
+                .map(|(index, joint)| {
+                    let is_still = joint.parent.is_none()
+                        && self
+                            .joints
+                            .iter()
+                            .any(|other| other.parent == Some(index) && other.has_positions);
+                    if is_still {
+                        return (DVec3::ZERO, DQuat::IDENTITY);
+                    }
+                    let turned = rotations[joint.body];
+                    let frame = match self.zero {
+                        Some(_) => turned * zero_rotations[joint.body].inverse(),
+                        None => turned * joint.frame,
+                    };
+                    (points[joint.body] + turned * joint.beyond, frame)
+                })
+                .collect()
+        };
+        let rest = placed(&zero);
+        let mut text = "HIERARCHY\n".to_owned();
+        self.write_joint(0, &rest, &mut text);
+        let _ = writeln!(
+            text,
+            "MOTION\nFrames: {}\nFrame Time: {:.6}",
+            poses.len(),
+            self.frame_time
+        );
+        for pose in poses {
+            let world = placed(pose);
+            for index in self.depth_first(0) {
+                let joint = &self.joints[index];
+                let (above, outer) = joint
+                    .parent
+                    .map_or((DVec3::ZERO, DQuat::IDENTITY), |parent| world[parent]);
+                let (point, frame) = world[index];
+                if joint.has_positions {
+                    let local = outer.inverse() * (point - above) / self.metres;
+                    let _ = write!(text, "{:.9} {:.9} {:.9} ", local.x, local.y, local.z);
+                }
+                let (a, b, c) = (outer.inverse() * frame).to_euler(self.order.0);
+                for angle in [a, b, c] {
+                    let _ = write!(text, "{:.9} ", angle.to_degrees());
+                }
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    fn depth_first(&self, joint: usize) -> Vec<usize> {
+        let children = (0..self.joints.len()).filter(|&at| self.joints[at].parent == Some(joint));
+        std::iter::once(joint)
+            .chain(children.flat_map(|child| self.depth_first(child)))
+            .collect()
+    }
+
+    fn write_joint(&self, index: usize, rest: &[(DVec3, DQuat)], text: &mut String) {
+        let joint = &self.joints[index];
+        let keyword = if joint.parent.is_none() {
+            "ROOT"
+        } else {
+            "JOINT"
+        };
+        let offset = joint.parent.map_or(DVec3::ZERO, |parent| {
+            let (above, outer) = rest[parent];
+            outer.inverse() * (rest[index].0 - above) / self.metres
+        });
+        let _ = write!(
+            text,
+            "{keyword} {}\n{{\nOFFSET {:.9} {:.9} {:.9}",
+            joint.name, offset.x, offset.y, offset.z
+        );
+        if self.six_numbers {
+            text.push_str(" 0.0 -76.1 25.3");
+        }
+        let rotations = self.order.1.join(" ");
+        let _ = match joint.has_positions {
+            true => writeln!(
+                text,
+                "\nCHANNELS 6 Xposition Yposition Zposition {rotations}"
+            ),
+            false => writeln!(text, "\nCHANNELS 3 {rotations}"),
+        };
+        let children: Vec<usize> = (0..self.joints.len())
+            .filter(|&at| self.joints[at].parent == Some(index))
+            .collect();
+        for &child in &children {
+            self.write_joint(child, rest, text);
+        }
+        if children.is_empty() && self.ends {
+            text.push_str("End Site\n{\nOFFSET 0 0 0\n}\n");
+        }
+        text.push_str("}\n");
+    }
+}
+
+fn read_text(text: &str) -> Result<SourceClip, Rejected> {
+    super::read(&mut text.as_bytes(), text.len(), &ReadOptions::default())
+}
+
+fn says(clip: &SourceClip, note: &str) -> bool {
+    clip.notes.iter().any(|found| found == note)
+}
+
+#[test]
+fn a_soma_file_gives_the_motion_it_was_made_of() {
+    let skeleton = Skeleton::smplx_neutral();
+    let poses = walk(60);
+    let rig = RigText::soma();
+    assert_eq!(rig.joints.len(), 1 + 77);
+    let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
+    assert_same_motion(&clip, &poses);
+    assert!(says(&clip, "skeleton map soma"), "{:?}", clip.notes);
+    assert!(says(&clip, "joint frames from the T-pose of SOMA"));
+    assert!(
+        clip.notes
+            .iter()
+            .any(|note| note.starts_with("unit centimetres")),
+        "{:?}",
+        clip.notes
+    );
+    assert!((clip.source_fps.get() - 120.0).abs() < 0.01);
+}
+
+/// The left arm hangs down and the right forearm is bent upward: a pose whose joints one knows.
+#[test]
+fn the_joints_of_a_known_soma_pose_lie_where_they_should() {
+    let skeleton = Skeleton::smplx_neutral();
+    let mut pose = Pose::REST;
+    pose.transl = DVec3::Y;
+    pose.rotations[16] = DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2);
+    pose.rotations[19] = DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2);
+    let poses = vec![pose; 3];
+    let clip = read_text(&RigText::soma().write(&poses, &skeleton)).expect("a body");
+    let points = skeleton.motion_keypoints(&clip.motion).points;
+    let along = |from: usize, to: usize| (points[1][to] - points[1][from]).normalize();
+    let bone = |from: usize, to: usize| (skeleton.rest(to) - skeleton.rest(from)).normalize();
+    let down = DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2);
+    for (from, to, expected) in [
+        (16, 18, down * bone(16, 18)),
+        (18, 20, down * bone(18, 20)),
+        (17, 19, bone(17, 19)),
+        (19, 21, down * bone(19, 21)),
+    ] {
+        assert!(
+            along(from, to).distance(expected) < 1e-3,
+            "{from}: {} instead of {expected}",
+            along(from, to)
+        );
+    }
+    // The arms of the body at rest lie along x but for 18 degrees.
+    assert!(along(16, 18).dot(DVec3::NEG_Y) > 0.9);
+    assert!(along(19, 21).dot(DVec3::Y) > 0.9);
+    let leg = (points[1][7] - points[1][1]).length();
+    let own = (skeleton.rest(4) - skeleton.rest(1)).length()
+        + (skeleton.rest(7) - skeleton.rest(4)).length();
+    assert!((leg - own).abs() < 0.01, "straight legs: {leg} and {own}");
+}
+
+/// A first frame of BONES-SEED (`wave_R_001__A428`, 525 frames), of its body joints: somebody stands with
+/// hanging arms. The rotations are figures of the published file.
+#[test]
+fn a_published_frame_is_a_person_who_stands_with_hanging_arms() {
+    let rotations = [
+        ("Hips", [89.851_651, 1.141_003, 88.543_564]),
+        ("Spine1", [-0.141_876, 0.168_530, -0.103_694]),
+        ("Spine2", [-11.037_975, -0.900_962, -0.767_345]),
+        ("Chest", [17.457_313, 0.044_661, -2.825_496]),
+        ("Neck1", [16.979_912, -0.017_898, 2.683_261]),
+        ("Neck2", [-2.527_007, -0.719_679, -0.591_322]),
+        ("Head", [-35.779_440, -0.344_489, -1.139_709]),
+        ("LeftShoulder", [52.315_137, -102.535_581, -39.264_428]),
+        ("LeftArm", [27.356_191, -60.606_509, 17.742_591]),
+        ("LeftForeArm", [41.395_422, -0.000_070, -0.000_554]),
+        ("LeftHand", [-3.778_348, -0.993_976, 10.699_476]),
+        ("RightShoulder", [-156.942_366, -106.606_335, -6.049_941]),
+        ("RightArm", [35.968_212, -58.469_296, -2.961_910]),
+        ("RightForeArm", [35.169_449, -0.000_116, -0.000_192]),
+        ("RightHand", [3.838_318, 0.924_474, 10.391_931]),
+        ("LeftLeg", [-175.974_299, -3.457_987, -9.694_062]),
+        ("LeftShin", [7.620_133, 0.000_231, 0.000_217]),
+        ("LeftFoot", [-78.604_665, 2.736_269, -3.594_857]),
+        ("LeftToeBase", [-4.323_744, 1.524_079, 2.148_205]),
+        ("RightLeg", [3.448_344, -3.590_051, -10.421_264]),
+        ("RightShin", [9.988_567, -0.000_106, 0.000_386]),
+        ("RightFoot", [-82.414_228, -7.053_511, -9.643_662]),
+        ("RightToeBase", [-3.699_796, 0.600_726, 1.665_398]),
+    ];
+    let skeleton = Skeleton::smplx_neutral();
+    let rig = RigText::soma();
+    let text = rig.write(&vec![Pose::REST; 3], &skeleton);
+    let (head, _) = text.split_once("Frame Time: 0.008333\n").expect("a head");
+    let mut row = String::new();
+    for index in rig.depth_first(0) {
+        let joint = &rig.joints[index];
+        if joint.has_positions {
+            let height = if index == 0 { 0.0 } else { 98.747 };
+            let _ = write!(row, "0 {height} 0 ");
+        }
+        let stated = rotations.iter().find(|(name, _)| *name == joint.name);
+        let [z, y, x] = stated.map_or([0.0; 3], |(_, angles)| *angles);
+        let _ = write!(row, "{z} {y} {x} ");
+    }
+    let text = format!("{head}Frame Time: 0.008333\n{row}\n{row}\n{row}\n");
+    let clip = read_text(&text).expect("a body");
+    let points = &skeleton.motion_keypoints(&clip.motion).points[0];
+    let along = |from: usize, to: usize| (points[to] - points[from]).normalize();
+    assert!(
+        along(0, 15).dot(DVec3::Y) > 0.97,
+        "the head is over the pelvis"
+    );
+    for (hip, ankle) in [(1, 7), (2, 8)] {
+        assert!(along(hip, ankle).dot(DVec3::NEG_Y) > 0.98, "the legs stand");
+    }
+    for (shoulder, wrist) in [(16, 20), (17, 21)] {
+        assert!(
+            along(shoulder, wrist).dot(DVec3::NEG_Y) > 0.8,
+            "the arms hang"
+        );
+    }
+    let front = along(2, 1).cross(DVec3::Y);
+    assert!(front.dot(DVec3::Z) > 0.95, "faces +z: {front}");
+    for (ankle, foot) in [(7, 10), (8, 11)] {
+        assert!(along(ankle, foot).dot(front) > 0.7, "the feet point ahead");
+    }
+    // A relaxed neck: the face looks ahead.
+    let head = skeleton.global_rotations(&clip.motion.pose(0))[15];
+    assert!((head * DVec3::Z).dot(front) > 0.95, "{}", head * DVec3::Z);
+}
+
+#[test]
+fn soma_rigs_with_a_standing_zero_pose_are_read_by_it() {
+    let skeleton = Skeleton::smplx_neutral();
+    let poses = walk(60);
+    let mut rig = RigText::soma();
+    // An A-pose: arms 45 degrees down.
+    let mut zero = Pose::REST;
+    zero.transl = DVec3::Y;
+    zero.rotations[16] = DQuat::from_rotation_z(-0.785);
+    zero.rotations[17] = DQuat::from_rotation_z(0.785);
+    rig.zero = Some(zero);
+    let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
+    assert!(says(&clip, "skeleton map soma"), "{:?}", clip.notes);
+    assert!(
+        says(&clip, "joint frames from the zero pose"),
+        "{:?}",
+        clip.notes
+    );
+    for (found, expected) in clip.motion.poses().iter().zip(&poses) {
+        let (found, expected) = (
+            skeleton.global_rotations(found),
+            skeleton.global_rotations(expected),
+        );
+        for joint in 0..NUM_BODY_JOINTS {
+            // The smallest rotation between rest and A-pose has another twist than the arms' own.
+            let angle = angle_between(found[joint], expected[joint]);
+            assert!(angle < 0.15, "joint {joint} is off by {angle} rad");
+        }
+    }
+}
+
+#[test]
+fn rest_rotations_beside_offsets_are_soma_s_alone() {
+    let skeleton = Skeleton::smplx_neutral();
+    let poses = walk(20);
+    let mut rig = RigText::soma();
+    rig.six_numbers = true;
+    let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
+    assert_same_motion(&clip, &poses);
+    let mut other = RigText::nokov();
+    other.six_numbers = true;
+    let text = other.write(&poses, &skeleton);
+    let rejected = read_text(&text).expect_err("ambiguous");
+    assert_eq!(rejected.code, "E-BVH-SYNTAX");
+    assert!(
+        rejected.reason.contains("six numbers"),
+        "{}",
+        rejected.reason
+    );
+    let at = rejected.byte_offset.expect("a place") as usize;
+    assert!(
+        text[at..].starts_with("0.0 -76.1"),
+        "{}",
+        &text[at..at + 20]
+    );
+}
+
+#[test]
+fn snapmogen_xsens_and_nokov_files_give_the_motion_they_were_made_of() {
+    let skeleton = Skeleton::smplx_neutral();
+    let poses = walk(40);
+    for (rig, map) in [
+        (RigText::snapmogen(), "snapmogen"),
+        (RigText::xsens(), "xsens"),
+        (RigText::nokov(), "mixamo"),
+    ] {
+        let clip = read_text(&rig.write(&poses, &skeleton)).expect(map);
+        assert_same_motion(&clip, &poses);
+        assert!(
+            says(&clip, &format!("skeleton map {map}")),
+            "{:?}",
+            clip.notes
+        );
+        assert!(says(&clip, "joint frames from the zero pose"), "{map}");
+    }
+}
+
+/// The 3ds Max preset of MVN: arms parallel to the body in the zero pose.
+#[test]
+fn xsens_files_may_rest_with_hanging_arms() {
+    let skeleton = Skeleton::smplx_neutral();
+    let poses = walk(40);
+    let mut rig = RigText::xsens();
+    let mut zero = Pose::REST;
+    zero.transl = DVec3::Y;
+    zero.rotations[16] = DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2);
+    zero.rotations[17] = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
+    rig.zero = Some(zero);
+    let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
+    assert!(
+        says(&clip, "joint frames from the zero pose"),
+        "{:?}",
+        clip.notes
+    );
+    for (found, expected) in clip.motion.poses().iter().zip(&poses) {
+        let (found, expected) = (skeleton.keypoints(found), skeleton.keypoints(expected));
+        for (joint, child) in [(1, 4), (4, 7), (16, 18), (18, 20), (17, 19), (19, 21)] {
+            let bone = |points: &[DVec3]| (points[child] - points[joint]).normalize();
+            let angle = bone(&found).angle_between(bone(&expected));
+            assert!(angle < 0.06, "bone {joint}-{child} is off by {angle} rad");
+        }
+    }
+}
+
+/// Nokov's skeletons lay their bones along x, as published rotation offsets to robots show, so that the zero
+/// pose is no person.
+#[test]
+fn nokov_files_with_bones_along_x_are_aligned_by_their_motion() {
+    let skeleton = Skeleton::smplx_neutral();
+    let poses = walk(120);
+    let mut rig = RigText::nokov();
+    for joint in &mut rig.joints {
+        joint.frame = DQuat::from_rotation_z(0.5 * joint.body as f64) * DQuat::from_rotation_y(1.3);
+    }
+    let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
+    assert!(
+        clip.notes
+            .iter()
+            .any(|note| note.contains("from the motion")),
+        "{:?}",
+        clip.notes
+    );
+    for (found, expected) in clip.motion.poses().iter().zip(&poses) {
+        let (found, expected) = (skeleton.keypoints(found), skeleton.keypoints(expected));
+        for (joint, child) in [(1, 4), (4, 7), (16, 18), (18, 20), (17, 19), (19, 21)] {
+            let bone = |points: &[DVec3]| (points[child] - points[joint]).normalize();
+            let angle = bone(&found).angle_between(bone(&expected));
+            assert!(angle < 1e-5, "bone {joint}-{child} is off by {angle} rad");
+        }
+    }
+}
+
+#[test]
+fn a_soma_file_with_wrong_names_or_too_few_rows_is_refused() {
+    let skeleton = Skeleton::smplx_neutral();
+    let text = RigText::soma().write(&walk(4), &skeleton);
+    let twice = text.replace("JOINT LeftHandThumb1\n", "JOINT LeftShin\n");
+    let rejected = read_text(&twice).expect_err("two left shins");
+    assert_eq!(rejected.code, "E-BVH-SKELETON");
+    assert!(
+        rejected.reason.contains("2 joints named \"LeftShin\""),
+        "{}",
+        rejected.reason
+    );
+    let cut = &text[..text.len() * 9 / 10];
+    let rejected = read_text(cut).expect_err("truncated");
+    assert_eq!(rejected.code, "E-BVH-FRAMES");
+    assert!(rejected.byte_offset.is_some());
+    let nan = text.replacen("0.008333\n0.0", "0.008333\nnan", 1);
+    let rejected = read_text(&nan).expect_err("not a number");
+    assert_eq!(rejected.code, "E-BVH-NUMBER");
+    assert!(rejected.byte_offset.is_some());
+}

@@ -1,0 +1,219 @@
+//! A parsed BVH file.
+
+use std::io::Read;
+
+use datasets_spec::Fps;
+
+use super::cursor::{Cursor, syntax};
+use super::hierarchy::parse_hierarchy;
+use super::joint::BvhJoint;
+use super::motion::{Rows, is_line_end, parse_frame_time};
+use crate::source::files::UTF8_BOM;
+use clip::Rejected;
+
+/// A parsed BVH file in its own unit, axes and joint names.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BvhFile {
+    /// The joints, parents first.
+    pub joints: Vec<BvhJoint>,
+    pub(super) num_channels: usize,
+    pub(super) fps: Fps,
+    pub(super) num_frames: usize,
+    pub(super) values: Vec<f64>,
+    /// Rows of the file, of which `num_frames` are used.
+    pub(super) num_rows: usize,
+    /// Number of frames that the header states.
+    pub(super) stated_frames: usize,
+}
+
+impl BvhFile {
+    /// The joints, parents first.
+    pub fn joints(&self) -> &[BvhJoint] {
+        &self.joints
+    }
+
+    /// Number of frames.
+    pub fn num_frames(&self) -> usize {
+        self.num_frames
+    }
+
+    /// The frame rate.
+    pub fn fps(&self) -> Fps {
+        self.fps
+    }
+
+    /// The columns of a frame, `[C]`.
+    ///
+    /// # Panics
+    /// If the frame does not exist.
+    pub fn frame(&self, frame_index: usize) -> &[f64] {
+        &self.values[frame_index * self.num_channels..][..self.num_channels]
+    }
+
+    /// Parses a file.
+    ///
+    /// # Errors
+    /// `E-BVH-SYNTAX`, `E-BVH-FRAME-TIME`, `E-BVH-NUMBER`, `E-BVH-FRAMES` or `E-TOO-SHORT`, each
+    /// with the byte offset of what is wrong.
+    pub fn parse(bytes: &[u8]) -> Result<Self, Rejected> {
+        Self::read(&mut &bytes[..], bytes.len(), false)
+    }
+
+    /// Reads a file of about `length` bytes piece by piece, so that its text is never held whole. If
+    /// `lenient`, the number of rows may differ from what the header says, if every row is whole; of
+    /// too many rows, those beyond the stated number are dropped.
+    ///
+    /// # Errors
+    /// As [`BvhFile::parse`]; `E-IO` if the file cannot be read.
+    pub fn read(file: &mut dyn Read, length: usize, lenient: bool) -> Result<Self, Rejected> {
+        let mut pieces = Pieces::new(file);
+        let header = pieces.header()?;
+        let mut rows = Rows::new(header.num_frames, header.num_channels, length);
+        while let Some((offset, lines)) = pieces.lines()? {
+            rows.take(lines, offset)?;
+        }
+        let mut values = rows.finish(lenient, pieces.offset)?;
+        let num_rows = values.len() / header.num_channels;
+        let num_frames = num_rows.min(header.num_frames);
+        values.truncate(num_frames * header.num_channels);
+        Ok(Self {
+            joints: header.joints,
+            num_channels: header.num_channels,
+            fps: header.fps,
+            num_frames,
+            values,
+            num_rows,
+            stated_frames: header.num_frames,
+        })
+    }
+}
+
+/// Everything before the rows.
+struct Header {
+    joints: Vec<BvhJoint>,
+    num_channels: usize,
+    num_frames: usize,
+    fps: Fps,
+}
+
+impl Header {
+    /// Parses the header, and returns where the rows begin.
+    fn parse(bytes: &[u8]) -> Result<(Self, usize), Rejected> {
+        let mut cursor = Cursor {
+            bytes,
+            at: if bytes.starts_with(UTF8_BOM) {
+                UTF8_BOM.len()
+            } else {
+                0
+            },
+        };
+        let joints = parse_hierarchy(&mut cursor)?;
+        let num_channels = joints.iter().map(|joint| joint.channels.len()).sum();
+        if num_channels == 0 {
+            return Err(syntax(
+                cursor.at,
+                "the hierarchy has no channels, expected at least one",
+            ));
+        }
+        cursor.keyword("MOTION")?;
+        cursor.keyword("FRAMES:")?;
+        let num_frames = cursor.count("a number of frames")?;
+        let fps = parse_frame_time(&mut cursor)?;
+        let header = Self {
+            joints,
+            num_channels,
+            num_frames,
+            fps,
+        };
+        Ok((header, cursor.at))
+    }
+}
+
+/// The text of a file, piece by piece.
+struct Pieces<'a> {
+    file: &'a mut dyn Read,
+    text: Vec<u8>,
+    /// Bytes of `text` that were handed out.
+    used: usize,
+    /// Bytes after them that are known to hold no line end.
+    searched: usize,
+    /// Place of `text` in the file; the end of the file, once there are no more lines.
+    offset: usize,
+    ended: bool,
+}
+
+impl<'a> Pieces<'a> {
+    /// Bytes read at a time.
+    const PIECE: usize = 1 << 20;
+    /// Limit on the bytes before the rows: 4096 joints take less than a quarter.
+    const MAX_HEADER: usize = 4 << 20;
+
+    fn new(file: &'a mut dyn Read) -> Self {
+        Self {
+            file,
+            text: Vec::new(),
+            used: 0,
+            searched: 0,
+            offset: 0,
+            ended: false,
+        }
+    }
+
+    /// Forgets what was handed out.
+    fn forget_used(&mut self) {
+        self.text.drain(..self.used);
+        self.offset += std::mem::take(&mut self.used);
+    }
+
+    /// Reads a piece more.
+    fn read(&mut self) -> Result<(), Rejected> {
+        self.forget_used();
+        let before = self.text.len();
+        self.file
+            .take(Self::PIECE as u64)
+            .read_to_end(&mut self.text)
+            .map_err(|error| Rejected::read("E-IO", format!("cannot read the file: {error}")))?;
+        self.ended = self.text.len() - before < Self::PIECE;
+        Ok(())
+    }
+
+    fn header(&mut self) -> Result<Header, Rejected> {
+        loop {
+            self.read()?;
+            let last = self.ended || self.text.len() >= Self::MAX_HEADER;
+            match Header::parse(&self.text) {
+                // The frame time may go on in the next piece.
+                Ok((header, at)) if last || at < self.text.len() => {
+                    self.used = at;
+                    return Ok(header);
+                }
+                Err(rejected) if last => return Err(rejected),
+                _ => {}
+            }
+        }
+    }
+
+    /// The next whole lines with their place, and at the end what is left; none after it.
+    fn lines(&mut self) -> Result<Option<(usize, &[u8])>, Rejected> {
+        loop {
+            self.forget_used();
+            let last = self.text[self.searched..]
+                .iter()
+                .rposition(|byte| is_line_end(*byte));
+            let end = match last {
+                Some(last) => self.searched + last + 1,
+                None if self.ended => self.text.len(),
+                None => 0,
+            };
+            self.searched = self.text.len() - end;
+            if end > 0 {
+                self.used = end;
+                return Ok(Some((self.offset, &self.text[..end])));
+            }
+            if self.ended {
+                return Ok(None);
+            }
+            self.read()?;
+        }
+    }
+}

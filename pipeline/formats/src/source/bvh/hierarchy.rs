@@ -1,0 +1,141 @@
+//! The `HIERARCHY` section: joints, offsets, channels and end sites.
+
+use glam::DVec3;
+
+use super::cursor::{Cursor, parse_number, shown, syntax};
+use super::joint::{Axis, BvhJoint, Channel};
+use super::soma;
+use clip::Rejected;
+
+/// Limit on the joints of a file. Full-body rigs with fingers and face have some 200.
+const MAX_JOINTS: usize = 4096;
+
+pub(super) fn parse_hierarchy(cursor: &mut Cursor) -> Result<Vec<BvhJoint>, Rejected> {
+    cursor.expect("HIERARCHY")?;
+    cursor.expect("ROOT")?;
+    let mut joints = Vec::new();
+    let mut num_channels = 0;
+    let mut rest_rotation = None;
+    let mut open = vec![open_joint(cursor, &mut joints, None)?];
+    // An explicit stack: a deep hierarchy must not exhaust the call stack.
+    while let Some(&joint) = open.last() {
+        let (at, word) = cursor.word();
+        if word.eq_ignore_ascii_case(b"OFFSET") {
+            joints[joint].offset = cursor.vector()?;
+            rest_rotation = rest_rotation.or(skip_rest_rotation(cursor)?);
+        } else if word.eq_ignore_ascii_case(b"CHANNELS") {
+            if !joints[joint].channels.is_empty() {
+                return Err(syntax(
+                    at,
+                    "a joint has two lists of channels, expected one",
+                ));
+            }
+            joints[joint].first_channel = num_channels;
+            joints[joint].channels = parse_channels(cursor)?;
+            num_channels += joints[joint].channels.len();
+        } else if word.eq_ignore_ascii_case(b"JOINT") {
+            open.push(open_joint(cursor, &mut joints, Some(joint))?);
+        } else if word.eq_ignore_ascii_case(b"END") {
+            cursor.rest_of_line();
+            cursor.expect("{")?;
+            cursor.expect("OFFSET")?;
+            joints[joint].end_site = Some(cursor.vector()?);
+            cursor.expect("}")?;
+        } else if word == b"}" {
+            open.pop();
+        } else {
+            return Err(syntax(
+                at,
+                format!(
+                    "found {}, expected OFFSET, CHANNELS, JOINT, End Site or a brace",
+                    shown(word)
+                ),
+            ));
+        }
+    }
+    match rest_rotation {
+        Some(at) if !soma::is_soma(&joints) => Err(syntax(
+            at,
+            "found six numbers after OFFSET, expected three; only rigs of SOMA are known to state a \
+             rest rotation there, which their channels repeat",
+        )),
+        _ => Ok(joints),
+    }
+}
+
+/// Passes over three more numbers after an offset, and returns where they are. Rigs of SOMA state the
+/// joint's rotation at rest there, in degrees about x, y and z. It is not needed: their channels hold the
+/// whole rotation.
+fn skip_rest_rotation(cursor: &mut Cursor) -> Result<Option<usize>, Rejected> {
+    let before = cursor.at;
+    let (at, word) = cursor.word();
+    cursor.at = before;
+    if parse_number(word).is_none() {
+        return Ok(None);
+    }
+    cursor.vector()?;
+    Ok(Some(at))
+}
+
+fn open_joint(
+    cursor: &mut Cursor,
+    joints: &mut Vec<BvhJoint>,
+    parent: Option<usize>,
+) -> Result<usize, Rejected> {
+    let at = cursor.at;
+    let name = cursor.rest_of_line();
+    if joints.len() == MAX_JOINTS {
+        return Err(syntax(at, format!("more than {MAX_JOINTS} joints")));
+    }
+    cursor.expect("{")?;
+    joints.push(BvhJoint {
+        name: String::from_utf8_lossy(name).into_owned(),
+        parent,
+        offset: DVec3::ZERO,
+        channels: Vec::new(),
+        first_channel: 0,
+        end_site: None,
+    });
+    Ok(joints.len() - 1)
+}
+
+fn parse_channels(cursor: &mut Cursor) -> Result<Vec<Channel>, Rejected> {
+    /// Three positions and three rotations.
+    const MOST: usize = 6;
+    let (at, count) = (cursor.at, cursor.count("a number of channels")?);
+    if count > MOST {
+        return Err(syntax(
+            at,
+            format!("found {count} channels, expected at most {MOST}"),
+        ));
+    }
+    let mut channels = Vec::with_capacity(count);
+    for _ in 0..count {
+        let (at, word) = cursor.word();
+        let axis = match word.first().map(u8::to_ascii_uppercase) {
+            Some(b'X') => Some(Axis::X),
+            Some(b'Y') => Some(Axis::Y),
+            Some(b'Z') => Some(Axis::Z),
+            _ => None,
+        };
+        let channel = axis.and_then(|axis| {
+            if word[1..].eq_ignore_ascii_case(b"position") {
+                Some(Channel::Position(axis))
+            } else if word[1..].eq_ignore_ascii_case(b"rotation") {
+                Some(Channel::Rotation(axis))
+            } else {
+                None
+            }
+        });
+        channels.push(channel.ok_or_else(|| {
+            syntax(
+                at,
+                format!(
+                    "found {}, expected a channel such as Xrotation or Yposition",
+                    shown(word)
+                ),
+            )
+        })?);
+    }
+    Ok(channels)
+}

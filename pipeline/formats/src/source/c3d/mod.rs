@@ -1,0 +1,597 @@
+//! The C3D reader: marker positions of an optical capture, from any of the three kinds of processor
+//! that ever wrote the format.
+//!
+//! A C3D file consists of blocks of 512 bytes: a header, a section of parameters and the frames. They
+//! often contradict each other: the parameters take precedence over the header, and the length of the
+//! file over both.
+//!
+//! # Source
+//! The C3D user guide of c3d.org; formats of the VAX as DEC documents them.
+
+mod parameters;
+
+use std::path::Path;
+
+use datasets_spec::Fps;
+use glam::DVec3;
+
+use self::parameters::Parameters;
+use super::format::{Format, Recognised, SourceFormat};
+use super::options::ReadOptions;
+use super::unit::Unit;
+use crate::markers::{self, Capture, CaptureUnit, is_model_output};
+use clip::{MAX_FPS, MIN_FPS, Markers, Outcome, Rejected};
+
+/// Bytes of a block.
+const BLOCK: usize = 512;
+/// Second byte of every C3D file.
+const MAGIC: u8 = 0x50;
+/// Maximum distance in metres of a marker from the origin: a plausibility test for the number format.
+const MAX_DISTANCE_M: f64 = 100.0;
+/// Fraction of implausible positions above which the processor flag is taken to be wrong.
+const MAX_IMPLAUSIBLE: f64 = 0.1;
+/// Limit on points per frame; real captures have a few hundred.
+const MAX_POINTS: usize = 10_000;
+
+/// Number format of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Processor {
+    /// Little-endian IEEE numbers.
+    Intel,
+    /// Little-endian whole numbers and VAX floating point.
+    Dec,
+    /// Big-endian IEEE numbers.
+    Mips,
+}
+
+impl Processor {
+    fn of(code: u8) -> Option<Self> {
+        match code {
+            84 => Some(Self::Intel),
+            85 => Some(Self::Dec),
+            86 => Some(Self::Mips),
+            _ => None,
+        }
+    }
+
+    fn u16(self, bytes: [u8; 2]) -> u16 {
+        match self {
+            Self::Intel | Self::Dec => u16::from_le_bytes(bytes),
+            Self::Mips => u16::from_be_bytes(bytes),
+        }
+    }
+
+    fn i16(self, bytes: [u8; 2]) -> i16 {
+        self.u16(bytes) as i16
+    }
+
+    fn f32(self, bytes: [u8; 4]) -> f32 {
+        match self {
+            Self::Intel => f32::from_le_bytes(bytes),
+            Self::Mips => f32::from_be_bytes(bytes),
+            Self::Dec => {
+                // Two little-endian words, the high one first, and an exponent that is two larger.
+                let [b0, b1, b2, b3] = bytes;
+                f32::from_be_bytes([b1, b0, b3, b2]) / 4.0
+            }
+        }
+    }
+}
+
+/// A parsed capture.
+#[derive(Clone, Debug)]
+pub struct C3dFile {
+    /// Number format of the file.
+    pub processor: Processor,
+    /// Whether the points are stored as scaled integers.
+    pub integer: bool,
+    /// The markers in metres, in the file's own axes.
+    pub markers: Markers,
+    /// The unit they were in.
+    pub unit: CaptureUnit,
+    /// Points that are not markers but angles, forces and the like, by name.
+    pub model_outputs: Vec<String>,
+    /// Decisions a reader may want to check.
+    pub notes: Vec<String>,
+}
+
+fn header_error(at: usize, reason: impl Into<String>) -> Rejected {
+    Rejected::read("E-C3D-HEADER", reason).at(at)
+}
+
+impl C3dFile {
+    /// Parses a file. None if it holds no points.
+    ///
+    /// # Errors
+    /// `E-C3D-TRUNCATED`, `E-C3D-HEADER`, `E-C3D-PARAM`, `E-C3D-ENDIAN`, `E-C3D-ZERO` or `E-UNIT`, with the byte
+    /// offset where there is one.
+    pub fn parse(bytes: &[u8]) -> Result<Option<Self>, Rejected> {
+        Self::read(bytes, None)
+    }
+
+    /// Parses a file whose numbers are in this unit, if one is given, whatever it states.
+    ///
+    /// # Errors
+    /// As [`C3dFile::parse`].
+    pub fn read(bytes: &[u8], unit: Option<Unit>) -> Result<Option<Self>, Rejected> {
+        let (processor, parameters) = parameters(bytes)?;
+        let header = Header::read(bytes, processor);
+        Layout::find(bytes, &header, &parameters)?
+            .map(|layout| layout.read(bytes, processor, &parameters, unit))
+            .transpose()
+    }
+}
+
+/// The processor of a file and its parameters.
+fn parameters(bytes: &[u8]) -> Result<(Processor, Parameters), Rejected> {
+    if bytes.len() < BLOCK {
+        return Err(Rejected::read(
+            "E-C3D-TRUNCATED",
+            format!("found {} bytes, expected a header of {BLOCK}", bytes.len()),
+        )
+        .at(bytes.len()));
+    }
+    if bytes[1] != MAGIC {
+        return Err(header_error(
+            1,
+            format!("found 0x{:02x}, expected 0x{MAGIC:02x}", bytes[1]),
+        ));
+    }
+    let start = usize::from(bytes[0]).saturating_sub(1) * BLOCK;
+    let section = bytes.get(start..start + 4).filter(|_| start > 0);
+    let Some(&[_, _, _, code]) = section else {
+        return Err(header_error(
+            0,
+            format!(
+                "the parameters are said to be in block {}, which is none",
+                bytes[0]
+            ),
+        ));
+    };
+    let processor = Processor::of(code).ok_or_else(|| {
+        header_error(
+            start + 3,
+            format!("found processor {code}, expected 84 (Intel), 85 (DEC) or 86 (MIPS)"),
+        )
+    })?;
+    let parameters = Parameters::parse(bytes, start, processor)?;
+    Ok((processor, parameters))
+}
+
+/// Contents of the header block.
+struct Header {
+    points: usize,
+    analog_per_frame: usize,
+    frames: usize,
+    scale: f64,
+    data_block: usize,
+    rate: f64,
+}
+
+impl Header {
+    fn read(bytes: &[u8], processor: Processor) -> Self {
+        let word = |number: usize| {
+            let at = 2 * (number - 1);
+            processor.u16([bytes[at], bytes[at + 1]])
+        };
+        let real = |number: usize| {
+            let at = 2 * (number - 1);
+            processor.f32([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+        };
+        let (first, last) = (usize::from(word(4)), usize::from(word(5)));
+        Self {
+            points: word(2).into(),
+            analog_per_frame: word(3).into(),
+            frames: (last + 1).saturating_sub(first),
+            scale: real(7).into(),
+            data_block: word(9).into(),
+            rate: real(11).into(),
+        }
+    }
+}
+
+/// Layout of the frames.
+struct Layout {
+    start: usize,
+    points: usize,
+    /// Analogue values of a frame, after the points.
+    analog: usize,
+    frames: usize,
+    scale: f64,
+    fps: Fps,
+    notes: Vec<String>,
+}
+
+impl Layout {
+    fn find(
+        bytes: &[u8],
+        header: &Header,
+        parameters: &Parameters,
+    ) -> Result<Option<Self>, Rejected> {
+        let mut notes = Vec::new();
+        let stated = |name: &str| parameters.number("POINT", name);
+        let points = match stated("USED") {
+            Some(used) if used >= 0.0 => used as usize,
+            _ => header.points,
+        };
+        if points == 0 {
+            return Ok(None);
+        }
+        if points > MAX_POINTS {
+            return Err(header_error(
+                2,
+                format!("found {points} points, expected at most {MAX_POINTS}"),
+            ));
+        }
+        let scale = stated("SCALE")
+            .filter(|scale| *scale != 0.0)
+            .unwrap_or(header.scale);
+        if !scale.is_finite() || scale == 0.0 {
+            return Err(header_error(
+                12,
+                format!("found a scale of {scale}, expected another"),
+            ));
+        }
+        let rate = [stated("RATE").unwrap_or(0.0), header.rate]
+            .into_iter()
+            .find(|rate| (MIN_FPS..=MAX_FPS).contains(rate))
+            .ok_or_else(|| {
+                header_error(
+                    20,
+                    format!("found {} frames a second, expected a rate", header.rate),
+                )
+            })?;
+        let fps = Fps::from_file(rate)
+            .map_err(|error| header_error(20, format!("no frame rate: {error}")))?;
+        let data_block = match header.data_block {
+            0 => stated("DATA_START").map_or(0, |block| block.max(0.0) as usize),
+            block => block,
+        };
+        let start = data_block.saturating_sub(1) * BLOCK;
+        if start < BLOCK || start >= bytes.len() {
+            return Err(Rejected::read(
+                "E-C3D-TRUNCATED",
+                format!(
+                    "the frames are said to be in block {data_block}, the file has {}",
+                    bytes.len().div_ceil(BLOCK)
+                ),
+            )
+            .at(bytes.len()));
+        }
+        let value_size = if scale < 0.0 { 4 } else { 2 };
+        let analog = header.analog_per_frame;
+        let frame_size = (4 * points + analog) * value_size;
+        let room = (bytes.len() - start) / frame_size;
+        let frames = frame_count(header, parameters, room, &mut notes)?;
+        Ok(Some(Self {
+            start,
+            points,
+            analog,
+            frames,
+            scale,
+            fps,
+            notes,
+        }))
+    }
+
+    fn read(
+        mut self,
+        bytes: &[u8],
+        processor: Processor,
+        parameters: &Parameters,
+        unit: Option<Unit>,
+    ) -> Result<C3dFile, Rejected> {
+        let (labels, kept) = labels_of_markers(parameters, self.points);
+        let raw = self.raw_positions(bytes, processor);
+        let unit = self.unit(parameters, &raw, unit);
+        let metres = unit.unit.metres();
+
+        let mut positions = Vec::with_capacity(self.frames * kept.len());
+        let mut residuals = Vec::with_capacity(self.frames * kept.len());
+        let (mut seen, mut implausible, mut at_origin) = (0usize, 0usize, 0usize);
+        for frame in raw.chunks_exact(self.points) {
+            for &point in &kept {
+                let Point { at, residual } = frame[point];
+                let is_seen = frame[point].is_seen();
+                let place = at * metres;
+                let plausible = place.is_finite() && place.length() < MAX_DISTANCE_M;
+                at_origin += usize::from(residual >= 0.0 && !is_seen);
+                if is_seen {
+                    seen += 1;
+                    implausible += usize::from(!plausible);
+                }
+                if is_seen && plausible {
+                    positions.push(place.as_vec3().to_array());
+                    residuals.push((residual * metres) as f32);
+                } else {
+                    positions.push([0.0; 3]);
+                    residuals.push(-1.0);
+                }
+            }
+        }
+        if implausible as f64 > MAX_IMPLAUSIBLE * seen as f64 {
+            let frames = raw.chunks_exact(self.points).map(|frame| {
+                let markers = kept.iter().map(|point| frame[*point]);
+                markers
+                    .filter(|point| point.is_seen())
+                    .map(|point| point.at)
+            });
+            if let Some(rejected) = unit.doubt(frames) {
+                return Err(rejected);
+            }
+            return Err(Rejected::read(
+                "E-C3D-ENDIAN",
+                format!(
+                    "found {implausible} of {seen} positions farther than {MAX_DISTANCE_M} m; the \
+                     file says {processor:?}, and its numbers are another processor's"
+                ),
+            )
+            .at(self.start));
+        }
+        if !positions.is_empty() && positions.iter().all(|position| *position == [0.0; 3]) {
+            return Err(Rejected::read(
+                "E-C3D-ZERO",
+                format!(
+                    "all coordinates are zero in {} positions, {seen} of them seen; expected a capture",
+                    positions.len()
+                ),
+            )
+            .at(self.start));
+        }
+        if implausible > 0 {
+            self.notes.push(format!(
+                "{implausible} positions farther than {MAX_DISTANCE_M} m count as not seen"
+            ));
+        }
+        if at_origin > 0 {
+            let note = format!("{at_origin} positions at the origin count as not seen");
+            self.notes.push(note);
+        }
+        Ok(C3dFile {
+            processor,
+            unit,
+            integer: self.scale > 0.0,
+            markers: Markers {
+                fps: self.fps,
+                labels,
+                positions,
+                residuals,
+                set: None,
+                fit_residuals: Vec::new(),
+            },
+            model_outputs: parameters.model_outputs(),
+            notes: self.notes,
+        })
+    }
+
+    /// The unit of the file, or the one that the user states.
+    fn unit(
+        &mut self,
+        parameters: &Parameters,
+        points: &[Point],
+        by_user: Option<Unit>,
+    ) -> CaptureUnit {
+        let largest = || {
+            let seen = points.iter().filter(|point| point.residual >= 0.0);
+            seen.fold(0.0, |largest: f64, point| {
+                largest.max(point.at.abs().max_element())
+            })
+        };
+        let stated = parameters.text("POINT", "UNITS").unwrap_or_default();
+        let (unit, note) = CaptureUnit::find(by_user, stated.trim(), largest);
+        self.notes.extend(note);
+        unit
+    }
+
+    /// Every point of every frame in the file's unit.
+    fn raw_positions(&self, bytes: &[u8], processor: Processor) -> Vec<Point> {
+        let size = if self.scale < 0.0 { 4 } else { 2 };
+        let frame_size = (4 * self.points + self.analog) * size;
+        let data = &bytes[self.start..self.start + self.frames * frame_size];
+        let mut points = Vec::with_capacity(self.frames * self.points);
+        for frame in data.chunks_exact(frame_size) {
+            for point in frame[..4 * self.points * size].chunks_exact(4 * size) {
+                points.push(if size == 4 {
+                    real_point(point, processor, self.scale)
+                } else {
+                    whole_point(point, processor, self.scale)
+                });
+            }
+        }
+        points
+    }
+}
+
+/// A point in the file's unit; the residual is negative where it was not seen.
+#[derive(Clone, Copy)]
+struct Point {
+    at: DVec3,
+    residual: f64,
+}
+
+impl Point {
+    /// Some programs write points that were not seen at the origin, as if they were.
+    fn is_seen(self) -> bool {
+        self.residual >= 0.0 && self.at != DVec3::ZERO
+    }
+}
+
+fn real_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
+    let value = |index: usize| {
+        let at = 4 * index;
+        f64::from(processor.f32([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]))
+    };
+    let at = DVec3::new(value(0), value(1), value(2));
+    // The fourth number is an integer: cameras in its high byte, the residual in its low byte.
+    let packed = value(3);
+    let residual = if packed < 0.0 || !packed.is_finite() || !at.is_finite() {
+        -1.0
+    } else {
+        f64::from(packed.min(f64::from(u16::MAX)) as u16 & 0xFF) * scale.abs()
+    };
+    Point { at, residual }
+}
+
+fn whole_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
+    let value = |index: usize| processor.i16([bytes[2 * index], bytes[2 * index + 1]]);
+    let at = DVec3::new(value(0).into(), value(1).into(), value(2).into()) * scale;
+    let packed = value(3);
+    let residual = if packed < 0 {
+        -1.0
+    } else {
+        f64::from(packed & 0xFF) * scale
+    };
+    Point { at, residual }
+}
+
+/// Number of frames by the parameters (for long captures in two words or as a real number), else by the
+/// header, limited by the length of the file.
+fn frame_count(
+    header: &Header,
+    parameters: &Parameters,
+    room: usize,
+    notes: &mut Vec<String>,
+) -> Result<usize, Rejected> {
+    let field = |name: &str| parameters.long("TRIAL", name);
+    let trial = match (field("ACTUAL_START_FIELD"), field("ACTUAL_END_FIELD")) {
+        (Some(first), Some(last)) if last >= first => Some(last - first + 1),
+        _ => None,
+    };
+    let whole = |name: &str| {
+        let number = parameters.number("POINT", name)?;
+        // Sixteen bits are read with their sign, which a count does not have.
+        let number = if number < 0.0 {
+            number + 65_536.0
+        } else {
+            number
+        };
+        (number >= 1.0).then_some(number as usize)
+    };
+    let claims = [
+        ("TRIAL:ACTUAL fields", trial),
+        ("POINT:LONG_FRAMES", whole("LONG_FRAMES")),
+        ("POINT:FRAMES", whole("FRAMES")),
+        ("header", Some(header.frames).filter(|frames| *frames > 0)),
+    ];
+    let first = claims.iter().find_map(|(_, claim)| *claim);
+    let fits = claims
+        .iter()
+        .find_map(|(name, claim)| Some((*name, claim.filter(|frames| *frames <= room)?)));
+    match (first, fits) {
+        (Some(first), Some((name, frames))) => {
+            if first != frames {
+                notes.push(format!(
+                    "{frames} frames by {name}; {first} claimed elsewhere"
+                ));
+            }
+            Ok(frames)
+        }
+        (Some(first), None) => Err(Rejected::read(
+            "E-C3D-TRUNCATED",
+            format!("found room for {room} frames, expected {first}"),
+        )),
+        _ => Err(header_error(6, "found no number of frames")),
+    }
+}
+
+/// A name for each point, unique.
+fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
+    let mut stated = Vec::new();
+    for number in 1.. {
+        let name = match number {
+            1 => "LABELS".to_owned(),
+            more => format!("LABELS{more}"),
+        };
+        match parameters.texts("POINT", &name) {
+            Some(more) => stated.extend(more),
+            None => break,
+        }
+    }
+    let label = |point: usize| {
+        let label = stated.get(point).map(|label| label.trim());
+        match label.unwrap_or_default() {
+            "" => format!("point{}", point + 1),
+            label => label.to_owned(),
+        }
+    };
+    markers::unique_labels((0..points).map(label))
+}
+
+/// Names of the points that are markers, and which points these are.
+fn labels_of_markers(parameters: &Parameters, points: usize) -> (Vec<String>, Vec<usize>) {
+    let labels = labels(parameters, points);
+    let outputs = parameters.model_outputs();
+    let is_marker = |label: &String| !outputs.contains(label) && !is_model_output(label);
+    let kept: Vec<usize> = (0..points)
+        .filter(|point| is_marker(&labels[*point]))
+        .collect();
+    let labels = kept.iter().map(|point| labels[*point].clone()).collect();
+    (labels, kept)
+}
+
+/// Names of the markers of a file; none if it cannot be read.
+fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
+    let (processor, parameters) = parameters(bytes).ok()?;
+    let header = Header::read(bytes, processor);
+    let layout = Layout::find(bytes, &header, &parameters).ok()??;
+    Some(labels_of_markers(&parameters, layout.points).0)
+}
+
+/// C3D: marker positions of an optical capture.
+pub const FORMAT: Format = Format::new(&C3d);
+
+#[derive(Debug)]
+struct C3d;
+
+impl SourceFormat for C3d {
+    fn name(&self) -> &'static str {
+        "c3d"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // Measured on 24 captures.
+        60_000.0
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
+        (extension == "c3d").then_some(Recognised::Motion(FORMAT))
+    }
+
+    fn may_hold_several(&self) -> bool {
+        true
+    }
+
+    fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+        let labels = marker_labels(bytes).unwrap_or_default();
+        markers::keys(&labels, options.markers.as_ref())
+    }
+
+    fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {
+        markers::subject_of(key)
+    }
+
+    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        match capture(bytes, options) {
+            Ok(Some(capture)) => capture.clip(key, options).into(),
+            Ok(None) => Outcome::Skipped {
+                reason: "C3D without marker data".to_owned(),
+            },
+            Err(rejected) => Outcome::Rejected(rejected),
+        }
+    }
+}
+
+/// The markers of a file; none if it has none.
+pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Option<Capture>, Rejected> {
+    let file = C3dFile::read(bytes, options.unit)?;
+    let file = file.filter(|file| !file.markers.labels.is_empty());
+    Ok(file.map(|file| Capture {
+        markers: file.markers,
+        unit: file.unit,
+        notes: file.notes,
+        flags: 0,
+    }))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,260 @@
+//! The parameter section of a C3D file: groups of named values.
+
+use std::collections::BTreeMap;
+
+use super::{BLOCK, Processor};
+use clip::Rejected;
+
+/// Groups whose labels name points that are not markers.
+const MODEL_OUTPUTS: [&str; 6] = [
+    "ANGLES",
+    "FORCES",
+    "MOMENTS",
+    "POWERS",
+    "SCALARS",
+    "REACTIONS",
+];
+
+/// A value as stored.
+#[derive(Clone, Debug)]
+enum Value {
+    /// Characters in rows of one length.
+    Text {
+        width: usize,
+        characters: Vec<u8>,
+    },
+    Bytes(Vec<u8>),
+    /// Words as stored, not yet signed.
+    Words(Vec<u16>),
+    Reals(Vec<f32>),
+}
+
+/// All parameters by group and name, in upper case.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Parameters {
+    values: BTreeMap<(String, String), Value>,
+}
+
+/// Reads bytes sequentially with bounds checks.
+struct Cursor<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Cursor<'a> {
+    fn take(&mut self, length: usize) -> Result<&'a [u8], Rejected> {
+        let end = self.at.checked_add(length);
+        let taken = end.and_then(|end| self.bytes.get(self.at..end));
+        let taken = taken.ok_or_else(|| {
+            Rejected::read(
+                "E-C3D-PARAM",
+                format!(
+                    "expected {length} bytes more of the parameters, found {}",
+                    self.bytes.len().saturating_sub(self.at)
+                ),
+            )
+            .at(self.at)
+        })?;
+        self.at += length;
+        Ok(taken)
+    }
+
+    fn byte(&mut self) -> Result<u8, Rejected> {
+        Ok(self.take(1)?[0])
+    }
+}
+
+impl Parameters {
+    /// Parses the section that begins at `start`.
+    ///
+    /// Some programs write a link to the next parameter that leads out of the section. Then the
+    /// parameter that follows in the file is the next one; without one, the section ends.
+    ///
+    /// # Errors
+    /// `E-C3D-PARAM` if it breaks off in the middle of a value.
+    pub(super) fn parse(
+        bytes: &[u8],
+        start: usize,
+        processor: Processor,
+    ) -> Result<Self, Rejected> {
+        // Some files state too few blocks, so the section is read to its own end.
+        let end = bytes.len();
+        let stated_end = start + usize::from(bytes[start + 2]) * BLOCK;
+        let mut groups: BTreeMap<u8, String> = BTreeMap::new();
+        let mut by_group: Vec<(u8, String, Value)> = Vec::new();
+        let mut cursor = Cursor {
+            bytes,
+            at: start + 4,
+        };
+        while cursor.at < end {
+            // The sign of the length of a name is the lock flag.
+            let length = usize::from((cursor.byte()? as i8).unsigned_abs());
+            if length == 0 {
+                break;
+            }
+            let group = cursor.byte()? as i8;
+            if group == 0 {
+                break;
+            }
+            let name = String::from_utf8_lossy(cursor.take(length)?).to_uppercase();
+            let offset_at = cursor.at;
+            let offset = cursor.take(2)?;
+            let offset = usize::from(processor.u16([offset[0], offset[1]]));
+            let next = offset_at + offset;
+            if group < 0 {
+                groups.insert(group.unsigned_abs(), name);
+            } else {
+                let value = value(&mut cursor, processor)?;
+                by_group.push((group.unsigned_abs(), name, value));
+            }
+            // An offset of zero ends the section.
+            if offset == 0 {
+                break;
+            }
+            if next <= stated_end {
+                cursor.at = next;
+                continue;
+            }
+            let follows = end_of_record(bytes, cursor.at);
+            match [next, follows].into_iter().find(|at| is_record(bytes, *at)) {
+                Some(at) => cursor.at = at,
+                None => break,
+            }
+        }
+        let values = by_group
+            .into_iter()
+            .filter_map(|(group, name, value)| Some(((groups.get(&group)?.clone(), name), value)))
+            .collect();
+        Ok(Self { values })
+    }
+
+    fn get(&self, group: &str, name: &str) -> Option<&Value> {
+        self.values.get(&(group.to_owned(), name.to_owned()))
+    }
+
+    /// The first number of a parameter.
+    pub(super) fn number(&self, group: &str, name: &str) -> Option<f64> {
+        match self.get(group, name)? {
+            Value::Bytes(bytes) => bytes.first().map(|byte| f64::from(*byte as i8)),
+            Value::Words(words) => words.first().map(|word| f64::from(*word as i16)),
+            Value::Reals(reals) => reals.first().map(|real| f64::from(*real)),
+            Value::Text { .. } => None,
+        }
+        .filter(|number| number.is_finite())
+    }
+
+    /// A count in two words, the low one first whatever the processor, or as a real number.
+    pub(super) fn long(&self, group: &str, name: &str) -> Option<usize> {
+        match self.get(group, name)? {
+            Value::Words(words) => match words[..] {
+                [low, high, ..] => Some(usize::from(low) | usize::from(high) << 16),
+                [low] => Some(low.into()),
+                [] => None,
+            },
+            Value::Reals(reals) => {
+                let number = *reals.first()?;
+                (number >= 0.0 && number < u32::MAX as f32).then_some(number as usize)
+            }
+            _ => None,
+        }
+    }
+
+    /// A parameter's text, its rows joined.
+    pub(super) fn text(&self, group: &str, name: &str) -> Option<String> {
+        Some(self.texts(group, name)?.join(" "))
+    }
+
+    /// A parameter's rows of text.
+    pub(super) fn texts(&self, group: &str, name: &str) -> Option<Vec<String>> {
+        match self.get(group, name)? {
+            Value::Text { width, characters } => Some(
+                characters
+                    .chunks((*width).max(1))
+                    .map(|row| {
+                        let row = String::from_utf8_lossy(row);
+                        row.trim_matches(['\0', ' ']).to_owned()
+                    })
+                    .collect(),
+            ),
+            _ => None,
+        }
+    }
+
+    /// Names of points that are angles, forces and the like.
+    pub(super) fn model_outputs(&self) -> Vec<String> {
+        let listed = MODEL_OUTPUTS
+            .iter()
+            .filter_map(|name| self.texts("POINT", name))
+            .flatten()
+            .filter(|label| !label.is_empty());
+        let mut outputs: Vec<String> = listed.collect();
+        outputs.sort();
+        outputs.dedup();
+        outputs
+    }
+}
+
+/// Where a record ends whose value ends at `at`: after its description, whose length is one byte.
+fn end_of_record(bytes: &[u8], at: usize) -> usize {
+    at + 1 + bytes.get(at).map_or(0, |length| usize::from(*length))
+}
+
+/// Whether the bytes look like the head of a group or parameter: a name in capitals, digits and
+/// underscores, which no number of the frames resembles.
+fn is_record(bytes: &[u8], at: usize) -> bool {
+    const SHORTEST_NAME: usize = 3;
+    let Some(&[length, group]) = bytes.get(at..at + 2) else {
+        return false;
+    };
+    let length = usize::from((length as i8).unsigned_abs());
+    let name = bytes.get(at + 2..at + 2 + length).unwrap_or_default();
+    let is_named = |byte: &u8| byte.is_ascii_alphanumeric() || *byte == b'_';
+    group != 0 && name.len() >= SHORTEST_NAME && name.iter().all(is_named)
+}
+
+fn value(cursor: &mut Cursor, processor: Processor) -> Result<Value, Rejected> {
+    let kind_at = cursor.at;
+    let kind = cursor.byte()? as i8;
+    let num_axes = cursor.byte()?;
+    let axes: Vec<usize> = cursor
+        .take(num_axes.into())?
+        .iter()
+        .map(|axis| usize::from(*axis))
+        .collect();
+    let size = match kind {
+        -1 | 1 => 1,
+        2 => 2,
+        4 => 4,
+        other => {
+            return Err(Rejected::read(
+                "E-C3D-PARAM",
+                format!("found a value of type {other}, expected -1, 1, 2 or 4"),
+            )
+            .at(kind_at));
+        }
+    };
+    let length = axes
+        .iter()
+        .try_fold(size, |length: usize, axis| length.checked_mul(*axis))
+        .unwrap_or(usize::MAX);
+    let bytes = cursor.take(length)?;
+    Ok(match kind {
+        -1 => Value::Text {
+            width: axes.first().copied().unwrap_or(1),
+            characters: bytes.to_vec(),
+        },
+        1 => Value::Bytes(bytes.to_vec()),
+        2 => Value::Words(
+            bytes
+                .chunks_exact(2)
+                .map(|word| processor.u16([word[0], word[1]]))
+                .collect(),
+        ),
+        _ => Value::Reals(
+            bytes
+                .chunks_exact(4)
+                .map(|real| processor.f32([real[0], real[1], real[2], real[3]]))
+                .collect(),
+        ),
+    })
+}

@@ -1,0 +1,299 @@
+//! Reads a dataset folder as a source.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use datasets_spec::manifest::{FORMAT, FileEntry, Manifest};
+use datasets_spec::record::{
+    CAPTION_BY_RULE, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow,
+};
+use datasets_spec::table::{Row, SCHEMA_VERSION, ShardReader, read_rows};
+use datasets_spec::{Fps, Split};
+
+use crate::source::format::check_skeleton;
+use crate::source::{Contents, Entry, Files, ReadOptions, Release};
+use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
+use clip::{EditOf, Markers, Rejected, RotationSource, SourceClip, SourceMask};
+
+/// Flags that the motion itself does not show.
+const KEPT_FLAGS: u32 =
+    FLAG_FPS_DOUBTFUL | FLAG_GAPS_FILLED | FLAG_REFERENCE_DROPPED | FLAG_TELEPORT;
+const CODE: &str = "E-DATASET-FILE";
+
+/// A planned dataset.
+#[derive(Debug, Default)]
+pub(super) struct StoredDataset {
+    contents: Contents,
+    /// Shards of motions, by relative path.
+    shards: BTreeMap<String, ShardReader>,
+    /// By motion.
+    markers: Rows,
+    /// By motion.
+    features: Rows,
+    /// By motion.
+    masks: BTreeMap<String, Vec<MaskRow>>,
+    /// By target.
+    pairs: BTreeMap<String, Vec<PairRow>>,
+}
+
+/// A table with a row for some motions, read row by row.
+#[derive(Debug, Default)]
+struct Rows {
+    shards: Vec<ShardReader>,
+    /// Place in `shards`, and row, by motion.
+    places: BTreeMap<String, (usize, usize)>,
+}
+
+impl Rows {
+    fn add<R: Row>(&mut self, path: &Path) -> Result<(), datasets_spec::Error> {
+        let shard = ShardReader::open(path)?;
+        let ids = shard.column::<R, String>("id")?.into_iter().enumerate();
+        let index = self.shards.len();
+        self.places.extend(ids.map(|(row, id)| (id, (index, row))));
+        self.shards.push(shard);
+        Ok(())
+    }
+
+    fn row<R: Row>(&self, id: &str) -> Result<Option<R>, datasets_spec::Error> {
+        let Some((shard, row)) = self.places.get(id) else {
+            return Ok(None);
+        };
+        Ok(self.shards[*shard].rows_at(&[*row])?.pop())
+    }
+}
+
+impl StoredDataset {
+    /// Finds the dataset folders among the files, and plans the newest version of each.
+    pub(super) fn find(files: &Files) -> Vec<Self> {
+        let mut newest: BTreeMap<&str, (u64, &str)> = BTreeMap::new();
+        for file in files.all() {
+            let Some((root, version)) = root_and_version(file) else {
+                continue;
+            };
+            let found = newest.entry(root).or_insert((version, file));
+            if version > found.0 {
+                *found = (version, file);
+            }
+        }
+        newest
+            .into_iter()
+            .filter_map(|(root, (_, file))| {
+                let manifest: Manifest = serde_json::from_slice(&files.read(file).ok()?).ok()?;
+                (manifest.format == FORMAT).then(|| Self::plan(files, root, file, &manifest))
+            })
+            .collect()
+    }
+
+    fn plan(files: &Files, root: &str, manifest_file: &str, manifest: &Manifest) -> Self {
+        let mut release = Self::default();
+        let major = |version: &str| version.split('.').next().unwrap_or("").to_owned();
+        if major(&manifest.schema_version) != major(SCHEMA_VERSION) {
+            let reason = format!(
+                "the dataset is of format {}, this program reads {SCHEMA_VERSION}",
+                manifest.schema_version
+            );
+            release.reject(manifest_file, Rejected::read("E-DATASET-VERSION", reason));
+        } else {
+            for (table, entries) in &manifest.tables {
+                for entry in entries {
+                    release.take_file(files, root, manifest_file, table, entry);
+                }
+            }
+        }
+        let listed: BTreeSet<String> = manifest
+            .tables
+            .values()
+            .flatten()
+            .map(|file| format!("{root}{}", file.path))
+            .collect();
+        let rejected = release.contents.rejected.iter();
+        let rejected: BTreeSet<String> = rejected.map(|(file, _)| file.clone()).collect();
+        for file in files.under(root) {
+            if rejected.contains(file) {
+                continue;
+            }
+            let name = &file[root.len()..];
+            let of_dataset = ["README.md", "croissant.json"].contains(&name)
+                || name.starts_with("meta/")
+                || name.starts_with("data/");
+            if of_dataset && !release.shards.contains_key(file) {
+                let reason = match name {
+                    _ if listed.contains(file) => "table of a dataset, read with its motions",
+                    _ if name.starts_with("data/") || name.starts_with("meta/aside/") => {
+                        "file of an older version of a dataset"
+                    }
+                    _ => "description of a dataset, read with its motions",
+                };
+                let passed_over = (file.to_owned(), reason.to_owned());
+                release.contents.passed_over.push(passed_over);
+            }
+        }
+        release
+    }
+
+    fn reject(&mut self, file: &str, rejected: Rejected) {
+        self.contents.rejected.push((file.to_owned(), rejected));
+    }
+
+    /// Reads what is needed to plan: ids and splits of motions, and the small tables.
+    fn take_file(
+        &mut self,
+        files: &Files,
+        root: &str,
+        manifest_file: &str,
+        table: &str,
+        entry: &FileEntry,
+    ) {
+        const READ: [&str; 5] = [
+            MotionRow::TABLE,
+            MarkerRow::TABLE,
+            HumanMl3dRow::TABLE,
+            MaskRow::TABLE,
+            PairRow::TABLE,
+        ];
+        if !READ.contains(&table) {
+            return;
+        }
+        let file = format!("{root}{}", entry.path);
+        let Some(path) = files.path(&file) else {
+            let reason = format!("{} is missing from the dataset", entry.path);
+            return self.reject(manifest_file, Rejected::read("E-DATASET-MISSING", reason));
+        };
+        match files.hash(path) {
+            Ok(found) if found == entry.blake3 => {}
+            Ok(found) => {
+                let reason = format!("BLAKE3 expected {}, found {found}", entry.blake3);
+                return self.reject(&file, Rejected::read("E-DATASET-HASH", reason));
+            }
+            Err(reason) => return self.reject(&file, Rejected::read("E-IO", reason)),
+        }
+        let read = || -> Result<(), datasets_spec::Error> {
+            match table {
+                MarkerRow::TABLE => self.markers.add::<MarkerRow>(path)?,
+                HumanMl3dRow::TABLE => self.features.add::<HumanMl3dRow>(path)?,
+                MaskRow::TABLE => {
+                    for mask in read_rows::<MaskRow>(path)? {
+                        let of_motion = self.masks.entry(mask.motion_id.to_string());
+                        of_motion.or_default().push(mask);
+                    }
+                }
+                PairRow::TABLE => {
+                    for pair in read_rows::<PairRow>(path)? {
+                        let of_target = self.pairs.entry(pair.target_id.to_string());
+                        of_target.or_default().push(pair);
+                    }
+                }
+                _ => {
+                    let shard = ShardReader::open(path)?;
+                    let ids = shard.column::<MotionRow, String>("id")?;
+                    let splits = shard.column::<MotionRow, Split>("split")?;
+                    let mirrored = shard.column::<MotionRow, Option<String>>("mirrored_of")?;
+                    let clips = ids.into_iter().zip(splits).zip(mirrored).enumerate();
+                    let entries = clips.map(|(row, ((id, split), mirrored_of))| Entry {
+                        file: file.clone(),
+                        key: row.to_string(),
+                        id,
+                        split: Some(split),
+                        group: None,
+                        mirrored_of,
+                    });
+                    self.contents.entries.extend(entries);
+                    self.shards.insert(file.clone(), shard);
+                }
+            }
+            Ok(())
+        };
+        // The library of Parquet panics on some damaged files.
+        let problem = match catch_unwind(AssertUnwindSafe(read)) {
+            Ok(Ok(())) => return,
+            Ok(Err(error)) => error.to_string(),
+            Err(_) => "it is no Parquet file".to_owned(),
+        };
+        self.reject(&file, Rejected::read(CODE, problem));
+    }
+
+    fn edits(&self, id: &str) -> Vec<EditOf> {
+        let pairs = self.pairs.get(id).into_iter().flatten();
+        pairs.cloned().map(EditOf::of_row).collect()
+    }
+}
+
+impl Release for StoredDataset {
+    fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    fn read(
+        &self,
+        _files: &Files,
+        entry: &Entry,
+        options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected> {
+        let refused = |reason: String| Rejected::read(CODE, reason);
+        let shard = self.shards.get(&entry.file);
+        let row: MotionRow = shard
+            .zip(entry.key.parse().ok())
+            .and_then(|(shard, row)| shard.rows_at(&[row]).map(|mut rows| rows.pop()).transpose())
+            .ok_or_else(|| refused("the file has no such row".to_owned()))?
+            .map_err(|error| refused(error.to_string()))?;
+        check_skeleton(&row.skeleton, options)?;
+        let motion = row.motion().map_err(|error| refused(error.to_string()))?;
+        let frame = |frame: i32| usize::try_from(frame).unwrap_or(0);
+        let captions = row.stated_captions().cloned().collect();
+        let by_origin = row.captions_by_origin();
+        let made = by_origin.filter(|(_, origin)| *origin == CAPTION_BY_RULE);
+        let made_captions = made.map(|(caption, _)| caption.clone()).collect();
+        let markers = self.markers.row::<MarkerRow>(&entry.id);
+        let markers = markers.map_err(|error| refused(error.to_string()))?;
+        let features = self.features.row::<HumanMl3dRow>(&entry.id);
+        let features = features.map_err(|error| refused(error.to_string()))?;
+        Ok(SourceClip {
+            fit_error_m: row.fit_error_m,
+            source_fps: Fps::new(row.fps_source.into()).unwrap_or(motion.fps()),
+            source_frames: frame(row.start_frame)..frame(row.end_frame),
+            captions,
+            made_captions,
+            part_captions: row.part_captions,
+            subject: row.subject,
+            action: row.action,
+            style: row.style,
+            license: row.license,
+            notes: row.notes,
+            flags: row.quality.flags & KEPT_FLAGS,
+            masks: self
+                .masks
+                .get(&entry.id)
+                .into_iter()
+                .flatten()
+                .cloned()
+                .map(SourceMask::of_row)
+                .collect(),
+            edits: self.edits(&entry.id),
+            markers: markers.map(stored_markers).transpose()?,
+            features: features.map(|row| row.features),
+            ..SourceClip::new(motion, RotationSource::of_name(&row.rotation_source))
+        })
+    }
+}
+
+/// Folder of a dataset, with a slash, and number of its manifest.
+fn root_and_version(file: &str) -> Option<(&str, u64)> {
+    let at = file.rfind("meta/manifest-")?;
+    let root = &file[..at];
+    let number = file[at..].strip_prefix("meta/manifest-")?;
+    let version = number.strip_suffix(".json")?.parse().ok()?;
+    (root.is_empty() || root.ends_with('/')).then_some((root, version))
+}
+
+fn stored_markers(row: MarkerRow) -> Result<Markers, Rejected> {
+    let fps = Fps::new(row.fps.into());
+    Ok(Markers {
+        fps: fps.map_err(|error| Rejected::read("E-FPS", error.to_string()))?,
+        labels: row.labels,
+        positions: row.positions,
+        residuals: row.residuals.into_iter().map(|[value]| value).collect(),
+        set: row.marker_set,
+        fit_residuals: row.fit_residuals.into_iter().map(|[value]| value).collect(),
+    })
+}

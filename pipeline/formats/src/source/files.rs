@@ -1,0 +1,213 @@
+//! The files that are ingested.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use datasets_spec::store::{ByPath, Reader, Store, is_url};
+
+use super::archive::Archives;
+use clip::Rejected;
+
+/// The files under the sources, by relative path with forward slashes.
+#[derive(Clone, Debug)]
+pub struct Files {
+    store: Arc<dyn Store>,
+    paths: BTreeMap<String, PathBuf>,
+    /// Files of the folders at URLs that something was looked for in; none of those that cannot be listed.
+    folders: Folders,
+    /// The archives that some of the files are in.
+    archives: Archives,
+}
+
+type Folders = Arc<Mutex<BTreeMap<PathBuf, Option<BTreeSet<PathBuf>>>>>;
+
+impl Files {
+    /// Makes the list from the path of every file, by its relative path.
+    pub fn new(paths: BTreeMap<String, PathBuf>) -> Self {
+        Self::on(ByPath::store(), paths)
+    }
+
+    /// [`Files::new`], reading through the given store.
+    pub fn on(store: Arc<dyn Store>, paths: BTreeMap<String, PathBuf>) -> Self {
+        Self {
+            store,
+            paths,
+            folders: Folders::default(),
+            archives: Archives::default(),
+        }
+    }
+
+    /// Keeps archives open as long as the files.
+    pub fn with_archives(mut self, archives: Archives) -> Self {
+        self.archives = archives;
+        self
+    }
+
+    /// The archives that some of the files are in.
+    pub fn archives(&self) -> &Archives {
+        &self.archives
+    }
+
+    /// BLAKE3 of a file, hexadecimal, or why it cannot be read.
+    pub fn hash(&self, path: &Path) -> Result<String, String> {
+        self.store.hash(path).map_err(|error| error.to_string())
+    }
+
+    /// Whether a file has this size, which is looked at first, and this BLAKE3. One that is gone has not.
+    pub fn is_equal(&self, path: &Path, bytes: u64, blake3: &str) -> io::Result<bool> {
+        let size = self.store.size(path);
+        let found = size.and_then(|size| Ok(size == bytes && self.store.hash(path)? == blake3));
+        match found {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+            found => found,
+        }
+    }
+
+    /// Size of a file in bytes.
+    ///
+    /// # Errors
+    /// As [`Files::read`].
+    pub fn size(&self, relative: &str) -> Result<u64, Rejected> {
+        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
+        let size = self.store.size(path);
+        size.map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+    }
+
+    /// Size in bytes of a file that lies beside a source; none if it cannot be told.
+    pub fn size_beside(&self, path: &Path) -> Option<u64> {
+        self.may_be_there(path)
+            .then(|| self.store.size(path).ok())?
+    }
+
+    /// Number of files.
+    pub fn len(&self) -> usize {
+        self.paths.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.paths.is_empty()
+    }
+
+    /// Whether there is such a file.
+    pub fn contains(&self, relative: &str) -> bool {
+        self.paths.contains_key(relative)
+    }
+
+    /// Where a file is.
+    pub fn path(&self, relative: &str) -> Option<&Path> {
+        self.paths.get(relative).map(PathBuf::as_path)
+    }
+
+    /// The bytes of a file.
+    ///
+    /// # Errors
+    /// `E-IO` if there is no such file or it cannot be read.
+    pub fn read(&self, relative: &str) -> Result<Vec<u8>, Rejected> {
+        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
+        self.store
+            .read(path)
+            .map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+    }
+
+    /// Opens a file to be read from its beginning.
+    ///
+    /// # Errors
+    /// As [`Files::read`].
+    pub fn open(&self, relative: &str) -> Result<Box<dyn Read>, Rejected> {
+        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
+        self.store
+            .open(path)
+            .map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+    }
+
+    /// Opens a file to be read at any place.
+    ///
+    /// # Errors
+    /// As [`Files::read`].
+    pub fn open_at(&self, relative: &str) -> Result<Reader, Rejected> {
+        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
+        let opened = self.store.open_at(path).map(Reader::new);
+        opened.map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+    }
+
+    /// Whether there can be a file at a path. At a URL, where every look costs a request, its folder is listed
+    /// once.
+    fn may_be_there(&self, path: &Path) -> bool {
+        let Some(folder) = path.parent().filter(|_| is_url(path)) else {
+            return true;
+        };
+        let mut folders = self.folders.lock().unwrap_or_else(PoisonError::into_inner);
+        let listed = folders.entry(folder.to_owned()).or_insert_with(|| {
+            let entries = self.store.list(folder).ok()?;
+            let files = entries.into_iter().filter(|(_, is_dir)| !is_dir);
+            Some(files.map(|(path, _)| path).collect())
+        });
+        listed.as_ref().is_none_or(|files| files.contains(path))
+    }
+
+    /// The bytes of a file that lies beside a source; none if there is no such file.
+    pub fn read_beside(&self, path: &Path) -> Result<Option<Vec<u8>>, Rejected> {
+        use std::io::ErrorKind::{InvalidFilename, IsADirectory, NotADirectory, NotFound};
+
+        if !self.may_be_there(path) {
+            return Ok(None);
+        }
+        match self.store.read(path) {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(error) => match error.kind() {
+                NotFound | NotADirectory | IsADirectory | InvalidFilename => Ok(None),
+                _ => Err(Rejected::read(
+                    "E-IO",
+                    format!("cannot read {}: {error}", path.display()),
+                )),
+            },
+        }
+    }
+
+    /// Relative paths of all files, sorted.
+    pub fn all(&self) -> impl Iterator<Item = &str> {
+        self.paths.keys().map(String::as_str)
+    }
+
+    /// Relative paths of the files under a folder (`""` for all, otherwise ending in `/`), sorted.
+    pub fn under<'a>(&'a self, folder: &'a str) -> impl Iterator<Item = &'a str> {
+        self.paths
+            .range(folder.to_owned()..)
+            .map(|(relative, _)| relative.as_str())
+            .take_while(move |relative| relative.starts_with(folder))
+    }
+}
+
+fn missing(relative: &str) -> Rejected {
+    Rejected::read("E-IO", format!("there is no file {relative} in the source"))
+}
+
+/// First words of a Git LFS pointer, which replaces a large file that was not downloaded.
+pub(super) const LFS_POINTER: &[u8] = b"version https://git-lfs.github.com/spec/";
+pub(super) const UTF8_BOM: &[u8] = b"\xEF\xBB\xBF";
+
+/// Whether these are the first bytes of a Git LFS pointer.
+pub fn is_pointer(head: &[u8]) -> bool {
+    head.starts_with(LFS_POINTER)
+}
+
+/// Refuses a Git LFS pointer.
+///
+/// # Errors
+/// `E-LFS-POINTER`.
+pub fn refuse_pointer(bytes: &[u8]) -> Result<(), Rejected> {
+    if !is_pointer(bytes) {
+        return Ok(());
+    }
+    Err(Rejected::read(
+        "E-LFS-POINTER",
+        format!(
+            "{} bytes of Git LFS pointer stand in for the file; run `git lfs pull`",
+            bytes.len()
+        ),
+    )
+    .at(0))
+}

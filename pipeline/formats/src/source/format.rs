@@ -1,0 +1,235 @@
+//! The interface of a source format, and of a release.
+
+use std::fmt;
+use std::io::Read;
+use std::path::Path;
+
+use datasets_spec::Split;
+use datasets_spec::store::Reader;
+
+use super::files::Files;
+use super::options::ReadOptions;
+use clip::{Outcome, Rejected, SourceClip};
+
+/// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
+///
+/// A format of single files implements [`SourceFormat::read`] and a way to recognise them; a format of
+/// releases, whose files belong together, implements [`SourceFormat::find`].
+pub trait SourceFormat: fmt::Debug + Send + Sync {
+    /// The name used in tables and on the command line.
+    fn name(&self) -> &'static str;
+
+    /// Bytes per second of motion in a file, for estimates.
+    fn bytes_per_second(&self) -> f64;
+
+    /// Recognises a file by its name; none if the name is not of this format. `extension` is in lower
+    /// case.
+    fn by_name(&self, extension: &str, name: &str, head: &[u8]) -> Option<Recognised> {
+        let _ = (extension, name, head);
+        None
+    }
+
+    /// Whether the first bytes of a file without a known name are of this format.
+    fn by_content(&self, head: &[u8]) -> bool {
+        let _ = head;
+        false
+    }
+
+    /// Whether one file may hold several motions.
+    fn may_hold_several(&self) -> bool {
+        false
+    }
+
+    /// Names of the motions in a file; empty if it holds one, or cannot be read.
+    fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+        let _ = (bytes, options);
+        Vec::new()
+    }
+
+    /// The subject that a key of [`SourceFormat::keys`] names, for formats whose keys are subjects.
+    fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {
+        let _ = key;
+        None
+    }
+
+    /// Reads one motion of a single file. `key` is one of [`SourceFormat::keys`], or empty.
+    fn read(&self, path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        let _ = (path, key, bytes, options);
+        Outcome::Rejected(Rejected::read(
+            "E-INTERNAL",
+            format!("{} is a format of releases, not of files", self.name()),
+        ))
+    }
+
+    /// Refuses a large file by what its headers say, before all of it is read.
+    fn refuse_large(&self, file: Reader) -> Option<Rejected> {
+        let _ = file;
+        None
+    }
+
+    /// Reads the one motion of a file of about `length` bytes piece by piece, for formats whose files
+    /// are much larger than their motions. None, before anything is read, if the file is read whole.
+    fn read_in_pieces(
+        &self,
+        file: &mut dyn Read,
+        length: usize,
+        options: &ReadOptions,
+    ) -> Option<Outcome> {
+        let _ = (file, length, options);
+        None
+    }
+
+    /// The releases among the files, each found by its layout. `index` is the HumanML3D index that
+    /// the user states.
+    ///
+    /// # Errors
+    /// A file that the user states cannot be read.
+    fn find(
+        &self,
+        files: &Files,
+        index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        let _ = (files, index);
+        Ok(Vec::new())
+    }
+}
+
+/// One of [`super::FORMATS`].
+#[derive(Clone, Copy)]
+pub struct Format(&'static dyn SourceFormat);
+
+impl Format {
+    /// A format by what it does.
+    pub const fn new(format: &'static dyn SourceFormat) -> Self {
+        Self(format)
+    }
+
+    /// The name used in tables and on the command line.
+    pub fn as_str(self) -> &'static str {
+        self.0.name()
+    }
+}
+
+impl std::ops::Deref for Format {
+    type Target = dyn SourceFormat;
+
+    fn deref(&self) -> &Self::Target {
+        self.0
+    }
+}
+
+impl PartialEq for Format {
+    fn eq(&self, other: &Self) -> bool {
+        self.as_str() == other.as_str()
+    }
+}
+
+impl Eq for Format {}
+
+impl fmt::Debug for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// What a file is, judged by its name and first bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Recognised {
+    /// A motion in this format.
+    Motion(Format),
+    /// Not a motion, or not one this crate reads.
+    NotMotion {
+        /// Why the file is skipped.
+        reason: String,
+    },
+}
+
+/// One motion in the plan: a whole file, or one of several that a file holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// Relative path of the file it is read from.
+    pub file: String,
+    /// Which of the file's motions; empty if it holds one.
+    pub key: String,
+    /// Id of the motion.
+    pub id: String,
+    /// The published split; without one, a split is drawn.
+    pub split: Option<Split>,
+    /// Motions that share a drawn split; none for a motion that shares it with its source clip alone.
+    pub group: Option<String>,
+    /// Id of the motion it mirrors.
+    pub mirrored_of: Option<String>,
+}
+
+/// The files of a release.
+#[derive(Debug, Default)]
+pub struct Contents {
+    /// Its motions, in an order that depends on the files alone.
+    pub entries: Vec<Entry>,
+    /// Files without a motion of their own, with the reason why each is skipped. Every file of the
+    /// release is named here, in `rejected` or by an entry.
+    pub passed_over: Vec<(String, String)>,
+    /// Files that were found broken before any motion was read.
+    pub rejected: Vec<(String, Rejected)>,
+    /// What a reader of the dataset should know about the splits of its motions.
+    pub remarks: Vec<String>,
+}
+
+/// Ids that a remark names as examples.
+const EXAMPLES: usize = 3;
+
+impl Contents {
+    /// Remarks on ids of a published split that have no motion.
+    pub(super) fn remark_on_listed(&mut self, release: &str, list: &str, missing: Vec<&str>) {
+        if missing.is_empty() {
+            return;
+        }
+        let examples = missing.iter().take(EXAMPLES).copied();
+        self.remarks.push(format!(
+            "{release}: {} ids of {list} have no motion (such as {})",
+            missing.len(),
+            examples.collect::<Vec<_>>().join(", ")
+        ));
+    }
+}
+
+/// A release: files that belong together and are read by their own rules.
+pub trait Release: Send + Sync {
+    /// Its files.
+    fn contents(&self) -> &Contents;
+
+    /// Reads one motion. Called from many threads at once.
+    ///
+    /// # Errors
+    /// The motion cannot be used.
+    fn read(
+        &self,
+        files: &Files,
+        entry: &Entry,
+        options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected>;
+}
+
+/// The releases that a format found.
+pub(super) fn boxed<R: Release + 'static>(
+    found: impl IntoIterator<Item = R>,
+) -> Vec<Box<dyn Release>> {
+    let found = found.into_iter();
+    found
+        .map(|release| Box::new(release) as Box<dyn Release>)
+        .collect()
+}
+
+/// Refuses a stored pose on another skeleton than the one that is asked for.
+pub(super) fn check_skeleton(found: &str, options: &ReadOptions) -> Result<(), Rejected> {
+    let wanted = options.skeleton.name();
+    match found == wanted {
+        true => Ok(()),
+        false => Err(Rejected::read(
+            "E-DATASET-SKELETON",
+            format!(
+                "posed on skeleton {found}, not on {wanted}; ingest with the same --body-model"
+            ),
+        )),
+    }
+}

@@ -1,0 +1,129 @@
+//! The glTF reader: animations of a skinned skeleton, sampled at a fixed rate.
+//!
+//! Only what moves bones is read: nodes, one skin, one animation and their buffers. Every index,
+//! offset and length in the file is checked before it is used. Meshes, materials and extensions are
+//! ignored.
+
+mod container;
+mod curve;
+mod document;
+mod nodes;
+mod performance;
+mod skeleton;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use container::MAGIC;
+use document::Document;
+use nodes::Tree;
+use performance::Performance;
+use skeleton::Skeleton;
+
+use super::format::{Format, Recognised, SourceFormat};
+use super::options::ReadOptions;
+use crate::retarget;
+use clip::{Outcome, Rejected};
+
+/// Unique names of the animations in a file; empty if there is none or the file is broken.
+///
+/// An animation without a name is named by its index, and a repeated name gets the index as a
+/// suffix.
+pub fn keys(bytes: &[u8]) -> Vec<String> {
+    Document::parse(bytes).map_or_else(|_| Vec::new(), |document| document.keys())
+}
+
+/// Reads one animation, or the first if the key is empty, and retargets it. A file without a moving
+/// skin is skipped.
+///
+/// # Errors
+/// `E-GLTF-CHUNK`, `E-GLTF-SYNTAX`, `E-GLTF-NODES`, `E-GLTF-KEY`, `E-GLTF-URI`, `E-GLTF-BUFFER`,
+/// `E-GLTF-ACCESSOR`, `E-GLTF-TIME`, `E-GLTF-LIMIT`, `E-NOT-FINITE`, and `E-GLTF-SKELETON` if the
+/// skeleton is no body.
+pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, Rejected> {
+    let document = Document::parse(bytes)?;
+    let tree = Tree::of(&document.root.nodes)?;
+    let no_motion = |reason: &str| {
+        Ok(Outcome::Skipped {
+            reason: reason.to_owned(),
+        })
+    };
+    if document.root.animations.is_empty() {
+        return no_motion("no animation in the file");
+    }
+    // The first of the largest skins: smaller ones are clothes and props.
+    let mut skins = document.root.skins.iter();
+    let Some(first) = skins.next() else {
+        return no_motion("no skin in the file: its animations move objects, not a body");
+    };
+    let skin = skins.fold(first, |best, skin| {
+        if skin.joints.len() > best.joints.len() {
+            skin
+        } else {
+            best
+        }
+    });
+    let names = document.keys();
+    let index = if key.is_empty() {
+        0
+    } else {
+        names.iter().position(|name| name == key).ok_or_else(|| {
+            Rejected::read(
+                "E-GLTF-KEY",
+                format!("found no animation {key} among {}", names.len()),
+            )
+        })?
+    };
+    let skeleton = Skeleton::read(&document, &tree, skin)?;
+    let animation = &document.root.animations[index];
+    let Some(performance) = Performance::of(&skeleton, &document, animation)? else {
+        return no_motion("the animation moves no joint of the skin");
+    };
+    let mut clip = retarget::clip(&performance, options)?;
+    clip.notes.push(format!("animation {}", names[index]));
+    if !performance.on_keys {
+        clip.notes.push(format!(
+            "keys at uneven times were sampled at {} fps",
+            performance.fps.get()
+        ));
+    }
+    Ok(Outcome::Clip(Box::new(clip)))
+}
+
+/// glTF or GLB: animations of a skinned skeleton.
+pub const FORMAT: Format = Format::new(&Gltf);
+
+#[derive(Debug)]
+struct Gltf;
+
+impl SourceFormat for Gltf {
+    fn name(&self) -> &'static str {
+        "gltf"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // An exported character with two or three clips.
+        50_000.0
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
+        matches!(extension, "glb" | "gltf").then_some(Recognised::Motion(FORMAT))
+    }
+
+    fn by_content(&self, head: &[u8]) -> bool {
+        head.starts_with(MAGIC)
+    }
+
+    fn may_hold_several(&self) -> bool {
+        true
+    }
+
+    fn keys(&self, bytes: &[u8], _options: &ReadOptions) -> Vec<String> {
+        keys(bytes)
+    }
+
+    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        read(bytes, key, options).unwrap_or_else(Outcome::Rejected)
+    }
+}

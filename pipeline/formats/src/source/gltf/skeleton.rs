@@ -1,0 +1,136 @@
+//! The skeleton of a skin: its joints, the nodes above them, and the bind pose.
+
+use std::collections::BTreeMap;
+
+use glam::{DMat3, DMat4, DQuat, DVec3};
+use gltf::json;
+use gltf::json::accessor::Type;
+
+use super::document::{Document, accessor_error, limit};
+use super::nodes::{Local, Tree, World};
+use crate::retarget::Placed;
+use clip::Rejected;
+
+/// Limit on bones: joints of the skin and the nodes above them.
+const MAX_BONES: usize = 4096;
+
+/// The joints of a skin and the nodes above them.
+pub(super) struct Skeleton {
+    pub(super) names: Vec<String>,
+    pub(super) parents: Vec<Option<usize>>,
+    pub(super) locals: Vec<Local>,
+    pub(super) bone_of_node: BTreeMap<usize, usize>,
+    /// Bind pose of the joints, in the axes of the mesh; none if the skin has none.
+    pub(super) bind: Option<Vec<Placed>>,
+}
+
+impl Skeleton {
+    pub(super) fn read(
+        document: &Document,
+        tree: &Tree,
+        skin: &json::Skin,
+    ) -> Result<Self, Rejected> {
+        let nodes = &document.root.nodes;
+        let mut wanted = vec![false; nodes.len()];
+        for joint in &skin.joints {
+            let joint = joint.value();
+            if joint >= nodes.len() {
+                return Err(Rejected::read(
+                    "E-GLTF-NODES",
+                    format!("the skin has joint {joint} of {} nodes", nodes.len()),
+                ));
+            }
+            let mut at = Some(joint);
+            while let Some(node) = at.filter(|&node| !wanted[node]) {
+                wanted[node] = true;
+                at = tree.parents[node];
+            }
+        }
+        let order: Vec<usize> = tree
+            .order
+            .iter()
+            .copied()
+            .filter(|&node| wanted[node])
+            .collect();
+        if order.len() > MAX_BONES {
+            return Err(limit("bones", order.len(), MAX_BONES));
+        }
+        let bone_of_node: BTreeMap<usize, usize> = order
+            .iter()
+            .enumerate()
+            .map(|(bone, &node)| (node, bone))
+            .collect();
+        let locals: Vec<Local> = order.iter().map(|&node| Local::of(&nodes[node])).collect();
+        if let Some(bone) = locals.iter().position(|local| !local.is_finite()) {
+            return Err(Rejected::read(
+                "E-NOT-FINITE",
+                format!("node {} is not at a finite place", order[bone]),
+            ));
+        }
+        let mut skeleton = Self {
+            names: order
+                .iter()
+                .map(|&node| nodes[node].name.clone().unwrap_or_default())
+                .collect(),
+            parents: order
+                .iter()
+                .map(|&node| {
+                    tree.parents[node].and_then(|parent| bone_of_node.get(&parent).copied())
+                })
+                .collect(),
+            locals,
+            bone_of_node,
+            bind: None,
+        };
+        if let Some(matrices) = &skin.inverse_bind_matrices {
+            let matrices: Vec<[f64; 16]> = document.elements(matrices.value(), Type::Mat4)?;
+            skeleton.bind = Some(skeleton.bind_pose(skin, &matrices)?);
+        }
+        Ok(skeleton)
+    }
+
+    fn bind_pose(&self, skin: &json::Skin, inverse: &[[f64; 16]]) -> Result<Vec<Placed>, Rejected> {
+        if inverse.len() < skin.joints.len() {
+            return Err(accessor_error(format!(
+                "found {} inverse bind matrices, expected {} as the skin has joints",
+                inverse.len(),
+                skin.joints.len()
+            )));
+        }
+        let mut placed = self.standing();
+        for (joint, matrix) in skin.joints.iter().zip(inverse) {
+            let matrix = DMat4::from_cols_array(matrix).inverse();
+            let Some(&bone) = self.bone_of_node.get(&joint.value()) else {
+                continue;
+            };
+            // With a singular matrix the joint keeps the transform of its node.
+            if matrix.is_finite() {
+                placed[bone] = Placed {
+                    position: matrix.w_axis.truncate(),
+                    rotation: orientation(matrix),
+                };
+            }
+        }
+        Ok(placed)
+    }
+
+    /// The bones in the rest pose of the nodes.
+    pub(super) fn standing(&self) -> Vec<Placed> {
+        let mut worlds: Vec<World> = Vec::with_capacity(self.locals.len());
+        for (local, parent) in self.locals.iter().zip(&self.parents) {
+            let above = parent.map_or(World::ORIGIN, |parent| worlds[parent]);
+            worlds.push(above.child(local));
+        }
+        worlds.into_iter().map(|world| world.placed).collect()
+    }
+}
+
+/// The rotation of a matrix that may also scale.
+fn orientation(matrix: DMat4) -> DQuat {
+    let x = matrix.x_axis.truncate().normalize_or(DVec3::X);
+    let y = matrix.y_axis.truncate();
+    let y = (y - x * x.dot(y))
+        .try_normalize()
+        .unwrap_or_else(|| x.any_orthonormal_vector());
+    DQuat::from_mat3(&DMat3::from_cols(x, y, x.cross(y)))
+}

@@ -1,0 +1,504 @@
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use datasets_spec::{Fps, Motion};
+use glam::{DMat3, DVec3};
+use gltf::json::accessor::Type;
+use gltf::json::animation::Interpolation;
+use proptest::prelude::*;
+use serde_json::{Value, json};
+use testkit::walk;
+
+use super::container::chunks;
+use super::curve::{Curve, DEFAULT_FPS};
+use super::*;
+use crate::write;
+use clip::SourceClip;
+
+/// A file that the writer makes, taken apart.
+struct Parts {
+    json: Value,
+    binary: Vec<u8>,
+}
+
+impl Parts {
+    fn walking() -> Self {
+        let skeleton = datasets_spec::Skeleton::smplx_neutral();
+        let motion = Motion::from_poses(Fps::STORE, &walk(30)).expect("valid");
+        let bytes = write::gltf::encode(&motion, &skeleton).expect("encoded");
+        let (text, binary) = chunks(&bytes).expect("two chunks");
+        Self {
+            json: serde_json::from_slice(text).expect("JSON"),
+            binary: binary.expect("binary").to_vec(),
+        }
+    }
+
+    /// As text, with the binary data in a URI.
+    fn embedded(mut self) -> Vec<u8> {
+        let data = STANDARD.encode(&self.binary);
+        let uri = &mut self.json["buffers"][0]["uri"];
+        if uri.is_null() {
+            *uri = json!(format!("data:application/octet-stream;base64,{data}"));
+        }
+        self.json.to_string().into_bytes()
+    }
+
+    /// Changes the JSON.
+    fn with(mut self, edit: impl FnOnce(&mut Value)) -> Self {
+        edit(&mut self.json);
+        self
+    }
+
+    /// Index of the accessor of the key times.
+    fn times(&self) -> usize {
+        let input = &self.json["animations"][0]["samplers"][0]["input"];
+        input.as_u64().expect("an index") as usize
+    }
+
+    /// Replaces the bytes of an accessor's view at an offset.
+    fn poke(mut self, accessor: usize, offset: usize, bytes: &[u8]) -> Self {
+        let view = self.json["accessors"][accessor]["bufferView"]
+            .as_u64()
+            .expect("a view");
+        let start = &self.json["bufferViews"][view as usize]["byteOffset"];
+        let start = start.as_u64().expect("an offset") as usize + offset;
+        self.binary[start..start + bytes.len()].copy_from_slice(bytes);
+        self
+    }
+}
+
+fn read_all(bytes: &[u8]) -> Result<Outcome, Rejected> {
+    read(bytes, "", &ReadOptions::default())
+}
+
+fn clip_of(bytes: &[u8]) -> SourceClip {
+    match read_all(bytes) {
+        Ok(Outcome::Clip(clip)) => *clip,
+        other => panic!("expected a clip: {other:?}"),
+    }
+}
+
+fn code(bytes: &[u8]) -> &'static str {
+    match read_all(bytes) {
+        Err(rejected) => {
+            assert!(!rejected.reason.is_empty());
+            rejected.code
+        }
+        Ok(outcome) => panic!("expected a rejection: {outcome:?}"),
+    }
+}
+
+#[test]
+fn embedded_buffers_read_as_the_binary_chunk_does() {
+    let skeleton = datasets_spec::Skeleton::smplx_neutral();
+    let motion = Motion::from_poses(Fps::STORE, &walk(30)).expect("valid");
+    let glb = write::gltf::encode(&motion, &skeleton).expect("encoded");
+    assert_eq!(clip_of(&glb), clip_of(&Parts::walking().embedded()));
+}
+
+#[test]
+fn a_turned_and_scaled_world_above_the_skeleton_does_not_matter() {
+    let plain = clip_of(&Parts::walking().embedded());
+    let turned = Parts::walking().with(|json| {
+        // As exporters of scenes in centimetres do; the bind pose knows nothing of it.
+        let root = json["nodes"].as_array_mut().expect("nodes");
+        root.push(json!({
+            "rotation": [0.0, 0.5_f64.sqrt(), 0.0, 0.5_f64.sqrt()],
+            "scale": [100.0, 100.0, 100.0],
+            "children": [0],
+        }));
+        json["scenes"][0]["nodes"] = json!([22, 23]);
+    });
+    let turned = clip_of(&turned.embedded());
+    let heading = |clip: &SourceClip| {
+        let pelvis = clip.motion.pose(0).rotations[0];
+        kinematics::rotation::yaw(DMat3::from_quat(pelvis))
+    };
+    let quarter = heading(&turned) - heading(&plain);
+    assert!(
+        (quarter - std::f64::consts::FRAC_PI_2).abs() < 1e-5,
+        "{quarter}"
+    );
+    for (a, b) in plain
+        .motion
+        .body_pose()
+        .iter()
+        .zip(turned.motion.body_pose())
+    {
+        for (a, b) in a.iter().zip(b) {
+            assert!((a - b).abs() < 1e-5, "{a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn keys_at_uneven_times_are_sampled_and_said_so() {
+    let parts = Parts::walking();
+    let times = parts.times();
+    // Key 1 of 20 fps is due at 0.05 s.
+    let clip = clip_of(&parts.poke(times, 4, &0.03f32.to_le_bytes()).embedded());
+    assert_eq!(clip.motion.fps().get(), DEFAULT_FPS);
+    assert!(
+        clip.notes.iter().any(|note| note.contains("uneven")),
+        "{:?}",
+        clip.notes
+    );
+    assert_eq!(clip.motion.len(), (29.0 / 20.0 * 30.0) as usize + 1);
+}
+
+#[test]
+fn curves_follow_their_interpolation() {
+    let curve = |interpolation, values: Vec<[f64; 3]>| Curve {
+        times: vec![1.0, 3.0],
+        values,
+        interpolation,
+    };
+    let (a, b) = ([0.0, 1.0, 2.0], [2.0, 1.0, -2.0]);
+    let step = curve(Interpolation::Step, vec![a, b]);
+    let linear = curve(Interpolation::Linear, vec![a, b]);
+    // Tangents of the straight line make the spline that line.
+    let tangent = [1.0, 0.0, -2.0];
+    let spline = curve(
+        Interpolation::CubicSpline,
+        vec![[9.0; 3], a, tangent, tangent, b, [9.0; 3]],
+    );
+    for (time, stepped, between) in [
+        (0.0, a, a),
+        (1.0, a, a),
+        (1.5, a, [0.5, 1.0, 1.0]),
+        (2.999, a, [1.999, 1.0, -1.998]),
+        (3.0, b, b),
+        (7.0, b, b),
+    ] {
+        assert_eq!(step.vector(time, 0.0), DVec3::from_array(stepped), "{time}");
+        for curve in [&linear, &spline] {
+            let error = curve.vector(time, 0.0) - DVec3::from_array(between);
+            assert!(error.length() < 1e-12, "{time}");
+        }
+    }
+    assert_eq!(
+        step.vector(2.999, 0.01),
+        DVec3::from_array(b),
+        "a key in reach is reached"
+    );
+    // A spline with level tangents eases in and out: a quarter of the way at 5/32.
+    let flat = curve(
+        Interpolation::CubicSpline,
+        vec![[0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3], [32.0; 3], [0.0; 3]],
+    );
+    assert!((flat.vector(1.5, 0.0) - DVec3::splat(5.0)).length() < 1e-12);
+}
+
+#[test]
+fn animations_without_a_name_of_their_own_get_one() {
+    let parts = Parts::walking().with(|json| {
+        let animation = json["animations"][0].clone();
+        let named = |name: Value| {
+            let mut animation = animation.clone();
+            animation["name"] = name;
+            animation
+        };
+        json["animations"] = json!([
+            named(json!("walk")),
+            named(Value::Null),
+            named(json!("walk")),
+            named(json!(" \u{7} ")),
+            named(json!("3")),
+        ]);
+    });
+    let bytes = parts.embedded();
+    assert_eq!(keys(&bytes), ["walk", "1", "walk.2", "3", "3.4"]);
+    for key in keys(&bytes) {
+        assert!(read(&bytes, &key, &ReadOptions::default()).is_ok(), "{key}");
+    }
+    let rejected = read(&bytes, "run", &ReadOptions::default()).expect_err("no such key");
+    assert_eq!(rejected.code, "E-GLTF-KEY");
+}
+
+#[test]
+fn files_without_a_moving_skin_are_passed_over() {
+    for (member, words) in [("animations", "no animation"), ("skins", "no skin")] {
+        let parts = Parts::walking().with(|json| {
+            json.as_object_mut().expect("an object").remove(member);
+            json["nodes"][22]
+                .as_object_mut()
+                .expect("a node")
+                .remove("skin");
+        });
+        let outcome = read_all(&parts.embedded()).expect("not broken");
+        let Outcome::Skipped { reason } = outcome else {
+            panic!("a clip without {member}");
+        };
+        assert!(reason.contains(words), "{reason}");
+    }
+    let still = Parts::walking().with(|json| {
+        for channel in json["animations"][0]["channels"]
+            .as_array_mut()
+            .expect("channels")
+        {
+            channel["target"]["node"] = json!(22);
+        }
+    });
+    assert!(matches!(
+        read_all(&still.embedded()),
+        Ok(Outcome::Skipped { .. })
+    ));
+}
+
+#[test]
+fn what_is_wrong_with_the_container_is_rejected() {
+    let skeleton = datasets_spec::Skeleton::smplx_neutral();
+    let motion = Motion::from_poses(Fps::STORE, &walk(4)).expect("valid");
+    let good = write::gltf::encode(&motion, &skeleton).expect("encoded");
+    let poked = |at: usize, bytes: &[u8]| {
+        let mut broken = good.clone();
+        broken[at..at + bytes.len()].copy_from_slice(bytes);
+        broken
+    };
+    for (what, bytes, expected) in [
+        ("empty", Vec::new(), "E-GLTF-SYNTAX"),
+        ("no JSON", b"{".to_vec(), "E-GLTF-SYNTAX"),
+        (
+            "wrong types",
+            br#"{"asset": {"version": "2.0"}, "nodes": 7}"#.to_vec(),
+            "E-GLTF-SYNTAX",
+        ),
+        ("header alone", good[..7].to_vec(), "E-GLTF-CHUNK"),
+        ("version 1", poked(4, &[1]), "E-GLTF-CHUNK"),
+        ("cut off", good[..good.len() - 5].to_vec(), "E-GLTF-CHUNK"),
+        (
+            "length below the header",
+            poked(8, &[3, 0, 0, 0]),
+            "E-GLTF-CHUNK",
+        ),
+        (
+            "chunk past the end",
+            poked(12, &[255, 255, 255, 255]),
+            "E-GLTF-CHUNK",
+        ),
+        ("chunk of another kind", poked(16, b"BIN\0"), "E-GLTF-CHUNK"),
+    ] {
+        assert_eq!(code(&bytes), expected, "{what}");
+    }
+    let pointer = poked(12, &[255, 255, 255, 127]);
+    assert_eq!(
+        read_all(&pointer).expect_err("bad chunk").byte_offset,
+        Some(12)
+    );
+}
+
+#[test]
+fn what_is_wrong_inside_is_rejected() {
+    let times = Parts::walking().times();
+    let cases: Vec<(&str, Parts, &str)> = vec![
+        (
+            "external file",
+            Parts::walking().with(|json| json["buffers"][0]["uri"] = json!("walk.bin")),
+            "E-GLTF-URI",
+        ),
+        (
+            "no bytes at all",
+            Parts::walking().with(|json| {
+                json["buffers"]
+                    .as_array_mut()
+                    .expect("buffers")
+                    .push(json!({"byteLength": 4}));
+                json["bufferViews"][0]["buffer"] = json!(1);
+                let view = json["accessors"][times]["bufferView"]
+                    .as_u64()
+                    .expect("a view");
+                json["bufferViews"][view as usize]["buffer"] = json!(1);
+            }),
+            "E-GLTF-BUFFER",
+        ),
+        (
+            "shorter than it says",
+            Parts::walking().with(|json| json["buffers"][0]["byteLength"] = json!(1u64 << 40)),
+            "E-GLTF-BUFFER",
+        ),
+        (
+            "accessor past its view",
+            Parts::walking().with(|json| json["accessors"][times]["count"] = json!(31)),
+            "E-GLTF-ACCESSOR",
+        ),
+        (
+            "more elements than bytes",
+            Parts::walking().with(|json| json["accessors"][times]["count"] = json!(u64::MAX)),
+            "E-GLTF-ACCESSOR",
+        ),
+        (
+            "offset past everything",
+            Parts::walking().with(|json| json["accessors"][times]["byteOffset"] = json!(u64::MAX)),
+            "E-GLTF-ACCESSOR",
+        ),
+        (
+            "view past its buffer",
+            Parts::walking().with(|json| {
+                for view in json["bufferViews"].as_array_mut().expect("views") {
+                    view["byteOffset"] = json!(u64::MAX - 3);
+                }
+            }),
+            "E-GLTF-ACCESSOR",
+        ),
+        (
+            "sparse index past the end",
+            Parts::walking().with(|json| {
+                let view = json["accessors"][times]["bufferView"].clone();
+                json["accessors"][times]["sparse"] = json!({
+                    "count": 1,
+                    "indices": {"bufferView": view, "byteOffset": 4, "componentType": 5125},
+                    "values": {"bufferView": view},
+                });
+            }),
+            "E-GLTF-ACCESSOR",
+        ),
+        (
+            "time that is no number",
+            Parts::walking().poke(times, 8, &f32::NAN.to_le_bytes()),
+            "E-GLTF-TIME",
+        ),
+        (
+            "time that goes back",
+            Parts::walking().poke(times, 8, &0.0f32.to_le_bytes()),
+            "E-GLTF-TIME",
+        ),
+        (
+            "time of the universe",
+            Parts::walking().poke(times, 4 * 29, &1e30f32.to_le_bytes()),
+            "E-GLTF-TIME",
+        ),
+        (
+            "value that is no number",
+            Parts::walking().poke(times + 1, 8, &f32::INFINITY.to_le_bytes()),
+            "E-NOT-FINITE",
+        ),
+        (
+            "node that is its own ancestor",
+            Parts::walking().with(|json| json["nodes"][21]["children"] = json!([19])),
+            "E-GLTF-NODES",
+        ),
+        (
+            "nodes in a circle",
+            Parts::walking().with(|json| {
+                let nodes = json["nodes"].as_array_mut().expect("nodes");
+                nodes.push(json!({"children": [24]}));
+                nodes.push(json!({"children": [23]}));
+            }),
+            "E-GLTF-NODES",
+        ),
+        (
+            "child that is not there",
+            Parts::walking().with(|json| json["nodes"][21]["children"] = json!([99])),
+            "E-GLTF-NODES",
+        ),
+        (
+            "joint that is not there",
+            Parts::walking().with(|json| json["skins"][0]["joints"][3] = json!(99)),
+            "E-GLTF-NODES",
+        ),
+        (
+            "skeleton without legs",
+            Parts::walking().with(|json| {
+                for node in json["nodes"].as_array_mut().expect("nodes") {
+                    node["name"] = json!("bone");
+                }
+                json["nodes"][1]
+                    .as_object_mut()
+                    .expect("a node")
+                    .remove("children");
+            }),
+            "E-GLTF-SKELETON",
+        ),
+    ];
+    for (what, parts, expected) in cases {
+        let found = read_all(&parts.embedded())
+            .err()
+            .map(|rejected| rejected.code);
+        assert_eq!(found, Some(expected), "{what}");
+    }
+}
+
+#[test]
+fn sparse_accessors_replace_what_they_list() {
+    let parts = Parts::walking();
+    let times = parts.times();
+    let translation = times + 1;
+    // The first index and value are taken from the times, whose first is zero.
+    let parts = parts.with(|json| {
+        let view = json["accessors"][times]["bufferView"].clone();
+        let values = json["accessors"][translation]["bufferView"].clone();
+        json["accessors"][translation]["sparse"] = json!({
+            "count": 1,
+            "indices": {"bufferView": view, "componentType": 5125},
+            "values": {"bufferView": values, "byteOffset": 12},
+        });
+    });
+    let bytes = parts.embedded();
+    let document = Document::parse(&bytes).expect("valid");
+    let elements: Vec<[f64; 3]> = document
+        .elements(translation, Type::Vec3)
+        .expect("readable");
+    assert_eq!(
+        elements[0], elements[1],
+        "element 0 is replaced by element 1"
+    );
+    assert_ne!(elements[1], elements[2]);
+}
+
+#[test]
+fn a_deep_tree_is_no_trouble() {
+    let parts = Parts::walking().with(|json| {
+        let nodes = json["nodes"].as_array_mut().expect("nodes");
+        for node in 23..3000 {
+            nodes.push(json!({"children": [node + 1]}));
+        }
+        nodes.push(json!({"children": [0]}));
+    });
+    clip_of(&parts.embedded());
+}
+
+#[test]
+fn a_skeleton_without_names_is_found_by_its_build() {
+    let nameless = Parts::walking().with(|json| {
+        for node in json["nodes"].as_array_mut().expect("nodes") {
+            node.as_object_mut().expect("a node").remove("name");
+        }
+    });
+    let named = clip_of(&Parts::walking().embedded());
+    let clip = clip_of(&nameless.embedded());
+    assert!(
+        clip.notes[0].contains("confidence 0.80"),
+        "{:?}",
+        clip.notes
+    );
+    assert_eq!(clip.motion, named.motion, "every joint is recognised");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(96))]
+    #[test]
+    fn no_edit_of_a_file_makes_it_panic(
+        edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
+        digits in prop::collection::vec((any::<prop::sample::Index>(), b'0'..=b'9'), 0..6),
+        cut in prop::option::of(any::<prop::sample::Index>()),
+    ) {
+        let skeleton = datasets_spec::Skeleton::smplx_neutral();
+        let motion = Motion::from_poses(Fps::STORE, &walk(3)).expect("valid");
+        let mut bytes = write::gltf::encode(&motion, &skeleton).expect("encoded");
+        for (at, byte) in edits {
+            let at = at.index(bytes.len());
+            bytes[at] = byte;
+        }
+        // Digits in the place of digits keep the JSON valid and its indices absurd.
+        let places: Vec<usize> = (0..bytes.len()).filter(|&at| bytes[at].is_ascii_digit()).collect();
+        for (at, digit) in digits {
+            bytes[places[at.index(places.len())]] = digit;
+        }
+        if let Some(cut) = cut {
+            bytes.truncate(cut.index(bytes.len()));
+        }
+        if let Ok(Outcome::Clip(clip)) = read_all(&bytes) {
+            prop_assert!(clip.fit_error_m.is_some());
+        }
+        prop_assert!(keys(&bytes).len() <= 1);
+    }
+}

@@ -1,0 +1,241 @@
+//! The clips of a folder: motion, captions, split and crop of each.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+
+use datasets_spec::table::Caption;
+use features::humanml3d::recover_joints;
+use pickle::npy;
+
+use super::array::{TOO_SHORT, features, joints, read_array};
+use super::id::{clip_of, mirrored_of};
+use super::index::IndexRow;
+use super::layout::{Layout, layouts};
+use super::splits::Splits;
+use crate::source::files::{Files, refuse_pointer};
+use crate::source::format::{Contents, Entry, Release, boxed};
+use crate::source::labels;
+use crate::source::options::ReadOptions;
+use clip::check::FLAG_POOR_FIT;
+use clip::{Rejected, SourceClip};
+
+/// Clips of the published set whose crop leaves at most one frame.
+const KNOWN_EMPTY: [&str; 2] = ["009707", "011059"];
+/// Largest distance in metres between published joints and those recovered from the vector of the
+/// same clip. Rounding measures 2e-7.
+const RECOVERY_TOLERANCE_M: f64 = 1e-3;
+
+/// Files and metadata of a clip.
+#[derive(Debug, Default)]
+struct Clip {
+    vector: Option<String>,
+    joints: Option<String>,
+    text: Option<String>,
+    crop: Option<IndexRow>,
+    notes: Vec<String>,
+}
+
+/// A HumanML3D folder, whole or in part.
+#[derive(Debug)]
+struct Folder {
+    contents: Contents,
+    clips: BTreeMap<String, Clip>,
+}
+
+/// The HumanML3D folders among the files, each found by its layout.
+pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
+    boxed(layouts(files).into_iter().map(Folder::new))
+}
+
+impl Folder {
+    fn new(layout: Layout) -> Self {
+        let splits = Splits::of(layout.lists.values());
+        let mut folder = Self {
+            contents: Contents::default(),
+            clips: BTreeMap::new(),
+        };
+        let crops: BTreeMap<&str, &IndexRow> = layout
+            .index
+            .iter()
+            .flat_map(|(_, rows)| rows)
+            .map(|row| (row.id.as_str(), row))
+            .collect();
+        for id in layout.ids() {
+            let (split, note) = splits.get(id);
+            let clip = Clip {
+                vector: layout.vectors.get(id).cloned(),
+                joints: layout.joints.get(id).cloned(),
+                text: layout.texts.get(id).cloned(),
+                crop: crops.get(clip_of(id)).map(|row| (*row).clone()),
+                notes: note.into_iter().collect(),
+            };
+            if let (Some(_), Some(joints)) = (&clip.vector, &clip.joints) {
+                let reason = "joints of a clip that is read from its HumanML3D vector".to_owned();
+                folder.contents.passed_over.push((joints.clone(), reason));
+            }
+            let Some(file) = clip.vector.clone().or(clip.joints.clone()) else {
+                continue;
+            };
+            folder.contents.entries.push(Entry {
+                file,
+                key: String::new(),
+                id: id.clone(),
+                split,
+                group: None,
+                mirrored_of: mirrored_of(id).map(str::to_owned),
+            });
+            folder.clips.insert(id.clone(), clip);
+        }
+        folder.remark(&layout);
+        folder.pass_over(layout);
+        folder
+    }
+
+    /// Remarks on listed ids without a motion. Captions without any motion may be those of clips cut from AMASS.
+    fn remark(&mut self, layout: &Layout) {
+        if self.clips.is_empty() {
+            return;
+        }
+        for (file, (split, ids)) in &layout.lists {
+            let ids = ids
+                .iter()
+                .filter(|id| split.is_some() && !layout.has_motion(id));
+            let missing: BTreeSet<&str> = ids.map(String::as_str).collect();
+            let missing = missing.into_iter().collect();
+            self.contents.remark_on_listed("HumanML3D", file, missing);
+        }
+    }
+
+    /// Lists the files that hold no motion.
+    fn pass_over(&mut self, layout: Layout) {
+        for (id, file) in layout.texts {
+            let reason = if self.clips.contains_key(&id) {
+                "captions, read with the motion they describe"
+            } else {
+                "captions without a motion"
+            };
+            self.contents.passed_over.push((file, reason.to_owned()));
+        }
+        for file in layout.lists.into_keys() {
+            let reason = "HumanML3D list of ids, no motion".to_owned();
+            self.contents.passed_over.push((file, reason));
+        }
+        if let Some((file, _)) = layout.index {
+            let reason = "HumanML3D crop list, no motion".to_owned();
+            self.contents.passed_over.push((file, reason));
+        }
+        self.contents.passed_over.extend(layout.others);
+        self.contents.rejected.extend(layout.rejected);
+    }
+}
+
+impl Release for Folder {
+    fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    fn read(
+        &self,
+        files: &Files,
+        entry: &Entry,
+        options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected> {
+        let skeleton = &options.skeleton;
+        let unknown = Clip::default();
+        let clip = self.clips.get(&entry.id).unwrap_or(&unknown);
+        let bytes = files.read(&entry.file)?;
+        let mut read = read_array(&bytes, skeleton).map_err(|rejected| {
+            let known = rejected.code == TOO_SHORT && KNOWN_EMPTY.contains(&clip_of(&entry.id));
+            if known {
+                Rejected {
+                    reason: format!(
+                        "{}; {} is published so: its crop leaves no motion",
+                        rejected.reason, entry.id
+                    ),
+                    ..rejected
+                }
+            } else {
+                rejected
+            }
+        })?;
+        read.notes.extend(clip.notes.iter().cloned());
+        if let (Some(_), Some(joints)) = (&clip.vector, &clip.joints) {
+            compare(files, &bytes, joints, &mut read);
+        }
+        if let Some(crop) = &clip.crop {
+            read.source_frames = frames_of(crop, read.motion.len());
+            read.notes.push(format!(
+                "cut from {} (frames at 20 fps after the lead-in of its subset)",
+                crop.source_path
+            ));
+        }
+        if let Some(text) = &clip.text {
+            let (captions, note) = read_captions(files, text)?;
+            read.captions = captions;
+            read.notes.extend(note);
+        }
+        Ok(read)
+    }
+}
+
+/// The captions of a file, and a note on lines that are not captions.
+///
+/// # Errors
+/// `E-IO` if the file cannot be read, `E-LFS-POINTER` if it was never fetched.
+pub fn read_captions(
+    files: &Files,
+    file: &str,
+) -> Result<(Vec<Caption>, Option<String>), Rejected> {
+    let bytes = files.read(file)?;
+    refuse_pointer(&bytes)?;
+    let (captions, num_other) = labels::parse_captions(&String::from_utf8_lossy(&bytes));
+    let note = (num_other > 0)
+        .then(|| format!("{num_other} lines of {file} are no captions and were passed over"));
+    Ok((captions, note))
+}
+
+/// Source frames of a clip, by its row of the crop list.
+fn frames_of(crop: &IndexRow, num_frames: usize) -> Range<usize> {
+    let end = crop.end.unwrap_or(crop.start.saturating_add(num_frames));
+    crop.start..end.max(crop.start)
+}
+
+/// Compares the joints that come with a vector with those recovered from it.
+fn compare(files: &Files, vector: &[u8], joints_file: &str, clip: &mut SourceClip) {
+    let stored = files
+        .read(joints_file)
+        .and_then(|bytes| joints(&npy::read_numbers("joints", &bytes)?));
+    let own = npy::read_numbers("features", vector)
+        .map_err(Rejected::from)
+        .and_then(|array| features(&array));
+    let (stored, own) = match (stored, own) {
+        (Ok(stored), Ok(own)) => (stored, recover_joints(&own)),
+        (Err(rejected), _) | (_, Err(rejected)) => {
+            let reason = rejected.reason;
+            clip.notes
+                .push(format!("{joints_file} was not compared: {reason}"));
+            return;
+        }
+    };
+    if stored.len() != own.len() {
+        clip.flags |= FLAG_POOR_FIT;
+        clip.notes.push(format!(
+            "{joints_file} has {} frames, the vector {}",
+            stored.len(),
+            own.len()
+        ));
+        return;
+    }
+    let apart = stored
+        .as_flattened()
+        .iter()
+        .zip(own.as_flattened())
+        .map(|(a, b)| a.distance(*b))
+        .fold(0.0, f64::max);
+    if apart > RECOVERY_TOLERANCE_M {
+        clip.flags |= FLAG_POOR_FIT;
+    }
+    clip.notes.push(format!(
+        "joints recovered from the vector lie within {apart:.1e} m of {joints_file}"
+    ));
+}

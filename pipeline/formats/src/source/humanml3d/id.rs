@@ -1,0 +1,22 @@
+//! Ids of HumanML3D: six digits, with `M` before them for mirrored copies.
+
+/// The original's id of a mirrored copy, `012314` of `M012314`.
+pub fn mirrored_of(id: &str) -> Option<&str> {
+    let original = id.strip_prefix('M')?;
+    is_original(original).then_some(original)
+}
+
+/// Whether this is an id of HumanML3D: six digits, or `M` and six digits.
+pub fn is_id(id: &str) -> bool {
+    is_original(id) || mirrored_of(id).is_some()
+}
+
+fn is_original(id: &str) -> bool {
+    const DIGITS: usize = 6;
+    id.len() == DIGITS && id.bytes().all(|byte| byte.is_ascii_digit())
+}
+
+/// The id that a clip and its mirror image share.
+pub(super) fn clip_of(id: &str) -> &str {
+    mirrored_of(id).unwrap_or(id)
+}

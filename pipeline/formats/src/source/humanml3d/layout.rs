@@ -1,0 +1,166 @@
+//! Folders of HumanML3D among the files.
+
+use std::collections::BTreeMap;
+
+use datasets_spec::Split;
+
+use super::id::is_id;
+use super::index::{IndexRow, parse_index};
+use crate::source::archive;
+use crate::source::files::Files;
+use clip::Rejected;
+
+/// Folders of a release.
+const JOINTS_FOLDER: &str = "new_joints";
+const VECTORS_FOLDER: &str = "new_joint_vecs";
+const TEXTS_FOLDER: &str = "texts";
+/// Lists of ids, with the split that each stands for, if any.
+pub(crate) const LISTS: [(&str, Option<Split>); 5] = [
+    ("train.txt", Some(Split::Train)),
+    ("val.txt", Some(Split::Val)),
+    ("test.txt", Some(Split::Test)),
+    ("all.txt", None),
+    ("train_val.txt", None),
+];
+/// Files beside the lists that hold numbers about the features.
+const STATISTICS: [&str; 2] = ["Mean.npy", "Std.npy"];
+/// The list of crops.
+const INDEX: &str = "index.csv";
+
+/// The files of one HumanML3D folder by kind.
+#[derive(Debug, Default)]
+pub struct Layout {
+    /// Path of the folder with a trailing slash; empty for the source itself.
+    pub root: String,
+    /// File of each id's joints.
+    pub joints: BTreeMap<String, String>,
+    /// File of each id's vector.
+    pub vectors: BTreeMap<String, String>,
+    /// File of each id's captions.
+    pub texts: BTreeMap<String, String>,
+    /// Lists by their file: the split of each and its ids.
+    pub lists: BTreeMap<String, (Option<Split>, Vec<String>)>,
+    /// Other files of the folder, with the reason why each is skipped.
+    pub(super) others: Vec<(String, String)>,
+    /// The crop list.
+    pub(crate) index: Option<(String, Vec<IndexRow>)>,
+    /// Files that could not be read.
+    pub(super) rejected: Vec<(String, Rejected)>,
+}
+
+/// Finds HumanML3D folders by their layout.
+pub fn layouts(files: &Files) -> Vec<Layout> {
+    let mut found: BTreeMap<&str, Layout> = BTreeMap::new();
+    for file in files.all() {
+        let Some((folder, name)) = file.rsplit_once('/') else {
+            continue;
+        };
+        let (root, parent) = root_and_folder(folder);
+        let Some((id, extension)) = name.rsplit_once('.') else {
+            continue;
+        };
+        let pick: fn(&mut Layout) -> &mut BTreeMap<String, String> = match (parent, extension) {
+            (JOINTS_FOLDER, "npy") => |layout| &mut layout.joints,
+            (VECTORS_FOLDER, "npy") => |layout| &mut layout.vectors,
+            (TEXTS_FOLDER, "txt") if is_id(id) => |layout| &mut layout.texts,
+            _ => continue,
+        };
+        let layout = found.entry(root).or_default();
+        pick(layout).insert(id.to_owned(), file.to_owned());
+    }
+    found
+        .into_iter()
+        .map(|(root, mut layout)| {
+            layout.root = root.to_owned();
+            layout.find_companions(files);
+            layout
+        })
+        .collect()
+}
+
+/// The folder that a release lies in, with a trailing slash, and which of its folders this is. The release's folders
+/// may be archives: `texts.zip` stands for `texts`, whether its members are in a folder of that name or not.
+fn root_and_folder(folder: &str) -> (&str, &str) {
+    let split = |folder: &str| folder.rfind('/').map_or(0, |slash| slash + 1);
+    let at = split(folder);
+    let (root, name) = folder.split_at(at);
+    if let Some(name) = archive::stem(name) {
+        return (root, name);
+    }
+    let above = root.strip_suffix('/').unwrap_or(root);
+    let (outer, archived) = above.split_at(split(above));
+    match archive::stem(archived) {
+        Some(stem) if stem == name => (outer, name),
+        _ => (root, name),
+    }
+}
+
+impl Layout {
+    /// Finds lists, statistics and the crop list in the folder or the nearest one above that has
+    /// them.
+    fn find_companions(&mut self, files: &Files) {
+        let root = self.root.clone();
+        let nearest = |name: &str| {
+            above(&root)
+                .map(|folder| format!("{folder}{name}"))
+                .find(|file| files.contains(file))
+        };
+        for (name, split) in LISTS {
+            let Some(file) = nearest(name) else { continue };
+            match files.read(&file) {
+                Ok(bytes) => {
+                    self.lists.insert(file, (split, parse_list(&bytes)));
+                }
+                Err(rejected) => self.rejected.push((file, rejected)),
+            }
+        }
+        for name in STATISTICS {
+            if let Some(file) = nearest(name) {
+                let reason = "statistics of HumanML3D features, no motion".to_owned();
+                self.others.push((file, reason));
+            }
+        }
+        if let Some(file) = nearest(INDEX) {
+            match files.read(&file).and_then(|bytes| parse_index(&bytes)) {
+                Ok(rows) => self.index = Some((file, rows)),
+                Err(rejected) => self.rejected.push((file, rejected)),
+            }
+        }
+    }
+
+    /// Whether the id has joints or a vector.
+    pub fn has_motion(&self, id: &str) -> bool {
+        self.vectors.contains_key(id) || self.joints.contains_key(id)
+    }
+
+    /// Ids of motions, each once, sorted.
+    pub fn ids(&self) -> impl Iterator<Item = &String> {
+        let joints_only = self
+            .joints
+            .keys()
+            .filter(|id| !self.vectors.contains_key(*id));
+        let mut ids: Vec<&String> = self.vectors.keys().chain(joints_only).collect();
+        ids.sort();
+        ids.into_iter()
+    }
+}
+
+/// A folder and its parents, innermost first, each with a trailing slash.
+fn above(root: &str) -> impl Iterator<Item = &str> {
+    let ends: Vec<usize> = root.match_indices('/').map(|(at, _)| at + 1).collect();
+    ends.into_iter()
+        .rev()
+        .chain([0])
+        .map(move |end| &root[..end])
+}
+
+/// The ids of a list, one on each line.
+pub(crate) fn parse_list(bytes: &[u8]) -> Vec<String> {
+    String::from_utf8_lossy(bytes)
+        .trim_start_matches('\u{feff}')
+        .lines()
+        .map(str::trim)
+        .filter(|line| !line.is_empty())
+        .map(|line| line.strip_suffix(".npy").unwrap_or(line).to_owned())
+        .collect()
+}

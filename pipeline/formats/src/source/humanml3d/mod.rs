@@ -1,0 +1,93 @@
+//! HumanML3D folders: 263-d vectors, joints, captions, split lists and the crop list, whole or in
+//! part.
+
+mod array;
+mod folder;
+mod id;
+mod index;
+mod layout;
+mod splits;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use datasets_spec::record::HUMANML3D_WIDTH;
+use kinematics::skeleton::NUM_BODY_JOINTS;
+use pickle::npy::Header;
+
+use array::{KIT_JOINTS, KIT_WIDTH};
+
+use super::files::Files;
+use super::format::{Format, Recognised, Release, SourceFormat};
+use super::options::ReadOptions;
+use clip::Outcome;
+
+pub(crate) use array::FPS;
+pub use array::read_array;
+pub use array::{features, joints};
+pub use folder::find;
+pub use folder::read_captions;
+pub use id::is_id;
+pub use id::mirrored_of;
+pub use index::IndexRow;
+pub use index::parse_index;
+pub use layout::Layout;
+pub use layout::layouts;
+pub(crate) use layout::{LISTS, parse_list};
+pub(crate) use splits::Splits;
+
+/// Recognises a single npy array by its shape.
+pub(crate) fn recognise_array(head: &[u8]) -> Recognised {
+    let not_motion = |reason: String| Recognised::NotMotion { reason };
+    let Ok(shape) = Header::peek_shape("array", head) else {
+        // The reader reports what is wrong with it.
+        return Recognised::Motion(FORMAT);
+    };
+    match shape[..] {
+        [_, HUMANML3D_WIDTH | KIT_WIDTH] | [_, NUM_BODY_JOINTS | KIT_JOINTS, 3] => {
+            Recognised::Motion(FORMAT)
+        }
+        [_, 66] => not_motion(
+            "npy array of 66 columns, which may be positions or rotations of 22 joints; save \
+             positions as [frames, 22, 3]"
+                .to_owned(),
+        ),
+        _ => not_motion(format!(
+            "npy array of {} dimensions, no motion",
+            shape.len()
+        )),
+    }
+}
+
+/// A HumanML3D folder: joints, 263-d vectors, captions and split lists.
+pub const FORMAT: Format = Format::new(&HumanMl3d);
+
+#[derive(Debug)]
+struct HumanMl3d;
+
+impl SourceFormat for HumanMl3d {
+    fn name(&self) -> &'static str {
+        "humanml3d"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        (size_of::<[f32; HUMANML3D_WIDTH]>() as f64) * FPS.get()
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
+        (extension == "npy").then(|| recognise_array(head))
+    }
+
+    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        read_array(bytes, &options.skeleton).into()
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        _index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        Ok(find(files))
+    }
+}

@@ -1,0 +1,43 @@
+//! HumanML3D's clips cut from AMASS recordings by the published `index.csv`.
+//!
+//! The stored motion keeps the recording's own rotations. The published joints and features follow
+//! from it by [`features::humanml3d`]; the published ones were made of each subject's own
+//! body, so they differ by as much as the bodies do.
+
+mod crop;
+mod mirror;
+mod plan;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use super::files::Files;
+use super::format::{Format, Release, SourceFormat};
+
+pub use plan::find;
+pub use plan::{is_humanact12, recordings};
+
+/// HumanML3D's clips, cut from AMASS by its `index.csv`.
+pub const FORMAT: Format = Format::new(&HumanMl3dAmass);
+
+#[derive(Debug)]
+struct HumanMl3dAmass;
+
+impl SourceFormat for HumanMl3dAmass {
+    fn name(&self) -> &'static str {
+        "humanml3d-amass"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        super::humanml3d::FORMAT.bytes_per_second()
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        index.map(|index| find(files, index)).into_iter().collect()
+    }
+}

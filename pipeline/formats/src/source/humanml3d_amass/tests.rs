@@ -1,0 +1,367 @@
+use std::fs;
+use std::sync::Arc;
+
+use proptest::prelude::*;
+
+use datasets_spec::store::{ByPath, Store as _};
+use datasets_spec::{Fps, Joint, Motion, Skeleton, Split};
+use features::smpl_body;
+use glam::{DQuat, DVec3};
+use testkit::npy_f8;
+use testkit::npz;
+
+use super::crop::frames_of;
+use super::mirror::{mirror, mirrored_body, swap_sides};
+use super::*;
+use crate::Error;
+use crate::source::amass::tests::clip_members;
+use crate::source::body_model::tests::subjects;
+use crate::source::humanml3d::IndexRow;
+use crate::source::options::ReadOptions;
+use clip::check::FLAG_FPS_DOUBTFUL;
+use clip::{Rejected, RotationSource, SourceClip};
+
+fn row(start: usize, end: Option<usize>) -> IndexRow {
+    IndexRow {
+        source_path: String::new(),
+        start,
+        end,
+        id: String::new(),
+    }
+}
+
+#[test]
+fn frames_are_taken_as_published() {
+    // 120 fps: every 6th frame, 10 of lead-in, then the crop.
+    let frames = frames_of(600, 6, 10, &row(2, Some(5)));
+    assert_eq!(frames, [72, 78, 84]);
+    assert_eq!(frames_of(60, 6, 0, &row(8, Some(99))), [48, 54], "cut off");
+    assert_eq!(frames_of(13, 6, 0, &row(0, None)), [0, 6, 12]);
+    assert!(frames_of(600, 6, 0, &row(9, Some(3))).is_empty());
+    assert!(frames_of(600, 6, 0, &row(usize::MAX, None)).is_empty());
+}
+
+/// A folder of AMASS files and an index.
+struct Tree {
+    folder: tempfile::TempDir,
+}
+
+impl Tree {
+    fn new(files: &[(&str, Vec<u8>)]) -> Self {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        for (name, bytes) in files {
+            let path = folder.path().join(name);
+            fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+            fs::write(path, bytes).expect("written");
+        }
+        Self { folder }
+    }
+
+    fn files(&self) -> Files {
+        let root = self.folder.path();
+        let paths = ByPath.files_below(root).expect("listed").into_iter();
+        let named = paths.map(|path| {
+            let name = path.strip_prefix(root).expect("below").to_str();
+            (name.expect("text").to_owned(), path)
+        });
+        Files::new(named.collect())
+    }
+
+    fn release(&self) -> Box<dyn Release> {
+        let index = self.folder.path().join("index.csv");
+        find(&self.files(), &index).expect("a valid index")
+    }
+}
+
+fn index(rows: &[&str]) -> (&'static str, Vec<u8>) {
+    let header = "source_path,start_frame,end_frame,new_name";
+    let text: String = [&[header], rows]
+        .concat()
+        .iter()
+        .flat_map(|line| [line, "\n"])
+        .collect();
+    ("index.csv", text.into_bytes())
+}
+
+fn read(tree: &Tree, release: &dyn Release, id: &str) -> Result<SourceClip, Rejected> {
+    let entry = release
+        .contents()
+        .entries
+        .iter()
+        .find(|entry| entry.id == id)
+        .expect("planned");
+    release.read(&tree.files(), entry, &ReadOptions::default())
+}
+
+fn clip(tree: &Tree, release: &dyn Release, id: &str) -> SourceClip {
+    read(tree, release, id).unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
+}
+
+#[test]
+fn rows_become_clips_and_their_mirror_images_under_any_release_of_the_files() {
+    let tree = Tree::new(&[
+        ("KIT/3/kick_left_poses.npz", npz(&clip_members(240, 156))),
+        ("KIT/3/unused_poses.npz", npz(&clip_members(20, 156))),
+        ("PosePrior/1/a_b_stageii.npz", npz(&clip_members(600, 165))),
+        (
+            "h/texts/000000.txt",
+            b"a man kicks with his left leg#left/ADJ leg/NOUN#0.0#0.0\n".to_vec(),
+        ),
+        ("h/test.txt", b"000000\nM000000\n".to_vec()),
+        index(&[
+            "./pose_data/KIT/3/kick_left_poses.npy,5,25,000000.npy",
+            "./pose_data/MPI_Limits/1/a b_poses.npy,0,90,000001.npy",
+            "./pose_data/humanact12/humanact12/P1.npy,0,-1,000002.npy",
+            "./pose_data/CMU/1/gone_poses.npy,0,9,000003.npy",
+        ]),
+    ]);
+    let release = tree.release();
+    let planned: Vec<(&str, Option<Split>, Option<&str>)> = release
+        .contents()
+        .entries
+        .iter()
+        .map(|entry| (entry.id.as_str(), entry.split, entry.mirrored_of.as_deref()))
+        .collect();
+    assert_eq!(
+        planned,
+        [
+            ("000000", Some(Split::Test), None),
+            ("M000000", Some(Split::Test), Some("000000")),
+            ("000001", None, None),
+            ("M000001", None, Some("000001")),
+        ]
+    );
+    let why = |item: &str| {
+        let found = release
+            .contents()
+            .passed_over
+            .iter()
+            .find(|(name, _)| name == item);
+        found.map_or("", |(_, reason)| reason.as_str())
+    };
+    assert!(why("index.csv#000002").contains("HumanAct12"));
+    assert!(why("index.csv#000003").contains("not among the sources"));
+    assert!(why("KIT/3/unused_poses.npz").contains("takes nothing"));
+
+    let kick = clip(&tree, release.as_ref(), "000000");
+    assert_eq!((kick.motion.len(), kick.motion.fps()), (20, Fps::STORE));
+    assert_eq!(kick.source_frames, 30..145);
+    assert_eq!(kick.rotation_source, RotationSource::Native);
+    assert_eq!(kick.flags, 0);
+    let mirrored = clip(&tree, release.as_ref(), "M000000");
+    assert_eq!(mirrored.captions[0].text, "a man kicks with his right leg");
+    assert_eq!(mirrored.captions[0].tokens, "right/ADJ leg/NOUN");
+    assert_eq!(
+        mirror(&mirrored.motion).body_pose(),
+        kick.motion.body_pose()
+    );
+
+    // 100 frames at 20 fps, 20 of them lead-in: 10 less than the crop wants.
+    let short = clip(&tree, release.as_ref(), "000001");
+    assert_eq!(short.motion.len(), 80);
+    assert_eq!(short.flags, FLAG_FPS_DOUBTFUL);
+    let notes = short.notes.join("\n");
+    assert!(
+        notes.contains("SMPL-X") && notes.contains("10 frames more"),
+        "{notes}"
+    );
+}
+
+#[test]
+fn features_are_those_of_the_own_body_where_models_are_given() {
+    let mut members = clip_members(240, 165);
+    members.push(("betas", npy_f8(&[2], &[2.0, 0.0])));
+    let tree = Tree::new(&[
+        ("KIT/3/kick_left_poses.npz", npz(&members)),
+        ("KIT/3/other_poses.npz", npz(&clip_members(240, 156))),
+        index(&[
+            "./pose_data/KIT/3/kick_left_poses.npy,0,20,000000.npy",
+            "./pose_data/KIT/3/other_poses.npy,0,20,000001.npy",
+        ]),
+    ]);
+    let (_folder, subjects) = subjects();
+    let options = ReadOptions {
+        subjects: Some(Arc::new(subjects)),
+        ..ReadOptions::default()
+    };
+    let release = tree.release();
+    let read = |id: &str| {
+        let mut entries = release.contents().entries.iter();
+        let entry = entries.find(|entry| entry.id == id).expect("in the index");
+        let clip = release.read(&tree.files(), entry, &options);
+        clip.expect("the clip is good")
+    };
+    // The first beta of the male model lifts the head by 5 cm a unit.
+    let neutral = smpl_body(&Skeleton::smplx_neutral());
+    let tall = smpl_body(&{
+        let mut joints = std::array::from_fn(|joint| Skeleton::smplx_neutral().rest(joint));
+        joints[15].y += 0.1;
+        Skeleton::new("tall", joints)
+    });
+    let bodies = [read("000000"), read("M000000")].map(|clip| clip.body.expect("SMPL-X"));
+    assert!((bodies[0].offset(15).length() - tall.offset(15).length()).abs() < 1e-9);
+    assert!((bodies[0].offset(4) - neutral.offset(4)).length() < 1e-9);
+    let [x, y, z] = bodies[0].offset(16).to_array();
+    assert!((bodies[1].offset(17) - DVec3::new(-x, y, z)).length() < 1e-9);
+    let other = read("000001");
+    assert!(
+        other.body.is_none(),
+        "the models are of SMPL-X, the clip is SMPL-H"
+    );
+    assert!(other.notes.join("\n").contains("body shape ignored"));
+}
+
+#[test]
+fn the_world_is_turned_as_published() {
+    // A body that stands in AMASS faces -y, and faces -z after (x, y, z) to (-x, z, y).
+    let mut poses = vec![0.0; 40 * 156];
+    let mut trans = vec![0.0; 40 * 3];
+    for frame in 0..40 {
+        poses[156 * frame] = std::f64::consts::FRAC_PI_2;
+        trans[3 * frame] = 0.01 * frame as f64;
+        trans[3 * frame + 1] = 0.02 * frame as f64;
+    }
+    let members = [
+        ("poses", npy_f8(&[40, 156], &poses)),
+        ("trans", npy_f8(&[40, 3], &trans)),
+        ("mocap_framerate", npy_f8(&[], &[59.99])),
+    ];
+    let tree = Tree::new(&[
+        ("KIT/3/stand_poses.npz", npz(&members)),
+        index(&["./pose_data/KIT/3/stand_poses.npy,0,20,000000.npy"]),
+    ]);
+    let stand = clip(&tree, tree.release().as_ref(), "000000");
+    assert_eq!(stand.motion.len(), 20, "59.99 fps is taken every 2nd frame");
+    assert!(stand.notes.iter().any(|note| note.contains("29.995")));
+    let skeleton = Skeleton::smplx_neutral();
+    let [first, second] = [0, 1].map(|frame| stand.motion.pose(frame));
+    assert!((first.rotations[0] * DVec3::Y - DVec3::Y).length() < 1e-6);
+    assert!((first.rotations[0] * DVec3::Z - DVec3::NEG_Z).length() < 1e-6);
+    let moved = skeleton.keypoints(&second)[0] - skeleton.keypoints(&first)[0];
+    assert!(
+        (moved - DVec3::new(-0.02, 0.0, 0.04)).length() < 1e-6,
+        "{moved}"
+    );
+}
+
+#[test]
+fn rates_and_crops_that_leave_nothing_are_rejected_by_code() {
+    let mut slow = clip_members(50, 156);
+    slow.retain(|(key, _)| *key != "mocap_framerate");
+    slow.push(("mocap_framerate", npy_f8(&[], &[19.0])));
+    let tree = Tree::new(&[
+        ("KIT/3/slow_poses.npz", npz(&slow)),
+        ("KIT/3/short_poses.npz", npz(&clip_members(50, 156))),
+        (
+            "KIT/3/shape_poses.npz",
+            npz(&[("betas", npy_f8(&[1], &[0.0]))]),
+        ),
+        index(&[
+            "./pose_data/KIT/3/slow_poses.npy,0,9,000000.npy",
+            "./pose_data/KIT/3/short_poses.npy,8,20,000001.npy",
+            "./pose_data/KIT/3/shape_poses.npy,0,20,000002.npy",
+        ]),
+    ]);
+    let release = tree.release();
+    for (id, code) in [
+        ("000000", "E-AMASS-FPS"),
+        ("M000001", "E-TOO-SHORT"),
+        ("000002", "E-AMASS-KEYS"),
+    ] {
+        let rejected = read(&tree, release.as_ref(), id).expect_err(id);
+        assert_eq!(rejected.code, code);
+    }
+    let no_index = Tree::new(&[("index.csv", b"a,b\n".to_vec())]);
+    let found = find(&no_index.files(), &no_index.folder.path().join("index.csv"));
+    assert!(matches!(found.err(), Some(Error::Index { .. })));
+}
+
+#[test]
+fn sides_and_turns_change_places() {
+    for (text, swapped) in [
+        ("Left arm, then right-hand.", "Right arm, then left-hand."),
+        ("turns clockwise", "turns counterclockwise"),
+        ("counter-clockwise circle", "clockwise circle"),
+        ("Counter clockwise; anticlockwise", "Clockwise; clockwise"),
+        (
+            "left/ADJ right/ADV walk/VERB",
+            "right/ADJ left/ADV walk/VERB",
+        ),
+        (
+            "an upright man in bright light",
+            "an upright man in bright light",
+        ),
+        ("leftward and rightwards", "rightward and leftwards"),
+        ("counter the clock", "counter the clock"),
+        ("l\u{e9}ft \u{2192} left", "l\u{e9}ft \u{2192} right"),
+    ] {
+        assert_eq!(swap_sides(text), swapped, "{text}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn swapping_twice_gives_the_text_back(text in "[a-z ,.]{0,20}(left|right| clockwise|x)[ .]{0,3}") {
+        prop_assume!(!text.contains("counter") && !text.contains("anti"));
+        prop_assert_eq!(swap_sides(&swap_sides(&text)), text);
+    }
+
+    #[test]
+    fn any_text_is_swapped_without_panic(text in any::<String>()) {
+        let _ = swap_sides(&text);
+    }
+
+    #[test]
+    fn a_mirrored_motion_on_a_mirrored_body_has_mirrored_joints(
+        angles in prop::collection::vec(prop::array::uniform3(-1.5f64..1.5), 22),
+        lift in prop::array::uniform3(-0.1f64..0.1),
+    ) {
+        let skeleton = Skeleton::smplx_neutral();
+        // A body like no other: one joint is moved.
+        let body = Skeleton::new("subject", std::array::from_fn(|joint| {
+            skeleton.rest(joint) + if joint == 16 { DVec3::from_array(lift) } else { DVec3::ZERO }
+        }));
+        let mut pose = datasets_spec::Pose::REST;
+        for (rotation, angles) in pose.rotations.iter_mut().zip(angles) {
+            *rotation = kinematics::rotation::from_axis_angle(DVec3::from_array(angles));
+        }
+        let motion = Motion::from_poses(Fps::STORE, &[pose]).expect("valid");
+        let joints = body.keypoints(&motion.pose(0));
+        let mirrored = mirrored_body(&body).keypoints(&mirror(&motion).pose(0));
+        // The pelvis moves with the mirrored body; everything else is as in the mirror.
+        let reflect = |v: DVec3| DVec3::new(-v.x, v.y, v.z);
+        for joint in Joint::ALL {
+            let here = mirrored[joint.index()] - mirrored[0];
+            let there = joints[joint.mirrored().index()] - joints[0];
+            prop_assert!((here - reflect(there)).length() < 1e-5, "{joint:?}");
+        }
+    }
+
+    #[test]
+    fn mirroring_twice_gives_the_motion_back(seed in any::<u32>()) {
+        let poses = (0..3u32).map(|frame| {
+            let mut pose = datasets_spec::Pose::REST;
+            for (joint, rotation) in pose.rotations.iter_mut().enumerate() {
+                let angle = f64::from(seed.wrapping_mul(joint as u32 + 7 * frame + 1) % 628) / 200.0;
+                *rotation = DQuat::from_rotation_z(angle) * DQuat::from_rotation_x(angle / 2.0);
+            }
+            pose.transl.x = f64::from(frame);
+            pose
+        });
+        let motion = Motion::from_poses(Fps::STORE, &poses.collect::<Vec<_>>()).expect("valid");
+        let mirrored = mirror(&motion);
+        let again = mirror(&mirrored);
+        prop_assert_eq!(again.body_pose(), motion.body_pose());
+        // Rotations of the left are those of the right, seen in a mirror.
+        let reflect = |v: DVec3| DVec3::new(-v.x, v.y, v.z);
+        for joint in Joint::ALL {
+            let here = mirrored.pose(1).rotations[joint.index()];
+            let there = motion.pose(1).rotations[joint.mirrored().index()];
+            for axis in DVec3::AXES {
+                let apart = here * axis - reflect(there * reflect(axis));
+                // Axis-angle is stored in f32.
+                prop_assert!(apart.length() < 1e-5);
+            }
+        }
+    }
+}

@@ -1,0 +1,338 @@
+//! Labels and licences that apply to a folder and all folders below it: `stance.toml`, `captions.csv`, licence files
+//! and readmes.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use super::pattern::{is_pattern, matches};
+use super::{csv_file, license_text, toml_file};
+use crate::sidecar::Sidecar;
+use crate::source::{Entry, Files, text_of_name};
+use clip::{LabelProblem, Rejected};
+
+/// Names of the files with labels.
+const TOML: &str = "stance.toml";
+const CSV: &str = "captions.csv";
+/// Licence files that are looked for beside a file that is a source of its own, whose folder is not
+/// listed.
+const LICENSES: [&str; 6] = [
+    "LICENSE",
+    "LICENSE.txt",
+    "LICENSE.md",
+    "README.md",
+    "README.txt",
+    "README",
+];
+/// Limit on files of labels, in bytes.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// Whether a file holds labels of the motions in its folder, by its name in lower case.
+pub(crate) fn is_label_file(name: &str) -> bool {
+    name == TOML || name == CSV
+}
+
+/// Names of the files that are looked for in a folder for labels and licences of its motions.
+pub fn names_in_folder() -> impl Iterator<Item = &'static str> {
+    [TOML, CSV].into_iter().chain(LICENSES)
+}
+
+/// What the folders of a clip say of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClipLabels {
+    /// Of this clip, by its name or a pattern.
+    pub(super) of_clip: Sidecar,
+    /// Of all clips of its folders.
+    pub(super) of_folder: Sidecar,
+    /// Files of its folders that could not be used.
+    pub(super) problems: Vec<LabelProblem>,
+    /// Why a file of its folders could not be read now. It may be next time.
+    pub failed: Option<Rejected>,
+}
+
+/// The labels of every folder among the files.
+#[derive(Debug, Default)]
+pub struct FolderLabels {
+    folders: BTreeMap<PathBuf, Folder>,
+    problems: Vec<LabelProblem>,
+}
+
+/// What the files of one folder say.
+#[derive(Debug, Default)]
+struct Folder {
+    all: Sidecar,
+    clips: Vec<Clips>,
+    /// Places in `clips` by exact name.
+    named: BTreeMap<String, Vec<usize>>,
+    /// Places in `clips` of patterns, the longest first.
+    patterns: Vec<usize>,
+    license: Licensing,
+    /// Files that could not be used as a whole.
+    unread: Vec<LabelProblem>,
+    /// Why a file could not be read.
+    failed: Option<Rejected>,
+}
+
+/// Labels of the clips with a name.
+#[derive(Debug)]
+struct Clips {
+    name: String,
+    labels: Sidecar,
+    file: String,
+    line: Option<u64>,
+}
+
+/// Licences that the files of a folder state.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Licensing {
+    /// Tags.
+    pub(crate) tags: BTreeSet<String>,
+    /// The files that state them.
+    pub files: Vec<String>,
+    /// Licence files without a known licence.
+    pub unknown: Vec<String>,
+}
+
+impl Licensing {
+    /// The tag of all of them: each licence binds.
+    pub fn tag(&self) -> Option<String> {
+        let tags: Vec<&str> = self.tags.iter().map(String::as_str).collect();
+        (!tags.is_empty()).then(|| tags.join(" AND "))
+    }
+}
+
+impl FolderLabels {
+    /// Reads the labels and licences among the files, and those beside a file that is a source of its own.
+    pub fn read(files: &Files) -> Self {
+        let mut labels = Self::default();
+        let mut seen = BTreeSet::new();
+        let mut lone = BTreeSet::new();
+        for relative in files.all() {
+            let (folder, name) = relative.rsplit_once('/').unwrap_or(("", relative));
+            let Some(path) = files.path(relative) else {
+                continue;
+            };
+            if is_label_file(&name.to_lowercase()) || license_text::is_named(name) {
+                seen.insert(path.to_owned());
+                labels.take(files, path, relative);
+            } else if folder.is_empty()
+                && let Some(folder) = path.parent()
+            {
+                lone.insert(folder.to_owned());
+            }
+        }
+        for folder in lone {
+            for name in names_in_folder() {
+                let path = folder.join(name);
+                if !seen.contains(&path) {
+                    labels.take(files, &path, name);
+                }
+            }
+        }
+        for folder in labels.folders.values_mut() {
+            folder.index();
+        }
+        labels.problems.sort();
+        labels
+    }
+
+    /// Reads a file, which may be missing beside a lone source.
+    fn take(&mut self, files: &Files, path: &Path, relative: &str) {
+        let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else {
+            return;
+        };
+        let problem = |reason: String| LabelProblem {
+            file: relative.to_owned(),
+            reason,
+        };
+        let too_large = files.size_beside(path).is_some_and(|size| size > MAX_BYTES);
+        if too_large {
+            let problem = problem(format!("it is larger than {MAX_BYTES} bytes"));
+            let found = self.folders.entry(folder.to_owned()).or_default();
+            found.unread.push(problem.clone());
+            self.problems.push(problem);
+            return;
+        }
+        let bytes = match files.read_beside(path) {
+            Ok(Some(bytes)) => bytes,
+            Ok(None) => return,
+            Err(rejected) => {
+                let found = self.folders.entry(folder.to_owned()).or_default();
+                found.failed = Some(rejected);
+                return;
+            }
+        };
+        let found = self.folders.entry(folder.to_owned()).or_default();
+        let name = name.to_string_lossy().to_lowercase();
+        let mut problems = Vec::new();
+        match name.as_str() {
+            TOML => {
+                let content = toml_file::parse(&String::from_utf8_lossy(&bytes));
+                found.all = content.all;
+                problems = content.problems;
+                let clips = content.clips.into_iter();
+                found.clips.extend(clips.map(|(name, labels)| Clips {
+                    name,
+                    labels,
+                    file: relative.to_owned(),
+                    line: None,
+                }));
+                let of_folder = problems
+                    .iter()
+                    .filter(|reason| !reason.starts_with("clips"));
+                found.unread.extend(of_folder.cloned().map(&problem));
+            }
+            CSV => {
+                let content = csv_file::parse(&bytes);
+                problems = content.problems;
+                let clips = content.clips.into_iter();
+                found.clips.extend(clips.map(|(line, name, labels)| Clips {
+                    name,
+                    labels,
+                    file: relative.to_owned(),
+                    line: Some(line),
+                }));
+            }
+            name => {
+                let tags = license_text::stated_in(name, &String::from_utf8_lossy(&bytes));
+                if !tags.is_empty() {
+                    found.license.files.push(relative.to_owned());
+                } else if !license_text::is_readme(name) {
+                    found.license.unknown.push(relative.to_owned());
+                }
+                found.license.tags.extend(tags);
+            }
+        }
+        self.problems.extend(problems.into_iter().map(problem));
+    }
+
+    /// What the folders of a motion say of it.
+    pub fn of(&self, files: &Files, entry: &Entry) -> ClipLabels {
+        let mut labels = ClipLabels::default();
+        for (folder, relative) in self.around(files, entry) {
+            for place in folder.naming(&relative, entry) {
+                labels.of_clip.add(&folder.clips[place].labels);
+            }
+            labels.of_folder.fill(&folder.all);
+            labels.of_folder.fill(&Sidecar {
+                license: folder.license.tag(),
+                ..Sidecar::default()
+            });
+            labels.problems.extend(folder.unread.iter().cloned());
+            labels.failed = labels.failed.or_else(|| folder.failed.clone());
+        }
+        labels
+    }
+
+    /// The folders of a motion with labels, the nearest first, and its file's path in each.
+    fn around<'a>(
+        &'a self,
+        files: &'a Files,
+        entry: &'a Entry,
+    ) -> impl Iterator<Item = (&'a Folder, String)> {
+        let depth = entry.file.matches('/').count();
+        let path = files.path(&entry.file);
+        let folders = path.and_then(Path::parent).into_iter();
+        let folders = folders.flat_map(move |parent| parent.ancestors().take(depth + 1));
+        folders.filter_map(move |folder| {
+            let relative = path?.strip_prefix(folder).ok()?;
+            let parts = relative.iter().map(text_of_name);
+            let relative = parts.collect::<Vec<_>>().join("/");
+            Some((self.folders.get(folder)?, relative))
+        })
+    }
+
+    /// What could not be used: files, lines, and names that no motion has.
+    pub fn problems<'a>(
+        &self,
+        files: &Files,
+        entries: impl Iterator<Item = &'a Entry>,
+    ) -> Vec<LabelProblem> {
+        let mut used: BTreeSet<*const Clips> = BTreeSet::new();
+        for entry in entries {
+            for (folder, relative) in self.around(files, entry) {
+                let places = folder.naming(&relative, entry).into_iter();
+                used.extend(places.map(|place| std::ptr::from_ref(&folder.clips[place])));
+            }
+        }
+        let unused = self.folders.values().flat_map(|folder| &folder.clips);
+        let unused = unused.filter(|clips| !used.contains(&std::ptr::from_ref(*clips)));
+        let mut problems: Vec<LabelProblem> = self.problems.clone();
+        problems.extend(unused.map(|clips| {
+            let line = clips
+                .line
+                .map_or(String::new(), |line| format!("line {line}: "));
+            LabelProblem {
+                file: clips.file.clone(),
+                reason: format!("{line}no motion of its folder is called {:?}", clips.name),
+            }
+        }));
+        problems.sort();
+        problems
+    }
+
+    /// Files and lines that cannot be used.
+    pub fn unread(&self) -> &[LabelProblem] {
+        &self.problems
+    }
+
+    /// The licences that folders state, by the folder's path.
+    pub fn licenses(&self) -> impl Iterator<Item = (&Path, Option<String>, &Licensing)> {
+        let folders = self.folders.iter();
+        let stated = folders.map(|(path, folder)| {
+            let tag = folder.all.license.clone().or_else(|| folder.license.tag());
+            (path.as_path(), tag, &folder.license)
+        });
+        stated.filter(|(_, tag, found)| tag.is_some() || !found.unknown.is_empty())
+    }
+}
+
+impl Folder {
+    fn index(&mut self) {
+        let names = self.clips.iter().enumerate();
+        for (place, clips) in names {
+            let exact = self.named.entry(clips.name.clone()).or_default();
+            exact.push(place);
+            if is_pattern(&clips.name) {
+                self.patterns.push(place);
+            }
+        }
+        let length = |place: &usize| std::cmp::Reverse(self.clips[*place].name.len());
+        self.patterns.sort_by_key(length);
+    }
+
+    /// Places of the labels that name a motion: exact names, then patterns.
+    fn naming(&self, relative: &str, entry: &Entry) -> Vec<usize> {
+        if self.clips.is_empty() {
+            return Vec::new();
+        }
+        let names = names_of(relative, entry);
+        let exact = names.iter().filter_map(|name| self.named.get(name));
+        let mut places: Vec<usize> = exact.flatten().copied().collect();
+        for &place in &self.patterns {
+            let pattern = &self.clips[place].name;
+            if !places.contains(&place) && names.iter().any(|name| matches(pattern, name)) {
+                places.push(place);
+            }
+        }
+        places
+    }
+}
+
+/// Names of a motion in a folder: its file with and without extension, these with the motion's key, and
+/// the id a release gives it.
+fn names_of(relative: &str, entry: &Entry) -> BTreeSet<String> {
+    let name_start = relative.rfind('/').map_or(0, |slash| slash + 1);
+    let stem = match relative[name_start..].rfind('.') {
+        Some(dot) if dot > 0 => &relative[..name_start + dot],
+        _ => relative,
+    };
+    let mut names = BTreeSet::from([relative.to_owned(), stem.to_owned()]);
+    if !entry.key.is_empty() {
+        names.insert(format!("{relative}#{}", entry.key));
+        names.insert(format!("{stem}#{}", entry.key));
+    }
+    if !entry.id.is_empty() {
+        names.insert(entry.id.clone());
+    }
+    names
+}

@@ -1,0 +1,426 @@
+//! What is said of a motion beside its file: `<stem>.stance.json`, captions in `<stem>.txt`, `stance.toml`,
+//! `captions.csv` and licences of its folders, and the names of the Bandai-Namco motion dataset.
+
+mod bandai_namco;
+mod captions;
+mod csv_file;
+mod folder;
+mod license_text;
+mod pattern;
+mod toml_file;
+
+use std::path::Path;
+
+use datasets_spec::BodyPart;
+
+use self::bandai_namco::BandaiNamcoLabel;
+pub use self::captions::parse_captions;
+pub use self::folder::ClipLabels;
+pub(crate) use self::folder::is_label_file;
+pub use self::folder::{FolderLabels, names_in_folder};
+pub use self::pattern::{is_pattern, matches};
+use crate::sidecar::{LabelCaption, Sidecar};
+use clip::{LabelProblem, SourceClip};
+
+/// Reads a file beside a motion by its name, or returns none if it does not exist.
+type Companions<'a> = dyn Fn(&str) -> Option<Vec<u8>> + 'a;
+
+/// Adds the labels beside a motion file to its clip.
+///
+/// Of two labels the nearer wins: `<stem>.stance.json`, then what names the clip in a file of its folders,
+/// then what the motion file and its name say, then what its folders say of all their clips. Captions of
+/// the clip add up; those of a folder are for clips without any. What cannot be used is listed in
+/// [`SourceClip::label_problems`].
+pub fn attach(
+    mut clip: SourceClip,
+    path: &Path,
+    companions: &Companions<'_>,
+    around: &ClipLabels,
+) -> SourceClip {
+    let stem = stem_of(path);
+    let named = BandaiNamcoLabel::of(&stem, companions);
+    let (sidecar, problem) = sidecar(path, companions);
+    clip.label_problems.extend(problem);
+    if let Some(label) = named {
+        clip.made_captions.push(label.caption());
+        clip.notes.extend(label.note);
+        clip.action = Some(label.action);
+        clip.style = Some(label.style);
+    }
+    let captions_name = format!("{stem}.txt");
+    if let Some(bytes) = companions(&captions_name) {
+        let (captions, num_other) = parse_captions(&String::from_utf8_lossy(&bytes));
+        if num_other > 0 {
+            clip.notes.push(format!(
+                "{num_other} lines of {captions_name} are no captions and were passed over"
+            ));
+        }
+        take_captions(&mut clip, captions.into_iter().map(Into::into));
+    }
+    state(&mut clip, sidecar, around);
+    clip
+}
+
+/// Adds what the folders of a clip say to a clip whose own labels are known.
+pub fn attach_around(mut clip: SourceClip, around: &ClipLabels) -> SourceClip {
+    state(&mut clip, Sidecar::default(), around);
+    clip
+}
+
+fn state(clip: &mut SourceClip, sidecar: Sidecar, around: &ClipLabels) {
+    let ClipLabels {
+        of_clip,
+        of_folder,
+        problems,
+        ..
+    } = around.clone();
+    take_captions(clip, sidecar.captions.into_iter().chain(of_clip.captions));
+    if clip.captions.is_empty() {
+        take_captions(clip, of_folder.captions.into_iter());
+    }
+    clip.part_captions.extend(sidecar.parts);
+    clip.part_captions.extend(of_clip.parts);
+    if clip.part_captions.is_empty() {
+        clip.part_captions = of_folder.parts;
+    }
+    type Label = Option<String>;
+    let nearest = |sidecar: Label, of_clip: Label, own: &mut Label, of_folder: Label| {
+        *own = sidecar.or(of_clip).or(own.take()).or(of_folder);
+    };
+    nearest(
+        sidecar.subject,
+        of_clip.subject,
+        &mut clip.subject,
+        of_folder.subject,
+    );
+    nearest(
+        sidecar.action,
+        of_clip.action,
+        &mut clip.action,
+        of_folder.action,
+    );
+    nearest(
+        sidecar.style,
+        of_clip.style,
+        &mut clip.style,
+        of_folder.style,
+    );
+    nearest(
+        sidecar.license,
+        of_clip.license,
+        &mut clip.license,
+        of_folder.license,
+    );
+    clip.label_problems.extend(problems);
+    let problems = clip.label_problems.iter();
+    let notes = problems.map(|problem| format!("a label was not used: {problem}"));
+    clip.notes.extend(notes);
+}
+
+/// Adds captions that are not there yet. A caption that a rule makes from the file's name was not
+/// stated, wherever it was written since.
+fn take_captions(clip: &mut SourceClip, captions: impl Iterator<Item = LabelCaption>) {
+    for said in captions {
+        let is_new =
+            !clip.captions.contains(&said.caption) && !clip.made_captions.contains(&said.caption);
+        match (is_new, said.is_made()) {
+            (true, false) => clip.captions.push(said.caption),
+            (true, true) => clip.made_captions.push(said.caption),
+            (false, _) => {}
+        }
+    }
+}
+
+/// What is known of a motion file's labels before it is read. A release has its own rules of action and
+/// style: `companions` is none for its motions. `subject` is the one that the file itself names.
+pub fn stated(
+    path: &Path,
+    companions: Option<&Companions<'_>>,
+    around: &ClipLabels,
+    subject: Option<&str>,
+) -> Sidecar {
+    let ClipLabels {
+        of_clip, of_folder, ..
+    } = around;
+    let own = companions.map(|companions| {
+        let named = BandaiNamcoLabel::named(&stem_of(path));
+        let (action, style) = named.map(|label| (label.action, label.style)).unzip();
+        // `attach` reports a sidecar that cannot be used.
+        let (sidecar, _) = sidecar(path, companions);
+        let named = Sidecar {
+            action,
+            style,
+            subject: subject.map(str::to_owned),
+            ..Sidecar::default()
+        };
+        (sidecar, named)
+    });
+    let (mut stated, named) = own.unwrap_or_default();
+    for farther in [of_clip, &named, of_folder] {
+        stated.fill(farther);
+    }
+    stated
+}
+
+/// The sidecar of a motion file, empty if there is none or if it cannot be used.
+fn sidecar(path: &Path, companions: &Companions<'_>) -> (Sidecar, Vec<LabelProblem>) {
+    let name = format!("{}{}", stem_of(path), Sidecar::SUFFIX);
+    let Some(bytes) = companions(&name) else {
+        return Default::default();
+    };
+    let file = path.with_file_name(&name).to_string_lossy().into_owned();
+    let mut problems = Vec::new();
+    let sidecar = match serde_json::from_slice::<Sidecar>(&bytes) {
+        Ok(mut sidecar) => {
+            sidecar.clean(|reason| {
+                problems.push(LabelProblem {
+                    file: file.clone(),
+                    reason,
+                });
+            });
+            sidecar
+        }
+        Err(error) => {
+            problems.push(LabelProblem {
+                file,
+                reason: error.to_string(),
+            });
+            Sidecar::default()
+        }
+    };
+    (sidecar, problems)
+}
+
+/// Names of the files that are looked for beside a motion file for its labels.
+pub fn names_beside(path: &Path) -> [String; 3] {
+    let stem = stem_of(path);
+    [Sidecar::SUFFIX, ".txt", ".json"].map(|end| format!("{stem}{end}"))
+}
+
+fn stem_of(path: &Path) -> String {
+    let stem = path.file_stem().map(|stem| stem.to_string_lossy());
+    stem.unwrap_or_default().into_owned()
+}
+
+impl Sidecar {
+    /// Drops what no table can hold and reports each.
+    fn clean(&mut self, mut report: impl FnMut(String)) {
+        self.captions.retain_mut(|said| {
+            let caption = &mut said.caption;
+            caption.text = caption.text.trim().to_owned();
+            if caption.text.is_empty() {
+                report("a caption has no text".to_owned());
+                return false;
+            }
+            let (from, to) = (caption.from_s, caption.to_s);
+            let is_span = from.is_finite() && to.is_finite() && from >= 0.0 && from <= to;
+            if !is_span {
+                report(format!(
+                    "caption {:?} is from {from} s to {to} s, expected a time after another; it is taken \
+                     for the whole clip",
+                    caption.text
+                ));
+                (caption.from_s, caption.to_s) = (0.0, 0.0);
+            }
+            true
+        });
+        self.parts
+            .retain(|said| match said.part.parse::<BodyPart>() {
+                Ok(_) => true,
+                Err(error) => {
+                    report(error.to_string());
+                    false
+                }
+            });
+        for label in [
+            &mut self.subject,
+            &mut self.action,
+            &mut self.style,
+            &mut self.license,
+        ] {
+            let trimmed = label.take().map(|text| text.trim().to_owned());
+            *label = trimmed.filter(|text| !text.is_empty());
+        }
+    }
+
+    /// Takes from labels that are farther from the clip what is not stated yet.
+    fn fill(&mut self, farther: &Sidecar) {
+        if self.captions.is_empty() {
+            self.captions.clone_from(&farther.captions);
+        }
+        if self.parts.is_empty() {
+            self.parts.clone_from(&farther.parts);
+        }
+        let fill = |own: &mut Option<String>, other: &Option<String>| {
+            if own.is_none() {
+                own.clone_from(other);
+            }
+        };
+        fill(&mut self.subject, &farther.subject);
+        fill(&mut self.action, &farther.action);
+        fill(&mut self.style, &farther.style);
+        fill(&mut self.license, &farther.license);
+        self.split = self.split.or(farther.split);
+    }
+
+    /// As [`Sidecar::fill`], but captions add up.
+    fn add(&mut self, farther: &Sidecar) {
+        let mut captions = std::mem::take(&mut self.captions);
+        let mut parts = std::mem::take(&mut self.parts);
+        captions.extend(farther.captions.iter().cloned());
+        parts.extend(farther.parts.iter().cloned());
+        self.fill(farther);
+        (self.captions, self.parts) = (captions, parts);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use datasets_spec::{Fps, Motion, Pose, Split};
+
+    use super::*;
+    use clip::RotationSource;
+
+    fn labelled(path: &str, companions: &Companions<'_>, around: &ClipLabels) -> SourceClip {
+        let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 2]).expect("valid");
+        let clip = SourceClip::new(motion, RotationSource::Native);
+        attach(clip, Path::new(path), companions, around)
+    }
+
+    fn texts(captions: &[datasets_spec::table::Caption]) -> Vec<&str> {
+        captions
+            .iter()
+            .map(|caption| caption.text.as_str())
+            .collect()
+    }
+
+    #[test]
+    fn bandai_namco_names_give_labels_and_one_made_caption() {
+        for (stem, action, style, text) in [
+            (
+                "dataset-1_walk-left_not-confident_001",
+                "walk-left",
+                "not-confident",
+                "a person walks left in a not confident style",
+            ),
+            (
+                "dataset-2_raise-up-both-hands_elderly_003",
+                "raise-up-both-hands",
+                "elderly",
+                "a person raises up both hands in an elderly style",
+            ),
+            (
+                "dataset-1_dash_sad_001",
+                "dash",
+                "sad",
+                "a person dashes in a sad style",
+            ),
+        ] {
+            let around = ClipLabels::default();
+            let clip = labelled(&format!("x/{stem}.bvh"), &|_| None, &around);
+            assert_eq!(clip.action.as_deref(), Some(action));
+            assert_eq!(clip.style.as_deref(), Some(style));
+            assert_eq!(texts(&clip.made_captions), [text]);
+            assert!(clip.captions.is_empty() && clip.notes.is_empty());
+            // Whoever wrote the same text into a file took it from the rule.
+            let again = format!("{text}\n");
+            let beside = |name: &str| name.ends_with(".txt").then(|| again.clone().into_bytes());
+            let clip = labelled(&format!("x/{stem}.bvh"), &beside, &around);
+            assert!(clip.captions.is_empty());
+        }
+        for stem in [
+            "dataset-1_walk_001",
+            "dataset-x_walk_sad_001",
+            "walk_sad_001_2",
+        ] {
+            let clip = labelled(stem, &|_| None, &ClipLabels::default());
+            assert_eq!(clip.action, None, "{stem}");
+        }
+    }
+
+    #[test]
+    fn label_tables_that_disagree_with_the_name_are_reported() {
+        let beside = |name: &str| -> Option<Vec<u8>> {
+            match name {
+                "dataset-1_walk_sad_001.json" => Some(br#"{"content": 1, "style": 0}"#.to_vec()),
+                "cfg/content_label.txt" => Some(b"dataset-1_walk\ndataset-1_run\n".to_vec()),
+                "cfg/style_label.txt" => Some(b"dataset-1_sad\n".to_vec()),
+                _ => None,
+            }
+        };
+        let clip = labelled(
+            "dataset-1_walk_sad_001.bvh",
+            &beside,
+            &ClipLabels::default(),
+        );
+        assert_eq!(clip.action.as_deref(), Some("walk"));
+        assert!(clip.notes[0].contains("dataset-1_run"), "{:?}", clip.notes);
+    }
+
+    #[test]
+    fn a_sidecar_overrides_labels_and_adds_captions() {
+        let sidecar = |json: &'static str| {
+            move |name: &str| (name == "clip.stance.json").then(|| json.as_bytes().to_vec())
+        };
+        let around = ClipLabels {
+            of_clip: Sidecar {
+                captions: vec!["a man greets".to_owned().into()],
+                action: Some("greet".to_owned()),
+                subject: Some("bert".to_owned()),
+                ..Sidecar::default()
+            },
+            of_folder: Sidecar {
+                captions: vec!["a person moves".to_owned().into()],
+                license: Some("MIT".to_owned()),
+                split: Some(Split::Test),
+                ..Sidecar::default()
+            },
+            ..ClipLabels::default()
+        };
+        let full = sidecar(
+            r#"{"captions": ["a man waves", {"text": "he stops", "from_s": 1, "to_s": 2}],
+                "parts": [{"part": "LEFT_ARM", "text": "waving"}],
+                "action": "wave", "style": "proud"}"#,
+        );
+        let clip = labelled("clip.bvh", &full, &around);
+        assert_eq!(clip.license.as_deref(), Some("MIT"));
+        assert_eq!(clip.subject.as_deref(), Some("bert"));
+        assert_eq!(clip.action.as_deref(), Some("wave"));
+        assert_eq!(clip.part_captions[0].part, "LEFT_ARM");
+        assert_eq!(
+            texts(&clip.captions),
+            ["a man waves", "he stops", "a man greets"]
+        );
+        assert_eq!((clip.captions[1].from_s, clip.captions[1].to_s), (1.0, 2.0));
+        let stated = stated(Path::new("clip.bvh"), Some(&full), &around, None);
+        assert_eq!(stated.split, Some(Split::Test));
+        let silent = ClipLabels {
+            of_folder: around.of_folder,
+            ..ClipLabels::default()
+        };
+        let clip = labelled("clip.bvh", &|_| None, &silent);
+        assert_eq!(texts(&clip.captions), ["a person moves"]);
+    }
+
+    #[test]
+    fn a_sidecar_that_does_not_parse_costs_the_labels() {
+        for (json, part) in [
+            (r#"{"lisence": "CC0-1.0"}"#, "lisence"),
+            (r#"{"captions": [{"txt": "a man waves"}]}"#, "txt"),
+            (r#"{"captions": [3]}"#, "a text, or a table"),
+            (
+                r#"{"parts": [{"part": "TAIL", "text": "wagging"}]}"#,
+                "TAIL",
+            ),
+            ("{", "EOF"),
+        ] {
+            let beside =
+                |name: &str| (name == "clip.stance.json").then(|| json.as_bytes().to_vec());
+            let clip = labelled("a/clip.bvh", &beside, &ClipLabels::default());
+            let problem = &clip.label_problems[0];
+            assert_eq!(problem.file, "a/clip.stance.json");
+            assert!(problem.reason.contains(part), "{part}: {problem}");
+            assert!(clip.notes[0].contains(&problem.reason), "{:?}", clip.notes);
+        }
+    }
+}

@@ -1,0 +1,503 @@
+//! The MotionFix release: pairs of motions and their edit instructions, in joblib dumps with split and
+//! label files beside them.
+//!
+//! # Source
+//! Repository athn-nik/motionfix: `motionfix.pth.tar` is a dictionary from ids to `motion_source`,
+//! `motion_target` (`rots`, `trans`, `joint_positions`) and `text`; SMPL-H, z up, 30 fps.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use datasets_spec::{BodyPart, Fps, Split};
+use kinematics::skeleton::NUM_BODY_JOINTS;
+use serde_json::Value as Json;
+
+use super::files::{Files, LFS_POINTER, refuse_pointer};
+use super::format::{Contents, Entry, Format, Release, SourceFormat};
+use super::options::ReadOptions;
+use super::smpl::{Parameters, column, y_up_from_z_up};
+use clip::{EditOf, Rejected, RotationSource, SourceClip};
+use pickle::joblib;
+use pickle::{Options, Value};
+
+/// Rate of every motion of the release, in 1/s.
+const RELEASE_FPS: f64 = 30.0;
+/// Digits of an id.
+const ID_DIGITS: usize = 6;
+/// Numbers of a frame of `rots`: the root and 21 body joints.
+const ROTATIONS_WIDTH: usize = 66;
+
+/// The file that says which split each pair is of.
+pub const SPLITS: &str = "splits.json";
+/// Name prefixes of the release's label and statistics files, beside `splits.json`.
+const LABELS: [&str; 8] = [
+    "amt_motionfix",
+    "gpt-labels_full",
+    "gpt3-labels",
+    "labels_val_spatial",
+    "paraphrases_dict",
+    "statistics_motionfix",
+    "text-annot_val_spatial",
+    "texts_pairs_val",
+];
+/// The label file that is read: body parts by instruction.
+const PART_LABELS: &str = "gpt-labels_full";
+
+const SOURCE: &str = "source";
+const TARGET: &str = "target";
+
+/// A pair of the dump.
+///
+/// A frame takes 276 bytes, so that the whole release (13,460 motions of about five seconds) takes
+/// about 570 MB while it is ingested; decoding a dump takes little more memory than its contents.
+#[derive(Clone, Debug, PartialEq)]
+struct Pair {
+    source: Result<Parameters, Rejected>,
+    target: Result<Parameters, Rejected>,
+    text: String,
+    /// How its split was found, if no list names it.
+    note: Option<String>,
+}
+
+/// The release of one folder, with its dumps decoded. Keys and split lists are those of the folder: another one may
+/// have the same keys for other pairs.
+#[derive(Default)]
+struct MotionFixRelease {
+    contents: Contents,
+    /// By key; that of a pair which differs from the one of an earlier dump begins with its dump's name.
+    pairs: BTreeMap<String, Pair>,
+    /// Body parts by instruction.
+    parts: BTreeMap<String, Vec<BodyPart>>,
+    /// Number of pairs without a listed split, by how it was found.
+    unlisted: BTreeMap<Unlisted, u64>,
+}
+
+/// How a pair that no list names gets its split.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Unlisted {
+    /// By the name of its dump.
+    FileName(Split),
+    /// Drawn by its id: there is no list.
+    Draw,
+    /// There is a list: pairs outside it are for training.
+    Train,
+}
+
+impl Unlisted {
+    /// The note of a clip.
+    fn note(self) -> String {
+        match self {
+            Self::FileName(split) => {
+                format!("no splits.json names it: {split} by the name of its dump alone")
+            }
+            Self::Draw => "no splits.json: the split was drawn, not published".to_owned(),
+            Self::Train => "splits.json does not name it: taken for train".to_owned(),
+        }
+    }
+}
+
+/// The releases among the files: one in each folder with dumps.
+pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
+    let dumps: Vec<&str> = files.all().filter(|file| is_dump(file)).collect();
+    let labels: Vec<&str> = files.all().filter(|file| is_label(file, &dumps)).collect();
+    let mut folders: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for dump in dumps {
+        folders.entry(folder_of(dump)).or_default().push(dump);
+    }
+    if folders.is_empty() {
+        let reason = "MotionFix label file without motions, motionfix.pth.tar is missing";
+        let mut release = MotionFixRelease::default();
+        release.contents.passed_over = labels
+            .into_iter()
+            .map(|file| (file.to_owned(), reason.to_owned()))
+            .collect();
+        return match release.contents.passed_over.is_empty() {
+            true => Vec::new(),
+            false => vec![Box::new(release)],
+        };
+    }
+    let (own, common): (Vec<&str>, Vec<&str>) = labels
+        .into_iter()
+        .partition(|file| folders.contains_key(folder_of(file)));
+    let mut releases: Vec<Box<dyn Release>> = Vec::with_capacity(folders.len());
+    // Parts go by the words of an instruction, so a label file that lies elsewhere speaks of every folder.
+    let mut shared = MotionFixRelease::default();
+    for file in common {
+        shared.take_label(files, file, &mut Lists::new());
+    }
+    for (folder, dumps) in folders {
+        let mut release = MotionFixRelease {
+            // What belongs to no folder is named once.
+            contents: std::mem::take(&mut shared.contents),
+            parts: shared.parts.clone(),
+            ..MotionFixRelease::default()
+        };
+        let mut lists = Lists::new();
+        for file in own.iter().filter(|file| folder_of(file) == folder) {
+            release.take_label(files, file, &mut lists);
+        }
+        for file in dumps {
+            release.take_dump(files, file, &lists);
+        }
+        release.remark(&lists);
+        releases.push(Box::new(release));
+    }
+    releases
+}
+
+/// Splits by key.
+type Lists = BTreeMap<String, Split>;
+
+fn name_of(file: &str) -> &str {
+    file.rsplit('/').next().unwrap_or(file)
+}
+
+fn folder_of(file: &str) -> &str {
+    file.strip_suffix(name_of(file)).unwrap_or_default()
+}
+
+/// Whether a file is a dump of the release, by its name.
+pub fn is_dump(file: &str) -> bool {
+    let name = name_of(file).to_lowercase();
+    name.starts_with("motionfix") && name.ends_with(".pth.tar")
+}
+
+fn is_label(file: &str, dumps: &[&str]) -> bool {
+    let name = name_of(file);
+    if name == SPLITS {
+        return dumps.iter().any(|dump| folder_of(dump) == folder_of(file));
+    }
+    (name.ends_with(".json") || name.ends_with(".npy"))
+        && LABELS.iter().any(|label| name.starts_with(label))
+}
+
+/// The single split of a dump by its name: `motionfix_val.pth.tar`.
+fn split_of_dump(file: &str) -> Option<Split> {
+    let name = name_of(file).to_lowercase();
+    let stem = name.strip_suffix(".pth.tar")?;
+    stem.rsplit_once('_')?.1.parse().ok()
+}
+
+fn padded(id: &str) -> String {
+    format!("{id:0>ID_DIGITS$}")
+}
+
+impl MotionFixRelease {
+    /// Reads the label files that describe motions, and skips the others.
+    fn take_label(&mut self, files: &Files, file: &str, splits: &mut Lists) {
+        let name = name_of(file);
+        let has_parts = name.starts_with(PART_LABELS);
+        if name != SPLITS && !has_parts {
+            let reason = "MotionFix label file that belongs to no motion".to_owned();
+            self.contents.passed_over.push((file.to_owned(), reason));
+            return;
+        }
+        let read = files.read(file).and_then(|bytes| {
+            refuse_pointer(&bytes)?;
+            serde_json::from_slice::<Json>(&bytes).map_err(|error| {
+                Rejected::read("E-MOTIONFIX-JSON", format!("found no JSON ({error})"))
+            })
+        });
+        let content = match read {
+            Ok(content) => content,
+            Err(rejected) => {
+                self.contents.rejected.push((file.to_owned(), rejected));
+                return;
+            }
+        };
+        for (key, value) in content.as_object().into_iter().flatten() {
+            if has_parts {
+                let parts = parse_parts(value.as_str().unwrap_or_default());
+                self.parts.insert(key.clone(), parts);
+            } else if let Ok(split) = key.parse::<Split>() {
+                let ids = value.as_array().into_iter().flatten();
+                let ids = ids.filter_map(|id| match id {
+                    Json::String(id) => Some(padded(id)),
+                    Json::Number(id) => Some(padded(&id.to_string())),
+                    _ => None,
+                });
+                splits.extend(ids.map(|id| (id, split)));
+            }
+        }
+        let reason = "MotionFix label file, read with the motions".to_owned();
+        self.contents.passed_over.push((file.to_owned(), reason));
+    }
+
+    /// Decodes a dump and plans the motions that no earlier dump of the folder had. A pair that has the key of another
+    /// one and is not equal to it gets a key of its own.
+    fn take_dump(&mut self, files: &Files, file: &str, splits: &Lists) {
+        let entries = match decode(files, file) {
+            Ok(entries) => entries,
+            Err(rejected) => {
+                self.contents.rejected.push((file.to_owned(), rejected));
+                return;
+            }
+        };
+        let found = entries.len();
+        // Keys of pairs, and by which key of the list.
+        let mut added: BTreeMap<String, String> = BTreeMap::new();
+        let mut differing = 0u64;
+        for (key, value) in entries {
+            let id = match &key {
+                Value::Str(id) => padded(id),
+                Value::Int(id) => padded(&id.to_string()),
+                _ => continue,
+            };
+            let pair = Pair::of(&value);
+            let key = match self.pairs.get(&id) {
+                None => id.clone(),
+                Some(known) if known.is_equal(&pair) => continue,
+                Some(_) => {
+                    differing += 1;
+                    let stem = name_of(file).split('.').next().unwrap_or_default();
+                    let own = format!("{stem}/{id}");
+                    let numbered = (2..).map(|number| format!("{stem}-{number}/{id}"));
+                    let mut keys = std::iter::once(own).chain(numbered);
+                    keys.find(|key| !self.pairs.contains_key(key))
+                        .expect("numbers do not end")
+                }
+            };
+            self.pairs.insert(key.clone(), pair);
+            added.insert(key, id);
+        }
+        if differing > 0 {
+            self.contents.remarks.push(format!(
+                "MotionFix: {differing} pairs of {file} have the keys of other pairs in its folder; their ids begin \
+                 with the name of their dump, and {SPLITS} does not speak of them"
+            ));
+        }
+        if added.is_empty() {
+            let reason = match found {
+                0 => "MotionFix dump without motions".to_owned(),
+                _ => "MotionFix dump whose pairs are all in another one of its folder".to_owned(),
+            };
+            self.contents.passed_over.push((file.to_owned(), reason));
+        }
+        for (key, id) in added {
+            // Both motions of a pair share a split, even if no list states it.
+            let listed = splits.get(&id).copied().filter(|_| key == id);
+            let (split, unlisted) = match (listed, split_of_dump(file)) {
+                (Some(split), _) => (Some(split), None),
+                (None, Some(split)) => (Some(split), Some(Unlisted::FileName(split))),
+                (None, None) if splits.is_empty() => (None, Some(Unlisted::Draw)),
+                (None, None) => (Some(Split::Train), Some(Unlisted::Train)),
+            };
+            if let (Some(unlisted), Some(pair)) = (unlisted, self.pairs.get_mut(&key)) {
+                *self.unlisted.entry(unlisted).or_default() += 1;
+                pair.note = Some(unlisted.note());
+            }
+            self.contents
+                .entries
+                .extend([SOURCE, TARGET].into_iter().map(|side| Entry {
+                    file: file.to_owned(),
+                    key: format!("{key}/{side}"),
+                    id: motion_id(&key, side),
+                    split,
+                    group: Some(key.clone()),
+                    mirrored_of: None,
+                }));
+        }
+    }
+
+    /// Adds remarks on the splits of pairs that no list names, and on listed keys without a pair.
+    fn remark(&mut self, lists: &Lists) {
+        let missing = lists.keys().filter(|key| !self.pairs.contains_key(*key));
+        let missing = missing.map(String::as_str).collect();
+        self.contents.remark_on_listed("MotionFix", SPLITS, missing);
+        for (unlisted, count) in &self.unlisted {
+            self.contents.remarks.push(match unlisted {
+                Unlisted::FileName(split) => format!(
+                    "MotionFix: {count} pairs are in no splits.json and have the split of their dump's \
+                     name, {split}, which repackagings are known to get wrong: test pairs may be in train"
+                ),
+                Unlisted::Draw => format!(
+                    "MotionFix: {count} pairs have no splits.json and were given drawn splits, which \
+                     are not the published ones"
+                ),
+                Unlisted::Train => {
+                    format!("MotionFix: {count} pairs are not in splits.json and were put into train")
+                }
+            });
+        }
+    }
+}
+
+fn motion_id(id: &str, side: &str) -> String {
+    format!("motionfix/{id}-{side}")
+}
+
+impl Release for MotionFixRelease {
+    fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    fn read(
+        &self,
+        _files: &Files,
+        entry: &Entry,
+        options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected> {
+        let planned = entry.key.rsplit_once('/');
+        let (id, side, pair) = planned
+            .and_then(|(id, side)| Some((id, side, self.pairs.get(id)?)))
+            .ok_or_else(|| {
+                Rejected::read("E-IO", format!("{} is not in the release", entry.key))
+            })?;
+        let parameters = match side {
+            SOURCE => &pair.source,
+            _ => &pair.target,
+        };
+        let fps =
+            Fps::new(RELEASE_FPS).map_err(|error| Rejected::read("E-FPS", error.to_string()))?;
+        let parameters = parameters.as_ref().map_err(Rejected::clone)?;
+        let motion = parameters.turned(y_up_from_z_up(), fps, &options.skeleton)?;
+        let mut clip = SourceClip::new(motion, RotationSource::Native);
+        clip.notes = vec![
+            "SMPL-H parameters (66 pose columns), z up, placed at the origin".to_owned(),
+            format!(
+                "rotations drive the body {} as they are",
+                options.skeleton.name()
+            ),
+        ];
+        clip.notes.extend(pair.note.clone());
+        if side == TARGET {
+            clip.edits.push(EditOf {
+                source_id: motion_id(id, SOURCE),
+                kind: "fine-grained",
+                style: None,
+                parts: self.parts.get(&pair.text).cloned().unwrap_or_default(),
+                instruction: pair.text.clone(),
+                made: None,
+            });
+        }
+        Ok(clip)
+    }
+}
+
+/// The entries of a dump. It is decoded as a stream: joint positions, which follow from the rotations, are
+/// dropped on the way.
+fn decode(files: &Files, file: &str) -> Result<Vec<(Value, Value)>, Rejected> {
+    let opened = files.open_at(file)?;
+    let len = files.size(file)?;
+    if len < 4 * LFS_POINTER.len() as u64 {
+        refuse_pointer(&files.read(file)?)?;
+    }
+    let options = Options {
+        drop_keys: &["joint_positions"],
+        single_precision: true,
+    };
+    let dump = joblib::read_from(opened, len, &options)?;
+    match dump {
+        Value::Dict(entries) => Ok(entries),
+        other => Err(Rejected::read(
+            "E-MOTIONFIX-KEYS",
+            format!(
+                "found {}, expected a dictionary from ids to pairs",
+                other.describe()
+            ),
+        )),
+    }
+}
+
+impl Pair {
+    /// Whether both are the same motions and the same words.
+    fn is_equal(&self, other: &Self) -> bool {
+        (&self.source, &self.target, &self.text) == (&other.source, &other.target, &other.text)
+    }
+
+    fn of(value: &Value) -> Self {
+        let side = |key: &str| {
+            let motion = value.get(key).ok_or_else(|| {
+                Rejected::read(
+                    "E-MOTIONFIX-KEYS",
+                    format!(
+                        "found {}, expected one with motion_source, motion_target and text",
+                        value.describe()
+                    ),
+                )
+            })?;
+            parameters(motion)
+        };
+        let text = value.get("text");
+        let first = text.and_then(Value::as_sequence).and_then(<[Value]>::first);
+        let text = text
+            .and_then(Value::as_str)
+            .or(first.and_then(Value::as_str));
+        Self {
+            source: side("motion_source"),
+            target: side("motion_target"),
+            text: text.unwrap_or_default().trim().to_owned(),
+            note: None,
+        }
+    }
+}
+
+fn parameters(motion: &Value) -> Result<Parameters, Rejected> {
+    let rotations: Vec<[f32; ROTATIONS_WIDTH]> = column(motion, "rots")?;
+    Parameters::new(
+        rotations
+            .iter()
+            .map(|frame| [frame[0], frame[1], frame[2]])
+            .collect(),
+        rotations
+            .iter()
+            .map(|frame| std::array::from_fn(|column| frame[3 + column]))
+            .collect(),
+        column(motion, "trans")?,
+    )
+}
+
+/// The parts that an answer such as `Answer: right arm\nleft arm` names. `buttocks` maps to the lower
+/// body, which owns the root; `neck` maps to the head.
+fn parse_parts(answer: &str) -> Vec<BodyPart> {
+    let answer = answer.trim().trim_start_matches("Answer:").to_lowercase();
+    let mut parts: Vec<BodyPart> = answer
+        .split(['\n', ','])
+        .filter_map(|name| {
+            Some(match name.trim().trim_end_matches('.') {
+                "left arm" | "left hand" => BodyPart::LeftArm,
+                "right arm" | "right hand" => BodyPart::RightArm,
+                "left leg" => BodyPart::LeftLeg,
+                "right leg" => BodyPart::RightLeg,
+                "torso" => BodyPart::Torso,
+                "neck" | "necks" | "head" => BodyPart::Head,
+                "buttocks" => BodyPart::LowerBody,
+                _ => return None,
+            })
+        })
+        .collect();
+    parts.sort();
+    parts.dedup();
+    if parts.contains(&BodyPart::LowerBody) {
+        parts.retain(|part| !matches!(part, BodyPart::LeftLeg | BodyPart::RightLeg));
+    }
+    parts
+}
+
+/// A folder of the MotionFix release.
+pub const FORMAT: Format = Format::new(&MotionFix);
+
+#[derive(Debug)]
+struct MotionFix;
+
+impl SourceFormat for MotionFix {
+    fn name(&self) -> &'static str {
+        "motionfix"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // Source and target in f4 at 30 fps: translation, rotations and joint positions.
+        2.0 * 4.0 * (3 * (1 + 2 * NUM_BODY_JOINTS)) as f64 * 30.0
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        _index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        Ok(find(files))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,324 @@
+use std::io::Write;
+use std::path::Path;
+use std::sync::Arc;
+
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
+
+use super::*;
+use crate::source::stance::tests::{files_under, put};
+use pickle::{Array, encode};
+
+/// A motion of the release: standing, z up, turned by 45 degrees about the vertical and moving
+/// along x.
+fn motion(frames: usize, split_rotations: bool) -> Value {
+    let upright = glam::DQuat::from_rotation_z(std::f64::consts::FRAC_PI_4)
+        * glam::DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
+    let root = kinematics::rotation::to_axis_angle(upright)
+        .as_vec3()
+        .to_array();
+    let rots = (0..frames).flat_map(|_| {
+        let mut frame = [0.0; ROTATIONS_WIDTH];
+        frame[..3].copy_from_slice(&root);
+        frame[65] = 0.25;
+        frame
+    });
+    let shape = match split_rotations {
+        true => vec![frames, 22, 3],
+        false => vec![frames, 66],
+    };
+    let trans = (0..frames).flat_map(|frame| [0.01 * frame as f32, 0.0, 0.0]);
+    let array = |array: Array| Value::Array(Arc::new(array));
+    Value::Dict(vec![
+        (Value::text("rots"), array(Array::from_f32(&shape, rots))),
+        (
+            Value::text("trans"),
+            array(Array::from_f32(&[frames, 3], trans)),
+        ),
+        (
+            Value::text("joint_positions"),
+            array(Array::from_f32(&[frames, 22, 3], vec![1.0; 66 * frames])),
+        ),
+    ])
+}
+
+fn pair(source_frames: usize, text: &str) -> Value {
+    Value::Dict(vec![
+        (Value::text("motion_source"), motion(source_frames, false)),
+        (Value::text("motion_target"), motion(20, true)),
+        (Value::text("text"), Value::text(text)),
+    ])
+}
+
+fn put_dump(folder: &Path, file: &str, pairs: &[(&str, Value)], packed: bool) {
+    let entries = pairs
+        .iter()
+        .map(|(id, pair)| (Value::text(id), pair.clone()));
+    let bytes = encode(&Value::Dict(entries.collect()));
+    put(folder, file, if packed { zlib(&bytes) } else { bytes });
+}
+
+fn zlib(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
+    encoder.write_all(bytes).expect("in memory");
+    encoder.finish().expect("in memory")
+}
+
+fn only_release(files: &Files) -> Box<dyn Release> {
+    let mut releases = find(files);
+    assert_eq!(releases.len(), 1);
+    releases.pop().expect("one")
+}
+
+fn clip(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
+    let mut entries = release.contents().entries.iter();
+    let entry = entries.find(|entry| entry.id == id).expect(id);
+    let clip = release.read(files, entry, &ReadOptions::default());
+    clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
+}
+
+#[test]
+fn dumps_and_lists_become_pairs() {
+    for packed in [false, true] {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let raise = "raise your left arm";
+        put_dump(
+            dir.path(),
+            "data/motionfix.pth.tar",
+            &[("000136", pair(25, raise)), ("000002", pair(20, "slower"))],
+            packed,
+        );
+        put_dump(
+            dir.path(),
+            "data/motionfix_test.pth.tar",
+            &[("000002", pair(20, "slower")), ("000007", pair(20, "jump"))],
+            packed,
+        );
+        put_dump(
+            dir.path(),
+            "data/motionfix_val.pth.tar",
+            &[("000136", pair(25, raise))],
+            packed,
+        );
+        put(
+            dir.path(),
+            "data/splits.json",
+            r#"{"train": ["000136"], "test": ["000002"]}"#,
+        );
+        let labels = format!(r#"{{"{raise}": "Answer: left arm\nneck"}}"#);
+        put(dir.path(), "deps/gpt/edit/gpt-labels_full.json", labels);
+        let files = files_under(dir.path());
+        let release = only_release(&files);
+        let planned: Vec<(&str, &str, Option<Split>)> = release
+            .contents()
+            .entries
+            .iter()
+            .map(|entry| (entry.id.as_str(), entry.key.as_str(), entry.split))
+            .collect();
+        assert_eq!(
+            planned,
+            [
+                (
+                    "motionfix/000002-source",
+                    "000002/source",
+                    Some(Split::Test)
+                ),
+                (
+                    "motionfix/000002-target",
+                    "000002/target",
+                    Some(Split::Test)
+                ),
+                (
+                    "motionfix/000136-source",
+                    "000136/source",
+                    Some(Split::Train)
+                ),
+                (
+                    "motionfix/000136-target",
+                    "000136/target",
+                    Some(Split::Train)
+                ),
+                (
+                    "motionfix/000007-source",
+                    "000007/source",
+                    Some(Split::Test)
+                ),
+                (
+                    "motionfix/000007-target",
+                    "000007/target",
+                    Some(Split::Test)
+                ),
+            ]
+        );
+        let passed: Vec<&str> = release
+            .contents()
+            .passed_over
+            .iter()
+            .map(|(file, _)| file.as_str())
+            .collect();
+        let expected = [
+            "deps/gpt/edit/gpt-labels_full.json",
+            "data/splits.json",
+            "data/motionfix_val.pth.tar",
+        ];
+        assert_eq!(passed, expected);
+
+        assert_eq!(
+            release.contents().remarks.len(),
+            1,
+            "000007 has the split of its dump"
+        );
+        let unlisted = clip(&*release, &files, "motionfix/000007-target");
+        assert!(unlisted.notes.iter().any(|note| note.contains("its dump")));
+
+        let source = clip(&*release, &files, "motionfix/000136-source");
+        assert!(!source.notes.iter().any(|note| note.contains("splits.json")));
+        assert_eq!((source.motion.len(), source.motion.fps().get()), (25, 30.0));
+        assert_eq!(source.edits, []);
+        let target = clip(&*release, &files, "motionfix/000136-target");
+        assert_eq!(target.motion.len(), 20);
+        let [edit] = &target.edits[..] else {
+            panic!("{:?}", target.edits);
+        };
+        assert_eq!(edit.source_id, "motionfix/000136-source");
+        assert_eq!(edit.kind, "fine-grained");
+        assert_eq!(edit.instruction, raise);
+        assert_eq!(edit.parts, [BodyPart::LeftArm, BodyPart::Head]);
+    }
+}
+
+#[test]
+fn motions_stand_upright_on_the_floor_of_the_store() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    put_dump(
+        dir.path(),
+        "motionfix.pth.tar",
+        &[("1", pair(10, ""))],
+        false,
+    );
+    let files = files_under(dir.path());
+    let release = only_release(&files);
+    let options = ReadOptions::default();
+    for side in ["source", "target"] {
+        let motion = clip(&*release, &files, &format!("motionfix/000001-{side}")).motion;
+        assert_eq!(motion.body_pose()[3][62], 0.25, "kept to the bit");
+        let keypoints = options.skeleton.keypoints(&motion.pose(0));
+        assert!(keypoints[15].y > keypoints[0].y + 0.4, "the head is up");
+        assert!(keypoints[10].y.abs() < 0.1, "the feet are on the floor");
+        let left = keypoints[16] - keypoints[17];
+        let facing = left.cross(glam::DVec3::Y).normalize();
+        // A standing body faces -y of z up; half of a quarter turn about the vertical takes it to
+        // +x -y there, which is +x +z in the store.
+        let expected = glam::DVec3::new(1.0, 0.0, 1.0).normalize();
+        assert!(facing.dot(expected) > 0.99, "{facing}");
+        let moved = motion.transl()[1][0] - motion.transl()[0][0];
+        assert!((moved - 0.01).abs() < 1e-6, "x stays x, {moved}");
+    }
+    let groups: Vec<(Option<Split>, Option<&str>)> = release
+        .contents()
+        .entries
+        .iter()
+        .map(|entry| (entry.split, entry.group.as_deref()))
+        .collect();
+    assert_eq!(
+        groups,
+        [(None, Some("000001")); 2],
+        "a pair is not torn apart"
+    );
+}
+
+#[test]
+fn broken_pairs_and_dumps_are_on_record() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let mut broken = pair(10, "");
+    if let Value::Dict(entries) = &mut broken {
+        entries.remove(0);
+    }
+    put_dump(dir.path(), "motionfix.pth.tar", &[("000001", broken)], true);
+    put(
+        dir.path(),
+        "motionfix_a.pth.tar",
+        "cos\nsystem\n(S'true'\ntR.",
+    );
+    put(
+        dir.path(),
+        "motionfix_b.pth.tar",
+        "version https://git-lfs.github.com/spec/v1\noid\n",
+    );
+    put(dir.path(), "motionfix_c.pth.tar", b"\x80\x04].");
+    put(dir.path(), "splits.json", "[");
+    let files = files_under(dir.path());
+    let release = only_release(&files);
+    let codes: Vec<&str> = release
+        .contents()
+        .rejected
+        .iter()
+        .map(|(_, r)| r.code)
+        .collect();
+    let expected = [
+        "E-MOTIONFIX-JSON",
+        "E-PICKLE-REFUSED",
+        "E-LFS-POINTER",
+        "E-MOTIONFIX-KEYS",
+    ];
+    assert_eq!(codes, expected);
+    let read = release.read(
+        &files,
+        &release.contents().entries[0],
+        &ReadOptions::default(),
+    );
+    assert_eq!(read.expect_err("no motion").code, "E-MOTIONFIX-KEYS");
+}
+
+#[test]
+fn answers_name_parts() {
+    for (answer, parts) in [
+        (
+            "Answer: right arm\nleft arm",
+            &[BodyPart::LeftArm, BodyPart::RightArm][..],
+        ),
+        (
+            "Answer: left leg , left arm",
+            &[BodyPart::LeftArm, BodyPart::LeftLeg],
+        ),
+        (
+            "Answer: right leg\nleft leg\nButtocks",
+            &[BodyPart::LowerBody],
+        ),
+        ("Answer: right arm.", &[BodyPart::RightArm]),
+        ("Answer: no body parts", &[]),
+        ("", &[]),
+    ] {
+        assert_eq!(parse_parts(answer), parts, "{answer}");
+    }
+}
+
+#[test]
+fn the_real_label_files_are_passed_over_without_a_dump() {
+    let folder = std::env::var_os("STANCE_TEST_DATA")
+        .map(|root| Path::new(&root).join("motionfix_labels"))
+        .filter(|folder| folder.is_dir());
+    let Some(folder) = folder else {
+        skipped();
+        return;
+    };
+    let files = files_under(&folder);
+    let release = only_release(&files);
+    assert_eq!(release.contents().passed_over.len(), files.len());
+    assert!(release.contents().entries.is_empty() && release.contents().rejected.is_empty());
+    let labels = files.read("gpt-labels_full_v2.json").expect("there");
+    let labels: BTreeMap<String, String> = serde_json::from_slice(&labels).expect("a map");
+    let understood = labels
+        .values()
+        .filter(|answer| !parse_parts(answer).is_empty());
+    // All but about twenty answers name a part.
+    assert!(understood.count() + 30 > labels.len());
+}
+
+#[expect(
+    clippy::print_stderr,
+    reason = "a test that checks nothing must say so"
+)]
+fn skipped() {
+    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has motionfix_labels");
+}

@@ -1,0 +1,95 @@
+//! An array of 322 columns as a motion.
+
+use datasets_spec::{Fps, Skeleton};
+use glam::{DQuat, DVec3};
+use kinematics::motion::BODY_POSE_WIDTH;
+use kinematics::rotation::from_axis_angle;
+use pickle::npy;
+
+use crate::source::files::refuse_pointer;
+use crate::source::smpl::Parameters;
+use clip::{Rejected, RotationSource, SourceClip};
+
+/// Columns of a frame: root 3, body 63, hands 90, jaw 3, expression 50, shape of the face 100, translation 3,
+/// betas 10.
+pub(super) const WIDTH: usize = 322;
+/// First columns of what is used.
+const ROOT_AT: usize = 0;
+const BODY_AT: usize = 3;
+const TRANSLATION_AT: usize = 309;
+/// Frames per second of all motions.
+pub(super) const FPS: f64 = 30.0;
+
+/// Reads an array as a motion of the given body. Hands, face and body shape are not used.
+///
+/// # Shapes
+/// `[T, 322]`, rotation vectors in radians, metres, y up.
+///
+/// # Errors
+/// Those of [`npy`], `E-MOTIONX-SHAPE`, `E-NOT-FINITE` or `E-TOO-SHORT`.
+pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
+    refuse_pointer(bytes)?;
+    let header = npy::Header::parse("array", bytes)?;
+    let array = npy::read_numbers("array", bytes)?;
+    let [num_frames, WIDTH] = array.shape[..] else {
+        return Err(Rejected::read(
+            "E-MOTIONX-SHAPE",
+            format!(
+                "found an array of shape {:?}, expected [frames, {WIDTH}]",
+                array.shape
+            ),
+        ));
+    };
+    if num_frames < 2 {
+        return Err(Rejected::read(
+            "E-TOO-SHORT",
+            format!("found {num_frames} frames, expected at least 2"),
+        ));
+    }
+    let used = |column: usize| {
+        column < BODY_AT + BODY_POSE_WIDTH || (TRANSLATION_AT..TRANSLATION_AT + 3).contains(&column)
+    };
+    let bad = |(at, value): &(usize, &f64)| used(at % WIDTH) && !(**value as f32).is_finite();
+    if let Some((at, value)) = array.values.iter().enumerate().find(bad) {
+        let (frame, column) = (at / WIDTH, at % WIDTH);
+        let rejected = Rejected::read(
+            "E-NOT-FINITE",
+            format!("found {value} in frame {frame}, column {column}, expected finite numbers"),
+        );
+        return Err(match header.place_of(at) {
+            Some(place) => rejected.at(place),
+            None => rejected,
+        });
+    }
+    let (rows, _) = array.values.as_chunks::<WIDTH>();
+    let parameters = Parameters::new(
+        rows.iter().map(|row| part(row, ROOT_AT)).collect(),
+        rows.iter().map(|row| part(row, BODY_AT)).collect(),
+        rows.iter().map(|row| part(row, TRANSLATION_AT)).collect(),
+    )?;
+    let fps = Fps::new(FPS).map_err(|error| Rejected::read("E-FPS", error.to_string()))?;
+    let motion = parameters.turned(DQuat::IDENTITY, fps, skeleton)?;
+    let mut clip = SourceClip::new(motion, RotationSource::Native);
+    clip.notes = vec![
+        format!(
+            "SMPL-X parameters of Motion-X, {WIDTH} columns at {FPS} fps; hands, face and body \
+                 shape are not used"
+        ),
+        format!("rotations drive the body {} as they are", skeleton.name()),
+    ];
+    let up: DVec3 = rows
+        .iter()
+        .map(|row| from_axis_angle(DVec3::from_array([row[0], row[1], row[2]])) * DVec3::Y)
+        .sum();
+    if up.y < 0.0 {
+        clip.notes.push(
+            "the body is upside down on average, as in some clips of game_motion of the release"
+                .to_owned(),
+        );
+    }
+    Ok(clip)
+}
+
+fn part<const D: usize>(row: &[f64; WIDTH], start: usize) -> [f32; D] {
+    std::array::from_fn(|column| row[start + column] as f32)
+}

@@ -1,0 +1,57 @@
+//! Motion-X and Motion-X++: SMPL-X parameters as arrays of 322 columns, with captions in a folder of the same
+//! layout, and lists of splits.
+//!
+//! # Source
+//! Repository IDEA-Research/Motion-X at 2a7db28: the columns and folders of its README; its conversion of
+//! AMASS, which turns z up into y up; 30 fps. The second spelling of the folders is that of Motion-X++.
+
+mod array;
+mod release;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use pickle::npy::Header;
+
+use super::files::Files;
+use super::format::{Format, Recognised, Release, SourceFormat, boxed};
+use super::options::ReadOptions;
+use clip::Outcome;
+
+pub use array::read_array;
+
+/// Motion-X: SMPL-X parameters of 322 columns.
+pub const FORMAT: Format = Format::new(&MotionX);
+
+#[derive(Debug)]
+struct MotionX;
+
+impl SourceFormat for MotionX {
+    fn name(&self) -> &'static str {
+        "motion-x"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // Columns in f4.
+        (4 * array::WIDTH) as f64 * array::FPS
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
+        let shape = Header::peek_shape("array", head).ok();
+        let is_motion = extension == "npy" && matches!(shape.as_deref(), Some([_, array::WIDTH]));
+        is_motion.then_some(Recognised::Motion(FORMAT))
+    }
+
+    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        read_array(bytes, &options.skeleton).into()
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        _index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        Ok(boxed(release::MotionXFolder::find(files)))
+    }
+}

@@ -1,0 +1,228 @@
+//! Folders of the release: motions, captions and lists of splits.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use datasets_spec::Split;
+
+use super::array::read_array;
+use crate::source::escaped;
+use crate::source::files::Files;
+use crate::source::format::{Contents, Entry, Release};
+use crate::source::humanml3d::{LISTS, parse_list, read_captions};
+use crate::source::options::ReadOptions;
+use clip::{Rejected, SourceClip};
+
+/// Folders whose files are motions, named by their paths below.
+const MOTIONS: [&str; 2] = ["smplx_322", "smplx322"];
+/// The folder above them that holds faces and no bodies.
+const FACES: &str = "face_motion_data";
+/// Folders with the captions of whole clips, under the names of the motions.
+const CAPTIONS: [&str; 3] = ["semantic_labels", "semantic_label", "motionx_seq_text_v1.1"];
+
+/// A folder of the release: that of its motions.
+#[derive(Debug, Default)]
+pub(super) struct MotionXFolder {
+    contents: Contents,
+    /// File with the captions of a motion, by the motion's file.
+    captions: BTreeMap<String, String>,
+    /// Notes on a motion, by its file.
+    notes: BTreeMap<String, String>,
+}
+
+/// A file below one of some folders: what lies before and after the folder's name, without extension.
+fn below<'a>(file: &'a str, folders: &[&str], extension: &str) -> Option<(&'a str, &'a str)> {
+    let stem = file.strip_suffix(extension)?.strip_suffix('.')?;
+    let mut start = 0;
+    for component in stem.split('/') {
+        let end = start + component.len();
+        if folders.contains(&component) {
+            return Some((&file[..start], stem.get(end + 1..)?));
+        }
+        start = end + 1;
+    }
+    None
+}
+
+impl MotionXFolder {
+    /// The folders of the release among the files.
+    pub(super) fn find(files: &Files) -> Vec<Self> {
+        let mut roots: BTreeSet<&str> = BTreeSet::new();
+        for file in files.all() {
+            let place = below(file, &MOTIONS, "npy");
+            roots.extend(
+                place
+                    .filter(|(root, _)| !is_face(root))
+                    .map(|(root, _)| root),
+            );
+        }
+        // Captions by the name of their motion.
+        let mut captions: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+        for file in files.all() {
+            if let Some((_, name)) = below(file, &CAPTIONS, "txt") {
+                captions.entry(name).or_default().push(file);
+            }
+        }
+        let mut folders: Vec<Self> = roots
+            .iter()
+            .map(|root| Self::plan(files, root, &roots, &captions))
+            .collect();
+        // What belongs to no motion is named once.
+        if let Some(first) = folders.first_mut() {
+            let faces = files
+                .all()
+                .filter(|file| below(file, &MOTIONS, "npy").is_some_and(|(root, _)| is_face(root)));
+            let reason = "facial expressions of Motion-X, no body";
+            first
+                .contents
+                .passed_over
+                .extend(faces.map(|file| (file.to_owned(), reason.to_owned())));
+        }
+        let used: BTreeSet<String> = folders
+            .iter()
+            .flat_map(|folder| folder.captions.values().cloned())
+            .collect();
+        if let Some(first) = folders.first_mut() {
+            for file in captions.into_values().flatten() {
+                let reason = match used.contains(file) {
+                    true => "captions, read with the motion they describe",
+                    false => "captions without a motion",
+                };
+                let passed_over = &mut first.contents.passed_over;
+                passed_over.push((file.to_owned(), reason.to_owned()));
+            }
+        }
+        folders
+    }
+
+    fn plan(
+        files: &Files,
+        root: &str,
+        roots: &BTreeSet<&str>,
+        captions: &BTreeMap<&str, Vec<&str>>,
+    ) -> Self {
+        let mut folder = Self::default();
+        let (splits, lists) = folder.read_lists(files, root);
+        let motions: Vec<(&str, &str)> = files
+            .under(root)
+            .filter_map(|file| Some((file, below(file, &MOTIONS, "npy")?)))
+            .filter(|(_, (before, _))| *before == root)
+            .map(|(file, (_, name))| (file, name))
+            .collect();
+        let names: BTreeSet<&str> = motions.iter().map(|(_, name)| *name).collect();
+        let missing = splits.keys().map(String::as_str);
+        let missing = missing.filter(|name| !names.contains(name)).collect();
+        let contents = &mut folder.contents;
+        contents.remark_on_listed("Motion-X", &lists.join(", "), missing);
+        // Captions of another copy of the release, or of another one with the same names, are not this one's.
+        let is_own = |text: &&&str| {
+            let common = |root: &&str| common_start(text, root);
+            roots.iter().map(common).max() == Some(common(&root))
+        };
+        for (file, name) in motions {
+            let original = original_of(name);
+            let listed = splits.get(original.as_deref().unwrap_or(name));
+            if let Some(listed) = listed.filter(|listed| listed.len() > 1) {
+                let named: Vec<&str> = listed.iter().map(|split| split.as_str()).collect();
+                let note = format!(
+                    "listed in several splits ({}); the last was taken",
+                    named.join(", ")
+                );
+                folder.notes.insert(file.to_owned(), note);
+            }
+            let own = captions.get(name).into_iter().flatten().filter(is_own);
+            // Of several copies of the release, the captions nearest to the motion.
+            let nearest = own.max_by_key(|text| common_start(text, file));
+            if let Some(text) = nearest {
+                folder.captions.insert(file.to_owned(), (*text).to_owned());
+            }
+            folder.contents.entries.push(Entry {
+                file: file.to_owned(),
+                key: String::new(),
+                id: escaped(name),
+                split: listed.and_then(|listed| listed.last().copied()),
+                group: Some(original.clone().unwrap_or_else(|| name.to_owned())),
+                mirrored_of: original
+                    .filter(|original| names.contains(original.as_str()))
+                    .map(|original| escaped(&original)),
+            });
+        }
+        folder
+    }
+
+    /// The splits of the lists in the folder above the motions and those above it, by the name of the
+    /// original motion. A motion in several lists keeps them all, sorted: test is the last.
+    fn read_lists(
+        &mut self,
+        files: &Files,
+        root: &str,
+    ) -> (BTreeMap<String, BTreeSet<Split>>, Vec<String>) {
+        let mut lists = Vec::new();
+        let mut splits: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
+        for (name, split) in LISTS {
+            let ends = root.match_indices('/').map(|(at, _)| at + 1).chain([0]);
+            let mut places: Vec<usize> = ends.collect();
+            places.sort_unstable_by(|a, b| b.cmp(a));
+            let mut candidates = places.iter().map(|end| format!("{}{name}", &root[..*end]));
+            let Some(file) = candidates.find(|file| files.contains(file)) else {
+                continue;
+            };
+            match files.read(&file) {
+                Ok(bytes) => {
+                    let names = parse_list(&bytes).into_iter();
+                    for name in names.filter(|_| split.is_some()) {
+                        let original = original_of(&name).unwrap_or(name);
+                        splits.entry(original).or_default().extend(split);
+                    }
+                    if split.is_some() {
+                        lists.push(file.clone());
+                    }
+                    let reason = "list of motions of Motion-X, no motion".to_owned();
+                    self.contents.passed_over.push((file, reason));
+                }
+                Err(rejected) => self.contents.rejected.push((file, rejected)),
+            }
+        }
+        (splits, lists)
+    }
+}
+
+fn is_face(root: &str) -> bool {
+    root.split('/').any(|component| component == FACES)
+}
+
+/// Name of the motion that a mirrored copy mirrors: the release has copies of HumanML3D's clips, with an `M`
+/// before their number.
+fn original_of(name: &str) -> Option<String> {
+    let (folder, clip) = name.rsplit_once('/')?;
+    let number = clip.strip_prefix('M')?;
+    let is_copy = folder.ends_with("humanml") && number.bytes().all(|byte| byte.is_ascii_digit());
+    (is_copy && !number.is_empty()).then(|| format!("{folder}/{number}"))
+}
+
+fn common_start(a: &str, b: &str) -> usize {
+    std::iter::zip(a.bytes(), b.bytes())
+        .take_while(|(a, b)| a == b)
+        .count()
+}
+
+impl Release for MotionXFolder {
+    fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    fn read(
+        &self,
+        files: &Files,
+        entry: &Entry,
+        options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected> {
+        let mut clip = read_array(&files.read(&entry.file)?, &options.skeleton)?;
+        clip.notes.extend(self.notes.get(&entry.file).cloned());
+        if let Some(text) = self.captions.get(&entry.file) {
+            let (captions, note) = read_captions(files, text)?;
+            clip.captions = captions;
+            clip.notes.extend(note);
+        }
+        Ok(clip)
+    }
+}

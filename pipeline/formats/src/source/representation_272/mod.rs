@@ -1,0 +1,258 @@
+//! The 272 features of MotionStreamer and MotionMillion: folders of them, with captions, split lists and
+//! statistics, and lone arrays.
+//!
+//! | folder | MotionMillion | HumanML3D-272, BABEL-272 |
+//! |---|---|---|
+//! | features | `motion_data/vector_272/PATH.npy` | `motion_data/ID.npy` |
+//! | captions | `texts/PATH.txt`, plain lines | `texts/ID.txt`, lines of HumanML3D |
+//! | splits | `split/VERSION/LENGTHS/SPLIT.txt` | `split/SPLIT.txt` |
+//! | statistics | `mean_std/vector_272` | `mean_std`, `t2m_babel_mean_std` |
+//!
+//! # Source
+//! Li-xingXiao/272-dim-Motion-Representation and VankouF/MotionMillion-Codes: their descriptions of the folders,
+//! and the loaders in `dataset/`.
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read;
+use std::path::Path;
+
+use datasets_spec::{Skeleton, Split};
+use features::released_fps;
+use features::representation_272::{Features, WIDTH, motion_of_features};
+use pickle::npy::{self, Header};
+
+use super::files::{Files, refuse_pointer};
+use super::format::{Contents, Entry, Format, Recognised, Release, SourceFormat, boxed};
+use super::humanml3d::{Splits, mirrored_of, parse_list, read_captions};
+use super::options::ReadOptions;
+use clip::{Outcome, Rejected, RotationSource, SourceClip};
+
+const MOTIONS: &str = "motion_data/";
+/// Folder of the features in MotionMillion, which may hold other features beside it.
+const VECTORS: &str = "vector_272/";
+const TEXTS: &str = "texts/";
+const SPLITS: &str = "split/";
+/// Part of the name of the folder with mean and deviation.
+const STATISTICS: &str = "mean_std";
+/// Bytes of a file that hold the shape of an array.
+const HEAD_BYTES: u64 = 256;
+
+/// The 272 features of MotionStreamer and MotionMillion.
+pub const FORMAT: Format = Format::new(&Representation272);
+
+#[derive(Debug)]
+struct Representation272;
+
+impl SourceFormat for Representation272 {
+    fn name(&self) -> &'static str {
+        "272"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        (size_of::<Features>() as f64) * released_fps().get()
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
+        (extension == "npy" && has_width(head)).then_some(Recognised::Motion(FORMAT))
+    }
+
+    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        read_array(bytes, &options.skeleton).into()
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        _index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        Ok(find(files))
+    }
+}
+
+/// Whether these are the first bytes of an array with 272 columns.
+fn has_width(head: &[u8]) -> bool {
+    Header::peek_shape("array", head).is_ok_and(|shape| matches!(shape[..], [_, WIDTH]))
+}
+
+/// A folder of features.
+#[derive(Debug, Default)]
+struct Folder {
+    contents: Contents,
+    /// File of each id's captions.
+    texts: BTreeMap<String, String>,
+    /// What is to be said of the split of an id.
+    notes: BTreeMap<String, String>,
+}
+
+/// The folders of 272 features among the files, each found by its layout and the width of its arrays.
+pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
+    let mut found: BTreeMap<&str, BTreeMap<&str, &str>> = BTreeMap::new();
+    for file in files.all() {
+        if let Some((root, id)) = place(file) {
+            found.entry(root).or_default().insert(id, file);
+        }
+    }
+    found.retain(|_, clips| clips.values().any(|file| starts_with_width(files, file)));
+    let found = found.into_iter();
+    boxed(found.map(|(root, clips)| Folder::new(files, root, &clips)))
+}
+
+/// The folder of a release, with a trailing slash, and the id of its clip that this file holds.
+fn place(file: &str) -> Option<(&str, &str)> {
+    let at = match file.starts_with(MOTIONS) {
+        true => 0,
+        false => file.find(&format!("/{MOTIONS}"))? + 1,
+    };
+    let (root, inside) = file.split_at(at);
+    let path = &inside[MOTIONS.len()..];
+    let id = path.strip_prefix(VECTORS).unwrap_or(path);
+    Some((root, id.strip_suffix(".npy")?))
+}
+
+fn starts_with_width(files: &Files, file: &str) -> bool {
+    let mut head = Vec::new();
+    let read = files
+        .open(file)
+        .map(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
+    matches!(read, Ok(Ok(_))) && has_width(&head)
+}
+
+impl Folder {
+    fn new(files: &Files, root: &str, clips: &BTreeMap<&str, &str>) -> Self {
+        let mut folder = Self::default();
+        let mut lists: Vec<(Option<Split>, Vec<String>)> = Vec::new();
+        for file in files.under(root) {
+            let inside = &file[root.len()..];
+            let text_of = |folder: &str| inside.strip_prefix(folder)?.strip_suffix(".txt");
+            let reason = if let Some(id) = text_of(TEXTS) {
+                if clips.contains_key(id) {
+                    folder.texts.insert(id.to_owned(), file.to_owned());
+                    "captions, read with the motion they describe"
+                } else {
+                    "captions without a motion"
+                }
+            } else if let Some(list) = text_of(SPLITS) {
+                let name = list.rsplit('/').next().unwrap_or(list);
+                match files.read(file) {
+                    Ok(bytes) => lists.push((name.parse().ok(), parse_list(&bytes))),
+                    Err(rejected) => {
+                        let rejected = (file.to_owned(), rejected);
+                        folder.contents.rejected.push(rejected);
+                        continue;
+                    }
+                }
+                "list of ids of 272-d features, no motion"
+            } else if is_statistics(inside) {
+                "statistics of 272-d features, no motion"
+            } else {
+                continue;
+            };
+            let passed_over = (file.to_owned(), reason.to_owned());
+            folder.contents.passed_over.push(passed_over);
+        }
+        let splits = Splits::of(lists.iter());
+        let listed = lists.iter().filter(|(split, _)| split.is_some());
+        let listed: BTreeSet<&str> = listed
+            .flat_map(|(_, ids)| ids.iter().map(String::as_str))
+            .collect();
+        let missing = listed.into_iter().filter(|id| !clips.contains_key(id));
+        let (name, lists) = ("272-d features", format!("{root}{SPLITS}"));
+        let missing = missing.collect();
+        folder.contents.remark_on_listed(name, &lists, missing);
+        for (&id, &file) in clips {
+            let (split, note) = splits.get(id);
+            if let Some(note) = note {
+                folder.notes.insert(id.to_owned(), note);
+            }
+            folder.contents.entries.push(Entry {
+                file: file.to_owned(),
+                key: String::new(),
+                id: id.to_owned(),
+                split,
+                group: None,
+                mirrored_of: mirrored_of(id).map(str::to_owned),
+            });
+        }
+        folder
+    }
+}
+
+fn is_statistics(inside: &str) -> bool {
+    let mut parts = inside.split('/');
+    let is_folder = parts.next().is_some_and(|first| first.contains(STATISTICS));
+    let name = parts.next_back().unwrap_or_default().to_lowercase();
+    is_folder && matches!(&*name, "mean.npy" | "std.npy")
+}
+
+impl Release for Folder {
+    fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    fn read(
+        &self,
+        files: &Files,
+        entry: &Entry,
+        options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected> {
+        let mut clip = read_array(&files.read(&entry.file)?, &options.skeleton)?;
+        clip.notes.extend(self.notes.get(&entry.id).cloned());
+        if let Some(text) = self.texts.get(&entry.id) {
+            let (captions, note) = read_captions(files, text)?;
+            clip.captions = captions;
+            clip.notes.extend(note);
+        }
+        Ok(clip)
+    }
+}
+
+/// Reads 272 features as a motion of the given body. Its fit error is the mean distance between the joints of the
+/// features and those of the body under their rotations.
+///
+/// # Shapes
+/// `[L, 272]`, y up, 30 fps.
+///
+/// # Errors
+/// Those of [`npy`], `E-LFS-POINTER`, `E-272-SHAPE`, `E-272-FINITE`, `E-272-FIT` or `E-TOO-SHORT`.
+pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
+    refuse_pointer(bytes)?;
+    let array = npy::read_numbers("array", bytes)?;
+    let [num_frames, WIDTH] = array.shape[..] else {
+        let reason = format!(
+            "found an array of shape {:?}, expected [frames, {WIDTH}]",
+            array.shape
+        );
+        return Err(Rejected::read("E-272-SHAPE", reason));
+    };
+    if num_frames < 2 {
+        let reason = format!("found {num_frames} frames, expected at least 2");
+        return Err(Rejected::read("E-TOO-SHORT", reason));
+    }
+    let broken = |value: &f64| !(*value as f32).is_finite();
+    if let Some(at) = array.values.iter().position(broken) {
+        let reason = format!(
+            "found {} in column {} of frame {}, expected finite numbers",
+            array.values[at],
+            at % WIDTH,
+            at / WIDTH
+        );
+        return Err(Rejected::read("E-272-FINITE", reason));
+    }
+    let (rows, _) = array.values.as_chunks::<WIDTH>();
+    let features: Vec<Features> = rows
+        .iter()
+        .map(|row| row.map(|value| value as f32))
+        .collect();
+    let (motion, fit_error_m) = motion_of_features(&features, skeleton)
+        .map_err(|error| Rejected::retarget("E-272-FIT", error.to_string()))?;
+    let mut clip = SourceClip::new(motion, RotationSource::Native);
+    clip.fit_error_m = Some(fit_error_m);
+    clip.notes = vec![format!(
+        "rotations of the 272-d vector, 30 fps; they drive the body {} as they are",
+        skeleton.name()
+    )];
+    Ok(clip)
+}

@@ -1,0 +1,214 @@
+//! Motions of robots, recognised by what they hold, so that they are skipped as what they are. They have no
+//! human body: nothing is retargeted from a robot.
+
+use pickle::{Array, Value};
+
+use super::files::UTF8_BOM;
+
+/// Columns of a Unitree G1's motion: position and quaternion of the root, and 29 joint angles. So Unitree's
+/// retargeted LAFAN1, `BeyondMimic`, Kimodo and `MuJoCo` have it.
+const G1_COLUMNS: usize = 36;
+/// Columns seen of a first line that is longer than what is looked at, from which it is recognised.
+const MIN_COLUMNS_SEEN: usize = 20;
+/// How far the length of a quaternion of a file is from 1.
+const QUATERNION_TOLERANCE: f64 = 0.02;
+/// First columns of BONES-SEED's motions of the G1.
+const SEED_HEADER: &str = "frame,root_translatex,";
+
+/// What to do about any of them.
+const ADVICE: &str = "robots have no body to pose; ingest the human motion it was made from";
+
+/// Why a CSV file is skipped, if its first bytes are rows of a robot.
+pub(super) fn csv_rows(head: &[u8]) -> Option<String> {
+    /// Bytes looked at: a row of 36 numbers with all their digits takes a kilobyte.
+    const SEEN: usize = 4096;
+    let head = &head[..head.len().min(SEEN)];
+    let text = String::from_utf8_lossy(head.strip_prefix(UTF8_BOM).unwrap_or(head));
+    if text.to_lowercase().starts_with(SEED_HEADER) {
+        return Some(format!(
+            "motion of a Unitree G1 robot as BONES-SEED has it (frame, root in centimetres and degrees, 29 \
+             joint angles); {ADVICE}, soma_uniform/bvh"
+        ));
+    }
+    let (line, is_whole) = match text.split_once(['\r', '\n']) {
+        Some((line, _)) => (line, true),
+        None => (text.as_ref(), false),
+    };
+    let mut cells: Vec<&str> = line.split(',').collect();
+    if !is_whole {
+        cells.pop();
+    }
+    let numbers: Option<Vec<f64>> = cells.iter().map(|cell| cell.trim().parse().ok()).collect();
+    let numbers = numbers?;
+    let fits = match is_whole {
+        true => numbers.len() == G1_COLUMNS,
+        false => (MIN_COLUMNS_SEEN..=G1_COLUMNS).contains(&numbers.len()),
+    };
+    let length = numbers.get(3..7)?.iter().map(|q| q * q).sum::<f64>().sqrt();
+    let is_robot = fits && (length - 1.0).abs() < QUATERNION_TOLERANCE;
+    is_robot.then(|| {
+        format!(
+            "motion of a Unitree G1 robot, {G1_COLUMNS} columns (root position, root quaternion, 29 joint \
+             angles); {ADVICE}"
+        )
+    })
+}
+
+/// Why a pickle is skipped, if it holds the motion of a robot: GMR's dictionary, or a motion library of
+/// PHC's and ASAP's kind, from names to such dictionaries.
+pub(super) fn pickled(value: &Value) -> Option<String> {
+    let has = |value: &Value, keys: &[&str]| keys.iter().all(|key| value.get(key).is_some());
+    let columns = |value: &Value, key: &str| {
+        let shape = value.get(key).and_then(Value::as_array).map(Array::shape);
+        shape.and_then(|shape| match shape {
+            [frames, joints] => Some(format!(" of {joints} joints in {frames} frames")),
+            _ => None,
+        })
+    };
+    if has(value, &["root_pos", "root_rot", "dof_pos"]) {
+        let size = columns(value, "dof_pos").unwrap_or_default();
+        return Some(format!(
+            "motion of a robot{size}, as GMR writes it (root_pos, root_rot, dof_pos); {ADVICE}"
+        ));
+    }
+    let Value::Dict(entries) = value else {
+        return None;
+    };
+    let (_, first) = entries.first()?;
+    let is_library = has(first, &["dof", "root_rot"]) || has(first, &["dof", "root_trans_offset"]);
+    is_library.then(|| {
+        let count = entries.len();
+        let size = columns(first, "dof").unwrap_or_default();
+        format!(
+            "motion library of a robot, {count} motions, the first{size} (dof, root_rot); {ADVICE}"
+        )
+    })
+}
+
+/// Why an npz archive is skipped, if its arrays are those of a robot's motion.
+pub(super) fn archived(has: impl Fn(&str) -> bool) -> Option<String> {
+    let of_tracking = has("joint_pos") && has("body_pos_w");
+    let of_retargeting = has("dof_pos") && (has("root_pos") || has("root_rot"));
+    (of_tracking || of_retargeting)
+        .then(|| format!("motion of a robot (joint angles and places of its bodies); {ADVICE}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::source::{ReadOptions, Recognised, recognise, stance};
+    use clip::Outcome;
+
+    fn skipped(path: &str, head: &[u8]) -> String {
+        match recognise(Path::new(path), head) {
+            Recognised::NotMotion { reason } => reason,
+            other => panic!("{path}: {other:?}"),
+        }
+    }
+
+    /// A row of a standing G1.
+    fn row(width: usize) -> String {
+        let mut numbers = vec!["0.1", "0.02", "0.79", "0.0", "0.0", "0.6", "0.8"];
+        numbers.resize(width, "0.125");
+        numbers.join(",")
+    }
+
+    #[test]
+    fn rows_of_a_g1_are_skipped_as_what_they_are() {
+        let header = "Frame,root_translateX,root_translateY,root_translateZ,root_rotateX";
+        for text in [
+            header.to_owned(),
+            format!("\u{feff}{header}"),
+            format!("{}\n{}\n", row(36), row(36)),
+            format!("{}\r\n", row(36)),
+            row(36).replace("0.125", "0.12500000000000000"),
+        ] {
+            let head = &text.as_bytes()[..text.len().min(512)];
+            let reason = skipped("g1/csv/230101/walk.csv", head);
+            assert!(reason.contains("Unitree G1 robot"), "{text}: {reason}");
+        }
+        for text in [
+            format!("{}\n", row(35)),
+            format!("{}\n", row(36).replace("0.8", "8")),
+            "name,age\nanna,7\n".to_owned(),
+            String::new(),
+            "0.1,0.2,0.3\n".to_owned(),
+        ] {
+            let reason = skipped("a/table.csv", text.as_bytes());
+            assert_eq!(reason, "csv text, no motion", "{text}");
+        }
+        let reason = skipped("a/captions.csv", row(36).as_bytes());
+        assert!(reason.starts_with("labels"), "{reason}");
+    }
+
+    fn read(value: &Value) -> Outcome {
+        let bytes = pickle::encode(value);
+        stance::FORMAT.read(Path::new("a.pkl"), "", &bytes, &ReadOptions::default())
+    }
+
+    fn array(shape: &[usize]) -> Value {
+        let count = shape.iter().product();
+        Value::Array(Array::from_f32(shape, vec![0.25; count]).into())
+    }
+
+    #[test]
+    fn pickles_of_gmr_are_skipped_and_others_are_read() {
+        let dict = |entries: Vec<(&str, Value)>| {
+            let entries = entries.into_iter();
+            Value::Dict(
+                entries
+                    .map(|(key, value)| (Value::text(key), value))
+                    .collect(),
+            )
+        };
+        let gmr = dict(vec![
+            ("fps", Value::Float(30.0)),
+            ("root_pos", array(&[5, 3])),
+            ("root_rot", array(&[5, 4])),
+            ("dof_pos", array(&[5, 29])),
+            ("local_body_pos", Value::None),
+            ("link_body_list", Value::None),
+        ]);
+        let Outcome::Skipped { reason } = read(&gmr) else {
+            panic!("a robot");
+        };
+        assert!(
+            reason.starts_with("motion of a robot of 29 joints in 5 frames, as GMR writes it"),
+            "{reason}"
+        );
+        let library = dict(vec![(
+            "walk",
+            dict(vec![("dof", array(&[5, 23])), ("root_rot", array(&[5, 4]))]),
+        )]);
+        let Outcome::Skipped { reason } = read(&library) else {
+            panic!("a robot");
+        };
+        assert!(reason.contains("1 motions"), "{reason}");
+        let other = read(&dict(vec![("dof_pos", array(&[5, 29]))]));
+        assert!(
+            matches!(&other, Outcome::Rejected(rejected) if rejected.code == "E-STANCE-KEYS"),
+            "{other:?}"
+        );
+    }
+
+    #[test]
+    fn archives_of_tracking_are_skipped() {
+        let member = testkit::npy_f8(&[2, 29], &[0.0; 58]);
+        for keys in [
+            &["fps", "joint_pos", "joint_vel", "body_pos_w"][..],
+            &["dof_pos", "root_pos"],
+        ] {
+            let members: Vec<(&str, Vec<u8>)> =
+                keys.iter().map(|key| (*key, member.clone())).collect();
+            let bytes = testkit::npz(&members);
+            let outcome =
+                crate::source::amass::read(Path::new("walk.npz"), &bytes, &ReadOptions::default());
+            let Ok(Outcome::Skipped { reason }) = outcome else {
+                panic!("{outcome:?}");
+            };
+            assert!(reason.starts_with("motion of a robot"), "{reason}");
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! The table of the motions: what each shows, and who performs it.
+
+use std::collections::BTreeMap;
+
+use arrow_array::cast::AsArray;
+use arrow_array::{Array, RecordBatch};
+use arrow_schema::DataType;
+use csv::StringRecord;
+
+use crate::csv_lines;
+use crate::foreign_table::{self, ForeignTable, text};
+use clip::Rejected;
+
+/// Columns that may name a motion, in which its file is called; the first that exists is used.
+const NAME_COLUMNS: [&str; 2] = ["filename", "move_name"];
+const MIRROR_COLUMN: &str = "is_mirror";
+const SUBJECT_COLUMN: &str = "actor_uid";
+const ACTION_COLUMN: &str = "content_type_of_movement";
+const STYLE_COLUMN: &str = "content_uniform_style";
+/// Columns that become captions of the whole clip, in this order.
+const CAPTION_COLUMNS: [&str; 7] = [
+    "content_natural_desc_1",
+    "content_natural_desc_2",
+    "content_natural_desc_3",
+    "content_natural_desc_4",
+    "content_short_description",
+    "content_short_description_2",
+    "content_technical_description",
+];
+/// Rows decoded at a time.
+const BATCH_ROWS: usize = 1024;
+/// Limit on the unpacked bytes of these columns: those of 142,220 motions take some 100 MB.
+const MAX_UNPACKED_LEN: i64 = 2 << 30;
+
+/// What the table says of a motion.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Described {
+    pub captions: Vec<String>,
+    pub action: Option<String>,
+    pub style: Option<String>,
+    pub subject: Option<String>,
+    pub(super) is_mirrored: bool,
+}
+
+/// The motions of a table by name, and the first problem of a table that can be used in part.
+pub(super) type Table = (BTreeMap<String, Described>, Option<Rejected>);
+
+/// Reads a table in Parquet. Only motions that are `wanted` are kept.
+///
+/// # Errors
+/// `E-TABLE-FORMAT`, `E-TABLE-LIMIT`, or `E-TABLE-COLUMNS` if no column names the motions.
+pub(super) fn of_parquet(
+    bytes: Vec<u8>,
+    wanted: &(dyn Fn(&str) -> bool + std::panic::RefUnwindSafe),
+) -> Result<Table, Rejected> {
+    foreign_table::read(bytes, |table: &ForeignTable| {
+        let names = table.names();
+        let name_column = name_column(&names)?;
+        let columns: Vec<&str> = [
+            name_column,
+            MIRROR_COLUMN,
+            SUBJECT_COLUMN,
+            ACTION_COLUMN,
+            STYLE_COLUMN,
+        ]
+        .into_iter()
+        .chain(CAPTION_COLUMNS)
+        .filter(|column| names.contains(column))
+        .collect();
+        let mut motions = BTreeMap::new();
+        table.for_each(&columns, MAX_UNPACKED_LEN, BATCH_ROWS, &mut |batch| {
+            for row in 0..batch.num_rows() {
+                let Some(name) = cell(batch, name_column, row)? else {
+                    continue;
+                };
+                let name = stem(&name);
+                if wanted(name) {
+                    let described = Described::of(|column| cell(batch, column, row))?;
+                    motions.insert(name.to_owned(), described);
+                }
+            }
+            Ok(())
+        })?;
+        Ok((motions, None))
+    })
+}
+
+/// The text of a cell; of a truth value `true` or `false`. None if it is empty or there is no such column.
+fn cell(batch: &RecordBatch, column: &str, row: usize) -> Result<Option<String>, Rejected> {
+    let Some(values) = batch.column_by_name(column) else {
+        return Ok(None);
+    };
+    if *values.data_type() == DataType::Boolean {
+        let value = values.is_valid(row).then(|| values.as_boolean().value(row));
+        return Ok(value.map(|value| value.to_string()));
+    }
+    text(values, row).map_err(|found| {
+        Rejected::read(
+            "E-TABLE-COLUMNS",
+            format!("column {column} holds {found}, expected text"),
+        )
+    })
+}
+
+/// Reads a table in CSV. Only motions that are `wanted` are kept.
+///
+/// # Errors
+/// `E-TABLE-COLUMNS` if no column names the motions. A line that cannot be used is passed over, and the first
+/// such line is returned beside the table as `E-SEED-LABELS`.
+pub(super) fn of_csv(bytes: &[u8], wanted: &dyn Fn(&str) -> bool) -> Result<Table, Rejected> {
+    crate::source::refuse_pointer(bytes)?;
+    let mut records = csv_lines::records(bytes);
+    let header = match records.next() {
+        Some((_, Ok(header))) => header,
+        _ => StringRecord::new(),
+    };
+    let names: Vec<&str> = header.iter().collect();
+    let name_column = name_column(&names)?;
+    let place: BTreeMap<&str, usize> = names.iter().copied().zip(0..).collect();
+    let mut motions = BTreeMap::new();
+    let mut problem = None;
+    for (line, record) in records {
+        let record = record.and_then(|record| match record.len() == names.len() {
+            true => Ok(record),
+            false => Err(format!(
+                "it has {} fields, expected {}",
+                record.len(),
+                names.len()
+            )),
+        });
+        match record {
+            Ok(record) => {
+                let cell = |column: &str| record.get(*place.get(column)?).map(str::to_owned);
+                let name = cell(name_column).unwrap_or_default();
+                let name = stem(&name);
+                if wanted(name) {
+                    let described = Described::of(|column| Ok(cell(column)))?;
+                    motions.insert(name.to_owned(), described);
+                }
+            }
+            Err(reason) => {
+                problem.get_or_insert_with(|| {
+                    let reason = format!("line {line}: {reason}; the other lines were read");
+                    Rejected::read("E-SEED-LABELS", reason)
+                });
+            }
+        }
+    }
+    Ok((motions, problem))
+}
+
+fn name_column(names: &[&str]) -> Result<&'static str, Rejected> {
+    let mut columns = NAME_COLUMNS.into_iter();
+    columns
+        .find(|column| names.contains(column))
+        .ok_or_else(|| {
+            let found = names
+                .iter()
+                .take(12)
+                .copied()
+                .collect::<Vec<_>>()
+                .join(", ");
+            Rejected::read(
+                "E-TABLE-COLUMNS",
+                format!(
+                    "found columns {found}, expected {}",
+                    NAME_COLUMNS.join(" or ")
+                ),
+            )
+        })
+}
+
+/// A name of a motion without the extension that some tables give it.
+pub(super) fn stem(name: &str) -> &str {
+    let name = name.trim();
+    let name = name.rsplit('/').next().unwrap_or(name);
+    [".bvh", ".csv"]
+        .iter()
+        .find_map(|extension| name.strip_suffix(extension))
+        .unwrap_or(name)
+}
+
+impl Described {
+    fn of(cell: impl Fn(&str) -> Result<Option<String>, Rejected>) -> Result<Self, Rejected> {
+        let stated = |column: &str| -> Result<Option<String>, Rejected> {
+            let text = cell(column)?.map(|text| text.trim().to_owned());
+            // Pandas writes missing text so.
+            Ok(text.filter(|text| !["", "nan", "None"].contains(&text.as_str())))
+        };
+        let mut captions: Vec<String> = Vec::new();
+        for column in CAPTION_COLUMNS {
+            let caption = stated(column)?;
+            captions.extend(caption.filter(|caption| !captions.contains(caption)));
+        }
+        let mirrored = stated(MIRROR_COLUMN)?.unwrap_or_default().to_lowercase();
+        Ok(Self {
+            captions,
+            action: stated(ACTION_COLUMN)?,
+            style: stated(STYLE_COLUMN)?,
+            subject: stated(SUBJECT_COLUMN)?,
+            is_mirrored: ["true", "1", "1.0"].contains(&mirrored.as_str()),
+        })
+    }
+}

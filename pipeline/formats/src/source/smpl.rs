@@ -1,0 +1,183 @@
+//! SMPL parameters of files, rotated to the store's axes.
+
+use datasets_spec::{Fps, Motion, Pose, Skeleton};
+use features::floor;
+use glam::{DQuat, DVec3};
+use kinematics::motion::BODY_POSE_WIDTH;
+use kinematics::rotation::to_axis_angle;
+
+use clip::Rejected;
+use pickle::{Array, Value};
+
+/// Parameters of a motion as stored in a file, in single precision.
+///
+/// # Shapes
+/// `root` and `trans` are `[T, 3]`, `body` is `[T, 63]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    root: Vec<[f32; 3]>,
+    body: Vec<[f32; BODY_POSE_WIDTH]>,
+    trans: Vec<[f32; 3]>,
+}
+
+impl Parameters {
+    /// Makes parameters from the columns of a motion.
+    ///
+    /// # Errors
+    /// `E-SMPL-SHAPE` if they differ in length.
+    pub fn new(
+        root: Vec<[f32; 3]>,
+        body: Vec<[f32; BODY_POSE_WIDTH]>,
+        trans: Vec<[f32; 3]>,
+    ) -> Result<Self, Rejected> {
+        if root.len() == body.len() && body.len() == trans.len() {
+            return Ok(Self { root, body, trans });
+        }
+        Err(Rejected::read(
+            "E-SMPL-SHAPE",
+            format!(
+                "found {} root orientations, {} body poses and {} translations, expected as many \
+                 of each",
+                root.len(),
+                body.len(),
+                trans.len()
+            ),
+        ))
+    }
+
+    /// The motion with the world turned by `turn`, which makes y point up, and put on the floor.
+    /// Body rotations keep their bits.
+    ///
+    /// # Errors
+    /// `E-NOT-FINITE` if a number is not finite, `E-TOO-SHORT` if there is no frame.
+    ///
+    /// # Source
+    /// For a rotation `Q` of the world, `R' = Q R` and `t' = Q (t + J0) - J0` with `J0` the rest
+    /// position of the pelvis, about which SMPL turns the body.
+    pub(super) fn turned(
+        &self,
+        turn: DQuat,
+        fps: Fps,
+        skeleton: &Skeleton,
+    ) -> Result<Motion, Rejected> {
+        let rest_pelvis = skeleton.rest(0);
+        let whole = self.unchanged(fps)?;
+        let mut poses: Vec<Pose> = whole
+            .poses()
+            .into_iter()
+            .map(|mut pose| {
+                pose.rotations[0] = turn * pose.rotations[0];
+                pose.transl = turn * (pose.transl + rest_pelvis) - rest_pelvis;
+                pose
+            })
+            .collect();
+        floor::put_on_floor(&mut poses, fps, skeleton);
+        let rounded = |v: DVec3| v.as_vec3().to_array();
+        Self {
+            root: poses
+                .iter()
+                .map(|pose| rounded(to_axis_angle(pose.rotations[0])))
+                .collect(),
+            trans: poses.iter().map(|pose| rounded(pose.transl)).collect(),
+            body: self.body.clone(),
+        }
+        .unchanged(fps)
+    }
+
+    /// The motion with unchanged numbers.
+    ///
+    /// # Errors
+    /// As [`Parameters::turned`].
+    pub(super) fn unchanged(&self, fps: Fps) -> Result<Motion, Rejected> {
+        if self.trans.is_empty() {
+            return Err(Rejected::read(
+                "E-TOO-SHORT",
+                "found 0 frames, expected at least 2",
+            ));
+        }
+        Motion::new(
+            fps,
+            self.trans.clone(),
+            self.root.clone(),
+            self.body.clone(),
+        )
+        .map_err(|error| Rejected::read("E-NOT-FINITE", error.to_string()))
+    }
+}
+
+/// The frames of an array of `D` numbers a frame, in whatever dimensions they are laid out.
+pub fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f32; D]>, Rejected> {
+    let found = value.get(key).unwrap_or(&Value::None);
+    let array = found.as_array().filter(|array| {
+        let frame = array.shape().get(1..).filter(|extents| !extents.is_empty());
+        let width = frame.and_then(|extents| {
+            let mut extents = extents.iter();
+            extents.try_fold(1usize, |product, &extent| product.checked_mul(extent))
+        });
+        width == Some(D)
+    });
+    let numbers = array.and_then(Array::to_f32).ok_or_else(|| {
+        Rejected::read(
+            "E-SMPL-SHAPE",
+            format!(
+                "found {key} as {}, expected an array of frames by {D} numbers",
+                found.describe()
+            ),
+        )
+    })?;
+    Ok(numbers.as_chunks::<D>().0.to_vec())
+}
+
+/// The rotation of the world that carries z up to y up: `(x, y, z)` becomes `(x, z, -y)`.
+pub fn y_up_from_z_up() -> DQuat {
+    DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2)
+}
+
+#[cfg(test)]
+mod tests {
+    use kinematics::rotation::from_axis_angle;
+
+    use super::*;
+
+    #[test]
+    fn a_world_that_is_turned_keeps_the_body_and_finds_the_floor() {
+        let skeleton = Skeleton::smplx_neutral();
+        let quarter = std::f32::consts::FRAC_PI_2;
+        let parameters = Parameters {
+            root: vec![[quarter, 0.0, 0.0]; 2],
+            body: vec![[0.25; BODY_POSE_WIDTH]; 2],
+            trans: vec![[1.0, 2.0, 3.0], [1.01, 2.0, 3.0]],
+        };
+        let motion = parameters
+            .turned(y_up_from_z_up(), Fps::STORE, &skeleton)
+            .expect("finite");
+        assert_eq!(motion.body_pose(), parameters.body);
+        let upright = from_axis_angle(DVec3::from_array(motion.global_orient()[0].map(f64::from)));
+        assert!(upright.angle_between(DQuat::IDENTITY) < 1e-6, "faces +z");
+        let keypoints = [0, 1].map(|frame| skeleton.keypoints(&motion.pose(frame)));
+        let moved = keypoints[1][0] - keypoints[0][0];
+        assert!((moved - DVec3::X * 0.01).length() < 1e-6);
+        let lowest = [7, 8, 10, 11]
+            .iter()
+            .fold(f64::INFINITY, |low, &joint: &usize| {
+                low.min(keypoints[0][joint].y)
+            });
+        // The floor is rounded with the translation to single precision.
+        assert!(lowest.abs() < 1e-6, "{lowest}");
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_refused() {
+        let mut parameters = Parameters {
+            root: vec![[0.0; 3]; 2],
+            body: vec![[0.0; BODY_POSE_WIDTH]; 2],
+            trans: vec![[0.0; 3]; 2],
+        };
+        parameters.root[1][2] = f32::NAN;
+        let turned = parameters.turned(DQuat::IDENTITY, Fps::STORE, &Skeleton::smplx_neutral());
+        assert_eq!(
+            turned.err().map(|rejected| rejected.code),
+            Some("E-NOT-FINITE")
+        );
+    }
+}

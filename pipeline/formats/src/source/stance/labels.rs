@@ -1,0 +1,141 @@
+//! The labels of an export, in place of what the layout of the release says.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use datasets_spec::record::{MaskRow, PairRow};
+
+use super::origin::{self, Origin, Record};
+use super::release::CODE_OF_ORIGIN;
+use crate::source::format::Entry;
+use clip::{EditOf, Rejected, RotationSource, SourceClip, SourceMask};
+
+/// What an export says of its motions.
+pub(super) struct Labels {
+    record: Record,
+    /// By motion.
+    masks: BTreeMap<String, Vec<MaskRow>>,
+    /// By target.
+    pairs: BTreeMap<String, Vec<PairRow>>,
+    /// The motion of each content.
+    contents: BTreeMap<String, String>,
+}
+
+impl Labels {
+    pub(super) fn new(record: Record, masks: Vec<MaskRow>, pairs: Vec<PairRow>) -> Self {
+        let mut labels = Self {
+            contents: BTreeMap::new(),
+            masks: BTreeMap::new(),
+            pairs: BTreeMap::new(),
+            record,
+        };
+        for origin in labels.record.motions.values() {
+            let hash = origin.content_hash.clone().unwrap_or_default();
+            labels.contents.insert(hash, origin.id.clone());
+        }
+        for mask in masks {
+            let of_motion = labels.masks.entry(mask.motion_id.to_string());
+            of_motion.or_default().push(mask);
+        }
+        for pair in pairs {
+            let of_target = labels.pairs.entry(pair.target_id.to_string());
+            of_target.or_default().push(pair);
+        }
+        labels
+    }
+
+    /// Reads masks of known motions.
+    pub(super) fn masks(bytes: &[u8], ids: &BTreeSet<&str>) -> Result<Vec<MaskRow>, String> {
+        let rows: Vec<MaskRow> = origin::rows(bytes)?;
+        let named = rows.iter().map(|row| row.motion_id.as_str());
+        known(named, ids).map(|()| rows)
+    }
+
+    /// Reads pairs of known motions.
+    pub(super) fn pairs(bytes: &[u8], ids: &BTreeSet<&str>) -> Result<Vec<PairRow>, String> {
+        let rows: Vec<PairRow> = origin::rows(bytes)?;
+        let named = rows.iter();
+        let named = named.flat_map(|row| [row.source_id.as_str(), row.target_id.as_str()]);
+        known(named, ids).map(|()| rows)
+    }
+
+    /// The skeleton of the dataset.
+    pub(super) fn skeleton(&self) -> &str {
+        &self.record.skeleton
+    }
+
+    /// Hash of a list of the release, as it was written.
+    pub(super) fn list(&self, name: &str) -> Option<&str> {
+        self.record.lists.get(name).map(String::as_str)
+    }
+
+    /// Refuses a file with another motion than the one it is said to hold.
+    pub(super) fn check(
+        &self,
+        entry: &Entry,
+        origin: &Origin,
+        clip: &SourceClip,
+    ) -> Result<(), Rejected> {
+        let found = clip.motion.content_hash();
+        let Some(written) = origin.content_hash.as_ref().filter(|hash| **hash != found) else {
+            return Ok(());
+        };
+        let holds = match self.contents.get(&found) {
+            Some(other) => format!("that of {other:?}"),
+            None => format!("another one, of content {found}"),
+        };
+        Err(Rejected::read(
+            CODE_OF_ORIGIN,
+            format!(
+                "{} says that {} holds the motion of {:?}, of content {written}, but it holds {holds}; restore the \
+                 file, or remove its entry to ingest it as a motion of its own",
+                origin::FILE_NAME,
+                entry.file,
+                origin.id
+            ),
+        ))
+    }
+
+    /// Adds the labels of a motion. Captions and names are those of its origin.
+    pub(super) fn attach(&self, origin: &Origin, clip: &mut SourceClip) {
+        clip.rotation_source = RotationSource::of_name(&origin.rotation_source);
+        clip.fit_error_m = origin.fit_error_m;
+        clip.part_captions.clone_from(&origin.part_captions);
+        let masks = self.masks.get(&origin.id).into_iter().flatten();
+        clip.masks.extend(masks.cloned().map(SourceMask::of_row));
+        let pairs = self.pairs.get(&origin.id).into_iter().flatten();
+        clip.edits.extend(pairs.cloned().map(EditOf::of_row));
+    }
+
+    /// A remark on the motions without a file, and on their labels; none if there is none.
+    pub(super) fn missing(&self, is_there: impl Fn(&str) -> bool) -> Option<String> {
+        let ids = self
+            .record
+            .motions
+            .values()
+            .map(|origin| origin.id.as_str());
+        let ids: BTreeSet<&str> = ids.filter(|id| !is_there(id)).collect();
+        let masks = self
+            .masks
+            .iter()
+            .filter(|(id, _)| ids.contains(id.as_str()));
+        let masks: usize = masks.map(|(_, masks)| masks.len()).sum();
+        let pairs = self.pairs.values().flatten().filter(|pair| {
+            ids.contains(pair.source_id.as_str()) || ids.contains(pair.target_id.as_str())
+        });
+        let pairs = pairs.count();
+        let first = ids.first()?;
+        Some(format!(
+            "{} motions of {} have no file, such as {first:?}; their {masks} masks and {pairs} pairs are left out",
+            ids.len(),
+            origin::FILE_NAME
+        ))
+    }
+}
+
+fn known<'a>(named: impl Iterator<Item = &'a str>, ids: &BTreeSet<&str>) -> Result<(), String> {
+    let mut unknown = named.filter(|id| !ids.contains(id));
+    match unknown.next() {
+        Some(id) => Err(format!("{} has no motion {id:?}", origin::FILE_NAME)),
+        None => Ok(()),
+    }
+}

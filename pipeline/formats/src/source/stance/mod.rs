@@ -1,0 +1,71 @@
+//! The STANCE release: base motions, body-part annotations, style transfers and fine-grained
+//! adjustments, in its present layout and under the path names of its earlier revision.
+//!
+//! A folder is a release if it holds a pickle under `base_motion`, `style_transfer` or `adjustment`, at
+//! any depth. Motions are not moved: they are y up already, and the two motions of an adjustment share
+//! world coordinates.
+
+mod annotation;
+mod labels;
+mod motion;
+mod name;
+pub mod origin;
+mod release;
+mod split;
+
+use std::path::Path;
+
+use datasets_spec::Fps;
+use kinematics::motion::BODY_POSE_WIDTH;
+
+use super::files::Files;
+use super::format::{Format, Recognised, Release, SourceFormat, boxed};
+use super::options::ReadOptions;
+use clip::Outcome;
+
+pub use motion::read_pickle_motion;
+pub use name::{FIRST_FREE_NUMBER, file_stem};
+pub use origin::exported_labels;
+pub use release::{ADJUSTMENT, BASE_MOTION, REGEN, SPLIT, STYLE_TRANSFER};
+
+/// The releases among the files.
+pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
+    let roots = release::roots(files).into_iter();
+    boxed(roots.map(|root| release::StanceRelease::plan(files, root)))
+}
+
+/// A folder of the STANCE release.
+pub const FORMAT: Format = Format::new(&Stance);
+
+#[derive(Debug)]
+struct Stance;
+
+impl SourceFormat for Stance {
+    fn name(&self) -> &'static str {
+        "stance"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // The parameters of the store in f4.
+        (4 * (3 + 3 + BODY_POSE_WIDTH)) as f64 * Fps::STORE.get()
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
+        matches!(extension, "pkl" | "pickle").then_some(Recognised::Motion(FORMAT))
+    }
+
+    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        motion::read_pickle(bytes, &options.skeleton)
+    }
+
+    fn find(
+        &self,
+        files: &Files,
+        _index: Option<&Path>,
+    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
+        Ok(find(files))
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -1,0 +1,129 @@
+//! The motion in a pickle.
+
+use std::ops::Range;
+
+use datasets_spec::{Fps, Skeleton};
+use glam::DQuat;
+use kinematics::motion::BODY_POSE_WIDTH;
+
+use crate::source::robot;
+use crate::source::smpl::{Parameters, column};
+use clip::{Outcome, Rejected, RotationSource, SourceClip};
+use pickle::joblib;
+use pickle::{Array, Value};
+
+/// Rate of every motion of the release, in 1/s.
+pub(super) const RELEASE_FPS: Fps = Fps::STORE;
+/// Rate of AIST++, in 1/s.
+const AIST_FPS: f64 = 60.0;
+/// Numbers of a frame of SMPL's pose: 24 joints, the last two of them hands.
+const SMPL_WIDTH: usize = 72;
+/// Columns of SMPL's pose that are the root and those that are the body joints of the store.
+const ROOT_COLUMNS: Range<usize> = 0..3;
+const BODY_COLUMNS: Range<usize> = 3..3 + BODY_POSE_WIDTH;
+
+/// Reads a single pickle as a motion: a dictionary of the STANCE release (`body_pose`,
+/// `global_orient`, `transl`; SMPL-X, y up, 20 fps), or one of AIST++ (`smpl_poses`, `smpl_trans`,
+/// `smpl_scaling`; SMPL, y up, 60 fps).
+///
+/// # Errors
+/// `E-STANCE-KEYS` for other content, `E-SMPL-SHAPE`, `E-TOO-SHORT`, `E-NOT-FINITE`, and those of
+/// [`joblib::read`].
+pub fn read_pickle_motion(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
+    motion_of(&joblib::read(bytes)?, skeleton)
+}
+
+/// Reads a single pickle: a motion, or that of a robot, which is skipped.
+pub(super) fn read_pickle(bytes: &[u8], skeleton: &Skeleton) -> Outcome {
+    let value = match joblib::read(bytes) {
+        Ok(value) => value,
+        Err(error) => return Outcome::Rejected(error.into()),
+    };
+    match robot::pickled(&value) {
+        Some(reason) => Outcome::Skipped { reason },
+        None => motion_of(&value, skeleton).into(),
+    }
+}
+
+fn motion_of(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
+    if value.get("smpl_poses").is_some() && value.get("smpl_trans").is_some() {
+        return aist(value, skeleton);
+    }
+    if value.get("src").is_some() && value.get("tgt").is_some() {
+        return Err(Rejected::read(
+            "E-STANCE-KEYS",
+            "found a pair (src and tgt) outside a release; put it under a folder named adjustment",
+        ));
+    }
+    release_clip(value)
+}
+
+/// A motion of the release.
+pub(super) fn release_clip(value: &Value) -> Result<SourceClip, Rejected> {
+    let keys = ["body_pose", "global_orient", "transl"];
+    if keys.iter().any(|key| value.get(key).is_none()) {
+        return Err(Rejected::read(
+            "E-STANCE-KEYS",
+            format!(
+                "found {}, expected one with {}",
+                value.describe(),
+                keys.join(", ")
+            ),
+        ));
+    }
+    let parameters = Parameters::new(
+        column(value, "global_orient")?,
+        column(value, "body_pose")?,
+        column(value, "transl")?,
+    )?;
+    let motion = parameters.unchanged(RELEASE_FPS)?;
+    let mut clip = SourceClip::new(motion, RotationSource::Native);
+    clip.notes
+        .push("SMPL-X parameters of the STANCE release, kept as they are".to_owned());
+    Ok(clip)
+}
+
+/// A dance of AIST++. Its annotations scale the body about its origin before placing it in the world, so
+/// translations are divided by the scale to get metres.
+fn aist(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
+    let poses: Vec<[f32; SMPL_WIDTH]> = column(value, "smpl_poses")?;
+    let mut trans: Vec<[f32; 3]> = column(value, "smpl_trans")?;
+    let scale = match value.get("smpl_scaling") {
+        None => 1.0,
+        Some(scale) => scale
+            .as_array()
+            .and_then(Array::to_f64)
+            .and_then(|scales| scales.first().copied())
+            .or(scale.as_float())
+            .filter(|scale| scale.is_finite() && *scale > 0.0)
+            .ok_or_else(|| {
+                Rejected::read(
+                    "E-SMPL-SHAPE",
+                    format!(
+                        "found smpl_scaling as {}, expected a positive number",
+                        scale.describe()
+                    ),
+                )
+            })?,
+    };
+    for value in trans.as_flattened_mut() {
+        *value = (f64::from(*value) / scale) as f32;
+    }
+    let parameters = Parameters::new(
+        poses.iter().map(|pose| part(pose, ROOT_COLUMNS)).collect(),
+        poses.iter().map(|pose| part(pose, BODY_COLUMNS)).collect(),
+        trans,
+    )?;
+    let fps = Fps::new(AIST_FPS).map_err(|error| Rejected::read("E-FPS", error.to_string()))?;
+    let motion = parameters.turned(DQuat::IDENTITY, fps, skeleton)?;
+    let mut clip = SourceClip::new(motion, RotationSource::Native);
+    clip.notes = vec![
+        format!("SMPL parameters of AIST++ at {AIST_FPS} fps, translation divided by {scale}"),
+        format!("rotations drive the body {} as they are", skeleton.name()),
+    ];
+    Ok(clip)
+}
+
+fn part<const D: usize>(pose: &[f32; SMPL_WIDTH], columns: Range<usize>) -> [f32; D] {
+    std::array::from_fn(|column| pose[columns.start + column])
+}

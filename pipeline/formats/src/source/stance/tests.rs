@@ -1,0 +1,315 @@
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+use datasets_spec::{BodyPart, Skeleton, Split};
+use proptest::prelude::*;
+
+use super::*;
+use crate::source::format::Entry;
+use crate::source::options::ReadOptions;
+use clip::SourceClip;
+use clip::check::check;
+use pickle::encode;
+use pickle::{Array, Value};
+
+pub(crate) use testkit::{adjustment, dictionary, put, swinging as motion, write_release};
+
+pub(crate) fn files_under(folder: &Path) -> Files {
+    fn walk(folder: &Path, prefix: &str, paths: &mut BTreeMap<String, std::path::PathBuf>) {
+        for entry in fs::read_dir(folder).expect("listed") {
+            let path = entry.expect("readable").path();
+            let name = path.file_name().expect("a name").to_string_lossy();
+            let relative = format!("{prefix}{name}");
+            if path.is_dir() {
+                walk(&path, &format!("{relative}/"), paths);
+            } else {
+                paths.insert(relative, path);
+            }
+        }
+    }
+    let mut paths = BTreeMap::new();
+    walk(folder, "", &mut paths);
+    Files::new(paths)
+}
+
+fn only_release(files: &Files) -> Box<dyn Release> {
+    let mut releases = find(files);
+    assert_eq!(releases.len(), 1);
+    releases.pop().expect("one")
+}
+
+fn entry<'a>(release: &'a dyn Release, id: &str) -> &'a Entry {
+    let mut found = release
+        .contents()
+        .entries
+        .iter()
+        .filter(|entry| entry.id == id);
+    found.next().unwrap_or_else(|| panic!("no {id}"))
+}
+
+fn clip(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
+    let clip = release.read(files, entry(release, id), &ReadOptions::default());
+    clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
+}
+
+#[test]
+fn a_release_becomes_motions_masks_and_pairs() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    write_release(dir.path());
+    let files = files_under(dir.path());
+    let release = only_release(&files);
+    let planned: Vec<(&str, Option<Split>, Option<&str>)> = release
+        .contents()
+        .entries
+        .iter()
+        .map(|entry| (entry.id.as_str(), entry.split, entry.mirrored_of.as_deref()))
+        .collect();
+    let adjustment = "adjustment/paired_data_seed0_15_batch0_id3";
+    let (source, target) = (format!("{adjustment}#src"), format!("{adjustment}#tgt"));
+    assert_eq!(
+        planned,
+        [
+            // The style list takes the clip and its mirrored copy along.
+            ("000009", Some(Split::Test), None),
+            ("000010", Some(Split::Val), None),
+            ("000012", Some(Split::Train), None),
+            ("M000009", Some(Split::Test), Some("000009")),
+            ("000009#proud", Some(Split::Test), None),
+            (&source, Some(Split::Val), None),
+            (&target, Some(Split::Val), None),
+        ]
+    );
+    assert_eq!(
+        release.contents().passed_over.len(),
+        6,
+        "{:?}",
+        release.contents().passed_over
+    );
+    assert_eq!(release.contents().rejected, []);
+
+    let base = clip(&*release, &files, "000009");
+    assert_eq!(base.motion, motion(1, 30), "bit for bit");
+    let said: Vec<(BodyPart, &str)> = base
+        .masks
+        .iter()
+        .map(|mask| (mask.parts[0], mask.text.as_str()))
+        .collect();
+    let expected = [
+        (BodyPart::LeftArm, "waving"),
+        (BodyPart::LowerBody, "kneeling"),
+    ];
+    assert_eq!(said, expected);
+    assert_eq!(base.part_captions[0].part, "LEFT_ARM");
+    let mirrored = clip(&*release, &files, "M000009");
+    assert_eq!(mirrored.masks[0].text, "stretching");
+    assert!(mirrored.notes.iter().any(|note| note.contains("014625")));
+
+    let styled = clip(&*release, &files, "000009#proud");
+    assert_eq!(styled.style.as_deref(), Some("proud"));
+    let edit = &styled.edits[0];
+    assert_eq!((edit.source_id.as_str(), edit.kind), ("000009", "style"));
+    assert_eq!(edit.instruction, "", "the release has no words");
+    let adjusted = &clip(&*release, &files, &target).edits[0];
+    assert_eq!(adjusted.source_id, source);
+    assert_eq!(adjusted.parts, [BodyPart::LeftArm]);
+    assert_eq!(adjusted.instruction, "raise it higher");
+    assert_eq!(clip(&*release, &files, &source).edits, []);
+}
+
+#[test]
+fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let base = encode(&dictionary(&motion(1, 5)));
+    put(
+        dir.path(),
+        "data/base_motion/humanml3d_pkl_all/000001.pkl",
+        &base,
+    );
+    put(
+        dir.path(),
+        "data/base_motion/humanml3d_pkl_all/000002.pkl",
+        "version https://git-lfs.github.com/spec/v1\n",
+    );
+    put(
+        dir.path(),
+        "data/style_transfer/humanml3d_stylized/000001_old.pkl",
+        &base,
+    );
+    put(
+        dir.path(),
+        "data/style_transfer/humanml3d_stylized/readme.pkl",
+        &base,
+    );
+    let wordless = Value::Dict(vec![
+        (Value::text("src"), dictionary(&motion(2, 5))),
+        (Value::text("tgt"), dictionary(&motion(3, 5))),
+    ]);
+    put(
+        dir.path(),
+        "data/adjustment/paired_pickle/a.pkl",
+        encode(&wordless),
+    );
+    let beside = r#"{"a": {"body_part": "left arm", "text": "lower"}}"#;
+    put(
+        dir.path(),
+        "data/adjustment/adjustment_annotations_part.json",
+        beside,
+    );
+    put(dir.path(), "data/adjustment/transfer.py", "");
+    put(dir.path(), "data/regen/mask_all.json", "{broken");
+    // The bundle for the official demo is no release.
+    put(dir.path(), "demo/style_transfer/text.txt", "a\n");
+    let files = files_under(dir.path());
+    let release = only_release(&files);
+    let ids: Vec<&str> = release
+        .contents()
+        .entries
+        .iter()
+        .map(|e| e.id.as_str())
+        .collect();
+    let expected = [
+        "000001",
+        "000002",
+        "000001#old",
+        "adjustment/a#src",
+        "adjustment/a#tgt",
+    ];
+    assert_eq!(ids, expected);
+    assert!(
+        release
+            .contents()
+            .entries
+            .iter()
+            .all(|entry| entry.split.is_none()),
+        "no lists"
+    );
+    let codes: Vec<&str> = release
+        .contents()
+        .rejected
+        .iter()
+        .map(|(_, r)| r.code)
+        .collect();
+    assert_eq!(codes, ["E-STANCE-JSON", "E-STANCE-NAME"]);
+    let edit = &clip(&*release, &files, "adjustment/a#tgt").edits[0];
+    assert_eq!(edit.instruction, "lower");
+    assert_eq!(edit.parts, [BodyPart::LeftArm]);
+    let pointer = release.read(&files, entry(&*release, "000002"), &ReadOptions::default());
+    assert_eq!(pointer.expect_err("no motion").code, "E-LFS-POINTER");
+}
+
+#[test]
+fn a_pickle_that_stands_alone_is_a_motion_if_it_has_the_keys() {
+    let skeleton = Skeleton::smplx_neutral();
+    let walk = motion(1, 12);
+    let read = |value: &Value| read_pickle_motion(&encode(value), &skeleton);
+    assert_eq!(read(&dictionary(&walk)).expect("a motion").motion, walk);
+    let array = |shape: &[usize]| {
+        let count = shape.iter().product();
+        Value::Array(Arc::new(Array::from_f32(shape, vec![0.0; count])))
+    };
+    let with = |body: &[usize], root: &[usize], transl: &[usize]| {
+        Value::Dict(vec![
+            (Value::text("body_pose"), array(body)),
+            (Value::text("global_orient"), array(root)),
+            (Value::text("transl"), array(transl)),
+        ])
+    };
+    assert!(read(&with(&[4, 21, 3], &[4, 1, 3], &[4, 3])).is_ok());
+    let pair = adjustment(&walk, &walk, "HEAD", "");
+    for (value, code) in [
+        (with(&[4, 63], &[4, 3], &[5, 3]), "E-SMPL-SHAPE"),
+        (with(&[4, 69], &[4, 3], &[4, 3]), "E-SMPL-SHAPE"),
+        (with(&[252], &[4, 3], &[4, 3]), "E-SMPL-SHAPE"),
+        (with(&[0, 63], &[0, 3], &[0, 3]), "E-TOO-SHORT"),
+        (Value::List(Vec::new()), "E-STANCE-KEYS"),
+        (pair, "E-STANCE-KEYS"),
+    ] {
+        assert_eq!(read(&value).expect_err(code).code, code);
+    }
+    let code = read_pickle_motion(b"cos\nsystem\n(S'true'\ntR.", &skeleton);
+    assert_eq!(code.expect_err("code").code, "E-PICKLE-REFUSED");
+}
+
+#[test]
+fn a_dance_of_aist_is_scaled_to_metres_and_put_on_the_floor() {
+    let skeleton = Skeleton::smplx_neutral();
+    let frames = 6;
+    let trans = (0..frames).flat_map(|frame| [0.36 * frame as f32, 180.0, 0.0]);
+    let array = |shape: &[usize], numbers: Vec<f32>| {
+        Value::Array(Arc::new(Array::from_f32(shape, numbers)))
+    };
+    let value = Value::Dict(vec![
+        (
+            Value::text("smpl_poses"),
+            array(&[frames, 72], vec![0.0; 72 * frames]),
+        ),
+        (
+            Value::text("smpl_trans"),
+            array(&[frames, 3], trans.collect()),
+        ),
+        (Value::text("smpl_scaling"), array(&[1], vec![90.0])),
+    ]);
+    let clip = read_pickle_motion(&encode(&value), &skeleton).expect("a dance");
+    assert_eq!(clip.motion.fps().get(), 60.0);
+    let step = clip.motion.transl()[1][0] - clip.motion.transl()[0][0];
+    assert!(
+        (step - 0.004).abs() < 1e-6,
+        "0.36 over a scale of 90, {step}"
+    );
+    let keypoints = skeleton.keypoints(&clip.motion.pose(0));
+    let foot = keypoints[10].y.min(keypoints[11].y);
+    assert!(foot.abs() < 1e-6, "stands on the floor, {foot}");
+}
+
+#[test]
+fn the_real_dance_is_read() {
+    let Some(root) = std::env::var_os("STANCE_TEST_DATA") else {
+        skipped();
+        return;
+    };
+    let path = Path::new(&root).join("pkl/gBR_sBM_cAll_d04_mBR0_ch01.pkl");
+    let Ok(bytes) = fs::read(&path) else {
+        skipped();
+        return;
+    };
+    let skeleton = Skeleton::smplx_neutral();
+    let clip = read_pickle_motion(&bytes, &skeleton).expect("a dance");
+    assert_eq!(clip.motion.len(), 720);
+    check(&clip.motion, &skeleton).expect("a dance of a human");
+    // Upright: the head is above the pelvis in the first frame.
+    let keypoints = skeleton.keypoints(&clip.motion.pose(0));
+    assert!(
+        keypoints[15].y > keypoints[0].y + 0.4,
+        "{:?}",
+        keypoints[15]
+    );
+    assert!((0.5..1.3).contains(&keypoints[0].y), "{:?}", keypoints[0]);
+}
+
+#[expect(
+    clippy::print_stderr,
+    reason = "a test that checks nothing must say so"
+)]
+fn skipped() {
+    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has pkl");
+}
+
+proptest! {
+    #[test]
+    fn no_lists_make_planning_panic(text in r#"[\[\]{}",:0-9a-zM_ ]{0,60}"#, line in any::<String>()) {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        put(dir.path(), "base_motion/000001.pkl", "");
+        for file in ["regen/mask_all.json", "regen/part_annotations.json", "origin.json"] {
+            put(dir.path(), file, &text);
+        }
+        put(dir.path(), "split/style_transfer/test.json", &text);
+        put(dir.path(), "split/base_motion/val.txt", &line);
+        let files = files_under(dir.path());
+        let release = only_release(&files);
+        prop_assert_eq!(release.contents().entries.len(), 1);
+        let read = release.read(&files, &release.contents().entries[0], &ReadOptions::default());
+        prop_assert!(read.is_err(), "{:?}", read);
+    }
+}

@@ -1,0 +1,174 @@
+//! The settings and marker names above the rows.
+
+use super::{Line, Lines, MAGIC};
+use crate::markers::unique_labels;
+use clip::{MAX_FPS, MIN_FPS, Rejected};
+
+/// The only type of TRC file in use: trajectories.
+const TRAJECTORIES: &str = "4";
+/// Limit on markers; real captures have a few hundred.
+const MAX_MARKERS: usize = 10_000;
+
+/// What the first lines say.
+pub(super) struct Header {
+    /// Frames per second; none if the file states none that can be used.
+    pub(super) rate: Option<f64>,
+    pub(super) num_frames: usize,
+    /// Unit as written, and where.
+    pub(super) unit: String,
+    pub(super) unit_at: usize,
+    /// Names of the markers, and where they are.
+    pub(super) names: Vec<String>,
+    pub(super) names_at: usize,
+}
+
+fn error(at: usize, reason: impl Into<String>) -> Rejected {
+    Rejected::read("E-TRC-HEADER", reason).at(at)
+}
+
+fn shown(cell: &[u8]) -> String {
+    const LONGEST: usize = 40;
+    let text = String::from_utf8_lossy(&cell[..cell.len().min(LONGEST)]);
+    let text: String = text.chars().filter(|c| !c.is_control()).collect();
+    format!("\"{text}\"")
+}
+
+impl Header {
+    /// Names of the markers, each different.
+    pub(super) fn labels(&self) -> Vec<String> {
+        unique_labels(self.names.iter().cloned())
+    }
+
+    pub(super) fn parse(lines: &mut Lines<'_>) -> Result<Self, Rejected> {
+        let end = lines.bytes.len();
+        let mut next = |what: &str| {
+            let line = lines.next();
+            line.ok_or_else(|| error(end, format!("the file ends before {what}")))
+        };
+        let kind = next("its first line")?;
+        let kinds = kind.cells();
+        let (at, first) = kinds.first().copied().unwrap_or((0, b""));
+        if !first.eq_ignore_ascii_case(MAGIC) {
+            let found = shown(first);
+            return Err(error(at, format!("found {found}, expected PathFileType")));
+        }
+        if let Some((at, found)) = kinds
+            .get(1)
+            .filter(|(_, kind)| *kind != TRAJECTORIES.as_bytes())
+        {
+            let found = shown(found);
+            let reason = format!("found file type {found}, expected {TRAJECTORIES}, trajectories");
+            return Err(error(*at, reason));
+        }
+        let settings = Settings::of(next("the names of its settings")?, next("its settings")?);
+        let num_markers = settings.count("NumMarkers")?;
+        if num_markers == 0 || num_markers > MAX_MARKERS {
+            let (at, _) = settings.get("NumMarkers")?;
+            let reason = format!("found {num_markers} markers, expected 1 to {MAX_MARKERS}");
+            return Err(error(at, reason));
+        }
+        let num_frames = settings.count("NumFrames")?;
+        let rate = ["DataRate", "CameraRate"].into_iter().find_map(|name| {
+            let (_, value) = settings.get(name).ok()?;
+            let rate = fast_float2::parse::<f64, _>(value).ok()?;
+            (MIN_FPS..=MAX_FPS).contains(&rate).then_some(rate)
+        });
+        let (unit_at, unit) = settings
+            .get("Units")
+            .unwrap_or((settings.values_at, &b""[..]));
+        let line = next("the names of its markers")?;
+        let names = marker_names(line, num_markers)?;
+        next("the names of its coordinates")
+            .and_then(|line| check_coordinates(line, num_markers))?;
+        Ok(Self {
+            rate,
+            num_frames,
+            unit: String::from_utf8_lossy(unit).into_owned(),
+            unit_at,
+            names,
+            names_at: line.at,
+        })
+    }
+}
+
+/// Names and values of the second and third line.
+struct Settings<'a> {
+    cells: Vec<(&'a [u8], usize, &'a [u8])>,
+    values_at: usize,
+}
+
+impl<'a> Settings<'a> {
+    fn of(names: Line<'a>, values: Line<'a>) -> Self {
+        let cells = names.cells().into_iter().zip(values.cells());
+        Self {
+            cells: cells
+                .map(|((_, name), (at, value))| (name, at, value))
+                .collect(),
+            values_at: values.at,
+        }
+    }
+
+    /// A value and its place.
+    fn get(&self, wanted: &str) -> Result<(usize, &'a [u8]), Rejected> {
+        let mut cells = self.cells.iter();
+        let found = cells.find(|(name, ..)| name.eq_ignore_ascii_case(wanted.as_bytes()));
+        found
+            .map(|(_, at, value)| (*at, *value))
+            .ok_or_else(|| error(self.values_at, format!("the file states no {wanted}")))
+    }
+
+    fn count(&self, name: &str) -> Result<usize, Rejected> {
+        let (at, value) = self.get(name)?;
+        let text = std::str::from_utf8(value).ok();
+        text.and_then(|text| text.parse().ok()).ok_or_else(|| {
+            let found = shown(value);
+            error(
+                at,
+                format!("found {found} as {name}, expected a whole number"),
+            )
+        })
+    }
+}
+
+/// The names after `Frame#` and `Time`; each marker has three columns, of which most programs name the first.
+fn marker_names(line: Line<'_>, num_markers: usize) -> Result<Vec<String>, Rejected> {
+    let cells = line.cells();
+    let stated = cells.iter().skip(2).filter(|(_, name)| !name.is_empty());
+    let names: Vec<String> = stated
+        .map(|(_, name)| String::from_utf8_lossy(name).into_owned())
+        .collect();
+    if names.len() == num_markers {
+        return Ok(names);
+    }
+    let count = names.len();
+    Err(Rejected::read(
+        "E-TRC-NAMES",
+        format!("found {count} marker names, expected {num_markers} as NumMarkers says"),
+    )
+    .at(line.at))
+}
+
+/// Checks the line of `X1`, `Y1`, `Z1` and so on.
+fn check_coordinates(line: Line<'_>, num_markers: usize) -> Result<(), Rejected> {
+    let cells = line.cells();
+    let stated: Vec<(usize, &[u8])> = cells
+        .into_iter()
+        .filter(|(_, name)| !name.is_empty())
+        .collect();
+    let is_name = |name: &[u8]| {
+        let axis = name.first().map(u8::to_ascii_uppercase);
+        axis.is_some_and(|axis| b"XYZ".contains(&axis))
+    };
+    if let Some((at, name)) = stated.iter().find(|(_, name)| !is_name(name)) {
+        let found = shown(name);
+        let reason = format!("found {found}, expected coordinates X1, Y1, Z1, ...");
+        return Err(error(*at, reason));
+    }
+    if stated.len() != 3 * num_markers {
+        let count = stated.len();
+        let reason =
+            format!("found {count} coordinates, expected three for each of {num_markers} markers");
+        return Err(error(line.at, reason));
+    }
+    Ok(())
+}

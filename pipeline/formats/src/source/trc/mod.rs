@@ -1,0 +1,294 @@
+//! The TRC reader: marker positions of OpenSim, Theia, Cortex and others, as text.
+//!
+//! Five lines come first: the kind of file, names and values of its settings, the names of the markers, and
+//! the names of the coordinates. Each row after them is a frame: its number, its time and three coordinates
+//! of every marker. A marker that was not seen has blank cells, `NaN` or, as some programs write, zeros.
+//!
+//! # Source
+//! OpenSim's documentation of its `.trc` files.
+
+mod header;
+mod rows;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use self::header::Header;
+use self::rows::Rows;
+use super::files::UTF8_BOM;
+use super::format::{Format, Recognised, SourceFormat};
+use super::options::ReadOptions;
+use super::unit::Unit;
+use crate::markers::{self, Capture, CaptureUnit, UNIT_CODE};
+use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_ROW_COUNT};
+use clip::{Markers, Outcome, Rejected};
+
+/// Maximum distance in metres of a marker from the origin: a plausibility test for the unit.
+const MAX_DISTANCE_M: f64 = 100.0;
+/// Fraction of implausible positions above which the unit is taken to be wrong.
+const MAX_IMPLAUSIBLE: f64 = 0.1;
+/// First word of every file.
+const MAGIC: &[u8] = b"PathFileType";
+
+/// A parsed capture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrcFile {
+    /// The markers in metres, in the file's own axes.
+    pub markers: Markers,
+    /// The unit they were in.
+    pub unit: CaptureUnit,
+    /// Decisions a reader may want to check.
+    pub notes: Vec<String>,
+    /// Quality flags of [`clip::check`].
+    pub flags: u32,
+}
+
+impl TrcFile {
+    /// Parses a file. If `lenient`, the number of rows may differ from what the header says; of too many
+    /// rows, those beyond the stated number are dropped.
+    ///
+    /// # Errors
+    /// `E-TRC-HEADER`, `E-TRC-NAMES`, `E-TRC-ROW`, `E-TRC-NUMBER`, `E-TRC-TIME` or `E-TRC-FRAMES`, each with
+    /// the byte offset of what is wrong; `E-UNIT`, `E-TRC-EMPTY` or `E-TOO-SHORT`.
+    pub fn parse(bytes: &[u8], lenient: bool) -> Result<Self, Rejected> {
+        Self::read(bytes, lenient, None)
+    }
+
+    /// Parses a file whose numbers are in this unit, if one is given, whatever it states.
+    ///
+    /// # Errors
+    /// As [`TrcFile::parse`].
+    pub fn read(bytes: &[u8], lenient: bool, unit: Option<Unit>) -> Result<Self, Rejected> {
+        let mut lines = Lines::of(bytes);
+        let header = Header::parse(&mut lines)?;
+        let mut rows = Rows::parse(&mut lines, &header)?;
+        let mut notes = Vec::new();
+        let mut flags = 0;
+        let (found, stated) = (rows.len(), header.num_frames);
+        if found == 0 {
+            let reason = "found 0 frames, expected at least 2";
+            return Err(Rejected::read("E-TOO-SHORT", reason).at(bytes.len()));
+        }
+        if found != stated {
+            if !lenient || stated == 0 {
+                return Err(Rejected::read(
+                    "E-TRC-FRAMES",
+                    format!(
+                        "found {found} rows, expected {stated} as NumFrames says; `stance ingest \
+                         --lenient` reads the rows that both agree on"
+                    ),
+                )
+                .at(rows.place_of(stated).unwrap_or(bytes.len())));
+            }
+            rows.truncate(stated);
+            flags |= FLAG_ROW_COUNT;
+            notes.push(format!(
+                "the header says {stated} frames and {found} rows follow; {} were read",
+                rows.len()
+            ));
+        }
+        let rate = rows.rate(header.rate)?;
+        if let Some(note) = rate.note {
+            flags |= FLAG_FPS_DOUBTFUL;
+            notes.push(note);
+        }
+        let largest = || {
+            let seen = rows.positions.iter().flatten();
+            seen.fold(0.0, |largest: f64, point| {
+                largest.max(point.abs().max_element())
+            })
+        };
+        let (unit, note) = CaptureUnit::find(unit, &header.unit, largest);
+        notes.extend(note);
+        let metres = unit.unit.metres();
+        let mut positions = Vec::with_capacity(rows.positions.len());
+        let mut residuals = Vec::with_capacity(rows.positions.len());
+        let (mut seen, mut far) = (0usize, 0usize);
+        for point in &rows.positions {
+            let place = point.map(|point| point * metres);
+            seen += usize::from(place.is_some());
+            let plausible = place.filter(|place| place.length() < MAX_DISTANCE_M);
+            far += usize::from(place.is_some() && plausible.is_none());
+            positions.push(plausible.map_or([0.0; 3], |place| place.as_vec3().to_array()));
+            residuals.push(if plausible.is_some() { 0.0 } else { -1.0 });
+        }
+        if far as f64 > MAX_IMPLAUSIBLE * seen as f64 {
+            let frames = rows.positions.chunks(header.names.len().max(1));
+            let frames = frames.map(|frame| frame.iter().flatten().copied());
+            let found = || {
+                let reason =
+                    format!("found {far} of {seen} positions farther than {MAX_DISTANCE_M} m");
+                Rejected::read(
+                    UNIT_CODE,
+                    format!("{reason} in {}, {}", unit.unit, unit.said),
+                )
+            };
+            return Err(unit.doubt(frames).unwrap_or_else(found).at(header.unit_at));
+        }
+        if far == seen {
+            return Err(Rejected::read(
+                "E-TRC-EMPTY",
+                format!(
+                    "no marker is seen in {} frames of {} markers, expected a capture",
+                    rows.len(),
+                    header.names.len()
+                ),
+            )
+            .at(header.names_at));
+        }
+        if far > 0 {
+            notes.push(format!(
+                "{far} positions farther than {MAX_DISTANCE_M} m count as not seen"
+            ));
+        }
+        if rows.num_zeros > 0 {
+            notes.push(format!(
+                "{} positions of three zeros count as not seen",
+                rows.num_zeros
+            ));
+        }
+        Ok(Self {
+            markers: Markers {
+                fps: rate.fps,
+                labels: header.labels(),
+                positions,
+                residuals,
+                set: None,
+                fit_residuals: Vec::new(),
+            },
+            unit,
+            notes,
+            flags,
+        })
+    }
+}
+
+/// A line of the text.
+#[derive(Clone, Copy)]
+struct Line<'a> {
+    /// Its place in the file.
+    at: usize,
+    text: &'a [u8],
+    /// Whether a line break follows.
+    is_whole: bool,
+}
+
+impl<'a> Line<'a> {
+    /// The cells of the line with their places in the file, trimmed. Tabs separate them; a line without any
+    /// has its cells apart by blanks.
+    fn cells(&self) -> Vec<(usize, &'a [u8])> {
+        let is_tabbed = self.text.contains(&b'\t');
+        let mut cells = Vec::new();
+        let mut start = 0;
+        let ends = self.text.iter().enumerate();
+        let ends = ends.filter(|(_, byte)| match is_tabbed {
+            true => **byte == b'\t',
+            false => byte.is_ascii_whitespace(),
+        });
+        for end in ends.map(|(end, _)| end).chain([self.text.len()]) {
+            let cell = &self.text[start..end];
+            let skipped = cell.len() - cell.trim_ascii_start().len();
+            let cell_at = self.at + start + skipped;
+            start = end + 1;
+            if is_tabbed || !cell.is_empty() {
+                cells.push((cell_at, cell.trim_ascii()));
+            }
+        }
+        cells
+    }
+}
+
+/// The lines of a file that are not blank.
+struct Lines<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Lines<'a> {
+    fn of(bytes: &'a [u8]) -> Self {
+        let at = if bytes.starts_with(UTF8_BOM) {
+            UTF8_BOM.len()
+        } else {
+            0
+        };
+        Self { bytes, at }
+    }
+}
+
+impl<'a> Iterator for Lines<'a> {
+    type Item = Line<'a>;
+
+    fn next(&mut self) -> Option<Line<'a>> {
+        while self.at < self.bytes.len() {
+            let rest = &self.bytes[self.at..];
+            let end = rest.iter().position(|byte| matches!(byte, b'\n' | b'\r'));
+            let line = Line {
+                at: self.at,
+                text: &rest[..end.unwrap_or(rest.len())],
+                is_whole: end.is_some(),
+            };
+            self.at += line.text.len() + 1;
+            if !line.text.trim_ascii().is_empty() {
+                return Some(line);
+            }
+        }
+        None
+    }
+}
+
+/// TRC: marker positions as text.
+pub const FORMAT: Format = Format::new(&Trc);
+
+#[derive(Debug)]
+struct Trc;
+
+impl SourceFormat for Trc {
+    fn name(&self) -> &'static str {
+        "trc"
+    }
+
+    fn bytes_per_second(&self) -> f64 {
+        // 40 markers of three coordinates of ten characters at 100 fps.
+        120_000.0
+    }
+
+    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
+        (extension == "trc").then_some(Recognised::Motion(FORMAT))
+    }
+
+    fn by_content(&self, head: &[u8]) -> bool {
+        let text = head.strip_prefix(UTF8_BOM).unwrap_or(head);
+        text.trim_ascii_start().starts_with(MAGIC)
+    }
+
+    fn may_hold_several(&self) -> bool {
+        true
+    }
+
+    fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+        let header = Header::parse(&mut Lines::of(bytes));
+        let labels = header.map(|header| header.labels()).unwrap_or_default();
+        markers::keys(&labels, options.markers.as_ref())
+    }
+
+    fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {
+        markers::subject_of(key)
+    }
+
+    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+        let clip = capture(bytes, options).and_then(|capture| capture.clip(key, options));
+        clip.into()
+    }
+}
+
+/// The markers of a file.
+pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected> {
+    let file = TrcFile::read(bytes, options.lenient, options.unit)?;
+    Ok(Capture {
+        markers: file.markers,
+        unit: file.unit,
+        notes: file.notes,
+        flags: file.flags,
+    })
+}

@@ -1,0 +1,186 @@
+//! The rows: times and positions.
+
+use datasets_spec::Fps;
+use glam::DVec3;
+
+use super::header::Header;
+use super::{Line, Lines};
+use clip::{MAX_FPS, MIN_FPS, Rejected};
+
+/// Columns before the coordinates: number and time of the frame.
+const BEFORE: usize = 2;
+/// Relative difference up to which the rate agrees with the times, and seconds to which times are rounded.
+const RATE_TOLERANCE: f64 = 0.01;
+const ROUNDING_S: f64 = 1e-3;
+
+/// The frames of a file.
+pub(super) struct Rows {
+    num_markers: usize,
+    places: Vec<usize>,
+    times: Vec<Option<f64>>,
+    /// Positions in the file's unit, frame by frame; none where a marker was not seen.
+    pub(super) positions: Vec<Option<DVec3>>,
+    /// Positions of three zeros, which count as not seen.
+    pub(super) num_zeros: usize,
+}
+
+/// The rate of a capture.
+pub(super) struct Rate {
+    pub(super) fps: Fps,
+    /// What is doubtful about it.
+    pub(super) note: Option<String>,
+}
+
+impl Rows {
+    pub(super) fn parse(lines: &mut Lines<'_>, header: &Header) -> Result<Self, Rejected> {
+        let mut rows = Self {
+            num_markers: header.names.len(),
+            places: Vec::new(),
+            times: Vec::new(),
+            positions: Vec::new(),
+            num_zeros: 0,
+        };
+        for line in lines {
+            rows.take(line)?;
+        }
+        Ok(rows)
+    }
+
+    fn take(&mut self, line: Line<'_>) -> Result<(), Rejected> {
+        let mut cells = line.cells();
+        let expected = BEFORE + 3 * self.num_markers;
+        let found = cells.len();
+        // Some programs end every row with a tab, others leave out the blank cells at its end.
+        while cells.len() != expected && cells.last().is_some_and(|(_, cell)| cell.is_empty()) {
+            cells.pop();
+        }
+        let lacks_markers = cells.len() >= BEFORE && (cells.len() - BEFORE).is_multiple_of(3);
+        let may_lack = line.is_whole && line.text.contains(&b'\t');
+        if cells.len() > expected || (cells.len() < expected && !(lacks_markers && may_lack)) {
+            let row = self.len() + 1;
+            return Err(Rejected::read(
+                "E-TRC-ROW",
+                format!(
+                    "row {row} holds {found} cells, expected {expected}: number, time and three \
+                     coordinates of {} markers",
+                    self.num_markers
+                ),
+            )
+            .at(line.at));
+        }
+        let mut numbers = Vec::with_capacity(expected);
+        for (at, cell) in &cells {
+            numbers.push(number(*at, cell)?);
+        }
+        numbers.resize(expected, None);
+        if let Some(time) = numbers[1] {
+            let before = self.times.iter().rev().flatten().next();
+            if before.is_some_and(|before| time <= *before) {
+                let row = self.len() + 1;
+                let before = before.copied().unwrap_or_default();
+                return Err(Rejected::read(
+                    "E-TRC-TIME",
+                    format!("row {row} is at {time} s, which is not after {before} s"),
+                )
+                .at(cells[1].0));
+            }
+        }
+        self.places.push(line.at);
+        self.times.push(numbers[1]);
+        for (marker, point) in numbers[BEFORE..].chunks_exact(3).enumerate() {
+            let position = match *point {
+                [Some(x), Some(y), Some(z)] => Some(DVec3::new(x, y, z)),
+                [None, None, None] => None,
+                _ => {
+                    let row = self.len();
+                    let at = cells.get(BEFORE + 3 * marker);
+                    return Err(Rejected::read(
+                        "E-TRC-ROW",
+                        format!(
+                            "row {row} holds some and not all coordinates of marker {}",
+                            marker + 1
+                        ),
+                    )
+                    .at(at.map_or(line.at, |(at, _)| *at)));
+                }
+            };
+            // A marker at the very origin is a gap that the program filled with zeros.
+            let is_zero = position == Some(DVec3::ZERO);
+            self.num_zeros += usize::from(is_zero);
+            self.positions.push(position.filter(|_| !is_zero));
+        }
+        Ok(())
+    }
+
+    /// Number of frames.
+    pub(super) fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Place of a row in the file.
+    pub(super) fn place_of(&self, row: usize) -> Option<usize> {
+        self.places.get(row).copied()
+    }
+
+    /// Drops the rows after the first `len`.
+    pub(super) fn truncate(&mut self, len: usize) {
+        self.places.truncate(len);
+        self.times.truncate(len);
+        self.positions.truncate(len * self.num_markers);
+    }
+
+    /// The stated rate, else that of the times.
+    pub(super) fn rate(&self, stated: Option<f64>) -> Result<Rate, Rejected> {
+        let span = self.span();
+        let by_times = span.map(|(steps, secs)| steps / secs);
+        let by_times = by_times.filter(|rate| (MIN_FPS..=MAX_FPS).contains(rate));
+        let rate = stated.or(by_times).ok_or_else(|| {
+            Rejected::read(
+                "E-TRC-HEADER",
+                "found neither a DataRate nor times that give a rate, expected one of them",
+            )
+        })?;
+        let fps = Fps::from_file(rate)
+            .map_err(|error| Rejected::read("E-TRC-HEADER", error.to_string()))?;
+        let note = match (stated, span) {
+            (Some(stated), Some((steps, secs))) => {
+                let expected = steps / stated;
+                let is_off = (secs - expected).abs() > RATE_TOLERANCE * expected + ROUNDING_S;
+                is_off.then(|| {
+                    let times = steps / secs;
+                    format!(
+                        "DataRate is {stated} fps, the times are {times:.3} fps; DataRate was taken"
+                    )
+                })
+            }
+            (None, _) => Some("the rate is that of the times; the file states none".to_owned()),
+            _ => None,
+        };
+        Ok(Rate { fps, note })
+    }
+
+    /// Steps from the first frame to the last, and the seconds between them.
+    fn span(&self) -> Option<(f64, f64)> {
+        let steps = self.len().checked_sub(1).filter(|steps| *steps > 0)?;
+        let (first, last) = ((*self.times.first()?)?, (*self.times.last()?)?);
+        Some((steps as f64, last - first))
+    }
+}
+
+/// The number in a cell; none in a blank cell or one that says `NaN`.
+fn number(at: usize, cell: &[u8]) -> Result<Option<f64>, Rejected> {
+    if cell.is_empty() || cell.eq_ignore_ascii_case(b"nan") {
+        return Ok(None);
+    }
+    let parsed = fast_float2::parse::<f64, _>(cell).ok();
+    let finite = parsed.filter(|number| number.is_finite());
+    finite.map(Some).ok_or_else(|| {
+        let text = String::from_utf8_lossy(&cell[..cell.len().min(40)]);
+        let text: String = text.chars().filter(|c| !c.is_control()).collect();
+        Rejected::read(
+            "E-TRC-NUMBER",
+            format!("found \"{text}\", expected a finite number or a blank cell"),
+        )
+        .at(at)
+    })
+}

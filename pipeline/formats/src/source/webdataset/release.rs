@@ -1,0 +1,274 @@
+//! The shards of a folder.
+
+use std::collections::BTreeMap;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+
+use datasets_spec::store::{ByPath, Reader, Store};
+use datasets_spec::table::PartCaption;
+use datasets_spec::{Fps, Motion};
+use pickle::npy::read_numbers;
+use serde::Deserialize;
+
+use crate::sidecar::LabelCaption;
+use crate::source::format::check_skeleton;
+use crate::source::{Contents, Entry, Files, ReadOptions, Release};
+use clip::{Rejected, RotationSource, SourceClip};
+
+/// Endings of the members of a clip.
+const ARRAYS: [(&str, usize); 3] = [
+    ("transl.npy", 3),
+    ("global_orient.npy", 3),
+    ("body_pose.npy", 63),
+];
+const FACTS: &str = "json";
+/// Longest member that is read: an hour of poses at 120 fps.
+const MAX_MEMBER_LEN: u64 = 1 << 28;
+const CODE: &str = "E-WEBDATASET-MEMBER";
+
+/// What `KEY.json` says of a clip.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct Facts {
+    id: String,
+    split: Option<String>,
+    fps: Option<f64>,
+    skeleton: Option<String>,
+    captions: Vec<LabelCaption>,
+    parts: Vec<PartCaption>,
+    subject: Option<String>,
+    action: Option<String>,
+    style: Option<String>,
+    license: Option<String>,
+    mirrored_of: Option<String>,
+    rotation_source: Option<String>,
+    fit_error_m: Option<f32>,
+}
+
+/// Place of a member: a range of a tar file, or a whole file.
+#[derive(Clone, Debug)]
+struct Place {
+    file: String,
+    range: Option<(u64, u64)>,
+}
+
+/// Members of a clip by their endings.
+type Members = BTreeMap<&'static str, Place>;
+
+/// The shards of a folder, planned.
+#[derive(Debug, Default)]
+pub(super) struct Shards {
+    contents: Contents,
+    /// By file and key of the entry.
+    clips: BTreeMap<(String, String), Members>,
+}
+
+impl Shards {
+    /// Finds the folders with shards or unpacked files.
+    pub(super) fn find(files: &Files) -> Vec<Self> {
+        // Folder, key and, for archives, its name: a key is unique in a shard.
+        let mut found: BTreeMap<&str, BTreeMap<(String, String), Members>> = BTreeMap::new();
+        for file in files.all() {
+            let (folder, name) = file.rsplit_once('/').unwrap_or(("", file));
+            let members = match name.ends_with(".tar") {
+                true => members_of(files, file),
+                false => member(name)
+                    .into_iter()
+                    .map(|(key, ending)| {
+                        let place = Place {
+                            file: file.to_owned(),
+                            range: None,
+                        };
+                        ((String::new(), key.to_owned()), ending, place)
+                    })
+                    .collect(),
+            };
+            for (key, ending, place) in members {
+                let clips = found.entry(folder).or_default();
+                clips.entry(key).or_default().insert(ending, place);
+            }
+        }
+        found
+            .into_values()
+            .map(|clips| Self::plan(files, clips))
+            .filter(|shards| !shards.clips.is_empty())
+            .collect()
+    }
+
+    fn plan(files: &Files, clips: BTreeMap<(String, String), Members>) -> Self {
+        let mut shards = Self::default();
+        for ((_, key), members) in clips {
+            // Any npy or json file may have such an ending; a clip has the three arrays.
+            if !ARRAYS
+                .iter()
+                .all(|(ending, _)| members.contains_key(ending))
+            {
+                continue;
+            }
+            // What is wrong with the facts is reported when the clip is read.
+            let facts = facts(files, &members).unwrap_or_default();
+            let file = members[ARRAYS[0].0].file.clone();
+            for place in members.values().filter(|place| place.range.is_none()) {
+                if place.file != file {
+                    let reason = "member of a clip of a WebDataset, read with it".to_owned();
+                    shards
+                        .contents
+                        .passed_over
+                        .push((place.file.clone(), reason));
+                }
+            }
+            shards.contents.entries.push(Entry {
+                file: file.clone(),
+                key: key.clone(),
+                id: match facts.id {
+                    id if id.is_empty() => key.clone(),
+                    id => id,
+                },
+                split: facts.split.and_then(|split| split.parse().ok()),
+                group: None,
+                mirrored_of: facts.mirrored_of,
+            });
+            shards.clips.insert((file, key), members);
+        }
+        shards
+    }
+}
+
+impl Release for Shards {
+    fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    fn read(
+        &self,
+        files: &Files,
+        entry: &Entry,
+        options: &ReadOptions,
+    ) -> Result<SourceClip, Rejected> {
+        let refused = |reason: String| Rejected::read(CODE, reason);
+        let members = self
+            .clips
+            .get(&(entry.file.clone(), entry.key.clone()))
+            .ok_or_else(|| refused("there is no such clip".to_owned()))?;
+        let facts = facts(files, members)?;
+        if let Some(found) = &facts.skeleton {
+            check_skeleton(found, options)?;
+        }
+        let array = |ending: &str, width: usize| {
+            let array = read_numbers(ending, &bytes(files, &members[ending])?)?;
+            let frames = array.shape.first().copied().unwrap_or(0);
+            if array.shape != [frames, width] {
+                let reason = format!(
+                    "{ending} has shape {:?}, expected [L, {width}]",
+                    array.shape
+                );
+                return Err(refused(reason));
+            }
+            Ok(array
+                .values
+                .iter()
+                .map(|value| *value as f32)
+                .collect::<Vec<f32>>())
+        };
+        let [transl, global_orient, body_pose] = ARRAYS.map(|(ending, width)| array(ending, width));
+        let (transl, global_orient, body_pose) = (transl?, global_orient?, body_pose?);
+        let rate = facts.fps.unwrap_or(Fps::STORE.get());
+        let motion = Fps::new(rate)
+            .and_then(|fps| Motion::new(fps, rows(&transl), rows(&global_orient), rows(&body_pose)))
+            .map_err(|error| refused(error.to_string()))?;
+        let said = facts.captions.into_iter();
+        let (made, stated): (Vec<_>, Vec<_>) = said.partition(LabelCaption::is_made);
+        let texts = |said: Vec<LabelCaption>| said.into_iter().map(|said| said.caption).collect();
+        let rotations = facts.rotation_source.as_deref().unwrap_or_default();
+        Ok(SourceClip {
+            captions: texts(stated),
+            made_captions: texts(made),
+            part_captions: facts.parts,
+            subject: facts.subject,
+            action: facts.action,
+            style: facts.style,
+            license: facts.license,
+            fit_error_m: facts.fit_error_m,
+            ..SourceClip::new(motion, RotationSource::of_name(rotations))
+        })
+    }
+}
+
+fn rows<const D: usize>(values: &[f32]) -> Vec<[f32; D]> {
+    values.as_chunks().0.to_vec()
+}
+
+/// Key and ending of a member of a clip; none if the name is of no such member.
+fn member(name: &str) -> Option<(&str, &'static str)> {
+    let (key, ending) = name.split_once('.')?;
+    let endings = ARRAYS.iter().map(|(ending, _)| *ending).chain([FACTS]);
+    let ending = endings.into_iter().find(|known| *known == ending)?;
+    (!key.is_empty()).then_some((key, ending))
+}
+
+/// Whether a tar file is a shard, by its first member.
+pub(crate) fn is_shard(path: &Path) -> bool {
+    let Ok(opened) = ByPath.open_at(path) else {
+        return false;
+    };
+    let mut archive = tar::Archive::new(Reader::new(opened));
+    let first = archive
+        .entries_with_seek()
+        .ok()
+        .and_then(|mut entries| entries.next());
+    first.is_some_and(|entry| {
+        entry.is_ok_and(|entry| member(&String::from_utf8_lossy(&entry.path_bytes())).is_some())
+    })
+}
+
+/// The members of an archive, up to the first mistake in it.
+fn members_of(files: &Files, file: &str) -> Vec<((String, String), &'static str, Place)> {
+    let mut members = Vec::new();
+    let Ok(opened) = files.open_at(file) else {
+        return members;
+    };
+    let mut archive = tar::Archive::new(opened);
+    let Ok(entries) = archive.entries_with_seek() else {
+        return members;
+    };
+    for entry in entries {
+        let Ok(entry) = entry else { break };
+        let name = String::from_utf8_lossy(&entry.path_bytes()).into_owned();
+        // Archives of something else are not read to their end.
+        let Some((key, ending)) = member(&name) else {
+            break;
+        };
+        let place = Place {
+            file: file.to_owned(),
+            range: Some((entry.raw_file_position(), entry.size())),
+        };
+        members.push(((file.to_owned(), key.to_owned()), ending, place));
+    }
+    members
+}
+
+fn bytes(files: &Files, place: &Place) -> Result<Vec<u8>, Rejected> {
+    let Some((start, length)) = place.range else {
+        return files.read(&place.file);
+    };
+    let failed = |error: std::io::Error| {
+        Rejected::read("E-IO", format!("cannot read {}: {error}", place.file))
+    };
+    if length > MAX_MEMBER_LEN {
+        let reason = format!("found {length} bytes, expected at most {MAX_MEMBER_LEN} in a member");
+        return Err(Rejected::read("E-TOO-LARGE", reason).at(start as usize));
+    }
+    let mut file = files.open_at(&place.file)?;
+    file.seek(SeekFrom::Start(start)).map_err(failed)?;
+    let mut bytes = Vec::new();
+    file.take(length).read_to_end(&mut bytes).map_err(failed)?;
+    Ok(bytes)
+}
+
+fn facts(files: &Files, members: &Members) -> Result<Facts, Rejected> {
+    let Some(place) = members.get(FACTS) else {
+        return Ok(Facts::default());
+    };
+    serde_json::from_slice(&bytes(files, place)?)
+        .map_err(|error| Rejected::read(CODE, format!("{}: {error}", place.file)))
+}

@@ -1,0 +1,9 @@
+//! What the tests of several crates are made of: synthetic motions with their rows, and small files.
+
+mod files;
+mod motions;
+mod releases;
+
+pub use files::{npy, npy_f8, npz};
+pub use motions::{SPAN, mask_row, motion_row, pair_row, rows, walk, wandering};
+pub use releases::{adjustment, clip_members, dictionary, put, swinging, write_release};
