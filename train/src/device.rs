@@ -201,56 +201,74 @@ pub enum Products {
 impl Products {
     const ALL: [Self; 3] = [Self::Single, Self::Tf32, Self::Bf16];
 
-    /// Largest relative error of a factor, which hardware may round to nearest or cut off.
-    fn rounding(self) -> f64 {
+    /// Bits of a factor that are lost.
+    fn lost_bits(self) -> u32 {
         match self {
-            Self::Single => 0.0,
-            Self::Tf32 => 2f64.powi(-10),
-            Self::Bf16 => 2f64.powi(-7),
+            Self::Single => 0,
+            Self::Tf32 => 13,
+            Self::Bf16 => 16,
         }
     }
 
-    /// Which of them a product `[M, N]` of `a` `[M, K]` and `b` `[K, N]` is: the first whose error bound holds for
-    /// all numbers. With factors off by `u` and sums in single precision a number is off by at most
-    /// `(2u + u^2 + K 2^-23) sum |a| |b|`.
+    /// Largest relative error of a factor.
+    fn rounding(self) -> f64 {
+        match self.lost_bits() {
+            0 => 0.0,
+            lost => f64::from(1u32 << lost) * 2f64.powi(-23),
+        }
+    }
+
+    /// Which of them a product `[M, N]` of `a` `[M, K]` and `b` `[K, N]` is. It is the product of factors that are rounded
+    /// to nearest or cut off, but for errors of the sums; hardware that rounds in another way is known by the bound
+    /// `2u + u^2` on the error of a term, of the largest error `u` of a factor.
     ///
     /// # Errors
-    /// It is none: the number that is farthest off.
+    /// It is none: the first number that is wrong.
     fn of(found: &[f32], a: &[f32], b: &[f32], inner: usize) -> Result<Self, String> {
+        const WHAT: &str = "a matrix product";
         let columns = b.len() / inner;
-        let is_right = |kind: Self| {
-            let u = kind.rounding();
-            let share = 2.0 * u + u * u + inner as f64 * 2f64.powi(-23);
-            let mut wrong = Ok(());
-            for (index, found) in found.iter().enumerate() {
+        let expected = a.len() / inner * columns;
+        if found.len() != expected {
+            return Err(wrong_count(WHAT, found.len(), expected));
+        }
+        // Sums are of single precision, and may be cut off too.
+        let sums = inner as f64 * 2f64.powi(-22);
+        // The first number that is off by more than a share of the magnitudes of its terms.
+        let miss = |round: &dyn Fn(f32) -> f32, share: f64| {
+            found.iter().enumerate().find_map(|(index, found)| {
                 let (row, column) = (index / columns, index % columns);
-                let terms = (0..inner)
-                    .map(|k| f64::from(a[row * inner + k]) * f64::from(b[k * columns + column]));
+                let terms = (0..inner).map(|k| {
+                    let (a, b) = (a[row * inner + k], b[k * columns + column]);
+                    f64::from(round(a)) * f64::from(round(b))
+                });
                 let (right, most) = terms.fold((0.0, 0.0), |(sum, most), term: f64| {
                     (sum + term, most + term.abs())
                 });
                 // Not-a-number compares as false.
                 let is_near = (f64::from(*found) - right).abs() <= share * most;
-                if !is_near && wrong.is_ok() {
-                    wrong = Err(wrong_number(
-                        "a matrix product",
-                        index,
-                        *found,
-                        right as f32,
-                    ));
-                }
-            }
-            wrong
+                (!is_near).then_some((index, *found, right as f32))
+            })
         };
-        if found.len() * inner != a.len() * columns {
-            return Err(wrong_count(
-                "a matrix product",
-                found.len(),
-                a.len() / inner * columns,
-            ));
+        for kind in Self::ALL {
+            let kept = u32::MAX << kind.lost_bits();
+            let half = (1 << kind.lost_bits()) / 2;
+            let cut = |x: f32| f32::from_bits(x.to_bits() & kept);
+            let nearest = |x: f32| f32::from_bits((x.to_bits() + half) & kept);
+            if miss(&cut, sums).is_none() || miss(&nearest, sums).is_none() {
+                return Ok(kind);
+            }
         }
-        let known = Self::ALL.into_iter().find(|kind| is_right(*kind).is_ok());
-        known.map_or_else(|| is_right(Self::Bf16).map(|()| Self::Bf16), Ok)
+        let bounded = Self::ALL.map(|kind| {
+            let u = kind.rounding();
+            (kind, miss(&|x| x, 2.0 * u + u * u + sums))
+        });
+        match (
+            bounded.iter().find(|(_, miss)| miss.is_none()),
+            bounded[2].1,
+        ) {
+            (None, Some((index, found, right))) => Err(wrong_number(WHAT, index, found, right)),
+            (known, _) => Ok(known.map_or(Self::Bf16, |(kind, _)| *kind)),
+        }
     }
 }
 

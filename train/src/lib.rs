@@ -31,7 +31,7 @@
 //!     clock: &|| begun.elapsed(),
 //! };
 //! // `stance train motionrefit DATASET --out RUN`
-//! let (dataset, run) = (Path::new("DATASET"), Path::new("RUN"));
+//! let (dataset, run) = (Dataset::open(Path::new("DATASET"))?, Path::new("RUN"));
 //! let config = TrainConfig::preset(Preset::Tiny);
 //! let text_encoder = TextEncoderSource::default();
 //! let inputs = EditorInputs {
@@ -39,7 +39,7 @@
 //!     windows: None,
 //!     text_encoder: &text_encoder,
 //! };
-//! let report = train_editor(dataset, run, &config, &inputs, &session)?;
+//! let report = train_editor(&dataset, run, &config, &inputs, &session)?;
 //! assert!(report.is_complete);
 //! // `stance edit RUN --items ITEMS --out EDITS`
 //! let items = Dataset::open(Path::new("ITEMS"))?;
