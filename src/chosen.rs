@@ -21,7 +21,7 @@ impl ChosenArgs {
         Some(condition.text().to_owned())
     }
 
-    /// Opens and verifies a dataset, as if it held the chosen clips alone.
+    /// Opens and verifies a dataset, and restricts it to the chosen clips.
     pub(crate) fn open(&self, root: &Path) -> anyhow::Result<Dataset> {
         let dataset = Dataset::open(root)?;
         Ok(tables::chosen(&dataset, self.condition.as_ref())?)

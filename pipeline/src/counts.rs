@@ -20,8 +20,8 @@ pub struct Share {
     pub hours: f64,
 }
 
-/// Clips that share a label and a frame rate. Frames are summed as integers, so that hours do not depend on the order of the
-/// clips.
+/// Number of clips and frames of one label and one frame rate. Frames are integers, so that the sum does not depend on the
+/// order of the clips.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Group {
     /// None where the source gave none.
@@ -83,7 +83,7 @@ impl Counts {
         Ok(self.tables.ask(&query)?.rows()?)
     }
 
-    /// Clips by a label and their frame rate, in the order of both.
+    /// Counts the clips of each label and frame rate, sorted by both.
     pub(crate) fn groups(&mut self, label: &str) -> Result<Vec<Group>, Error> {
         let query = format!(
             "SELECT label, fps, count(*) AS clips, sum(frames) AS frames FROM \

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use compose::{COMPOSED, ItemConfig, ItemCount, Shown, draw_items, library};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
-use datasets_spec::table::{Row, read_column, read_rows_on};
+use datasets_spec::table::{Row, ShardReader, read_column};
 use datasets_spec::{Dataset, Fps, MotionId, Resample, Seed, Split};
 use serde::{Deserialize, Serialize};
 use tables::{Condition, chosen};
@@ -22,6 +22,9 @@ use crate::annotation::pairs::{
 };
 use crate::catalogue::other_than_motions;
 use crate::ingest::{IngestOptions, SplitBy};
+
+/// Clips whose frames are in memory while masks are made.
+const CLIPS_AT_ONCE: usize = 256;
 
 /// Section `[ingest]` of a plan: how files become rows.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -157,14 +160,17 @@ pub fn masks(
     let skeleton = dataset.skeleton()?;
     let (mut motions, mut activities) = (Vec::new(), Vec::new());
     for (path, _) in dataset.files(MotionRow::TABLE, None) {
-        // The whole file, whose hash a distant store then checks.
-        let mut clips: Vec<MotionRow> = read_rows_on(dataset.store().as_ref(), &path)?;
-        activities.extend(masks::activities(&clips, &skeleton, config)?);
-        for clip in &mut clips {
-            clip.forget_frames();
+        let shard = ShardReader::open_whole(&path)?;
+        for first in (0..shard.num_rows()).step_by(CLIPS_AT_ONCE) {
+            let places: Vec<usize> = (first..first + CLIPS_AT_ONCE).collect();
+            let mut clips: Vec<MotionRow> = shard.rows_at(&places)?;
+            activities.extend(masks::activities(&clips, &skeleton, config)?);
+            for clip in &mut clips {
+                clip.forget_frames();
+            }
+            context.progress.advance(clips.len() as u64);
+            motions.extend(clips);
         }
-        context.progress.advance(clips.len() as u64);
-        motions.extend(clips);
     }
     let mut rows: Vec<MaskRow> = present
         .into_iter()

@@ -99,8 +99,7 @@ pub struct Statistics {
     pub remarks: Option<String>,
 }
 
-/// Counts a dataset, or the clips of it for which a condition is true, with their masks and pairs. The frames of the motions
-/// are not read.
+/// Counts the clips of a dataset, or those for which a condition is true, and their masks and pairs. No frames are read.
 ///
 /// # Errors
 /// A table cannot be read, or no clip fulfils the condition.

@@ -285,6 +285,10 @@ def damaged_and_cut_files_are_errors_that_name_the_url(bench: Bench) -> None:
     bench.proxy.reset()
     text = bench.run("masks", f"s3://{BUCKET}/plain", code=FAILED).stderr
     assert f"s3://{BUCKET}/plain/{name}" in text and "BLAKE3" in text, text
+    # Frames that edits are composed of stay in a cache: none are taken from a damaged file.
+    triplets = ["triplets", f"s3://{BUCKET}/plain", "--count", 4, "--out", WORK / "damaged"]
+    text = bench.run(*triplets, code=FAILED).stderr
+    assert f"s3://{BUCKET}/plain/{name}" in text and "BLAKE3" in text, text
     bench.run("verify", f"s3://{BUCKET}/plain", code=FAILED)
     bench.request("PUT", f"/{BUCKET}/plain/{name}", bytes_)
     bench.run("verify", f"s3://{BUCKET}/plain")

@@ -286,7 +286,7 @@ pub fn from_dataset(
     Ok(taken)
 }
 
-/// The dataset as if it held the clips alone that tasks are made of.
+/// The dataset restricted to the clips that tasks are made of.
 fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
     let Some(text) = store.note(CHOSEN)? else {
         return Ok(dataset.clone());

@@ -43,7 +43,7 @@ impl Dataset {
         }
     }
 
-    /// The same dataset as if it held some clips alone: [`Dataset::read`] gives the rows that are about these, and
+    /// The same dataset restricted to some clips: [`Dataset::read`] gives the rows that are about these, and
     /// [`Dataset::content_hash`] is another one. Its files are those of the whole dataset.
     pub fn of_clips(&self, condition: &str, clips: BTreeSet<MotionId>) -> Self {
         let condition = match &self.chosen {

@@ -27,9 +27,24 @@ impl Chunks {
         })
     }
 
-    /// The file with these ranges read ahead, if its storage is distant. Others are then read one by one.
+    /// [`Chunks::open`], with the whole file in memory if its storage is distant: a storage that knows the hash of a file
+    /// checks it where it is read whole.
+    pub(super) fn whole(store: &dyn Store, path: &Path) -> io::Result<Self> {
+        let chunks = Self::open(store, path)?;
+        if !chunks.file.is_distant() {
+            return Ok(chunks);
+        }
+        let bytes = Bytes::from(store.read(path)?);
+        Ok(Self {
+            held: Arc::new([(0, bytes)]),
+            ..chunks
+        })
+    }
+
+    /// The file with these ranges read ahead, if its storage is distant and it is not in memory. Others are then read one
+    /// by one.
     pub(super) fn ahead(&self, ranges: impl FnOnce() -> Vec<Range<u64>>) -> io::Result<Self> {
-        if !self.file.is_distant() {
+        if !self.file.is_distant() || !self.held.is_empty() {
             return Ok(self.clone());
         }
         let ranges = ranges();

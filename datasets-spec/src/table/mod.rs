@@ -160,8 +160,8 @@ pub(crate) fn column<'a>(
 }
 
 /// Declares a row struct and derives its table from it. A column marked `newer` was added after
-/// version 1.0.0: where a file lacks it, its value is the default one. After `of clips` stand the columns that name the
-/// clips which a row is about.
+/// version 1.0.0: where a file lacks it, its value is the default one. The columns after `of clips` hold the ids
+/// of the clips that a row is about.
 #[macro_export]
 macro_rules! table {
     (@decode $ty:ty, $table:literal, $name:expr, $batch:ident) => {

@@ -237,6 +237,19 @@ impl ShardReader {
     /// The file cannot be read, is not Parquet, or is of a newer version.
     pub fn open(path: &Path) -> Result<Self, Error> {
         let file = Chunks::open(&ByPath, path).map_err(Error::io("open", path))?;
+        Self::of(path, file)
+    }
+
+    /// [`ShardReader::open`] for a reader of all rows: of a dataset at a URL the file is read whole, and its hash checked.
+    ///
+    /// # Errors
+    /// As [`ShardReader::open`], or the file differs from its hash.
+    pub fn open_whole(path: &Path) -> Result<Self, Error> {
+        let file = Chunks::whole(&ByPath, path).map_err(Error::io("read", path))?;
+        Self::of(path, file)
+    }
+
+    fn of(path: &Path, file: Chunks) -> Result<Self, Error> {
         let metadata =
             ArrowReaderMetadata::load(&file, options()).map_err(Error::parquet("read", path))?;
         check_version(path, &metadata)?;

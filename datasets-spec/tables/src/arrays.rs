@@ -124,7 +124,7 @@ fn validity(array: &dyn Array) -> Option<Bitmap> {
     Some(Bitmap::from_iter(nulls.iter()))
 }
 
-/// An array of Arrow with the values of a column of polars. What no table can hold, such as a date, becomes text.
+/// Converts a column of polars into an array of Arrow. Types that our tables do not have, such as dates, become text.
 ///
 /// # Errors
 /// A value cannot be written as text.

@@ -52,7 +52,7 @@ impl Condition {
         &self.sql
     }
 
-    /// The dataset as if it held the clips alone for which the condition is true.
+    /// The dataset restricted to the clips for which the condition is true.
     ///
     /// # Errors
     /// As [`Condition::rows`].
@@ -98,7 +98,7 @@ impl Condition {
     }
 }
 
-/// The dataset as if it held the clips alone for which a condition is true, if there is one.
+/// The dataset restricted to the clips for which a condition is true; the whole dataset without a condition.
 ///
 /// # Errors
 /// No clip fulfils it, or a table cannot be read.

@@ -1,4 +1,4 @@
-//! Columns of motions that no file holds: they are derived from the stored ones, and from the tables beside them.
+//! Columns of the table of motions that are not stored but computed: from its own columns, and from masks and pairs.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;

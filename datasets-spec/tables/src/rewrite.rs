@@ -19,7 +19,7 @@ use sqlparser::tokenizer::{Token, Tokenizer};
 
 use crate::derived::Derived;
 
-/// Operators in a question. Each may nest what is before it, so that endless ones would exhaust the stack.
+/// Most operators in a query. Each one can nest the expression before it, and deep nesting would exhaust the stack.
 const MOST_OPERATORS: usize = 1_000;
 
 /// Columns whose items are structs, and the derived columns with their texts.
@@ -233,7 +233,7 @@ impl VisitorMut for Rewriting<'_> {
         ControlFlow::Continue(())
     }
 
-    /// Polars takes a number without a point for an integer of 64 bits.
+    /// Adds the decimal point without which polars reads a number as an integer of 64 bits, and fails on `1e1`.
     fn pre_visit_value(&mut self, value: &mut ValueWithSpan) -> ControlFlow<String> {
         if let Value::Number(number, _) = &mut value.value
             && !number.contains('.')
@@ -387,7 +387,7 @@ impl Rewriting<'_> {
     }
 }
 
-/// The date that a text says. A cast does the same, with a warning by polars that it soon will not.
+/// Turns a cast of a text to a date into the function `DATE`: polars warns that such casts are deprecated.
 fn date(text: &Expr) -> Option<String> {
     let is_text = match text {
         Expr::Identifier(_) | Expr::CompoundIdentifier(_) => true,
@@ -460,7 +460,7 @@ fn regex_of(pattern: &str, escape: Option<char>) -> Result<String, String> {
     Ok(regex)
 }
 
-/// Checks the columns of a condition, but for those of queries in it.
+/// Checks that the columns of a condition exist. Columns inside subqueries are checked by polars.
 ///
 /// # Errors
 /// There is no such column of motions: which was meant, and what there is.

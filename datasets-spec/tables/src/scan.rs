@@ -1,4 +1,4 @@
-//! What polars reads a table by.
+//! The scan by which polars reads a table of a dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use crate::arrays::{polars_type, series};
 use crate::derived::Derived;
 
-/// Place of a row in its table, for [`crate::Condition`]. No query names it by chance.
+/// Column with the row number, for [`crate::Condition`]. Its name is one that no query uses by chance.
 pub(crate) const PLACE: &str = "__place";
 
 /// A table of a dataset.

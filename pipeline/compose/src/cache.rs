@@ -7,7 +7,7 @@ use std::time::SystemTime;
 
 /// Bytes that the files of frames may take together by default: 3,000 hours.
 const DEFAULT_KEPT: u64 = 64_000_000_000;
-/// Variable that names those bytes.
+/// Environment variable that sets [`FrameCache::kept`].
 const SIZE: &str = "STANCE_CACHE_SIZE";
 
 /// Folder of the files of frames that edits are composed of. It is like the number of threads: no result depends on it.

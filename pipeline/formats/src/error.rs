@@ -1,4 +1,5 @@
-//! Errors of files that are no motions, which would be rows of a table.
+//! Errors of reading a folder or file as a whole. A motion file that cannot be read is a row of the table `quarantine`
+//! instead.
 
 use std::path::PathBuf;
 

@@ -1,7 +1,7 @@
 //! Files of motions: readers, writers, retargeting and marker solving.
 //!
-//! [`source`] reads foreign formats, [`retarget`] poses them on the SMPL-X skeleton, [`markers`] solves captures of
-//! markers. [`mod@write`] is the inverse of the readers.
+//! [`source`] reads foreign formats, [`retarget`] poses them on the SMPL-X skeleton, and [`markers`] fits
+//! bodies to captured markers. [`mod@write`] is the inverse of the readers.
 //!
 //! A file that gives no motion is a [`Rejected`](clip::Rejected) with a code and a reason, never a panic.
 

@@ -18,7 +18,7 @@ pub struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// Commits a table, unless the folder holds it by the same plan.
+    /// Commits a table. Does nothing if the folder holds a table that was made by the same plan.
     ///
     /// # Errors
     /// The folder is locked or cannot be written.

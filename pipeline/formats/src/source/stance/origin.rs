@@ -16,7 +16,7 @@ use serde_json::Value;
 
 use crate::Error;
 
-/// The file at the root of an export that says which clip each motion is of.
+/// The file at the root of an export that names the clip of each motion.
 pub const FILE_NAME: &str = "origin.json";
 /// The file of its masks.
 pub const MASKS: &str = "masks.jsonl";
