@@ -1,11 +1,10 @@
-//! Inter-annotator agreement: raw agreement, Krippendorff's alpha, Fleiss' and Cohen's kappa, Gwet's AC1,
-//! the Jaccard index of joint sets and alpha with the MASI distance, with bootstrap intervals.
+//! Inter-annotator agreement: raw agreement, Krippendorff's alpha, Gwet's AC1, the Jaccard index of joint sets and alpha with the MASI distance, with bootstrap intervals.
 //!
 //! The bootstrap resamples whole items, so an interval estimates the variation over items, not over
 //! people. A figure needs at least [`MIN_ITEMS`] items.
 //!
 //! # Source
-//! Krippendorff 2011 (alpha), Fleiss 1971, Cohen 1960, Gwet 2008 (AC1), Passonneau 2006 (MASI).
+//! Krippendorff 2011 (alpha), Gwet 2008 (AC1), Passonneau 2006 (MASI).
 
 use std::collections::BTreeMap;
 
@@ -140,83 +139,15 @@ pub fn nominal_alpha(items: &[&Item]) -> Option<f64> {
     ratio(observed / n, expected / n)
 }
 
-/// Fleiss' kappa over the items with the most common number of answers.
-pub fn fleiss(items: &[&Item]) -> Option<f64> {
-    let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
-    for item in items.iter().filter(|item| item.len() > 1) {
-        *sizes.entry(item.len()).or_default() += 1;
-    }
-    let (&size, _) = sizes.iter().max_by_key(|(size, count)| (**count, **size))?;
-    let complete: Vec<&&Item> = items.iter().filter(|item| item.len() == size).collect();
-    let n = size as f64;
-    let mut shares: BTreeMap<usize, f64> = BTreeMap::new();
-    let mut agreed = 0.0;
-    for item in &complete {
-        let mut counts: BTreeMap<usize, f64> = BTreeMap::new();
-        for (_, label) in item.iter() {
-            *counts.entry(*label).or_default() += 1.0;
-        }
-        agreed += counts
-            .values()
-            .map(|count| count * (count - 1.0))
-            .sum::<f64>()
-            / (n * (n - 1.0));
-        for (label, count) in counts {
-            *shares.entry(label).or_default() += count;
-        }
-    }
-    let items = complete.len() as f64;
-    let chance: f64 = shares
-        .values()
-        .map(|count| (count / (items * n)).powi(2))
-        .sum();
-    chance_corrected(agreed / items, chance)
-}
-
 fn chance_corrected(agreed: f64, chance: f64) -> Option<f64> {
-    // All labels are equal, so kappa is undefined; count full agreement as 1.
+    // All labels are equal, so it is undefined; count full agreement as 1.
     if 1.0 - chance < 1e-12 {
         return (1.0 - agreed < 1e-12).then_some(1.0);
     }
     Some((agreed - chance) / (1.0 - chance))
 }
 
-/// Cohen's kappa of each pair of people over the items both answered, averaged with the number of items
-/// as weight.
-pub fn cohen(items: &[&Item]) -> Option<f64> {
-    let mut pairs: BTreeMap<(i64, i64), Vec<(usize, usize)>> = BTreeMap::new();
-    for item in items {
-        for (index, a) in item.iter().enumerate() {
-            for b in &item[index + 1..] {
-                let (a, b) = if a.0 < b.0 { (a, b) } else { (b, a) };
-                pairs.entry((a.0, b.0)).or_default().push((a.1, b.1));
-            }
-        }
-    }
-    let mut total = 0.0;
-    let mut weight = 0.0;
-    for answers in pairs.values() {
-        let n = answers.len() as f64;
-        let agreed = answers.iter().filter(|(a, b)| a == b).count() as f64 / n;
-        let mut left: BTreeMap<usize, f64> = BTreeMap::new();
-        let mut right: BTreeMap<usize, f64> = BTreeMap::new();
-        for (a, b) in answers {
-            *left.entry(*a).or_default() += 1.0 / n;
-            *right.entry(*b).or_default() += 1.0 / n;
-        }
-        let chance: f64 = left
-            .iter()
-            .map(|(label, share)| share * right.get(label).unwrap_or(&0.0))
-            .sum();
-        if let Some(kappa) = chance_corrected(agreed, chance) {
-            total += kappa * n;
-            weight += n;
-        }
-    }
-    (weight > 0.0).then(|| total / weight)
-}
-
-/// Gwet's AC1 over `labels` labels. Unlike kappa it stays high where nearly all labels are equal.
+/// Gwet's AC1 over `labels` labels. Unlike alpha it stays high where nearly all labels are equal.
 pub fn ac1(items: &[&Item], labels: usize) -> Option<f64> {
     let agreed = raw(items)?;
     let mut shares = vec![0.0; labels.max(2)];
@@ -246,8 +177,6 @@ pub fn figures(part: &str, items: &[Item], labels: usize) -> PartAgreement {
         items: shared.len(),
         raw: estimate(&shared, raw),
         krippendorff_alpha: estimate(&shared, nominal_alpha),
-        fleiss_kappa: estimate(&shared, fleiss),
-        cohen_kappa: estimate(&shared, cohen),
         gwet_ac1: estimate(&shared, |items| ac1(items, labels)),
     }
 }
@@ -409,60 +338,27 @@ mod tests {
         );
     }
 
-    /// Fleiss' example as widely tabulated: ten items, fourteen raters, five labels; kappa 0.210.
+    /// Two raters, fifty items: 20 yes-yes, 5 yes-no, 10 no-yes, 15 no-no.
     #[test]
-    fn fleiss_example() {
-        let table = [
-            [0, 0, 0, 0, 14],
-            [0, 2, 6, 4, 2],
-            [0, 0, 3, 5, 6],
-            [0, 3, 9, 2, 0],
-            [2, 2, 8, 1, 1],
-            [7, 7, 0, 0, 0],
-            [3, 2, 6, 3, 0],
-            [2, 5, 3, 2, 2],
-            [6, 5, 2, 1, 0],
-            [0, 2, 2, 3, 7],
-        ];
-        let items: Vec<Item> = table
-            .iter()
-            .map(|counts| {
-                let labels = counts
-                    .iter()
-                    .enumerate()
-                    .flat_map(|(label, &count)| vec![label; count]);
-                labels
-                    .enumerate()
-                    .map(|(rater, label)| (rater as i64, label))
-                    .collect()
-            })
-            .collect();
-        near(fleiss(&all(&items)), 0.210);
-    }
-
-    /// Two raters, fifty items: 20 yes-yes, 5 yes-no, 10 no-yes, 15 no-no; Cohen's kappa 0.4.
-    #[test]
-    fn cohens_example() {
+    fn ac1_by_hand() {
         let mut rows: Vec<Item> = Vec::new();
         for (count, a, b) in [(20, 1, 1), (5, 1, 0), (10, 0, 1), (15, 0, 0)] {
             rows.extend(vec![vec![(1, a), (2, b)]; count]);
         }
-        near(cohen(&all(&rows)), 0.4);
         near(raw(&all(&rows)), 0.7);
         // By hand: the mean share of yes is 0.55, chance 2 * 0.55 * 0.45 = 0.495.
         near(ac1(&all(&rows), 2), (0.7 - 0.495) / (1.0 - 0.495));
     }
 
-    /// 118 yes-yes, 5 yes-no, 2 no-yes, 0 no-no: kappa falls below zero although people agree, AC1 does
-    /// not (Gwet 2008, Table 1 has 0.944 agreement, kappa -0.023, AC1 0.941).
+    /// 118 yes-yes, 5 yes-no, 2 no-yes, 0 no-no: alpha falls below zero although people agree, AC1 does
+    /// not (Gwet 2008, Table 1 has 0.944 agreement, AC1 0.941).
     #[test]
-    fn one_dominant_label_breaks_kappa_and_not_ac1() {
+    fn one_dominant_label_breaks_alpha_and_not_ac1() {
         let mut rows: Vec<Item> = Vec::new();
         for (count, a, b) in [(118, 1, 1), (5, 1, 0), (2, 0, 1)] {
             rows.extend(vec![vec![(1, a), (2, b)]; count]);
         }
         near(raw(&all(&rows)), 0.944);
-        near(cohen(&all(&rows)), -0.0234);
         near(ac1(&all(&rows), 2), 0.9408);
         assert!(nominal_alpha(&all(&rows)).expect("a figure") < 0.0);
     }
@@ -472,7 +368,7 @@ mod tests {
         let perfect: Vec<Item> = (0..60)
             .map(|item| vec![(1, item % 2), (2, item % 2), (3, item % 2)])
             .collect();
-        for figure in [raw, nominal_alpha, fleiss, cohen] {
+        for figure in [raw, nominal_alpha] {
             near(figure(&all(&perfect)), 1.0);
         }
         near(ac1(&all(&perfect), 2), 1.0);
@@ -484,19 +380,17 @@ mod tests {
                     .collect()
             })
             .collect();
-        for figure in [nominal_alpha, fleiss, cohen] {
-            // Three standard errors of 12,000 pairs.
-            assert!(figure(&all(&random)).expect("a figure").abs() < 0.03);
-        }
+        // Three standard errors of 12,000 pairs.
+        let found = nominal_alpha(&all(&random)).expect("a figure");
+        assert!(found.abs() < 0.03, "{found}");
         let same = items(&[&[(1, 0), (2, 0)], &[(1, 0), (2, 0)]]);
         near(nominal_alpha(&all(&same)), 1.0);
-        near(fleiss(&all(&same)), 1.0);
     }
 
     #[test]
     fn items_with_one_answer_say_nothing() {
         let lonely = items(&[&[(1, 0)], &[(2, 1)]]);
-        for figure in [raw, nominal_alpha, fleiss, cohen] {
+        for figure in [raw, nominal_alpha] {
             assert_eq!(figure(&all(&lonely)), None);
         }
         assert_eq!(figures("x", &lonely, 2).items, 0);

@@ -1,6 +1,4 @@
-//! Texts of a language model for a whole project: drafts before people start, and paraphrases of accepted instructions.
-//!
-//! Both are proposals. An annotator judges each draft; a reviewer judges each paraphrase before the composer uses it.
+//! Drafts of a language model for a whole project, before people start. An annotator judges each.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -12,9 +10,9 @@ use crate::answer::known_parts;
 use crate::model::Model;
 use crate::motions::MotionLibrary;
 use crate::store::{Millis, Store, TaskRecord};
-use crate::wire::{Answer, SuggestionSource, TaskKind, Verdict};
+use crate::wire::{SuggestionSource, TaskKind};
 
-/// Tasks or instructions that are asked for at a time.
+/// Tasks that are asked for at a time.
 const BATCH: usize = 64;
 /// Requests to the model at the same time.
 const PARALLEL: usize = 4;
@@ -24,7 +22,7 @@ const MAX_FAILURES: usize = 20;
 /// What was asked for, and what came.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Drafted {
-    /// Tasks or instructions looked at.
+    /// Tasks looked at.
     pub looked_at: usize,
     /// New texts.
     pub texts: usize,
@@ -36,19 +34,19 @@ pub struct Drafted {
     pub last_failure: Option<String>,
 }
 
-/// Runs `ask` for every item on a few threads, until too many fail.
-fn each<T: Sync>(
-    items: &[T],
+/// Runs `ask` for every task on a few threads, until too many fail.
+fn each(
+    tasks: &[TaskRecord],
     done: &mut Drafted,
-    ask: impl Fn(&T) -> Result<usize, Error> + Sync,
+    ask: impl Fn(&TaskRecord) -> Result<usize, Error> + Sync,
 ) -> Result<(), Error> {
     let (next, failures) = (AtomicUsize::new(0), AtomicUsize::new(done.failures));
     let work = || {
         let mut mine = (0, None);
         while failures.load(Ordering::Relaxed) < MAX_FAILURES
-            && let Some(item) = items.get(next.fetch_add(1, Ordering::Relaxed))
+            && let Some(task) = tasks.get(next.fetch_add(1, Ordering::Relaxed))
         {
-            match ask(item) {
+            match ask(task) {
                 Ok(texts) => mine.0 += texts,
                 Err(Error::Refused(problem)) => {
                     failures.fetch_add(1, Ordering::Relaxed);
@@ -66,7 +64,7 @@ fn each<T: Sync>(
             .map(|thread| thread.join().unwrap_or(Err(Error::Closed)))
             .collect()
     });
-    done.looked_at += items.len();
+    done.looked_at += tasks.len();
     done.failures = failures.load(Ordering::Relaxed);
     for result in results {
         let (texts, failure) = result?;
@@ -142,63 +140,4 @@ fn parts_to_describe(
         parts = active.into_iter().map(|part| vec![part]).collect();
     }
     Ok(parts)
-}
-
-/// Asks for `count` paraphrases of each accepted instruction of a pair that has none yet, up to `limit` instructions.
-///
-/// # Errors
-/// The store fails. Failures of the model are counted.
-pub fn paraphrase_all(
-    store: &Store,
-    model: &Model,
-    count: usize,
-    limit: usize,
-    now: Millis,
-    progress: &mut dyn FnMut(usize),
-) -> Result<Drafted, Error> {
-    let known = store.paraphrased()?;
-    let wanted: Vec<String> = accepted_instructions(store)?
-        .into_iter()
-        .filter(|instruction| !known.contains(instruction))
-        .take(limit)
-        .collect();
-    let mut done = Drafted::default();
-    for some in wanted.chunks(BATCH) {
-        if done.failures >= MAX_FAILURES {
-            break;
-        }
-        each(some, &mut done, |instruction| {
-            let (texts, prompt_hash) = model.paraphrases(instruction, count)?;
-            store.put_paraphrases(instruction, texts, model.name(), &prompt_hash, now)
-        })?;
-        progress(done.looked_at);
-    }
-    Ok(done)
-}
-
-/// The texts of accepted pairs, each once.
-fn accepted_instructions(store: &Store) -> Result<BTreeSet<String>, Error> {
-    const KEYS: usize = 2000;
-    let mut all = BTreeSet::new();
-    let mut after = String::new();
-    while let Some(keys) = store.next_keys(&after, KEYS)? {
-        for accepted in store.accepted(&keys)? {
-            if let Answer::Pair {
-                verdict: Verdict::Keep,
-                text,
-                ..
-            }
-            | Answer::Style {
-                verdict: Verdict::Keep,
-                text,
-                ..
-            } = accepted.answer
-                && !text.trim().is_empty()
-            {
-                all.insert(text);
-            }
-        }
-        after = keys.up_to;
-    }
-    Ok(all)
 }

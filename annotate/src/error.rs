@@ -1,7 +1,5 @@
 //! Errors, and the problem document that a client receives for each.
 
-use std::path::PathBuf;
-
 use crate::wire::{Code, Problem, Revision, TaskState};
 
 /// An error that names the item it happened to.
@@ -64,16 +62,6 @@ pub enum Error {
     /// Motions cannot be blended.
     #[error(transparent)]
     Compose(#[from] compose::Error),
-    /// A file cannot be read or written.
-    #[error("cannot {action} {}", path.display())]
-    Io {
-        /// The operation.
-        action: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
     /// The input of an import is invalid.
     #[error("cannot import {what}: {problem}")]
     Import {
@@ -93,19 +81,6 @@ pub enum Error {
 }
 
 impl Error {
-    /// Adds the operation and the path to an I/O error.
-    pub(crate) fn io(
-        action: &'static str,
-        path: impl Into<PathBuf>,
-    ) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.into();
-        move |source| Self::Io {
-            action,
-            path,
-            source,
-        }
-    }
-
     /// The error with its causes, in one line.
     pub(crate) fn full(&self) -> String {
         let mut text = self.to_string();
@@ -185,6 +160,7 @@ impl Code {
         match self {
             Self::Unauthenticated => 401,
             Self::Forbidden | Self::Csrf | Self::WrongOrigin | Self::OwnWork => 403,
+            Self::WrongHost => 421,
             Self::NotFound => 404,
             Self::MethodNotAllowed => 405,
             Self::BadRequest => 400,
@@ -210,6 +186,7 @@ impl Code {
             Self::Forbidden => "Not allowed",
             Self::Csrf => "The header X-Annotate is missing",
             Self::WrongOrigin => "Request from another site",
+            Self::WrongHost => "Not the name of this server",
             Self::OwnWork => "Reviewing your own work",
             Self::NotFound => "Not found",
             Self::MethodNotAllowed => "Method not allowed",

@@ -91,11 +91,7 @@ fn spawn(work: impl FnOnce() + Send + 'static) -> Result<(), Error> {
         .name("annotate-job".to_owned())
         .spawn(work)
         .map(|_| ())
-        .map_err(|source| Error::Io {
-            action: "start a thread for",
-            path: "a job".into(),
-            source,
-        })
+        .map_err(|error| datasets_spec::Error::io("start a thread for", "a job")(error).into())
 }
 
 pub(crate) fn start_import(
@@ -166,9 +162,9 @@ fn run_import(
 /// placed a symbolic link under the name.
 fn upload_in(data: &Path, job: i64, body: &[u8]) -> Result<PathBuf, Error> {
     let folder = data.join("imports");
-    std::fs::create_dir_all(&folder).map_err(Error::io("create folder", &folder))?;
+    std::fs::create_dir_all(&folder).map_err(datasets_spec::Error::io("create folder", &folder))?;
     let path = folder.join(format!("{job}.parquet"));
-    std::fs::write(&path, body).map_err(Error::io("write", &path))?;
+    std::fs::write(&path, body).map_err(datasets_spec::Error::io("write", &path))?;
     Ok(path)
 }
 
@@ -233,7 +229,7 @@ pub(crate) fn start_export(
 fn keep_files(store: &Store, job: i64, folder: &Path, names: &[String]) -> Result<(), Error> {
     for name in names {
         let path = folder.join(name);
-        let file = std::fs::File::open(&path).map_err(Error::io("read", path))?;
+        let file = std::fs::File::open(&path).map_err(datasets_spec::Error::io("read", path))?;
         store.put_file(job, name, file, KEPT_EXPORTS)?;
     }
     Ok(())
@@ -243,7 +239,7 @@ fn keep_files(store: &Store, job: i64, folder: &Path, names: &[String]) -> Resul
 pub(crate) fn file(store: &Store, data: &Path, job: i64, name: &str) -> Result<Vec<u8>, Error> {
     if !store.is_shared() {
         let path = folder(data, job).join(name);
-        return std::fs::read(&path).map_err(Error::io("read", path));
+        return Ok(std::fs::read(&path).map_err(datasets_spec::Error::io("read", path))?);
     }
     store.file(job, name)?.ok_or_else(|| {
         Error::refused(

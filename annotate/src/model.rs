@@ -81,9 +81,6 @@ struct Usage {
 
 const SYSTEM: &str =
     "You help to annotate human motion. Answer with one short English phrase and nothing else.";
-const SYSTEM_PARAPHRASES: &str = "You help to annotate human motion. Answer with short English instructions, one on each line, and nothing \
-     else.";
-
 fn empty() -> Error {
     Error::refused(
         Code::ModelFailed,
@@ -167,7 +164,7 @@ impl Model {
         parts: &[BodyPart],
     ) -> Result<NewSuggestion, Error> {
         let question = question(task, captions, parts);
-        let request = self.request(SYSTEM, &question, 0.2, 80);
+        let request = self.request(&question);
         let failed = |problem: String| Error::refused(Code::ModelFailed, problem);
         let body = serde_json::to_vec(&request).map_err(|error| failed(error.to_string()))?;
         let prompt_hash = sha(&[self.url.as_bytes(), b"\n", &body].concat());
@@ -195,65 +192,22 @@ impl Model {
         })
     }
 
-    fn request<'a>(
-        &'a self,
-        system: &'a str,
-        question: &'a str,
-        temperature: f64,
-        max_tokens: u32,
-    ) -> Request<'a> {
+    fn request<'a>(&'a self, question: &'a str) -> Request<'a> {
         Request {
             model: &self.name,
             messages: [
                 Message {
                     role: "system",
-                    content: system,
+                    content: SYSTEM,
                 },
                 Message {
                     role: "user",
                     content: question,
                 },
             ],
-            temperature,
-            max_tokens,
+            temperature: 0.2,
+            max_tokens: 80,
         }
-    }
-
-    /// Requests up to `count` other wordings of an instruction, with the hash of the prompt.
-    ///
-    /// # Errors
-    /// `model_failed`.
-    pub fn paraphrases(
-        &self,
-        instruction: &str,
-        count: usize,
-    ) -> Result<(Vec<String>, String), Error> {
-        let question = format!(
-            "Instruction: {}\n\nGive {count} other wordings that ask for exactly the same, one on each line.",
-            plain(instruction)
-        );
-        let tokens = u32::try_from(count * 40).unwrap_or(u32::MAX);
-        let request = self.request(SYSTEM_PARAPHRASES, &question, 0.8, tokens);
-        let body = serde_json::to_vec(&request)
-            .map_err(|error| Error::refused(Code::ModelFailed, error.to_string()))?;
-        let parsed = parse(&self.ask(&body)?)?;
-        let mut texts: Vec<String> = Vec::new();
-        for line in parsed.content()?.lines() {
-            // Models number their lines whatever they are asked for.
-            let bare = line.trim_start_matches(|c: char| {
-                c.is_ascii_digit() || c.is_whitespace() || matches!(c, '.' | ')' | '-' | '*' | '•')
-            });
-            let text = plain(bare);
-            if !text.is_empty() && text != instruction && !texts.contains(&text) {
-                texts.push(text);
-            }
-        }
-        texts.truncate(count);
-        if texts.is_empty() {
-            return Err(empty());
-        }
-        let prompt_hash = sha(&[self.url.as_bytes(), b"\n", &body].concat());
-        Ok((texts, prompt_hash))
     }
 
     fn ask(&self, body: &[u8]) -> Result<Vec<u8>, Error> {

@@ -54,7 +54,7 @@ names! {
         Retargeted = "retargeted",
         /// A picture of the guide was stored or deleted.
         GuidePicture = "guide_picture",
-        /// A reviewer judged a paraphrase.
+        /// A reviewer judged a paraphrase, which programs up to version 0.1 proposed.
         ParaphraseJudged = "paraphrase_judged",
     }
 }

@@ -34,64 +34,49 @@ pub(crate) trait ClipRow: Row {
     }
 }
 
-impl ClipRow for MotionRow {
-    fn id(&self) -> &MotionId {
-        &self.id
-    }
+/// The fields that all have, and further ones as written.
+macro_rules! clip_rows {
+    ($($row:ident { $($further:item)* })*) => {
+        $(impl ClipRow for $row {
+            fn id(&self) -> &MotionId {
+                &self.id
+            }
 
-    fn split(&self) -> Split {
-        self.split
-    }
+            fn split(&self) -> Split {
+                self.split
+            }
 
-    fn place(&mut self, id: MotionId, split: Split) {
-        (self.id, self.split) = (id, split);
-    }
+            fn place(&mut self, id: MotionId, split: Split) {
+                (self.id, self.split) = (id, split);
+            }
 
-    fn source_name(&mut self) -> Option<&mut String> {
-        Some(&mut self.source_name)
-    }
-
-    fn source_path(&mut self) -> Option<&mut String> {
-        Some(&mut self.source_path)
-    }
-
-    fn mirrored_of(&mut self) -> Option<&mut String> {
-        self.mirrored_of.as_mut()
-    }
+            $($further)*
+        })*
+    };
 }
 
-impl ClipRow for MarkerRow {
-    fn id(&self) -> &MotionId {
-        &self.id
-    }
+clip_rows! {
+    MotionRow {
+        fn source_name(&mut self) -> Option<&mut String> {
+            Some(&mut self.source_name)
+        }
 
-    fn split(&self) -> Split {
-        self.split
-    }
+        fn source_path(&mut self) -> Option<&mut String> {
+            Some(&mut self.source_path)
+        }
 
-    fn place(&mut self, id: MotionId, split: Split) {
-        (self.id, self.split) = (id, split);
+        fn mirrored_of(&mut self) -> Option<&mut String> {
+            self.mirrored_of.as_mut()
+        }
     }
+    MarkerRow {
+        fn source_name(&mut self) -> Option<&mut String> {
+            Some(&mut self.source_name)
+        }
 
-    fn source_name(&mut self) -> Option<&mut String> {
-        Some(&mut self.source_name)
+        fn source_path(&mut self) -> Option<&mut String> {
+            Some(&mut self.source_path)
+        }
     }
-
-    fn source_path(&mut self) -> Option<&mut String> {
-        Some(&mut self.source_path)
-    }
-}
-
-impl ClipRow for HumanMl3dRow {
-    fn id(&self) -> &MotionId {
-        &self.id
-    }
-
-    fn split(&self) -> Split {
-        self.split
-    }
-
-    fn place(&mut self, id: MotionId, split: Split) {
-        (self.id, self.split) = (id, split);
-    }
+    HumanMl3dRow {}
 }

@@ -236,16 +236,6 @@ pub enum Error {
         /// The id.
         id: String,
     },
-    /// A path cannot be listed or read.
-    #[error("cannot {action} {}", path.display())]
-    Io {
-        /// What was tried, as a verb.
-        action: &'static str,
-        /// The path.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
     /// The layout has one frame rate and the clips have several.
     #[error("clip {motion} is at {other} fps and others at {first}; ingest with one --fps")]
     MixedRates {
@@ -281,7 +271,6 @@ impl Error {
             Self::Compose(error) => return error.code(),
             Self::Formats(error) => return error.code(),
             Self::Work(error) => return error.code(),
-            Self::Io { path, .. } => ("E-IO", path),
             Self::MissingSource { path } => ("E-MISSING", path),
             Self::Mixture { path, .. } => ("E-MIXTURE", path),
             Self::AskedSource { .. } => return Some(("E-SOURCE-NAME", None)),
@@ -293,19 +282,6 @@ impl Error {
             _ => return None,
         };
         Some((code, Some(path.display().to_string())))
-    }
-
-    /// Wraps an I/O error with what was tried on which path.
-    pub(crate) fn io(
-        action: &'static str,
-        path: impl Into<PathBuf>,
-    ) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.into();
-        move |source| Self::Io {
-            action,
-            path,
-            source,
-        }
     }
 }
 

@@ -110,7 +110,9 @@ pub fn read_file(
     path: &Path,
     options: &ReadOptions,
 ) -> Result<(Format, Vec<(String, Outcome)>), Error> {
-    let bytes = ByPath.read(path).map_err(Error::io("read", path))?;
+    let bytes = ByPath
+        .read(path)
+        .map_err(datasets_spec::Error::io("read", path))?;
     let format = match recognise(path, &bytes) {
         Recognised::Motion(format) => format,
         Recognised::NotMotion { reason } => {

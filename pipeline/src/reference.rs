@@ -270,7 +270,7 @@ fn arrays(folder: &Path) -> Result<BTreeMap<String, PathBuf>, Error> {
     if !folder.is_dir() {
         return Ok(BTreeMap::new());
     }
-    let list = || Error::io("list", folder);
+    let list = || datasets_spec::Error::io("list", folder);
     let mut arrays = BTreeMap::new();
     for entry in fs::read_dir(folder).map_err(list())? {
         let path = entry.map_err(list())?.path();

@@ -19,7 +19,6 @@ use annotate::wire::{
     TaskKind, TaskState, User, Verdict,
 };
 use anyhow::{Context, bail};
-use compose::Phrases;
 use datasets_spec::{Dataset, Progress as _, Split};
 use formats::source::stance::exported_labels;
 use serde::Serialize;
@@ -29,7 +28,6 @@ use tables::Condition;
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::local;
 use crate::report;
 
 /// Address of a language model's interface, up to and with its version, such as http://localhost:8000/v1.
@@ -78,6 +76,10 @@ pub(crate) struct Args {
     /// Browsers reach the server through a proxy with TLS
     #[arg(long)]
     secure: bool,
+    /// Names by which browsers reach the server, with commas between: that of the proxy. Requests to other names are refused;
+    /// localhost and addresses need none
+    #[arg(long, value_name = "NAME", value_delimiter = ',', env = "STANCE_HOST")]
+    host: Vec<String>,
     /// Addresses or networks of proxies that name the client in X-Forwarded-For or Forwarded, with commas between
     #[arg(long, value_name = "ADDR", value_delimiter = ',')]
     trusted_proxy: Vec<TrustedProxy>,
@@ -156,18 +158,6 @@ enum Action {
         kind: Option<String>,
         /// Most tasks to ask for
         #[arg(long, default_value_t = usize::MAX, hide_default_value = true, value_name = "TASKS")]
-        limit: usize,
-    },
-    /// Ask the language model for other wordings of instructions, or write the accepted ones
-    Paraphrases {
-        /// Write the accepted ones to this file, for `stance triplets --phrases`
-        #[arg(long, value_name = "TOML")]
-        to: Option<PathBuf>,
-        /// Wordings of each instruction to ask for
-        #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=20))]
-        each: u8,
-        /// Most instructions to ask for
-        #[arg(long, default_value_t = usize::MAX, hide_default_value = true, value_name = "INSTRUCTIONS")]
         limit: usize,
     },
     /// Copy the store to a new file; servers may keep running
@@ -358,10 +348,6 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             let kind = kind.as_deref().and_then(TaskKind::parse);
             ask_drafts(args, store.as_ref(), kind, *limit, global)
         }
-        Some(Action::Paraphrases { to, each, limit }) => match to {
-            Some(to) => write_phrases(store.as_ref(), to, global),
-            None => ask_paraphrases(store.as_ref(), usize::from(*each), *limit, global),
-        },
         Some(Action::Changed { keep, reopen }) => {
             changed_clips(store.as_ref(), *keep, *reopen, global)
         }
@@ -637,9 +623,9 @@ fn needed_model() -> anyhow::Result<Model> {
     })
 }
 
-fn say_drafted(done: &Drafted, what: &str, global: &Global) -> anyhow::Result<Exit> {
+fn say_drafted(done: &Drafted, global: &Global) -> anyhow::Result<Exit> {
     let mut lines = vec![format!(
-        "{} new texts for {} {what}",
+        "{} new texts for {} tasks",
         done.texts, done.looked_at
     )];
     if done.without_parts > 0 {
@@ -679,44 +665,7 @@ fn ask_drafts(
         last = tasks;
     })?;
     bars.finish(&format!("{} tasks", done.looked_at));
-    say_drafted(&done, "tasks", global)
-}
-
-fn ask_paraphrases(
-    store: &Store,
-    each: usize,
-    limit: usize,
-    global: &Global,
-) -> anyhow::Result<Exit> {
-    let model = needed_model()?;
-    let bars = global.bars();
-    bars.begin("paraphrases", None);
-    let mut last = 0;
-    let done = drafting::paraphrase_all(store, &model, each, limit, now(), &mut |texts| {
-        bars.advance((texts - last) as u64);
-        last = texts;
-    })?;
-    bars.finish(&format!("{} instructions", done.looked_at));
-    say_drafted(&done, "instructions", global)
-}
-
-/// Writes the accepted paraphrases as the composer reads them.
-fn write_phrases(store: &Store, to: &Path, global: &Global) -> anyhow::Result<Exit> {
-    let phrases = Phrases {
-        paraphrases: store.accepted_paraphrases()?,
-        ..Phrases::default()
-    };
-    let count: usize = phrases.paraphrases.values().map(Vec::len).sum();
-    local::write(to, toml::to_string(&phrases)?.as_bytes())?;
-    let text = format!(
-        "{count} wordings of {} instructions in {}",
-        phrases.paraphrases.len(),
-        to.display()
-    );
-    let document = serde_json::json!({
-        "instructions": phrases.paraphrases.len(), "wordings": count, "file": to,
-    });
-    say(global, &document, &text)
+    say_drafted(&done, global)
 }
 
 fn run_bulk(store: &Store, args: &BulkArgs, global: &Global) -> anyhow::Result<Exit> {
@@ -820,7 +769,7 @@ fn import_dataset(args: &Args, store: &Store, global: &Global) -> anyhow::Result
     })?;
     let count = |what: &str| taken.counts.get(what).copied().unwrap_or(0);
     bars.finish(&format!(
-        "{} new tasks, {} known",
+        "clips of the dataset: {} new tasks, {} known",
         count("new_tasks"),
         count("known_tasks")
     ));
@@ -953,6 +902,11 @@ fn warnings(args: &Args) -> Vec<&'static str> {
             "others can reach this address without the proxy and its TLS; listen on 127.0.0.1, unless the proxy runs on another machine",
         );
     }
+    if args.secure && args.host.is_empty() {
+        all.push(
+            "requests that a proxy passes on by its name are refused; say the name with --host",
+        );
+    }
     if args.secure && args.trusted_proxy.is_empty() {
         all.push(
             "all browsers share the limits of one address; name the proxy with --trusted-proxy, such as 127.0.0.1",
@@ -1011,6 +965,7 @@ fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::Result<Exit
             listen: args.listen,
             operators: args.metrics,
             secure: args.secure,
+            hosts: args.host.clone(),
             trusted_proxies: args.trusted_proxy.clone(),
             data: folder(args),
             dataset: args.dataset.clone(),

@@ -70,22 +70,12 @@ enum Action {
 struct ExportArgs {
     /// Folder of items
     items: PathBuf,
-    /// Format of the motions
-    #[arg(long, value_enum, default_value_t)]
-    format: FormatArg,
     /// Also write the targets, to a folder of their own
     #[arg(long)]
     targets: bool,
     /// New folder to write
     #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
-}
-
-#[derive(Clone, Copy, Debug, Default, clap::ValueEnum)]
-enum FormatArg {
-    /// Archives of NumPy arrays
-    #[default]
-    Npz,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
@@ -163,7 +153,6 @@ fn in_words(counts: &BTreeMap<&str, usize>) -> String {
 }
 
 fn export(args: &ExportArgs, global: &Global) -> anyhow::Result<Exit> {
-    let FormatArg::Npz = args.format;
     let folder = Dataset::open(&args.items)?;
     let items = folder.items()?;
     let skeleton = folder.skeleton()?;

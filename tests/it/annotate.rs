@@ -635,14 +635,20 @@ fn a_server_says_who_else_can_reach_it() {
         ("127.0.0.1:0", &[][..], &[][..]),
         (
             "127.0.0.1:0",
-            &["--secure", "--trusted-proxy", "127.0.0.1,10.0.0.0/8"],
+            &[
+                "--secure",
+                "--host",
+                "annotate.example",
+                "--trusted-proxy",
+                "127.0.0.1,10.0.0.0/8",
+            ],
             &[],
         ),
-        ("127.0.0.1:0", &["--secure"], &["--trusted-proxy"]),
+        ("127.0.0.1:0", &["--secure"], &["--trusted-proxy", "--host"]),
         ("0.0.0.0:0", &[], &["nothing on the way is encrypted"]),
         (
             "0.0.0.0:0",
-            &["--secure", "--trusted-proxy", "::1"],
+            &["--secure", "--host", "a.example", "--trusted-proxy", "::1"],
             &["without the proxy"],
         ),
         (

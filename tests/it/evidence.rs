@@ -1,4 +1,4 @@
-//! `eval/RESULTS.md` shows the scores that `stance reproduce` recorded, and its verdicts quote them.
+//! Pages of results show the scores that `stance reproduce` recorded, and their verdicts quote them.
 
 use std::fs;
 use std::path::Path;
@@ -9,6 +9,29 @@ fn read(path: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
+
+/// A page of results: its file, the plan of its tables, and the heading of its verdicts.
+struct Page {
+    file: &'static str,
+    plan: &'static str,
+    verdicts: &'static str,
+}
+
+const PAGES: [Page; 2] = [
+    Page {
+        file: "eval/RESULTS.md",
+        plan: "real-small",
+        verdicts: "## What is shown, and what is not",
+    },
+    Page {
+        file: "eval/plans/real-small/RESULTS.md",
+        plan: "real-small",
+        verdicts: "## The claims",
+    },
+];
+
+/// Words of the first page, outside of its tables.
+const MOST_WORDS: usize = 1_500;
 
 /// A table of the document.
 struct Shown {
@@ -34,7 +57,7 @@ fn cells(line: &str) -> Vec<String> {
 }
 
 /// Tables between `<!-- tables/FILE.md -->`, or `<!-- tables/FILE.md of PLAN -->`, and `<!-- end -->`.
-fn shown(document: &str) -> Vec<Shown> {
+fn shown(document: &str, plan_of_page: &str) -> Vec<Shown> {
     let mut tables: Vec<Shown> = Vec::new();
     let mut copied: Option<(String, String)> = None;
     let mut heading = String::new();
@@ -42,7 +65,7 @@ fn shown(document: &str) -> Vec<Shown> {
     for line in document.lines() {
         let marked = line.strip_prefix("<!-- tables/");
         if let Some(name) = marked.and_then(|rest| rest.strip_suffix(" -->")) {
-            let (file, plan) = name.split_once(" of ").unwrap_or((name, "real-small"));
+            let (file, plan) = name.split_once(" of ").unwrap_or((name, plan_of_page));
             let file = file.strip_suffix(".md").expect("a file of Markdown");
             copied = Some((file.to_owned(), plan.to_owned()));
         } else if line == "<!-- end -->" {
@@ -115,8 +138,13 @@ fn point_of(row: &Value) -> String {
 
 #[test]
 fn every_number_of_the_results_is_a_recorded_score() {
-    let document = read("eval/RESULTS.md");
-    let tables = shown(&document);
+    for page in PAGES {
+        check_numbers(&page);
+    }
+}
+
+fn check_numbers(page: &Page) {
+    let tables = shown(&read(page.file), page.plan);
     let mut checked = 0;
     for table in &tables {
         let record = record(&table.plan);
@@ -144,31 +172,40 @@ fn every_number_of_the_results_is_a_recorded_score() {
             }
         }
     }
-    assert!(checked > 100, "{checked} cells were found");
+    assert!(checked > 50, "{checked} cells of {} were found", page.file);
 }
 
 #[test]
 fn verdicts_of_the_results_quote_their_tables() {
-    let document = read("eval/RESULTS.md");
-    let (_, verdicts) = document
-        .split_once("## The claims")
-        .expect("a section of verdicts");
-    let verdicts = verdicts.split("\n## ").next().expect("a section");
-    // The paragraph of the front page that points here.
+    for page in PAGES {
+        let document = read(page.file);
+        let (_, verdicts) = document
+            .split_once(page.verdicts)
+            .expect("a section of verdicts");
+        let verdicts = verdicts.split("\n## ").next().expect("a section");
+        check_quotes(verdicts, &page);
+    }
+    // The paragraph of the front page that points there.
     let front = read("README.md");
     let headline = front
         .split("\n\n")
         .find(|text| text.contains("(eval/RESULTS.md)"));
-    let headline = headline.expect("the front page names the results");
-    let texts = [verdicts, headline].concat();
-    let known: Vec<String> = shown(&document)
+    check_quotes(
+        headline.expect("the front page names the results"),
+        &PAGES[0],
+    );
+}
+
+fn check_quotes(text: &str, page: &Page) {
+    let tables = shown(&read(page.file), page.plan);
+    let known: Vec<String> = tables
         .into_iter()
         .flat_map(|table| table.rows)
         .flatten()
         .collect();
     let is_number = |c: char| c.is_ascii_digit() || c == '.';
     let mut quoted = 0;
-    for word in texts.split(|c: char| !is_number(c)) {
+    for word in text.split(|c: char| !is_number(c)) {
         let word = word.trim_matches('.');
         if !word.contains('.') {
             continue;
@@ -177,8 +214,16 @@ fn verdicts_of_the_results_quote_their_tables() {
             let mut numbers = cell.split(|c: char| !is_number(c));
             numbers.any(|number| number == word)
         });
-        assert!(is_known, "{word} stands in no table");
+        assert!(is_known, "{word} stands in no table of {}", page.file);
         quoted += 1;
     }
-    assert!(quoted > 10, "{quoted} numbers are quoted");
+    assert!(quoted > 1, "{quoted} numbers of {} are quoted", page.file);
+}
+
+#[test]
+fn the_results_are_one_page() {
+    let document = read(PAGES[0].file);
+    let prose = document.lines().filter(|line| !line.starts_with('|'));
+    let words = prose.flat_map(str::split_whitespace).count();
+    assert!(words <= MOST_WORDS, "{words} words");
 }

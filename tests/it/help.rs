@@ -181,3 +181,38 @@ fn links_between_documents_lead_to_files() {
     }
     assert!(links > 50, "{links} links in {} documents", documents.len());
 }
+
+/// The words of `datasets-spec/README.md` and the types that they are called by.
+#[test]
+fn every_word_has_the_type_that_it_names() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("datasets-spec");
+    let document = fs::read_to_string(folder.join("README.md")).expect("a file");
+    let (_, section) = document.split_once("## Words\n").expect("a section");
+    let section = section.split("\n## ").next().expect("a section");
+    let mut seen: Vec<(&str, &str)> = Vec::new();
+    for line in section.lines().filter(|line| line.contains("](")) {
+        let word = line.split('|').nth(1).expect("a cell").trim();
+        let (name, path) = line
+            .split_once("[`")
+            .and_then(|(_, rest)| rest.split_once("`]("))
+            .expect("a type with its file");
+        let path = path.split(')').next().expect("a path");
+        let source = fs::read_to_string(folder.join(path));
+        let source = source.unwrap_or_else(|error| panic!("{path}: {error}"));
+        let is_there = source.lines().any(|line| {
+            let kinds = ["struct", "enum", "trait", "type"];
+            let rest = line.trim_start().strip_prefix("pub ").unwrap_or("");
+            rest.split_once(' ').is_some_and(|(kind, rest)| {
+                let end = rest
+                    .find(|c: char| !c.is_alphanumeric())
+                    .unwrap_or(rest.len());
+                kinds.contains(&kind) && rest[..end] == *name
+            })
+        });
+        assert!(is_there, "{path} has no type {name}, which {word:?} names");
+        let is_new = seen.iter().all(|(other, _)| *other != word);
+        assert!(is_new, "{word:?} stands twice");
+        seen.push((word, name));
+    }
+    assert!(seen.len() >= 40, "{} words", seen.len());
+}

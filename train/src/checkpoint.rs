@@ -188,7 +188,7 @@ impl Start<'_> {
             let text = match fs::read_to_string(&path) {
                 Ok(text) => text,
                 Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => continue,
-                Err(problem) => return Err(Error::io("read", path)(problem)),
+                Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
             };
             let record: Record =
                 serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
@@ -229,7 +229,7 @@ pub fn check_skeleton(
     skeleton: &Skeleton,
 ) -> Result<(), Error> {
     let path = run_dir.join(CONFIG);
-    let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
     check_skeleton_of(&text, run_dir, what, skeleton)
 }
 
@@ -340,7 +340,7 @@ impl Run {
             kind: record.kind.clone(),
             reason: reason.to_owned(),
         };
-        fs::create_dir_all(dir).map_err(Error::io("create", dir))?;
+        fs::create_dir_all(dir).map_err(datasets_spec::Error::io("create", dir))?;
         // Both documents are parsed from text, so that numbers compare as written.
         let text = serde_json::to_string_pretty(record).map_err(json)?;
         let asked: Value = serde_json::from_str(&text).map_err(json)?;
@@ -364,7 +364,7 @@ impl Run {
                     extended: None,
                 });
             }
-            Err(problem) => return Err(Error::io("read", path)(problem)),
+            Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
         };
         let kind: Value = serde_json::from_str(&recorded).map_err(json)?;
         if kind["kind"] != asked["kind"] {
@@ -468,7 +468,7 @@ impl Run {
         let new = parent.join(format!(".{name}.new"));
         let old = parent.join(format!(".{name}.old"));
         remove_dir(&new)?;
-        fs::create_dir_all(&new).map_err(Error::io("create", &new))?;
+        fs::create_dir_all(&new).map_err(datasets_spec::Error::io("create", &new))?;
         for (name, bytes) in files {
             write_synced(&new.join(name), bytes)?;
         }
@@ -496,9 +496,9 @@ impl Run {
         // is still there under its other name, where `read` looks for it.
         if place.exists() {
             remove_dir(&old)?;
-            fs::rename(&place, &old).map_err(Error::io("rename", &place))?;
+            fs::rename(&place, &old).map_err(datasets_spec::Error::io("rename", &place))?;
         }
-        fs::rename(&new, &place).map_err(Error::io("rename", &new))?;
+        fs::rename(&new, &place).map_err(datasets_spec::Error::io("rename", &new))?;
         sync_dir(&parent)?;
         remove_dir(&old)
     }
@@ -511,12 +511,12 @@ impl Run {
             source,
         })?;
         text.push('\n');
-        OpenOptions::new()
+        Ok(OpenOptions::new()
             .create(true)
             .append(true)
             .open(&path)
             .and_then(|mut file| file.write_all(text.as_bytes()))
-            .map_err(Error::io("append to", path))
+            .map_err(datasets_spec::Error::io("append to", path))?)
     }
 
     /// Drops the lines of the metrics file that lie after `step`: a run that is continued writes
@@ -530,7 +530,7 @@ impl Run {
         let text = match fs::read_to_string(&path) {
             Ok(text) => text,
             Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => return Ok(()),
-            Err(problem) => return Err(Error::io("read", path)(problem)),
+            Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
         };
         let kept: String = text
             .lines()
@@ -557,7 +557,7 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
         return Ok(None);
     };
     let path = place.join(MANIFEST);
-    let text = fs::read(&path).map_err(Error::io("read", &path))?;
+    let text = fs::read(&path).map_err(datasets_spec::Error::io("read", &path))?;
     let manifest: Manifest =
         serde_json::from_slice(&text).map_err(|source| Error::Json { path, source })?;
     let mut files = Files::new();
@@ -572,7 +572,7 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
             Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
                 return Err(corrupt("it is missing".to_owned()));
             }
-            Err(problem) => return Err(Error::io("read", path)(problem)),
+            Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
         };
         if bytes.len() as u64 != entry.bytes {
             return Err(corrupt(format!(
@@ -597,7 +597,7 @@ pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
         kind: String,
     }
     let path = run_dir.join(CONFIG);
-    let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
     let found: Kind = serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
     Ok(found.kind)
 }
@@ -618,7 +618,7 @@ pub(crate) fn read_record<C: DeserializeOwned>(
         Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
             return Err(not_a_run(format!("it holds no {CONFIG}")));
         }
-        Err(problem) => return Err(Error::io("read", path)(problem)),
+        Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
     };
     record_of(&text, run_dir, kind)
 }
@@ -734,7 +734,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
         path: path.clone(),
         source,
     };
-    let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
     let before: RunRecord<C> = parse_record(&text).map_err(json)?;
     let files = read(from, Slot::Best)?
         .ok_or_else(|| not_a_run("it holds no checkpoint \"best\"".to_owned()))?;
@@ -801,29 +801,29 @@ fn differences(recorded: &Value, asked: &Value) -> BTreeMap<String, [Value; 2]> 
 pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let new = path.with_extension("new");
     write_synced(&new, bytes)?;
-    fs::rename(&new, path).map_err(Error::io("rename", new))
+    Ok(fs::rename(&new, path).map_err(datasets_spec::Error::io("rename", new))?)
 }
 
 fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    File::create(path)
+    Ok(File::create(path)
         .and_then(|mut file| {
             file.write_all(bytes)?;
             file.sync_all()
         })
-        .map_err(Error::io("write", path))
+        .map_err(datasets_spec::Error::io("write", path))?)
 }
 
 /// Makes renames within a folder durable.
 fn sync_dir(path: &Path) -> Result<(), Error> {
-    File::open(path)
+    Ok(File::open(path)
         .and_then(|dir| dir.sync_all())
-        .map_err(Error::io("sync", path))
+        .map_err(datasets_spec::Error::io("sync", path))?)
 }
 
 fn remove_dir(path: &Path) -> Result<(), Error> {
     match fs::remove_dir_all(path) {
         Err(problem) if problem.kind() != std::io::ErrorKind::NotFound => {
-            Err(Error::io("remove", path)(problem))
+            Err(datasets_spec::Error::io("remove", path)(problem).into())
         }
         _ => Ok(()),
     }

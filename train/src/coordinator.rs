@@ -71,7 +71,7 @@ impl CoordinatorConfig {
     /// Paper, Sec. 5.2 and App. B.4. The released coordinators were saved after 55 k to 68 k steps; `Official` and
     /// `Paper` make 68 k. Neither publication tells learning rate and batch of this network: they are
     /// the editor's. `Tiny` has a lower rate, because at the editor's rate the coordinator is at chance after 500 steps.
-    /// Its 6,000 steps bring the validation loss on real motion well below that of chance (`eval/RESULTS.md`). On the few
+    /// Its 6,000 steps bring the validation loss on real motion well below that of chance (`eval/plans/real-small/RESULTS.md`). On the few
     /// clips of the built-in corpus it learns the natural windows by heart unless half of them are mirrored.
     pub fn preset(preset: Preset) -> Self {
         let editor = TrainConfig::preset(preset);
@@ -384,12 +384,7 @@ impl Task for CoordinatorTask<'_> {
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, SegmentBatch)>, Error> {
         let run = &self.config.run;
-        run.micro_batches(step)
-            .map(|(first, count)| {
-                let share = count as f64 / run.batch_size as f64;
-                Ok((share, self.sampler.draw(first, count)?))
-            })
-            .collect()
+        run.batches(step, |first, count| self.sampler.draw(first, count))
     }
 
     fn loss(&self, model: &Coordinator, batch: &SegmentBatch, device: &Device) -> Tensor<1> {

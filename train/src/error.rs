@@ -248,16 +248,6 @@ pub enum Error {
         /// The cause.
         source: datasets_spec::Error,
     },
-    /// Reading or writing a file failed.
-    #[error("cannot {action} {}", path.display())]
-    Io {
-        /// The action, as a verb.
-        action: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
     /// A folder lacks a file of a text encoder.
     #[error(
         "{} has no {what}: place one of {} there, or have it downloaded",
@@ -366,18 +356,6 @@ impl Error {
             Self::Work(error) => error.code(),
             Self::Compose(error) => error.code(),
             _ => None,
-        }
-    }
-
-    pub(crate) fn io(
-        action: &'static str,
-        path: impl Into<PathBuf>,
-    ) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.into();
-        move |source| Self::Io {
-            action,
-            path,
-            source,
         }
     }
 

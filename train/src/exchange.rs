@@ -346,7 +346,7 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
         };
     let mut files = files;
     let bytes = with_tables(&take(&mut files, name, run_dir)?, width, run_dir)?;
-    std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
+    std::fs::create_dir_all(out).map_err(datasets_spec::Error::io("create", out))?;
     let weights = out.join(name);
     write_atomically(&weights, &bytes)?;
     let range = out.join(RANGE);

@@ -354,12 +354,7 @@ impl Task for EditorTask<'_> {
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, NoisyBatch)>, Error> {
         let run = &self.record.train.run;
-        run.micro_batches(step)
-            .map(|(first, count)| {
-                let share = count as f64 / run.batch_size as f64;
-                Ok((share, self.sampler.draw(first, count)?))
-            })
-            .collect()
+        run.batches(step, |first, count| self.sampler.draw(first, count))
     }
 
     fn loss(&self, model: &MotionRefit, batch: &NoisyBatch, device: &Device) -> Tensor<1> {

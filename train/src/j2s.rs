@@ -247,9 +247,9 @@ pub fn train_j2s<'a>(
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let staged = path.with_extension("part");
-    std::fs::write(&staged, bytes)
+    Ok(std::fs::write(&staged, bytes)
         .and_then(|()| std::fs::rename(&staged, path))
-        .map_err(Error::io("write", path))
+        .map_err(datasets_spec::Error::io("write", path))?)
 }
 
 struct PoseTask<'a, M> {

@@ -339,13 +339,9 @@ impl Task for MdmTask<'_> {
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, MdmBatch)>, Error> {
         let run = &self.record.train.run;
-        run.micro_batches(step)
-            .map(|(first, count)| {
-                let crops = self.sampler.draw(first, count);
-                let share = count as f64 / run.batch_size as f64;
-                Ok((share, self.noisy(crops, self.sampler.seed, first)?))
-            })
-            .collect()
+        run.batches(step, |first, count| {
+            self.noisy(self.sampler.draw(first, count), self.sampler.seed, first)
+        })
     }
 
     /// The error of the predicted clean motions.

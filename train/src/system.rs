@@ -178,7 +178,7 @@ impl Remarks {
                 serde_json::from_slice(&bytes).map_err(|source| Error::Json { path, source })
             }
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
-            Err(error) => Err(Error::io("read", &path)(error)),
+            Err(error) => Err(datasets_spec::Error::io("read", &path)(error).into()),
         }
     }
 
@@ -194,7 +194,7 @@ impl Remarks {
             file.write_all(&text)?;
             file.publish()
         };
-        write().map_err(Error::io("write", &path))
+        Ok(write().map_err(datasets_spec::Error::io("write", &path))?)
     }
 
     /// One line for each warning.

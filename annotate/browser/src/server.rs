@@ -139,16 +139,6 @@ impl Dataset {
         serde_json::from_str(&printed).expect("one JSON document")
     }
 
-    /// Asks the language model at an address for paraphrases of all accepted instructions.
-    pub async fn ask_for_paraphrases(&self, model: &str) {
-        let variables = [("STANCE_MODEL_URL", model), ("STANCE_MODEL_NAME", "tiny")];
-        run_with(
-            &["annotate", &text(&self.path()), "paraphrases"],
-            &variables,
-        )
-        .await;
-    }
-
     /// Adds a user and returns their token.
     pub async fn add_user(&self, name: &str, role: &str) -> String {
         let path = text(&self.path());
@@ -204,6 +194,7 @@ impl Server {
             .arg("annotate")
             .arg(&self.dataset)
             .args(["--listen", &format!("127.0.0.1:{}", self.port), "--json"])
+            .args(["--host", AFAR])
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::inherit())
@@ -247,7 +238,7 @@ impl Server {
 
     /// The address of a page by the name of a host that browsers do not trust without TLS.
     pub fn page_from_afar(&self, path: &str) -> String {
-        format!("http://annotate.test:{}/{path}", self.port)
+        format!("http://{AFAR}:{}/{path}", self.port)
     }
 
     /// The token in the last printed address: an admin's one-time login token.
@@ -255,6 +246,9 @@ impl Server {
         &self.printed_token
     }
 }
+
+/// The name of a host that browsers do not trust without TLS.
+const AFAR: &str = "annotate.test";
 
 fn free_port() -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");

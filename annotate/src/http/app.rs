@@ -113,6 +113,8 @@ pub struct ServerConfig {
     pub operators: Option<SocketAddr>,
     /// Whether browsers reach it through TLS.
     pub secure: bool,
+    /// Names by which browsers reach it, beside `localhost` and addresses.
+    pub hosts: Vec<String>,
     /// Proxies whose word on the address of a client is taken.
     pub trusted_proxies: Vec<TrustedProxy>,
     /// Folder for exports.

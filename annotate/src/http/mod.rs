@@ -21,6 +21,7 @@ use std::time::{Duration, Instant};
 use axum::body::{Body, Bytes};
 use axum::extract::{FromRequestParts, RawPathParams, Request};
 use axum::http::header::{self, HeaderMap, HeaderName};
+use axum::http::uri::Authority;
 use axum::http::{Method, StatusCode, Uri};
 use axum::response::Response;
 use axum::routing::{MethodFilter, on};
@@ -318,6 +319,7 @@ fn chain(error: &Error) -> String {
 
 async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Result<Reply, Error> {
     let (mut parts, body) = request.into_parts();
+    check_host(&parts.headers, &app.config.hosts)?;
     let peer = parts
         .extensions
         .get::<Peer>()
@@ -454,6 +456,24 @@ fn credential(app: &App, headers: &HeaderMap) -> Result<(String, TokenUse), Erro
         (None, Some(token)) => Ok((token, TokenUse::Session)),
         (None, None) => Err(Error::refused(Code::Unauthenticated, "log in first")),
     }
+}
+
+/// Checks that a request is addressed to this server. A page elsewhere can let its own name lead to this address (DNS
+/// rebinding), and would then be of one origin with it; it cannot do so with an address or with `localhost`.
+fn check_host(headers: &HeaderMap, hosts: &[String]) -> Result<(), Error> {
+    let asked = text(headers, &header::HOST).and_then(|host| host.parse::<Authority>().ok());
+    let name = asked.as_ref().map_or("", |asked| asked.host());
+    let bare = name.trim_start_matches('[').trim_end_matches(']');
+    let is_own = name.eq_ignore_ascii_case("localhost")
+        || bare.parse::<IpAddr>().is_ok()
+        || hosts.iter().any(|host| host.eq_ignore_ascii_case(name));
+    if is_own {
+        return Ok(());
+    }
+    Err(Error::refused(
+        Code::WrongHost,
+        format!("this server is not known by the name {name:?}; start it with --host {name}"),
+    ))
 }
 
 /// Checks that a changing request with a cookie comes from the page itself (CSRF protection).

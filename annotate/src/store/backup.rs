@@ -17,14 +17,14 @@ const TIME_CHARS: usize = 16;
 /// # Errors
 /// The store fails, is on PostgreSQL, or the folder cannot be written.
 pub fn back_up(store: &Store, folder: &Path, keep: usize, now: Millis) -> Result<PathBuf, Error> {
-    std::fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+    std::fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;
     let path = folder.join(name(now));
     store.backup(&path)?;
     let mut copies = copies(folder)?;
     copies.sort();
     for old in &copies[..copies.len().saturating_sub(keep.max(1))] {
         let old = folder.join(old);
-        std::fs::remove_file(&old).map_err(Error::io("remove", &old))?;
+        std::fs::remove_file(&old).map_err(datasets_spec::Error::io("remove", &old))?;
     }
     Ok(path)
 }
@@ -43,11 +43,11 @@ fn copies(folder: &Path) -> Result<Vec<String>, Error> {
     let entries = match std::fs::read_dir(folder) {
         Ok(entries) => entries,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(error) => return Err(Error::io("read folder", folder)(error)),
+        Err(error) => return Err(datasets_spec::Error::io("read folder", folder)(error).into()),
     };
     let mut names = Vec::new();
     for entry in entries {
-        let entry = entry.map_err(Error::io("read folder", folder))?;
+        let entry = entry.map_err(datasets_spec::Error::io("read folder", folder))?;
         let name = entry.file_name().to_string_lossy().into_owned();
         let time = name
             .strip_prefix(PREFIX)

@@ -214,6 +214,7 @@ pub(crate) enum Body {
     Retargeted {
         wanted: u32,
     },
+    /// Written by programs up to version 0.1. The log keeps what people decided.
     ParaphraseJudged {
         paraphrase: i64,
         instruction: String,

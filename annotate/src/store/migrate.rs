@@ -70,6 +70,8 @@ CREATE INDEX paraphrase_state ON paraphrase (state, id);",
      DROP TABLE motion;
      ALTER TABLE motion_now RENAME TO motion;
      CREATE UNIQUE INDEX motion_id ON motion (id) WHERE current = 1;",
+    // 7: no model is asked for paraphrases. What people decided about theirs stays in the log.
+    "DROP TABLE paraphrase",
 ];
 
 /// Version of the tables of this program.

@@ -22,7 +22,6 @@ mod import;
 mod log;
 mod migrate;
 mod mine;
-mod paraphrases;
 mod people;
 mod pictures;
 #[cfg(feature = "postgres")]

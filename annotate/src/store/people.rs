@@ -28,11 +28,12 @@ pub(super) fn hash(token: &str) -> String {
 /// Random bytes, hexadecimal.
 pub(super) fn random<const BYTES: usize>() -> Result<String, Error> {
     let mut bytes = [0; BYTES];
-    getrandom::fill(&mut bytes).map_err(|error| Error::Io {
-        action: "read random bytes from",
-        path: "the operating system".into(),
-        source: std::io::Error::other(error.to_string()),
-    })?;
+    getrandom::fill(&mut bytes)
+        .map_err(|error| std::io::Error::other(error.to_string()))
+        .map_err(datasets_spec::Error::io(
+            "read random bytes from",
+            "the operating system",
+        ))?;
     Ok(hex(&bytes))
 }
 

@@ -8,7 +8,7 @@ use super::records::{Millis, MotionRecord, NewSuggestion};
 use super::{import, log, pictures, rows, rules};
 use crate::Error;
 use crate::wire::{
-    Job, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Suggestion, SuggestionSource, TaskState,
+    Action, Job, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Suggestion, SuggestionSource, TaskState,
 };
 
 /// Key of the settings.
@@ -191,7 +191,14 @@ fn check(settings: &Settings) -> Result<(), Error> {
 
 pub(super) fn prefs(tx: &mut dyn Tx, user: i64) -> Result<Prefs, Error> {
     match tx.one("SELECT body FROM pref WHERE usr = ?1", params![user])? {
-        Some(row) => read_stored("pref", row.text(0)?),
+        Some(row) => {
+            // Actions that are gone keep no keys.
+            let mut stored: serde_json::Value = row.json(0)?;
+            if let Some(keys) = stored["keys"].as_object_mut() {
+                keys.retain(|action, _| Action::parse(action).is_some());
+            }
+            read_stored("pref", &stored.to_string())
+        }
         None => Ok(Prefs::default()),
     }
 }

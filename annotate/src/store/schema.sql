@@ -93,15 +93,3 @@ CREATE TABLE picture (
   at BIGINT NOT NULL
 );
 
-CREATE TABLE paraphrase (
-  id BIGINT PRIMARY KEY,
-  instruction TEXT NOT NULL,
-  text TEXT NOT NULL,
-  model TEXT NOT NULL,
-  prompt_hash TEXT NOT NULL,
-  state TEXT NOT NULL,
-  judge BIGINT,
-  at BIGINT NOT NULL,
-  UNIQUE (instruction, text)
-);
-CREATE INDEX paraphrase_state ON paraphrase (state, id);

@@ -50,11 +50,8 @@ impl Sqlite {
         }
         let (writer, upgrade) = open_writer(path)?;
         let readers = Readers::open(|| open_reader(path))?;
-        let writer = WriterThread::start(writer).map_err(|source| Error::Io {
-            action: "start the writer of",
-            path: path.to_owned(),
-            source,
-        })?;
+        let writer = WriterThread::start(writer)
+            .map_err(datasets_spec::Error::io("start the writer of", path))?;
         Ok(Self {
             path: path.to_owned(),
             upgrade,
@@ -196,11 +193,11 @@ fn publish(
     path: &Path,
     sync: &mut dyn FnMut(&Path) -> std::io::Result<()>,
 ) -> Result<(), Error> {
-    sync(temporary).map_err(Error::io("write", temporary))?;
-    std::fs::rename(temporary, path).map_err(Error::io("rename", path))?;
+    sync(temporary).map_err(datasets_spec::Error::io("write", temporary))?;
+    std::fs::rename(temporary, path).map_err(datasets_spec::Error::io("rename", path))?;
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
     let folder = folder.unwrap_or(Path::new("."));
-    sync(folder).map_err(Error::io("write folder", folder))
+    Ok(sync(folder).map_err(datasets_spec::Error::io("write folder", folder))?)
 }
 
 fn open_reader(path: &Path) -> Result<Connection, Error> {

@@ -1,6 +1,5 @@
 //! The operations of the store, each one transaction.
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -15,10 +14,7 @@ use super::records::{
     MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts, Picture, Reject,
     ReviewClaimed, ReviewDetail, ShelfFilter, TaskDetail, TaskRecord, TokenUse, WeekCounts, Who,
 };
-use super::{
-    append, claim, import, mine, paraphrases, people, pictures, practice, project, read, review,
-    work,
-};
+use super::{append, claim, import, mine, people, pictures, practice, project, read, review, work};
 use super::{log, rebuild, rows, rules};
 use crate::Error;
 use crate::clock::{Clock, SharedClock};
@@ -26,10 +22,9 @@ use crate::lock::lock;
 use crate::state::{Purpose, ReleaseReason};
 use crate::wire::{
     Answer, Audit, AuditEntry, BulkDone, BulkRequest, Code, DayWork, DecisionRow, Decisions,
-    EventResult, HeldLease, Home, Job, JudgeParaphrase, Lease, NewEvent, NewReview, Outlook,
-    Paraphrase, ParaphraseState, Paraphrases, PictureInfo, Practice, Prefs, ReviewDone,
-    ReviewQueue, Revision, Role, RuleState, RuleUndone, RulesApplied, Settings, Suggestion,
-    TaskKind, TaskPage, TaskRow, TaskState, TokenInfo, User,
+    EventResult, HeldLease, Home, Job, Lease, NewEvent, NewReview, Outlook, PictureInfo, Practice,
+    Prefs, ReviewDone, ReviewQueue, Revision, Role, RuleState, RuleUndone, RulesApplied, Settings,
+    Suggestion, TaskKind, TaskPage, TaskRow, TaskState, TokenInfo, User,
 };
 
 /// Bytes of a file written per transaction.
@@ -499,66 +494,6 @@ impl Store {
         limit: usize,
     ) -> Result<Vec<TaskRecord>, Error> {
         self.read(move |tx| read::undrafted(tx, kind, after, limit))
-    }
-
-    /// Instructions that have paraphrases.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn paraphrased(&self) -> Result<BTreeSet<String>, Error> {
-        self.read(paraphrases::paraphrased)
-    }
-
-    /// Stores proposed paraphrases of an instruction, and returns the number of new ones.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn put_paraphrases(
-        &self,
-        instruction: &str,
-        texts: Vec<String>,
-        model: &str,
-        prompt_hash: &str,
-        now: Millis,
-    ) -> Result<usize, Error> {
-        let (instruction, model) = (instruction.to_owned(), model.to_owned());
-        let hash = prompt_hash.to_owned();
-        self.write(move |tx| paraphrases::put(tx, &instruction, &texts, &model, &hash, now))
-    }
-
-    /// Paraphrases of a state with ids above `after`.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn paraphrases(
-        &self,
-        state: ParaphraseState,
-        after: i64,
-        limit: usize,
-    ) -> Result<Paraphrases, Error> {
-        self.read(move |tx| paraphrases::page(tx, state, after, limit))
-    }
-
-    /// Applies a reviewer's judgement of a paraphrase.
-    ///
-    /// # Errors
-    /// `invalid`, `not_found`; or the store fails.
-    pub fn judge_paraphrase(
-        &self,
-        user: i64,
-        id: i64,
-        judgement: JudgeParaphrase,
-        now: Millis,
-    ) -> Result<Paraphrase, Error> {
-        self.write(move |tx| paraphrases::judge(tx, user, id, &judgement, now))
-    }
-
-    /// Accepted paraphrases by their instructions.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn accepted_paraphrases(&self) -> Result<BTreeMap<String, Vec<String>>, Error> {
-        self.read(paraphrases::accepted)
     }
 
     /// Pictures of the guide, without their content.
@@ -1055,7 +990,7 @@ impl Store {
                 .by_ref()
                 .take(FILE_PART)
                 .read_to_end(&mut bytes)
-                .map_err(Error::io("read", name))?;
+                .map_err(datasets_spec::Error::io("read", name))?;
             let is_last = (bytes.len() as u64) < FILE_PART;
             let name = name.to_owned();
             self.write(move |tx| project::put_file_part(tx, job, &name, number, bytes))?;

@@ -122,7 +122,7 @@ table! {
     pub struct AgreementRow = "agreement" {
         /// Part, overall, verdict, or masks
         pub item: String [""],
-        /// raw, krippendorff_alpha, fleiss_kappa, cohen_kappa, gwet_ac1, jaccard or alpha_masi
+        /// raw, krippendorff_alpha, gwet_ac1, jaccard or alpha_masi
         pub figure: String [""],
         /// Value; missing below 30 items
         pub value: Option<f64> [""],

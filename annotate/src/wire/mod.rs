@@ -10,7 +10,6 @@ mod jobs;
 mod log;
 mod mine;
 mod names;
-mod paraphrase;
 mod people;
 mod problem;
 mod review;
@@ -32,11 +31,9 @@ pub use mine::{MyAnswer, MyAnswers};
 pub(crate) use names::names;
 pub use names::{
     Action, BulkAction, Code, CountReason, Decision, EditType, EventKind, ExportFormat, Extent,
-    ImportFormat, ParaphraseState, ReviewQueue, RevisionState, Role, RuleKind, SkipFilter,
-    SkipReason, Standing, SuggestionSource, SuggestionUse, TaskKind, TaskSort, TaskState, TextForm,
-    Verdict,
+    ImportFormat, ReviewQueue, RevisionState, Role, RuleKind, SkipFilter, SkipReason, Standing,
+    SuggestionSource, SuggestionUse, TaskKind, TaskSort, TaskState, TextForm, Verdict,
 };
-pub use paraphrase::{JudgeParaphrase, Paraphrase, Paraphrases};
 pub use people::{
     Limits, Login, Me, NewToken, NewUser, NewUserLink, NewUsers, Prefs, Project, Settings,
     TokenInfo, TokenShown, User, UserChange,

@@ -425,12 +425,6 @@ names! {
         PracticeCompare = "practice_compare",
         /// Open the task browser.
         ScreenTasks = "screen_tasks",
-        /// Accept the paraphrase.
-        PhraseAccept = "phrase_accept",
-        /// Edit the paraphrase, then accept it.
-        PhraseEdit = "phrase_edit",
-        /// Reject the paraphrase.
-        PhraseReject = "phrase_reject",
     }
 }
 
@@ -481,18 +475,6 @@ names! {
         Any = "any",
         /// Undecided, skipped, and nobody is left to get it: every annotator (of none, every user) skipped or answered it.
         Everybody = "everybody",
-    }
-}
-
-names! {
-    /// State of a paraphrase.
-    pub enum ParaphraseState {
-        /// Nobody has judged it.
-        Proposed = "proposed",
-        /// The composer may use it.
-        Accepted = "accepted",
-        /// It is not used.
-        Rejected = "rejected",
     }
 }
 
@@ -551,6 +533,8 @@ names! {
         Csrf = "csrf",
         /// 403: a request with a cookie comes from another origin.
         WrongOrigin = "wrong_origin",
+        /// 421: the request is addressed to a name that is not this server's.
+        WrongHost = "wrong_host",
         /// 403: reviewers do not review their own work.
         OwnWork = "own_work",
         /// 404: does not exist, or you may not see it.

@@ -119,10 +119,6 @@ pub struct PartAgreement {
     pub raw: Option<Estimate>,
     /// Krippendorff's alpha, nominal; handles missing answers.
     pub krippendorff_alpha: Option<Estimate>,
-    /// Fleiss' kappa over items with the most common number of answers.
-    pub fleiss_kappa: Option<Estimate>,
-    /// Cohen's kappa, averaged over pairs of people by the items they share.
-    pub cohen_kappa: Option<Estimate>,
     /// Gwet's AC1.
     pub gwet_ac1: Option<Estimate>,
 }

@@ -107,16 +107,16 @@ declarations! {
     structs:
         Agreement Answer AnswerBrief ApplyRules Audit AuditEntry BlendRequest BulkDone BulkRequest Bundle BundleItem
         Candidate Change DayWork DecisionRow Decisions Empty Estimate EventBatch EventResult EventResults
-        ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home Job JudgeParaphrase KindGuide Lease
+        ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home Job KindGuide Lease
         Limits Login MaskAnswer Me MotionInfo MyAnswer MyAnswers NewEvent NewReview NewToken NewUser NewUserLink
-        NewUsers Next NextRequest Outlook Paraphrase Paraphrases PartAgreement PartInfo Person PictureInfo Practice
+        NewUsers Next NextRequest Outlook PartAgreement PartInfo Person PictureInfo Practice
         Prefs Problem Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest
         ReviewView Revision Rule RuleState RuleUndone RulesApplied Settings Shelf ShelfItem SkeletonInfo SkipBrief
         SuggestRequest Suggestion Task TaskFile TaskFilter TaskPage TaskRow TaskView TokenInfo TokenShown User
         UserChange Week;
     enums:
         Action BulkAction Code CountReason Decision EditType EventKind ExportFormat Extent ImportFormat
-        ParaphraseState ReviewQueue RevisionState Role RuleKind SkipFilter SkipReason Standing SuggestionSource
+        ReviewQueue RevisionState Role RuleKind SkipFilter SkipReason Standing SuggestionSource
         SuggestionUse TaskKind TaskSort TaskState TextForm Verdict;
 }
 

@@ -51,6 +51,77 @@ fn behind_a_trusted_proxy_each_client_has_limits_of_its_own() {
 }
 
 #[test]
+fn a_right_token_is_never_locked_out_and_counts_for_nothing() {
+    let site = Site::new();
+    let ann = site.person("ann", Role::Annotator);
+    let origin = site.url("");
+    let headers = [("origin", origin.as_str()), ("x-annotate", "1")];
+    let body = json!({ "token": ann.token }).to_string();
+    let log_in = || {
+        let url = site.url("/api/v1/session");
+        send(&agent(), "POST", &url, &headers, Some(body.as_bytes())).status
+    };
+    // A team behind one address.
+    for _ in 0..30 {
+        assert_eq!(log_in(), 200);
+    }
+    for _ in 0..10 {
+        assert_eq!(guess(&site, &[]).problem().code, Code::Unauthenticated);
+    }
+    assert_eq!(guess(&site, &[]).problem().code, Code::RateLimited);
+    assert_eq!(log_in(), 200);
+}
+
+#[test]
+fn the_page_stands_at_its_folder_with_and_without_a_slash() {
+    let site = Site::new();
+    for path in ["/", "/app", "/app/", "/app/mask"] {
+        let answered = send(&agent(), "GET", &site.url(path), &[], None);
+        assert_eq!(answered.status, 200, "{path}");
+        assert!(answered.body.starts_with(b"<!doctype html>"), "{path}");
+    }
+}
+
+#[test]
+fn only_requests_to_the_servers_own_names_are_answered() {
+    let site = Site::with(|config| config.hosts = vec!["annotate.example".to_owned()]);
+    let ask = |host: &str| {
+        send(
+            &agent(),
+            "GET",
+            &site.url("/healthz"),
+            &[("host", host)],
+            None,
+        )
+    };
+    for own in [
+        "127.0.0.1:8765",
+        "[::1]:8765",
+        "localhost",
+        "Annotate.Example",
+        "annotate.example:443",
+        "192.0.2.7",
+    ] {
+        assert_eq!(ask(own).status, 200, "{own}");
+    }
+    for other in [
+        "evil.example",
+        "annotate.example.evil.example",
+        "localhost.evil.example",
+    ] {
+        let answered = ask(other);
+        assert_eq!(
+            (answered.status, answered.problem().code),
+            (421, Code::WrongHost),
+            "{other}"
+        );
+    }
+    // Rebinding: the page of another name is of one origin with what it asks.
+    let rebound = [("host", "evil.example"), ("origin", "http://evil.example")];
+    assert_eq!(guess(&site, &rebound).problem().code, Code::WrongHost);
+}
+
+#[test]
 fn a_client_that_is_no_trusted_proxy_is_counted_by_its_own_address() {
     let site = Site::new();
     let from = |client: &str| guess(&site, &[("x-forwarded-for", client)]).problem().code;
@@ -110,7 +181,7 @@ fn begin(site: &Site, client: &Client, path: &str, length: usize) -> TcpStream {
         .set_read_timeout(Some(Duration::from_secs(60)))
         .expect("a limit");
     let head = format!(
-        "POST {path} HTTP/1.1\r\nHost: here\r\nConnection: close\r\nAuthorization: Bearer {}\r\n\
+        "POST {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\n\
          Content-Length: {length}\r\n\r\n",
         client.token
     );
@@ -153,7 +224,7 @@ fn a_reader_that_takes_nothing_is_dropped() {
         .set_write_timeout(Some(Duration::from_secs(60)))
         .expect("a limit");
     // Requests until the answers fill every buffer between, and the server reads no more of them.
-    let request = b"GET /assets/vendor-three.js HTTP/1.1\r\nHost: here\r\n\r\n";
+    let request = b"GET /assets/vendor-three.js HTTP/1.1\r\nHost: localhost\r\n\r\n";
     let error = loop {
         if let Err(error) = stream.write_all(request) {
             break error;

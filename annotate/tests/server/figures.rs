@@ -188,25 +188,6 @@ const COMMENTS: [&str; 3] = [
     "Say what changes, not what the second clip shows.",
 ];
 
-/// Other wordings of instructions, as a model proposes them.
-const WORDINGS: [(usize, [&str; 2]); 3] = [
-    (
-        0,
-        [
-            "Lift the left arm further up.",
-            "Bring your left arm up higher.",
-        ],
-    ),
-    (4, ["Sink lower into the knees.", "Flex both knees more."]),
-    (
-        6,
-        [
-            "Rotate the upper body left.",
-            "Face further left with the chest.",
-        ],
-    ),
-];
-
 /// Masks of a clip, from its drafts unless the person has an opinion of their own.
 fn describe(task: &TaskDetail, number: u64, own: bool) -> Answer {
     let mut said: Vec<MaskAnswer> = Vec::new();
@@ -448,12 +429,6 @@ impl Team {
             if day + 1 < mornings.len() {
                 self.review((daily * 2.2).round() as usize, morning + 2 * HOUR);
             }
-        }
-        for (index, wordings) in WORDINGS {
-            let (instruction, wordings) = (EDITS[index].1, wordings.map(str::to_owned));
-            self.store
-                .put_paraphrases(instruction, wordings.to_vec(), "llama-3.1-8b", "", end)
-                .expect("paraphrases");
         }
     }
 }

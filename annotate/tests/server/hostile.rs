@@ -158,12 +158,12 @@ fn requests_that_never_end_are_given_up() {
     let site = Site::with_patience(Duration::from_secs(2));
     let ann = site.person("ann", Role::Annotator);
     // Headers without an end.
-    let head = "GET /healthz HTTP/1.1\r\nHost: here\r\nX-Slow: ";
+    let head = "GET /healthz HTTP/1.1\r\nHost: localhost\r\nX-Slow: ";
     let answer = answer_to(&site, head.as_bytes());
     assert!(!answer.contains("200 OK"), "{answer}");
     // A body shorter than its content length.
     let body = format!(
-        "POST /api/v1/queue/next HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\
+        "POST /api/v1/queue/next HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\
          Authorization: Bearer {}\r\nContent-Length: 100\r\n\r\n{{",
         ann.token
     );

@@ -8,13 +8,10 @@ use std::sync::{Arc, Mutex};
 use annotate::drafting;
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
-use annotate::wire::{
-    Code, Paraphrase, ParaphraseState, Paraphrases, Role, Suggestion, SuggestionSource, TaskKind,
-    Verdict,
-};
+use annotate::wire::{Code, Role, Suggestion, SuggestionSource, TaskKind};
 use serde_json::json;
 
-use crate::support::{CLIPS, START, Site, pair};
+use crate::support::{CLIPS, START, Site};
 
 /// A mock server with a fixed response, which records its requests.
 struct Fake {
@@ -212,97 +209,4 @@ fn a_model_that_is_gone_ends_the_drafts_and_is_named() {
     assert_eq!(done.texts, 0);
     assert!(done.failures > 0);
     assert!(done.last_failure.expect("a reason").contains("reached"));
-}
-
-#[test]
-fn paraphrases_are_judged_before_the_composer_gets_them() {
-    let fake = fake(
-        "HTTP/1.1 200 OK\r\ncontent-type: application/json\r\nconnection: close\r\n\r\n{\"choices\":[{\"message\":{\"content\":\"1. lift it further\\n2. higher\\n- raise it more\\n\"}}]}",
-    );
-    let model = Model::new(&fake.url, "tiny", None).expect("a model");
-    let site = Site::new();
-    let (ann, eve) = (
-        site.person("ann", Role::Annotator),
-        site.person("eve", Role::Reviewer),
-    );
-    ann.answer(TaskKind::Pair, pair(Verdict::Keep));
-    let bulk = json!({ "filter": { "kind": "pair" }, "action": "accept" });
-    let _: annotate::wire::BulkDone = eve.post("bulk", &bulk).ok();
-    let store = site.store.as_ref();
-    let ask = || {
-        drafting::paraphrase_all(store, &model, 4, usize::MAX, START, &mut |_| {}).expect("asks")
-    };
-    assert_eq!(ask().texts, 2, "the instruction itself is no paraphrase");
-    assert_eq!(ask().looked_at, 0);
-    let waiting: Paraphrases = eve.get("paraphrases").ok();
-    assert_eq!(waiting.waiting, 2);
-    assert_eq!(waiting.items[0].instruction, "higher");
-    assert!(store.accepted_paraphrases().expect("phrases").is_empty());
-    let path = |index: usize| format!("paraphrases/{}", waiting.items[index].id);
-    let corrected = json!({ "accept": true, "text": "lift the arm further" });
-    let accepted: Paraphrase = eve.post(&path(0), &corrected).ok();
-    assert_eq!(accepted.state, ParaphraseState::Accepted);
-    let _: Paraphrase = eve.post(&path(1), &json!({ "accept": false })).ok();
-    let same = json!({ "accept": true, "text": "lift the arm further" });
-    assert_eq!(eve.post(&path(1), &same).problem().code, Code::Invalid);
-    let phrases = store.accepted_paraphrases().expect("phrases");
-    assert_eq!(phrases["higher"], ["lift the arm further"]);
-    let log = store.log(0, 10_000).expect("the log");
-    let judged: Vec<_> = log
-        .iter()
-        .filter(|entry| entry.kind == "paraphrase_judged")
-        .collect();
-    assert_eq!(judged.len(), 2);
-    assert_eq!(judged[0].body["proposed"], "lift it further");
-}
-
-#[test]
-fn the_judgement_of_a_paraphrase_is_taken_back_by_who_made_it_and_never_overwritten_unseen() {
-    let site = Site::new();
-    let (eve, rex) = (
-        site.person("eve", Role::Reviewer),
-        site.person("rex", Role::Reviewer),
-    );
-    let store = site.store.as_ref();
-    store
-        .put_paraphrases("higher", vec!["lift it".to_owned()], "tiny", "", START)
-        .expect("a paraphrase");
-    let path = "paraphrases/1";
-    let corrected = json!({ "accept": true, "text": "lift the arm", "was": "proposed" });
-    let accepted: Paraphrase = eve.post(path, &corrected).ok();
-    assert_eq!(accepted.judge, Some(eve.user.id));
-    // Rex saw the proposal: the judgement of eve stands.
-    let late = json!({ "accept": false, "was": "proposed" });
-    let problem = rex.post(path, &late).problem();
-    assert_eq!(problem.code, Code::WrongState);
-    assert!(problem.detail.contains("accepted"), "{}", problem.detail);
-    let back = json!({ "accept": null, "text": "lift it", "was": "accepted" });
-    assert_eq!(rex.post(path, &back).problem().code, Code::WrongState);
-    assert_eq!(store.accepted_paraphrases().expect("phrases").len(), 1);
-    let proposed: Paraphrase = eve.post(path, &back).ok();
-    assert_eq!(
-        (proposed.state, proposed.judge, proposed.text.as_str()),
-        (ParaphraseState::Proposed, None, "lift it")
-    );
-    assert!(store.accepted_paraphrases().expect("phrases").is_empty());
-    let waiting: Paraphrases = rex.get("paraphrases").ok();
-    assert_eq!((waiting.waiting, waiting.items.len()), (1, 1));
-    let again = json!({ "accept": null });
-    assert_eq!(eve.post(path, &again).problem().code, Code::WrongState);
-    let missing = json!({ "text": "lift it" });
-    assert_eq!(eve.post(path, &missing).status, 400, "no judgement at all");
-    // Who knows of the judgement may change it.
-    let _: Paraphrase = eve.post(path, &json!({ "accept": true })).ok();
-    let changed = json!({ "accept": false, "was": "accepted" });
-    let _: Paraphrase = rex.post(path, &changed).ok();
-    let log = store.log(0, 10_000).expect("the log");
-    let judged: Vec<_> = log
-        .iter()
-        .filter(|entry| entry.kind == "paraphrase_judged")
-        .map(|entry| entry.body["accepted"].clone())
-        .collect();
-    assert_eq!(
-        judged,
-        [json!(true), json!(null), json!(true), json!(false)]
-    );
 }

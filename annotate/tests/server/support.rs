@@ -232,6 +232,7 @@ pub(crate) fn serve(
         listen: ([127, 0, 0, 1], 0).into(),
         operators: None,
         secure: false,
+        hosts: Vec::new(),
         trusted_proxies: Vec::new(),
         data,
         dataset: dataset.to_owned(),

@@ -6,7 +6,7 @@
 
 import { KEY_CODES, KEY_MODIFIERS, type Action as WireAction } from "./wire";
 
-export type Scope = "global" | "work" | "transport" | "parts" | "mask" | "pair" | "practice" | "review" | "phrase";
+export type Scope = "global" | "work" | "transport" | "parts" | "mask" | "pair" | "practice" | "review";
 
 export interface Action {
   id: ActionId;
@@ -103,10 +103,6 @@ const ACTIONS = [
   ["candidate_2", "Second answer", "review", ["Digit2"]],
   ["candidate_3", "Third answer", "review", ["Digit3"]],
   ["candidate_4", "Fourth answer", "review", ["Digit4"]],
-
-  ["phrase_accept", "Accept the paraphrase", "phrase", ["KeyA"]],
-  ["phrase_edit", "Edit it first", "phrase", ["KeyE"]],
-  ["phrase_reject", "Reject it", "phrase", ["KeyX"]],
 ] as const satisfies readonly (readonly [WireAction, string, Scope, readonly string[]])[];
 
 /** Scopes that are active together: on the screens for masks, pairs, feedback on practice, and reviews. */
@@ -115,7 +111,6 @@ export const TOGETHER: readonly (readonly Scope[])[] = [
   ["global", "work", "transport", "parts", "pair"],
   ["global", "transport", "pair", "practice"],
   ["global", "transport", "review"],
-  ["global", "phrase"],
 ];
 
 /** Keys of the parts, in the order of `SkeletonInfo.parts`. */

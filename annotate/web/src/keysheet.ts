@@ -13,7 +13,6 @@ const HEADINGS: Readonly<Record<Scope, string>> = {
   pair: "Pairs and styles",
   practice: "Feedback on practice",
   review: "Review",
-  phrase: "Paraphrases",
 };
 
 const label = (id: ActionId): string => DEFAULT_ACTIONS.find((action) => action.id === id)?.label ?? id;

@@ -13,7 +13,6 @@ import { showLogin } from "./screens/login";
 import { openMask } from "./screens/mask";
 import { openMine } from "./screens/mine";
 import { openPair, openStyle } from "./screens/pair";
-import { openParaphrases } from "./screens/paraphrases";
 import { openPractice } from "./screens/practice";
 import { openRecord } from "./screens/record";
 import { openReview } from "./screens/review";
@@ -37,7 +36,6 @@ const app = new App(
     task: { label: "Task", role: "reviewer", listed: false, within: "tasks", open: openRecord },
     rules: { label: "Rules", role: "reviewer", listed: false, within: "tasks", open: openRules },
     decisions: { label: "Decisions", role: "reviewer", listed: false, within: "review", open: openDecisions },
-    paraphrases: { label: "Paraphrases", role: "reviewer", listed: false, within: "review", open: openParaphrases },
     dashboard: { label: "Dashboard", role: "reviewer", listed: true, open: openDashboard },
     admin: { label: "Admin", role: "admin", listed: true, open: openAdmin },
   },

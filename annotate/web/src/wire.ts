@@ -24,7 +24,7 @@ export const KEY_CODES: readonly string[] = [
 ];
 
 /** Actions that can be bound to keys. */
-export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin" | "screen_mine" | "guide_beside" | "practice_next" | "practice_again" | "practice_compare" | "screen_tasks" | "phrase_accept" | "phrase_edit" | "phrase_reject";
+export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin" | "screen_mine" | "guide_beside" | "practice_next" | "practice_again" | "practice_compare" | "screen_tasks";
 export const ACTIONS: readonly Action[] = [
   "play_pause", "step_back", "step_forward", "go_start", "go_end", "loop_in", "loop_out", "loop_clear",
   "slower", "faster", "part_1", "part_2", "part_3", "part_4", "part_5", "soft_ring", "mask_new", "card_next",
@@ -36,7 +36,7 @@ export const ACTIONS: readonly Action[] = [
   "next_region", "part_6", "part_7", "part_8", "part_9", "part_10", "align_roots", "screen_home",
   "screen_mask", "screen_pair", "screen_style", "screen_shelf", "screen_guide", "screen_review",
   "screen_dashboard", "screen_admin", "screen_mine", "guide_beside", "practice_next", "practice_again",
-  "practice_compare", "screen_tasks", "phrase_accept", "phrase_edit", "phrase_reject",
+  "practice_compare", "screen_tasks",
 ];
 
 /** What a bulk action does with each task. */
@@ -46,11 +46,12 @@ export const BULK_ACTIONS: readonly BulkAction[] = [
 ];
 
 /** The code of a problem. Codes are stable; texts are not. */
-export type Code = "unauthenticated" | "forbidden" | "csrf" | "wrong_origin" | "own_work" | "not_found" | "method_not_allowed" | "bad_request" | "too_large" | "invalid" | "mask_count" | "stale_revision" | "lease_lost" | "task_full" | "wrong_state" | "key_reused" | "rate_limited" | "no_model" | "model_failed" | "timeout" | "read_only" | "internal";
+export type Code = "unauthenticated" | "forbidden" | "csrf" | "wrong_origin" | "wrong_host" | "own_work" | "not_found" | "method_not_allowed" | "bad_request" | "too_large" | "invalid" | "mask_count" | "stale_revision" | "lease_lost" | "task_full" | "wrong_state" | "key_reused" | "rate_limited" | "no_model" | "model_failed" | "timeout" | "read_only" | "internal";
 export const CODES: readonly Code[] = [
-  "unauthenticated", "forbidden", "csrf", "wrong_origin", "own_work", "not_found", "method_not_allowed",
-  "bad_request", "too_large", "invalid", "mask_count", "stale_revision", "lease_lost", "task_full",
-  "wrong_state", "key_reused", "rate_limited", "no_model", "model_failed", "timeout", "read_only", "internal",
+  "unauthenticated", "forbidden", "csrf", "wrong_origin", "wrong_host", "own_work", "not_found",
+  "method_not_allowed", "bad_request", "too_large", "invalid", "mask_count", "stale_revision", "lease_lost",
+  "task_full", "wrong_state", "key_reused", "rate_limited", "no_model", "model_failed", "timeout", "read_only",
+  "internal",
 ];
 
 /** Reason for fewer or more masks than the project wants. */
@@ -93,12 +94,6 @@ export const EXTENTS: readonly Extent[] = [
 export type ImportFormat = "dataset" | "stance" | "annotations";
 export const IMPORT_FORMATS: readonly ImportFormat[] = [
   "dataset", "stance", "annotations",
-];
-
-/** State of a paraphrase. */
-export type ParaphraseState = "proposed" | "accepted" | "rejected";
-export const PARAPHRASE_STATES: readonly ParaphraseState[] = [
-  "proposed", "accepted", "rejected",
 ];
 
 /** Review queues. */
@@ -588,15 +583,6 @@ export type Job = {
   /** When its server last reported on it. */
   heartbeat: number, };
 
-/** `POST paraphrases/{id}`. */
-export type JudgeParaphrase = {
-  /** Whether the composer may use it. `null` takes my judgement back, so that it waits for one again. */
-  accept: boolean | null,
-  /** The wording as the reviewer corrected it; with a judgement that is taken back, the proposed one. */
-  text: string | null,
-  /** The state that the reviewer saw: 409 `wrong_state` if somebody changed it meanwhile. */
-  was: ParaphraseState | null, };
-
 /** Guidelines of a kind of task. `GET`/`PUT guide/{kind}`. */
 export type KindGuide = {
   /** Plain text. */
@@ -819,32 +805,6 @@ export type Outlook = {
   /** When it ends. */
   ends: number | null, };
 
-/** A paraphrase. */
-export type Paraphrase = {
-  /** Id. */
-  id: number,
-  /** The accepted instruction. */
-  instruction: string,
-  /** Another wording of it. */
-  text: string,
-  /** Name of the model that proposed it. */
-  model: string,
-  /** State. */
-  state: ParaphraseState,
-  /** Id of the person who judged it. */
-  judge: number | null,
-  /** When it was proposed or judged. */
-  at: number, };
-
-/** `GET paraphrases?state=&after=&limit=`. */
-export type Paraphrases = {
-  /** Paraphrases of the state, oldest first. */
-  items: Array<Paraphrase>,
-  /** Value of `after` for the next page. */
-  next: number | null,
-  /** Paraphrases that nobody has judged. */
-  waiting: number, };
-
 /** Agreement on one decision. */
 export type PartAgreement = {
   /** Name of the part. */
@@ -855,10 +815,6 @@ export type PartAgreement = {
   raw: Estimate | null,
   /** Krippendorff's alpha, nominal; handles missing answers. */
   krippendorff_alpha: Estimate | null,
-  /** Fleiss' kappa over items with the most common number of answers. */
-  fleiss_kappa: Estimate | null,
-  /** Cohen's kappa, averaged over pairs of people by the items they share. */
-  cohen_kappa: Estimate | null,
   /** Gwet's AC1. */
   gwet_ac1: Estimate | null, };
 

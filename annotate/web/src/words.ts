@@ -119,3 +119,10 @@ export function becameOf({ decision, state, authors }: Pick<DecisionRow, "decisi
   const again = state === "submitted" ? "waits for review" : state === "in_review" ? "in review" : NOW[state];
   return decision === "reopened" ? again : `reopened since; ${again}`;
 }
+
+/** How far the choices of answers lie apart, which says nothing of their texts: "are 12 % apart; what differs glows". */
+export function apartWords(distance: number): string {
+  if (distance === 0) return "choose the same; compare their texts";
+  const share = distance < 0.005 ? "less than 1 %" : `${Math.round(distance * 100)} %`;
+  return `are ${share} apart; what differs glows`;
+}

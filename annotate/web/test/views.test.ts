@@ -7,7 +7,7 @@ import { OrbitCamera } from "../src/stage/camera";
 import { LIMBS, PARENTS, PLAIN, aligned, bits, colourOf, headingAt, pointAt, toneOf, type Track } from "../src/stage/body";
 import { heatColour, spans } from "../src/strips";
 import type { Candidate, PartInfo, Task, TaskState } from "../src/wire";
-import { becameOf, factsOf, type MaskTextAnswer } from "../src/words";
+import { apartWords, becameOf, factsOf, type MaskTextAnswer } from "../src/words";
 
 const part = (name: string, hard: number[], soft: number[], release = true): PartInfo => ({
   name,
@@ -182,4 +182,10 @@ test("annotators and reviewers are told what the source says about a task", () =
   const task = { hint: "raise the arm", category: "wave", style: null } as Task;
   assert.deepEqual(factsOf(task), ["raise the arm", "category: wave"]);
   assert.deepEqual(factsOf({ ...task, hint: "", category: null, style: "proud" }), ["source style: proud"]);
+});
+
+test("answers that choose the same are not called 0 % apart", () => {
+  assert.equal(apartWords(0), "choose the same; compare their texts");
+  assert.equal(apartWords(0.004), "are less than 1 % apart; what differs glows");
+  assert.equal(apartWords(0.125), "are 13 % apart; what differs glows");
 });

@@ -34,9 +34,8 @@ pub const WIDTH: usize = 201;
 /// The features of a frame.
 pub type Features = [f32; WIDTH];
 
-/// First column of the rotations, and of the joints.
+/// First column of the rotations.
 const ROTATIONS: usize = 3;
-const JOINTS: usize = ROTATIONS + 6 * NUM_BODY_JOINTS;
 
 /// The features of a motion on a body, at 30 fps. Where it stands and faces does not matter.
 ///
@@ -102,28 +101,31 @@ pub fn motion_of_features(features: &[Features]) -> Result<Motion, kinematics::E
     Motion::from_poses(released_fps(), &poses)
 }
 
-/// The joints of the features in the world: those of a frame moved by its translation.
-///
-/// # Shapes
-/// `[L, 22]` in metres.
-pub fn joints_of_features(features: &[Features]) -> Vec<[DVec3; NUM_BODY_JOINTS]> {
-    let vector = |frame: &Features, at: usize| {
-        DVec3::new(frame[at].into(), frame[at + 1].into(), frame[at + 2].into())
-    };
-    features
-        .iter()
-        .map(|frame| {
-            std::array::from_fn(|joint| vector(frame, JOINTS + 3 * joint) + vector(frame, 0))
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use kinematics::rotation::angle_between;
     use testkit::walk;
 
     use super::*;
+
+    /// First column of the joints.
+    const JOINTS: usize = ROTATIONS + 6 * NUM_BODY_JOINTS;
+
+    /// The joints of the features in the world: those of a frame moved by its translation.
+    ///
+    /// # Shapes
+    /// `[L, 22]` in metres.
+    fn joints_of_features(features: &[Features]) -> Vec<[DVec3; NUM_BODY_JOINTS]> {
+        let vector = |frame: &Features, at: usize| {
+            DVec3::new(frame[at].into(), frame[at + 1].into(), frame[at + 2].into())
+        };
+        features
+            .iter()
+            .map(|frame| {
+                std::array::from_fn(|joint| vector(frame, JOINTS + 3 * joint) + vector(frame, 0))
+            })
+            .collect()
+    }
 
     #[test]
     fn the_motion_comes_back_and_its_joints_are_those_of_the_features() {

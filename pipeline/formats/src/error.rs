@@ -50,41 +50,21 @@ pub enum Error {
         reason: String,
     },
     /// A path cannot be listed or read.
-    #[error("cannot {action} {}", path.display())]
-    Io {
-        /// What was tried, as a verb.
-        action: &'static str,
-        /// The path.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Spec(#[from] datasets_spec::Error),
 }
 
 impl Error {
     /// The code of the error and what it happened to.
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
+            Self::Spec(error) => return error.code(),
             Self::UnusableFile { path, code, .. } | Self::BodyModel { path, code, .. } => {
                 (*code, path)
             }
-            Self::Io { path, .. } => ("E-IO", path),
             Self::Scratch { path, .. } => ("E-SCRATCH", path),
             Self::Index { path, .. } => ("E-INDEX", path),
         };
         Some((code, Some(path.display().to_string())))
-    }
-
-    /// Wraps an I/O error with what was tried on which path.
-    pub fn io(
-        action: &'static str,
-        path: impl Into<PathBuf>,
-    ) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.into();
-        move |source| Self::Io {
-            action,
-            path,
-            source,
-        }
     }
 }

@@ -84,7 +84,7 @@ pub fn examine(
     let asked = index.is_some();
     let index = match index {
         Some(path) => {
-            let bytes = fs::read(path).map_err(Error::io("read", path))?;
+            let bytes = fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
             let rows = parse_index(&bytes).map_err(|rejected| formats::Error::Index {
                 path: path.to_owned(),
                 reason: rejected.reason,

@@ -88,10 +88,12 @@ impl ByClip for Files {
             let stem = self.stems.get(row.id.as_str()).cloned().unwrap_or_default();
             let path = folder.join(format!("{stem}.{}", self.extension));
             if let Some(parent) = path.parent() {
-                fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
+                fs::create_dir_all(parent)
+                    .map_err(datasets_spec::Error::io("create folder", parent))?;
             }
-            let bytes = (self.encode)(&row, &self.skeleton)?.map_err(Error::io("encode", &path))?;
-            fs::write(&path, bytes).map_err(Error::io("write", &path))?;
+            let bytes = (self.encode)(&row, &self.skeleton)?
+                .map_err(datasets_spec::Error::io("encode", &path))?;
+            fs::write(&path, bytes).map_err(datasets_spec::Error::io("write", &path))?;
             write_sidecar(folder, &stem, row)?;
             progress.advance(1);
             Ok(None)
@@ -123,5 +125,5 @@ fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error>
         license: row.license,
     };
     let text = serde_json::to_vec_pretty(&said).unwrap_or_default();
-    fs::write(&path, text).map_err(Error::io("write", &path))
+    Ok(fs::write(&path, text).map_err(datasets_spec::Error::io("write", &path))?)
 }

@@ -106,10 +106,12 @@ pub fn export_edits(
                 clip.said.frames = clip.motion.len();
             }
             if let Some(parent) = path.parent() {
-                fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
+                fs::create_dir_all(parent)
+                    .map_err(datasets_spec::Error::io("create folder", parent))?;
             }
-            let bytes = encode(&clip.motion, &skeleton).map_err(Error::io("encode", &path))?;
-            fs::write(&path, bytes).map_err(Error::io("write", &path))?;
+            let bytes = encode(&clip.motion, &skeleton)
+                .map_err(datasets_spec::Error::io("encode", &path))?;
+            fs::write(&path, bytes).map_err(datasets_spec::Error::io("write", &path))?;
             progress.advance(1);
             Ok(Said { file, ..clip.said })
         })

@@ -30,10 +30,10 @@ impl Lines {
 
 /// The features of a clip, from its file.
 pub(super) fn read_features<const WIDTH: usize>(path: &Path) -> Result<Vec<[f32; WIDTH]>, Error> {
-    let bytes = fs::read(path).map_err(Error::io("read", path))?;
+    let bytes = fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
     let name = path.display().to_string();
     let array = npy::read_numbers(&name, &bytes)
-        .map_err(|error| Error::io("read", path)(std::io::Error::other(error)))?;
+        .map_err(|error| datasets_spec::Error::io("read", path)(std::io::Error::other(error)))?;
     let (frames, _) = array.values.as_chunks::<WIDTH>();
     // They were written in single precision.
     Ok(frames
@@ -46,7 +46,7 @@ pub(super) fn read_features<const WIDTH: usize>(path: &Path) -> Result<Vec<[f32;
 pub(super) fn file(root: &Path, name: &str, bytes: &[u8]) -> Result<(), Error> {
     let path = root.join(name);
     if let Some(parent) = path.parent() {
-        fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
+        fs::create_dir_all(parent).map_err(datasets_spec::Error::io("create folder", parent))?;
     }
-    fs::write(&path, bytes).map_err(Error::io("write", &path))
+    Ok(fs::write(&path, bytes).map_err(datasets_spec::Error::io("write", &path))?)
 }

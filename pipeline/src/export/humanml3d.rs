@@ -98,7 +98,7 @@ impl ByClip for HumanMl3dFolder {
     fn finish(&self, clips: &Clips, notes: &[Note], folder: &Path) -> Result<u64, Error> {
         for name in [VECTORS, "new_joints", "texts"] {
             let path = folder.join(name);
-            fs::create_dir_all(&path).map_err(Error::io("create folder", &path))?;
+            fs::create_dir_all(&path).map_err(datasets_spec::Error::io("create folder", &path))?;
         }
         let mut notes = notes.iter();
         let mut by_split: BTreeMap<Split, Vec<&str>> = BTreeMap::new();

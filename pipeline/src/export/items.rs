@@ -77,7 +77,7 @@ pub fn export_items(
     };
     for side in sides {
         let path = folder.path().join(side);
-        fs::create_dir_all(&path).map_err(Error::io("create folder", &path))?;
+        fs::create_dir_all(&path).map_err(datasets_spec::Error::io("create folder", &path))?;
     }
     progress.begin("export items", Some(items.len() as u64));
     let written: Vec<Item<'_>> = items
@@ -87,8 +87,8 @@ pub fn export_items(
                 let file = format!("{side}/{}.npz", item_stem(&item.id));
                 let path = folder.path().join(&file);
                 let bytes = formats::write::amass::encode_with_keypoints(motion, skeleton)
-                    .map_err(Error::io("encode", &path))?;
-                fs::write(&path, bytes).map_err(Error::io("write", &path))?;
+                    .map_err(datasets_spec::Error::io("encode", &path))?;
+                fs::write(&path, bytes).map_err(datasets_spec::Error::io("write", &path))?;
                 let frames = motion.len();
                 Ok(File { file, frames })
             };

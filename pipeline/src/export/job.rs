@@ -264,7 +264,7 @@ struct Written {
 fn files_in(folder: &Path, prefix: &str) -> Result<Vec<FileEntry>, Error> {
     let files = Disk
         .files_below(folder)
-        .map_err(Error::io("list", folder))?;
+        .map_err(datasets_spec::Error::io("list", folder))?;
     let entries = files.iter().map(|path| {
         let relative = path.strip_prefix(folder).unwrap_or(path);
         let parts: Vec<_> = relative.iter().map(|part| part.to_string_lossy()).collect();
@@ -272,7 +272,9 @@ fn files_in(folder: &Path, prefix: &str) -> Result<Vec<FileEntry>, Error> {
             path: format!("{prefix}{}", parts.join("/")),
             split: None,
             rows: 0,
-            bytes: Disk.size(path).map_err(Error::io("read", path))?,
+            bytes: Disk
+                .size(path)
+                .map_err(datasets_spec::Error::io("read", path))?,
             blake3: hash_file(path)?,
             sha256: String::new(),
         })
@@ -286,7 +288,7 @@ impl Job for Export {
         self.check(part.as_ref())?;
         let folder = staging.folder().join(PIECES).join(&piece.id);
         let made = temporary_beside(&folder);
-        fs::create_dir_all(&made).map_err(Error::io("create folder", &made))?;
+        fs::create_dir_all(&made).map_err(datasets_spec::Error::io("create folder", &made))?;
         let write = || {
             let written = self.write(&self.clips(), part.as_ref(), &made)?;
             let files = files_in(&made, &format!("{PIECES}/{}/", piece.id))?;
@@ -294,8 +296,9 @@ impl Job for Export {
             // before, it makes way.
             if fs::rename(&made, &folder).is_err() && !staging.holds(files.iter())? {
                 Disk.remove_dir_all(&folder)
-                    .map_err(Error::io("remove", &folder))?;
-                fs::rename(&made, &folder).map_err(Error::io("rename to", &folder))?;
+                    .map_err(datasets_spec::Error::io("remove", &folder))?;
+                fs::rename(&made, &folder)
+                    .map_err(datasets_spec::Error::io("rename to", &folder))?;
             }
             Ok(Made::new(files, &written))
         };
@@ -330,9 +333,9 @@ impl Job for Export {
     ) -> Result<Committed, work::Error> {
         let (home, out) = (&plan.home(), plan.destination());
         let meta = home.join("meta");
-        fs::create_dir_all(&meta).map_err(Error::io("create folder", &meta))?;
+        fs::create_dir_all(&meta).map_err(datasets_spec::Error::io("create folder", &meta))?;
         let locking = Disk.lock(home, &options.holder);
-        let _lock = match locking.map_err(Error::io("lock", home))? {
+        let _lock = match locking.map_err(datasets_spec::Error::io("lock", home))? {
             Locking::Held(lock) => lock,
             Locking::Taken { holder } => {
                 let path = out.to_owned();
@@ -347,8 +350,8 @@ impl Job for Export {
         plan.check_open()?;
         let result = plan.result();
         Disk.remove_dir_all(&result)
-            .map_err(Error::io("remove", &result))?;
-        fs::create_dir_all(&result).map_err(Error::io("create folder", &result))?;
+            .map_err(datasets_spec::Error::io("remove", &result))?;
+        fs::create_dir_all(&result).map_err(datasets_spec::Error::io("create folder", &result))?;
         let staging = plan.staging();
         let mut notes = Vec::new();
         let mut done = Exported::default();
@@ -409,11 +412,11 @@ fn hash_of(files: &[FileEntry]) -> String {
 /// Gives a file a second name, or copies it where the file system knows none.
 fn link(from: &Path, to: &Path) -> Result<(), Error> {
     if let Some(folder) = to.parent() {
-        fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+        fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;
     }
     if fs::hard_link(from, to).is_ok() {
         return Ok(());
     }
-    fs::copy(from, to).map_err(Error::io("copy to", to))?;
+    fs::copy(from, to).map_err(datasets_spec::Error::io("copy to", to))?;
     Ok(())
 }

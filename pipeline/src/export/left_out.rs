@@ -89,65 +89,33 @@ const MASKS: &str = "masks";
 pub(super) const PAIRS: &str = "pairs";
 const FEATURES: &str = "humanml3d_features";
 
+/// What a caption is made of.
+const WORDS: [&str; 3] = [CAPTIONS, CAPTION_TIMES, CAPTION_TOKENS];
+/// What else is said of a clip.
+const LABELS: [&str; 6] = [
+    MADE_CAPTIONS,
+    PART_CAPTIONS,
+    SUBJECTS,
+    ACTIONS,
+    STYLES,
+    LICENSES,
+];
+
 /// What a layout has a place for. Splits have one in every layout, and markers in none.
-fn held(layout: Layout) -> &'static [&'static str] {
+fn held(layout: Layout) -> Vec<&'static str> {
+    let (words, labels) = (&WORDS[..], &LABELS[..]);
     match layout {
-        Layout::Amass | Layout::Bvh | Layout::Gltf => &[
-            CAPTIONS,
-            CAPTION_TIMES,
-            CAPTION_TOKENS,
-            MADE_CAPTIONS,
-            PART_CAPTIONS,
-            SUBJECTS,
-            ACTIONS,
-            STYLES,
-            LICENSES,
-        ],
-        Layout::WebDataset => &[
-            CAPTIONS,
-            CAPTION_TIMES,
-            CAPTION_TOKENS,
-            MADE_CAPTIONS,
-            PART_CAPTIONS,
-            SUBJECTS,
-            ACTIONS,
-            STYLES,
-            LICENSES,
-            MIRROR_LINKS,
-        ],
-        Layout::Stance => &[
-            CAPTIONS,
-            CAPTION_TIMES,
-            CAPTION_TOKENS,
-            MADE_CAPTIONS,
-            PART_CAPTIONS,
-            SUBJECTS,
-            ACTIONS,
-            STYLES,
-            LICENSES,
-            MIRROR_LINKS,
-            MASKS,
-            PAIRS,
-        ],
-        Layout::HumanMl3d => &[
-            CAPTIONS,
-            CAPTION_TIMES,
-            CAPTION_TOKENS,
-            LICENSES,
-            MIRROR_LINKS,
-            FEATURES,
-        ],
-        Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion => &[
-            CAPTIONS,
-            CAPTION_TIMES,
-            CAPTION_TOKENS,
-            LICENSES,
-            MIRROR_LINKS,
-        ],
+        Layout::Amass | Layout::Bvh | Layout::Gltf => [words, labels].concat(),
+        Layout::WebDataset => [words, labels, &[MIRROR_LINKS]].concat(),
+        Layout::Stance => [words, labels, &[MIRROR_LINKS, MASKS, PAIRS]].concat(),
+        Layout::HumanMl3d => [words, &[LICENSES, MIRROR_LINKS, FEATURES]].concat(),
+        Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion => {
+            [words, &[LICENSES, MIRROR_LINKS]].concat()
+        }
         // A caption of a part of a clip has no place.
-        Layout::MotionMillion => &[CAPTIONS, LICENSES],
-        Layout::LeRobot => &[CAPTIONS, ACTIONS, STYLES, LICENSES],
-        Layout::MotionFix => &[LICENSES, PAIRS],
+        Layout::MotionMillion => vec![CAPTIONS, LICENSES],
+        Layout::LeRobot => vec![CAPTIONS, ACTIONS, STYLES, LICENSES],
+        Layout::MotionFix => vec![LICENSES, PAIRS],
     }
 }
 

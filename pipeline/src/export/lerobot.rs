@@ -275,7 +275,7 @@ impl<'a> Writer<'a> {
     fn write_json(&self, name: &str, value: &serde_json::Value) -> Result<(), Error> {
         let path = self.folder.join(name);
         let text = format!("{value:#}\n");
-        fs::write(&path, text).map_err(Error::io("write", &path))
+        Ok(fs::write(&path, text).map_err(datasets_spec::Error::io("write", &path))?)
     }
 }
 
@@ -419,9 +419,9 @@ fn write_parquet<N: AsRef<str>>(
     facts: HashMap<String, String>,
 ) -> Result<(), Error> {
     if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+        fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;
     }
-    let file = File::create(path).map_err(Error::io("create", path))?;
+    let file = File::create(path).map_err(datasets_spec::Error::io("create", path))?;
     let columns = columns
         .into_iter()
         .map(|(name, values)| (name, values, true));
@@ -437,7 +437,9 @@ fn write_parquet<N: AsRef<str>>(
         writer.into_inner()
     };
     let file = write().map_err(datasets_spec::Error::parquet("write", path))?;
-    file.sync_all().map_err(Error::io("sync", path))
+    Ok(file
+        .sync_all()
+        .map_err(datasets_spec::Error::io("sync", path))?)
 }
 
 #[cfg(test)]

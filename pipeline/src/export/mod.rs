@@ -156,7 +156,7 @@ pub fn export(
 fn write_json(folder: &Path, name: &str, value: &impl Serialize) -> Result<(), Error> {
     let path = folder.join(name);
     let mut text = serde_json::to_vec_pretty(value)
-        .map_err(|error| Error::io("write", &path)(error.into()))?;
+        .map_err(|error| datasets_spec::Error::io("write", &path)(error.into()))?;
     text.push(b'\n');
-    fs::write(&path, text).map_err(Error::io("write", &path))
+    Ok(fs::write(&path, text).map_err(datasets_spec::Error::io("write", &path))?)
 }

@@ -292,8 +292,9 @@ impl<'a> Writer<'a> {
     ) -> Result<Self, Error> {
         let open = |name: &str| -> Result<Dump, Error> {
             let path = folder.join(name);
-            let file = File::create(&path).map_err(Error::io("create", &path))?;
-            DictWriter::new(BufWriter::new(file)).map_err(Error::io("write", &path))
+            let file = File::create(&path).map_err(datasets_spec::Error::io("create", &path))?;
+            let writer = DictWriter::new(BufWriter::new(file));
+            Ok(writer.map_err(datasets_spec::Error::io("write", &path))?)
         };
         let mut of_split = BTreeMap::new();
         for split in [Split::Val, Split::Test] {
@@ -376,7 +377,7 @@ impl<'a> Writer<'a> {
             let dumps = [Some(&mut self.all), self.of_split.get_mut(&triplet.split)];
             for dump in dumps.into_iter().flatten() {
                 let entry = dump.entry(&written, &value);
-                entry.map_err(Error::io("write", &self.folder))?;
+                entry.map_err(datasets_spec::Error::io("write", &self.folder))?;
             }
             let listed = self.splits.entry(triplet.split.as_str()).or_default();
             listed.push(key);
@@ -412,19 +413,20 @@ impl<'a> Writer<'a> {
 
     fn note(&mut self, fields: &[&str; 8]) -> Result<(), Error> {
         let written = self.ids.write_record(fields).map_err(std::io::Error::from);
-        written.map_err(Error::io("write", &self.folder))
+        Ok(written.map_err(datasets_spec::Error::io("write", &self.folder))?)
     }
 
     /// Ends the dumps, and returns the number of triplets.
     fn finish(self) -> Result<u64, Error> {
         for dump in std::iter::once(self.all).chain(self.of_split.into_values()) {
-            dump.finish().map_err(Error::io("write", &self.folder))?;
+            dump.finish()
+                .map_err(datasets_spec::Error::io("write", &self.folder))?;
         }
         let count = self.splits.values().map(Vec::len).sum::<usize>();
         write_json(&self.folder, "splits.json", &self.splits)?;
         let path = self.folder.join("ids.csv");
         let lines = self.ids.into_inner().unwrap_or_default();
-        fs::write(&path, lines).map_err(Error::io("write", &path))?;
+        fs::write(&path, lines).map_err(datasets_spec::Error::io("write", &path))?;
         Ok(count as u64)
     }
 }

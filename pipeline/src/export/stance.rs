@@ -451,11 +451,11 @@ fn origin_of(row: MotionRow, written: &Motion) -> Origin {
 }
 
 fn create(folder: &Path) -> Result<(), Error> {
-    fs::create_dir_all(folder).map_err(Error::io("create folder", folder))
+    Ok(fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?)
 }
 
 fn save(path: &Path, content: &[u8]) -> Result<(), Error> {
-    fs::write(path, content).map_err(Error::io("write", path))
+    Ok(fs::write(path, content).map_err(datasets_spec::Error::io("write", path))?)
 }
 
 fn json_text(content: &impl Serialize) -> Vec<u8> {

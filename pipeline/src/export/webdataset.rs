@@ -78,7 +78,7 @@ impl Shards<'_> {
             .folder
             .join(format!("{}-{:06}.tar", self.split, self.index));
         if self.open.is_none() {
-            let file = File::create(&path).map_err(Error::io("create", &path))?;
+            let file = File::create(&path).map_err(datasets_spec::Error::io("create", &path))?;
             self.open = Some(Shard {
                 tar: tar::Builder::new(BufWriter::new(file)),
                 clips: 0,
@@ -102,12 +102,12 @@ impl Shards<'_> {
         for (name, bytes) in members {
             shard
                 .append(&format!("{key}.{name}"), &bytes)
-                .map_err(Error::io("write", &path))?;
+                .map_err(datasets_spec::Error::io("write", &path))?;
         }
         let text = facts(row).to_string().into_bytes();
         shard
             .append(&format!("{key}.json"), &text)
-            .map_err(Error::io("write", &path))?;
+            .map_err(datasets_spec::Error::io("write", &path))?;
         shard.clips += 1;
         Ok(())
     }
@@ -120,11 +120,16 @@ impl Shards<'_> {
             .folder
             .join(format!("{}-{:06}.tar", self.split, self.index));
         self.index += 1;
-        let buffer = shard.tar.into_inner().map_err(Error::io("write", &path))?;
+        let buffer = shard
+            .tar
+            .into_inner()
+            .map_err(datasets_spec::Error::io("write", &path))?;
         let file = buffer
             .into_inner()
-            .map_err(|error| Error::io("write", &path)(error.into_error()))?;
-        file.sync_all().map_err(Error::io("sync", &path))
+            .map_err(|error| datasets_spec::Error::io("write", &path)(error.into_error()))?;
+        Ok(file
+            .sync_all()
+            .map_err(datasets_spec::Error::io("sync", &path))?)
     }
 }
 

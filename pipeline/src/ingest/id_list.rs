@@ -26,7 +26,7 @@ impl IdList {
     /// # Errors
     /// The file cannot be read, is no text, or names nothing.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        let bytes = std::fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
         let refused = |reason: &str| Error::IdList {
             path: path.to_owned(),
             reason: reason.to_owned(),

@@ -94,7 +94,7 @@ impl<'a> Located<'a> {
             let is_file = match ByPath.size(&path) {
                 Ok(_) => true,
                 Err(error) if error.kind() == NotFound => false,
-                Err(error) => return Err(Error::io("read", &arg.path)(error)),
+                Err(error) => return Err(datasets_spec::Error::io("read", &arg.path)(error).into()),
             };
             (path, is_file)
         } else {
@@ -380,7 +380,7 @@ impl Listing {
     /// Lists the files below a URL.
     fn list_url(&mut self, folder: &Path, given: &Path) -> Result<(), Error> {
         let files = ByPath.files_below(folder);
-        for file in files.map_err(Error::io("list", given))? {
+        for file in files.map_err(datasets_spec::Error::io("list", given))? {
             let parts = file.strip_prefix(folder).unwrap_or(&file).iter();
             let names: Vec<String> = parts.map(text_of_name).collect();
             self.files.insert(names.join("/"), file);

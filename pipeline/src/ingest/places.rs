@@ -44,7 +44,7 @@ impl Places {
         match store.read(&path) {
             Ok(bytes) => Ok(serde_json::from_slice(&bytes).unwrap_or_default()),
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(Self::default()),
-            Err(error) => Err(Error::io("read", path)(error)),
+            Err(error) => Err(datasets_spec::Error::io("read", path)(error).into()),
         }
     }
 
@@ -64,7 +64,7 @@ impl Places {
         }
         store
             .create_dir_all(&folder)
-            .map_err(Error::io("create folder", &folder))?;
+            .map_err(datasets_spec::Error::io("create folder", &folder))?;
         for (name, bytes) in [IGNORE, (FILE, &text)] {
             let path = folder.join(name);
             let write = || {
@@ -72,7 +72,7 @@ impl Places {
                 file.write_all(bytes)?;
                 file.publish()
             };
-            write().map_err(Error::io("write", &path))?;
+            write().map_err(datasets_spec::Error::io("write", &path))?;
         }
         Ok(())
     }

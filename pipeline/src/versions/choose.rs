@@ -40,7 +40,7 @@ impl Choice {
     /// # Errors
     /// The file cannot be read or is not text.
     pub fn ids(path: &Path) -> Result<Self, Error> {
-        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+        let text = std::fs::read_to_string(path).map_err(datasets_spec::Error::io("read", path))?;
         let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
         Ok(Self::Ids {
             path: path.to_owned(),

@@ -50,11 +50,24 @@ impl RunSettings {
     }
 
     /// The micro-batches of a step: first sample, counted over the whole run, and number of samples.
-    pub(crate) fn micro_batches(&self, step: u64) -> impl Iterator<Item = (u64, usize)> {
+    pub(super) fn micro_batches(&self, step: u64) -> impl Iterator<Item = (u64, usize)> {
         let (size, micro) = (self.batch_size, self.micro_batch());
         (0..size)
             .step_by(micro)
             .map(move |first| (step * size as u64 + first as u64, micro.min(size - first)))
+    }
+
+    /// The batch of a step in parts that fit into memory, drawn from their first item and their size, each with its share of
+    /// the items.
+    pub(crate) fn batches<B>(
+        &self,
+        step: u64,
+        draw: impl Fn(u64, usize) -> Result<B, Error>,
+    ) -> Result<Vec<(f64, B)>, Error> {
+        let share = |count: usize| count as f64 / self.batch_size as f64;
+        self.micro_batches(step)
+            .map(|(first, count)| Ok((share(count), draw(first, count)?)))
+            .collect()
     }
 
     /// Checks that a run can be made with the settings.

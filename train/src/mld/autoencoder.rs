@@ -109,12 +109,10 @@ impl<'a> Task for AutoencoderTask<'a> {
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
         let config = &self.record.train;
-        let batches = config.run.micro_batches(step).map(|(first, count)| {
+        config.run.batches(step, |first, count| {
             let noise = latent_noise(self.sampler.seed, first, count, config.model.width);
-            let share = count as f64 / config.run.batch_size as f64;
-            (share, (self.sampler.draw(first, count), Some(noise)))
-        });
-        Ok(batches.collect())
+            Ok((self.sampler.draw(first, count), Some(noise)))
+        })
     }
 
     /// Errors of features and joints, and the divergence of the latent vectors from the standard normal

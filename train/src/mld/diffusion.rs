@@ -235,14 +235,10 @@ impl Task for DiffusionTask<'_> {
     fn draw(&self, step: u64) -> Result<Vec<(f64, LatentBatch)>, Error> {
         let run = &self.record.train.run;
         let text_dropout = self.record.train.text_dropout;
-        run.micro_batches(step)
-            .map(|(first, count)| {
-                let crops = self.sampler.draw(first, count);
-                let share = count as f64 / run.batch_size as f64;
-                let batch = self.noisy(&crops, self.sampler.seed, first, text_dropout)?;
-                Ok((share, batch))
-            })
-            .collect()
+        run.batches(step, |first, count| {
+            let crops = self.sampler.draw(first, count);
+            self.noisy(&crops, self.sampler.seed, first, text_dropout)
+        })
     }
 
     /// The squared error of the predicted noise.

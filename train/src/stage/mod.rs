@@ -82,5 +82,5 @@ fn with_window(compose: &ComposeConfig, window: usize) -> ComposeConfig {
 }
 
 pub(crate) fn create_dir(dir: &Path) -> Result<(), Error> {
-    std::fs::create_dir_all(dir).map_err(Error::io("create", dir))
+    Ok(std::fs::create_dir_all(dir).map_err(datasets_spec::Error::io("create", dir))?)
 }

@@ -197,7 +197,7 @@ impl Checksum {
                 ("Git name", digest(hash, content))
             }
         };
-        let found = found.map_err(Error::io("read", path))?;
+        let found = found.map_err(datasets_spec::Error::io("read", path))?;
         if found != self.as_str() {
             return Err(Error::Checksum {
                 path: path.to_owned(),
@@ -230,11 +230,11 @@ fn hex(bytes: &[u8]) -> String {
 /// # Errors
 /// The file cannot be read, or is not what its checksum says.
 pub fn read_checked(path: &Path) -> Result<Vec<u8>, Error> {
-    let real = fs::canonicalize(path).map_err(Error::io("find", path))?;
+    let real = fs::canonicalize(path).map_err(datasets_spec::Error::io("find", path))?;
     let checksum = real
         .file_name()
         .and_then(|name| Checksum::parse(name.to_str()?));
-    let content = fs::read(&real).map_err(Error::io("read", path))?;
+    let content = fs::read(&real).map_err(datasets_spec::Error::io("read", path))?;
     if let Some(checksum) = checksum {
         checksum.check(content.as_slice(), content.len() as u64, &real)?;
     }
@@ -313,25 +313,30 @@ impl HubCache {
         let snapshot = folder.join("snapshots").join(&remote.commit);
         let (blobs, refs) = (folder.join("blobs"), folder.join("refs"));
         for folder in [&blobs, &refs, &snapshot] {
-            fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
+            fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create", folder))?;
         }
         let blob = blobs.join(remote.checksum.as_str());
         if blob.is_file() {
-            let file = File::open(&blob).map_err(Error::io("open", &blob))?;
-            let len = file.metadata().map_err(Error::io("read", &blob))?.len();
+            let file = File::open(&blob).map_err(datasets_spec::Error::io("open", &blob))?;
+            let len = file
+                .metadata()
+                .map_err(datasets_spec::Error::io("read", &blob))?
+                .len();
             remote.checksum.check(file, len, &blob)?;
         } else {
             let part = blobs.join(format!("{}.incomplete", remote.checksum.as_str()));
             let pinned = hub.address(repo, &remote.commit, file);
             download(hub, &pinned, &remote, &part, progress)?;
-            fs::rename(&part, &blob).map_err(Error::io("rename into place", &blob))?;
+            fs::rename(&part, &blob)
+                .map_err(datasets_spec::Error::io("rename into place", &blob))?;
         }
         let path = snapshot.join(file);
         if !path.is_file() {
-            link(&blob, &path).map_err(Error::io("link", &path))?;
+            link(&blob, &path).map_err(datasets_spec::Error::io("link", &path))?;
         }
         let current = refs.join(BRANCH);
-        replace_file(&current, remote.commit.as_bytes()).map_err(Error::io("write", &current))?;
+        replace_file(&current, remote.commit.as_bytes())
+            .map_err(datasets_spec::Error::io("write", &current))?;
         Ok(Some(path))
     }
 }
@@ -354,17 +359,19 @@ fn download(
         .write(true)
         .truncate(false)
         .open(part)
-        .map_err(Error::io("create", part))?;
+        .map_err(datasets_spec::Error::io("create", part))?;
     match file.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => {
             return Err(failed("another process is downloading it".to_owned()));
         }
-        Err(TryLockError::Error(error)) => return Err(Error::io("lock", part)(error)),
+        Err(TryLockError::Error(error)) => {
+            return Err(datasets_spec::Error::io("lock", part)(error).into());
+        }
     }
     let mut done = file
         .seek(SeekFrom::End(0))
-        .map_err(Error::io("read", part))?;
+        .map_err(datasets_spec::Error::io("read", part))?;
     for attempt in 1.. {
         if remote.len == Some(done) {
             break;
@@ -374,20 +381,24 @@ fn download(
             Ok(()) if remote.len.is_none_or(|len| len == done) => break,
             Ok(()) => "the connection ended early".to_owned(),
             Err(Interrupted::Server(problem)) => problem,
-            Err(Interrupted::Disk(error)) => return Err(Error::io("write", part)(error)),
+            Err(Interrupted::Disk(error)) => {
+                return Err(datasets_spec::Error::io("write", part)(error).into());
+            }
         };
         // Give up when a connection made no progress.
         if done <= before || attempt == MAX_ATTEMPTS {
             return Err(failed(lost));
         }
     }
-    file.sync_all().map_err(Error::io("sync", part))?;
-    file.rewind().map_err(Error::io("read", part))?;
+    file.sync_all()
+        .map_err(datasets_spec::Error::io("sync", part))?;
+    file.rewind()
+        .map_err(datasets_spec::Error::io("read", part))?;
     let checked = remote.checksum.check(&mut file, done, part);
     if matches!(checked, Err(Error::Checksum { .. })) {
         // Resuming from wrong bytes can never succeed.
         drop(file);
-        fs::remove_file(part).map_err(Error::io("remove", part))?;
+        fs::remove_file(part).map_err(datasets_spec::Error::io("remove", part))?;
     }
     checked
 }

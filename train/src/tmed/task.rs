@@ -178,12 +178,7 @@ impl Task for TmedTask<'_> {
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
         let run = &self.config.run;
-        run.micro_batches(step)
-            .map(|(first, count)| {
-                let share = count as f64 / run.batch_size as f64;
-                Ok((share, self.sampler.draw(first, count)?))
-            })
-            .collect()
+        run.batches(step, |first, count| self.sampler.draw(first, count))
     }
 
     fn loss(&self, model: &TmedModel, batch: &ClipBatch, device: &Device) -> Tensor<1> {

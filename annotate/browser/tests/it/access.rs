@@ -191,7 +191,6 @@ async fn check_pages(server: &Server, browser: &Browser, theme: &str) {
         ("app/task/1", "task-record .facts"),
         ("app/rules", ".dashboard .note"),
         ("app/decisions", "decision-list table"),
-        ("app/paraphrases", "paraphrase-desk .card"),
         ("app/dashboard", ".dashboard table"),
         ("app/admin", ".numbers"),
     ] {

@@ -1,9 +1,8 @@
-//! Figures, decisions and paraphrases: what owners and reviewers see of the work of all.
+//! Figures and decisions: what owners and reviewers see of the work of all.
 
 use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::{Value, json};
 
-use crate::drafts::model;
 use crate::steps::{claim, nothing_by_chance};
 
 /// A server with two annotators and a reviewer, and a browser on its login page.
@@ -289,137 +288,5 @@ async fn a_reviewer_sees_what_annotators_were_offered() {
             .until("the box is gone", "!document.querySelector('dialog[open]')")
             .await;
     }
-    office.browser.quit().await;
-}
-
-/// The paraphrase on the desk, and how many wait.
-async fn desk(browser: &Browser) -> Value {
-    browser
-        .js("return [document.querySelector('.phrase .proposed')?.innerText ?? null, Number(document.querySelector('[data-waiting]').dataset.waiting)];")
-        .await
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn paraphrases_are_judged_by_keys_and_taken_back() {
-    let office = Office::open(1).await;
-    let browser = &office.browser;
-    office.enter().await;
-    office
-        .page("app/paraphrases", "paraphrase-desk .card")
-        .await;
-    assert!(
-        browser
-            .text_of("paraphrase-desk")
-            .await
-            .contains("stance annotate DATASET paraphrases"),
-        "the page says how to get some"
-    );
-    office.answer(&office.ann, "Raise the left arm.").await;
-    office.decide("accept", "").await;
-    let url = model("1. Lift your left arm.\n2. left arm up\n3. Hold the left arm up high.").await;
-    office.dataset.ask_for_paraphrases(&url).await;
-    office.page("app/paraphrases", ".phrase").await;
-    assert_eq!(desk(browser).await, json!(["Lift your left arm.", 3]));
-    assert_eq!(
-        browser.text_of(".phrase .original").await,
-        "Raise the left arm."
-    );
-
-    browser.press(&["a"]).await;
-    browser
-        .until(
-            "the next one",
-            "document.querySelector('.proposed')?.innerText === 'left arm up'",
-        )
-        .await;
-    // Edited, then accepted.
-    browser.press(&["e"]).await;
-    browser
-        .until(
-            "the text has the focus",
-            "document.activeElement.matches('textarea')",
-        )
-        .await;
-    browser.press(&[keys::END]).await;
-    browser.type_text(", please").await;
-    browser.control(&[keys::ENTER]).await;
-    browser
-        .until(
-            "the last one",
-            "document.querySelector('.proposed')?.innerText.startsWith('Hold')",
-        )
-        .await;
-    assert_eq!(desk(browser).await[1], 1);
-    browser.press(&["x"]).await;
-    browser
-        .until(
-            "nothing is left",
-            "document.querySelector('[data-waiting]').dataset.waiting === '0'",
-        )
-        .await;
-    let states = async || {
-        let mut found = Vec::new();
-        for state in ["proposed", "accepted", "rejected"] {
-            let page = browser
-                .request("GET", &format!("paraphrases?state={state}"), None)
-                .await;
-            let items = page["body"]["items"]
-                .as_array()
-                .expect("paraphrases")
-                .clone();
-            found.extend(
-                items
-                    .iter()
-                    .map(|item| format!("{state} {}", item["text"].as_str().expect("a text"))),
-            );
-        }
-        found
-    };
-    assert_eq!(
-        states().await,
-        [
-            "accepted Lift your left arm.",
-            "accepted left arm up, please",
-            "rejected Hold the left arm up high.",
-        ]
-    );
-    // Twice back: the edited text is the proposed one again.
-    browser.control(&["z"]).await;
-    browser
-        .until(
-            "the rejected one is back",
-            "document.querySelector('.proposed')?.innerText.startsWith('Hold')",
-        )
-        .await;
-    browser.control(&["z"]).await;
-    browser
-        .until(
-            "the edited one is back",
-            "document.querySelector('.proposed')?.innerText === 'left arm up'",
-        )
-        .await;
-    assert_eq!(desk(browser).await[1], 2);
-    assert_eq!(
-        states().await,
-        [
-            "proposed left arm up",
-            "proposed Hold the left arm up high.",
-            "accepted Lift your left arm.",
-        ]
-    );
-    // What is accepted can be rejected later.
-    office
-        .page("app/paraphrases/accepted", "paraphrase-desk tbody button")
-        .await;
-    browser
-        .js("document.querySelector('paraphrase-desk tbody button').click();")
-        .await;
-    browser
-        .until(
-            "it left the list",
-            "!document.querySelector('paraphrase-desk tbody button')",
-        )
-        .await;
-    assert_eq!(states().await[2], "rejected Lift your left arm.");
     office.browser.quit().await;
 }

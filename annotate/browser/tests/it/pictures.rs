@@ -7,7 +7,7 @@ use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::json;
 
 /// Screens, what shows that they are drawn, and who looks at them.
-const SCREENS: [(&str, &str, &str); 18] = [
+const SCREENS: [(&str, &str, &str); 17] = [
     ("home", ".queue", "annotator"),
     ("mask", ".mask-card textarea", "annotator"),
     ("pair", ".verdicts", "annotator"),
@@ -18,7 +18,6 @@ const SCREENS: [(&str, &str, &str); 18] = [
     ("mine", ".work.mine .shelf-list", "annotator"),
     ("review", "#main h1, .candidates", "reviewer"),
     ("decisions", "decision-list table", "reviewer"),
-    ("paraphrases", "paraphrase-desk .card", "reviewer"),
     ("tasks", ".list-row[data-task]", "reviewer"),
     ("task", "task-record .facts", "reviewer"),
     ("rules", ".dashboard .note", "admin"),

@@ -13,7 +13,7 @@ impl Exporter<'_> {
             let mut file = BufWriter::new(file);
             let mut put = |line: String| {
                 let written = file.write_all(line.as_bytes());
-                written.map_err(Error::io("write", path))
+                Ok(written.map_err(datasets_spec::Error::io("write", path))?)
             };
             put("task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,accepted_by,answer\r\n".to_owned())?;
             self.labels(&mut |row| {
@@ -35,7 +35,9 @@ impl Exporter<'_> {
                 ];
                 put(cells.map(|cell| csv_cell(&cell)).join(",") + "\r\n")
             })?;
-            file.flush().map_err(Error::io("write", path))
+            Ok(file
+                .flush()
+                .map_err(datasets_spec::Error::io("write", path))?)
         })?;
         self.done.count("labels", count);
         self.done.files.push("labels.csv".to_owned());

@@ -210,11 +210,13 @@ pub(super) fn write_file(
     name: &str,
     write: impl FnOnce(&mut File, &Path) -> Result<(), Error>,
 ) -> Result<(), Error> {
-    std::fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+    std::fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;
     let path: PathBuf = folder.join(name);
     let temporary = folder.join(format!(".{name}.tmp"));
-    let mut file = File::create(&temporary).map_err(Error::io("create", &temporary))?;
+    let mut file =
+        File::create(&temporary).map_err(datasets_spec::Error::io("create", &temporary))?;
     write(&mut file, &path)?;
-    file.sync_all().map_err(Error::io("write", &temporary))?;
-    std::fs::rename(&temporary, &path).map_err(Error::io("rename", &path))
+    file.sync_all()
+        .map_err(datasets_spec::Error::io("write", &temporary))?;
+    Ok(std::fs::rename(&temporary, &path).map_err(datasets_spec::Error::io("rename", &path))?)
 }

@@ -53,7 +53,7 @@ pub fn export(
     // Files without a stamp are those of an export that did not end.
     match std::fs::remove_file(folder.join(STAMP)) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            return Err(Error::io("remove", folder.join(STAMP))(error));
+            return Err(datasets_spec::Error::io("remove", folder.join(STAMP))(error).into());
         }
         _ => {}
     }
@@ -75,7 +75,7 @@ pub fn export(
     });
     write_file(folder, STAMP, |file, path| {
         use std::io::Write;
-        writeln!(file, "{stamp:#}").map_err(Error::io("write", path))
+        Ok(writeln!(file, "{stamp:#}").map_err(datasets_spec::Error::io("write", path))?)
     })?;
     exporter.done.files.push(STAMP.to_owned());
     Ok(exporter.done)
@@ -85,7 +85,7 @@ pub fn export(
 fn hashes(folder: &Path, names: &[String]) -> Result<BTreeMap<String, String>, Error> {
     let hash = |name: &String| {
         let path = folder.join(name);
-        let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+        let bytes = std::fs::read(&path).map_err(datasets_spec::Error::io("read", &path))?;
         Ok((name.clone(), blake3::hash(&bytes).to_hex().to_string()))
     };
     names.iter().map(hash).collect()
@@ -101,7 +101,7 @@ pub fn check_files(folder: &Path) -> Result<(), Error> {
     if !path.is_file() {
         return Ok(());
     }
-    let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+    let bytes = std::fs::read(&path).map_err(datasets_spec::Error::io("read", &path))?;
     let refused = |problem: String| Error::Import {
         what: format!("the export in {}", folder.display()),
         problem,

@@ -49,13 +49,14 @@ fn write_json(
     write_file(folder, name, |file, path| {
         let mut json = serde_json::Serializer::pretty(BufWriter::new(file));
         write(&mut json).map_err(|error| match error {
-            JsonError::Json(error) => Error::io("write", path)(error.into()),
+            JsonError::Json(error) => datasets_spec::Error::io("write", path)(error.into()).into(),
             JsonError::Other(error) => error,
         })?;
         let mut file = json.into_inner();
-        file.write_all(b"\n")
+        Ok(file
+            .write_all(b"\n")
             .and_then(|()| file.flush())
-            .map_err(Error::io("write", path))
+            .map_err(datasets_spec::Error::io("write", path))?)
     })
 }
 

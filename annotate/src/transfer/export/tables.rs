@@ -318,8 +318,6 @@ fn agreement_rows(figures: &Figures) -> Vec<AgreementRow> {
         for (figure, estimate) in [
             ("raw", part.raw),
             ("krippendorff_alpha", part.krippendorff_alpha),
-            ("fleiss_kappa", part.fleiss_kappa),
-            ("cohen_kappa", part.cohen_kappa),
             ("gwet_ac1", part.gwet_ac1),
         ] {
             put(&part.part, figure, estimate, part.items);

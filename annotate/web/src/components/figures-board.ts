@@ -141,6 +141,7 @@ export class FiguresBoard extends Component {
     ];
     const totals = Math.max(0, ...period.all.days.map(value));
     const full = (end: number): string => (measure === "hours" ? hours(end) : `${end} answers`);
+    const scale = most > 0 ? ` A full bar is ${full(most)} in a day, in the last row ${full(totals)}.` : "";
     return html`
       <div class="row spread">
         <h2>Hours and answers of each person</h2>
@@ -151,7 +152,7 @@ export class FiguresBoard extends Component {
         })}
       </div>
       ${figureTable(
-        `${daySpan(period)}; days begin in ${this.zone}. A full bar is ${full(most)} in a day, in the last row ${full(totals)}.`,
+        `${daySpan(period)}; days begin in ${this.zone}.${scale}`,
         ["Who", "By day", "Hours", "Answers", "Time of one", "Skips", "Reviews"],
         period.people.length === 0 ? [] : [...period.people.map((person) => row(person, most)), row(period.all, totals)],
         "Nobody worked in this period.",
@@ -284,14 +285,12 @@ function agreementFacts(agreement: Agreement): TemplateResult {
 function agreementTable(rows: readonly PartAgreement[]): TemplateResult {
   return figureTable(
     "Agreement, with 95 % intervals; n/a below 30 shared items",
-    ["Decision", "Items", "Raw", "Krippendorff α", "Fleiss κ", "Cohen κ", "Gwet AC1"],
+    ["Decision", "Items", "Raw", "Krippendorff α", "Gwet AC1"],
     rows.map((row) => [
       row.part.replaceAll("_", " ").toLowerCase(),
       row.items,
       estimate(row.raw),
       estimate(row.krippendorff_alpha),
-      estimate(row.fleiss_kappa),
-      estimate(row.cohen_kappa),
       estimate(row.gwet_ac1),
     ]),
   );

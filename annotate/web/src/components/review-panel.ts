@@ -6,7 +6,7 @@ import type { App } from "../app";
 import { h } from "../dom";
 import type { ActionId, Scope } from "../keys";
 import { describe, differing } from "../merge";
-import { ask, field, percent } from "../ui";
+import { ask, field } from "../ui";
 import {
   MAX_TEXT_CHARS,
   type Answer,
@@ -17,7 +17,7 @@ import {
   type ReviewDone,
   type ReviewView,
 } from "../wire";
-import { KIND_WORDS, factsOf } from "../words";
+import { KIND_WORDS, apartWords, factsOf } from "../words";
 import { WorkClock } from "../work";
 import { answerCards } from "./answer-cards";
 import { Component, action, define } from "./component";
@@ -256,7 +256,7 @@ export class ReviewPanel extends Component {
     const { task, distance, comments, candidates } = this.review;
     const captions = task.motions[0]?.captions ?? [];
     const facts = factsOf(task);
-    const apart = distance === null ? "One answer." : `Answers are ${percent(distance)} apart; what differs glows.`;
+    const apart = distance === null ? "One answer." : `Answers ${apartWords(distance)}.`;
     return html`
       <div class="panel-scroll">
         ${this.tabs}

@@ -6,9 +6,9 @@ import type { App } from "../app";
 import { differing } from "../merge";
 import { jointList } from "../stage/body";
 import { storyOf } from "../story";
-import { percent, until, when } from "../ui";
+import { until, when } from "../ui";
 import type { Answer, AuditEntry, Candidate, DecisionRow, TaskFile } from "../wire";
-import { ANSWER_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, factsOf } from "../words";
+import { ANSWER_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, apartWords, factsOf } from "../words";
 import { answerCards } from "./answer-cards";
 import { Component, define, pageLink } from "./component";
 import type { ReviewStage } from "./review-panel";
@@ -167,7 +167,7 @@ export class TaskRecord extends Component {
           ? nothing
           : html` ${acceptedHow(basis)}`;
     const wanted = `${row.submitted} of ${row.wanted} ${row.wanted === 1 ? "answer" : "answers"} handed in`;
-    const apart = row.distance === null ? "" : ` The answers are ${percent(row.distance)} apart; what differs glows.`;
+    const apart = row.distance === null ? "" : ` The answers ${apartWords(row.distance)}.`;
     return html`<strong data-state=${row.state}>${STATE_WORDS[row.state]}${how}</strong>; ${wanted}.${apart}`;
   }
 

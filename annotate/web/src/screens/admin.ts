@@ -276,8 +276,6 @@ function modelSection(app: App): HTMLElement {
     h("p", {}, app.me.model ? `Drafts come from ${app.me.model}.` : "The server was started without a language model (STANCE_MODEL_URL, STANCE_MODEL_NAME)."),
     h("p", {}, "Drafts for all tasks before people start, again after new clips:"),
     command("stance annotate DATASET drafts"),
-    h("p", {}, "Other wordings of accepted instructions, which reviewers judge on the page ", app.link("paraphrases", "Paraphrases"), ":"),
-    command("stance annotate DATASET paraphrases"),
   );
 }
 

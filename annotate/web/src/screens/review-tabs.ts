@@ -1,4 +1,4 @@
-/** Pages about reviewing, side by side: queues, decisions, paraphrases. */
+/** Pages about reviewing, side by side: queues and decisions. */
 
 import type { App } from "../app";
 import { h, setAttr } from "../dom";
@@ -13,7 +13,6 @@ export const QUEUES: readonly (readonly [ReviewQueue, string])[] = [
 const PAGES: readonly (readonly [string, string])[] = [
   ...QUEUES.map(([name, label]) => [`review/${name}`, label] as const),
   ["decisions", "Decisions"],
-  ["paraphrases", "Paraphrases"],
 ];
 
 export function reviewTabs(app: App, current: string): HTMLElement {

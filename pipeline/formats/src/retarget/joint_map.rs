@@ -1,6 +1,7 @@
 //! Which joint of a source skeleton is which joint of the body.
 
 use std::collections::BTreeMap;
+use std::sync::LazyLock;
 
 use datasets_spec::Joint;
 use kinematics::skeleton::NUM_BODY_JOINTS;
@@ -9,325 +10,31 @@ use super::rig::{Bone, Rest};
 use super::topology;
 use super::user_map::UserMap;
 
-/// The source names of the 22 body joints in SMPL-X order; empty where the dialect has no such
-/// joint.
-#[derive(Clone, Copy, Debug)]
-pub struct JointMap {
-    /// Name of the dialect.
-    pub name: &'static str,
-    /// Source names, `[22]`.
-    pub source_names: [&'static str; NUM_BODY_JOINTS],
-}
-
-/// The known dialects. The one with most names in the file is used; ties go to the first.
+/// The known dialects, files of the form that users write. The one with most names in the file is used; ties go to the
+/// first.
 ///
 /// Spines differ in number and position of joints. Each source joint maps to the body joint with the nearest
-/// height between pelvis and neck; the other body joints follow from their neighbours.
-pub const JOINT_MAPS: [JointMap; 11] = [
-    JointMap {
-        name: "smplx",
-        source_names: [
-            "pelvis",
-            "left_hip",
-            "right_hip",
-            "spine1",
-            "left_knee",
-            "right_knee",
-            "spine2",
-            "left_ankle",
-            "right_ankle",
-            "spine3",
-            "left_foot",
-            "right_foot",
-            "neck",
-            "left_collar",
-            "right_collar",
-            "head",
-            "left_shoulder",
-            "right_shoulder",
-            "left_elbow",
-            "right_elbow",
-            "left_wrist",
-            "right_wrist",
-        ],
-    },
-    JointMap {
-        name: "smpl",
-        source_names: [
-            "Pelvis",
-            "L_Hip",
-            "R_Hip",
-            "Spine1",
-            "L_Knee",
-            "R_Knee",
-            "Spine2",
-            "L_Ankle",
-            "R_Ankle",
-            "Spine3",
-            "L_Foot",
-            "R_Foot",
-            "Neck",
-            "L_Collar",
-            "R_Collar",
-            "Head",
-            "L_Shoulder",
-            "R_Shoulder",
-            "L_Elbow",
-            "R_Elbow",
-            "L_Wrist",
-            "R_Wrist",
-        ],
-    },
-    JointMap {
-        name: "bandai-namco",
-        source_names: [
-            "Hips",
-            "UpperLeg_L",
-            "UpperLeg_R",
-            "Spine",
-            "LowerLeg_L",
-            "LowerLeg_R",
-            "",
-            "Foot_L",
-            "Foot_R",
-            "Chest",
-            "Toes_L",
-            "Toes_R",
-            "Neck",
-            "Shoulder_L",
-            "Shoulder_R",
-            "Head",
-            "UpperArm_L",
-            "UpperArm_R",
-            "LowerArm_L",
-            "LowerArm_R",
-            "Hand_L",
-            "Hand_R",
-        ],
-    },
-    // The neck of the CMU skeleton is two bones; the upper one starts where the body's neck joint
-    // is, the lower one within the chest.
-    JointMap {
-        name: "cmu",
-        source_names: [
-            "Hips",
-            "LeftUpLeg",
-            "RightUpLeg",
-            "LowerBack",
-            "LeftLeg",
-            "RightLeg",
-            "Spine",
-            "LeftFoot",
-            "RightFoot",
-            "Spine1",
-            "LeftToeBase",
-            "RightToeBase",
-            "Neck1",
-            "LeftShoulder",
-            "RightShoulder",
-            "Head",
-            "LeftArm",
-            "RightArm",
-            "LeftForeArm",
-            "RightForeArm",
-            "LeftHand",
-            "RightHand",
-        ],
-    },
-    JointMap {
-        name: "motionbuilder",
-        source_names: [
-            "Hips",
-            "LeftUpLeg",
-            "RightUpLeg",
-            "Spine",
-            "LeftLeg",
-            "RightLeg",
-            "Spine2",
-            "LeftFoot",
-            "RightFoot",
-            "Spine3",
-            "LeftToeBase",
-            "RightToeBase",
-            "Neck",
-            "LeftShoulder",
-            "RightShoulder",
-            "Head",
-            "LeftArm",
-            "RightArm",
-            "LeftForeArm",
-            "RightForeArm",
-            "LeftHand",
-            "RightHand",
-        ],
-    },
-    JointMap {
-        name: "lafan1",
-        source_names: [
-            "Hips",
-            "LeftUpLeg",
-            "RightUpLeg",
-            "Spine",
-            "LeftLeg",
-            "RightLeg",
-            "Spine1",
-            "LeftFoot",
-            "RightFoot",
-            "Spine2",
-            "LeftToe",
-            "RightToe",
-            "Neck",
-            "LeftShoulder",
-            "RightShoulder",
-            "Head",
-            "LeftArm",
-            "RightArm",
-            "LeftForeArm",
-            "RightForeArm",
-            "LeftHand",
-            "RightHand",
-        ],
-    },
-    JointMap {
-        name: "mixamo",
-        source_names: [
-            "Hips",
-            "LeftUpLeg",
-            "RightUpLeg",
-            "Spine",
-            "LeftLeg",
-            "RightLeg",
-            "Spine1",
-            "LeftFoot",
-            "RightFoot",
-            "Spine2",
-            "LeftToeBase",
-            "RightToeBase",
-            "Neck",
-            "LeftShoulder",
-            "RightShoulder",
-            "Head",
-            "LeftArm",
-            "RightArm",
-            "LeftForeArm",
-            "RightForeArm",
-            "LeftHand",
-            "RightHand",
-        ],
-    },
-    JointMap {
-        name: "biovision",
-        source_names: [
-            "Hips",
-            "LeftHip",
-            "RightHip",
-            "Chest",
-            "LeftKnee",
-            "RightKnee",
-            "",
-            "LeftAnkle",
-            "RightAnkle",
-            "Chest2",
-            "LeftToe",
-            "RightToe",
-            "Neck",
-            "LeftCollar",
-            "RightCollar",
-            "Head",
-            "LeftShoulder",
-            "RightShoulder",
-            "LeftElbow",
-            "RightElbow",
-            "LeftWrist",
-            "RightWrist",
-        ],
-    },
-    // Xsens MVN, and what was captured with it, such as 100STYLE.
-    JointMap {
-        name: "xsens",
-        source_names: [
-            "Hips",
-            "LeftHip",
-            "RightHip",
-            "Chest",
-            "LeftKnee",
-            "RightKnee",
-            "Chest3",
-            "LeftAnkle",
-            "RightAnkle",
-            "Chest4",
-            "LeftToe",
-            "RightToe",
-            "Neck",
-            "LeftCollar",
-            "RightCollar",
-            "Head",
-            "LeftShoulder",
-            "RightShoulder",
-            "LeftElbow",
-            "RightElbow",
-            "LeftWrist",
-            "RightWrist",
-        ],
-    },
-    // SOMA of NVIDIA, in which BONES-SEED and Kimodo write. Its legs are called as other rigs call the
-    // shins.
-    JointMap {
-        name: "soma",
-        source_names: [
-            "Hips",
-            "LeftLeg",
-            "RightLeg",
-            "Spine1",
-            "LeftShin",
-            "RightShin",
-            "Spine2",
-            "LeftFoot",
-            "RightFoot",
-            "Chest",
-            "LeftToeBase",
-            "RightToeBase",
-            "Neck1",
-            "LeftShoulder",
-            "RightShoulder",
-            "Head",
-            "LeftArm",
-            "RightArm",
-            "LeftForeArm",
-            "RightForeArm",
-            "LeftHand",
-            "RightHand",
-        ],
-    },
-    // SnapMoGen. Pelvis and lowest spine joint both hang from the root.
-    JointMap {
-        name: "snapmogen",
-        source_names: [
-            "C_pelvis0001_bind_JNT",
-            "L_legUpper0001_bind_JNT",
-            "R_legUpper0001_bind_JNT",
-            "C_spine0001_bind_JNT",
-            "L_legLower0001_bind_JNT",
-            "R_legLower0001_bind_JNT",
-            "C_spine0002_bind_JNT",
-            "L_foot0001_bind_JNT",
-            "R_foot0001_bind_JNT",
-            "C_spine0003_bind_JNT",
-            "L_foot0002_bind_JNT",
-            "R_foot0002_bind_JNT",
-            "C_neck0001_bind_JNT",
-            "L_clavicle_bind_JNT",
-            "R_clavicle_bind_JNT",
-            "C_head_bind_JNT",
-            "L_armUpper0001_bind_JNT",
-            "R_armUpper0001_bind_JNT",
-            "L_armLower0001_bind_JNT",
-            "R_armLower0001_bind_JNT",
-            "L_hand0001_bind_JNT",
-            "R_hand0001_bind_JNT",
-        ],
-    },
-];
+/// height between pelvis and neck; the other body joints follow from their neighbours. The neck of `cmu` is two bones, of
+/// which the upper one starts where the body's neck is. `xsens` is also 100STYLE, `soma` also BONES-SEED and Kimodo, whose
+/// legs are called as other rigs call the shins.
+pub(super) static JOINT_MAPS: LazyLock<Vec<UserMap>> = LazyLock::new(|| {
+    let files = [
+        include_str!("maps/smplx.json"),
+        include_str!("maps/smpl.json"),
+        include_str!("maps/bandai-namco.json"),
+        include_str!("maps/cmu.json"),
+        include_str!("maps/motionbuilder.json"),
+        include_str!("maps/lafan1.json"),
+        include_str!("maps/mixamo.json"),
+        include_str!("maps/biovision.json"),
+        include_str!("maps/xsens.json"),
+        include_str!("maps/soma.json"),
+        include_str!("maps/snapmogen.json"),
+    ];
+    let maps = files.into_iter().map(UserMap::parse);
+    maps.map(|map| map.expect("tests read the built-in maps"))
+        .collect()
+});
 
 /// Required joints of a body. Neck or head is required too.
 const REQUIRED: [Joint; 7] = [
@@ -386,7 +93,7 @@ impl Mapping {
         }
         let (dialect, named) = Self::by_dialect(&by_name);
         if named.missing().is_empty() {
-            for name in dialect.source_names {
+            for name in dialect.source_names() {
                 if let Some(indices) = by_name.get(name).filter(|indices| indices.len() > 1) {
                     return Err(format!(
                         "found {} joints named \"{name}\", expected one",
@@ -429,10 +136,10 @@ impl Mapping {
     }
 
     /// The dialect with most names in the file, and what it finds.
-    fn by_dialect(by_name: &BTreeMap<&str, Vec<usize>>) -> (&'static JointMap, Self) {
-        let num_matches = |map: &JointMap| {
-            let names = map.source_names.iter();
-            names.filter(|name| by_name.contains_key(*name)).count()
+    fn by_dialect(by_name: &BTreeMap<&str, Vec<usize>>) -> (&'static UserMap, Self) {
+        let num_matches = |map: &UserMap| {
+            let names = map.source_names();
+            names.filter(|name| by_name.contains_key(name)).count()
         };
         let mut best = &JOINT_MAPS[0];
         for map in &JOINT_MAPS[1..] {
@@ -441,11 +148,11 @@ impl Mapping {
             }
         }
         let mapping = Self {
-            name: best.name.to_owned(),
+            name: best.name().to_owned(),
             origin: Origin::Dialect,
-            source_of: best.source_names.map(|name| {
-                let indices = by_name.get(name).filter(|_| !name.is_empty());
-                indices.and_then(|indices| indices.first().copied())
+            source_of: Joint::ALL.map(|joint| {
+                let indices = by_name.get(best.source_name(joint)?)?;
+                indices.first().copied()
             }),
         };
         (best, mapping)
@@ -719,19 +426,17 @@ mod tests {
 
     #[test]
     fn dialects_are_told_apart_by_their_names() {
-        for map in &JOINT_MAPS {
+        for map in JOINT_MAPS.iter() {
             let joints: Vec<(String, usize)> = map
-                .source_names
-                .iter()
-                .filter(|name| !name.is_empty())
+                .source_names()
                 .map(|name| (format!("rig:{name}"), 0))
                 .collect();
             let joints: Vec<(&str, usize)> = joints
                 .iter()
                 .map(|(name, parent)| (name.as_str(), *parent))
                 .collect();
-            let mapping = find(&skeleton(&joints)).expect(map.name);
-            assert_eq!(mapping.name, map.name);
+            let mapping = find(&skeleton(&joints)).unwrap_or_else(|_| panic!("{}", map.name()));
+            assert_eq!(mapping.name, map.name());
             assert_eq!(mapping.absent().len(), 22 - joints.len());
         }
     }
@@ -770,12 +475,12 @@ mod tests {
     fn a_foot_of_another_name_is_still_found() {
         let lafan1 = JOINT_MAPS
             .iter()
-            .find(|map| map.name == "lafan1")
+            .find(|map| map.name() == "lafan1")
             .expect("known");
-        let joints: Vec<(&str, usize)> = lafan1
-            .source_names
-            .iter()
-            .map(|&name| (if name == "LeftToe" { "LeftToes" } else { name }, 0))
+        let joints: Vec<(&str, usize)> = Joint::ALL
+            .into_iter()
+            .filter_map(|joint| lafan1.source_name(joint))
+            .map(|name| (if name == "LeftToe" { "LeftToes" } else { name }, 0))
             .collect();
         let mapping = find(&skeleton(&joints)).expect("a body");
         assert_eq!(mapping.source_of[Joint::LeftFoot.index()], Some(10));
@@ -785,11 +490,8 @@ mod tests {
     fn what_is_no_body_is_named() {
         let rejected = find(&skeleton(&[("Base", 0), ("End", 0)])).expect_err("two bones");
         assert!(rejected.contains("left_knee"), "{rejected}");
-        let mut twice: Vec<(&str, usize)> = JOINT_MAPS[3]
-            .source_names
-            .iter()
-            .map(|name| (*name, 0))
-            .collect();
+        let mut twice: Vec<(&str, usize)> =
+            JOINT_MAPS[3].source_names().map(|name| (name, 0)).collect();
         twice.push(("Extra", 0));
         twice.push(("Extra", 0));
         assert!(find(&skeleton(&twice)).is_ok(), "an unused name may repeat");

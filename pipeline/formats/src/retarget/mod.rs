@@ -14,7 +14,7 @@ mod unit;
 mod user_map;
 
 pub(crate) use joint_map::bare;
-pub use joint_map::{JOINT_MAPS, JointMap, Mapping, Origin};
+pub use joint_map::{Mapping, Origin};
 pub use rig::{Bone, Placed, Rest, Rig};
 pub(crate) use unit::body_height;
 pub use user_map::{UserMap, UserMapError};
@@ -370,6 +370,7 @@ pub(crate) mod tests {
 
     use testkit::walk;
 
+    use super::joint_map::JOINT_MAPS;
     use super::*;
     use crate::source::bvh::BvhFile;
     use clip::check::check;
@@ -408,7 +409,7 @@ pub(crate) mod tests {
 
         /// The poses of a SMPL-X body as a file.
         pub(crate) fn write(&self, poses: &[Pose], skeleton: &Skeleton) -> String {
-            let names = JOINT_MAPS[0].source_names;
+            let names: Vec<&str> = JOINT_MAPS[0].source_names().collect();
             let mut text = "HIERARCHY\n".to_owned();
             self.write_joint(0, skeleton, &names, &mut text);
             text += &format!("MOTION\nFrames: {}\nFrame Time: 0.0333333\n", poses.len());
@@ -435,7 +436,7 @@ pub(crate) mod tests {
             &self,
             joint: usize,
             skeleton: &Skeleton,
-            names: &[&str; NUM_BODY_JOINTS],
+            names: &[&str],
             text: &mut String,
         ) {
             let (keyword, offset, positions) = match joint {
@@ -582,7 +583,7 @@ pub(crate) mod tests {
     /// A file with other names for its joints.
     fn renamed(text: &str, name: impl Fn(usize) -> String) -> String {
         let mut text = text.to_owned();
-        for (joint, old) in JOINT_MAPS[0].source_names.iter().enumerate() {
+        for (joint, old) in JOINT_MAPS[0].source_names().enumerate() {
             text = text.replace(&format!(" {old}\n"), &format!(" {}\n", name(joint)));
         }
         text

@@ -1,4 +1,4 @@
-//! Joint maps that a user writes for a skeleton that is not known.
+//! Joint maps: those of the known dialects, and what a user writes for a skeleton that is not known.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use datasets_spec::Joint;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// A joint map written by a user, as JSON:
+/// A joint map, as JSON (the known dialects are such files in `maps/`):
 ///
 /// ```json
 /// {"name": "my rig", "joints": {"pelvis": "root", "left_hip": "thigh.L"},
@@ -158,6 +158,11 @@ impl UserMap {
     /// Source name of a body joint, if the map has it.
     pub(super) fn source_name(&self, joint: Joint) -> Option<&str> {
         self.joints.get(&joint).map(String::as_str)
+    }
+
+    /// Source names of the body joints that the map has, in the joints' order.
+    pub(super) fn source_names(&self) -> impl Iterator<Item = &str> {
+        self.joints.values().map(String::as_str)
     }
 
     /// Metres of the file's unit.

@@ -85,7 +85,7 @@ impl BodyModel {
     /// # Errors
     /// The file cannot be read, or is no such model.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let file = File::open(path).map_err(Error::io("open", path))?;
+        let file = File::open(path).map_err(datasets_spec::Error::io("open", path))?;
         Self::regress(file).map_err(|rejected| Error::BodyModel {
             path: path.to_owned(),
             code: rejected.code,
@@ -245,10 +245,10 @@ fn list_npz(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(),
     /// Releases keep their models in a folder for each gender.
     const MAX_DEPTH: usize = 3;
     let mut entries: Vec<PathBuf> = fs::read_dir(folder)
-        .map_err(Error::io("list", folder))?
+        .map_err(datasets_spec::Error::io("list", folder))?
         .map(|entry| entry.map(|entry| entry.path()))
         .collect::<Result<_, _>>()
-        .map_err(Error::io("list", folder))?;
+        .map_err(datasets_spec::Error::io("list", folder))?;
     entries.sort();
     for path in entries {
         if path.is_dir() {
@@ -289,8 +289,11 @@ fn read_joints(path: &Path) -> Result<Result<Vec<DVec3>, Rejected>, Error> {
         .extension()
         .map(|extension| extension.to_string_lossy().to_lowercase())
         .unwrap_or_default();
-    let file = File::open(path).map_err(Error::io("open", path))?;
-    let len = file.metadata().map_err(Error::io("read", path))?.len();
+    let file = File::open(path).map_err(datasets_spec::Error::io("open", path))?;
+    let len = file
+        .metadata()
+        .map_err(datasets_spec::Error::io("read", path))?
+        .len();
     Ok(match extension.as_str() {
         "npz" => regress(file),
         "npy" if len > MAX_ARRAY_LEN => Err(Rejected::read(
@@ -298,7 +301,7 @@ fn read_joints(path: &Path) -> Result<Result<Vec<DVec3>, Rejected>, Error> {
             format!("found {len} bytes, expected the [55, 3] joints of a body"),
         )),
         "npy" => {
-            let bytes = fs::read(path).map_err(Error::io("read", path))?;
+            let bytes = fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
             let array = npy::read_numbers("joints", &bytes);
             array
                 .map_err(Rejected::from)
@@ -679,7 +682,7 @@ pub(crate) mod tests {
         assert_eq!(code("m.obj", b""), "E-BODY-FORMAT");
         assert!(matches!(
             read_skeleton(Path::new("missing/model.npz")),
-            Err(Error::Io { .. })
+            Err(Error::Spec(datasets_spec::Error::Io { .. }))
         ));
     }
 

@@ -81,7 +81,7 @@ impl PairList {
     /// # Errors
     /// The file cannot be read.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        let bytes = std::fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
         Ok(Self::parse(&bytes))
     }
 

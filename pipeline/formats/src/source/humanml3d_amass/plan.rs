@@ -56,7 +56,7 @@ pub fn is_humanact12(row: &IndexRow) -> bool {
 /// # Errors
 /// The index cannot be read or is malformed.
 pub fn find(files: &Files, index: &Path) -> Result<Box<dyn Release>, Error> {
-    let bytes = fs::read(index).map_err(Error::io("read", index))?;
+    let bytes = fs::read(index).map_err(datasets_spec::Error::io("read", index))?;
     let rows = humanml3d::parse_index(&bytes).map_err(|rejected| Error::Index {
         path: index.to_owned(),
         reason: rejected.reason,

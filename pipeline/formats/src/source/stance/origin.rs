@@ -163,7 +163,7 @@ pub fn exported_labels(folder: &Path) -> Result<Option<ExportedLabels>, Error> {
     }
     let read = |name: &str| {
         let path = folder.join(name);
-        std::fs::read(&path).map_err(Error::io("read", &path))
+        std::fs::read(&path).map_err(datasets_spec::Error::io("read", &path))
     };
     let broken = |name: &str, reason: String| Error::UnusableFile {
         path: folder.join(name),
