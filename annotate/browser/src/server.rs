@@ -24,14 +24,8 @@ fn stance() -> PathBuf {
 
 /// Runs the command to its end and returns its output.
 async fn run(args: &[&str]) -> String {
-    run_with(args, &[]).await
-}
-
-/// [`run`], with environment variables.
-async fn run_with(args: &[&str], variables: &[(&str, &str)]) -> String {
     let output = Command::new(stance())
         .args(args)
-        .envs(variables.iter().copied())
         .args(["--quiet"])
         .stdin(Stdio::null())
         .output()

@@ -7,7 +7,8 @@ use crate::steps::{claim, nothing_by_chance};
 
 /// A server with two annotators and a reviewer, and a browser on its login page.
 struct Office {
-    dataset: Dataset,
+    /// Its folder lasts as long as the server.
+    _dataset: Dataset,
     server: Server,
     browser: Browser,
     ann: String,
@@ -34,7 +35,7 @@ impl Office {
             .await;
         assert_eq!(saved["status"], 200, "{saved}");
         Self {
-            dataset,
+            _dataset: dataset,
             server,
             browser,
             ann,
