@@ -1,4 +1,4 @@
-//! Drafts of a language model for a whole project, before people start. An annotator judges each.
+//! Drafts by a language model for a whole project, made before people start. Annotators use, edit or discard each.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -34,7 +34,7 @@ pub(crate) trait ClipRow: Row {
     }
 }
 
-/// The fields that all have, and further ones as written.
+/// Implements [`ClipRow`] for rows with the fields `id` and `split`; further methods stand in the braces after a name.
 macro_rules! clip_rows {
     ($($row:ident { $($further:item)* })*) => {
         $(impl ClipRow for $row {

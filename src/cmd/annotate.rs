@@ -78,7 +78,7 @@ pub(crate) struct Args {
     secure: bool,
     /// Names by which browsers reach the server, with commas between: that of the proxy. Requests to other names are refused;
     /// localhost and addresses need none
-    #[arg(long, value_name = "NAME", value_delimiter = ',', env = "STANCE_HOST")]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', env = "STANCE_HOST", value_parser = host_name)]
     host: Vec<String>,
     /// Addresses or networks of proxies that name the client in X-Forwarded-For or Forwarded, with commas between
     #[arg(long, value_name = "ADDR", value_delimiter = ',')]
@@ -885,6 +885,16 @@ fn model() -> anyhow::Result<Option<Model>> {
         (None, None) => Ok(None),
         (Some(url), Some(name)) => Ok(Some(Model::new(&url, &name, set(MODEL_KEY))?)),
         _ => bail!("set both {MODEL_URL} and {MODEL_NAME}, or neither"),
+    }
+}
+
+/// A host name alone, as the server compares it.
+fn host_name(text: &str) -> Result<String, String> {
+    match text.is_empty() || text.contains([':', '/']) {
+        true => {
+            Err("a name without scheme and port is needed, such as annotate.example".to_owned())
+        }
+        false => Ok(text.to_owned()),
     }
 }
 

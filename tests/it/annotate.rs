@@ -686,6 +686,15 @@ fn a_server_says_who_else_can_reach_it() {
     ];
     let refused = stance(&unknown).expect_code(2);
     assert!(refused.stderr.contains("10.0.0.0/8"), "{}", refused.stderr);
+    for host in ["https://a.example", "a.example:8443", ""] {
+        let wrong = ["annotate", arg(&dataset), "--host", host];
+        let refused = stance(&wrong).expect_code(2);
+        assert!(
+            refused.stderr.contains("scheme and port"),
+            "{host}: {}",
+            refused.stderr
+        );
+    }
 }
 
 #[test]

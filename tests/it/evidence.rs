@@ -10,7 +10,7 @@ fn read(path: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// A page of results: its file, the plan of its tables, and the heading of its verdicts.
+/// A page of results: its file, the plan whose record it shows, and the heading above its verdicts.
 struct Page {
     file: &'static str,
     plan: &'static str,

@@ -182,7 +182,7 @@ fn links_between_documents_lead_to_files() {
     assert!(links > 50, "{links} links in {} documents", documents.len());
 }
 
-/// The words of `datasets-spec/README.md` and the types that they are called by.
+/// Every term of the glossary in `datasets-spec/README.md` names a type that exists.
 #[test]
 fn every_word_has_the_type_that_it_names() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("datasets-spec");

@@ -458,8 +458,9 @@ fn credential(app: &App, headers: &HeaderMap) -> Result<(String, TokenUse), Erro
     }
 }
 
-/// Checks that a request is addressed to this server. A page elsewhere can let its own name lead to this address (DNS
-/// rebinding), and would then be of one origin with it; it cannot do so with an address or with `localhost`.
+/// Refuses requests to a host name that is not this server's. In DNS rebinding an attacker points a name of their own at
+/// this address, and the browser takes their page and this server for one origin. `localhost` and IP addresses cannot be
+/// pointed elsewhere, so they are always accepted.
 fn check_host(headers: &HeaderMap, hosts: &[String]) -> Result<(), Error> {
     let asked = text(headers, &header::HOST).and_then(|host| host.parse::<Authority>().ok());
     let name = asked.as_ref().map_or("", |asked| asked.host());
@@ -472,7 +473,9 @@ fn check_host(headers: &HeaderMap, hosts: &[String]) -> Result<(), Error> {
     }
     Err(Error::refused(
         Code::WrongHost,
-        format!("this server is not known by the name {name:?}; start it with --host {name}"),
+        format!(
+            "{name:?} is no name of this server; whoever runs it names it with --host if it should be one"
+        ),
     ))
 }
 

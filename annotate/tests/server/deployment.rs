@@ -116,7 +116,7 @@ fn only_requests_to_the_servers_own_names_are_answered() {
             "{other}"
         );
     }
-    // Rebinding: the page of another name is of one origin with what it asks.
+    // After DNS rebinding the attacker's page has the origin that it asks.
     let rebound = [("host", "evil.example"), ("origin", "http://evil.example")];
     assert_eq!(guess(&site, &rebound).problem().code, Code::WrongHost);
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use annotate::store::{Claimed, Store, open_sqlite};
-use annotate::wire::{Answer, EventKind, Settings, TaskKind, TaskState};
+use annotate::wire::{Answer, EventKind, Role, Settings, TaskKind, TaskState};
 use rusqlite::Connection;
 
 use crate::support::{START, all_keys, event, masks};
@@ -147,6 +147,44 @@ fn a_store_on_postgresql_is_upgraded_after_a_copy() {
         let number: i64 = client.query_one(&before, &[]).expect("a copy").get(0);
         assert_eq!(number, version);
     }
+}
+
+#[test]
+fn judged_paraphrases_stay_in_the_log_and_keys_of_gone_actions_are_left_out() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("store.sqlite");
+    let store = open_sqlite(&path).expect("a store");
+    let eve = store.add_user(None, "eve", Role::Reviewer, START);
+    let eve = eve.expect("a user").id;
+    let seq = store.last_seq().expect("a number") + 1;
+    drop(store);
+    // What version 6 had: proposals, a judgement in the log, and keys for judging.
+    let db = Connection::open(&path).expect("a file");
+    db.execute_batch(&format!(
+        r#"CREATE TABLE paraphrase (id INTEGER PRIMARY KEY, text TEXT NOT NULL);
+        INSERT INTO paraphrase VALUES (1, 'lift it'), (2, 'never judged');
+        INSERT INTO event (seq, at, actor, kind, body, version) VALUES ({seq}, {START}, {eve}, 'paraphrase_judged',
+          '{{"event":"paraphrase_judged","paraphrase":1,"instruction":"higher","proposed":"lift it","text":"lift the arm","accepted":true}}', 1);
+        INSERT INTO pref VALUES ({eve}, '{{"keys":{{"phrase_accept":["KeyQ"],"play_pause":["KeyP"]}}}}');
+        PRAGMA user_version=6;"#
+    ))
+    .expect("a store of version 6");
+    drop(db);
+    let store = open_sqlite(&path).expect("opens");
+    let copy = PathBuf::from(&store.upgrade().expect("an upgrade").copy);
+    assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
+    let log = store.log(0, 100).expect("the log");
+    let judged = log.iter().find(|entry| entry.kind == "paraphrase_judged");
+    assert_eq!(judged.expect("the judgement").body["text"], "lift the arm");
+    let keys = store.prefs(eve).expect("preferences").keys;
+    let kept: Vec<String> = keys.keys().map(ToString::to_string).collect();
+    assert_eq!(kept, ["play_pause"]);
+    let proposals = "SELECT COUNT(*) FROM paraphrase";
+    let count = |path: &Path| {
+        let db = Connection::open(path).expect("a file");
+        db.query_row(proposals, [], |row| row.get::<_, i64>(0)).ok()
+    };
+    assert_eq!((count(&copy), count(&path)), (Some(2), None));
 }
 
 #[test]

@@ -89,9 +89,9 @@ const MASKS: &str = "masks";
 pub(super) const PAIRS: &str = "pairs";
 const FEATURES: &str = "humanml3d_features";
 
-/// What a caption is made of.
+/// Parts of a caption.
 const WORDS: [&str; 3] = [CAPTIONS, CAPTION_TIMES, CAPTION_TOKENS];
-/// What else is said of a clip.
+/// Other labels of a clip.
 const LABELS: [&str; 6] = [
     MADE_CAPTIONS,
     PART_CAPTIONS,

@@ -57,8 +57,8 @@ impl RunSettings {
             .map(move |first| (step * size as u64 + first as u64, micro.min(size - first)))
     }
 
-    /// The batch of a step in parts that fit into memory, drawn from their first item and their size, each with its share of
-    /// the items.
+    /// Draws the micro-batches of a step. `draw` is given the first item and the number of items; each micro-batch comes with its
+    /// share of the step's items.
     pub(crate) fn batches<B>(
         &self,
         step: u64,

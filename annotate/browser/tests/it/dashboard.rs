@@ -1,4 +1,4 @@
-//! Figures and decisions: what owners and reviewers see of the work of all.
+//! Figures and decisions: what owners and reviewers see of everybody's work.
 
 use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::{Value, json};

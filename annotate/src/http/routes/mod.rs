@@ -21,7 +21,8 @@ const ANNOTATOR: Access = Access::Role(Role::Annotator);
 const REVIEWER: Access = Access::Role(Role::Reviewer);
 const ADMIN: Access = Access::Role(Role::Admin);
 
-/// Routes, a row each: method, path, required role, handler. `@also` stands before those with a limit or handler of their own.
+/// A table of routes from lines of method, path, required role and handler. Routes with a body limit or a kind of handler of
+/// their own follow as whole [`Route`]s, each after `@also`.
 macro_rules! routes {
     ($($method:ident $path:literal $access:ident $work:path;)* $(@also $other:expr;)*) => {
         &[

@@ -10,13 +10,13 @@ use super::rig::{Bone, Rest};
 use super::topology;
 use super::user_map::UserMap;
 
-/// The known dialects, files of the form that users write. The one with most names in the file is used; ties go to the
-/// first.
+/// Joint maps of the known dialects, in the JSON format of users' maps. The map with the most names in the source is used;
+/// the first of several with equally many.
 ///
 /// Spines differ in number and position of joints. Each source joint maps to the body joint with the nearest
-/// height between pelvis and neck; the other body joints follow from their neighbours. The neck of `cmu` is two bones, of
-/// which the upper one starts where the body's neck is. `xsens` is also 100STYLE, `soma` also BONES-SEED and Kimodo, whose
-/// legs are called as other rigs call the shins.
+/// height between pelvis and neck; the other body joints follow from their neighbours. `cmu` has two neck
+/// bones, of which the upper one starts at the body's neck joint. `xsens` is also the dialect of 100STYLE, and `soma` that of
+/// BONES-SEED and Kimodo; its `LeftLeg` is the thigh, which other rigs call `LeftUpLeg`.
 pub(super) static JOINT_MAPS: LazyLock<Vec<UserMap>> = LazyLock::new(|| {
     let files = [
         include_str!("maps/smplx.json"),

@@ -1,4 +1,4 @@
-//! Joint maps: those of the known dialects, and what a user writes for a skeleton that is not known.
+//! Joint maps as JSON: the built-in ones of known dialects, and those that users write for other skeletons.
 
 use std::collections::BTreeMap;
 
@@ -160,7 +160,7 @@ impl UserMap {
         self.joints.get(&joint).map(String::as_str)
     }
 
-    /// Source names of the body joints that the map has, in the joints' order.
+    /// Source names of the mapped body joints, in SMPL-X order.
     pub(super) fn source_names(&self) -> impl Iterator<Item = &str> {
         self.joints.values().map(String::as_str)
     }
