@@ -2,7 +2,10 @@
 
 use std::path::PathBuf;
 
-use corpus::{CorpusOptions, PAIR_LIST, write_corpus, write_held_out_corpus};
+use corpus::{
+    CorpusOptions, Limit, PAIR_LIST, SEEN_PAIR_LIST, write_corpus, write_held_out_corpus,
+    write_limits,
+};
 
 use crate::exit::Exit;
 use crate::global::Global;
@@ -29,9 +32,16 @@ pub(crate) struct Args {
     /// training. The test set builtin-1 is of `--clips 780 --adjusted 2 --held-out`
     #[arg(long)]
     held_out: bool,
+    /// Write questions of what editors are known to do badly instead, a folder each: to count, to tell left from right, and to
+    /// understand words that training has not
+    #[arg(long, conflicts_with_all = ["clips", "adjusted", "held_out"])]
+    limits: bool,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    if args.limits {
+        return limits(args, global);
+    }
     let options = CorpusOptions {
         clips: args.clips,
         adjusted: args.adjusted,
@@ -59,5 +69,28 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             summary.clips
         ));
     }
+    Ok(Exit::Done)
+}
+
+fn limits(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    let summary = write_limits(&args.out, global.seed(), &global.bars())?;
+    if global.json {
+        report::json(&summary)?;
+        return Ok(Exit::Done);
+    }
+    let mut lines = vec![format!("{} clips in {}", summary.clips, args.out.display())];
+    for limit in Limit::ALL {
+        let folder = args.out.join(limit.name());
+        lines.push(format!(
+            "next: stance ingest {0} --pairs {0}/{PAIR_LIST} --out {1}; stance items {1} --count all --out ITEMS",
+            folder.display(),
+            limit.name().to_uppercase(),
+        ));
+    }
+    lines.push(format!(
+        "{}/{SEEN_PAIR_LIST} asks for the same in words of training",
+        args.out.join(Limit::Wording.name()).display()
+    ));
+    report::text(&lines.join("\n"));
     Ok(Exit::Done)
 }

@@ -260,3 +260,65 @@ fn clips_without_labels_have_no_novelty() {
     let done: Value = stance(&draw).expect_code(0).json();
     assert_eq!(done["novelty"]["not known"], 12, "{done}");
 }
+
+/// Ingests the questions of a limit by one of its lists, and draws all of them.
+fn questions(dir: &Path, limit: &str, list: &str) -> Vec<ItemRow> {
+    let sources = dir.join("limits").join(limit);
+    let pairs = sources.join(list);
+    let [dataset, items] =
+        ["dataset", "items"].map(|kind| dir.join(format!("{kind}-{list}-{limit}")));
+    stance(&[
+        "ingest",
+        arg(&sources),
+        "--pairs",
+        arg(&pairs),
+        "--out",
+        arg(&dataset),
+    ])
+    .expect_code(0);
+    stance(&[
+        "items",
+        arg(&dataset),
+        "--count",
+        "all",
+        "--out",
+        arg(&items),
+    ])
+    .expect_code(0);
+    rows(&items)
+}
+
+#[test]
+fn limits_are_asked_in_a_set_each_and_wordings_beside_those_of_training() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let dir = dir.path();
+    let limits = dir.join("limits");
+    stance(&["corpus", "--limits", "--out", arg(&limits)]).expect_code(0);
+    for (limit, words) in [("repetition", "three times"), ("spatial", "instead of the")] {
+        let items = questions(dir, limit, "pairs.csv");
+        assert_eq!(items.len(), 60, "{limit}");
+        let with_words = items.iter().filter(|item| item.instruction.contains(words));
+        assert_eq!(with_words.count(), if limit == "spatial" { 60 } else { 20 });
+    }
+    // The same motions, donors and parts, asked for in other words.
+    let key = |item: &ItemRow| (item.origin.clone(), item.parts.clone());
+    let by_origin = |items: Vec<ItemRow>| -> BTreeMap<_, ItemRow> {
+        items.into_iter().map(|item| (key(&item), item)).collect()
+    };
+    let unseen = by_origin(questions(dir, "wording", "pairs.csv"));
+    let seen = by_origin(questions(dir, "wording", "pairs-seen.csv"));
+    assert_eq!(unseen.len(), 88);
+    assert!(unseen.keys().eq(seen.keys()));
+    for (unseen, seen) in unseen.values().zip(seen.values()) {
+        assert_eq!(unseen.donor_ids, seen.donor_ids);
+        assert_eq!(unseen.target_transl, seen.target_transl);
+        assert_ne!(unseen.instruction, seen.instruction);
+    }
+    let asks = |items: &BTreeMap<_, ItemRow>, words: &str| {
+        items
+            .values()
+            .any(|item| item.instruction.starts_with(words))
+    };
+    assert!(asks(&seen, "Lean forward more") && !asks(&unseen, "Lean forward more"));
+    assert!(asks(&unseen, "Tip the trunk") && asks(&unseen, "Be silly"));
+}

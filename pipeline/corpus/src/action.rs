@@ -117,6 +117,17 @@ pub(super) struct Facts {
     pub(super) count: usize,
 }
 
+/// What is asked of a performance beyond its action and style; by default nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Asked {
+    /// Another number of repetitions.
+    pub(super) times: Option<usize>,
+    /// The other arm, leg or direction than the take has.
+    pub(super) is_mirrored: bool,
+    /// At least so long, in seconds; the body stands still at the end.
+    pub(super) least_secs: f64,
+}
+
 /// Minimum length of a clip in seconds: three windows of 16 frames at 10 fps with two shared frames need 44
 /// frames, 4.3 s.
 const MIN_SECS: f64 = 5.0;
@@ -128,10 +139,11 @@ const STILL_SECS: f64 = 0.45;
 pub(super) fn script(
     action: Action,
     style: &Style,
+    asked: Asked,
     take: &mut Rng,
     scatter: &mut Rng,
 ) -> (Script, Facts) {
-    let facts = Facts {
+    let drawn = Facts {
         side: match action {
             Action::WaveRight => Side::Right,
             Action::WaveLeft => Side::Left,
@@ -139,7 +151,16 @@ pub(super) fn script(
         },
         count: take.random_range(2..=3),
     };
-    let script = match action {
+    let facts = Facts {
+        side: match asked.is_mirrored {
+            true => drawn.side.other(),
+            false => drawn.side,
+        },
+        count: asked.times.unwrap_or(drawn.count),
+    };
+    // Of actions that are always done twice.
+    let times = asked.times.unwrap_or(2);
+    let mut script = match action {
         Action::Walk => travel(style, Travel::walk(take), take, scatter),
         Action::WalkBackward => travel(style, Travel::backward(take), take, scatter),
         Action::WalkCircle => travel(style, Travel::circle(take, facts.side), take, scatter),
@@ -165,9 +186,9 @@ pub(super) fn script(
         Action::WaveRight | Action::WaveLeft => waving(style, facts, take, scatter),
         Action::Punch => punching(style, facts, take, scatter),
         Action::Sit => sitting(style, take, scatter),
-        Action::Kick => kicking(style, facts, scatter),
+        Action::Kick => kicking(style, facts.side, times, scatter),
         Action::RaiseArms => standing(style, scatter, |script, from, _| {
-            gesture::raise_arms(script, style, from, 2)
+            gesture::raise_arms(script, style, from, times)
         }),
         Action::Squat => squatting(style, facts, take, scatter),
         Action::Throw => throwing(style, facts, scatter),
@@ -183,8 +204,12 @@ pub(super) fn script(
             gesture::pick_up(script, style, facts.side, from)
         }),
         Action::Reach => standing(style, scatter, |script, from, _| {
-            let middle = gesture::reach_up(script, style, facts.side, from);
-            gesture::reach_up(script, style, facts.side, middle + 0.15)
+            let (mut next, mut end) = (from, from);
+            for _ in 0..times {
+                end = gesture::reach_up(script, style, facts.side, next);
+                next = end + 0.15;
+            }
+            end
         }),
         Action::Bow => {
             let depth = take.random_range(0.75..1.0) * style.amplitude.sqrt();
@@ -200,6 +225,7 @@ pub(super) fn script(
             to + 0.9 / style.tempo
         }),
     };
+    script.duration_secs = script.duration_secs.max(asked.least_secs);
     (script, facts)
 }
 
@@ -689,7 +715,7 @@ const KICK_REACH: f64 = 0.71;
 /// Height of the hip above the ankle of a standing body in metres.
 const HIP_ABOVE_ANKLE: f64 = 0.78;
 
-fn kicking(style: &Style, facts: Facts, scatter: &mut Rng) -> Script {
+fn kicking(style: &Style, first: Side, times: usize, scatter: &mut Rng) -> Script {
     let beat = 1.0 / style.tempo;
     let feet = stance(style, 0.0, scatter);
     stand_on(feet, scatter, |script, from, _| {
@@ -697,8 +723,8 @@ fn kicking(style: &Style, facts: Facts, scatter: &mut Rng) -> Script {
         // The strike nearly stretches the leg, however high it goes.
         let height: f64 = 0.64 * style.amplitude;
         let ahead = (KICK_REACH.powi(2) - (HIP_ABOVE_ANKLE - height).powi(2)).sqrt();
-        let mut side = facts.side;
-        for _ in 0..2 {
+        let mut side = first;
+        for _ in 0..times {
             script.feet_offset[side as usize].extend([
                 (secs, [0.0; 4]),
                 (

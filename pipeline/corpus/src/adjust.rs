@@ -93,6 +93,19 @@ impl Adjustment {
         },
     ];
 
+    /// The adjustment of a name that is listed.
+    pub(super) fn named(name: &str) -> Self {
+        let found = Self::ALL
+            .into_iter()
+            .find(|adjustment| adjustment.name == name);
+        found.expect("an adjustment of the corpus")
+    }
+
+    /// Whether an action shows the change.
+    pub(super) fn suits(&self, action: Action) -> bool {
+        (self.suits)(action)
+    }
+
     /// The style with this change.
     pub(super) fn of(&self, style: &Style) -> Style {
         let mut changed = *style;
@@ -103,7 +116,7 @@ impl Adjustment {
     /// Up to `count` different adjustments that suit an action. Fewer are the first ones of more.
     pub(super) fn draw(action: Action, count: usize, rng: &mut Rng) -> Vec<Self> {
         let mut suitable = Self::ALL.to_vec();
-        suitable.retain(|adjustment| (adjustment.suits)(action));
+        suitable.retain(|adjustment| adjustment.suits(action));
         (0..count.min(suitable.len()))
             .map(|_| suitable.swap_remove(rng.random_range(0..suitable.len())))
             .collect()

@@ -6,7 +6,8 @@
 //! threads.
 //!
 //! On demand, neutral clips are performed again with a small change, such as "Lean forward more."; a list of pairs
-//! beside the clips says which clip is which other one, adjusted.
+//! beside the clips says which clip is which other one, adjusted. Other pairs ask what editors are known to do badly
+//! ([`Limit`]).
 //!
 //! Read [`CorpusOptions`] and [`clip`] first.
 //!
@@ -27,6 +28,7 @@ mod gait;
 mod gesture;
 mod held_out;
 mod limb;
+mod limits;
 mod performer;
 mod style;
 mod text;
@@ -41,9 +43,11 @@ use formats::sidecar::Sidecar;
 use formats::write;
 use rayon::prelude::*;
 
-use action::{Action, Facts};
+use action::{Action, Asked, Facts};
 use adjust::Adjustment;
 use performer::Performer;
+
+pub use limits::{Limit, SEEN_PAIR_LIST, write_limits};
 
 /// Frame rate of the clips in frames per second: that of many captures, and a multiple of the
 /// store's 20 and the model's 10.
@@ -169,7 +173,7 @@ impl std::ops::Add for CorpusSummary {
 /// Generates a clip. It depends on the seed and its index alone, not on the number of clips.
 pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
     let (action, style, take) = cast(index);
-    let (motion, facts) = perform(action, style, take, options.seed);
+    let (motion, facts) = perform_take(action, style, take, options.seed);
     let mut words = options.seed.rng(&[
         "corpus",
         "text",
@@ -205,7 +209,7 @@ pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip
         .into_iter()
         .map(|adjustment| {
             // The name of the style, and with it every draw, is that of the neutral performance.
-            let (motion, facts) = perform(action, &adjustment.of(style), take, options.seed);
+            let (motion, facts) = perform_take(action, &adjustment.of(style), take, options.seed);
             let mut words = options.seed.rng(&[
                 "corpus",
                 "adjusted text",
@@ -243,15 +247,25 @@ fn stated(action: Action, take: usize) -> Sidecar {
     }
 }
 
-/// Plays a take of an action.
-fn perform(action: Action, style: &style::Style, take: usize, seed: Seed) -> (Motion, Facts) {
-    let skeleton = Skeleton::smplx_neutral();
+/// Plays a take of an action, by the performer of the take.
+fn perform_take(action: Action, style: &style::Style, take: usize, seed: Seed) -> (Motion, Facts) {
     let style = &Performer::of_take(take).plays(style, seed);
-    let take_name = take.to_string();
+    perform(action, style, Asked::default(), &take.to_string(), seed)
+}
+
+/// Plays a take of an action.
+fn perform(
+    action: Action,
+    style: &style::Style,
+    asked: Asked,
+    take: &str,
+    seed: Seed,
+) -> (Motion, Facts) {
+    let skeleton = Skeleton::smplx_neutral();
     // The draws of a take must not depend on the style: style pairs differ in style alone.
-    let mut take_rng = seed.rng(&["corpus", "take", action.name(), &take_name]);
-    let mut scatter = seed.rng(&["corpus", "scatter", action.name(), style.name, &take_name]);
-    let (script, facts) = action::script(action, style, &mut take_rng, &mut scatter);
+    let mut take_rng = seed.rng(&["corpus", "take", action.name(), take]);
+    let mut scatter = seed.rng(&["corpus", "scatter", action.name(), style.name, take]);
+    let (script, facts) = action::script(action, style, asked, &mut take_rng, &mut scatter);
     let fps = Fps::new(CORPUS_FPS).expect("the corpus rate is positive");
     let poses = body::perform(&script, style, &skeleton, fps, &mut scatter);
     let motion = Motion::from_poses(fps, &poses).expect("every pose of a performance is finite");
@@ -295,8 +309,8 @@ fn clip_path(index: usize, clip: &CorpusClip) -> PathBuf {
 }
 
 /// The id that ingestion gives a clip: its path without extension, with `/` between folders.
-fn clip_id(index: usize, clip: &CorpusClip) -> String {
-    let path = clip_path(index, clip).with_extension("");
+fn clip_id(path: &Path) -> String {
+    let path = path.with_extension("");
     let names: Vec<_> = path.iter().map(|name| name.to_string_lossy()).collect();
     names.join("/")
 }
@@ -358,16 +372,20 @@ fn write_with(
         lines += &pairs;
     }
     if summary.adjusted > 0 {
-        let list = format!("styled,original,style,text,kind,parts\n{lines}");
-        let path = out.join(PAIR_LIST);
-        replace_file(&path, list.as_bytes()).map_err(|source| Error::Write { path, source })?;
-        summary.bytes += list.len() as u64;
+        summary.bytes += write_list(out.join(PAIR_LIST), &lines)?;
     }
     progress.finish(&format!(
         "{} clips, {} adjusted, {} frames",
         summary.clips, summary.adjusted, summary.frames
     ));
     Ok(summary)
+}
+
+/// Writes a list of pairs. Returns its bytes.
+fn write_list(path: PathBuf, lines: &str) -> Result<u64, Error> {
+    let list = format!("styled,original,style,text,kind,parts\n{lines}");
+    replace_file(&path, list.as_bytes()).map_err(|source| Error::Write { path, source })?;
+    Ok(list.len() as u64)
 }
 
 /// Writes the clip of an index and its adjusted performances. Also returns their lines of the list of pairs.
@@ -379,23 +397,24 @@ fn write_clips(
 ) -> Result<(CorpusSummary, String), Error> {
     let mut neutral = clip(index, options);
     neutral.sidecar.split = split;
+    let write = |clip: &CorpusClip| write_clip(out, &clip_path(index, clip), clip);
     let mut summary = CorpusSummary {
         clips: 1,
-        ..write_clip(out, index, &neutral)?
+        ..write(&neutral)?
     };
     let mut lines = String::new();
     for mut adjusted in adjusted_clips(index, options) {
         adjusted.clip.sidecar.split = split;
         let one = CorpusSummary {
             adjusted: 1,
-            ..write_clip(out, index, &adjusted.clip)?
+            ..write(&adjusted.clip)?
         };
         summary = summary + one;
         // No field has a comma or a quotation mark.
         lines += &format!(
             "{},{},,{},{},{}\n",
-            clip_id(index, &adjusted.clip),
-            clip_id(index, &neutral),
+            clip_id(&clip_path(index, &adjusted.clip)),
+            clip_id(&clip_path(index, &neutral)),
             adjusted.instruction,
             EditKind::FineGrained.as_str(),
             adjusted.part.name(),
@@ -404,15 +423,18 @@ fn write_clips(
     Ok((summary, lines))
 }
 
-/// Writes a clip in the format of an index.
-fn write_clip(out: &Path, index: usize, clip: &CorpusClip) -> Result<CorpusSummary, Error> {
-    let path = out.join(clip_path(index, clip));
+/// Writes a clip to a path below `out`, in the format of its extension.
+fn write_clip(out: &Path, path: &Path, clip: &CorpusClip) -> Result<CorpusSummary, Error> {
+    let format = match path.extension().is_some_and(|name| name == "npz") {
+        true => ClipFormat::Amass,
+        false => ClipFormat::Bvh,
+    };
+    let path = out.join(path);
     let failed = |source| Error::Write {
         path: path.clone(),
         source,
     };
     let skeleton = Skeleton::smplx_neutral();
-    let format = format_of(index);
     let motion = match format {
         ClipFormat::Amass => write::amass::encode(&clip.motion, &skeleton).map_err(failed)?,
         ClipFormat::Bvh => write::bvh::encode(&clip.motion, &skeleton).into_bytes(),

@@ -1,0 +1,478 @@
+//! Questions of what editors are known to do badly (paper, Appendix F): to count, to tell one side from the other, and to
+//! understand words that training has not shown.
+//!
+//! Their motions are new takes of actions that training shows, by the first performer, so that nothing else is new.
+
+use std::path::Path;
+
+use compose::EditKind;
+use datasets_spec::{BodyPart, Motion, Progress, Seed, Split};
+use formats::sidecar::Sidecar;
+use rayon::prelude::*;
+
+use super::action::{Action, Asked, Facts};
+use super::adjust::Adjustment;
+use super::style::{self, Style};
+use super::{
+    CORPUS_FPS, CorpusClip, CorpusSummary, Error, LICENSE, PAIR_LIST, Performer, clip_id, held_out,
+    perform, write_clip, write_list,
+};
+
+/// Name of the list that pairs the motions of [`Limit::Wording`] in the words of training.
+pub const SEEN_PAIR_LIST: &str = "pairs-seen.csv";
+/// Takes of each question of a limit.
+const TAKES: usize = 5;
+
+/// What is asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Limit {
+    /// To do something once, twice or three times.
+    Repetition,
+    /// To use the other hand, or to go to the other side.
+    Spatial,
+    /// What training shows, in words that it has not.
+    Wording,
+}
+
+impl Limit {
+    /// All limits.
+    pub const ALL: [Self; 3] = [Self::Repetition, Self::Spatial, Self::Wording];
+
+    /// Name of its folder.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Repetition => "repetition",
+            Self::Spatial => "spatial",
+            Self::Wording => "wording",
+        }
+    }
+
+    fn questions(self, seed: Seed) -> Vec<Question> {
+        match self {
+            Self::Repetition => repetitions(),
+            Self::Spatial => sides(seed),
+            Self::Wording => wordings(),
+        }
+    }
+}
+
+/// A performance, by what distinguishes it from the others of its take.
+struct Performance {
+    style: Style,
+    asked: Asked,
+}
+
+/// Two performances of a take, and what leads from the one to the other.
+struct Question {
+    action: Action,
+    take: String,
+    before: Performance,
+    after: Performance,
+    instruction: String,
+    parts: Vec<BodyPart>,
+    kind: EditKind,
+    /// What is asked in the words of training; none of a style, whose instruction follows from its name.
+    seen: Option<&'static str>,
+}
+
+/// Actions that are repeated, with their name in an instruction and the parts that move.
+const REPEATED: [(Action, &str, BodyPart); 4] = [
+    (Action::Squat, "Squat", BodyPart::LowerBody),
+    (Action::Kick, "Kick", BodyPart::LowerBody),
+    (Action::RaiseArms, "Raise both arms", BodyPart::BothArms),
+    (Action::Reach, "Reach up", BodyPart::BothArms),
+];
+
+fn repetitions() -> Vec<Question> {
+    const CHANGES: [(usize, usize, &str); 3] =
+        [(2, 1, "once"), (3, 2, "twice"), (2, 3, "three times")];
+    let mut questions = Vec::new();
+    for take in 0..TAKES {
+        for (action, verb, part) in REPEATED {
+            for (from, to, times) in CHANGES {
+                let of = |times: usize| Performance {
+                    style: style::NEUTRAL,
+                    asked: Asked {
+                        times: Some(times),
+                        ..Asked::default()
+                    },
+                };
+                questions.push(Question {
+                    action,
+                    take: format!("limit-{take}-{from}-to-{to}"),
+                    before: of(from),
+                    after: of(to),
+                    instruction: format!("{verb} {times}."),
+                    parts: vec![part],
+                    kind: EditKind::FineGrained,
+                    seen: None,
+                });
+            }
+        }
+    }
+    questions
+}
+
+/// Actions of one side, with what asks for the other: `{side}` is that of the source, `{other}` of the target.
+const SIDED: [(Action, &str, &[BodyPart]); 6] = [
+    (
+        Action::WalkWave,
+        "Wave with the {other} hand instead of the {side} one.",
+        &[BodyPart::BothArms],
+    ),
+    (
+        Action::WalkPhone,
+        "Hold the phone to the {other} ear instead of the {side} one.",
+        &[BodyPart::BothArms],
+    ),
+    (
+        Action::Throw,
+        "Throw with the {other} hand instead of the {side} one.",
+        &[],
+    ),
+    (
+        Action::Reach,
+        "Reach up with the {other} hand instead of the {side} one.",
+        &[BodyPart::BothArms],
+    ),
+    (
+        Action::WalkCircle,
+        "Walk around to the {other} instead of the {side}.",
+        &[],
+    ),
+    (
+        Action::WalkTurn,
+        "Turn around over the {other} side instead of the {side} one.",
+        &[],
+    ),
+];
+
+fn sides(seed: Seed) -> Vec<Question> {
+    let mut questions = Vec::new();
+    for take in 0..2 * TAKES {
+        for (action, template, parts) in SIDED {
+            let take = format!("limit-{take}-other-side");
+            let facts = facts(action, &take, seed);
+            let of = |is_mirrored| Performance {
+                style: style::NEUTRAL,
+                asked: Asked {
+                    is_mirrored,
+                    ..Asked::default()
+                },
+            };
+            questions.push(Question {
+                action,
+                take,
+                before: of(false),
+                after: of(true),
+                instruction: template
+                    .replace("{side}", facts.side.word())
+                    .replace("{other}", facts.side.other().word()),
+                parts: parts.to_vec(),
+                kind: EditKind::FineGrained,
+                seen: None,
+            });
+        }
+    }
+    questions
+}
+
+/// The facts of a neutral take.
+fn facts(action: Action, take: &str, seed: Seed) -> Facts {
+    perform(action, &style::NEUTRAL, Asked::default(), take, seed).1
+}
+
+/// Other words for an adjustment, by its name.
+const ADJUSTMENT_WORDS: [(&str, &str); 24] = [
+    ("lean", "Tip the trunk to the front."),
+    ("lean", "Stoop a bit while you do it."),
+    ("lean", "Incline your torso ahead, from the waist."),
+    ("look-down", "Keep your eyes on the ground."),
+    ("look-down", "Drop your chin towards the chest."),
+    ("look-down", "Let the gaze fall to the floor."),
+    ("bend-knees", "Stay lower, with flexed legs."),
+    ("bend-knees", "Sink into a slight crouch."),
+    ("bend-knees", "Do not straighten your legs so much."),
+    ("raise-shoulders", "Shrug."),
+    ("raise-shoulders", "Pull your shoulders up to the ears."),
+    (
+        "raise-shoulders",
+        "Tense up around the neck, shoulders high.",
+    ),
+    ("arms-out", "Keep your hands away from the hips."),
+    ("arms-out", "Let both arms stick out at the sides."),
+    ("arms-out", "Leave more room under the armpits."),
+    ("bend-elbows", "Flex your arms at the elbow joint."),
+    ("bend-elbows", "Do not let the forearms hang straight."),
+    ("bend-elbows", "Carry your forearms higher."),
+    ("longer-steps", "Lengthen your stride."),
+    ("longer-steps", "Cover a greater distance with each foot."),
+    ("longer-steps", "Stretch every pace."),
+    ("swing-arms", "Let the arms go back and forth wider."),
+    ("swing-arms", "Pump both hands strongly along your sides."),
+    ("swing-arms", "Give the arms a bigger pendulum motion."),
+];
+
+/// Other words for a style, by its name.
+const STYLE_WORDS: [(&str, &str); 20] = [
+    ("proud", "Strut as though you had won a medal"),
+    ("proud", "Carry yourself like royalty"),
+    ("proud", "Make it look self-assured and boastful"),
+    (
+        "proud",
+        "Move like somebody who is very pleased with himself",
+    ),
+    ("old", "Act like a grandfather of ninety"),
+    ("old", "Do it as an aged, frail human would"),
+    ("old", "Let it seem that every joint aches from the years"),
+    ("old", "Become a senior citizen"),
+    ("playful", "Have fun with it, like a kid"),
+    ("playful", "Fool around while you do that"),
+    ("playful", "Be silly and light-hearted"),
+    ("playful", "Make a game of it"),
+    ("depressed", "Move as if you had lost all hope"),
+    ("depressed", "Look gloomy and drained"),
+    ("depressed", "Do it with a heavy heart"),
+    ("depressed", "Show deep sorrow"),
+    ("angry", "Show that you are mad at someone"),
+    ("angry", "Do it while fuming"),
+    ("angry", "Let out your wrath"),
+    ("angry", "Behave like a person in a bad temper"),
+];
+
+fn wordings() -> Vec<Question> {
+    let shown: Vec<Action> = Action::ALL
+        .into_iter()
+        .filter(|action| held_out::is_shown(*action))
+        .collect();
+    let of = |style: Style| Performance {
+        style,
+        asked: Asked::default(),
+    };
+    let mut questions = Vec::new();
+    for (place, (name, words)) in ADJUSTMENT_WORDS.into_iter().enumerate() {
+        let adjustment = Adjustment::named(name);
+        let suited = shown.iter().filter(|action| adjustment.suits(**action));
+        for (take, action) in suited.cycle().skip(place).take(2).enumerate() {
+            questions.push(Question {
+                action: *action,
+                take: format!("limit-{place}-{take}-{name}"),
+                before: of(style::NEUTRAL),
+                after: of(adjustment.of(&style::NEUTRAL)),
+                instruction: words.to_owned(),
+                parts: vec![adjustment.part],
+                kind: EditKind::FineGrained,
+                seen: Some(adjustment.instruction),
+            });
+        }
+    }
+    for (place, (name, words)) in STYLE_WORDS.into_iter().enumerate() {
+        let style = style::ALL.iter().find(|style| style.name == name);
+        let style = *style.expect("a style of the corpus");
+        for (take, action) in shown.iter().cycle().skip(3 * place).take(2).enumerate() {
+            questions.push(Question {
+                action: *action,
+                take: format!("limit-{place}-{take}-{name}"),
+                before: of(style::NEUTRAL),
+                after: of(style),
+                instruction: words.to_owned(),
+                parts: Vec::new(),
+                kind: EditKind::Style,
+                seen: None,
+            });
+        }
+    }
+    questions
+}
+
+/// Writes the questions of every limit below `out`: a folder for each with the motions as AMASS archives, their sidecars,
+/// and [`PAIR_LIST`], of which each line is a question. Beside the one of [`Limit::Wording`] is [`SEEN_PAIR_LIST`], which
+/// pairs the same motions in the words of training. All clips are of the test split. The bytes depend on the seed alone.
+///
+/// # Errors
+/// A folder or file cannot be written.
+pub fn write_limits(
+    out: &Path,
+    seed: Seed,
+    progress: &dyn Progress,
+) -> Result<CorpusSummary, Error> {
+    let questions: Vec<(Limit, Vec<Question>)> = Limit::ALL
+        .into_iter()
+        .map(|limit| (limit, limit.questions(seed)))
+        .collect();
+    let count: usize = questions.iter().map(|(_, of_limit)| of_limit.len()).sum();
+    progress.begin("corpus", Some(count as u64));
+    let mut summary = CorpusSummary::default();
+    for (limit, questions) in questions {
+        let folder = out.join(limit.name());
+        let written: Vec<(CorpusSummary, [String; 2])> = questions
+            .par_iter()
+            .map(|question| {
+                let written = question.write(&folder, seed);
+                progress.advance(1);
+                written
+            })
+            .collect::<Result<_, _>>()?;
+        let mut lists = [String::new(), String::new()];
+        for (clips, lines) in written {
+            summary = summary + clips;
+            for (list, line) in lists.iter_mut().zip(lines) {
+                *list += &line;
+            }
+        }
+        summary.bytes += write_list(folder.join(PAIR_LIST), &lists[0])?;
+        if limit == Limit::Wording {
+            summary.bytes += write_list(folder.join(SEEN_PAIR_LIST), &lists[1])?;
+        }
+    }
+    progress.finish(&format!(
+        "{count} questions, {} clips, {} frames",
+        summary.clips, summary.frames
+    ));
+    Ok(summary)
+}
+
+impl Question {
+    /// Both motions.
+    fn perform(&self, seed: Seed) -> [Motion; 2] {
+        let play = |performance: &Performance, least_secs: f64| {
+            let asked = Asked {
+                least_secs,
+                ..performance.asked
+            };
+            perform(self.action, &performance.style, asked, &self.take, seed).0
+        };
+        let both = [&self.before, &self.after];
+        let motions = both.map(|performance| play(performance, 0.0));
+        if self.before.asked.times.is_none() {
+            return motions;
+        }
+        // Fewer repetitions leave time: an edit has the frames of its source.
+        let secs = motions
+            .iter()
+            .map(|motion| motion.len() as f64 / CORPUS_FPS);
+        let longest = secs.fold(0.0, f64::max);
+        both.map(|performance| play(performance, longest))
+    }
+
+    /// Writes both clips. Also returns the line of the question, and the one in the words of training.
+    fn write(&self, folder: &Path, seed: Seed) -> Result<(CorpusSummary, [String; 2]), Error> {
+        let mut summary = CorpusSummary::default();
+        let styles = [&self.before, &self.after].map(|performance| match self.kind {
+            EditKind::Style => Some(performance.style.name),
+            _ => None,
+        });
+        let ends = ["before", "after"];
+        let mut ids = Vec::with_capacity(ends.len());
+        for ((motion, end), style) in self.perform(seed).into_iter().zip(ends).zip(styles) {
+            let name = format!("{}_{}_{end}", self.action.name(), self.take);
+            let path = Path::new(&name).with_extension("npz");
+            let clip = CorpusClip {
+                action: self.action.name().to_owned(),
+                style: style.unwrap_or(style::NEUTRAL.name).to_owned(),
+                motion,
+                sidecar: Sidecar {
+                    subject: Some(Performer::of_take(0).name()),
+                    action: Some(self.action.name().to_owned()),
+                    style: style.map(str::to_owned),
+                    split: Some(Split::Test),
+                    license: Some(LICENSE.to_owned()),
+                    ..Sidecar::default()
+                },
+                name,
+            };
+            let one = CorpusSummary {
+                clips: 1,
+                ..write_clip(folder, &path, &clip)?
+            };
+            summary = summary + one;
+            ids.push(clip_id(&path));
+        }
+        let line = |words: &str| {
+            let parts: Vec<&str> = self.parts.iter().map(|part| part.name()).collect();
+            format!(
+                "{},{},{},\"{words}\",{},{}\n",
+                ids[1],
+                ids[0],
+                styles[1].unwrap_or_default(),
+                self.kind.as_str(),
+                parts.join(";"),
+            )
+        };
+        let lines = [line(&self.instruction), line(self.seen.unwrap_or_default())];
+        Ok((summary, lines))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use datasets_spec::{Joint, Skeleton};
+
+    use super::*;
+
+    #[test]
+    fn no_wording_is_one_of_training() {
+        let all = ADJUSTMENT_WORDS.iter().chain(&STYLE_WORDS);
+        let words: BTreeSet<&str> = all.clone().map(|(_, words)| *words).collect();
+        assert_eq!(words.len(), all.count());
+        assert!(words.iter().all(|words| !words.contains('"')));
+        let of = |table: &[(&str, &str)], name| table.iter().filter(|row| row.0 == name).count();
+        for adjustment in Adjustment::ALL {
+            assert!(!words.contains(adjustment.instruction));
+            assert_eq!(of(&ADJUSTMENT_WORDS, adjustment.name), 3);
+        }
+        for style in &style::ALL[1..] {
+            assert_eq!(of(&STYLE_WORDS, style.name), 4);
+        }
+    }
+
+    #[test]
+    fn a_repetition_is_done_as_often_as_asked_in_the_time_of_the_source() {
+        let skeleton = Skeleton::smplx_neutral();
+        let questions = repetitions();
+        assert_eq!(questions.len(), 60);
+        for question in questions.iter().take(12) {
+            let [before, after] = question.perform(Seed(0));
+            assert_eq!(before.len(), after.len(), "{}", question.instruction);
+            for (motion, performance) in [(before, &question.before), (after, &question.after)] {
+                let points = skeleton.motion_keypoints(&motion).points;
+                // How often a joint gets this far above (or below) where it began.
+                let times = |joint: Joint, metres: f64| {
+                    let height = |frame: usize| points[frame][joint as usize].y;
+                    let is_away = |frame| (height(frame) - height(0)) / metres > 1.0;
+                    let mut frames = 1..points.len();
+                    frames
+                        .by_ref()
+                        .filter(|at| is_away(*at) && !is_away(at - 1))
+                        .count()
+                };
+                let hands = [Joint::LeftWrist, Joint::RightWrist].map(|hand| times(hand, 0.6));
+                let found = match question.action {
+                    Action::Squat => times(Joint::Pelvis, -0.15),
+                    Action::Kick => times(Joint::LeftAnkle, 0.4) + times(Joint::RightAnkle, 0.4),
+                    _ => hands[0].max(hands[1]),
+                };
+                let asked = performance.asked.times;
+                assert_eq!(
+                    Some(found),
+                    asked,
+                    "{} {}",
+                    question.instruction,
+                    question.take
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn sides_and_wordings_are_asked_in_equal_parts() {
+        let asked = sides(Seed(0));
+        assert_eq!(asked.len(), 60);
+        let texts: BTreeSet<&str> = asked.iter().map(|one| one.instruction.as_str()).collect();
+        assert_eq!(texts.len(), 2 * SIDED.len(), "both sides of every action");
+        let words = ADJUSTMENT_WORDS.len() + STYLE_WORDS.len();
+        assert_eq!(wordings().len(), 2 * words);
+    }
+}
