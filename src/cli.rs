@@ -1,6 +1,6 @@
 //! The command line: the verbs, and what runs for each.
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::cmd;
 use crate::exit::Exit;
@@ -13,6 +13,35 @@ const NOTES: &str = "A dataset or source may be a URL: s3://BUCKET/PATH, gs://, 
                      With --json, a failure is a JSON document on stdout too, with the fields code (such as \
                         E-IO), item (a file, folder or clip, or null) and reason.";
 
+/// The verbs by what they are for. Every verb is in one group.
+const GROUPS: [(&str, &[&str]); 6] = [
+    ("Start here", &["demo", "run"]),
+    (
+        "Build a dataset",
+        &[
+            "doctor", "ingest", "verify", "stats", "query", "inspect", "dataset", "export",
+        ],
+    ),
+    ("Annotate", &["annotate", "masks", "pairs"]),
+    (
+        "Train and edit",
+        &["triplets", "items", "train", "edit", "edits"],
+    ),
+    ("Score and show", &["eval", "report", "reproduce", "render"]),
+    (
+        "More",
+        &[
+            "build",
+            "corpus",
+            "variants",
+            "model",
+            "stage",
+            "completions",
+            "man",
+        ],
+    ),
+];
+
 /// Human-motion data from raw files to a published result table, for text-guided motion editing.
 #[derive(Debug, Parser)]
 #[command(name = "stance", version, arg_required_else_help = true, after_help = NOTES)]
@@ -24,6 +53,15 @@ pub(crate) struct Cli {
 }
 
 impl Cli {
+    /// Parses the words of this process.
+    ///
+    /// # Errors
+    /// They are no command line; or ask for help, which is printed as an error.
+    pub(crate) fn of_process() -> Result<Self, clap::Error> {
+        let matches = grouped(Self::command()).try_get_matches()?;
+        Self::from_arg_matches(&matches)
+    }
+
     /// Whether results are printed as JSON.
     pub(crate) fn json(&self) -> bool {
         self.global.json
@@ -99,4 +137,137 @@ enum Command {
     Stage(cmd::stage::Args),
     Completions(cmd::completions::Args),
     Man(cmd::completions::ManArgs),
+}
+
+/// The command with a help that groups its verbs, a line each.
+fn grouped(command: clap::Command) -> clap::Command {
+    let mut verbs = String::new();
+    for (title, names) in GROUPS {
+        verbs += &format!("\n{title}:\n");
+        for name in names {
+            let about = command
+                .find_subcommand(name)
+                .and_then(|verb| verb.get_about());
+            let about = about.map(ToString::to_string).unwrap_or_default();
+            verbs += &format!("  {name:<13}{about}\n");
+        }
+    }
+    // clap has no groups of verbs: its own list of them is hidden.
+    command
+        .override_usage("stance [OPTIONS] <COMMAND>")
+        .help_template(format!(
+            "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n{verbs}\n{{all-args}}{{after-help}}"
+        ))
+        .mut_subcommands(|verb| verb.hide(true))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::fs;
+    use std::path::{Path, PathBuf};
+
+    use super::*;
+
+    #[test]
+    fn every_verb_is_in_one_group_with_a_line_of_its_own() {
+        let command = Cli::command();
+        let listed: Vec<&str> = GROUPS
+            .iter()
+            .flat_map(|(_, names)| *names)
+            .copied()
+            .collect();
+        let mut verbs: Vec<&str> = command
+            .get_subcommands()
+            .map(clap::Command::get_name)
+            .collect();
+        let mut sorted = listed.clone();
+        sorted.sort_unstable();
+        verbs.sort_unstable();
+        assert_eq!(sorted, verbs);
+        for verb in command.get_subcommands() {
+            let about = verb
+                .get_about()
+                .expect("every verb says what it does")
+                .to_string();
+            assert!(
+                about.len() <= 84,
+                "{} {}: {about}",
+                about.len(),
+                verb.get_name()
+            );
+        }
+    }
+
+    /// The documents, apart from those of packages of npm.
+    fn documents(folder: &Path, found: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() && !path.ends_with("node_modules") {
+                documents(&path, found);
+            } else if path.extension().is_some_and(|extension| extension == "md") {
+                found.push(path);
+            }
+        }
+    }
+
+    /// The commands of this program in the blocks of shell of a document.
+    fn commands(text: &str) -> Vec<String> {
+        let blocks = text.split("```sh\n").skip(1);
+        let blocks = blocks.filter_map(|block| block.split("```").next());
+        let mut commands = Vec::new();
+        for block in blocks {
+            for line in block.replace("\\\n", " ").lines() {
+                // A comment begins after a blank; `#` is also part of names.
+                let line = line.split(" #").next().unwrap_or_default();
+                for command in line
+                    .split("&&")
+                    .flat_map(|part| part.split([';', '|', '<', '>']))
+                {
+                    let command = command.trim();
+                    let words = command.strip_prefix("cargo run --release -- ");
+                    commands.extend(match (words, command.strip_prefix("stance ")) {
+                        (Some(words), _) | (None, Some(words)) => Some(words.to_owned()),
+                        (None, None) => None,
+                    });
+                }
+            }
+        }
+        commands
+    }
+
+    /// A renamed verb or option is found here, and not by a reader.
+    #[test]
+    fn every_documented_command_is_one() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut found = vec![root.join("README.md")];
+        for folder in [
+            "annotate",
+            "datasets-spec",
+            "eval",
+            "pipeline",
+            "tests",
+            "train",
+            ".github",
+        ] {
+            documents(&root.join(folder), &mut found);
+        }
+        let mut verbs = BTreeSet::new();
+        for path in &found {
+            for command in commands(&fs::read_to_string(path).expect("text")) {
+                let words = shlex::split(&command).expect("quotes that are closed");
+                verbs.extend(words.first().cloned());
+                let all = std::iter::once("stance".to_owned()).chain(words);
+                let parsed = Cli::try_parse_from(all).map(|_| ());
+                // Help and the version are asked for by what clap calls errors.
+                if let Err(error) = parsed.or_else(|error| match error.use_stderr() {
+                    true => Err(error),
+                    false => Ok(()),
+                }) {
+                    panic!("{}: stance {command}\n{error}", path.display());
+                }
+            }
+        }
+        assert!(verbs.len() > 20, "{verbs:?}");
+    }
 }

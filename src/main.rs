@@ -21,8 +21,6 @@ mod trainings;
 
 use std::process::ExitCode;
 
-use clap::Parser;
-
 use exit::Exit;
 use failure::Failure;
 
@@ -42,7 +40,7 @@ fn main() -> ExitCode {
             }
         };
     }
-    let cli = match cli::Cli::try_parse() {
+    let cli = match cli::Cli::of_process() {
         Ok(cli) => cli,
         Err(error) => {
             // The command line did not parse, so --json is looked for among its words.

@@ -1,5 +1,5 @@
 //! The legal state transitions of a task, as a table. The store checks every event against it, tests walk it
-//! at random, and the crate's README prints it.
+//! at random, and `docs/data-model.md` prints it.
 
 use crate::wire::{TaskState, names};
 
@@ -185,7 +185,7 @@ pub fn targets(from: TaskState, event: LogKind) -> &'static [TaskState] {
         .map_or(&[], |row| row.to)
 }
 
-/// The table as Markdown, for the crate's README.
+/// The table as Markdown, for `docs/data-model.md`.
 pub fn markdown() -> String {
     let mut text = "| from | event | to |\n|---|---|---|\n".to_owned();
     for row in MOVES {
@@ -229,10 +229,10 @@ mod tests {
 
     #[test]
     fn the_document_prints_the_table() {
-        let document = include_str!("../README.md");
+        let document = include_str!("../docs/data-model.md");
         assert!(
             document.contains(&markdown()),
-            "put this into README.md:\n{}",
+            "put this into docs/data-model.md:\n{}",
             markdown()
         );
     }

@@ -4,7 +4,7 @@
 //! faces +z. Motions, skeletons and what is computed with them are the crate `kinematics`. This crate
 //! knows no foreign file format, no network, no HTTP and no command line.
 //!
-//! Read [`record::MotionRow`] and [`Dataset`] first; the format document is the crate's `README.md`.
+//! Read [`record::MotionRow`] and [`Dataset`] first; `README.md` describes the format, and `docs/tables.md` every column.
 //!
 //! ```
 //! use datasets_spec::dataset::commit_rows;

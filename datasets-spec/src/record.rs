@@ -1,5 +1,5 @@
 //! The rows of every table. Columns, types, units and docs derive from one struct declaration, and a test
-//! compares them with `datasets-spec/README.md`.
+//! compares them with `datasets-spec/docs/tables.md`.
 
 use std::collections::{BTreeMap, BTreeSet};
 

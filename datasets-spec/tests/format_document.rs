@@ -22,12 +22,12 @@ fn listing(columns: &[Column]) -> String {
 
 #[test]
 fn the_format_document_lists_every_column_as_it_is() {
-    let document = include_str!("../README.md");
+    let document = include_str!("../docs/tables.md");
     for (table, columns) in all_tables() {
         let expected = format!("### `{table}`\n\n{}", listing(&columns));
         assert!(
             document.contains(&expected),
-            "datasets-spec/README.md must hold this section:\n\n{expected}"
+            "datasets-spec/docs/tables.md must hold this section:\n\n{expected}"
         );
     }
     assert!(document.contains(&format!("Schema version: **{SCHEMA_VERSION}**")));
@@ -35,7 +35,7 @@ fn the_format_document_lists_every_column_as_it_is() {
 
 #[test]
 fn the_format_document_lists_no_table_the_code_lacks() {
-    let document = include_str!("../README.md");
+    let document = include_str!("../docs/tables.md");
     let listed = document
         .lines()
         .filter(|line| line.starts_with("### `"))

@@ -48,7 +48,7 @@ const MINUTE: i64 = 60_000;
 const HOUR: i64 = 60 * MINUTE;
 const DAY: i64 = 24 * HOUR;
 
-/// Annotate a dataset in the browser: masks with descriptions, pairs, styles, and their review.
+/// Annotate a dataset in the browser: masks, descriptions, pairs, styles, review.
 ///
 /// Without a subcommand a server starts and prints an address to open; it ends with Ctrl-C. Every
 /// clip is a task, and so is every pair. Answers are kept in one SQLite file in the dataset's folder

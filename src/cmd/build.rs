@@ -19,7 +19,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::{report, settings, stages};
 
-/// Build a dataset from your own motions, without training: motions, masks, pairs, splits and triplets.
+/// Build a dataset by one file of settings: motions, masks, pairs, splits, triplets.
 ///
 /// The configuration is a TOML file; every key but `sources` and `out` may be left out. Relative
 /// paths are relative to the file. Interrupted and run again, it continues.

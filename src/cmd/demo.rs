@@ -16,7 +16,7 @@ use crate::judge::EncoderConfig;
 use crate::test_set::{self, ADJUSTED};
 use crate::trainings::TrainingsArgs;
 
-/// Try the program: run the whole chain on the built-in motion corpus, without files of your own.
+/// Run the whole chain on the built-in motion corpus, without files of your own.
 ///
 /// It needs no download and no licence, and ends with a result table, measured with the encoder that ships with the
 /// program. Interrupted and run again, it continues. `stance run` does the same with your own motions.

@@ -10,9 +10,9 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// Report what folders hold, before any work: formats, releases, their missing files and where to get
-/// them, and the cost of ingestion.
+/// Report what folders hold before any work, what is missing, and what it will cost.
 ///
+/// Formats, releases, their missing files and where to get them, and the cost of ingestion are printed.
 /// Files are listed; their first bytes, labels and licences are read, and captures of markers whole; nothing is
 /// written.
 #[derive(clap::Args, Debug)]

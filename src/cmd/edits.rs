@@ -16,7 +16,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// Import answers to items from systems outside this program, and bundle answers for a leaderboard.
+/// Import answers of systems outside this program, and bundle answers.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(subcommand)]

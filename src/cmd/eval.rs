@@ -23,7 +23,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::{report, stages};
 
-/// Score tables of edits and print a result table of the paper's shape, or compare two of them.
+/// Score tables of edits, print the result table, or compare two systems.
 ///
 /// Every table also gets the rows a reader compares with: the real data, and the identity editor
 /// that returns each original unchanged. Below the main table stand the paired differences of each system from

@@ -16,8 +16,7 @@ use crate::global::Global;
 use crate::test_set::{self, BUILTIN_1, TestSet};
 use crate::{report, stages};
 
-/// Draw the test questions that systems answer: a motion, an instruction, and the motion it should
-/// become.
+/// Draw the test questions: a motion, an instruction, and what it should become.
 ///
 /// They are drawn once, with a seed and composer settings of their own. `stance edit RUN --items
 /// ITEMS` answers them, and `stance eval` scores the answers. An item's id is a hash of its content.

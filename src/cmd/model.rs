@@ -27,7 +27,7 @@ use crate::global::{Global, PresetArg};
 use crate::report;
 use crate::session::{hub_cache, text_encoder};
 
-/// Import networks of the released program, export networks to it, and prepare text encoders.
+/// Import and export networks of the released program, and prepare text encoders.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(subcommand)]

@@ -22,8 +22,7 @@ use crate::global::Global;
 use crate::local;
 use crate::{report, stages};
 
-/// Write one HTML file with the tables of edits, and a 3D viewer in which all systems play side by
-/// side.
+/// Write one HTML file with the tables, and a 3D viewer of all systems side by side.
 ///
 /// The file needs nothing beside it: no server, no network.
 #[derive(clap::Args, Debug)]

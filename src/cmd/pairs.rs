@@ -15,7 +15,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// Make style pairs from labels: one action, as it is and in a style; or add pairs from a list.
+/// Make style pairs from labels, or add pairs from a list.
 ///
 /// Every motion with a style meets one without, of the same action, session and split, and of the
 /// same take where there is one. Pairs that a source came with stay beside them.

@@ -22,7 +22,7 @@ use crate::report;
 use crate::session::surroundings;
 use crate::stages::per_window;
 
-/// Do a long job in pieces: by many processes on any number of machines, with the same result.
+/// Do a long job in pieces, on any number of machines, with the same result.
 ///
 /// `plan` lists the pieces of a job in a folder, `work` makes some or all of them, and `commit` makes the result of
 /// them. Any scheduler can start the workers: pieces may be made in any order, at the same time and more than once.

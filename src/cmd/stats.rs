@@ -10,7 +10,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// Count a dataset: clips, hours, captions, masks, pairs, findings of the quality checks, speeds and fit errors.
+/// Count a dataset: clips, hours, captions, masks, pairs, findings, fit errors.
 ///
 /// With --where, of some clips, with their masks and pairs. Only metadata is read; `stance verify` checks the motions.
 #[derive(clap::Args, Debug)]

@@ -140,8 +140,19 @@ fn shells_and_man_know_every_verb() {
     }
 }
 
+/// What GitHub makes of a heading: lower case, blanks as hyphens, without punctuation.
+fn anchor(heading: &str) -> String {
+    let heading = heading.trim_start_matches('#').trim().to_lowercase();
+    let kept = |c: &char| c.is_alphanumeric() || matches!(c, '-' | '_' | ' ');
+    heading
+        .chars()
+        .filter(kept)
+        .collect::<String>()
+        .replace(' ', "-")
+}
+
 #[test]
-fn links_between_documents_lead_to_files() {
+fn links_between_documents_lead_to_files_and_headings() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut documents = ["README.md", "CHANGELOG.md"]
         .map(|name| root.join(name))
@@ -170,12 +181,22 @@ fn links_between_documents_lead_to_files() {
     for document in &documents {
         let text = fs::read_to_string(document).expect("text");
         for link in text.split("](").skip(1) {
-            let target = link.split([')', ' ', '#']).next().unwrap_or("");
-            if target.is_empty() || target.contains("://") {
+            let link = link.split([')', ' ']).next().unwrap_or("");
+            if link.contains("://") {
                 continue;
             }
-            let path = document.with_file_name(target);
+            let (target, wanted) = link.split_once('#').unwrap_or((link, ""));
+            let path = match target {
+                "" => document.clone(),
+                target => document.with_file_name(target),
+            };
             assert!(path.exists(), "{}: {target}", document.display());
+            if !wanted.is_empty() {
+                let text = fs::read_to_string(&path).expect("text");
+                let mut headings = text.lines().filter(|line| line.starts_with('#'));
+                let is_there = headings.any(|heading| anchor(heading) == wanted);
+                assert!(is_there, "{}: no heading for {link}", document.display());
+            }
             links += 1;
         }
     }

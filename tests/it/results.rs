@@ -171,9 +171,11 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     let of_repeats = table(&["--interval", "repeats"]);
     assert_eq!(of_repeats.conditions, conditions("over the repeats"));
     of_repeats.check_measured(&names, &over_repeats);
-    // The rate in the README is the one that is printed here.
-    let readme = include_str!("../../eval/README.md");
-    let line = readme.lines().find(|line| line.starts_with("| `smpl135`"));
+    // The rate in the documents is the one that is printed here.
+    let document = include_str!("../../eval/docs/encoders.md");
+    let line = document
+        .lines()
+        .find(|line| line.starts_with("| `smpl135`"));
     assert!(line.is_some_and(|line| line.contains("10 fps in preset `tiny`")));
 }
 

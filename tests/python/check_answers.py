@@ -4,7 +4,7 @@
 
 EDITS answer ITEMS. They are written again as Parquet by pyarrow, as npz and as pickled dictionaries by
 NumPy, imported under other names and scored beside the first. Where PyTorch is installed, the script
-of eval/README.md runs as it stands, with a model that changes nothing.
+of eval/docs/score.md runs as it stands, with a model that changes nothing.
 """
 
 import importlib.util
@@ -79,10 +79,10 @@ def write_dictionaries(rows: list[dict], folder: pathlib.Path) -> None:
 
 
 def check_readme() -> None:
-    """The script of the README, by a model that returns what it is given."""
+    """The script of the documents, by a model that returns what it is given."""
     (WORK / "model.py").write_text(MODEL)
-    readme = pathlib.Path(__file__).parents[2] / "eval" / "README.md"
-    (script,) = re.findall(r"```python\n(.*?)```", readme.read_text(), re.DOTALL)
+    document = pathlib.Path(__file__).parents[2] / "eval" / "docs" / "score.md"
+    (script,) = re.findall(r"```python\n(.*?)```", document.read_text(), re.DOTALL)
     (WORK / "answer.py").write_text(script)
     stance("items", "export", ITEMS, "--out", WORK / "questions")
     subprocess.run([sys.executable, "answer.py", "questions", "answers"], cwd=WORK, check=True)
@@ -92,7 +92,7 @@ def check_readme() -> None:
     for key, value in same.items():
         # The script rounds to single precision what the program turned in double.
         assert math.isclose(value, identity[key], rel_tol=1e-3, abs_tol=1e-3), (key, value, identity[key])
-    print(f"{len(same)} scores of the README's script are those of the identity")
+    print(f"{len(same)} scores of the script are those of the identity")
 
 
 def main() -> None:
@@ -112,7 +112,7 @@ def main() -> None:
     if importlib.util.find_spec("torch"):
         check_readme()
     else:
-        print("SKIPPED the script of eval/README.md: PyTorch is not installed here", file=sys.stderr)
+        print("SKIPPED the script of eval/docs/score.md: PyTorch is not installed here", file=sys.stderr)
 
 
 main()

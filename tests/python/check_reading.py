@@ -1,4 +1,4 @@
-"""Runs the two readers of datasets-spec/README.md and counts the windows each gives in a second.
+"""Runs the two readers of datasets-spec/docs/python.md and counts the windows each gives in a second.
 
     python check_reading.py DATASET
 
@@ -12,15 +12,14 @@ import time
 
 import numpy
 
-README = pathlib.Path(__file__).parents[2] / "datasets-spec" / "README.md"
+DOCUMENT = pathlib.Path(__file__).parents[2] / "datasets-spec" / "docs" / "python.md"
 WINDOW = 60
 ROUNDS = 3
 
 
 def readers() -> tuple:
-    (section,) = re.findall(r"^## Reading a dataset in Python\n(.*?)^## ", README.read_text(), re.DOTALL | re.MULTILINE)
     names = {}
-    for script in re.findall(r"```python\n(.*?)```", section, re.DOTALL):
+    for script in re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL):
         exec(script, names)
     return names["clips_of_datasets"], names["clips_of_pyarrow"]
 
@@ -49,7 +48,7 @@ def main() -> None:
         assert numpy.array_equal(frames, found[name]), name
     slow, quick = windows_per_second(obvious, folder), windows_per_second(fast, folder)
     print(f"windows of {WINDOW} frames in a second of the processor: {slow:.0f} with datasets, {quick:.0f} with pyarrow")
-    assert quick > slow, "the README says otherwise"
+    assert quick > slow, "the document says otherwise"
 
 
 main()

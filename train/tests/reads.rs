@@ -1,4 +1,4 @@
-//! A device is read where the README of this crate says, and nowhere else. One test, because reads are
+//! A device is read where `docs/gpu.md` says, and nowhere else. One test, because reads are
 //! counted for the whole process.
 
 #[path = "support/items.rs"]

@@ -102,11 +102,11 @@ mod tests {
         assert_eq!(parts.concat(), ALL);
     }
 
-    /// The README explains every column.
+    /// The documents explain every column.
     #[test]
-    fn the_readme_explains_every_metric() {
-        let readme = include_str!("../../README.md");
-        let (_, section) = readme.split_once("\n## Metrics\n").expect("a section");
+    fn the_documents_explain_every_metric() {
+        let document = include_str!("../../docs/metrics.md");
+        let (_, section) = document.split_once("\n## Metrics\n").expect("a section");
         let (section, _) = section.split_once("\n## ").expect("a section after it");
         let explained: BTreeSet<&str> = section
             .lines()

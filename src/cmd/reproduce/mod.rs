@@ -38,7 +38,7 @@ use crate::session::{is_stopped, stopped};
 use crate::settings;
 use crate::trainings::TrainingsArgs;
 
-/// Reproduce tables and figures of the paper: train what is missing, edit, score, and write them.
+/// Reproduce tables and figures of a plan: train what is missing, edit, score, draw.
 ///
 /// The plan is a TOML file, or the name of one of the plans of the program (--list). It names a dataset,
 /// the systems that are rows of the tables, the tables, and the figures: settings of a system that change.

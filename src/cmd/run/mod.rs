@@ -41,7 +41,7 @@ use crate::session::{stopped, text_encoder, with_session};
 use crate::trainings::{TrainingsArgs, side_by_side};
 use crate::{report, settings, stages};
 
-/// Run the whole chain on your own motions: build a dataset, train models on it, edit, and score the edits.
+/// Run the whole chain on your own motions: build a dataset, train, edit, and score.
 ///
 /// The configuration is a TOML file; every key but `sources` and `out` may be left out. Relative
 /// paths are relative to the file. Interrupted and run again, it continues.
