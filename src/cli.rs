@@ -36,6 +36,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
             "variants",
             "model",
             "stage",
+            "device",
             "completions",
             "man",
         ],
@@ -99,6 +100,7 @@ impl Cli {
             Command::Reproduce(args) => cmd::reproduce::run(args, global),
             Command::Report(args) => cmd::page::run(args, global),
             Command::Render(args) => cmd::render::run(args, global),
+            Command::Device(args) => cmd::device::run(args, global),
             Command::Completions(args) => Ok(cmd::completions::run(args, Self::command())),
             Command::Man(args) => cmd::completions::man(args, Self::command(), global),
         }
@@ -135,6 +137,7 @@ enum Command {
     Report(cmd::page::Args),
     Render(cmd::render::Args),
     Stage(cmd::stage::Args),
+    Device(cmd::device::Args),
     Completions(cmd::completions::Args),
     Man(cmd::completions::ManArgs),
 }

@@ -51,6 +51,11 @@ impl DeviceArgs {
         Ok(Self { device, no_fused })
     }
 
+    /// Name of the device that is asked for.
+    pub(crate) fn name(&self) -> String {
+        self.device.to_string()
+    }
+
     /// Chooses the device of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
         self.choose_of(1)

@@ -6,6 +6,7 @@ pub(crate) mod completions;
 pub(crate) mod corpus;
 pub(crate) mod dataset;
 pub(crate) mod demo;
+pub(crate) mod device;
 pub(crate) mod doctor;
 pub(crate) mod edit;
 pub(crate) mod edits;

@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::util::{arg, stance};
 
 /// The verbs of this version; scripts rely on them.
-const VERBS: [&str; 29] = [
+const VERBS: [&str; 30] = [
     "demo",
     "run",
     "build",
@@ -34,6 +34,7 @@ const VERBS: [&str; 29] = [
     "report",
     "render",
     "stage",
+    "device",
     "completions",
     "man",
 ];
@@ -115,6 +116,7 @@ fn options_of_models_stand_where_a_model_runs() {
             "reproduce",
             "report",
             "variants",
+            "device",
         ]
         .contains(&verb);
         let trains = ["demo", "run", "train", "reproduce"].contains(&verb);

@@ -692,3 +692,28 @@ fn devices_are_listed_on_any_command_line_and_others_are_refused() {
         assert!(absent.contains("--features cuda"), "{absent}");
     }
 }
+
+#[test]
+fn a_device_is_tested_and_measured_without_a_dataset() {
+    let asked = ["--json", "device", "--secs", "0", "--windows", "2"];
+    let said: Value = stance(&asked).expect_code(0).json();
+    assert_eq!(said["device"], "cpu");
+    assert_eq!(said["products"], "single precision");
+    assert_eq!((&said["steps"], &said["windows"]), (&1.into(), &2.into()));
+    assert!(said["windows_per_sec"].as_f64() > Some(0.0), "{said}");
+    // Another processor backend is named by what it is.
+    let named = [
+        "device",
+        "--device",
+        "ndarray",
+        "--secs",
+        "0",
+        "--windows",
+        "1",
+    ];
+    let text = stance(&named).expect_code(0).stdout;
+    assert!(
+        text.contains("burn-ndarray") && text.contains("passed"),
+        "{text}"
+    );
+}

@@ -5,29 +5,22 @@
 //! products, `--bf16` multiplies in bfloat16, `--quick` makes every measurement once on a small batch.
 #![expect(clippy::print_stdout, reason = "results are printed")]
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use burn::module::Module;
-use burn::optim::GradientsParams;
 use burn::tensor::{Device, Distribution, Tensor};
-use datasets_spec::{Fps, Seed};
 use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
-use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+use kinematics::normalise::FRAME_WIDTH;
 use serde_json::json;
 use train::config::{Prediction, Preset, ScheduleName, TrainConfig};
-use train::data::{NoisyBatch, TextBatch};
 use train::device::{DeviceName, open};
-use train::diffusion::Objective;
-use train::model::denoiser::Denoiser;
 use train::model::precision;
-use train::model::weights::draw;
-use train::optimizer::adamw;
 use train::sample::{Condition, Sampler};
 use train::schedule::Schedule;
+use train::throughput::{network, of_training};
 
-/// Steps that are measured, after [`WARM_UP`] that are not.
-const STEPS: usize = 20;
-const WARM_UP: usize = 3;
+/// Seconds of training that are measured.
+const LEAST_SECS: u64 = 10;
 
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -56,7 +49,12 @@ fn main() {
         false => (vec![64, 256, 1024], vec![1, 32, 1024]),
     };
     for batch in batches {
-        let secs = training_step(batch, if is_quick { 1 } else { STEPS }, &device);
+        let least = Duration::from_secs(if is_quick { 0 } else { LEAST_SECS });
+        let start = Instant::now();
+        let clock = || start.elapsed();
+        let measured = of_training(Preset::Paper, batch, least, &device, &clock);
+        let measured = measured.unwrap_or_else(|problem| panic!("the device {problem}"));
+        let secs = measured.secs / measured.steps as f64;
         let mut line = json!({
             "what": "training step", "batch": batch, "secs": secs, "samples_per_sec": batch as f64 / secs,
         });
@@ -83,72 +81,13 @@ fn flops() -> f64 {
     3.0 * 2.0 * weights * (1 + WINDOW_FRAMES) as f64
 }
 
-fn network(device: &Device) -> Denoiser {
-    let config = TrainConfig::preset(Preset::Paper);
-    let width = config.model.width;
-    draw(
-        Denoiser::new(&config.model, config.diffusion.previous, width, device),
-        Seed(1),
-    )
-    .expect("known layers")
-}
-
 fn normal<const D: usize>(shape: [usize; D], device: &Device) -> Tensor<D> {
     Tensor::random(shape, Distribution::Normal(0.0, 1.0), device)
 }
 
-/// Seconds of a step: batch to the device, forward, loss, backward and AdamW, read once at the end.
-fn training_step(rows: usize, steps: usize, device: &Device) -> f64 {
-    let device = device.clone().autodiff();
-    let numbers = rows * WINDOW_FRAMES * FRAME_WIDTH;
-    let values = || -> Vec<f32> { (0..numbers).map(|at| (at as f32 * 0.37).sin()).collect() };
-    let batch = NoisyBatch {
-        original: values(),
-        edited: values(),
-        noise: values(),
-        timesteps: (0..rows).map(|row| row % 100).collect(),
-        progress: vec![0.5; rows],
-        texts: TextBatch::Vectors(Vec::new()),
-        text_kept: vec![1.0; rows],
-        is_start: vec![false; rows],
-    };
-    let config = TrainConfig::preset(Preset::Paper);
-    let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
-    let objective = Objective {
-        schedule: &schedule,
-        extrapolation: None,
-        config: &config.diffusion,
-        normalizer: &Normalizer {
-            min: [-1.0; 3],
-            max: [1.0; 3],
-        },
-        fps: Fps::STORE,
-    };
-    let text = normal([rows, config.model.width], &device);
-    let mut model = network(&device);
-    let mut optimizer = adamw(0.01);
-    let mut begun = Instant::now();
-    for step in 0..WARM_UP + steps {
-        let loss = objective.loss(&model, &batch, text.clone());
-        let last = loss.clone().inner();
-        let gradients = GradientsParams::from_grads(loss.backward(), &model);
-        model = optimizer.step(1e-4, model, gradients);
-        if step + 1 == WARM_UP || step + 1 == WARM_UP + steps {
-            // Waits until the device is done.
-            let loss: f32 = last.into_scalar();
-            assert!(loss.is_finite(), "the loss is {loss}");
-            device.sync().expect("the device computes");
-            if step + 1 == WARM_UP {
-                begun = Instant::now();
-            }
-        }
-    }
-    begun.elapsed().as_secs_f64() / steps as f64
-}
-
 /// Seconds of 100 guided steps.
 fn sample(batch: usize, device: &Device) -> f64 {
-    let network = network(device).valid();
+    let network = network(Preset::Paper, device).valid();
     let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
     let condition = Condition {
         original: normal([batch, WINDOW_FRAMES, FRAME_WIDTH], device),

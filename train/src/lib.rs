@@ -90,6 +90,7 @@ mod session;
 pub mod stage;
 pub mod system;
 pub mod text;
+pub mod throughput;
 pub mod tmed;
 pub mod tmr;
 pub mod trainer;

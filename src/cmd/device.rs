@@ -1,0 +1,75 @@
+//! `stance device`
+
+use std::time::{Duration, Instant};
+
+use train::config::Preset;
+use train::device::{Products, check, list};
+use train::throughput::of_training;
+
+use crate::device::{DeviceArgs, device};
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::report;
+
+/// Test a device, and measure how fast it trains the editor of preset official.
+///
+/// Known numbers are computed first, forwards and backwards, as at the start of every run on a card. Then the network trains on
+/// made-up windows for some seconds: no dataset is needed. `--device list` prints the devices of this machine.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    device: DeviceArgs,
+    /// Seconds to train
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    secs: u64,
+    /// Windows of a step; the preset trains on 256
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u16).range(1..))]
+    windows: u16,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    args.device.choose()?;
+    let name = args.device.name();
+    let found = list().into_iter().find(|found| found.name == name);
+    let description = found.map_or_else(|| name.clone(), |found| found.description);
+    let device = device();
+    let failed = |problem: String| anyhow::anyhow!("device {name} {problem}; do not train on it");
+    let products = check(&device).map_err(failed)?;
+    let begun = Instant::now();
+    let measured = of_training(
+        Preset::Official,
+        args.windows.into(),
+        Duration::from_secs(args.secs),
+        &device,
+        &|| begun.elapsed(),
+    )
+    .map_err(failed)?;
+    let products = match products {
+        Products::Single => "single precision",
+        Products::Tf32 => "TF32: factors of 11 bits",
+        Products::Bf16 => "bf16: factors of 8 bits",
+    };
+    if global.json {
+        report::json(&serde_json::json!({
+            "device": name,
+            "description": description,
+            "products": products,
+            "preset": "official",
+            "windows": measured.rows,
+            "steps": measured.steps,
+            "secs": measured.secs,
+            "windows_per_sec": measured.windows_per_sec(),
+        }))?;
+    } else {
+        report::text(&format!(
+            "device     {name}: {description}\n\
+             self-test  passed; products in {products}\n\
+             training   preset official, {} steps of {} windows in {:.1} s: {:.1} windows a second",
+            measured.steps,
+            measured.rows,
+            measured.secs,
+            measured.windows_per_sec(),
+        ));
+    }
+    Ok(Exit::Done)
+}

@@ -1,0 +1,126 @@
+//! How fast a device trains: steps of the editor's network on made-up windows, without a dataset.
+
+use std::time::Duration;
+
+use burn::optim::GradientsParams;
+use burn::tensor::{Device, Distribution, Tensor};
+use datasets_spec::{Fps, Seed};
+use kinematics::canonical::WINDOW_FRAMES;
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+
+use crate::config::{Preset, ScheduleName, TrainConfig};
+use crate::data::{NoisyBatch, TextBatch};
+use crate::diffusion::Objective;
+use crate::model::denoiser::Denoiser;
+use crate::model::weights::draw;
+use crate::optimizer::adamw;
+use crate::schedule::Schedule;
+
+/// Steps before the clock starts: kernels are compiled and memory is taken in the first ones.
+const WARM_UP: usize = 3;
+/// Steps of diffusion.
+const DIFFUSION_STEPS: usize = 100;
+
+/// What was measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Throughput {
+    /// Steps that were timed.
+    pub steps: usize,
+    /// Windows of a step.
+    pub rows: usize,
+    /// Their time in seconds.
+    pub secs: f64,
+}
+
+impl Throughput {
+    /// Windows of 16 frames that are trained on in a second.
+    pub fn windows_per_sec(&self) -> f64 {
+        (self.steps * self.rows) as f64 / self.secs
+    }
+}
+
+/// The network of the editor of a preset, with drawn weights.
+pub fn network(preset: Preset, device: &Device) -> Denoiser {
+    let config = TrainConfig::preset(preset);
+    let width = config.model.width;
+    let network = Denoiser::new(&config.model, config.diffusion.previous, width, device);
+    draw(network, Seed(1)).expect("every layer has a rule")
+}
+
+/// Trains the network of a preset without additions (`paper` or `official`) for at least this long, in steps of `rows`
+/// windows: batch to the device, forward, loss, backward and AdamW. The device is read once, at the end of every step.
+///
+/// # Errors
+/// The loss is not finite, or the device does not answer.
+pub fn of_training(
+    preset: Preset,
+    rows: usize,
+    least: Duration,
+    device: &Device,
+    clock: &dyn Fn() -> Duration,
+) -> Result<Throughput, String> {
+    let config = TrainConfig::preset(preset);
+    let device = device.clone().autodiff();
+    let schedule = Schedule::new(ScheduleName::Official, DIFFUSION_STEPS)
+        .map_err(|error| error.to_string())?;
+    let objective = Objective {
+        schedule: &schedule,
+        extrapolation: None,
+        config: &config.diffusion,
+        normalizer: &Normalizer {
+            min: [-1.0; 3],
+            max: [1.0; 3],
+        },
+        fps: Fps::STORE,
+    };
+    let batch = batch(rows);
+    let text = Tensor::random(
+        [rows, config.model.width],
+        Distribution::Normal(0.0, 1.0),
+        &device,
+    );
+    let mut model = network(preset, &device);
+    let mut optimizer = adamw(0.01);
+    let mut begun = clock();
+    let mut steps = 0;
+    for step in 1.. {
+        let loss = objective.loss(&model, &batch, text.clone());
+        let last = loss.clone().inner();
+        let gradients = GradientsParams::from_grads(loss.backward(), &model);
+        model = optimizer.step(1e-4, model, gradients);
+        let loss: f32 = last.into_scalar();
+        device
+            .sync()
+            .map_err(|error| format!("does not answer: {error:?}"))?;
+        if !loss.is_finite() {
+            return Err(format!("gives a loss of {loss} in step {step}"));
+        }
+        if step == WARM_UP {
+            begun = clock();
+        }
+        steps = step.saturating_sub(WARM_UP);
+        if steps > 0 && clock() - begun >= least {
+            break;
+        }
+    }
+    Ok(Throughput {
+        steps,
+        rows,
+        secs: (clock() - begun).as_secs_f64(),
+    })
+}
+
+fn batch(rows: usize) -> NoisyBatch {
+    let numbers = rows * WINDOW_FRAMES * FRAME_WIDTH;
+    let values = || -> Vec<f32> { (0..numbers).map(|at| (at as f32 * 0.37).sin()).collect() };
+    NoisyBatch {
+        original: values(),
+        edited: values(),
+        noise: values(),
+        timesteps: (0..rows).map(|row| row % DIFFUSION_STEPS).collect(),
+        progress: vec![0.5; rows],
+        texts: TextBatch::Vectors(Vec::new()),
+        text_kept: vec![1.0; rows],
+        is_start: vec![false; rows],
+    }
+}
