@@ -4,7 +4,8 @@ use datasets_spec::{BlendMask, BodyPart, JointSet};
 
 use crate::Error;
 use crate::wire::{
-    Answer, Code, EditType, MAX_MASKS, MAX_TEXT_CHARS, Problem, Settings, TaskKind, Verdict,
+    Answer, Code, CountReason, EditType, Extent, MAX_MASKS, MAX_TEXT_CHARS, MaskAnswer, Problem,
+    Settings, TaskKind, Verdict,
 };
 
 /// Checks a draft: fields may be missing, but each present field must be valid.
@@ -60,11 +61,6 @@ pub fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
 /// Whether an answer says what an imported one says. Fields that the imported answer leaves empty do not count, because
 /// most layouts cannot represent all of them.
 pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
-    fn given<T: PartialEq>(ours: Option<&T>, imported: Option<&T>) -> bool {
-        imported.is_none() || ours == imported
-    }
-    let same_text = |ours: &str, imported: &str| ours.trim() == imported.trim();
-    let noted = |ours: &str, imported: &str| imported.is_empty() || ours == imported;
     match (ours, imported) {
         (
             Answer::MaskText {
@@ -79,13 +75,12 @@ pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
             },
         ) => {
             masks.len() == their_masks.len()
-                && masks.iter().zip(their_masks).all(|(mask, theirs)| {
-                    mask.parts == theirs.parts
-                        && same_text(&mask.text, &theirs.text)
-                        && (theirs.soft || !mask.soft)
-                })
-                && given(count_reason.as_ref(), their_reason.as_ref())
-                && noted(note, their_note)
+                && masks
+                    .iter()
+                    .zip(their_masks)
+                    .all(|(mask, theirs)| says_mask(mask, theirs))
+                && is_given(count_reason.as_ref(), their_reason.as_ref())
+                && is_noted(note, their_note)
         }
         (
             Answer::Pair {
@@ -107,9 +102,9 @@ pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
         ) => {
             verdict == their_verdict
                 && parts == their_parts
-                && given(edit_type.as_ref(), their_type.as_ref())
+                && is_given(edit_type.as_ref(), their_type.as_ref())
                 && same_text(text, their_text)
-                && noted(note, their_note)
+                && is_noted(note, their_note)
         }
         (
             Answer::Style {
@@ -133,13 +128,31 @@ pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
         ) => {
             verdict == their_verdict
                 && parts == their_parts
-                && given(style.as_ref(), their_style.as_ref())
-                && given(extent.as_ref(), their_extent.as_ref())
+                && is_given(style.as_ref(), their_style.as_ref())
+                && is_given(extent.as_ref(), their_extent.as_ref())
                 && same_text(text, their_text)
-                && noted(note, their_note)
+                && is_noted(note, their_note)
         }
         _ => false,
     }
+}
+
+fn says_mask(ours: &MaskAnswer, imported: &MaskAnswer) -> bool {
+    ours.parts == imported.parts
+        && same_text(&ours.text, &imported.text)
+        && (imported.soft || !ours.soft)
+}
+
+fn is_given<T: PartialEq>(ours: Option<&T>, imported: Option<&T>) -> bool {
+    imported.is_none() || ours == imported
+}
+
+fn is_noted(ours: &str, imported: &str) -> bool {
+    imported.is_empty() || ours == imported
+}
+
+fn same_text(ours: &str, imported: &str) -> bool {
+    ours.trim() == imported.trim()
 }
 
 /// Checks a submitted answer.
@@ -148,63 +161,14 @@ pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
 /// As [`check_draft`]; or a field is missing, or the number of masks is out of range and no reason is given.
 pub fn check_submission(answer: &Answer, kind: TaskKind, settings: &Settings) -> Result<(), Error> {
     check_draft(answer, kind)?;
-    let text_needed = |field: &str, text: &str| {
-        if text.trim().is_empty() {
-            return Err(Error::invalid(
-                field,
-                "a text is missing: say what the parts do",
-            ));
-        }
-        Ok(())
-    };
     match answer {
         Answer::MaskText {
             masks,
             count_reason,
             ..
         } => {
-            for (index, mask) in masks.iter().enumerate() {
-                if mask.parts.is_empty() {
-                    return Err(Error::invalid(
-                        &format!("answer.masks.{index}.parts"),
-                        format!(
-                            "mask {} has no part; choose one or delete the mask",
-                            index + 1
-                        ),
-                    ));
-                }
-                text_needed(&format!("answer.masks.{index}.text"), &mask.text)?;
-                let same = masks[..index].iter().position(|other| {
-                    joints(&other.parts) == joints(&mask.parts)
-                        && normal(&other.text) == normal(&mask.text)
-                });
-                if let Some(other) = same {
-                    return Err(Error::invalid(
-                        &format!("answer.masks.{index}"),
-                        format!(
-                            "masks {} and {} say the same; delete one",
-                            other + 1,
-                            index + 1
-                        ),
-                    ));
-                }
-            }
-            if masks.is_empty() && count_reason.is_none()
-                || !masks.is_empty()
-                    && !(settings.min_masks..=settings.max_masks).contains(&masks.len())
-                    && count_reason.is_none()
-            {
-                return Err(Error::Refused(Box::new(Problem::new(
-                    Code::MaskCount,
-                    format!(
-                        "{} masks where {} to {} are asked for; add or delete some, or choose a reason",
-                        masks.len(),
-                        settings.min_masks,
-                        settings.max_masks
-                    ),
-                ))));
-            }
-            Ok(())
+            check_masks(masks)?;
+            check_mask_count(masks.len(), *count_reason, settings)
         }
         Answer::Pair {
             verdict: Verdict::Keep,
@@ -212,50 +176,121 @@ pub fn check_submission(answer: &Answer, kind: TaskKind, settings: &Settings) ->
             edit_type,
             text,
             ..
-        } => {
-            text_needed("answer.text", text)?;
-            if parts.is_empty() {
-                return Err(Error::invalid(
-                    "answer.parts",
-                    "choose the parts the edit changes",
-                ));
-            }
-            if edit_type.is_none() {
-                return Err(Error::invalid(
-                    "answer.edit_type",
-                    "choose what the edit changes",
-                ));
-            }
-            Ok(())
-        }
+        } => check_usable_pair(parts, *edit_type, text),
         Answer::Style {
             verdict: Verdict::Keep,
             style,
             extent,
             ..
-        } => {
-            text_needed("answer.style", style.as_deref().unwrap_or_default())?;
-            if let Some(style) = style
-                && !settings.styles.contains(style)
-            {
-                return Err(Error::invalid(
-                    "answer.style",
-                    format!(
-                        "{style:?} is no style of this project; known are {}",
-                        settings.styles.join(", ")
-                    ),
-                ));
-            }
-            if extent.is_none() {
-                return Err(Error::invalid(
-                    "answer.extent",
-                    "choose how much of the body the style shows in",
-                ));
-            }
-            Ok(())
-        }
+        } => check_usable_style(style.as_ref(), *extent, settings),
         Answer::Pair { .. } | Answer::Style { .. } => Ok(()),
     }
+}
+
+/// Each mask has a part and a text, and no two are the same.
+fn check_masks(masks: &[MaskAnswer]) -> Result<(), Error> {
+    for (index, mask) in masks.iter().enumerate() {
+        if mask.parts.is_empty() {
+            return Err(Error::invalid(
+                &format!("answer.masks.{index}.parts"),
+                format!(
+                    "mask {} has no part; choose one or delete the mask",
+                    index + 1
+                ),
+            ));
+        }
+        text_needed(&format!("answer.masks.{index}.text"), &mask.text)?;
+        let same = masks[..index].iter().position(|other| {
+            joints(&other.parts) == joints(&mask.parts) && normal(&other.text) == normal(&mask.text)
+        });
+        if let Some(other) = same {
+            return Err(Error::invalid(
+                &format!("answer.masks.{index}"),
+                format!(
+                    "masks {} and {} say the same; delete one",
+                    other + 1,
+                    index + 1
+                ),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// There are as many masks as the project asks for, or a reason why not.
+fn check_mask_count(
+    count: usize,
+    reason: Option<CountReason>,
+    settings: &Settings,
+) -> Result<(), Error> {
+    let is_asked_for = count > 0 && (settings.min_masks..=settings.max_masks).contains(&count);
+    if is_asked_for || reason.is_some() {
+        return Ok(());
+    }
+    Err(Error::Refused(Box::new(Problem::new(
+        Code::MaskCount,
+        format!(
+            "{count} masks where {} to {} are asked for; add or delete some, or choose a reason",
+            settings.min_masks, settings.max_masks
+        ),
+    ))))
+}
+
+fn check_usable_pair(
+    parts: &[String],
+    edit_type: Option<EditType>,
+    text: &str,
+) -> Result<(), Error> {
+    text_needed("answer.text", text)?;
+    if parts.is_empty() {
+        return Err(Error::invalid(
+            "answer.parts",
+            "choose the parts the edit changes",
+        ));
+    }
+    if edit_type.is_none() {
+        return Err(Error::invalid(
+            "answer.edit_type",
+            "choose what the edit changes",
+        ));
+    }
+    Ok(())
+}
+
+fn check_usable_style(
+    style: Option<&String>,
+    extent: Option<Extent>,
+    settings: &Settings,
+) -> Result<(), Error> {
+    text_needed("answer.style", style.map_or("", String::as_str))?;
+    if let Some(style) = style
+        && !settings.styles.contains(style)
+    {
+        return Err(Error::invalid(
+            "answer.style",
+            format!(
+                "{style:?} is no style of this project; known are {}",
+                settings.styles.join(", ")
+            ),
+        ));
+    }
+    if extent.is_none() {
+        return Err(Error::invalid(
+            "answer.extent",
+            "choose how much of the body the style shows in",
+        ));
+    }
+    Ok(())
+}
+
+fn text_needed(field: &str, text: &str) -> Result<(), Error> {
+    if text.trim().is_empty() {
+        return Err(Error::invalid(
+            field,
+            "a text is missing: say what the parts do",
+        ));
+    }
+    Ok(())
 }
 
 fn check_parts(parts: &[String]) -> Result<(), Error> {
@@ -442,7 +477,7 @@ pub fn jaccard(a: JointSet, b: JointSet) -> f64 {
 pub fn distance(a: &Answer, b: &Answer) -> f64 {
     match (a, b) {
         (Answer::MaskText { masks: a, .. }, Answer::MaskText { masks: b, .. }) => {
-            let sets = |masks: &[crate::wire::MaskAnswer]| -> Vec<JointSet> {
+            let sets = |masks: &[MaskAnswer]| -> Vec<JointSet> {
                 masks.iter().map(|mask| joints(&mask.parts)).collect()
             };
             let (a, b) = (sets(a), sets(b));
@@ -507,7 +542,6 @@ pub fn text_distance(a: &str, b: &str) -> f64 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::wire::{CountReason, EditType, Extent, MaskAnswer};
 
     pub(crate) fn masks(list: &[(&[&str], &str)]) -> Answer {
         Answer::MaskText {

@@ -9,10 +9,10 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::agreement::{self, Item, MIN_ITEMS, estimate};
 use crate::answer::{completion, joints, text_distance};
-use crate::body::RELEASE_PARTS;
+use crate::body::{NUM_RELEASE_PARTS, RELEASE_PARTS};
 use crate::lock::lock;
 use crate::store::{Label, Millis, Store};
-use crate::wire::{Agreement, Answer, Estimate, RevisionState, TaskKind, Verdict};
+use crate::wire::{Agreement, Answer, Estimate, PartAgreement, RevisionState, TaskKind, Verdict};
 
 /// Tasks read at a time.
 const BATCH: usize = 2000;
@@ -111,6 +111,25 @@ struct OfPerson {
     shared: Vec<f64>,
 }
 
+/// What the figures are computed from.
+#[derive(Default)]
+struct Counted {
+    people: BTreeMap<i64, OfPerson>,
+    secs_by_time: Vec<(i64, f64)>,
+    agreed_by_time: Vec<(i64, f64)>,
+    /// Whether each answer to a shared task covers a part, by the place of the part in [`RELEASE_PARTS`].
+    parts: [Vec<Item>; NUM_RELEASE_PARTS],
+    /// Joints of the answers to each shared task.
+    sets: Vec<Vec<JointSet>>,
+    verdicts: Vec<Item>,
+    /// Whether a reviewer accepted each answer unchanged.
+    decided: Vec<bool>,
+    /// Seconds of work on answers that began from a draft.
+    with_draft: Vec<f64>,
+    /// Seconds of work on answers whose drafts were withheld.
+    without_draft: Vec<f64>,
+}
+
 impl Figures {
     /// Figures of all submitted answers. Gold tasks are excluded from agreement.
     pub(crate) fn of(store: &Store) -> Result<Self, Error> {
@@ -147,70 +166,115 @@ impl Gathered {
 
     /// The figures.
     pub(crate) fn figures(&self) -> Figures {
-        let mut people: BTreeMap<i64, OfPerson> = BTreeMap::new();
-        let mut secs_by_time = Vec::new();
-        let mut agreed_by_time = Vec::new();
-        let mut parts: Vec<Vec<Item>> = vec![Vec::new(); RELEASE_PARTS.len()];
-        let mut sets: Vec<Vec<JointSet>> = Vec::new();
-        let mut verdicts: Vec<Item> = Vec::new();
-        let mut decided: Vec<bool> = Vec::new();
-        let (mut with_draft, mut without_draft) = (Vec::new(), Vec::new());
+        let mut counted = Counted::default();
         for task in self.tasks.values() {
-            for said in &task.said {
-                let person = people.entry(said.author).or_default();
-                person.secs.push(said.secs);
-                secs_by_time.push((said.at, said.secs));
-                person.drafts.extend(&said.drafts);
-                if said.blind {
-                    without_draft.push(said.secs);
-                } else if !said.drafts.is_empty() {
-                    with_draft.push(said.secs);
-                }
-                match said.state {
-                    RevisionState::Accepted => decided.push(true),
-                    RevisionState::Returned | RevisionState::Superseded => decided.push(false),
-                    RevisionState::Draft | RevisionState::Submitted => {}
-                }
+            counted.add(task);
+        }
+        Figures {
+            agreement: counted.agreement(),
+            people: counted
+                .people
+                .into_iter()
+                .map(|(id, person)| (id, person.figures()))
+                .collect(),
+            secs_by_time: counted.secs_by_time,
+            agreed_by_time: counted.agreed_by_time,
+        }
+    }
+}
+
+impl Counted {
+    fn add(&mut self, task: &OfTask) {
+        for said in &task.said {
+            let person = self.people.entry(said.author).or_default();
+            person.secs.push(said.secs);
+            self.secs_by_time.push((said.at, said.secs));
+            person.drafts.extend(&said.drafts);
+            if said.blind {
+                self.without_draft.push(said.secs);
+            } else if !said.drafts.is_empty() {
+                self.with_draft.push(said.secs);
             }
-            if task.said.len() > 1 && !task.gold {
-                let agreed = shared(task, &mut parts, &mut sets, &mut verdicts, &mut people);
-                let last = task.said.iter().map(|said| said.at).max();
-                agreed_by_time.extend(last.zip(agreed));
+            match said.state {
+                RevisionState::Accepted => self.decided.push(true),
+                RevisionState::Returned | RevisionState::Superseded => self.decided.push(false),
+                RevisionState::Draft | RevisionState::Submitted => {}
             }
         }
-        let mut all: Vec<Item> = Vec::new();
-        for items in &parts {
-            all.extend(items.iter().cloned());
+        if task.said.len() > 1 && !task.gold {
+            let agreed = self.add_shared(task);
+            let last = task.said.iter().map(|said| said.at).max();
+            self.agreed_by_time.extend(last.zip(agreed));
         }
-        let mut decisions: Vec<(&str, &Vec<Item>)> = RELEASE_PARTS
-            .iter()
-            .map(|part| part.name())
-            .zip(&parts)
-            .collect();
-        decisions.push(("overall", &all));
-        let figures = decisions
-            .into_par_iter()
-            .map(|(name, items)| agreement::figures(name, items, 2))
-            .collect();
-        let everything: Vec<f64> = people
+    }
+
+    /// Adds a task with several answers, and returns how far they agree: the mean over the authors of their agreement with
+    /// the others.
+    fn add_shared(&mut self, task: &OfTask) -> Option<f64> {
+        let mut each = Vec::new();
+        let mut add = |author: i64, values: Vec<f64>| {
+            if let Some(value) = mean(&values) {
+                each.push(value);
+                if let Some(person) = self.people.get_mut(&author) {
+                    person.shared.push(value);
+                }
+            }
+        };
+        if task.kind != TaskKind::MaskText {
+            let item: Item = task
+                .said
+                .iter()
+                .filter_map(|said| Some((said.author, said.verdict?)))
+                .collect();
+            for (index, (author, label)) in item.iter().enumerate() {
+                let others = item
+                    .iter()
+                    .enumerate()
+                    .filter(|(other, _)| *other != index)
+                    .map(|(_, (_, other))| f64::from(u8::from(other == label)))
+                    .collect();
+                add(*author, others);
+            }
+            self.verdicts.push(item);
+            return mean(&each);
+        }
+        for (part, items) in self.parts.iter_mut().enumerate() {
+            items.push(
+                task.said
+                    .iter()
+                    .map(|said| (said.author, usize::from(said.covers[part])))
+                    .collect(),
+            );
+        }
+        let all: Vec<JointSet> = task.said.iter().map(|said| said.joints).collect();
+        for (index, said) in task.said.iter().enumerate() {
+            let others = all
+                .iter()
+                .enumerate()
+                .filter(|(other, _)| *other != index)
+                .map(|(_, set)| crate::answer::jaccard(all[index], *set))
+                .collect();
+            add(said.author, others);
+        }
+        self.sets.push(all);
+        mean(&each)
+    }
+
+    fn agreement(&mut self) -> Agreement {
+        let drafts: Vec<f64> = self
+            .people
             .values()
             .flat_map(|person| person.drafts.iter().copied())
             .collect();
-        let times = |mut secs: Vec<f64>| {
-            if secs.len() < MIN_ITEMS {
-                None
-            } else {
-                quantile::median(&mut secs)
-            }
-        };
-        let agreement = Agreement {
-            parts: figures,
-            jaccard: estimate(&sets, agreement::mean_jaccard),
-            alpha_masi: estimate(&sets, agreement::masi_alpha),
-            verdicts: (!verdicts.is_empty())
-                .then(|| agreement::figures("verdict", &verdicts, Verdict::ALL.len())),
-            shared_items: sets.len() + verdicts.len(),
-            accepted_share: estimate(&decided, |items| {
+        let secs = median_secs(&mut self.with_draft).zip(median_secs(&mut self.without_draft));
+        Agreement {
+            parts: self.agreement_by_part(),
+            jaccard: estimate(&self.sets, agreement::mean_jaccard),
+            alpha_masi: estimate(&self.sets, agreement::masi_alpha),
+            verdicts: (!self.verdicts.is_empty())
+                .then(|| agreement::figures("verdict", &self.verdicts, Verdict::ALL.len())),
+            shared_items: self.sets.len() + self.verdicts.len(),
+            accepted_share: estimate(&self.decided, |items| {
                 mean(
                     &items
                         .iter()
@@ -218,37 +282,51 @@ impl Gathered {
                         .collect::<Vec<_>>(),
                 )
             }),
-            draft_distance: mean(&everything),
-            secs_with_and_without_draft: match (times(with_draft), times(without_draft)) {
-                (Some(with), Some(without)) => Some([with, without]),
-                _ => None,
-            },
-        };
-        let people = people
-            .into_iter()
-            .map(|(id, mut person)| {
-                let unchanged = person
-                    .drafts
-                    .iter()
-                    .filter(|&&distance| distance == 0.0)
-                    .count();
-                let figures = PersonFigures {
-                    median_secs: quantile::median(&mut person.secs),
-                    draft_unchanged: (!person.drafts.is_empty())
-                        .then(|| unchanged as f64 / person.drafts.len() as f64),
-                    draft_distance: mean(&person.drafts),
-                    agreement: estimate(&person.shared, |items| {
-                        mean(&items.iter().map(|&&value| value).collect::<Vec<_>>())
-                    }),
-                };
-                (id, figures)
-            })
+            draft_distance: mean(&drafts),
+            secs_with_and_without_draft: secs.map(|(with, without)| [with, without]),
+        }
+    }
+
+    /// Agreement on each part of the release, and on all their decisions together.
+    fn agreement_by_part(&self) -> Vec<PartAgreement> {
+        let all: Vec<Item> = self.parts.concat();
+        let mut decisions: Vec<(&str, &Vec<Item>)> = RELEASE_PARTS
+            .iter()
+            .map(|part| part.name())
+            .zip(&self.parts)
             .collect();
-        Figures {
-            agreement,
-            people,
-            secs_by_time,
-            agreed_by_time,
+        decisions.push(("overall", &all));
+        decisions
+            .into_par_iter()
+            .map(|(name, items)| agreement::figures(name, items, 2))
+            .collect()
+    }
+}
+
+/// Median of some seconds of work, unless they are too few to say anything.
+fn median_secs(secs: &mut [f64]) -> Option<f64> {
+    if secs.len() < MIN_ITEMS {
+        None
+    } else {
+        quantile::median(secs)
+    }
+}
+
+impl OfPerson {
+    fn figures(mut self) -> PersonFigures {
+        let unchanged = self
+            .drafts
+            .iter()
+            .filter(|&&distance| distance == 0.0)
+            .count();
+        PersonFigures {
+            median_secs: quantile::median(&mut self.secs),
+            draft_unchanged: (!self.drafts.is_empty())
+                .then(|| unchanged as f64 / self.drafts.len() as f64),
+            draft_distance: mean(&self.drafts),
+            agreement: estimate(&self.shared, |items| {
+                mean(&items.iter().map(|&&value| value).collect::<Vec<_>>())
+            }),
         }
     }
 }
@@ -303,64 +381,6 @@ fn said(label: &Label, drafts: &BTreeMap<i64, String>) -> Said {
         covers,
         joints: revision.answer.joints(),
     }
-}
-
-/// Adds a task with several answers, and returns how far they agree: the mean over the authors of their agreement with
-/// the others.
-fn shared(
-    task: &OfTask,
-    parts: &mut [Vec<Item>],
-    sets: &mut Vec<Vec<JointSet>>,
-    verdicts: &mut Vec<Item>,
-    people: &mut BTreeMap<i64, OfPerson>,
-) -> Option<f64> {
-    let mut each = Vec::new();
-    let mut add = |author: i64, values: Vec<f64>| {
-        if let Some(value) = mean(&values) {
-            each.push(value);
-            if let Some(person) = people.get_mut(&author) {
-                person.shared.push(value);
-            }
-        }
-    };
-    if task.kind != TaskKind::MaskText {
-        let item: Item = task
-            .said
-            .iter()
-            .filter_map(|said| Some((said.author, said.verdict?)))
-            .collect();
-        for (index, (author, label)) in item.iter().enumerate() {
-            let others = item
-                .iter()
-                .enumerate()
-                .filter(|(other, _)| *other != index)
-                .map(|(_, (_, other))| f64::from(u8::from(other == label)))
-                .collect();
-            add(*author, others);
-        }
-        verdicts.push(item);
-        return mean(&each);
-    }
-    for (part, items) in parts.iter_mut().enumerate() {
-        items.push(
-            task.said
-                .iter()
-                .map(|said| (said.author, usize::from(said.covers[part])))
-                .collect(),
-        );
-    }
-    let all: Vec<JointSet> = task.said.iter().map(|said| said.joints).collect();
-    for (index, said) in task.said.iter().enumerate() {
-        let others = all
-            .iter()
-            .enumerate()
-            .filter(|(other, _)| *other != index)
-            .map(|(_, set)| crate::answer::jaccard(all[index], *set))
-            .collect();
-        add(said.author, others);
-    }
-    sets.push(all);
-    mean(&each)
 }
 
 /// Figures kept between visits: answers are read once, and the figures computed anew when answers have changed and the

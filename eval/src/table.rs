@@ -149,35 +149,12 @@ impl Table {
         metrics: &[&'static Metric],
     ) -> Option<Self> {
         let first = scores.first()?;
-        let mut names: Vec<&str> = Vec::new();
-        let mut values: BTreeMap<(&str, &Metric), Cell> = BTreeMap::new();
         let unranked = unranked(first, scores.iter().copied(), judges);
         let standings = ranking::of_table(scores);
-        let mut takes: BTreeMap<&str, u32> = BTreeMap::new();
-        for (row, standing) in scores.iter().zip(&standings) {
-            let Some(metric) = metric::from_name(&row.metric) else {
-                continue;
-            };
-            if !names.contains(&row.system.as_str()) {
-                names.push(&row.system);
-            }
-            takes.insert(&row.system, row.takes);
-            let cell = Cell {
-                mean: row.mean,
-                ci95: row.ci95,
-                best: standing.best && unranked.is_none(),
-            };
-            values.insert((&row.system, metric), cell);
-        }
-        names.sort_by_key(|name| {
-            GIVEN
-                .iter()
-                .position(|given| given == name)
-                .unwrap_or(GIVEN.len())
-        });
+        let found = Found::of(scores, &standings, unranked.is_none());
         let columns: Vec<Column> = metrics
             .iter()
-            .filter(|metric| values.keys().any(|(_, known)| known == *metric))
+            .filter(|metric| found.cells.keys().any(|(_, known)| known == *metric))
             .map(|&metric| Column {
                 metric,
                 better: (metric.better)(&first.task),
@@ -186,19 +163,6 @@ impl Table {
         if columns.is_empty() {
             return None;
         }
-        let rows = names
-            .into_iter()
-            .map(|name| Row {
-                system: name.to_owned(),
-                baseline: GIVEN.contains(&name),
-                published: false,
-                takes: takes.get(name).copied().unwrap_or(0),
-                cells: columns
-                    .iter()
-                    .map(|column| values.get(&(name, column.metric)).copied())
-                    .collect(),
-            })
-            .collect();
         let mut table = Self {
             task: first.task.clone(),
             protocol: first.protocol.clone(),
@@ -219,8 +183,8 @@ impl Table {
             },
             repeats: first.repeats,
             latent_width: first.latent_width,
+            rows: found.rows(&columns),
             columns,
-            rows,
             notes: Vec::new(),
         };
         if table.unranked.is_none() {
@@ -296,6 +260,62 @@ impl Table {
                 format!(", {}", each.join(", "))
             }
         }
+    }
+}
+
+/// What the scores of a table hold of its systems.
+struct Found<'a> {
+    /// Names of the systems: those that every table has, then the others in the order of their scores.
+    names: Vec<&'a str>,
+    takes: BTreeMap<&'a str, u32>,
+    cells: BTreeMap<(&'a str, &'static Metric), Cell>,
+}
+
+impl<'a> Found<'a> {
+    /// Scores of unknown metrics are left out, and no value is the best where the table ranks nothing.
+    fn of(scores: &[&'a ScoreRow], standings: &[Standing], ranks: bool) -> Self {
+        let mut names: Vec<&str> = Vec::new();
+        let mut takes = BTreeMap::new();
+        let mut cells = BTreeMap::new();
+        for (row, standing) in scores.iter().copied().zip(standings) {
+            let Some(metric) = metric::from_name(&row.metric) else {
+                continue;
+            };
+            let system = row.system.as_str();
+            if !names.contains(&system) {
+                names.push(system);
+            }
+            takes.insert(system, row.takes);
+            let cell = Cell {
+                mean: row.mean,
+                ci95: row.ci95,
+                best: standing.best && ranks,
+            };
+            cells.insert((system, metric), cell);
+        }
+        names.sort_by_key(|name| {
+            let place = GIVEN.iter().position(|given| given == name);
+            place.unwrap_or(GIVEN.len())
+        });
+        Self {
+            names,
+            takes,
+            cells,
+        }
+    }
+
+    fn rows(&self, columns: &[Column]) -> Vec<Row> {
+        let cell = |name: &'a str, column: &Column| self.cells.get(&(name, column.metric)).copied();
+        self.names
+            .iter()
+            .map(|&name| Row {
+                system: name.to_owned(),
+                baseline: GIVEN.contains(&name),
+                published: false,
+                takes: self.takes.get(name).copied().unwrap_or(0),
+                cells: columns.iter().map(|column| cell(name, column)).collect(),
+            })
+            .collect()
     }
 }
 

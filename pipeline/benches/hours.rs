@@ -21,7 +21,7 @@ use corpus::{CorpusOptions, write_corpus};
 use datasets_spec::dataset::{Commit, Transaction, table_facts};
 use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Fps, MotionId, NoProgress, Seed, Split};
+use datasets_spec::{Dataset, Fps, MotionId, NoProgress, Seed, Skeleton, Split};
 use pipeline::annotation::masks::{MaskConfig, automatic_masks};
 use pipeline::ingest::{IngestOptions, ingest};
 use work::Context;
@@ -115,8 +115,8 @@ fn peak_bytes() -> f64 {
     kilobytes.unwrap_or(0.0) * 1024.0
 }
 
-/// Writes a dataset of so many hours: clips of the corpus and their masks, each many times under new ids.
-fn make(out: &Path, hours: f64, fps: f64) -> Result<(), Failure> {
+/// Clips of the corpus, all for training, and their body.
+fn clips(fps: f64) -> Result<(Skeleton, Vec<MotionRow>), Failure> {
     let dir = tempfile::tempdir()?;
     let (sources, ingested) = (dir.path().join("corpus"), dir.path().join("dataset"));
     let options = CorpusOptions {
@@ -152,6 +152,12 @@ fn make(out: &Path, hours: f64, fps: f64) -> Result<(), Failure> {
             *number = (*number * 256.0).round() / 256.0;
         }
     }
+    Ok((skeleton, motions))
+}
+
+/// Writes a dataset of so many hours: clips of the corpus and their masks, each many times under new ids.
+fn make(out: &Path, hours: f64, fps: f64) -> Result<(), Failure> {
+    let (skeleton, motions) = clips(fps)?;
     let masks = automatic_masks(&motions, &skeleton, &MaskConfig::default())?;
     let frames: usize = motions.iter().map(|row| row.transl.len()).sum();
     let copies = (hours * 3600.0 * fps / frames as f64).ceil() as u64;

@@ -10,7 +10,7 @@ use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
 use datasets_spec::table::{Row, read_rows};
-use datasets_spec::{Dataset, MotionId, Progress, Split, Transaction};
+use datasets_spec::{Dataset, MotionId, Progress, Skeleton, Split, Transaction};
 use serde::Serialize;
 
 use crate::Error;
@@ -52,7 +52,19 @@ struct Part<'a> {
     splits: BTreeMap<MotionId, Split>,
 }
 
-impl Part<'_> {
+impl<'a> Part<'a> {
+    fn new(dataset: &'a Dataset, number: usize, sources: &'a MergedSources, label: String) -> Self {
+        Self {
+            dataset,
+            number,
+            sources,
+            label,
+            shared: BTreeSet::new(),
+            ids: BTreeMap::new(),
+            splits: BTreeMap::new(),
+        }
+    }
+
     fn id(&self, id: &MotionId) -> MotionId {
         self.ids.get(id).unwrap_or(id).clone()
     }
@@ -83,6 +95,35 @@ impl Part<'_> {
         row.place(self.id(row.id()), split);
         Some((split, row))
     }
+
+    /// What the dataset rejected.
+    fn quarantine(&self) -> Result<Vec<QuarantineRow>, Error> {
+        let rows = self.dataset.read::<QuarantineRow>(None)?.into_iter();
+        let rows = rows.map(|row| QuarantineRow {
+            source_name: self.sources.name(self.number, &row.source_name, &row.path),
+            path: self.path(&row.path),
+            ..row
+        });
+        Ok(rows.collect())
+    }
+
+    /// What the dataset skipped, and its clips that the other has.
+    fn skipped(&self) -> Result<Vec<SkippedRow>, Error> {
+        let rows = self.dataset.read::<SkippedRow>(None)?.into_iter();
+        let rows = rows.map(|row| SkippedRow {
+            source_name: self.sources.name(self.number, &row.source_name, &row.path),
+            path: self.path(&row.path),
+            ..row
+        });
+        let shared = self.shared.iter().map(|id| SkippedRow {
+            path: self.path(id.as_str()),
+            source_name: String::new(),
+            source_hash: String::new(),
+            inputs_hash: String::new(),
+            reason: "clip of both merged datasets".to_owned(),
+        });
+        Ok(rows.chain(shared).collect())
+    }
 }
 
 /// Merges `second` into a copy of `first` and commits the result at `out`, a new folder. All clips of the
@@ -99,13 +140,7 @@ pub fn merge(
 ) -> Result<Merged, Error> {
     let datasets = [Dataset::open(first)?, Dataset::open(second)?];
     let [a, b] = &datasets;
-    let skeleton = a.skeleton()?;
-    if skeleton.hash() != b.skeleton()?.hash() {
-        return Err(Error::OtherSkeleton {
-            first: a.manifest().skeleton.clone(),
-            second: b.manifest().skeleton.clone(),
-        });
-    }
+    let skeleton = common_skeleton(a, b)?;
     let clips = [clips(a)?, clips(b)?];
     check_settings(&datasets, &clips)?;
     let transaction = Transaction::begin(out, holder)?;
@@ -116,15 +151,7 @@ pub fn merge(
     }
     let sources = MergedSources::of(a, b);
     let mut facts = sources.facts.clone();
-    let base = Part {
-        dataset: a,
-        number: 0,
-        sources: &sources,
-        label: String::new(),
-        shared: BTreeSet::new(),
-        ids: BTreeMap::new(),
-        splits: BTreeMap::new(),
-    };
+    let base = Part::new(a, 0, &sources, String::new());
     let added = added(&datasets, &clips, &sources)?;
     let plan = plan_hash(
         "merge",
@@ -135,78 +162,16 @@ pub fn merge(
         ),
     );
     let shard_facts = table_facts(&skeleton, &plan);
-    let mut tables = BTreeMap::new();
     let parts = [&base, &added];
-    progress.begin("merge", Some(CLIP_TABLES.len() as u64));
-    let motions = shards::<MotionRow>(&transaction, &parts, &shard_facts)?;
-    progress.advance(1);
-    let markers = shards::<MarkerRow>(&transaction, &parts, &shard_facts)?;
-    progress.advance(1);
-    let features = shards::<HumanMl3dRow>(&transaction, &parts, &shard_facts)?;
-    progress.advance(1);
-    let licenses = license::count(transaction.root(), motions.iter())?;
+    let mut tables = clip_tables(&transaction, &parts, &shard_facts, progress)?;
+    let motions = tables.get(MotionRow::TABLE).into_iter().flatten();
+    let licenses = license::count(transaction.root(), motions)?;
     let text = serde_json::to_string(&licenses).expect("texts and counts serialise");
     facts.insert(LICENSES_FACT.to_owned(), text);
-    tables.insert(MotionRow::TABLE.to_owned(), motions);
-    for (table, files) in [(MarkerRow::TABLE, markers), (HumanMl3dRow::TABLE, features)] {
-        if !files.is_empty() {
-            tables.insert(table.to_owned(), files);
-        }
-    }
-    let mut splits: BTreeMap<MotionId, Split> = BTreeMap::new();
-    for (part, clips) in parts.into_iter().zip(&clips) {
-        for Origin { id, split, .. } in clips.iter().map(|clip| &clip.origin) {
-            let split = *part.splits.get(id).unwrap_or(split);
-            splits.entry(part.id(id)).or_insert(split);
-        }
-    }
+    let splits = splits(&parts, &clips);
     let labels = labels(&parts, &splits)?;
-    let mut add = |table: &str, files: Vec<_>, rows: usize| {
-        if rows > 0 {
-            tables.insert(table.to_owned(), files);
-        }
-    };
-    let mask_split: fn(&MaskRow) -> Split = |row| row.split;
-    let pair_split: fn(&PairRow) -> Split = |row| row.split;
-    add(
-        MaskRow::TABLE,
-        transaction.write_rows(&labels.masks, Some(mask_split), &skeleton, &plan)?,
-        labels.masks.len(),
-    );
-    add(
-        PairRow::TABLE,
-        transaction.write_rows(&labels.pairs, Some(pair_split), &skeleton, &plan)?,
-        labels.pairs.len(),
-    );
-    let mut quarantine: Vec<QuarantineRow> = Vec::new();
-    let mut skipped: Vec<SkippedRow> = Vec::new();
-    for part in parts {
-        let rows = part.dataset.read::<QuarantineRow>(None)?.into_iter();
-        quarantine.extend(rows.map(|row| QuarantineRow {
-            source_name: sources.name(part.number, &row.source_name, &row.path),
-            path: part.path(&row.path),
-            ..row
-        }));
-        let rows = part.dataset.read::<SkippedRow>(None)?.into_iter();
-        skipped.extend(rows.map(|row| SkippedRow {
-            source_name: sources.name(part.number, &row.source_name, &row.path),
-            path: part.path(&row.path),
-            ..row
-        }));
-        skipped.extend(part.shared.iter().map(|id| SkippedRow {
-            path: part.path(id.as_str()),
-            source_name: String::new(),
-            source_hash: String::new(),
-            inputs_hash: String::new(),
-            reason: "clip of both merged datasets".to_owned(),
-        }));
-    }
-    let mut codes = BTreeMap::new();
-    for row in &quarantine {
-        *codes.entry(row.code.clone()).or_default() += 1;
-    }
-    let [num_clips, quarantined, passed_over] =
-        [splits.len(), quarantine.len(), skipped.len()].map(|count| count as u64);
+    tables.extend(labels.tables(&transaction, &skeleton, &plan)?);
+    let (quarantine, skipped) = passed_over(&parts)?;
     tables.insert(
         QuarantineRow::TABLE.to_owned(),
         transaction.write_shards(None, &quarantine, &shard_facts)?,
@@ -215,6 +180,7 @@ pub fn merge(
         SkippedRow::TABLE.to_owned(),
         transaction.write_shards(None, &skipped, &shard_facts)?,
     );
+    let num_clips = splits.len() as u64;
     let store = transaction.store();
     let places = sources.places(store.as_ref(), [first, second])?;
     places.write(store.as_ref(), transaction.root())?;
@@ -222,13 +188,7 @@ pub fn merge(
         tables,
         plan_hash: plan,
         skeleton,
-        accounting: Some(Accounting {
-            sources: num_clips + quarantined + passed_over,
-            ingested: num_clips,
-            quarantined,
-            skipped: passed_over,
-            codes,
-        }),
+        accounting: Some(accounting(num_clips, &quarantine, skipped.len() as u64)),
         facts,
         ..Commit::default()
     })?;
@@ -247,6 +207,18 @@ pub fn merge(
         dropped_labels: labels.dropped,
         root_hash: dataset.manifest().root_hash.clone(),
     })
+}
+
+/// The skeleton of both datasets.
+fn common_skeleton(first: &Dataset, second: &Dataset) -> Result<Skeleton, Error> {
+    let skeleton = first.skeleton()?;
+    if skeleton.hash() != second.skeleton()?.hash() {
+        return Err(Error::OtherSkeleton {
+            first: first.manifest().skeleton.clone(),
+            second: second.manifest().skeleton.clone(),
+        });
+    }
+    Ok(skeleton)
 }
 
 /// Refuses to merge what must be one over a dataset and is not.
@@ -297,15 +269,7 @@ fn added<'a>(
         .iter()
         .map(|clip| (&clip.origin.id, clip.content.as_str()))
         .collect();
-    let mut part = Part {
-        dataset: second,
-        number: 1,
-        sources,
-        label: sources.label.clone(),
-        shared: BTreeSet::new(),
-        ids: BTreeMap::new(),
-        splits: BTreeMap::new(),
-    };
+    let mut part = Part::new(second, 1, sources, sources.label.clone());
     let all = known.iter().chain(own);
     let mut taken: BTreeSet<MotionId> = all.map(|clip| clip.origin.id.clone()).collect();
     for Clip {
@@ -383,11 +347,95 @@ fn moved(
     Ok(moved)
 }
 
+/// Writes the tables of the clips of both datasets.
+fn clip_tables(
+    transaction: &Transaction,
+    parts: &[&Part<'_>],
+    facts: &[(&str, String)],
+    progress: &dyn Progress,
+) -> Result<BTreeMap<String, Vec<FileEntry>>, Error> {
+    progress.begin("merge", Some(CLIP_TABLES.len() as u64));
+    let motions = shards::<MotionRow>(transaction, parts, facts)?;
+    progress.advance(1);
+    let markers = shards::<MarkerRow>(transaction, parts, facts)?;
+    progress.advance(1);
+    let features = shards::<HumanMl3dRow>(transaction, parts, facts)?;
+    progress.advance(1);
+    let mut tables = BTreeMap::from([(MotionRow::TABLE.to_owned(), motions)]);
+    for (table, files) in [(MarkerRow::TABLE, markers), (HumanMl3dRow::TABLE, features)] {
+        if !files.is_empty() {
+            tables.insert(table.to_owned(), files);
+        }
+    }
+    Ok(tables)
+}
+
+/// The split of every clip of the result.
+fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split> {
+    let mut splits: BTreeMap<MotionId, Split> = BTreeMap::new();
+    for (part, clips) in parts.iter().zip(clips) {
+        for Origin { id, split, .. } in clips.iter().map(|clip| &clip.origin) {
+            let split = *part.splits.get(id).unwrap_or(split);
+            splits.entry(part.id(id)).or_insert(split);
+        }
+    }
+    splits
+}
+
+/// What both datasets rejected, and what they skipped.
+fn passed_over(parts: &[&Part<'_>]) -> Result<(Vec<QuarantineRow>, Vec<SkippedRow>), Error> {
+    let (mut quarantine, mut skipped) = (Vec::new(), Vec::new());
+    for part in parts {
+        quarantine.extend(part.quarantine()?);
+        skipped.extend(part.skipped()?);
+    }
+    Ok((quarantine, skipped))
+}
+
+/// The counts of the result, whose sources are its clips and what was passed over.
+fn accounting(ingested: u64, quarantine: &[QuarantineRow], skipped: u64) -> Accounting {
+    let mut codes = BTreeMap::new();
+    for row in quarantine {
+        *codes.entry(row.code.clone()).or_default() += 1;
+    }
+    let quarantined = quarantine.len() as u64;
+    Accounting {
+        sources: ingested + quarantined + skipped,
+        ingested,
+        quarantined,
+        skipped,
+        codes,
+    }
+}
+
 /// The labels of both datasets, and the ids of those whose motions are in two splits now.
 struct Labels {
     masks: Vec<MaskRow>,
     pairs: Vec<PairRow>,
     dropped: Vec<String>,
+}
+
+impl Labels {
+    /// Writes the tables that have rows.
+    fn tables(
+        &self,
+        transaction: &Transaction,
+        skeleton: &Skeleton,
+        plan: &str,
+    ) -> Result<Vec<(String, Vec<FileEntry>)>, Error> {
+        let mask_split: fn(&MaskRow) -> Split = |row| row.split;
+        let pair_split: fn(&PairRow) -> Split = |row| row.split;
+        let masks = transaction.write_rows(&self.masks, Some(mask_split), skeleton, plan)?;
+        let pairs = transaction.write_rows(&self.pairs, Some(pair_split), skeleton, plan)?;
+        let tables = [
+            (MaskRow::TABLE, masks, self.masks.len()),
+            (PairRow::TABLE, pairs, self.pairs.len()),
+        ];
+        let tables = tables.into_iter().filter(|(_, _, rows)| *rows > 0);
+        Ok(tables
+            .map(|(table, files, _)| (table.to_owned(), files))
+            .collect())
+    }
 }
 
 fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Labels, Error> {

@@ -211,6 +211,51 @@ fn bar(value: u64, largest: u64) -> String {
     format!("{whole}{}", EIGHTHS[(eighths % 8) as usize])
 }
 
+/// Writes a table of shares with a bar for each; nothing if there are none.
+fn write_shares(
+    f: &mut fmt::Formatter<'_>,
+    title: &str,
+    shares: &BTreeMap<String, Share>,
+) -> fmt::Result {
+    if shares.is_empty() {
+        return Ok(());
+    }
+    let largest = shares.values().map(|share| share.clips).max().unwrap_or(0);
+    writeln!(
+        f,
+        "\n{title:<24} {:>8} {:>9} {:>8}",
+        "clips", "frames", "hours"
+    )?;
+    for (label, share) in shares {
+        writeln!(
+            f,
+            "{label:<24} {:>8} {:>9} {:>8.2}  {}",
+            share.clips,
+            share.frames,
+            share.hours,
+            bar(share.clips, largest)
+        )?;
+    }
+    Ok(())
+}
+
+/// Writes a table of counts of a unit, with a bar for each; nothing if there are none.
+fn write_counts<'a>(
+    f: &mut fmt::Formatter<'_>,
+    title: &str,
+    unit: &str,
+    counts: impl Iterator<Item = (&'a String, &'a u64)> + Clone,
+) -> fmt::Result {
+    let Some(largest) = counts.clone().map(|(_, count)| *count).max() else {
+        return Ok(());
+    };
+    writeln!(f, "\n{title:<24} {unit:>8}")?;
+    for (label, count) in counts {
+        writeln!(f, "{label:<24} {count:>8}  {}", bar(*count, largest))?;
+    }
+    Ok(())
+}
+
 impl fmt::Display for Statistics {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Share {
@@ -236,53 +281,26 @@ impl fmt::Display for Statistics {
             ("action", &self.actions),
             ("style", &self.styles),
         ] {
-            if shares.is_empty() {
-                continue;
-            }
-            let largest = shares.values().map(|share| share.clips).max().unwrap_or(0);
-            writeln!(
-                f,
-                "\n{title:<24} {:>8} {:>9} {:>8}",
-                "clips", "frames", "hours"
-            )?;
-            for (label, share) in shares {
-                writeln!(
-                    f,
-                    "{label:<24} {:>8} {:>9} {:>8.2}  {}",
-                    share.clips,
-                    share.frames,
-                    share.hours,
-                    bar(share.clips, largest)
-                )?;
-            }
+            write_shares(f, title, shares)?;
         }
-        let counts =
-            |title: &str, unit: &str, counts: &[(String, u64)], f: &mut fmt::Formatter<'_>| {
-                if counts.is_empty() {
-                    return Ok(());
-                }
-                let largest = counts.iter().map(|(_, count)| *count).max().unwrap_or(0);
-                writeln!(f, "\n{title:<24} {unit:>8}")?;
-                for (label, count) in counts {
-                    writeln!(f, "{label:<24} {count:>8}  {}", bar(*count, largest))?;
-                }
-                Ok(())
-            };
-        let listed = |map: &BTreeMap<String, u64>| -> Vec<(String, u64)> {
-            map.iter()
-                .map(|(label, count)| (label.clone(), *count))
-                .collect()
-        };
-        counts("duration", "clips", &self.durations, f)?;
-        counts("finding", "clips", &listed(&self.flags), f)?;
-        counts("mask", "masks", &listed(&self.masks), f)?;
+        let durations = self.durations.iter().map(|class| (&class.0, &class.1));
+        write_counts(f, "duration", "clips", durations)?;
+        write_counts(f, "finding", "clips", self.flags.iter())?;
+        write_counts(f, "mask", "masks", self.masks.iter())?;
         if let Some(masks) = self.masks_per_clip {
             let clips = self.masked_clips;
             writeln!(f, "{clips} clips have masks, {masks:.1} on average")?;
         }
-        counts("kind of edit", "pairs", &listed(&self.pairs), f)?;
-        counts("style of edit", "pairs", &listed(&self.pair_styles), f)?;
-        counts("pairs of split", "pairs", &listed(&self.pair_splits), f)?;
+        write_counts(f, "kind of edit", "pairs", self.pairs.iter())?;
+        write_counts(f, "style of edit", "pairs", self.pair_styles.iter())?;
+        write_counts(f, "pairs of split", "pairs", self.pair_splits.iter())?;
+        self.write_spreads(f)
+    }
+}
+
+impl Statistics {
+    /// Writes the table of distributions.
+    fn write_spreads(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
             "\n{:<24} {:>8} {:>8} {:>8} {:>8}",

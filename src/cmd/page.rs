@@ -121,14 +121,61 @@ pub(crate) fn of_edits(
             strip_of(item, &made, skeleton, &unknown)
         })
         .collect::<anyhow::Result<_>>()?;
-    let edited = || edits.iter();
-    let mut systems: Vec<&str> = edited().map(|row| row.system.as_str()).collect();
+    let mut systems: Vec<&str> = edits.iter().map(|row| row.system.as_str()).collect();
     systems.sort_unstable();
     systems.dedup();
-    let secs: Vec<f64> = edited()
+    let settings = settings_of(edits);
+    let settings: Vec<(&str, &serde_json::Value)> = settings
+        .iter()
+        .map(|(system, settings)| (*system, settings))
+        .collect();
+    Ok(Report {
+        title: String::new(),
+        subtitle: format!("{} items edited by {}", items.len(), systems.join(", ")),
+        opening: opening(answered, &unknown)?,
+        cards: cards(answered, systems.len()),
+        tables,
+        figures: Vec::new(),
+        charts: histograms(edits),
+        strips,
+        facts: Vec::new(),
+        settings: vec![
+            ("stance".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("seed".to_owned(), global.seed().0.to_string()),
+        ],
+        details: vec![Details::of_json("Systems", &settings)],
+        commands: Vec::new(),
+    })
+}
+
+/// The few numbers to read first.
+fn cards(answered: &Answered, num_systems: usize) -> Vec<Card> {
+    let items = &answered.items;
+    let targets: BTreeSet<&str> = items.iter().map(|item| item.target_id.as_str()).collect();
+    let card = |label: &str, count: usize, note: String| Card {
+        label: label.to_owned(),
+        value: count.to_string(),
+        note,
+    };
+    vec![
+        card(
+            "items",
+            items.len(),
+            format!("{} distinct targets", targets.len()),
+        ),
+        card("systems", num_systems, String::new()),
+        card("edited motions", answered.edits.len(), String::new()),
+    ]
+}
+
+/// How long the edits are, and how far their points are from a skeleton.
+fn histograms(edits: &[EditRow]) -> Vec<Chart> {
+    let secs: Vec<f64> = edits
+        .iter()
         .map(|row| f64::from(row.n_frames) / f64::from(row.fps))
         .collect();
-    let drifts: Vec<f64> = edited()
+    let drifts: Vec<f64> = edits
+        .iter()
         .filter_map(|row| row.bone_drift_m)
         .map(|drift| 100.0 * f64::from(drift))
         .collect();
@@ -139,12 +186,14 @@ pub(crate) fn of_edits(
             bars: histogram(values, BINS),
         })
     };
-    let card = |label: &str, value: String, note: String| Card {
-        label: label.to_owned(),
-        value,
-        note,
-    };
-    let targets: BTreeSet<&str> = items.iter().map(|item| item.target_id.as_str()).collect();
+    vec![
+        bars("Length of the edits", "seconds", &secs),
+        bars("Bone drift of the generated points", "centimetres", &drifts),
+    ]
+}
+
+/// Settings of each system, with the hash of its weights.
+fn settings_of(edits: &[EditRow]) -> BTreeMap<&str, serde_json::Value> {
     let mut settings: BTreeMap<&str, serde_json::Value> = BTreeMap::new();
     for row in edits {
         // Settings recorded by another program need not be JSON; they are shown as text.
@@ -163,42 +212,7 @@ pub(crate) fn of_edits(
             document.into()
         });
     }
-    let settings: Vec<(&str, &serde_json::Value)> = settings
-        .iter()
-        .map(|(system, settings)| (*system, settings))
-        .collect();
-    Ok(Report {
-        title: String::new(),
-        subtitle: format!("{} items edited by {}", items.len(), systems.join(", ")),
-        opening: opening(answered, &unknown)?,
-        cards: vec![
-            card(
-                "items",
-                items.len().to_string(),
-                format!("{} distinct targets", targets.len()),
-            ),
-            card("systems", systems.len().to_string(), String::new()),
-            card(
-                "edited motions",
-                edited().count().to_string(),
-                String::new(),
-            ),
-        ],
-        tables,
-        figures: Vec::new(),
-        charts: vec![
-            bars("Length of the edits", "seconds", &secs),
-            bars("Bone drift of the generated points", "centimetres", &drifts),
-        ],
-        strips,
-        facts: Vec::new(),
-        settings: vec![
-            ("stance".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-            ("seed".to_owned(), global.seed().0.to_string()),
-        ],
-        details: vec![Details::of_json("Systems", &settings)],
-        commands: Vec::new(),
-    })
+    settings
 }
 
 /// The edit that a page opens with: that of [`best_edit`], between its source and its target. `None` without

@@ -162,24 +162,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Some(dataset) => dataset.skeleton()?,
         None => Skeleton::smplx_neutral(),
     };
-    let others: Vec<(&PathBuf, Vec<EditRow>)> = (args.edits.iter())
-        .map(|folder| Ok((folder, Dataset::open(folder)?.read(None)?)))
-        .collect::<anyhow::Result<_>>()?;
-    if let Some(dataset) = dataset.as_ref().filter(|_| !others.is_empty()) {
-        let root = dataset.root().display();
-        anyhow::ensure!(
-            holds_items(dataset),
-            "--edits adds answers to items, and {root} holds motions; name a folder of items or edits with --dataset"
-        );
-    }
-    let row = |label: String, motion: &Motion, highlighted: JointSet| Row {
-        label,
-        keypoints: skeleton.motion_keypoints(motion),
-        highlighted,
-    };
-    let mut rows: Vec<Row> = Vec::new();
-    // Instruction of each item, and the index of its first row.
-    let mut instructions: Vec<(String, usize)> = Vec::new();
+    let others = further_edits(args, dataset.as_ref())?;
     let mut clips = args.clips.clone();
     if let (Some(condition), Some(dataset)) = (&args.condition, &dataset) {
         clips.extend(chosen(dataset, condition)?);
@@ -191,83 +174,126 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             files.map(|file| name_of_file(Path::new(file))).collect()
         }
     };
+    let mut picture = Picture::default();
     for (clip, label) in clips.iter().zip(labels(&names)) {
-        match &dataset {
+        let motion = match &dataset {
             Some(dataset) if holds_items(dataset) => {
-                let item = stored_item(dataset, clip)?;
-                let edited = [item.hard_joints.as_slice(), &item.soft_joints].concat();
-                let edited = JointSet::try_from(edited)?;
-                instructions.push((item.instruction.clone(), rows.len()));
-                rows.push(row("source".to_owned(), &item.source()?, JointSet::EMPTY));
-                if item.target_frames > 0 {
-                    rows.push(row("target".to_owned(), &item.target()?, edited));
-                }
-                let own = dataset.read::<EditRow>(None)?;
-                let mut answers: Vec<&EditRow> =
-                    own.iter().filter(|edit| edit.id == item.id).collect();
-                for (folder, edits) in &others {
-                    let before = answers.len();
-                    answers.extend(edits.iter().filter(|edit| edit.id == item.id));
-                    if answers.len() == before {
-                        bail!("{} has no answer to item {}", folder.display(), item.id);
-                    }
-                }
-                for edit in answers {
-                    let label = format!("{}, seed {}", edit.system, edit.seed);
-                    rows.push(row(label, &edit.motion()?, edited));
-                }
+                picture.add_item(dataset, clip, &others, &skeleton)?;
+                continue;
             }
-            Some(dataset) => {
-                let motion = stored_clip(dataset, clip)?.motion()?;
-                rows.push(row(label, &motion, JointSet::EMPTY));
-            }
-            None => {
-                let motion = clip_of_file(Path::new(clip), &skeleton)?;
-                rows.push(row(label, &motion, JointSet::EMPTY));
-            }
-        }
+            Some(dataset) => stored_clip(dataset, clip)?.motion()?,
+            None => clip_of_file(Path::new(clip), &skeleton)?,
+        };
+        picture.rows.push(Row::new(label, &motion, &skeleton));
     }
-    let style = Style {
-        width: args.width,
-        num_figures: args.figures,
-        view: match args.view {
-            ViewArg::ThreeQuarter => View::ThreeQuarter,
-            ViewArg::Side => View::Side,
-        },
-    };
-    let drawing = || {
-        if instructions.is_empty() {
-            return strip(&rows, &style);
-        }
-        let ends = instructions.iter().skip(1).map(|(_, first)| *first);
-        let panels: Vec<(String, String)> = instructions
-            .iter()
-            .zip(ends.chain([rows.len()]))
-            .map(|((text, first), end)| (text.clone(), strip(&rows[*first..end], &style)))
-            .collect();
-        sheet(&panels, 1, style.width)
-    };
-    let bytes = match args
-        .out
-        .extension()
-        .and_then(|extension| extension.to_str())
-    {
-        Some("svg") => drawing().into_bytes(),
-        Some("png") => raster::png(&drawing(), args.zoom)?,
-        Some("gif") => raster::gif(&rows, &style, args.zoom / 2.0)?,
-        _ => bail!("{} must end in .svg, .png or .gif", args.out.display()),
-    };
-    local::write(&args.out, &bytes)?;
+    local::write(&args.out, &picture.encoded(args)?)?;
+    let count = picture.rows.len();
     if global.json {
-        report::json(&serde_json::json!({ "out": args.out, "clips": rows.len() }))?;
+        report::json(&serde_json::json!({ "out": args.out, "clips": count }))?;
     } else {
-        report::text(&format!(
-            "{} clips drawn in {}",
-            rows.len(),
-            args.out.display()
-        ));
+        report::text(&format!("{count} clips drawn in {}", args.out.display()));
     }
     Ok(Exit::Done)
+}
+
+/// A folder of edits with its rows.
+type Edits<'a> = (&'a PathBuf, Vec<EditRow>);
+
+/// The folders of `--edits`.
+fn further_edits<'a>(args: &'a Args, dataset: Option<&Dataset>) -> anyhow::Result<Vec<Edits<'a>>> {
+    let others: Vec<Edits<'a>> = (args.edits.iter())
+        .map(|folder| Ok((folder, Dataset::open(folder)?.read(None)?)))
+        .collect::<anyhow::Result<_>>()?;
+    if let Some(dataset) = dataset.filter(|_| !others.is_empty()) {
+        let root = dataset.root().display();
+        anyhow::ensure!(
+            holds_items(dataset),
+            "--edits adds answers to items, and {root} holds motions; name a folder of items or edits with --dataset"
+        );
+    }
+    Ok(others)
+}
+
+/// What is drawn.
+#[derive(Default)]
+struct Picture {
+    rows: Vec<Row>,
+    /// Instruction of each item, and the index of its first row.
+    instructions: Vec<(String, usize)>,
+}
+
+impl Picture {
+    /// Adds the source of an item, its target, and each answer in its own folder and in `others`.
+    fn add_item(
+        &mut self,
+        dataset: &Dataset,
+        id: &str,
+        others: &[Edits<'_>],
+        skeleton: &Skeleton,
+    ) -> anyhow::Result<()> {
+        let item = stored_item(dataset, id)?;
+        let edited = [item.hard_joints.as_slice(), &item.soft_joints].concat();
+        let edited = JointSet::try_from(edited)?;
+        let row = |label: String, motion: &Motion| Row {
+            highlighted: edited,
+            ..Row::new(label, motion, skeleton)
+        };
+        let first = self.rows.len();
+        self.instructions.push((item.instruction.clone(), first));
+        self.rows
+            .push(Row::new("source", &item.source()?, skeleton));
+        if item.target_frames > 0 {
+            self.rows.push(row("target".to_owned(), &item.target()?));
+        }
+        let own = dataset.read::<EditRow>(None)?;
+        let mut answers: Vec<&EditRow> = own.iter().filter(|edit| edit.id == item.id).collect();
+        for (folder, edits) in others {
+            let before = answers.len();
+            answers.extend(edits.iter().filter(|edit| edit.id == item.id));
+            if answers.len() == before {
+                bail!("{} has no answer to item {}", folder.display(), item.id);
+            }
+        }
+        for edit in answers {
+            let label = format!("{}, seed {}", edit.system, edit.seed);
+            self.rows.push(row(label, &edit.motion()?));
+        }
+        Ok(())
+    }
+
+    /// The file, of the format that its extension says.
+    fn encoded(&self, args: &Args) -> anyhow::Result<Vec<u8>> {
+        let style = Style {
+            width: args.width,
+            num_figures: args.figures,
+            view: match args.view {
+                ViewArg::ThreeQuarter => View::ThreeQuarter,
+                ViewArg::Side => View::Side,
+            },
+        };
+        let extension = args.out.extension();
+        Ok(match extension.and_then(|extension| extension.to_str()) {
+            Some("svg") => self.svg(&style).into_bytes(),
+            Some("png") => raster::png(&self.svg(&style), args.zoom)?,
+            Some("gif") => raster::gif(&self.rows, &style, args.zoom / 2.0)?,
+            _ => bail!("{} must end in .svg, .png or .gif", args.out.display()),
+        })
+    }
+
+    /// Strips below each other, those of an item below its instruction.
+    fn svg(&self, style: &Style) -> String {
+        if self.instructions.is_empty() {
+            return strip(&self.rows, style);
+        }
+        let ends = self.instructions.iter().skip(1).map(|(_, first)| *first);
+        let panels: Vec<(String, String)> = self
+            .instructions
+            .iter()
+            .zip(ends.chain([self.rows.len()]))
+            .map(|((text, first), end)| (text.clone(), strip(&self.rows[*first..end], style)))
+            .collect();
+        sheet(&panels, 1, style.width)
+    }
 }
 
 #[cfg(test)]

@@ -11,27 +11,26 @@
 //!
 //! A checkpoint appears whole or not at all: it is written beside its place and renamed into it.
 
+mod record;
+
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Skeleton;
 use kinematics::normalise::Normalizer;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::Error;
-use crate::config::rename_former;
 
-/// Version of the run folder.
-pub const FORMAT: u32 = 1;
+pub use self::record::{
+    Ancestor, FORMAT, Inheritance, RunRecord, check_skeleton, check_skeleton_of,
+};
+use self::record::{CONFIG, differences, not_a_run, parse_record, to_value};
+pub(crate) use self::record::{MOTION_KIND, read_kind, read_record, record_of};
 
-/// Version of burn, whose module tree decides the names of weights.
-const BURN_VERSION: &str = "0.22.1";
-
-const CONFIG: &str = "config.json";
 pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
 /// Prefix of the files with the averaged weights, in a checkpoint: those of the model under their names.
@@ -79,61 +78,8 @@ impl std::str::FromStr for Slot {
     }
 }
 
-/// Kind of a run folder with a motion encoder trained elsewhere, on features that do not depend on the body.
-pub(crate) const MOTION_KIND: &str = "tmr-motion";
-
 /// Files of a checkpoint by name.
 pub type Files = BTreeMap<String, Vec<u8>>;
-
-/// The document `config.json`: everything a run depends on. `C` is the configuration of the kind of
-/// run.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RunRecord<C> {
-    /// Version of the run folder.
-    pub format: u32,
-    /// Kind of model.
-    pub kind: String,
-    /// Programs that made the run, by name.
-    pub versions: BTreeMap<String, String>,
-    /// Hash of the tables it was trained on.
-    pub dataset_hash: String,
-    /// Name of the skeleton the motions drive.
-    pub skeleton: String,
-    /// BLAKE3 of that skeleton's rest positions; none in runs of earlier versions, which recorded its
-    /// name alone.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub skeleton_hash: Option<String>,
-    /// Lineage of the weights, oldest first; empty for a run trained in one piece.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub lineage: Vec<Ancestor>,
-    /// The resolved configuration and what was fitted to the training split.
-    pub config: C,
-}
-
-/// A step in the lineage of a checkpoint: weights that the run continued from.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Ancestor {
-    /// How they were taken over.
-    pub by: Inheritance,
-    /// What identifies them: BLAKE3, hexadecimal.
-    pub weights: String,
-    /// Step they were made by, counted in the run they come from; 0 if it was not trained here.
-    pub step: u64,
-    /// Settings that changed: name, value before and value after.
-    pub changed: BTreeMap<String, [Value; 2]>,
-}
-
-/// How a run takes over weights.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Inheritance {
-    /// The run itself continues, with other settings.
-    Extend,
-    /// A new run begins with them.
-    Init,
-}
 
 /// How a run begins: where, and from what.
 #[derive(Clone, Copy, Debug)]
@@ -219,81 +165,6 @@ fn may_change(field: &str) -> bool {
     EXTENDABLE.contains(&name.strip_prefix("train.").unwrap_or(name))
 }
 
-/// Checks that the model of a run folder was trained on a skeleton; `what` names it.
-///
-/// # Errors
-/// It was trained on another one, or the folder is no run.
-pub fn check_skeleton(
-    run_dir: &Path,
-    what: &'static str,
-    skeleton: &Skeleton,
-) -> Result<(), Error> {
-    let path = run_dir.join(CONFIG);
-    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    check_skeleton_of(&text, run_dir, what, skeleton)
-}
-
-/// As [`check_skeleton`], from the text of a run's `config.json`. Errors name the run by `run_dir`.
-///
-/// # Errors
-/// As [`check_skeleton`].
-pub fn check_skeleton_of(
-    text: &str,
-    run_dir: &Path,
-    what: &'static str,
-    skeleton: &Skeleton,
-) -> Result<(), Error> {
-    #[derive(Deserialize)]
-    struct Trained {
-        kind: String,
-        skeleton: String,
-        skeleton_hash: Option<String>,
-    }
-    let trained: Trained = serde_json::from_str(text).map_err(|source| Error::Json {
-        path: run_dir.join(CONFIG),
-        source,
-    })?;
-    if trained.kind == MOTION_KIND {
-        return Ok(());
-    }
-    let hash = skeleton.hash();
-    let fits = match &trained.skeleton_hash {
-        Some(recorded) => *recorded == hash,
-        None => trained.skeleton == skeleton.name(),
-    };
-    if fits {
-        return Ok(());
-    }
-    let of = trained.skeleton_hash.as_deref();
-    Err(Error::OtherSkeleton {
-        what,
-        run: run_dir.to_owned(),
-        trained: format!("{} ({:.12})", trained.skeleton, of.unwrap_or("no hash")),
-        asked: format!("{} ({hash:.12})", skeleton.name()),
-    })
-}
-
-impl<C> RunRecord<C> {
-    /// The record of a new run.
-    pub fn new(kind: &str, dataset_hash: &str, skeleton: &Skeleton, config: C) -> Self {
-        Self {
-            format: FORMAT,
-            kind: kind.to_owned(),
-            versions: [
-                ("stance", env!("CARGO_PKG_VERSION")),
-                ("burn", BURN_VERSION),
-            ]
-            .map(|(name, version)| (name.to_owned(), version.to_owned()))
-            .into(),
-            dataset_hash: dataset_hash.to_owned(),
-            skeleton: skeleton.name().to_owned(),
-            skeleton_hash: Some(skeleton.hash()),
-            lineage: Vec::new(),
-            config,
-        }
-    }
-}
-
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Manifest {
@@ -329,98 +200,83 @@ impl Run {
         record: &RunRecord<C>,
     ) -> Result<Self, Error> {
         let start = start.into();
-        let dir = start.run;
-        let path = dir.join(CONFIG);
-        let json = |source| Error::Json {
+        let path = start.run.join(CONFIG);
+        fs::create_dir_all(start.run).map_err(datasets_spec::Error::io("create", start.run))?;
+        // Both documents are parsed from text, so that numbers compare as written.
+        let asked = to_value(record).map_err(|source| Error::Json {
             path: path.clone(),
             source,
-        };
-        let not_a_run = |reason: &str| Error::NotARun {
-            path: dir.to_owned(),
-            kind: record.kind.clone(),
-            reason: reason.to_owned(),
-        };
-        fs::create_dir_all(dir).map_err(datasets_spec::Error::io("create", dir))?;
-        // Both documents are parsed from text, so that numbers compare as written.
-        let text = serde_json::to_string_pretty(record).map_err(json)?;
-        let asked: Value = serde_json::from_str(&text).map_err(json)?;
-        let recorded = match fs::read_to_string(&path) {
-            Ok(recorded) => recorded,
+        })?;
+        match fs::read_to_string(&path) {
+            Ok(recorded) => Self::open_again(start, record, asked, &recorded),
             Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
-                if start.extend {
-                    return Err(not_a_run("there is nothing to extend"));
-                }
-                let mut lineage = Vec::new();
-                let mut init = None;
-                if let Some(from) = start.init {
-                    let (past, files) = begin_with(from, record, &asked)?;
-                    lineage = past;
-                    init = Some((from.to_owned(), files));
-                }
-                write_record(&path, &asked, &lineage)?;
-                return Ok(Self {
-                    dir: dir.to_owned(),
-                    init,
-                    extended: None,
-                });
+                Self::begin(start, record, &asked)
             }
-            Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
+            Err(problem) => Err(datasets_spec::Error::io("read", path)(problem).into()),
+        }
+    }
+
+    /// Starts a run in a folder that holds none.
+    fn begin<C: Serialize + DeserializeOwned>(
+        start: Start<'_>,
+        record: &RunRecord<C>,
+        asked: &Value,
+    ) -> Result<Self, Error> {
+        let dir = start.run;
+        if start.extend {
+            return Err(not_a_run(dir, &record.kind, "there is nothing to extend"));
+        }
+        let mut lineage = Vec::new();
+        let mut init = None;
+        if let Some(from) = start.init {
+            let (past, files) = begin_with(from, record, asked)?;
+            lineage = past;
+            init = Some((from.to_owned(), files));
+        }
+        write_record(&dir.join(CONFIG), asked, &lineage)?;
+        Ok(Self {
+            dir: dir.to_owned(),
+            init,
+            extended: None,
+        })
+    }
+
+    /// Opens the run whose `config.json` is the text `recorded`. `asked` is the record as it would be
+    /// written now.
+    fn open_again<C: Serialize + DeserializeOwned>(
+        start: Start<'_>,
+        record: &RunRecord<C>,
+        asked: Value,
+        recorded: &str,
+    ) -> Result<Self, Error> {
+        let dir = start.run;
+        let json = |source| Error::Json {
+            path: dir.join(CONFIG),
+            source,
         };
-        let kind: Value = serde_json::from_str(&recorded).map_err(json)?;
+        let kind: Value = serde_json::from_str(recorded).map_err(json)?;
         if kind["kind"] != asked["kind"] {
-            return Err(not_a_run(&format!("it is a run of {}", kind["kind"])));
+            let reason = format!("it is a run of {}", kind["kind"]);
+            return Err(not_a_run(dir, &record.kind, reason));
         }
         // Settings missing in a record of an earlier version get the value that version used.
-        let recorded: RunRecord<C> = parse_record(&recorded).map_err(json)?;
+        let recorded: RunRecord<C> = parse_record(recorded).map_err(json)?;
         let mut differences = differences(&to_value(&recorded).map_err(json)?, &asked);
         if recorded.skeleton_hash.is_none() {
             differences.remove("skeleton_hash");
         }
-        let refused = differences
-            .keys()
-            .find(|field| !(start.extend && may_change(field)));
-        if let Some(field) = refused {
-            return Err(Error::OtherRun {
-                path: dir.to_owned(),
-                field: field.clone(),
-                remedy: if start.extend {
-                    "--extend changes length, rates and intervals alone"
-                } else if may_change(field) {
-                    "continue it with --extend, with its own config.json, or choose another folder"
-                } else {
-                    "continue it with its own config.json or choose another folder"
-                },
-            });
-        }
-        let mut init = None;
-        if let Some(from) = start.init {
-            let (past, files) = begin_with(from, record, &asked)?;
-            let is_begun_with = |ancestor: &Ancestor| {
-                ancestor.by == Inheritance::Init
-                    && past
-                        .last()
-                        .is_some_and(|last| last.weights == ancestor.weights)
-            };
-            if !recorded.lineage.iter().any(is_begun_with) {
-                return Err(Error::OtherRun {
-                    path: dir.to_owned(),
-                    field: "beginning (--init)".to_owned(),
-                    remedy: "choose another folder",
-                });
+        check_changes(start, differences.keys())?;
+        let init = match start.init {
+            Some(from) => {
+                let (past, files) = begin_with(from, record, &asked)?;
+                check_beginning(dir, &recorded.lineage, &past)?;
+                Some((from.to_owned(), files))
             }
-            init = Some((from.to_owned(), files));
-        } else if let Some(begun) = recorded
-            .lineage
-            .iter()
-            .find(|ancestor| ancestor.by == Inheritance::Init)
-            && read(dir, Slot::Last)?.is_none()
-        {
-            return Err(not_a_run(&format!(
-                "it has no checkpoint yet and begins with weights {:.12}; name their run again \
-                 with --init",
-                begun.weights
-            )));
-        }
+            None => {
+                check_needs_no_init(dir, &recorded)?;
+                None
+            }
+        };
         let mut extended = None;
         if !differences.is_empty() {
             let files = read(dir, Slot::Last)?.unwrap_or_default();
@@ -590,89 +446,11 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     Ok(Some(files))
 }
 
-/// The kind of model in a run folder.
-pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
-    #[derive(Deserialize)]
-    struct Kind {
-        kind: String,
-    }
-    let path = run_dir.join(CONFIG);
-    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let found: Kind = serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
-    Ok(found.kind)
-}
-
-/// Reads the document of a finished or running run.
-pub(crate) fn read_record<C: DeserializeOwned>(
-    run_dir: &Path,
-    kind: &'static str,
-) -> Result<RunRecord<C>, Error> {
-    let path = run_dir.join(CONFIG);
-    let not_a_run = |reason: String| Error::NotARun {
-        path: run_dir.to_owned(),
-        kind: kind.to_owned(),
-        reason,
-    };
-    let text = match fs::read_to_string(&path) {
-        Ok(text) => text,
-        Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
-            return Err(not_a_run(format!("it holds no {CONFIG}")));
-        }
-        Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
-    };
-    record_of(&text, run_dir, kind)
-}
-
-/// Parses the text of a run's `config.json`. Errors name the run by `run_dir`.
-pub(crate) fn record_of<C: DeserializeOwned>(
-    text: &str,
-    run_dir: &Path,
-    kind: &'static str,
-) -> Result<RunRecord<C>, Error> {
-    #[derive(Deserialize)]
-    struct Header {
-        format: u32,
-        kind: String,
-    }
-    let path = run_dir.join(CONFIG);
-    let not_a_run = |reason: String| Error::NotARun {
-        path: run_dir.to_owned(),
-        kind: kind.to_owned(),
-        reason,
-    };
-    let json = |source| Error::Json {
-        path: path.clone(),
-        source,
-    };
-    let header: Header = serde_json::from_str(text).map_err(json)?;
-    if header.kind != kind {
-        return Err(not_a_run(format!("it is a run of {:?}", header.kind)));
-    }
-    if header.format != FORMAT {
-        return Err(not_a_run(format!(
-            "it has format {}, this program reads {FORMAT}",
-            header.format
-        )));
-    }
-    parse_record(text).map_err(json)
-}
-
-/// Reads a record of this version or of an earlier one.
-fn parse_record<C: DeserializeOwned>(text: &str) -> Result<RunRecord<C>, serde_json::Error> {
-    let mut record: Value = serde_json::from_str(text)?;
-    rename_former(&mut record["config"]);
-    if let Some(settings) = record["config"].get_mut("train") {
-        rename_former(settings);
-    }
-    serde_json::from_value(record)
-}
-
 /// The checkpoint a finished run is used from: the best one, or the last one if none was validated.
 pub(crate) fn read_for_use(run_dir: &Path, slot: Slot, kind: &'static str) -> Result<Files, Error> {
-    read(run_dir, slot)?.ok_or_else(|| Error::NotARun {
-        path: run_dir.to_owned(),
-        kind: kind.to_owned(),
-        reason: format!("it holds no checkpoint {:?}", slot.name()),
+    read(run_dir, slot)?.ok_or_else(|| {
+        let reason = format!("it holds no checkpoint {:?}", slot.name());
+        not_a_run(run_dir, kind, reason)
     })
 }
 
@@ -714,20 +492,72 @@ fn step_of(files: &Files, field: &str) -> u64 {
         .unwrap_or(0)
 }
 
+/// Checks that the fields in which a record differs may change.
+fn check_changes<'a>(
+    start: Start<'_>,
+    mut fields: impl Iterator<Item = &'a String>,
+) -> Result<(), Error> {
+    let refused = fields.find(|field| !(start.extend && may_change(field)));
+    let Some(field) = refused else {
+        return Ok(());
+    };
+    Err(Error::OtherRun {
+        path: start.run.to_owned(),
+        field: field.clone(),
+        remedy: if start.extend {
+            "--extend changes length, rates and intervals alone"
+        } else if may_change(field) {
+            "continue it with --extend, with its own config.json, or choose another folder"
+        } else {
+            "continue it with its own config.json or choose another folder"
+        },
+    })
+}
+
+/// Checks that a run of the lineage `recorded` began with the last weights of the lineage `past`.
+fn check_beginning(dir: &Path, recorded: &[Ancestor], past: &[Ancestor]) -> Result<(), Error> {
+    let is_begun_with = |ancestor: &Ancestor| {
+        ancestor.by == Inheritance::Init
+            && past
+                .last()
+                .is_some_and(|last| last.weights == ancestor.weights)
+    };
+    if recorded.iter().any(is_begun_with) {
+        return Ok(());
+    }
+    Err(Error::OtherRun {
+        path: dir.to_owned(),
+        field: "beginning (--init)".to_owned(),
+        remedy: "choose another folder",
+    })
+}
+
+/// Checks that a run that began with the weights of another has weights of its own by now.
+fn check_needs_no_init<C>(dir: &Path, recorded: &RunRecord<C>) -> Result<(), Error> {
+    let mut lineage = recorded.lineage.iter();
+    if let Some(begun) = lineage.find(|ancestor| ancestor.by == Inheritance::Init)
+        && read(dir, Slot::Last)?.is_none()
+    {
+        let reason = format!(
+            "it has no checkpoint yet and begins with weights {:.12}; name their run again \
+             with --init",
+            begun.weights
+        );
+        return Err(not_a_run(dir, &recorded.kind, reason));
+    }
+    Ok(())
+}
+
 /// The lineage of a run that begins with the best weights of another, and those weights.
 fn begin_with<C: Serialize + DeserializeOwned>(
     from: &Path,
     record: &RunRecord<C>,
     asked: &Value,
 ) -> Result<(Vec<Ancestor>, Files), Error> {
-    let not_a_run = |reason: String| Error::NotARun {
-        path: from.to_owned(),
-        kind: record.kind.clone(),
-        reason,
-    };
     let kind = read_kind(from)?;
     if kind != record.kind {
-        return Err(not_a_run(format!("it is a run of {kind:?}")));
+        let reason = format!("it is a run of {kind:?}");
+        return Err(not_a_run(from, &record.kind, reason));
     }
     let path = from.join(CONFIG);
     let json = |source| Error::Json {
@@ -737,7 +567,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
     let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
     let before: RunRecord<C> = parse_record(&text).map_err(json)?;
     let files = read(from, Slot::Best)?
-        .ok_or_else(|| not_a_run("it holds no checkpoint \"best\"".to_owned()))?;
+        .ok_or_else(|| not_a_run(from, &record.kind, "it holds no checkpoint \"best\""))?;
     let last = read(from, Slot::Last)?.unwrap_or_default();
     let mut lineage = before.lineage.clone();
     lineage.push(Ancestor {
@@ -760,42 +590,6 @@ fn write_record(path: &Path, record: &Value, lineage: &[Ancestor]) -> Result<(),
     }
     let text = serde_json::to_string_pretty(&record).map_err(json)?;
     write_atomically(path, text.as_bytes())
-}
-
-fn to_value<T: Serialize>(document: &T) -> Result<Value, serde_json::Error> {
-    serde_json::from_str(&serde_json::to_string(document)?)
-}
-
-/// The fields in which two documents differ, with both values. Versions of programs and the lineage
-/// may differ.
-fn differences(recorded: &Value, asked: &Value) -> BTreeMap<String, [Value; 2]> {
-    fn walk(recorded: &Value, asked: &Value, path: &str, found: &mut BTreeMap<String, [Value; 2]>) {
-        let (Value::Object(before), Value::Object(after)) = (recorded, asked) else {
-            if recorded != asked {
-                found.insert(path.to_owned(), [recorded.clone(), asked.clone()]);
-            }
-            return;
-        };
-        let names: std::collections::BTreeSet<&String> =
-            before.keys().chain(after.keys()).collect();
-        for name in names {
-            let path = if path.is_empty() {
-                name.clone()
-            } else {
-                format!("{path}.{name}")
-            };
-            if path == "versions" || path == "lineage" {
-                continue;
-            }
-            let side = |document: &serde_json::Map<String, Value>| {
-                document.get(name).cloned().unwrap_or(Value::Null)
-            };
-            walk(&side(before), &side(after), &path, found);
-        }
-    }
-    let mut found = BTreeMap::new();
-    walk(recorded, asked, "", &mut found);
-    found
 }
 
 pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Error> {
@@ -831,6 +625,8 @@ fn remove_dir(path: &Path) -> Result<(), Error> {
 
 #[cfg(test)]
 mod tests {
+    use datasets_spec::Skeleton;
+
     use super::*;
 
     #[derive(Debug, PartialEq, Serialize, Deserialize)]

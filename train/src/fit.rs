@@ -99,6 +99,18 @@ impl EditorRecord {
         }
         Ok(())
     }
+
+    /// Builds the networks.
+    fn network(&self, device: &Device) -> MotionRefit {
+        let config = &self.train;
+        MotionRefit::of_frames(
+            &config.model,
+            &config.diffusion,
+            self.text.source(),
+            3 * config.keypoints,
+            device,
+        )
+    }
 }
 
 /// What a network is told instructions by.
@@ -250,21 +262,7 @@ pub fn train_motionrefit<'a>(
         fixed_noise: config.diffusion.fixed_noise,
         shape: None,
     };
-    let is_extrapolated = config.diffusion.prediction.is_extrapolated();
-    let extrapolation = match (is_extrapolated, known_extrapolation) {
-        (true, Some(known)) => Some(known),
-        (true, None) => {
-            let windows = sampler.windows(0, EXTRAPOLATED_WINDOWS)?;
-            Some(Extrapolation::fit(
-                &windows.original,
-                &windows.edited,
-                config.window,
-                config.diffusion.fixed_noise,
-                config.diffusion.noise,
-            ))
-        }
-        (false, _) => None,
-    };
+    let extrapolation = chosen_extrapolation(config, known_extrapolation, &sampler)?;
     let sampler = WindowSampler {
         shape: extrapolation.as_ref().and_then(Extrapolation::shape),
         ..sampler
@@ -288,26 +286,10 @@ pub fn train_motionrefit<'a>(
         start,
         &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
     )?;
-    let val_part = config.run.micro_batch();
-    let val_batches = (0..config.val_windows)
-        .step_by(val_part)
-        .map(|first| {
-            let num_windows = val_part.min(config.val_windows - first);
-            val_sampler.draw(first as u64, num_windows)
-        })
-        .collect::<Result<Vec<_>, _>>()?;
+    let val_batches = val_batches(config, &val_sampler)?;
 
     let device = session.device.clone().autodiff();
-    let model = draw(
-        MotionRefit::of_frames(
-            &config.model,
-            &config.diffusion,
-            record.text.source(),
-            3 * config.keypoints,
-            &device,
-        ),
-        seed.derive(&["weights"]),
-    )?;
+    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
     let trainer = TrainerConfig {
         kind: KIND,
         samples: "windows",
@@ -322,6 +304,40 @@ pub fn train_motionrefit<'a>(
     };
     let (_, report) = train(&task, model, &trainer, &run, session)?;
     Ok(report)
+}
+
+/// The extrapolation of the run whose weights are taken over; without one, that of the first windows of
+/// `sampler`. None where the prediction is not relative to one.
+fn chosen_extrapolation(
+    config: &TrainConfig,
+    known: Option<Extrapolation>,
+    sampler: &WindowSampler<'_>,
+) -> Result<Option<Extrapolation>, Error> {
+    if !config.diffusion.prediction.is_extrapolated() {
+        return Ok(None);
+    }
+    if known.is_some() {
+        return Ok(known);
+    }
+    let windows = sampler.windows(0, EXTRAPOLATED_WINDOWS)?;
+    Ok(Some(Extrapolation::fit(
+        &windows.original,
+        &windows.edited,
+        config.window,
+        config.diffusion.fixed_noise,
+        config.diffusion.noise,
+    )))
+}
+
+fn val_batches(
+    config: &TrainConfig,
+    sampler: &WindowSampler<'_>,
+) -> Result<Vec<NoisyBatch>, Error> {
+    let part = config.run.micro_batch();
+    (0..config.val_windows)
+        .step_by(part)
+        .map(|first| sampler.draw(first as u64, part.min(config.val_windows - first)))
+        .collect()
 }
 
 fn check_windows(config: &TrainConfig, corpus: &Corpus<'_>) -> Result<(), Error> {

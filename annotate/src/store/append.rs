@@ -1,8 +1,8 @@
 //! Events of a task: drafts, submissions, skips and undo.
 
-use super::claim::{MINUTE, lease_end};
 use super::db::{Tx, params};
 use super::entry::{Body, Entry, Reply};
+use super::leases::{MINUTE, lease_end};
 use super::project;
 use super::records::{Millis, TaskRecord};
 use super::replies::{full_key, hash_of, parsed, replay};
@@ -33,6 +33,16 @@ struct Taking {
     task: TaskRecord,
     settings: Settings,
     now: Millis,
+}
+
+/// An answer that came with an event.
+struct Written<'a> {
+    event: &'a NewEvent,
+    key: String,
+    request: String,
+    answer: Answer,
+    /// The number of the current revision.
+    rev: i64,
 }
 
 /// Applies events of a task in order, up to the first that fails.
@@ -199,75 +209,103 @@ impl Taking {
         if event.kind == EventKind::Submit {
             answer::check_submission(&answer, self.task.kind, &self.settings)?;
         }
-        let rev = mine.as_ref().map_or(0, |mine| mine.rev);
-        let secs = working(event.secs);
         let held = rows::lease_of(tx, self.task.id, self.user)?.filter(|held| {
             held.purpose == Purpose::Annotate && held.lease.epoch == event.lease_epoch
         });
-        if event.base_rev != rev {
-            let mut problem = Problem::new(
-                Code::StaleRevision,
-                format!(
-                    "this change is based on revision {}, but {rev} is current; both are in the log",
-                    event.base_rev
-                ),
-            );
-            if let Some(mine) = mine {
-                problem = problem.with_theirs(mine);
-            }
-            let body = Body::DraftSaved {
-                answer,
-                rev,
-                secs: 0.0,
-                kept_aside: Some(Code::StaleRevision.to_string()),
-                request,
-            };
-            return self.log(
-                tx,
-                &self.entry(Some(event.lease_epoch), body),
-                event,
-                key,
-                Some(problem),
-            );
+        let written = Written {
+            event,
+            key,
+            request,
+            answer,
+            rev: mine.as_ref().map_or(0, |mine| mine.rev),
+        };
+        if event.base_rev != written.rev {
+            return self.stale(tx, written, mine);
         }
         let Some(held) = held else {
-            let handed_in = mine.is_some_and(|mine| {
-                !matches!(mine.state, RevisionState::Draft | RevisionState::Returned)
-            });
-            let detail = if handed_in {
-                "your answer is submitted; undo the submission before changing it"
-            } else if self.taken(tx)? {
-                "your lease on this task expired and somebody else has the task; your text is kept as a draft"
-            } else {
-                "your lease on this task expired; your text is kept as a draft, claim the task again to go on"
-            };
-            let body = Body::DraftSaved {
-                answer,
-                rev: if handed_in { rev } else { rev + 1 },
-                secs,
-                kept_aside: handed_in.then(|| Code::LeaseLost.to_string()),
-                request,
-            };
-            let problem = Problem::new(Code::LeaseLost, detail);
-            return self.log(
-                tx,
-                &self.entry(Some(event.lease_epoch), body),
-                event,
-                key,
-                Some(problem),
-            );
+            return self.without_lease(tx, written, mine);
         };
         let epoch = Some(held.lease.epoch);
-        if event.kind == EventKind::Draft {
-            let body = Body::DraftSaved {
-                answer,
-                rev: rev + 1,
-                secs,
-                kept_aside: None,
-                request,
-            };
-            return self.log(tx, &self.entry(epoch, body), event, key, None);
+        if event.kind == EventKind::Submit {
+            return self.submit(tx, written, epoch);
         }
+        let body = Body::DraftSaved {
+            answer: written.answer,
+            rev: written.rev + 1,
+            secs: working(event.secs),
+            kept_aside: None,
+            request: written.request,
+        };
+        self.log(tx, &self.entry(epoch, body), event, written.key, None)
+    }
+
+    /// Keeps an answer that is not based on the current one, `mine`, in the log alone.
+    fn stale(
+        &self,
+        tx: &mut dyn Tx,
+        written: Written<'_>,
+        mine: Option<Revision>,
+    ) -> Result<EventResult, Error> {
+        let Written { event, rev, .. } = written;
+        let mut problem = Problem::new(
+            Code::StaleRevision,
+            format!(
+                "this change is based on revision {}, but {rev} is current; both are in the log",
+                event.base_rev
+            ),
+        );
+        if let Some(mine) = mine {
+            problem = problem.with_theirs(mine);
+        }
+        let body = Body::DraftSaved {
+            answer: written.answer,
+            rev,
+            secs: 0.0,
+            kept_aside: Some(Code::StaleRevision.to_string()),
+            request: written.request,
+        };
+        let entry = self.entry(Some(event.lease_epoch), body);
+        self.log(tx, &entry, event, written.key, Some(problem))
+    }
+
+    /// Keeps the answer of somebody without a lease: as a draft, or in the log alone if they handed one in.
+    fn without_lease(
+        &self,
+        tx: &mut dyn Tx,
+        written: Written<'_>,
+        mine: Option<Revision>,
+    ) -> Result<EventResult, Error> {
+        let Written { event, rev, .. } = written;
+        let handed_in = mine.is_some_and(|mine| {
+            !matches!(mine.state, RevisionState::Draft | RevisionState::Returned)
+        });
+        let detail = if handed_in {
+            "your answer is submitted; undo the submission before changing it"
+        } else if self.taken(tx)? {
+            "your lease on this task expired and somebody else has the task; your text is kept as a draft"
+        } else {
+            "your lease on this task expired; your text is kept as a draft, claim the task again to go on"
+        };
+        let body = Body::DraftSaved {
+            answer: written.answer,
+            rev: if handed_in { rev } else { rev + 1 },
+            secs: working(event.secs),
+            kept_aside: handed_in.then(|| Code::LeaseLost.to_string()),
+            request: written.request,
+        };
+        let problem = Problem::new(Code::LeaseLost, detail);
+        let entry = self.entry(Some(event.lease_epoch), body);
+        self.log(tx, &entry, event, written.key, Some(problem))
+    }
+
+    /// Hands an answer in, scores it if the right one is known, and lets the rules decide about it.
+    fn submit(
+        &self,
+        tx: &mut dyn Tx,
+        written: Written<'_>,
+        epoch: Option<i64>,
+    ) -> Result<EventResult, Error> {
+        let Written { event, answer, .. } = written;
         let mut answers = handed_in(tx, self.task.id, self.user)?;
         answers.push(answer.clone());
         let score = self
@@ -277,10 +315,10 @@ impl Taking {
             .map(|gold| 1.0 - answer::distance(gold, &answer));
         let body = Body::Submitted {
             answer,
-            rev: rev + 1,
-            secs,
+            rev: written.rev + 1,
+            secs: working(event.secs),
             distance: answer::spread(&answers),
-            request,
+            request: written.request,
         };
         let feedback = self
             .task
@@ -290,7 +328,7 @@ impl Taking {
             .filter(|_| self.task.practice)
             .map(|(known, score)| Feedback { score, known });
         let entry = self.entry(epoch, body);
-        let result = self.log_with(tx, &entry, event, key, None, feedback)?;
+        let result = self.log_with(tx, &entry, event, written.key, None, feedback)?;
         if let Some(score) = score {
             log::note(tx, &self.entry(None, Body::GoldScored { score }))?;
         }

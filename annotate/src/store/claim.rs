@@ -1,21 +1,20 @@
-//! Leases: assignment of tasks to people for a limited time.
+//! Claims: which task a person gets next.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::db::{Row, Tx, Value, params};
 use super::draw::percent;
-use super::entry::{Body, ENTRY_COLUMNS, Entry, Place, read_entry};
+use super::entry::Place;
 use super::import::GOLD_KEY;
+use super::leases::{
+    MINUTE, PLACED, expire, lease_end, prolong, prolong_bundle, reserved_after, take, take_at,
+};
 use super::records::Millis;
-use super::{apply, log, rows};
+use super::{apply, rows};
 use super::{practice, project};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
-use crate::wire::{Code, Empty, Lease, RevisionState, Settings, TaskKind, TaskState};
-
-/// Maximum number of expired leases that one claim ends.
-const EXPIRED_AT_ONCE: i64 = 200;
-pub(super) const MINUTE: Millis = 60_000;
+use crate::wire::{Code, Empty, RevisionState, Settings, TaskKind, TaskState};
 
 /// SQL condition: user `?2` can get task `t` as new work. Whoever has a returned answer can, once it is no longer
 /// kept for them alone.
@@ -23,67 +22,9 @@ const FOR_ME: &str = "t.claimable = 1
   AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
   AND NOT EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr = ?2)";
 
-/// Leases with their tasks, and the place of a gold task in a bundle.
-const PLACED: &str = "lease l JOIN task t ON t.id = l.task
-  LEFT JOIN gold_place g ON g.task = l.task AND g.usr = l.usr";
-
 /// The order of [`PLACED`] tasks.
 const IN_BUNDLES: &str =
     "COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id";
-
-/// Ends leases past their deadline, except those of `keep`, who may renew a lease that nobody has
-/// taken. Returns how many it ended.
-pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<usize, Error> {
-    let sql = format!(
-        "SELECT {} FROM lease l WHERE l.expires <= ?1 AND l.usr <> ?2 ORDER BY l.expires, l.id LIMIT ?3",
-        rows::LEASE_COLUMNS
-    );
-    let expired = tx.query(&sql, params![now, keep, EXPIRED_AT_ONCE])?;
-    for row in &expired {
-        end(
-            tx,
-            &rows::read_lease(row)?,
-            None,
-            ReleaseReason::Expired,
-            now,
-        )?;
-    }
-    Ok(expired.len())
-}
-
-/// Until when a task is kept for a user whose returned answer it waits for.
-fn reservation(
-    tx: &mut dyn Tx,
-    task: i64,
-    user: i64,
-    now: Millis,
-) -> Result<Option<Millis>, Error> {
-    let unanswered = tx.one(
-        "SELECT 1 FROM revision r JOIN task t ON t.id = r.task
-         WHERE r.task = ?1 AND r.author = ?2 AND r.state IN ('draft', 'returned') AND t.came_back = 1",
-        params![task, user],
-    )?;
-    if unanswered.is_none() {
-        return Ok(None);
-    }
-    let sql = format!(
-        "SELECT {ENTRY_COLUMNS} FROM event WHERE task = ?1 AND kind = 'returned' ORDER BY seq DESC"
-    );
-    for row in tx.query(&sql, params![task])? {
-        if let (
-            _,
-            Entry {
-                body: Body::Returned { authors, until, .. },
-                ..
-            },
-        ) = read_entry(&row)?
-            && authors.contains(&user)
-        {
-            return Ok((until > now).then_some(until));
-        }
-    }
-    Ok(None)
-}
 
 /// Tasks of a category that claims would give a user.
 #[derive(Default)]
@@ -194,170 +135,6 @@ fn expired_offers(
     Ok(())
 }
 
-/// Until when the task of a lease that ends is kept for its holder.
-fn reserved_after(
-    tx: &mut dyn Tx,
-    held: &rows::LeaseRow,
-    reason: ReleaseReason,
-    now: Millis,
-) -> Result<Option<Millis>, Error> {
-    // A reviewer who takes a task away wants others to have it.
-    if held.purpose != Purpose::Annotate || reason == ReleaseReason::TakenAway {
-        return Ok(None);
-    }
-    reservation(tx, held.lease.task, held.lease.user, now)
-}
-
-pub(super) fn end(
-    tx: &mut dyn Tx,
-    held: &rows::LeaseRow,
-    actor: Option<i64>,
-    reason: ReleaseReason,
-    now: Millis,
-) -> Result<(), Error> {
-    let reserved = reserved_after(tx, held, reason, now)?;
-    log::note(
-        tx,
-        &Entry {
-            at: now,
-            actor,
-            task: Some(held.lease.task),
-            epoch: Some(held.lease.epoch),
-            body: Body::Released {
-                lease: held.lease.id,
-                user: held.lease.user,
-                purpose: held.purpose,
-                reason,
-                reserved,
-            },
-        },
-    )?;
-    Ok(())
-}
-
-/// Ends all leases of a user, for others to take their tasks.
-pub(super) fn end_all(
-    tx: &mut dyn Tx,
-    user: i64,
-    actor: Option<i64>,
-    now: Millis,
-) -> Result<(), Error> {
-    let sql = format!(
-        "SELECT {} FROM lease l WHERE l.usr = ?1 ORDER BY l.id",
-        rows::LEASE_COLUMNS
-    );
-    for row in tx.query(&sql, params![user])? {
-        end(
-            tx,
-            &rows::read_lease(&row)?,
-            actor,
-            ReleaseReason::TakenAway,
-            now,
-        )?;
-    }
-    Ok(())
-}
-
-pub(super) fn lease_end(settings: &Settings, now: Millis) -> Millis {
-    now + Millis::from(settings.lease_minutes) * MINUTE
-}
-
-/// Leases a task that the caller has checked to be free.
-pub(super) fn take(
-    tx: &mut dyn Tx,
-    user: i64,
-    task: i64,
-    purpose: Purpose,
-    settings: &Settings,
-    now: Millis,
-) -> Result<(), Error> {
-    take_at(tx, user, task, purpose, None, settings, now)
-}
-
-/// [`take`], of a gold task at a place in a bundle.
-fn take_at(
-    tx: &mut dyn Tx,
-    user: i64,
-    task: i64,
-    purpose: Purpose,
-    place: Option<Place>,
-    settings: &Settings,
-    now: Millis,
-) -> Result<(), Error> {
-    let row = tx
-        .one("SELECT epoch, key FROM task WHERE id = ?1", params![task])?
-        .ok_or_else(|| Error::not_found("task"))?;
-    let blind = purpose == Purpose::Annotate
-        && percent(&["blind", row.text(1)?, &user.to_string()]) < settings.blind_percent;
-    log::note(
-        tx,
-        &Entry {
-            at: now,
-            actor: Some(user),
-            task: Some(task),
-            epoch: Some(row.int(0)? + 1),
-            body: Body::Claimed {
-                purpose,
-                expires: lease_end(settings, now),
-                blind,
-                place,
-            },
-        },
-    )?;
-    Ok(())
-}
-
-pub(super) fn prolong(
-    tx: &mut dyn Tx,
-    held: &rows::LeaseRow,
-    settings: &Settings,
-    now: Millis,
-) -> Result<Lease, Error> {
-    let expires = lease_end(settings, now);
-    log::note(
-        tx,
-        &Entry {
-            at: now,
-            actor: Some(held.lease.user),
-            task: Some(held.lease.task),
-            epoch: Some(held.lease.epoch),
-            body: Body::Renewed {
-                lease: held.lease.id,
-                expires,
-            },
-        },
-    )?;
-    Ok(Lease {
-        expires,
-        ..held.lease.clone()
-    })
-}
-
-/// [`prolong`] for a lease and all leases of its bundle, since a bundle takes longer than one task.
-pub(super) fn prolong_bundle(
-    tx: &mut dyn Tx,
-    held: &rows::LeaseRow,
-    settings: &Settings,
-    now: Millis,
-) -> Result<Lease, Error> {
-    let sql = format!(
-        "SELECT {} FROM {PLACED}
-         WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2 AND COALESCE(g.bundle, t.bundle) = (
-           SELECT COALESCE(p.bundle, x.bundle) FROM task x
-             LEFT JOIN gold_place p ON p.task = x.id AND p.usr = ?1 WHERE x.id = ?3)
-         ORDER BY l.id",
-        rows::LEASE_COLUMNS
-    );
-    let rest = tx.query(
-        &sql,
-        params![held.lease.user, held.lease.id, held.lease.task],
-    )?;
-    for row in rest {
-        prolong(tx, &rows::read_lease(&row)?, settings, now)?;
-    }
-    prolong(tx, held, settings, now)
-}
-
 /// The next task of a user, or why there is none.
 pub(super) fn claim(
     tx: &mut dyn Tx,
@@ -367,33 +144,10 @@ pub(super) fn claim(
 ) -> Result<Result<i64, Empty>, Error> {
     let mut expired = expire(tx, user, now)?;
     let settings = project::settings(tx)?;
-    let sql = format!(
-        "SELECT {} FROM {PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2
-         ORDER BY {IN_BUNDLES} LIMIT 1",
-        rows::LEASE_COLUMNS
-    );
-    if let Some(row) = tx.one(&sql, params![user, kind.as_str()])? {
-        let held = rows::read_lease(&row)?;
-        if held.lease.expires < lease_end(&settings, now) - MINUTE {
-            prolong_bundle(tx, &held, &settings, now)?;
-        }
-        return Ok(Ok(held.lease.task));
-    }
-    let back = tx.one(
-        "SELECT t.id FROM lease l JOIN task t ON t.id = l.task
-         WHERE l.usr = ?1 AND l.purpose IN ('returned', 'assigned') AND t.kind = ?2 ORDER BY l.id LIMIT 1",
-        params![user, kind.as_str()],
-    )?;
-    if let Some(row) = back {
-        let task = row.int(0)?;
-        take(tx, user, task, Purpose::Annotate, &settings, now)?;
+    if let Some(task) = due(tx, user, kind, &settings, now)? {
         return Ok(Ok(task));
     }
-    if let Some(task) = practice::next(tx, user, kind, &settings)? {
-        take(tx, user, task, Purpose::Annotate, &settings, now)?;
-        return Ok(Ok(task));
-    }
-    let (first, bundle, mut room) = loop {
+    let (first, bundle, room) = loop {
         let room = room(tx, kind, &settings)?;
         if let Some((first, bundle)) = candidate(tx, user, kind, room.as_ref())? {
             break (first, bundle, room);
@@ -407,34 +161,10 @@ pub(super) fn claim(
         }
         expired = expire(tx, user, now)?;
     };
-    let mut places = Vec::new();
-    match bundle {
-        None => places.push((first, None)),
-        Some(bundle) => {
-            let sql = format!(
-                "SELECT t.id, t.bundle_index, t.category, t.counted FROM task t WHERE t.bundle = ?1 AND {FOR_ME}
-                   AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
-                 ORDER BY t.bundle_index, t.id"
-            );
-            let mut has_room = |row: &Row| -> Result<bool, Error> {
-                let name = row.opt_text(2)?;
-                let category = room.as_mut().and_then(|room| room.get_mut(&name));
-                Ok(row.flag(3)? || category.is_none_or(Category::use_one))
-            };
-            let (mine, others): (Vec<Row>, Vec<Row>) = tx
-                .query(&sql, params![bundle, user])?
-                .into_iter()
-                .partition(|row| row.int(0).is_ok_and(|id| id == first));
-            // The task that was found uses the room first.
-            for row in mine.iter().chain(&others) {
-                if has_room(row)? {
-                    let index = row.int(1)?;
-                    places.push((row.int(0)?, Some(Place { bundle, index })));
-                }
-            }
-            places.sort_by_key(|(task, place)| (place.as_ref().map(|place| place.index), *task));
-        }
-    }
+    let places = match bundle {
+        None => vec![(first, None)],
+        Some(bundle) => places(tx, user, first, bundle, room)?,
+    };
     let golds = gold_tasks(tx, user, kind, places.len(), &settings)?;
     let mut taken = Vec::with_capacity(places.len());
     for ((task, place), gold) in places.into_iter().zip(golds) {
@@ -444,6 +174,75 @@ pub(super) fn claim(
         taken.push(task);
     }
     Ok(Ok(taken.first().copied().unwrap_or(first)))
+}
+
+/// The task that comes before new ones: one that the user holds, one kept for them, or practice.
+fn due(
+    tx: &mut dyn Tx,
+    user: i64,
+    kind: TaskKind,
+    settings: &Settings,
+    now: Millis,
+) -> Result<Option<i64>, Error> {
+    let sql = format!(
+        "SELECT {} FROM {PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2
+         ORDER BY {IN_BUNDLES} LIMIT 1",
+        rows::LEASE_COLUMNS
+    );
+    if let Some(row) = tx.one(&sql, params![user, kind.as_str()])? {
+        let held = rows::read_lease(&row)?;
+        if held.lease.expires < lease_end(settings, now) - MINUTE {
+            prolong_bundle(tx, &held, settings, now)?;
+        }
+        return Ok(Some(held.lease.task));
+    }
+    let back = tx.one(
+        "SELECT t.id FROM lease l JOIN task t ON t.id = l.task
+         WHERE l.usr = ?1 AND l.purpose IN ('returned', 'assigned') AND t.kind = ?2 ORDER BY l.id LIMIT 1",
+        params![user, kind.as_str()],
+    )?;
+    let task = match back {
+        Some(row) => Some(row.int(0)?),
+        None => practice::next(tx, user, kind, settings)?,
+    };
+    if let Some(task) = task {
+        take(tx, user, task, Purpose::Annotate, settings, now)?;
+    }
+    Ok(task)
+}
+
+/// The tasks of a bundle that a user is given with its task `first`, in their order.
+fn places(
+    tx: &mut dyn Tx,
+    user: i64,
+    first: i64,
+    bundle: i64,
+    mut room: Option<Room>,
+) -> Result<Vec<(i64, Option<Place>)>, Error> {
+    let sql = format!(
+        "SELECT t.id, t.bundle_index, t.category, t.counted FROM task t WHERE t.bundle = ?1 AND {FOR_ME}
+                   AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
+                 ORDER BY t.bundle_index, t.id"
+    );
+    let mut has_room = |row: &Row| -> Result<bool, Error> {
+        let name = row.opt_text(2)?;
+        let category = room.as_mut().and_then(|room| room.get_mut(&name));
+        Ok(row.flag(3)? || category.is_none_or(Category::use_one))
+    };
+    let (mine, others): (Vec<Row>, Vec<Row>) = tx
+        .query(&sql, params![bundle, user])?
+        .into_iter()
+        .partition(|row| row.int(0).is_ok_and(|id| id == first));
+    let mut places = Vec::new();
+    // The task that was found uses the room first.
+    for row in mine.iter().chain(&others) {
+        if has_room(row)? {
+            let index = row.int(1)?;
+            places.push((row.int(0)?, Some(Place { bundle, index })));
+        }
+    }
+    places.sort_by_key(|(task, place)| (place.as_ref().map(|place| place.index), *task));
+    Ok(places)
 }
 
 /// A category of pairs, with regard to its quota.

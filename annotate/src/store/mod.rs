@@ -4,21 +4,25 @@
 //! entry is applied to them in the transaction that writes it, and [`Store::rebuild`] derives them again from
 //! the log.
 //!
-//! [`Store`] lists the operations. They are implemented in `claim` (leases), `append` (drafts,
-//! submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser and bulk
-//! actions), `mine`, `import` and `people`; `read` holds queries, `project` writes the tables
-//! beside the log, `db` abstracts from the database.
+//! [`Store`] lists the operations. They are implemented in `claim` (who gets which task), `leases`, `append` (drafts,
+//! submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with `filter`,
+//! `bulk` (actions on many tasks), `home`, `mine`, `import` and `people`; `read` holds queries, `apply` writes the
+//! projections, `project` the tables beside the log, `db` abstracts from the database.
 
 mod append;
 mod apply;
 mod backup;
 mod browse;
+mod bulk;
 mod claim;
 pub(crate) mod db;
 mod draw;
 mod entry;
+mod filter;
 mod group;
+mod home;
 mod import;
+mod leases;
 mod log;
 mod migrate;
 mod mine;
@@ -30,6 +34,7 @@ mod postgres;
 mod postgres_address;
 mod practice;
 mod project;
+mod projections;
 mod read;
 mod readers;
 mod rebuild;

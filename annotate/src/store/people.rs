@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use super::db::{Row, Tx, params};
 use super::entry::{Body, Entry};
 use super::records::{IssuedToken, Millis, TokenUse, Who};
-use super::{claim, log};
+use super::{leases, log};
 use crate::Error;
 use crate::wire::{Code, Role, TokenInfo, User};
 
@@ -161,7 +161,7 @@ pub(super) fn change(
     )?;
     if !after.active {
         tx.execute("UPDATE token SET revoked = 1 WHERE usr = ?1", params![id])?;
-        claim::end_all(tx, id, actor, now)?;
+        leases::end_all(tx, id, actor, now)?;
     }
     logged(tx, actor, &after, now)?;
     Ok(after)

@@ -91,10 +91,27 @@ pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool,
     }
 }
 
+/// Maximum number of names in a list, and of pictures in a guide.
+const MAX_NAMES: usize = 200;
+
 /// Checks settings.
 fn check(settings: &Settings) -> Result<(), Error> {
-    const MAX_NAMES: usize = 200;
-    const MAX_GUIDE: usize = 100_000;
+    check_numbers(settings)?;
+    check_names(settings)?;
+    if !crate::clock::is_zone(&settings.time_zone) {
+        return Err(Error::invalid(
+            "time_zone",
+            format!(
+                "{:?} is no time zone; write a name such as Europe/Berlin or UTC",
+                settings.time_zone
+            ),
+        ));
+    }
+    rules::check(&settings.rules)?;
+    check_guides(settings)
+}
+
+fn check_numbers(settings: &Settings) -> Result<(), Error> {
     let shares = [
         ("overlap_percent", settings.overlap_percent),
         ("gold_percent", settings.gold_percent),
@@ -139,6 +156,10 @@ fn check(settings: &Settings) -> Result<(), Error> {
             ),
         ));
     }
+    Ok(())
+}
+
+fn check_names(settings: &Settings) -> Result<(), Error> {
     if settings.name.trim().is_empty() || settings.name.chars().count() > 100 {
         return Err(Error::invalid(
             "name",
@@ -159,16 +180,11 @@ fn check(settings: &Settings) -> Result<(), Error> {
             ));
         }
     }
-    if !crate::clock::is_zone(&settings.time_zone) {
-        return Err(Error::invalid(
-            "time_zone",
-            format!(
-                "{:?} is no time zone; write a name such as Europe/Berlin or UTC",
-                settings.time_zone
-            ),
-        ));
-    }
-    rules::check(&settings.rules)?;
+    Ok(())
+}
+
+fn check_guides(settings: &Settings) -> Result<(), Error> {
+    const MAX_GUIDE: usize = 100_000;
     for (kind, guide) in &settings.guides {
         if guide.text.chars().count() > MAX_GUIDE || guide.pictures.len() > MAX_NAMES {
             return Err(Error::invalid(

@@ -1,11 +1,11 @@
 //! Reviews: claiming a task to review, and decisions.
 
 use super::append::working;
-use super::claim::{MINUTE, expire, lease_end, prolong, take};
 use super::db::{Tx, params};
 use super::entry::{Body, Entry, Reply};
+use super::leases::{MINUTE, expire, lease_end, prolong, take};
 use super::project;
-use super::records::{Millis, ReviewClaimed, ReviewDetail};
+use super::records::{Millis, ReviewClaimed, ReviewDetail, TaskRecord};
 use super::replies::{full_key, hash_of, parsed, replay};
 use super::{apply, log, rows};
 use crate::Error;
@@ -173,6 +173,17 @@ pub(super) fn answers_to(tx: &mut dyn Tx, task: i64) -> Result<Vec<(Revision, St
         .collect()
 }
 
+/// A decision on a task, and what its log entry depends on.
+struct Deciding<'a> {
+    user: i64,
+    review: &'a NewReview,
+    task: TaskRecord,
+    settings: Settings,
+    /// Whether the reviewer answered the task too.
+    own: bool,
+    now: Millis,
+}
+
 /// Applies a reviewer's decision.
 pub(super) fn review(
     tx: &mut dyn Tx,
@@ -188,142 +199,181 @@ pub(super) fn review(
     let settings = project::settings(tx)?;
     let task = rows::task(tx, review.task)?;
     let own = check_own(tx, user, task.id, &settings)?;
-    if task.gold.is_some() {
-        return Err(Error::wrong_state(
-            task.state,
-            "reviewed: its answer is known",
-        ));
-    }
-    apply::check_move(task.state, log_kind(review.decision), "decided so")?;
-    let comment = review.comment.trim().to_owned();
-    if comment.chars().count() > MAX_TEXT_CHARS {
-        return Err(Error::invalid("comment", "the comment is too long"));
-    }
-    let needs_comment = matches!(
-        review.decision,
-        Decision::Return | Decision::Drop | Decision::Reopen
-    );
-    if needs_comment && comment.is_empty() {
-        return Err(Error::invalid(
-            "comment",
-            "write a comment; the author and the log need it",
-        ));
-    }
-    let held = tx.query(
-        &format!(
-            "SELECT {} FROM lease l WHERE l.task = ?1 AND l.purpose = 'review'",
-            rows::LEASE_COLUMNS
-        ),
-        params![task.id],
-    )?;
-    let held = held.first().map(rows::read_lease).transpose()?;
-    let ours = held
-        .as_ref()
-        .is_some_and(|held| held.lease.user == user && held.lease.epoch == review.lease_epoch);
-    let needs_lease = matches!(
-        review.decision,
-        Decision::Accept | Decision::Merge | Decision::Return
-    );
-    let somebody_else = held.is_some_and(|held| held.lease.user != user);
-    if (needs_lease && !ours) || somebody_else {
-        return Err(Error::refused(
-            Code::LeaseLost,
-            "your lease on this review expired; claim the task again from the queue",
-        ));
-    }
-    let authors: Vec<i64> = tx
-        .query(
-            "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author",
-            params![task.id],
-        )?
-        .iter()
-        .map(|row| row.int(0))
-        .collect::<Result<_, _>>()?;
-    let chosen = match review.author {
-        None => authors.clone(),
-        Some(author) if authors.contains(&author) => vec![author],
-        Some(author) => {
-            return Err(Error::invalid(
-                "author",
-                format!("user {author} has no answer waiting for review"),
+    let deciding = Deciding {
+        user,
+        review,
+        task,
+        settings,
+        own,
+        now,
+    };
+    deciding.check_state()?;
+    let comment = deciding.comment()?;
+    deciding.check_lease(tx)?;
+    let authors = deciding.authors(tx)?;
+    let body = deciding.body(comment, authors, request)?;
+    deciding.log(tx, body, key)
+}
+
+impl Deciding<'_> {
+    fn check_state(&self) -> Result<(), Error> {
+        if self.task.gold.is_some() {
+            return Err(Error::wrong_state(
+                self.task.state,
+                "reviewed: its answer is known",
             ));
         }
-    };
-    let secs = working(review.secs);
-    let body = match review.decision {
-        Decision::Accept => match chosen.as_slice() {
-            [author] => Body::Accepted {
-                author: *author,
+        let kind = log_kind(self.review.decision);
+        apply::check_move(self.task.state, kind, "decided so")
+    }
+
+    /// The comment, where the decision needs one.
+    fn comment(&self) -> Result<String, Error> {
+        let comment = self.review.comment.trim().to_owned();
+        if comment.chars().count() > MAX_TEXT_CHARS {
+            return Err(Error::invalid("comment", "the comment is too long"));
+        }
+        let needs_comment = matches!(
+            self.review.decision,
+            Decision::Return | Decision::Drop | Decision::Reopen
+        );
+        if needs_comment && comment.is_empty() {
+            return Err(Error::invalid(
+                "comment",
+                "write a comment; the author and the log need it",
+            ));
+        }
+        Ok(comment)
+    }
+
+    /// Checks that nobody else reviews the task, and that the reviewer holds it if the decision is on answers.
+    fn check_lease(&self, tx: &mut dyn Tx) -> Result<(), Error> {
+        let held = tx.query(
+            &format!(
+                "SELECT {} FROM lease l WHERE l.task = ?1 AND l.purpose = 'review'",
+                rows::LEASE_COLUMNS
+            ),
+            params![self.task.id],
+        )?;
+        let held = held.first().map(rows::read_lease).transpose()?;
+        let ours = held.as_ref().is_some_and(|held| {
+            held.lease.user == self.user && held.lease.epoch == self.review.lease_epoch
+        });
+        let needs_lease = matches!(
+            self.review.decision,
+            Decision::Accept | Decision::Merge | Decision::Return
+        );
+        let somebody_else = held.is_some_and(|held| held.lease.user != self.user);
+        if (needs_lease && !ours) || somebody_else {
+            return Err(Error::refused(
+                Code::LeaseLost,
+                "your lease on this review expired; claim the task again from the queue",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Authors of the answers that the decision is on.
+    fn authors(&self, tx: &mut dyn Tx) -> Result<Vec<i64>, Error> {
+        let authors: Vec<i64> = tx
+            .query(
+                "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author",
+                params![self.task.id],
+            )?
+            .iter()
+            .map(|row| row.int(0))
+            .collect::<Result<_, _>>()?;
+        match self.review.author {
+            None => Ok(authors),
+            Some(author) if authors.contains(&author) => Ok(vec![author]),
+            Some(author) => Err(Error::invalid(
+                "author",
+                format!("user {author} has no answer waiting for review"),
+            )),
+        }
+    }
+
+    /// The body of the log entry.
+    fn body(&self, comment: String, authors: Vec<i64>, request: String) -> Result<Body, Error> {
+        let secs = working(self.review.secs);
+        Ok(match self.review.decision {
+            Decision::Accept => match authors.as_slice() {
+                [author] => Body::Accepted {
+                    author: *author,
+                    comment,
+                    secs,
+                    request,
+                    rule: None,
+                    own: self.own && *author == self.user,
+                },
+                _ => {
+                    return Err(Error::invalid(
+                        "author",
+                        format!("{} answers wait; choose one", authors.len()),
+                    ));
+                }
+            },
+            Decision::Merge => {
+                let answer = self.review.answer.clone();
+                let answer = answer
+                    .ok_or_else(|| Error::invalid("answer", "the merged answer is missing"))?;
+                answer::check_submission(&answer, self.task.kind, &self.settings)?;
+                Body::Merged {
+                    answer,
+                    comment,
+                    secs,
+                    request,
+                    own: self.own,
+                }
+            }
+            Decision::Return => Body::Returned {
+                authors,
+                comment,
+                until: self.now + Millis::from(self.settings.returned_days) * DAY,
+                secs,
+                request,
+            },
+            Decision::Drop => Body::Dropped {
                 comment,
                 secs,
+                request,
+            },
+            Decision::Reopen => Body::Reopened {
+                comment,
                 request,
                 rule: None,
-                own: own && *author == user,
             },
-            _ => {
-                return Err(Error::invalid(
-                    "author",
-                    format!("{} answers wait; choose one", chosen.len()),
-                ));
-            }
-        },
-        Decision::Merge => {
-            let answer = review
-                .answer
-                .clone()
-                .ok_or_else(|| Error::invalid("answer", "the merged answer is missing"))?;
-            answer::check_submission(&answer, task.kind, &settings)?;
-            Body::Merged {
-                answer,
-                comment,
-                secs,
-                request,
-                own,
-            }
-        }
-        Decision::Return => Body::Returned {
-            authors: chosen,
-            comment,
-            until: now + Millis::from(settings.returned_days) * DAY,
-            secs,
-            request,
-        },
-        Decision::Drop => Body::Dropped {
-            comment,
-            secs,
-            request,
-        },
-        Decision::Reopen => Body::Reopened {
-            comment,
-            request,
-            rule: None,
-        },
-    };
-    let entry = Entry {
-        at: now,
-        actor: Some(user),
-        task: Some(task.id),
-        epoch: Some(review.lease_epoch),
-        body,
-    };
-    let mut done = None;
-    log::write(tx, &entry, |tx, seq| {
-        let answer = ReviewDone {
-            seq,
-            state: rows::task(tx, task.id)?.state,
+        })
+    }
+
+    /// Writes the entry and returns the reply, which is stored for repetitions of the same key.
+    fn log(&self, tx: &mut dyn Tx, body: Body, key: String) -> Result<ReviewDone, Error> {
+        let entry = Entry {
+            at: self.now,
+            actor: Some(self.user),
+            task: Some(self.task.id),
+            epoch: Some(self.review.lease_epoch),
+            body,
         };
-        let result = serde_json::to_string(&answer).map_err(|error| Error::Row {
-            table: "event",
-            problem: error.to_string(),
+        let mut done = None;
+        log::write(tx, &entry, |tx, seq| {
+            let answer = ReviewDone {
+                seq,
+                state: rows::task(tx, self.task.id)?.state,
+            };
+            let result = serde_json::to_string(&answer).map_err(|error| Error::Row {
+                table: "event",
+                problem: error.to_string(),
+            })?;
+            done = Some(answer);
+            Ok(Some(Reply {
+                idem_key: key,
+                base_rev: 0,
+                result,
+            }))
         })?;
-        done = Some(answer);
-        Ok(Some(Reply {
-            idem_key: key,
-            base_rev: 0,
-            result,
-        }))
-    })?;
-    done.ok_or(Error::Closed)
+        done.ok_or(Error::Closed)
+    }
 }
 
 /// The log entry of a decision.

@@ -1,34 +1,31 @@
-//! The operations of the store, each one transaction.
+//! The operations of the store, each one transaction. Those on people, figures and jobs are in modules of their own.
 
-use std::io::Read;
+mod accounts;
+mod figures;
+mod jobs;
+
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 
 use super::browse::{self, DecisionQuery, PageQuery};
 use super::db::{self, Database, Tx, params};
-use super::entry::{Body, Entry};
 use super::import::Known;
 use super::migrate::{self, Upgrade};
 use super::records::{
-    AcceptedAnswer, AuditFilter, Claimed, Imported, IssuedToken, KeyRange, Label, Millis,
-    MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts, Picture, Reject,
-    ReviewClaimed, ReviewDetail, ShelfFilter, TaskDetail, TaskRecord, TokenUse, WeekCounts, Who,
+    Claimed, Imported, Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, Picture,
+    ReviewClaimed, ReviewDetail, TaskDetail, TaskRecord, Who,
 };
-use super::{append, claim, import, mine, people, pictures, practice, project, read, review, work};
-use super::{log, rebuild, rows, rules};
+use super::{append, bulk, claim, import, leases, mine, people, pictures, practice, project, read};
+use super::{rebuild, review, rows, rules};
 use crate::Error;
 use crate::clock::{Clock, SharedClock};
-use crate::lock::lock;
 use crate::state::{Purpose, ReleaseReason};
 use crate::wire::{
-    Answer, Audit, AuditEntry, BulkDone, BulkRequest, Code, DayWork, DecisionRow, Decisions,
-    EventResult, HeldLease, Home, Job, Lease, NewEvent, NewReview, Outlook, PictureInfo, Practice,
-    Prefs, ReviewDone, ReviewQueue, Revision, Role, RuleState, RuleUndone, RulesApplied, Settings,
-    Suggestion, TaskKind, TaskPage, TaskRow, TaskState, TokenInfo, User,
+    Answer, BulkDone, BulkRequest, Code, DecisionRow, Decisions, EventResult, Lease, NewEvent,
+    NewReview, PictureInfo, Practice, ReviewDone, ReviewQueue, Revision, Role, RuleState,
+    RuleUndone, RulesApplied, Suggestion, TaskKind, TaskPage, TaskRow, TaskState,
 };
 
-/// Bytes of a file written per transaction.
-const FILE_PART: u64 = 1 << 20;
 /// Tasks imported per transaction; bounds how long others wait.
 const IMPORT_GROUP: usize = 500;
 
@@ -60,20 +57,6 @@ impl Store {
     /// The store fails.
     pub fn id(&self) -> Result<String, Error> {
         self.read(migrate::id)
-    }
-
-    fn known(&self) -> MutexGuard<'_, people::Known> {
-        lock(&self.known)
-    }
-
-    /// [`Self::write`] of users or tokens; clears the token cache.
-    fn write_people<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
-    ) -> Result<T, Error> {
-        let outcome = self.write(work);
-        self.known().clear();
-        outcome
     }
 
     fn write<T: Send + 'static>(
@@ -231,7 +214,7 @@ impl Store {
             if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) {
                 return Err(Error::wrong_state(TaskState::Returned, "renewed; claim it"));
             }
-            claim::prolong_bundle(tx, &held, &settings, now)
+            leases::prolong_bundle(tx, &held, &settings, now)
         })
     }
 
@@ -250,7 +233,7 @@ impl Store {
             } else {
                 ReleaseReason::TakenAway
             };
-            claim::end(tx, &held, Some(who.id), reason, now)
+            leases::end(tx, &held, Some(who.id), reason, now)
         })
     }
 
@@ -413,7 +396,7 @@ impl Store {
         now: Millis,
     ) -> Result<BulkDone, Error> {
         let who = who.clone();
-        self.read(move |tx| browse::bulk(tx, &who, &request, false, now))
+        self.read(move |tx| bulk::bulk(tx, &who, &request, false, now))
     }
 
     /// Acts on up to 2,000 tasks of a filter.
@@ -422,7 +405,7 @@ impl Store {
     /// `invalid`; or the store fails.
     pub fn bulk(&self, who: &Who, request: BulkRequest, now: Millis) -> Result<BulkDone, Error> {
         let who = who.clone();
-        self.write(move |tx| browse::bulk(tx, &who, &request, true, now))
+        self.write(move |tx| bulk::bulk(tx, &who, &request, true, now))
     }
 
     /// A person's answers, newest first, with the cursor of the next page.
@@ -466,21 +449,6 @@ impl Store {
                 .map(|&kind| practice::standing(tx, user, kind, &settings))
                 .collect()
         })
-    }
-
-    /// Adds many users, each with a token, or none if a line is wrong.
-    ///
-    /// # Errors
-    /// `invalid` names the line; or the store fails.
-    pub fn add_users(
-        &self,
-        actor: Option<i64>,
-        lines: &str,
-        expires: Millis,
-        now: Millis,
-    ) -> Result<Vec<IssuedToken>, Error> {
-        let new = people::parse_lines(lines)?;
-        self.write_people(move |tx| people::add_all(tx, actor, &new, expires, now))
     }
 
     /// Tasks that still want answers and have no draft of a language model, with ids above `after`.
@@ -537,22 +505,6 @@ impl Store {
         self.write(move |tx| pictures::delete(tx, actor, &name, now))
     }
 
-    /// Work by person, day and kind between two times. Days begin in the project's time zone.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn work(&self, from: Millis, to: Millis) -> Result<Vec<DayWork>, Error> {
-        self.read(move |tx| work::days(tx, from, to))
-    }
-
-    /// What is left to do, and how fast it goes.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn outlook(&self, now: Millis) -> Result<Vec<Outlook>, Error> {
-        self.read(move |tx| work::outlook(tx, now))
-    }
-
     /// Motions by their hashes.
     ///
     /// # Errors
@@ -576,154 +528,6 @@ impl Store {
     pub fn partners(&self, hash: &str, limit: usize) -> Result<Vec<MotionRecord>, Error> {
         let hash = hash.to_owned();
         self.read(move |tx| project::partners(tx, &hash, limit))
-    }
-
-    /// Contents of a user's home page.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn home(&self, user: i64, now: Millis) -> Result<Home, Error> {
-        self.read(move |tx| read::home(tx, user, now))
-    }
-
-    /// Accepted answers.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn shelf(&self, user: i64, filter: ShelfFilter) -> Result<Vec<AcceptedAnswer>, Error> {
-        self.read(move |tx| read::shelf(tx, user, &filter))
-    }
-
-    /// Tasks by kind and state.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn funnel(&self) -> Result<Vec<(TaskKind, TaskState, i64)>, Error> {
-        self.read(read::funnel)
-    }
-
-    /// Counts per week; `bounds` holds the starts of the weeks and the end of the last one.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn weeks(&self, bounds: Vec<Millis>) -> Result<Vec<WeekCounts>, Error> {
-        self.read(move |tx| read::weeks(tx, &bounds))
-    }
-
-    /// Totals of every person.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn people(&self) -> Result<Vec<PersonCounts>, Error> {
-        self.read(read::people)
-    }
-
-    /// Submitted answers of the `limit` tasks after a task id, by task.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn labels(&self, after: i64, limit: usize) -> Result<Vec<Label>, Error> {
-        self.read(move |tx| read::labels(tx, after, limit))
-    }
-
-    /// Tasks whose answers changed after a place in the log, and the last place of the log.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn answered_since(&self, after: i64) -> Result<(Vec<i64>, i64), Error> {
-        self.read(move |tx| read::answered_since(tx, after))
-    }
-
-    /// Submitted answers to these tasks, by task.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn labels_to(&self, tasks: Vec<i64>) -> Result<Vec<Label>, Error> {
-        self.read(move |tx| read::labels_to(tx, &tasks))
-    }
-
-    /// The range of the next keys after a key, or `None` after the last.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn next_keys(&self, after: &str, count: usize) -> Result<Option<KeyRange>, Error> {
-        let after = after.to_owned();
-        self.read(move |tx| read::next_keys(tx, after, count))
-    }
-
-    /// Submitted answers to a range of tasks, sorted by task key and author.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn labels_of(&self, keys: &KeyRange) -> Result<Vec<(TaskRecord, Label)>, Error> {
-        let keys = keys.clone();
-        self.read(move |tx| read::labels_of(tx, &keys))
-    }
-
-    /// Accepted answers to a range of tasks, sorted by task key.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn accepted(&self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
-        let keys = keys.clone();
-        self.read(move |tx| read::accepted(tx, &keys))
-    }
-
-    /// Number of accepted answers by how they were accepted: `review`, `own`, `rule:NAME` or `import`.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn accepted_by(&self) -> Result<Vec<(String, i64)>, Error> {
-        self.read(read::accepted_by)
-    }
-
-    /// Dropped and skipped tasks of a range.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn rejects(&self, keys: &KeyRange) -> Result<Vec<Reject>, Error> {
-        let keys = keys.clone();
-        self.read(move |tx| read::rejects(tx, &keys))
-    }
-
-    /// Pairs kept by category and edit type.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn kept(&self) -> Result<Vec<(Option<String>, String, i64)>, Error> {
-        self.read(read::kept)
-    }
-
-    /// All leases.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn leases(&self, now: Millis) -> Result<Vec<HeldLease>, Error> {
-        self.read(move |tx| read::leases(tx, now))
-    }
-
-    /// Entries of the log, newest first.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn audit(&self, filter: AuditFilter) -> Result<Audit, Error> {
-        self.read(move |tx| read::audit(tx, &filter))
-    }
-
-    /// Entries of the log after a sequence number, oldest first.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn log(&self, after: i64, limit: usize) -> Result<Vec<AuditEntry>, Error> {
-        self.read(move |tx| read::log(tx, after, limit))
-    }
-
-    /// Last sequence number of the log.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn last_seq(&self) -> Result<i64, Error> {
-        self.read(|tx| tx.number("SELECT COALESCE(MAX(seq), 0) FROM event", &[]))
     }
 
     /// Whether a user holds or answered a task.
@@ -788,289 +592,6 @@ impl Store {
                 params![&name, &text],
             )?;
             Ok(())
-        })
-    }
-
-    /// The settings.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn settings(&self) -> Result<Settings, Error> {
-        self.read(project::settings)
-    }
-
-    /// Changes the settings. A changed number of people is applied to all tasks that still want answers, some at
-    /// a time.
-    ///
-    /// # Errors
-    /// `invalid`; or the store fails.
-    pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<(), Error> {
-        self.write(move |tx| project::put_settings(tx, actor, settings, now))?;
-        while !self.write(move |tx| project::retarget(tx, actor, now))? {}
-        Ok(())
-    }
-
-    /// A user's preferences.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn prefs(&self, user: i64) -> Result<Prefs, Error> {
-        self.read(move |tx| project::prefs(tx, user))
-    }
-
-    /// Changes a user's preferences.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn put_prefs(&self, user: i64, prefs: Prefs) -> Result<(), Error> {
-        self.write(move |tx| project::put_prefs(tx, user, &prefs))
-    }
-
-    /// All users.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn users(&self) -> Result<Vec<User>, Error> {
-        self.read(people::users)
-    }
-
-    /// Adds a user.
-    ///
-    /// # Errors
-    /// `invalid` for a bad or taken name; or the store fails.
-    pub fn add_user(
-        &self,
-        actor: Option<i64>,
-        name: &str,
-        role: Role,
-        now: Millis,
-    ) -> Result<User, Error> {
-        let name = name.to_owned();
-        self.write_people(move |tx| people::add(tx, actor, &name, role, now))
-    }
-
-    /// Changes a user. The last active admin cannot be demoted or disabled.
-    ///
-    /// # Errors
-    /// `invalid`, `not_found`; or the store fails.
-    pub fn change_user(
-        &self,
-        actor: Option<i64>,
-        user: i64,
-        role: Option<Role>,
-        active: Option<bool>,
-        now: Millis,
-    ) -> Result<User, Error> {
-        self.write_people(move |tx| people::change(tx, actor, user, role, active, now))
-    }
-
-    /// Creates a token.
-    ///
-    /// # Errors
-    /// `not_found`; or the store fails.
-    pub fn issue(
-        &self,
-        user: i64,
-        purpose: TokenUse,
-        expires: Millis,
-        now: Millis,
-    ) -> Result<IssuedToken, Error> {
-        self.write_people(move |tx| people::issue(tx, user, purpose, expires, now))
-    }
-
-    /// The user of a token, if it is valid for this purpose. A one-time token becomes invalid.
-    ///
-    /// # Errors
-    /// `unauthenticated`; or the store fails.
-    pub fn authenticate(
-        &self,
-        token: &str,
-        purposes: &[TokenUse],
-        now: Millis,
-    ) -> Result<Who, Error> {
-        let hash = people::hash(token);
-        let changes = {
-            let known = self.known();
-            if let Some(who) = known.find(&hash, purposes, now) {
-                return Ok(who);
-            }
-            known.changes()
-        };
-        let purposes = purposes.to_vec();
-        let found = {
-            let (hash, purposes) = (hash.clone(), purposes.clone());
-            self.read(move |tx| people::find(tx, &hash, &purposes, now))?
-        };
-        if found.needs_note {
-            return self.write(move |tx| people::used(tx, &hash, &purposes, now));
-        }
-        let who = found.who.clone();
-        self.known().put(hash, found, changes, now);
-        Ok(who)
-    }
-
-    /// [`Self::authenticate`] without a record of the use.
-    ///
-    /// # Errors
-    /// `unauthenticated`; or the store fails.
-    pub fn recognise(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who, Error> {
-        let (hash, purposes) = (people::hash(token), purposes.to_vec());
-        self.read(move |tx| Ok(people::find(tx, &hash, &purposes, now)?.who))
-    }
-
-    /// Begins a session by a token, until a time or the end of the token.
-    ///
-    /// # Errors
-    /// `unauthenticated`; or the store fails.
-    pub fn log_in(
-        &self,
-        token: &str,
-        until: Millis,
-        now: Millis,
-    ) -> Result<(Who, IssuedToken), Error> {
-        let hash = people::hash(token);
-        self.write_people(move |tx| people::log_in(tx, &hash, until, now))
-    }
-
-    /// A user's tokens.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn tokens(&self, user: i64) -> Result<Vec<TokenInfo>, Error> {
-        self.read(move |tx| people::tokens(tx, user))
-    }
-
-    /// Revokes a token.
-    ///
-    /// # Errors
-    /// `not_found`; or the store fails.
-    pub fn revoke(&self, token: i64) -> Result<(), Error> {
-        self.write_people(move |tx| people::revoke(tx, token))
-    }
-
-    /// Revokes a session.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn log_out(&self, token: &str) -> Result<(), Error> {
-        let hash = people::hash(token);
-        self.write_people(move |tx| {
-            tx.execute(
-                "UPDATE token SET revoked = 1 WHERE hash = ?1",
-                params![&hash],
-            )?;
-            Ok(())
-        })
-    }
-
-    /// Stores a job; id 0 creates a new one.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn put_job(&self, job: Job, now: Millis) -> Result<Job, Error> {
-        self.write(move |tx| project::put_job(tx, job, now))
-    }
-
-    /// Whether servers on several machines can use the store. If so, it also keeps the files of their exports.
-    pub(crate) fn is_shared(&self) -> bool {
-        self.db.is_shared()
-    }
-
-    /// Stores a file of a job, and removes those of all jobs but the last `kept`.
-    pub(crate) fn put_file(
-        &self,
-        job: i64,
-        name: &str,
-        mut content: impl Read,
-        kept: i64,
-    ) -> Result<(), Error> {
-        for number in 0.. {
-            let mut bytes = Vec::new();
-            content
-                .by_ref()
-                .take(FILE_PART)
-                .read_to_end(&mut bytes)
-                .map_err(datasets_spec::Error::io("read", name))?;
-            let is_last = (bytes.len() as u64) < FILE_PART;
-            let name = name.to_owned();
-            self.write(move |tx| project::put_file_part(tx, job, &name, number, bytes))?;
-            if is_last {
-                break;
-            }
-        }
-        self.write(move |tx| project::forget_files(tx, kept))
-    }
-
-    /// A file of a job, if the store keeps it.
-    pub(crate) fn file(&self, job: i64, name: &str) -> Result<Option<Vec<u8>>, Error> {
-        let mut content = None;
-        for number in 0.. {
-            let name = name.to_owned();
-            match self.read(move |tx| project::file_part(tx, job, &name, number))? {
-                Some(part) => content.get_or_insert_with(Vec::new).extend(part),
-                None => break,
-            }
-        }
-        Ok(content)
-    }
-
-    /// Records that a job runs.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn beat(&self, job: i64, now: Millis) -> Result<(), Error> {
-        self.write(move |tx| project::beat(tx, job, now))
-    }
-
-    /// Marks running jobs as failed if their server last reported them before `since`.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn abandon(&self, since: Millis, now: Millis) -> Result<(), Error> {
-        let is_lost = move |job: &Job| job.state == "running" && job.heartbeat < since;
-        if !self.jobs()?.iter().any(is_lost) {
-            return Ok(());
-        }
-        self.write(move |tx| {
-            // Read again: the job may have reported meanwhile.
-            for mut job in project::jobs(tx)?.into_iter().filter(is_lost) {
-                "failed".clone_into(&mut job.state);
-                job.finished = Some(now);
-                job.messages
-                    .push("the server that ran this job stopped; start the job again".to_owned());
-                project::put_job(tx, job, now)?;
-            }
-            Ok(())
-        })
-    }
-
-    /// Jobs, newest first.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn jobs(&self) -> Result<Vec<Job>, Error> {
-        self.read(project::jobs)
-    }
-
-    /// Logs an export.
-    ///
-    /// # Errors
-    /// The store fails.
-    pub fn log_export(
-        &self,
-        actor: Option<i64>,
-        body: serde_json::Value,
-        now: Millis,
-    ) -> Result<(), Error> {
-        self.write(move |tx| {
-            let entry = Entry {
-                at: now,
-                actor,
-                task: None,
-                epoch: None,
-                body: Body::Exported { export: body },
-            };
-            log::note(tx, &entry).map(|_| ())
         })
     }
 

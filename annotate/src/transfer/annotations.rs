@@ -66,27 +66,45 @@ fn annotation_task(
         .map(|text| serde_json::from_str(text))
         .transpose()
         .map_err(|error| error.to_string())?;
-    for row in rows {
-        if row.mask_def_version != MASK_DEF_VERSION {
-            return Err(format!(
-                "its masks have definition version {}, this program has version {MASK_DEF_VERSION}",
-                row.mask_def_version
-            ));
-        }
-        for part in &row.parts {
-            part.parse::<BodyPart>()
-                .map_err(|error| error.to_string())?;
-        }
+    rows.iter().try_for_each(check_masks)?;
+    let answer = answer(rows, kind)?;
+    crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
+    new.accepted = Some(answer);
+    new.credit = credit(
+        &first.author,
+        first.merged != 0,
+        first.accepted_by.as_deref(),
+    );
+    Ok(new)
+}
+
+/// Refuses masks of another definition, and parts that this program does not know.
+fn check_masks(row: &AnnotationRow) -> Result<(), String> {
+    if row.mask_def_version != MASK_DEF_VERSION {
+        return Err(format!(
+            "its masks have definition version {}, this program has version {MASK_DEF_VERSION}",
+            row.mask_def_version
+        ));
     }
-    let verdict = || {
-        let text = first.verdict.as_deref().unwrap_or_default();
-        Verdict::parse(text).ok_or_else(|| format!("verdict {text:?} is not known"))
-    };
+    for part in &row.parts {
+        part.parse::<BodyPart>()
+            .map_err(|error| error.to_string())?;
+    }
+    Ok(())
+}
+
+/// The answer that the rows of a task hold.
+fn answer(rows: &[AnnotationRow], kind: TaskKind) -> Result<Answer, String> {
     fn known<T>(text: Option<&String>, parse: fn(&str) -> Option<T>) -> Result<Option<T>, String> {
         text.map(|text| parse(text).ok_or_else(|| format!("{text:?} is not known")))
             .transpose()
     }
-    let answer = match kind {
+    let first = &rows[0];
+    let verdict = || {
+        let text = first.verdict.as_deref().unwrap_or_default();
+        Verdict::parse(text).ok_or_else(|| format!("verdict {text:?} is not known"))
+    };
+    Ok(match kind {
         TaskKind::MaskText => Answer::MaskText {
             masks: rows
                 .iter()
@@ -118,15 +136,7 @@ fn annotation_task(
             suggestion: None,
             note: first.note.clone(),
         },
-    };
-    crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
-    new.accepted = Some(answer);
-    new.credit = credit(
-        &first.author,
-        first.merged != 0,
-        first.accepted_by.as_deref(),
-    );
-    Ok(new)
+    })
 }
 
 /// The key that a task of an export has today. Earlier versions exported a candidate that came back from the dataset

@@ -1,4 +1,4 @@
-//! Import of tasks from the motions, masks and pairs of a dataset, and of labels from a release or an exported dataset.
+//! Import of tasks from the motions, masks and pairs of a dataset, and of labels from an exported dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -7,10 +7,8 @@ use datasets_spec::record::{CAPTION_BY_RULE, ExportedLabels, MaskRow, MotionRow,
 use datasets_spec::table::{Caption, Row, read_column};
 use datasets_spec::{Dataset, MotionId, Split};
 use serde::Serialize;
-use serde_json::Value;
 use tables::Condition;
 
-use super::release::{self, SaidPair};
 use crate::Error;
 use crate::answer::completion;
 use crate::store::{Credit, Imported, Millis, MotionRecord, NewSuggestion, NewTask, Store};
@@ -42,7 +40,7 @@ pub struct Taken {
 }
 
 impl Taken {
-    fn count(&mut self, what: &str, count: i64) {
+    pub(super) fn count(&mut self, what: &str, count: i64) {
         *self.counts.entry(what.to_owned()).or_default() += count;
     }
 
@@ -101,7 +99,7 @@ fn pair_key(pair: &PairRow) -> String {
 }
 
 /// Key of the task of a pair that this program wrote; the reverse of [`pair_id`].
-fn key_of_pair(id: &str) -> String {
+pub(super) fn key_of_pair(id: &str) -> String {
     if id.starts_with(CANDIDATE) {
         id.to_owned()
     } else {
@@ -189,18 +187,7 @@ pub fn from_dataset(
     let dataset = chosen(store, &whole)?;
     let mut taken = Taken::default();
     let clips = clips(&whole)?;
-    let mut by_hash: BTreeSet<&str> = BTreeSet::new();
-    let (clips, copies): (Vec<&Clip>, Vec<&Clip>) = clips
-        .iter()
-        .partition(|clip| by_hash.insert(&clip.record.hash));
-    if !copies.is_empty() {
-        taken.count("copies", copies.len() as i64);
-        taken.messages.push(format!(
-            "{} clips repeat the motion of another clip and get no task, for example {}",
-            copies.len(),
-            copies[0].record.id
-        ));
-    }
+    let clips = without_copies(&clips, &mut taken);
     let by_id: BTreeMap<&str, &Clip> = clips
         .iter()
         .map(|clip| (clip.record.id.as_str(), *clip))
@@ -209,64 +196,17 @@ pub fn from_dataset(
     store.put_motions(clips.iter().map(|clip| clip.record.clone()).collect())?;
     taken.count("motions", clips.len() as i64);
 
-    let mut masks: BTreeMap<String, Vec<MaskRow>> = BTreeMap::new();
-    for row in dataset.read::<MaskRow>(None)? {
-        masks
-            .entry(row.motion_id.as_str().to_owned())
-            .or_default()
-            .push(row);
-    }
-    let mut tasks = Vec::new();
-    let all_pairs: Vec<PairRow> = whole.read(None)?;
-    let of_variants = all_pairs
-        .iter()
-        .filter(|pair| pair.source.starts_with(VARIANT_SOURCE));
-    let variants: BTreeSet<&str> = of_variants
-        .flat_map(|pair| [pair.source_id.as_str(), pair.target_id.as_str()])
-        .collect();
-    // Judged pairs have another source, and unusable ones are gone.
-    let are_variants = dataset.manifest().facts.contains_key(VARIANTS_FACT);
-    let is_chosen =
-        |clip: &Clip| MotionId::parse(&clip.record.id).is_ok_and(|id| dataset.has_clip(&id));
-    for clip in clips
-        .iter()
-        .filter(|clip| !clip.mirrored && is_chosen(clip))
-    {
-        let id = clip.record.id.as_str();
-        let new = mask_task(&clip.record, masks.get(id).map_or(&[][..], Vec::as_slice));
-        if new.accepted.is_none() && (are_variants || variants.contains(id)) {
-            taken.count("variants", 1);
-        } else {
-            tasks.push(new);
-        }
-    }
-    let pairs: Vec<PairRow> = dataset.read(None)?;
-    let (fine, styles) = tasks_of_pairs(pairs.iter(), &by_id, &mut taken);
-    tasks.extend(styles);
     let chosen: Vec<&Clip> = clips
         .iter()
         .copied()
-        .filter(|clip| is_chosen(clip))
+        .filter(|clip| MotionId::parse(&clip.record.id).is_ok_and(|id| dataset.has_clip(&id)))
         .collect();
     taken.count("clips_not_chosen", (clips.len() - chosen.len()) as i64);
-    let mut candidates = candidates(&chosen);
-    // Two clips are judged only once. A pair of the dataset is no candidate, and neither is one that people judged
-    // unusable, which is no longer in the dataset.
-    let known: BTreeSet<(&str, &str)> = pairs
-        .iter()
-        .map(|pair| (pair.source_id.as_str(), pair.target_id.as_str()))
-        .collect();
-    let judged: BTreeMap<(String, String), String> = store
-        .pairs()?
-        .into_iter()
-        .map(|(key, source, target)| ((source, target), key))
-        .collect();
-    candidates.retain(|(source, target)| {
-        let (source, target) = (&source.record, &target.record);
-        let task = judged.get(&(source.hash.clone(), target.hash.clone()));
-        !known.contains(&(source.id.as_str(), target.id.as_str()))
-            && task.is_none_or(|key| *key == candidate_key(source, target))
-    });
+    let mut tasks = mask_tasks(&whole, &dataset, &chosen, &mut taken)?;
+    let pairs: Vec<PairRow> = dataset.read(None)?;
+    let (fine, styles) = tasks_of_pairs(pairs.iter(), &by_id, &mut taken);
+    tasks.extend(styles);
+    let candidates = new_candidates(store, &chosen, &pairs)?;
     taken.count("candidates", candidates.len() as i64);
     // Pairs that were made for an instruction come before candidates.
     for (name, list) in fine.into_iter().chain(takes(&candidates)) {
@@ -298,6 +238,60 @@ fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
         what: dataset.root().display().to_string(),
         problem: error.to_string(),
     })
+}
+
+/// The clips without those that repeat the motion of one before them.
+fn without_copies<'a>(clips: &'a [Clip], taken: &mut Taken) -> Vec<&'a Clip> {
+    let mut by_hash: BTreeSet<&str> = BTreeSet::new();
+    let (clips, copies): (Vec<&Clip>, Vec<&Clip>) = clips
+        .iter()
+        .partition(|clip| by_hash.insert(&clip.record.hash));
+    if !copies.is_empty() {
+        taken.count("copies", copies.len() as i64);
+        taken.messages.push(format!(
+            "{} clips repeat the motion of another clip and get no task, for example {}",
+            copies.len(),
+            copies[0].record.id
+        ));
+    }
+    clips
+}
+
+/// Mask tasks of the chosen clips that are neither mirrored copies nor variants, which the pairs of the whole dataset
+/// tell. A variant with masks by people gets one, too.
+fn mask_tasks(
+    whole: &Dataset,
+    dataset: &Dataset,
+    chosen: &[&Clip],
+    taken: &mut Taken,
+) -> Result<Vec<NewTask>, Error> {
+    let mut masks: BTreeMap<String, Vec<MaskRow>> = BTreeMap::new();
+    for row in dataset.read::<MaskRow>(None)? {
+        masks
+            .entry(row.motion_id.as_str().to_owned())
+            .or_default()
+            .push(row);
+    }
+    let all_pairs: Vec<PairRow> = whole.read(None)?;
+    let of_variants = all_pairs
+        .iter()
+        .filter(|pair| pair.source.starts_with(VARIANT_SOURCE));
+    let variants: BTreeSet<&str> = of_variants
+        .flat_map(|pair| [pair.source_id.as_str(), pair.target_id.as_str()])
+        .collect();
+    // Judged pairs have another source, and unusable ones are gone.
+    let are_variants = dataset.manifest().facts.contains_key(VARIANTS_FACT);
+    let mut tasks = Vec::new();
+    for clip in chosen.iter().filter(|clip| !clip.mirrored) {
+        let id = clip.record.id.as_str();
+        let new = mask_task(&clip.record, masks.get(id).map_or(&[][..], Vec::as_slice));
+        if new.accepted.is_none() && (are_variants || variants.contains(id)) {
+            taken.count("variants", 1);
+        } else {
+            tasks.push(new);
+        }
+    }
+    Ok(tasks)
 }
 
 /// Tasks of the pairs whose motions are there: of fine-grained ones by their hint, and of style pairs.
@@ -580,6 +574,32 @@ fn candidates<'a>(clips: &[&'a Clip]) -> Vec<(&'a Clip, &'a Clip)> {
     pairs
 }
 
+/// Candidates that nobody has judged: two clips are judged only once. A pair of the dataset is no candidate, and neither
+/// is one that people judged unusable, which is no longer in the dataset.
+fn new_candidates<'a>(
+    store: &Store,
+    chosen: &[&'a Clip],
+    pairs: &[PairRow],
+) -> Result<Vec<(&'a Clip, &'a Clip)>, Error> {
+    let mut candidates = candidates(chosen);
+    let known: BTreeSet<(&str, &str)> = pairs
+        .iter()
+        .map(|pair| (pair.source_id.as_str(), pair.target_id.as_str()))
+        .collect();
+    let judged: BTreeMap<(String, String), String> = store
+        .pairs()?
+        .into_iter()
+        .map(|(key, source, target)| ((source, target), key))
+        .collect();
+    candidates.retain(|(source, target)| {
+        let (source, target) = (&source.record, &target.record);
+        let task = judged.get(&(source.hash.clone(), target.hash.clone()));
+        !known.contains(&(source.id.as_str(), target.id.as_str()))
+            && task.is_none_or(|key| *key == candidate_key(source, target))
+    });
+    Ok(candidates)
+}
+
 fn candidate_key(source: &MotionRecord, target: &MotionRecord) -> String {
     format!("{CANDIDATE}{}|{}", source.id, target.id)
 }
@@ -621,107 +641,4 @@ fn bundled(name: &str, mut tasks: Vec<NewTask>) -> Vec<NewTask> {
         *place += 1;
     }
     tasks
-}
-
-/// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, and `accepted_by.json` and `pairs.json` of an
-/// export, given as one object with the names of the files. The annotations become accepted answers of tasks that nobody
-/// has worked on; unknown fields are kept for export. Those of tasks with another answer are left out and reported.
-///
-/// # Errors
-/// It is not such an object, or the store fails.
-pub fn from_release(
-    store: &Store,
-    motions: &BTreeMap<String, MotionRecord>,
-    document: &Value,
-    actor: Option<i64>,
-    now: Millis,
-) -> Result<Taken, Error> {
-    let parsed = release::parse(document).map_err(|problem| Error::Import {
-        what: "the annotations of a STANCE release".to_owned(),
-        problem,
-    })?;
-    let mut taken = Taken::default();
-    for (shape, count) in parsed.shapes {
-        taken.count(&format!("shape: {shape}"), count);
-    }
-    taken.messages = parsed.messages;
-    let mut tasks = Vec::new();
-    for (id, said) in parsed.motions {
-        let Some(motion) = motions.get(&id) else {
-            taken.count("unknown_ids", 1);
-            if taken.messages.len() < 50 {
-                taken.messages.push(format!(
-                    "motion {id:?} is not in this dataset; its annotations are left out"
-                ));
-            }
-            continue;
-        };
-        let mut new = task(mask_key(&motion.id), TaskKind::MaskText, motion);
-        new.extra = said.extra;
-        new.credit = credit("", false, said.accepted_by.as_deref());
-        new.accepted = Some(Answer::MaskText {
-            masks: said.masks,
-            count_reason: None,
-            note: String::new(),
-        });
-        tasks.push(new);
-    }
-    for pair in parsed.pairs {
-        let Some((source, target)) = motions.get(&pair.src).zip(motions.get(&pair.tgt)) else {
-            taken.count("unknown_ids", 1);
-            continue;
-        };
-        tasks.push(
-            released_pair(&pair, source, target).map_err(|problem| Error::Import {
-                what: format!("pair {:?} of a STANCE release", pair.id),
-                problem,
-            })?,
-        );
-    }
-    taken.take(store.import(actor, tasks, now)?);
-    Ok(taken)
-}
-
-fn released_pair(
-    pair: &SaidPair,
-    source: &MotionRecord,
-    target: &MotionRecord,
-) -> Result<NewTask, String> {
-    let (parts, unknown) = release::parts(&pair.body_part);
-    if let Some(name) = unknown.first() {
-        return Err(format!("body part {name:?} is not known"));
-    }
-    let (kind, answer) = match pair.kind.as_str() {
-        "fine-grained" => (
-            TaskKind::Pair,
-            Answer::Pair {
-                verdict: Verdict::Keep,
-                parts,
-                edit_type: pair.edit_type,
-                text: pair.text.clone(),
-                suggestion: None,
-                note: String::new(),
-            },
-        ),
-        "style" => (
-            TaskKind::Style,
-            Answer::Style {
-                verdict: Verdict::Keep,
-                parts,
-                // The file has an empty text where none was chosen.
-                style: pair.style.clone().filter(|style| !style.is_empty()),
-                extent: None,
-                text: pair.text.clone(),
-                suggestion: None,
-                note: String::new(),
-            },
-        ),
-        other => return Err(format!("kind {other:?} is not known")),
-    };
-    crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
-    let mut new = task(key_of_pair(&pair.id), kind, source);
-    new.target = Some(target.hash.clone());
-    new.accepted = Some(answer);
-    new.credit = credit("", false, pair.accepted_by.as_deref());
-    Ok(new)
 }

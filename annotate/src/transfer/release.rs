@@ -180,18 +180,83 @@ pub(super) fn parse(document: &Value) -> Result<Release, String> {
     Ok(release)
 }
 
+/// Reads the masks and texts of a motion, and returns what is wrong with them too.
 fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
-    let mut problems = Vec::new();
-    let mut all: Vec<MaskAnswer> = Vec::new();
-    let mut unknown = Map::new();
-    let mut put = |name: &str, text: String| {
+    let mut reader = MotionReader::default();
+    match said {
+        Value::Object(map) => reader.read_texts_by_part(masks, map),
+        said => reader.read_texts_in_order(masks, said),
+    }
+    if reader.unknown.contains_key("part_annotations") {
+        reader
+            .problems
+            .push("its texts do not match its masks and are kept as an unknown field".to_owned());
+    }
+    let said = Said {
+        masks: reader.masks,
+        extra: (!reader.unknown.is_empty()).then_some(Value::Object(reader.unknown)),
+        accepted_by: None,
+    };
+    (said, reader.problems)
+}
+
+/// What has been read of a motion.
+#[derive(Default)]
+struct MotionReader {
+    masks: Vec<MaskAnswer>,
+    unknown: Map<String, Value>,
+    problems: Vec<String>,
+}
+
+impl MotionReader {
+    fn read_texts_by_part(&mut self, masks: &Value, said: &Map<String, Value>) {
+        for (name, value) in said {
+            for text in texts_or_empty(texts(value)) {
+                if !self.put(name, text).is_empty() {
+                    self.unknown.insert(name.clone(), value.clone());
+                }
+            }
+        }
+        // Masks without texts are kept.
+        for name in names(masks) {
+            if !said.keys().any(|known| parts(known).0 == parts(&name).0) {
+                self.put(&name, String::new());
+            }
+        }
+    }
+
+    /// Reads texts that say nothing of parts: each belongs to the mask at its place.
+    fn read_texts_in_order(&mut self, masks: &Value, said: &Value) {
+        let names = names(masks);
+        let list: Vec<Vec<String>> = match said {
+            Value::Array(items) if items.len() == names.len() => items.iter().map(texts).collect(),
+            Value::Array(_) if names.len() == 1 => vec![texts(said)],
+            Value::String(_) => vec![texts(said); names.len()],
+            Value::Null => Vec::new(),
+            _ => {
+                self.unknown
+                    .insert("part_annotations".to_owned(), said.clone());
+                // Marks fields that were kept aside.
+                self.unknown.insert("kept_aside".to_owned(), json!(true));
+                Vec::new()
+            }
+        };
+        for (index, name) in names.iter().enumerate() {
+            for text in texts_or_empty(list.get(index).cloned().unwrap_or_default()) {
+                self.put(name, text);
+            }
+        }
+    }
+
+    /// Adds a mask, and returns the names in `name` that are no parts.
+    fn put(&mut self, name: &str, text: String) -> Vec<String> {
         let (parts, lost) = parts(name);
-        problems.extend(
+        self.problems.extend(
             lost.iter()
                 .map(|name| format!("body part {name:?} is not known")),
         );
         if !parts.is_empty() {
-            all.push(MaskAnswer {
+            self.masks.push(MaskAnswer {
                 parts,
                 soft: true,
                 text,
@@ -199,75 +264,16 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
             });
         }
         lost
-    };
-    match said {
-        Value::Object(map) => {
-            for (name, value) in map {
-                let found = texts(value);
-                let list = if found.is_empty() {
-                    vec![String::new()]
-                } else {
-                    found
-                };
-                for text in list {
-                    if !put(name, text).is_empty() {
-                        unknown.insert(name.clone(), value.clone());
-                    }
-                }
-            }
-            // Masks without texts are kept.
-            for name in names(masks) {
-                if !map.keys().any(|known| parts(known).0 == parts(&name).0) {
-                    put(&name, String::new());
-                }
-            }
-        }
-        said => {
-            let names = names(masks);
-            let list: Vec<Vec<String>> = match said {
-                Value::Array(items) if items.len() == names.len() => {
-                    items.iter().map(texts).collect()
-                }
-                Value::Array(_) if names.len() == 1 => vec![texts(said)],
-                Value::String(_) => vec![texts(said); names.len()],
-                Value::Null => Vec::new(),
-                _ => {
-                    unknown.insert("part_annotations".to_owned(), said.clone());
-                    Vec::new()
-                }
-            };
-            if !unknown.is_empty() {
-                put_problem(&mut unknown);
-            }
-            for (index, name) in names.iter().enumerate() {
-                let found = list.get(index).cloned().unwrap_or_default();
-                let found = if found.is_empty() {
-                    vec![String::new()]
-                } else {
-                    found
-                };
-                for text in found {
-                    put(name, text);
-                }
-            }
-        }
     }
-    if unknown.contains_key("part_annotations") {
-        problems
-            .push("its texts do not match its masks and are kept as an unknown field".to_owned());
-    }
-    let extra = (!unknown.is_empty()).then_some(Value::Object(unknown));
-    let said = Said {
-        masks: all,
-        extra,
-        accepted_by: None,
-    };
-    (said, problems)
 }
 
-/// Marks fields that were kept aside.
-fn put_problem(unknown: &mut Map<String, Value>) {
-    unknown.insert("kept_aside".to_owned(), json!(true));
+/// The texts, or an empty one: masks without texts are kept.
+fn texts_or_empty(texts: Vec<String>) -> Vec<String> {
+    if texts.is_empty() {
+        vec![String::new()]
+    } else {
+        texts
+    }
 }
 
 /// Entries of the two files for a motion.

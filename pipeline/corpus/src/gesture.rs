@@ -6,7 +6,7 @@ use datasets_spec::Rng;
 use glam::DVec3;
 use rand::RngExt;
 
-use super::body::{ArmKey, Script};
+use super::body::{ArmKey, Keys, Script};
 use super::gait::Side;
 use super::style::Style;
 
@@ -530,4 +530,17 @@ pub(super) fn bow(script: &mut Script, style: &Style, from: f64, depth: f64, hol
             .rest(1.0);
     }
     end
+}
+
+/// The eyes wander now and then, as long as the clip lasts: keys of the head.
+pub(super) fn glances(duration: f64, rng: &mut Rng) -> Keys<3> {
+    let mut keys = vec![(0.0, [0.0; 3])];
+    let mut secs = rng.random_range(0.5..2.0);
+    while secs < duration {
+        let turn = rng.random_range(-0.35..0.35);
+        let nod = rng.random_range(-0.05..0.12);
+        keys.extend([(secs, [nod, 0.0, turn]), (secs + 0.5, [nod, 0.0, turn])]);
+        secs += rng.random_range(1.2..2.4);
+    }
+    keys
 }

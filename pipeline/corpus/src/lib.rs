@@ -30,8 +30,12 @@ mod held_out;
 mod limb;
 mod limits;
 mod performer;
+mod play;
+mod standing;
 mod style;
 mod text;
+mod travel;
+mod words;
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -265,7 +269,7 @@ fn perform(
     // The draws of a take must not depend on the style: style pairs differ in style alone.
     let mut take_rng = seed.rng(&["corpus", "take", action.name(), take]);
     let mut scatter = seed.rng(&["corpus", "scatter", action.name(), style.name, take]);
-    let (script, facts) = action::script(action, style, asked, &mut take_rng, &mut scatter);
+    let (script, facts) = play::script(action, style, asked, &mut take_rng, &mut scatter);
     let fps = Fps::new(CORPUS_FPS).expect("the corpus rate is positive");
     let poses = body::perform(&script, style, &skeleton, fps, &mut scatter);
     let motion = Motion::from_poses(fps, &poses).expect("every pose of a performance is finite");

@@ -330,7 +330,7 @@ fn styles_of_a_take_differ_in_style_alone() {
             .map(|style| {
                 let mut take = seed.rng(&["take"]);
                 let mut scatter = seed.rng(&["scatter", style.name]);
-                action::script(action, style, Asked::default(), &mut take, &mut scatter).1
+                play::script(action, style, Asked::default(), &mut take, &mut scatter).1
             })
             .collect();
         assert!(facts.windows(2).all(|pair| pair[0] == pair[1]));

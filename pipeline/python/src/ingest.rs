@@ -7,7 +7,7 @@ use clip::check::Teleports;
 use datasets_spec::{Fps, Resample, Seed};
 use formats::source::{ReadOptions, format_named};
 use pipeline::annotation::pairs::PairList;
-use pipeline::ingest::{IngestOptions, SourceArg, SplitList, ingest as run};
+use pipeline::ingest::{IngestOptions, IngestReport, SourceArg, SplitList, ingest as run};
 use pyo3::prelude::*;
 
 use crate::error::Failure;
@@ -102,22 +102,27 @@ pub(crate) fn ingest(
             ..options
         };
         let done = run(&sources, &out, &options, &holder(), progress)?;
-        let counts = serde_json::json!({
-            "files": done.files,
-            "sources": done.accounting.sources,
-            "ingested": done.accounting.ingested,
-            "quarantined": done.accounting.quarantined,
-            "skipped": done.accounting.skipped,
-            "codes": done.accounting.codes,
-            "skipped_reasons": done.skipped,
-            "quarantine": done.quarantine,
-            "already_complete": done.already_complete,
-            "remarks": done.remarks,
-            "licenses": done.licenses,
-            "root_hash": done.dataset.manifest().root_hash,
-        });
-        Ok(serde_json::to_string(&counts)?)
+        Ok(counts(&done)?)
     })
+}
+
+/// The counts of an ingestion as JSON.
+fn counts(done: &IngestReport) -> serde_json::Result<String> {
+    let counts = serde_json::json!({
+        "files": done.files,
+        "sources": done.accounting.sources,
+        "ingested": done.accounting.ingested,
+        "quarantined": done.accounting.quarantined,
+        "skipped": done.accounting.skipped,
+        "codes": done.accounting.codes,
+        "skipped_reasons": done.skipped,
+        "quarantine": done.quarantine,
+        "already_complete": done.already_complete,
+        "remarks": done.remarks,
+        "licenses": done.licenses,
+        "root_hash": done.dataset.manifest().root_hash,
+    });
+    serde_json::to_string(&counts)
 }
 
 /// Writes the built-in corpus of procedural motions with captions, without adjusted clips.

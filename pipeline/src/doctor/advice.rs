@@ -3,7 +3,7 @@
 use formats::source::amass::catalogue::Subset;
 use formats::source::motionfix;
 
-use super::findings::{Findings, HumanMl3dFindings, IndexFindings};
+use super::findings::{Findings, HumanMl3dFindings, IndexFindings, ReleaseFindings};
 
 /// Name of the variant HumanML3D was cut from.
 const NEEDED_VARIANT: &str = "SMPL-H G";
@@ -17,64 +17,7 @@ pub(super) fn advise(
 ) -> Vec<String> {
     let mut advice = Vec::new();
     for source in findings {
-        let path = source.path.display();
-        if let Some(dataset) = &source.dataset {
-            advice.push(format!("{path} is {dataset}"));
-        }
-        for release in &source.motionfix {
-            let has_list = release
-                .parts
-                .iter()
-                .any(|part| part.name == motionfix::SPLITS && part.files > 0);
-            if !has_list {
-                advice.push(format!(
-                    "{path}/{}: the MotionFix dump comes without {}, so the name of the dump decides the \
-                     splits; repackagings have put test pairs into training: fetch {} of the release and \
-                     put it beside the dump",
-                    release.root,
-                    motionfix::SPLITS,
-                    motionfix::SPLITS
-                ));
-            }
-        }
-        advise_labels(&path.to_string(), source, &mut advice);
-        for found in &source.captures {
-            let examples = found.examples.iter();
-            let examples: Vec<String> = examples
-                .map(|(file, reason)| format!("{file}: {reason}"))
-                .collect();
-            advice.push(format!(
-                "{} motions of {} captures in {path} would be quarantined as {}, such as {}",
-                found.motions,
-                found.captures,
-                found.code,
-                examples.join("; ")
-            ));
-        }
-        if source.lfs_pointers > 0 {
-            advice.push(format!(
-                "{} files of {path} are Git LFS pointers: run `git lfs pull` there",
-                source.lfs_pointers
-            ));
-        }
-        for folder in &source.humanml3d {
-            advise_humanml3d(&path.to_string(), folder, &mut advice);
-        }
-        for release in source.stance.iter().chain(&source.motionfix) {
-            let missing: Vec<&str> = release
-                .parts
-                .iter()
-                .filter(|part| part.files == 0 && part.name != motionfix::SPLITS)
-                .map(|part| part.name.as_str())
-                .collect();
-            if !missing.is_empty() {
-                advice.push(format!(
-                    "{path}/{} lacks {} of its release",
-                    release.root,
-                    missing.join(", ")
-                ));
-            }
-        }
+        advise_source(source, &mut advice);
     }
     let licenses = || findings.iter().flat_map(|source| &source.licenses);
     if licenses().any(|found| found.non_commercial) && licenses().any(|found| !found.non_commercial)
@@ -100,6 +43,75 @@ pub(super) fn advise(
         None => {}
     }
     advice
+}
+
+fn advise_source(source: &Findings, advice: &mut Vec<String>) {
+    let path = source.path.display().to_string();
+    if let Some(dataset) = &source.dataset {
+        advice.push(format!("{path} is {dataset}"));
+    }
+    for release in &source.motionfix {
+        advise_splits(&path, release, advice);
+    }
+    advise_labels(&path, source, advice);
+    for found in &source.captures {
+        let examples = found.examples.iter();
+        let examples: Vec<String> = examples
+            .map(|(file, reason)| format!("{file}: {reason}"))
+            .collect();
+        advice.push(format!(
+            "{} motions of {} captures in {path} would be quarantined as {}, such as {}",
+            found.motions,
+            found.captures,
+            found.code,
+            examples.join("; ")
+        ));
+    }
+    if source.lfs_pointers > 0 {
+        advice.push(format!(
+            "{} files of {path} are Git LFS pointers: run `git lfs pull` there",
+            source.lfs_pointers
+        ));
+    }
+    for folder in &source.humanml3d {
+        advise_humanml3d(&path, folder, advice);
+    }
+    for release in source.stance.iter().chain(&source.motionfix) {
+        advise_parts(&path, release, advice);
+    }
+}
+
+fn advise_splits(path: &str, release: &ReleaseFindings, advice: &mut Vec<String>) {
+    let has_list = release
+        .parts
+        .iter()
+        .any(|part| part.name == motionfix::SPLITS && part.files > 0);
+    if !has_list {
+        advice.push(format!(
+            "{path}/{}: the MotionFix dump comes without {}, so the name of the dump decides the \
+             splits; repackagings have put test pairs into training: fetch {} of the release and \
+             put it beside the dump",
+            release.root,
+            motionfix::SPLITS,
+            motionfix::SPLITS
+        ));
+    }
+}
+
+fn advise_parts(path: &str, release: &ReleaseFindings, advice: &mut Vec<String>) {
+    let missing: Vec<&str> = release
+        .parts
+        .iter()
+        .filter(|part| part.files == 0 && part.name != motionfix::SPLITS)
+        .map(|part| part.name.as_str())
+        .collect();
+    if !missing.is_empty() {
+        advice.push(format!(
+            "{path}/{} lacks {} of its release",
+            release.root,
+            missing.join(", ")
+        ));
+    }
 }
 
 fn advise_labels(path: &str, source: &Findings, advice: &mut Vec<String>) {

@@ -8,8 +8,9 @@ use clip::{EditOf, Markers, Rejected, SourceClip, SourceMask, check_resampled};
 use datasets_spec::record::{
     CAPTION_BY_RULE, CAPTION_BY_SOURCE, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow,
 };
+use datasets_spec::table::Quality;
 use datasets_spec::{
-    BlendMask, BodyPart, MASK_DEF_VERSION, Motion, MotionId, Resample, Skeleton, Split,
+    BlendMask, BodyPart, Fps, MASK_DEF_VERSION, Motion, MotionId, Resample, Skeleton, Split,
 };
 use features::humanml3d::{self, Features};
 use features::smpl_body;
@@ -79,46 +80,16 @@ pub(super) fn clip_rows(
         drop_reference(&mut clip, &options.read.skeleton);
     }
     let target = options.fps.unwrap_or(clip.motion.fps());
-    check_resampled(clip.motion.len(), clip.motion.fps(), target)?;
-    let motion = options
-        .resample
-        .apply(&clip.motion, target)
-        .map_err(|error| Rejected::check("E-RESAMPLE", error.to_string()))?;
-    let (motion, mut quality, kept) =
-        check_with(motion, &options.read.skeleton, options.teleports)?;
-    let mut duration_secs = clip.motion.duration_secs();
-    if let Some(kept) = kept {
-        let rates = clip.motion.fps().get() / target.get();
-        let step = match options.resample {
-            Resample::Exact => rates,
-            Resample::HumanMl3d => rates.floor(),
-        };
-        clip.narrow(&kept, step);
-        duration_secs *= motion.len() as f64 * step / clip.motion.len() as f64;
-        clip.notes.push(format!(
-            "source frames {} to {} were kept, the longest stretch without a jump",
-            clip.source_frames.start, clip.source_frames.end
-        ));
-    }
-    quality.flags |= clip.flags | said_flags(&clip, duration_secs as f32);
+    let (motion, quality) = stored(&mut clip, target, options)?;
     let entry = item.entry;
     let features = match options.humanml3d_features {
         true => {
-            let carried = clip
-                .features
-                .take()
-                .filter(|rows| rows.len() == motion.len());
-            // HumanML3D uses the joints of SMPL, whose positions differ from SMPL-X's.
-            let body = clip.body.clone();
-            let body = body.unwrap_or_else(|| smpl_body(&options.read.skeleton));
-            let features = match carried.filter(|_| target == clip.motion.fps()) {
-                Some(features) => features,
-                None => features_of(&motion, &body)?,
-            };
+            let features = stored_features(&mut clip, &motion, target, &options.read.skeleton)?;
             Some(feature_row(features, &motion, &id, item.split))
         }
         false => None,
     };
+    let caption_origins = caption_origins(&clip);
     let license = clip.license.or_else(|| options.license.clone());
     let markers = clip.markers.map(|markers| {
         let (id, hash) = (id.clone(), source_hash.clone());
@@ -127,9 +98,6 @@ pub(super) fn clip_rows(
     let [centre_x, centre_y, centre_z] = Sketch::of(&motion, &options.read.skeleton)
         .centre()
         .map(Some);
-    let origins = [CAPTION_BY_SOURCE, CAPTION_BY_RULE];
-    let counts = [clip.captions.len(), clip.made_captions.len()];
-    let caption_origins = origins.into_iter().zip(counts);
     let motion = MotionRow {
         id,
         split: item.split,
@@ -153,9 +121,7 @@ pub(super) fn clip_rows(
         body_pose: motion.body_pose().to_vec(),
         rotation_source: clip.rotation_source.as_str().to_owned(),
         fit_error_m: clip.fit_error_m,
-        caption_origins: caption_origins
-            .flat_map(|(origin, count)| std::iter::repeat_n(origin.to_owned(), count))
-            .collect(),
+        caption_origins,
         captions: [clip.captions, clip.made_captions].concat(),
         subject: clip.subject,
         inputs_hash: item.inputs.to_owned(),
@@ -176,6 +142,68 @@ pub(super) fn clip_rows(
         edits: clip.edits,
         masks: clip.masks,
     })
+}
+
+/// The motion of a clip at the rate `target`, checked, and what was found. Where a jump is trimmed away, the clip is
+/// narrowed to what is left.
+fn stored(
+    clip: &mut SourceClip,
+    target: Fps,
+    options: &IngestOptions,
+) -> Result<(Motion, Quality), Rejected> {
+    check_resampled(clip.motion.len(), clip.motion.fps(), target)?;
+    let motion = options
+        .resample
+        .apply(&clip.motion, target)
+        .map_err(|error| Rejected::check("E-RESAMPLE", error.to_string()))?;
+    let (motion, mut quality, kept) =
+        check_with(motion, &options.read.skeleton, options.teleports)?;
+    let mut duration_secs = clip.motion.duration_secs();
+    if let Some(kept) = kept {
+        let rates = clip.motion.fps().get() / target.get();
+        let step = match options.resample {
+            Resample::Exact => rates,
+            Resample::HumanMl3d => rates.floor(),
+        };
+        clip.narrow(&kept, step);
+        duration_secs *= motion.len() as f64 * step / clip.motion.len() as f64;
+        clip.notes.push(format!(
+            "source frames {} to {} were kept, the longest stretch without a jump",
+            clip.source_frames.start, clip.source_frames.end
+        ));
+    }
+    quality.flags |= clip.flags | said_flags(clip, duration_secs as f32);
+    Ok((motion, quality))
+}
+
+/// The features that a clip comes with, if they are of the stored frames, else those of the stored motion.
+fn stored_features(
+    clip: &mut SourceClip,
+    motion: &Motion,
+    target: Fps,
+    skeleton: &Skeleton,
+) -> Result<Vec<Features>, Rejected> {
+    let carried = clip
+        .features
+        .take()
+        .filter(|rows| rows.len() == motion.len());
+    // HumanML3D uses the joints of SMPL, whose positions differ from SMPL-X's.
+    let body = clip.body.clone();
+    let body = body.unwrap_or_else(|| smpl_body(skeleton));
+    match carried.filter(|_| target == clip.motion.fps()) {
+        Some(features) => Ok(features),
+        None => features_of(motion, &body),
+    }
+}
+
+/// Where each caption of a clip comes from.
+fn caption_origins(clip: &SourceClip) -> Vec<String> {
+    let origins = [CAPTION_BY_SOURCE, CAPTION_BY_RULE];
+    let counts = [clip.captions.len(), clip.made_captions.len()];
+    let origins = origins.into_iter().zip(counts);
+    origins
+        .flat_map(|(origin, count)| std::iter::repeat_n(origin.to_owned(), count))
+        .collect()
 }
 
 /// Drops the first frame if it is a reference pose (T-pose) from which the motion jumps.

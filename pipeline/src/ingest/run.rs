@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use clip::LabelProblem;
-use datasets_spec::dataset::{Commit, ShardName};
+use datasets_spec::dataset::{Commit, ShardName, Staging};
 use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{Accounting, FileEntry, SPLIT_BY_FACT};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
@@ -196,16 +196,9 @@ impl<'a> Run<'a> {
         pieces: Pieces,
         progress: &dyn Progress,
     ) -> Result<Tally, Error> {
-        let plan = self.plan;
-        let Self {
-            transaction,
-            plan_hash,
-            facts,
-            ..
-        } = &*self;
         let mut tally = Tally {
-            skipped: plan.skipped.clone(),
-            quarantine: plan.rejected.clone(),
+            skipped: self.plan.skipped.clone(),
+            quarantine: self.plan.rejected.clone(),
             ..Tally::default()
         };
         let total: usize = shards.iter().map(|(_, items)| items.len()).sum();
@@ -213,7 +206,7 @@ impl<'a> Run<'a> {
         let mut num_shards = self.fates.rewritten();
         let names = shards.iter().map(|(name, _)| name);
         num_shards.extend(names.filter_map(|name| Some((name.split?, name.of))));
-        let staging = transaction.staging(plan_hash);
+        let staging = self.transaction.staging(&self.plan_hash);
         let (mut made, mut staged) = (Vec::new(), Vec::new());
         let mut taken = match pieces {
             Pieces::Make => None,
@@ -222,22 +215,14 @@ impl<'a> Run<'a> {
         for (number, (name, items)) in shards.iter().enumerate() {
             let before = match &mut taken {
                 None => {
-                    let id = piece(plan_hash, number, name, items).id;
-                    let stored = work::staged(&staging, &id)?;
-                    let before = stored.and_then(|stored| {
-                        let notes = serde_json::from_value::<ShardNotes>(stored.notes).ok()?;
-                        Some((stored.record.files.into_iter().next()?, notes))
-                    });
+                    let piece = piece(&self.plan_hash, number, name, items);
+                    let before = staged_shard(&staging, &piece)?;
                     tally.resumed_shards += usize::from(before.is_some());
                     before
                 }
                 Some(taken) => match taken.next() {
                     Some(Ok(made)) => Some(made),
-                    Some(Err(failed)) => {
-                        let notes = ShardNotes::failed(plan, items, &failed.code, &failed.reason);
-                        let none: [MotionRow; 0] = [];
-                        Some((transaction.write_shard(name, &none, facts)?, notes))
-                    }
+                    Some(Err(failed)) => Some(self.failed_shard(name, items, &failed)?),
                     None => None,
                 },
             };
@@ -246,14 +231,7 @@ impl<'a> Run<'a> {
                     progress.advance(items.len() as u64);
                     done
                 }
-                None => {
-                    let (entry, notes) =
-                        plan.make_shard(&staging, name, items, self.options, facts, progress)?;
-                    let files = notes.files(&entry).cloned().collect();
-                    let piece = piece(plan_hash, number, name, items);
-                    work::keep(&staging, &piece, Made::new(files, &notes))?;
-                    (entry, notes)
-                }
+                None => self.make_shard(&staging, number, (name, items), progress)?,
             };
             made.push((name.clone(), entry.clone()));
             staged.extend(notes.files(&entry).cloned());
@@ -261,25 +239,15 @@ impl<'a> Run<'a> {
         }
         self.fates.settle(|id| tally.ingested.contains(id));
         self.refuse_mixture()?;
-        let Self {
-            transaction, facts, ..
-        } = &*self;
-        let mut tables = self.fates.shards(transaction, &mut num_shards, facts)?;
+        let transaction = &self.transaction;
+        let mut tables = self
+            .fates
+            .shards(transaction, &mut num_shards, &self.facts)?;
         for (table, files) in std::mem::take(&mut tally.tables) {
             tables.entry(table).or_default().extend(files);
         }
         tally.tables = tables;
-        let recorded = &self.base.recorded;
-        let skeleton = &self.options.read.skeleton;
-        let staying = (transaction.root(), recorded, &self.fates);
-        tally.alike = Alike::find((&staging, &made), staying, skeleton)?;
-        let moves = plan.moves(recorded, self.options.seed, &tally.alike);
-        if !moves.is_empty() {
-            let places = (transaction, &staging);
-            let moved = (&moves, &num_shards);
-            equal::move_rows(places, &made, &mut tally.tables, moved, facts)?;
-            tally.follow(moves);
-        }
+        self.unite_alike(&mut tally, (&staging, &made), &num_shards)?;
         let staged: BTreeSet<(&str, &str)> = staged.iter().map(by_content).collect();
         let files = tally.tables.values_mut().flatten();
         let files = files.filter(|file| staged.contains(&by_content(file)));
@@ -289,6 +257,57 @@ impl<'a> Run<'a> {
             .map(|clip| (clip.id.to_string(), clip.split))
             .collect();
         Ok(tally)
+    }
+
+    /// The empty shard of a piece that failed as a whole.
+    fn failed_shard(
+        &self,
+        name: &ShardName,
+        items: &[Item],
+        failed: &Failed,
+    ) -> Result<(FileEntry, ShardNotes), Error> {
+        let notes = ShardNotes::failed(self.plan, items, &failed.code, &failed.reason);
+        let none: [MotionRow; 0] = [];
+        let entry = self.transaction.write_shard(name, &none, &self.facts)?;
+        Ok((entry, notes))
+    }
+
+    /// Reads the motions of a shard, and keeps it for a later run of the same plan.
+    fn make_shard(
+        &self,
+        staging: &Staging,
+        number: usize,
+        (name, items): (&ShardName, &[Item]),
+        progress: &dyn Progress,
+    ) -> Result<(FileEntry, ShardNotes), Error> {
+        let (entry, notes) =
+            self.plan
+                .make_shard(staging, name, items, self.options, &self.facts, progress)?;
+        let files = notes.files(&entry).cloned().collect();
+        let piece = piece(&self.plan_hash, number, name, items);
+        work::keep(staging, &piece, Made::new(files, &notes))?;
+        Ok((entry, notes))
+    }
+
+    /// Finds the motions that are alike, and brings those of this run into the split of the others.
+    fn unite_alike(
+        &self,
+        tally: &mut Tally,
+        (staging, made): (&Staging, &[(ShardName, FileEntry)]),
+        num_shards: &BTreeMap<Split, usize>,
+    ) -> Result<(), Error> {
+        let transaction = &self.transaction;
+        let recorded = &self.base.recorded;
+        let staying = (transaction.root(), recorded, &self.fates);
+        tally.alike = Alike::find((staging, made), staying, &self.options.read.skeleton)?;
+        let moves = self.plan.moves(recorded, self.options.seed, &tally.alike);
+        if !moves.is_empty() {
+            let places = (transaction, staging);
+            let moved = (&moves, num_shards);
+            equal::move_rows(places, made, &mut tally.tables, moved, &self.facts)?;
+            tally.follow(moves);
+        }
+        Ok(())
     }
 
     fn refuse_loss(&self, labels: &Labels) -> Result<(), Error> {
@@ -418,6 +437,18 @@ impl<'a> Run<'a> {
             growth: None,
         })
     }
+}
+
+/// A shard that an interrupted run of the same plan made.
+fn staged_shard(
+    staging: &Staging,
+    piece: &Piece,
+) -> Result<Option<(FileEntry, ShardNotes)>, Error> {
+    let stored = work::staged(staging, &piece.id)?;
+    Ok(stored.and_then(|stored| {
+        let notes = serde_json::from_value::<ShardNotes>(stored.notes).ok()?;
+        Some((stored.record.files.into_iter().next()?, notes))
+    }))
 }
 
 /// Whether a table is composed of motions by a stage that can make it again.

@@ -1,12 +1,19 @@
 //! Tables of a plan and the forms that they are written in.
 
+use std::path::PathBuf;
+
 use datasets_spec::record::ScoreRow;
 use eval::format;
 use eval::judge::Judges;
 use eval::table::Table;
+use eval::times::{self, WindowTimes};
 use serde_json::Value;
 
-use super::in_json;
+use super::plan::{PaperTable, Plan};
+use super::scores::{Scored, in_json, scored, several};
+use super::work::Work;
+use crate::cmd::eval::result_tables;
+use crate::global::Global;
 
 /// A table of the paper.
 pub(super) struct TableMade {
@@ -52,4 +59,79 @@ impl TableMade {
             false => serde_json::to_value(&self.grids)?,
         })
     }
+}
+
+/// Makes a table of the systems that have edits, each given by its name and a folder of edits for each of its
+/// trainings. None if no system of the table has any.
+pub(super) fn tables(
+    table: &PaperTable,
+    published: bool,
+    plan: &Plan,
+    work: &Work<'_>,
+    all: &[(String, Vec<PathBuf>)],
+    global: &Global,
+) -> anyhow::Result<Option<TableMade>> {
+    let wanted = plan.systems_of(table);
+    let rows = |name: &&str| all.iter().find(|(system, _)| system == name);
+    let found: Vec<&(String, Vec<PathBuf>)> = wanted.iter().filter_map(rows).collect();
+    if found.is_empty() {
+        return Ok(None);
+    }
+    let published = published || table.published;
+    let name = format!("table-{}", table.paper.name());
+    let Some(paper) = table.paper.scored() else {
+        let mut rows: Vec<(String, WindowTimes)> = found
+            .into_iter()
+            .map(|(system, edits)| Ok((system.clone(), WindowTimes::read(&edits[0])?)))
+            .collect::<anyhow::Result<_>>()?;
+        if published {
+            rows.extend(times::published());
+        }
+        return Ok(Some(TableMade {
+            name,
+            tables: Vec::new(),
+            scores: Vec::new(),
+            trainings: Vec::new(),
+            grids: times::tables(&rows),
+            unranked: None,
+        }));
+    };
+    let edits: Vec<&[PathBuf]> = found.iter().map(|(_, edits)| edits.as_slice()).collect();
+    let protocol = plan.protocol(Some(table.paper), global);
+    let Scored {
+        scores, trainings, ..
+    } = scored(&edits, None, &protocol, work)?;
+    let mut tables = result_tables(&scores, table.paper, paper);
+    for laid_out in &mut tables {
+        laid_out.sort_systems(&wanted);
+        laid_out.notes.extend(note_of_trainings(&found));
+        if published {
+            laid_out.append_published(paper);
+        }
+    }
+    Ok(Some(TableMade {
+        unranked: scores.unranked(),
+        name,
+        tables,
+        scores: scores.rows,
+        trainings: several(trainings),
+        grids: Vec::new(),
+    }))
+}
+
+/// A sentence on the rows that are means over trainings.
+fn note_of_trainings(systems: &[&(String, Vec<PathBuf>)]) -> Option<String> {
+    let most = systems.iter().map(|(_, edits)| edits.len()).max()?;
+    let once: Vec<&str> = systems
+        .iter()
+        .filter(|(_, edits)| edits.len() < most)
+        .map(|(name, _)| name.as_str())
+        .collect();
+    let fewer = match once.is_empty() {
+        true => String::new(),
+        false => format!(", fewer for {}", once.join(", ")),
+    };
+    (most > 1).then(|| {
+        format!("Means over {most} trainings of each system{fewer}; intervals are over items and trainings.")
+    })
 }

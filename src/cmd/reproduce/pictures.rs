@@ -6,12 +6,10 @@ use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{EditRow, ItemRow};
 use eval::answers::Answered;
-use eval::draw::raster::png;
 use eval::draw::strip::{Style, sheet, strip};
 use serde::Deserialize;
 
-use super::work::write;
-use super::{PNG_ZOOM, file_name};
+use super::files::{file_name, write_drawing};
 use crate::cmd::page::strip_of;
 
 /// Section `[[picture]]` of a plan.
@@ -74,8 +72,7 @@ pub(super) fn draw(
     let path = out
         .join("figures")
         .join(format!("{}.svg", file_name(&picture.name)));
-    write(&path, svg.as_bytes())?;
-    write(&path.with_extension("png"), &png(&svg, PNG_ZOOM)?)?;
+    write_drawing(&path, &svg)?;
     Ok(path)
 }
 

@@ -2,7 +2,7 @@
 //! and is not made again.
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context;
 use compose::COMPOSED;
@@ -18,11 +18,10 @@ use train::checkpoint::Start;
 use train::kind::TrainRequest;
 use train::system::SystemSource;
 
-use super::plan::{ENCODER, Plan, Spec, Training};
+use super::plan::{ENCODER, Plan, Spec, Trained, Training};
 use crate::evaluators::{EvaluatorRuns, report_on_encoder};
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::local;
 use crate::session::{text_encoder, with_session};
 use crate::stages;
 use crate::trainings::side_by_side;
@@ -139,8 +138,13 @@ impl<'a> Work<'a> {
         Ok(done.is_complete.then_some(run))
     }
 
+    /// Edits of all trainings of a system.
+    pub(super) fn edits_of(&self, system: &Trained) -> Unless<Vec<PathBuf>> {
+        system.specs.iter().map(|spec| self.edits(spec)).collect()
+    }
+
     /// The folder with a system's edits of all items.
-    pub(super) fn edits(&self, spec: &Spec) -> Unless<PathBuf> {
+    fn edits(&self, spec: &Spec) -> Unless<PathBuf> {
         let seed = self.plan.sampling_seed(self.global);
         let edits = self.plan.out.join("edits");
         let edits = edits.join(short("edits", &(spec, &self.data, &self.asked, seed)));
@@ -234,15 +238,6 @@ fn name_of(training: &Training, data: &str) -> String {
 /// Name of a folder: a hash of all that its content depends on.
 fn short<T: Serialize>(what: &str, of: &T) -> String {
     format!("{:.12}", plan_hash(what, of))
-}
-
-/// Writes a result.
-pub(super) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot create {}", folder.display()))?;
-    }
-    local::write(path, bytes)
 }
 
 #[cfg(test)]

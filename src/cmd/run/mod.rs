@@ -15,7 +15,7 @@ use eval::protocol::Protocol;
 use page::{Done, page, print};
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
-use pipeline::ingest::SourceArg;
+use pipeline::ingest::{IngestReport, SourceArg};
 use pipeline::stage::{self, IngestConfig, Judged};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -301,43 +301,7 @@ pub(crate) fn finish(
 ) -> anyhow::Result<Exit> {
     let config = &plan.config;
     let places = Places::under(&config.out, plan.with_builtin);
-    let bars = global.bars();
-
-    let ingested = stages::ingested(
-        &config.sources,
-        &places.dataset,
-        &config.ingest,
-        config.seeds.split(global),
-        global,
-        &bars,
-    )
-    .context("stage ingest")?;
-    global
-        .stage(|context| stage::masks(&places.dataset, &config.masks, Judged::Keep, None, context))
-        .context("stage masks")?;
-    if config.stages.pairs {
-        global
-            .stage(|context| {
-                stage::pairs(
-                    &places.dataset,
-                    &config.pairs,
-                    config.seeds.split(global),
-                    None,
-                    context,
-                )
-            })
-            .context("stage pairs")?;
-    }
-    let recorded = Settings {
-        kind: Kind::Triplets,
-        count: config.triplets,
-        config: plan.compose.clone(),
-        seed: Seed(plan.train.run.seed),
-        condition: None,
-    };
-    global
-        .stage(|context| recording::record(&places.dataset, &places.triplets, &recorded, context))
-        .context("stage triplets")?;
+    let ingested = make_dataset(&plan, &places, global)?;
     let dataset = Dataset::open(&places.dataset)?;
     let text_encoder = text_encoder(config.text_encoder.as_deref());
     let Some(trained) = train_all(&plan, &places, &text_encoder, trainings, global)? else {
@@ -352,30 +316,7 @@ pub(crate) fn finish(
         global,
     )
     .context("stage items")?;
-    let mut tables = Vec::new();
-    let mut edit = |run: &Path, coordinator: Option<&Path>, folder: &str| {
-        let source = SystemSource {
-            coordinator: coordinator.map(Path::to_owned),
-            poses: config.stages.poses.then(|| places.poses.clone()),
-            ..SystemSource::best(run, text_encoder.clone())
-        };
-        let out = places.edits.join(folder);
-        let seed = config.seeds.sample(global);
-        stages::edits(&places.items, &source, &out, &config.edit, seed, global)
-            .context("stage edit")?;
-        tables.push(out);
-        anyhow::Ok(())
-    };
-    if trained.is_guided {
-        edit(&places.editor, Some(&places.coordinator), "full")?;
-    }
-    edit(&places.editor, None, "editor")?;
-    if config.stages.composed_once {
-        edit(&places.composed_once, None, "composed-once")?;
-    }
-    if trained.is_captured_alone {
-        edit(&places.captured_alone, None, "captured-alone")?;
-    }
+    let tables = edit_all(&plan, &places, &trained, &text_encoder, global)?;
     let protocol = Protocol {
         seed: global.seed_or(Some(config.eval.seed.0)),
         ..config.eval
@@ -410,6 +351,83 @@ pub(crate) fn finish(
         _ => Exit::Quarantined,
     };
     Ok(weak_judge.exit(scores.unranked(), exit))
+}
+
+/// Ingests the sources, and derives masks, pairs and recorded triplets from them.
+fn make_dataset(plan: &Plan, places: &Places, global: &Global) -> anyhow::Result<IngestReport> {
+    let config = &plan.config;
+    let ingested = stages::ingested(
+        &config.sources,
+        &places.dataset,
+        &config.ingest,
+        config.seeds.split(global),
+        global,
+        &global.bars(),
+    )
+    .context("stage ingest")?;
+    global
+        .stage(|context| stage::masks(&places.dataset, &config.masks, Judged::Keep, None, context))
+        .context("stage masks")?;
+    if config.stages.pairs {
+        global
+            .stage(|context| {
+                stage::pairs(
+                    &places.dataset,
+                    &config.pairs,
+                    config.seeds.split(global),
+                    None,
+                    context,
+                )
+            })
+            .context("stage pairs")?;
+    }
+    let recorded = Settings {
+        kind: Kind::Triplets,
+        count: config.triplets,
+        config: plan.compose.clone(),
+        seed: Seed(plan.train.run.seed),
+        condition: None,
+    };
+    global
+        .stage(|context| recording::record(&places.dataset, &places.triplets, &recorded, context))
+        .context("stage triplets")?;
+    Ok(ingested)
+}
+
+/// Answers the items with each system that is a row of the table. Returns their folders of edits.
+fn edit_all(
+    plan: &Plan,
+    places: &Places,
+    trained: &Trained,
+    text_encoder: &TextEncoderSource,
+    global: &Global,
+) -> anyhow::Result<Vec<PathBuf>> {
+    let config = &plan.config;
+    let mut tables = Vec::new();
+    let mut edit = |run: &Path, coordinator: Option<&Path>, folder: &str| {
+        let source = SystemSource {
+            coordinator: coordinator.map(Path::to_owned),
+            poses: config.stages.poses.then(|| places.poses.clone()),
+            ..SystemSource::best(run, text_encoder.clone())
+        };
+        let out = places.edits.join(folder);
+        let seed = config.seeds.sample(global);
+        stages::edits(&places.items, &source, &out, &config.edit, seed, global)
+            .context("stage edit")?;
+        tables.push(out);
+        anyhow::Ok(())
+    };
+    if trained.is_guided {
+        edit(&places.editor, Some(&places.coordinator), "full")?;
+    }
+    edit(&places.editor, None, "editor")?;
+    if config.stages.composed_once {
+        edit(&places.composed_once, None, "composed-once")?;
+    }
+    if trained.is_captured_alone {
+        edit(&places.captured_alone, None, "captured-alone")?;
+    }
+    Ok(tables)
 }
 
 /// What training gives to the page.

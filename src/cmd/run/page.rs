@@ -87,20 +87,44 @@ pub(super) fn print(done: &Done, places: &Places, global: &Global) -> anyhow::Re
 const STRIPS: usize = 6;
 
 pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
+    let motions = done.dataset.manifest().rows(MotionRow::TABLE, None);
+    Ok(Report {
+        title: done.plan.title.clone(),
+        subtitle: format!(
+            "{motions} clips, {} items, from source files to the table below",
+            done.edits.items.len()
+        ),
+        cards: cards(done),
+        charts: charts(done, places)?,
+        details: details(done)?,
+        opening: opening(done.edits, done.unknown)?,
+        tables: tables(done.scores),
+        figures: Vec::new(),
+        strips: strips(done)?,
+        facts: facts(done),
+        settings: vec![
+            ("stance".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("seeds".to_owned(), done.seeds.clone()),
+        ],
+        commands: done.plan.commands.clone(),
+    }
+    .to_html())
+}
+
+/// The few numbers to read first.
+fn cards(done: &Done) -> Vec<Card> {
     let manifest = done.dataset.manifest();
     let accounting = &done.ingested.accounting;
-    let rows = |table: &str, split| manifest.rows(table, split);
-    let motions = rows(MotionRow::TABLE, None);
     let card = |label: &str, value: String, note: String| Card {
         label: label.to_owned(),
         value,
         note,
     };
     let loss = |loss: Option<f64>| loss.map_or("–".to_owned(), |loss| format!("{loss:.3}"));
-    let cards = vec![
+    vec![
         card(
             "clips",
-            motions.to_string(),
+            manifest.rows(MotionRow::TABLE, None).to_string(),
             format!(
                 "{} quarantined, {} skipped",
                 accounting.quarantined, accounting.skipped
@@ -108,7 +132,7 @@ pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
         ),
         card(
             "masks",
-            rows(MaskRow::TABLE, None).to_string(),
+            manifest.rows(MaskRow::TABLE, None).to_string(),
             String::new(),
         ),
         card(
@@ -128,7 +152,11 @@ pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
                 100.0 * done.editor.data_wait_share
             ),
         ),
-    ];
+    ]
+}
+
+/// Curves of the trainings, and the clips by action.
+fn charts(done: &Done, places: &Places) -> anyhow::Result<Vec<Chart>> {
     let mut charts = vec![Chart::Lines(curves(
         &places.editor,
         "Editor: denoising loss",
@@ -139,7 +167,14 @@ pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
         charts.push(Chart::Lines(curves(&places.encoder, title, Scale::Log)?));
     }
     charts.push(Chart::Bars(actions(done.dataset)?));
-    let facts = vec![
+    Ok(charts)
+}
+
+/// Facts about the dataset.
+fn facts(done: &Done) -> Vec<(String, String)> {
+    let manifest = done.dataset.manifest();
+    let accounting = &done.ingested.accounting;
+    vec![
         ("root hash".to_owned(), manifest.root_hash.clone()),
         (
             "format".to_owned(),
@@ -149,7 +184,7 @@ pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
         (
             "train / val / test".to_owned(),
             Split::ALL
-                .map(|split| rows(MotionRow::TABLE, Some(split)).to_string())
+                .map(|split| manifest.rows(MotionRow::TABLE, Some(split)).to_string())
                 .join(" / "),
         ),
         (
@@ -159,11 +194,11 @@ pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
                 accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
             ),
         ),
-    ];
-    let settings = vec![
-        ("stance".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-        ("seeds".to_owned(), done.seeds.clone()),
-    ];
+    ]
+}
+
+/// Settings of the models and stages.
+fn details(done: &Done) -> anyhow::Result<Vec<Details>> {
     let config = &done.plan.config;
     let details = [
         ("Editor", serde_json::to_value(&done.plan.train)?),
@@ -181,25 +216,7 @@ pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
         ("Evaluation", serde_json::to_value(config.eval)?),
     ];
     let details = details.map(|(title, value)| Details::of_json(title, &[("value", &value)]));
-    let rows_of_items = done.edits.items.len();
-    Ok(Report {
-        title: done.plan.title.clone(),
-        subtitle: format!(
-            "{motions} clips, {} items, from source files to the table below",
-            rows_of_items
-        ),
-        opening: opening(done.edits, done.unknown)?,
-        cards,
-        tables: tables(done.scores),
-        figures: Vec::new(),
-        charts,
-        strips: strips(done)?,
-        facts,
-        settings,
-        details: details.into(),
-        commands: done.plan.commands.clone(),
-    }
-    .to_html())
+    Ok(details.into())
 }
 
 fn curves(run: &Path, title: &str, y_scale: Scale) -> anyhow::Result<Plot> {

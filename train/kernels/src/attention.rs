@@ -210,6 +210,85 @@ pub fn backward(
     }
 }
 
+/// One sequence of the backward pass.
+struct SequenceGrad<'a> {
+    heads: Heads<'a>,
+    index: usize,
+    joint: &'a [f32],
+    mask: Mask,
+    weights: &'a [f32],
+    grad: &'a [f32],
+    of_joint: &'a mut [f32],
+}
+
+impl Kernel for SequenceGrad<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Heads {
+            length,
+            width,
+            count,
+            ..
+        } = self.heads;
+        let (head, scale) = (self.heads.head(), self.heads.scale());
+        let first = self.index * self.heads.weights();
+        let tokens = || Small::new(length, head);
+        let pairs = || Small::new(length, length);
+        let (mut queries, mut keys, mut grad) = (tokens(), tokens(), tokens());
+        let mut values = Small::new(head, length);
+        // Gradients of the weights, then of the scores; these and the dropped-out weights by keys.
+        let (mut of_scores, mut by_key, mut dropped) = (pairs(), pairs(), pairs());
+        let mut of_part = tokens();
+        for at in 0..count {
+            let part = |part: usize| {
+                let first = part * width + at * head;
+                let rows = self.joint.chunks_exact(3 * width);
+                rows.map(move |row| &row[first..first + head])
+            };
+            queries.copy(part(0));
+            keys.copy(part(1));
+            values.copy_transposed(part(2));
+            let rows = self.grad.chunks_exact(width);
+            grad.copy(rows.map(|row| &row[at * head..][..head]));
+            of_scores.multiply(&grad, &values, head);
+            for query in 0..length {
+                let row = (at * length + query) * length;
+                let weights = &self.weights[row..row + length];
+                let of_scores = &mut of_scores.row_mut(query)[..length];
+                let mut along = 0.0;
+                if self.mask.is_active() {
+                    for (key, of_weight) in of_scores.iter_mut().enumerate() {
+                        let factor = self.mask.factor((first + row + key) as u32);
+                        *of_weight *= factor;
+                        dropped.row_mut(key)[query] = factor * weights[key];
+                    }
+                } else {
+                    for (key, &weight) in weights.iter().enumerate() {
+                        dropped.row_mut(key)[query] = weight;
+                    }
+                }
+                for (of_weight, weight) in of_scores.iter().zip(weights) {
+                    along += of_weight * weight;
+                }
+                for (key, of_score) in of_scores.iter_mut().enumerate() {
+                    *of_score = scale * weights[key] * (*of_score - along);
+                    by_key.row_mut(key)[query] = *of_score;
+                }
+            }
+            let factors = [(&of_scores, &keys), (&by_key, &queries), (&dropped, &grad)];
+            for (part, (a, b)) in factors.into_iter().enumerate() {
+                of_part.multiply(a, b, length);
+                let first = part * width + at * head;
+                for (token, row) in self.of_joint.chunks_exact_mut(3 * width).enumerate() {
+                    row[first..first + head].copy_from_slice(&of_part.row(token)[..head]);
+                }
+            }
+        }
+    }
+}
+
 fn backward_short(
     heads: Heads<'_>,
     joint: &[f32],
@@ -217,82 +296,6 @@ fn backward_short(
     weights: &[f32],
     grad: &[f32],
 ) -> Vec<f32> {
-    struct Sequence<'a> {
-        heads: Heads<'a>,
-        index: usize,
-        joint: &'a [f32],
-        mask: Mask,
-        weights: &'a [f32],
-        grad: &'a [f32],
-        of_joint: &'a mut [f32],
-    }
-    impl Kernel for Sequence<'_> {
-        type Output = ();
-
-        #[inline(always)]
-        fn run(self) {
-            let Heads {
-                length,
-                width,
-                count,
-                ..
-            } = self.heads;
-            let (head, scale) = (self.heads.head(), self.heads.scale());
-            let first = self.index * self.heads.weights();
-            let tokens = || Small::new(length, head);
-            let pairs = || Small::new(length, length);
-            let (mut queries, mut keys, mut grad) = (tokens(), tokens(), tokens());
-            let mut values = Small::new(head, length);
-            // Gradients of the weights, then of the scores; these and the dropped-out weights by keys.
-            let (mut of_scores, mut by_key, mut dropped) = (pairs(), pairs(), pairs());
-            let mut of_part = tokens();
-            for at in 0..count {
-                let part = |part: usize| {
-                    let first = part * width + at * head;
-                    let rows = self.joint.chunks_exact(3 * width);
-                    rows.map(move |row| &row[first..first + head])
-                };
-                queries.copy(part(0));
-                keys.copy(part(1));
-                values.copy_transposed(part(2));
-                let rows = self.grad.chunks_exact(width);
-                grad.copy(rows.map(|row| &row[at * head..][..head]));
-                of_scores.multiply(&grad, &values, head);
-                for query in 0..length {
-                    let row = (at * length + query) * length;
-                    let weights = &self.weights[row..row + length];
-                    let of_scores = &mut of_scores.row_mut(query)[..length];
-                    let mut along = 0.0;
-                    if self.mask.is_active() {
-                        for (key, of_weight) in of_scores.iter_mut().enumerate() {
-                            let factor = self.mask.factor((first + row + key) as u32);
-                            *of_weight *= factor;
-                            dropped.row_mut(key)[query] = factor * weights[key];
-                        }
-                    } else {
-                        for (key, &weight) in weights.iter().enumerate() {
-                            dropped.row_mut(key)[query] = weight;
-                        }
-                    }
-                    for (of_weight, weight) in of_scores.iter().zip(weights) {
-                        along += of_weight * weight;
-                    }
-                    for (key, of_score) in of_scores.iter_mut().enumerate() {
-                        *of_score = scale * weights[key] * (*of_score - along);
-                        by_key.row_mut(key)[query] = *of_score;
-                    }
-                }
-                let factors = [(&of_scores, &keys), (&by_key, &queries), (&dropped, &grad)];
-                for (part, (a, b)) in factors.into_iter().enumerate() {
-                    of_part.multiply(a, b, length);
-                    let first = part * width + at * head;
-                    for (token, row) in self.of_joint.chunks_exact_mut(3 * width).enumerate() {
-                        row[first..first + head].copy_from_slice(&of_part.row(token)[..head]);
-                    }
-                }
-            }
-        }
-    }
     let size = heads.length * heads.width;
     let mut of_joint = vec![0.0; joint.len()];
     joint
@@ -302,7 +305,7 @@ fn backward_short(
         .zip(of_joint.par_chunks_mut(3 * size))
         .enumerate()
         .for_each(|(index, (((joint, weights), grad), of_joint))| {
-            dispatch(Sequence {
+            dispatch(SequenceGrad {
                 heads,
                 index,
                 joint,

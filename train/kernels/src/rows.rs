@@ -389,6 +389,59 @@ pub struct NormGrads {
     pub bias: Vec<f32>,
 }
 
+/// Rows of the backward pass of [`residual_norm`].
+struct NormGradRows<'a> {
+    grad: &'a mut [f32],
+    normalised: &'a [f32],
+    scales: &'a [f32],
+    gamma: &'a [f32],
+    mask: Mask,
+    branch: &'a mut [f32],
+    first: usize,
+}
+
+impl Kernel for NormGradRows<'_> {
+    type Output = [Vec<f32>; 3];
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let width = self.gamma.len();
+        let mut sums = [vec![0.0; width], vec![0.0; width], vec![0.0; width]];
+        let [of_gamma, of_beta, of_bias] = &mut sums;
+        let rows = self.grad.chunks_exact_mut(width);
+        let rows = rows
+            .zip(self.normalised.chunks_exact(width))
+            .zip(self.scales);
+        for (row, ((grad, x), scale)) in rows.enumerate() {
+            let columns = grad.iter_mut().zip(x).zip(self.gamma);
+            for (((grad, x), gamma), (of_gamma, of_beta)) in
+                columns.zip(of_gamma.iter_mut().zip(of_beta.iter_mut()))
+            {
+                *of_gamma += *grad * x;
+                *of_beta += *grad;
+                *grad *= gamma;
+            }
+            let mean = sum(grad) / width as f32;
+            let along = dot(grad, x) / width as f32;
+            for (grad, x) in grad.iter_mut().zip(x) {
+                *grad = (*grad - mean - x * along) * scale;
+            }
+            if self.mask.is_active() {
+                let first = (self.first + row * width) as u32;
+                let branch = &mut self.branch[row * width..][..width];
+                let columns = branch.iter_mut().zip(&*grad).zip(&mut *of_bias);
+                for (column, ((branch, grad), of_bias)) in columns.enumerate() {
+                    *branch = grad * self.mask.factor(first.wrapping_add(column as u32));
+                    *of_bias += *branch;
+                }
+            } else {
+                add_scaled(of_bias, 1.0, grad);
+            }
+        }
+        sums
+    }
+}
+
 /// The backward pass of [`residual_norm`]: `grad` becomes the gradient of the residual, and `branch`
 /// that of the branch. Without dropout they are equal and `branch` is left alone.
 pub fn residual_norm_backward(
@@ -399,56 +452,6 @@ pub fn residual_norm_backward(
     mask: Mask,
     branch: &mut [f32],
 ) -> NormGrads {
-    struct Rows<'a> {
-        grad: &'a mut [f32],
-        normalised: &'a [f32],
-        scales: &'a [f32],
-        gamma: &'a [f32],
-        mask: Mask,
-        branch: &'a mut [f32],
-        first: usize,
-    }
-    impl Kernel for Rows<'_> {
-        type Output = [Vec<f32>; 3];
-
-        #[inline(always)]
-        fn run(self) -> Self::Output {
-            let width = self.gamma.len();
-            let mut sums = [vec![0.0; width], vec![0.0; width], vec![0.0; width]];
-            let [of_gamma, of_beta, of_bias] = &mut sums;
-            let rows = self.grad.chunks_exact_mut(width);
-            let rows = rows
-                .zip(self.normalised.chunks_exact(width))
-                .zip(self.scales);
-            for (row, ((grad, x), scale)) in rows.enumerate() {
-                let columns = grad.iter_mut().zip(x).zip(self.gamma);
-                for (((grad, x), gamma), (of_gamma, of_beta)) in
-                    columns.zip(of_gamma.iter_mut().zip(of_beta.iter_mut()))
-                {
-                    *of_gamma += *grad * x;
-                    *of_beta += *grad;
-                    *grad *= gamma;
-                }
-                let mean = sum(grad) / width as f32;
-                let along = dot(grad, x) / width as f32;
-                for (grad, x) in grad.iter_mut().zip(x) {
-                    *grad = (*grad - mean - x * along) * scale;
-                }
-                if self.mask.is_active() {
-                    let first = (self.first + row * width) as u32;
-                    let branch = &mut self.branch[row * width..][..width];
-                    let columns = branch.iter_mut().zip(&*grad).zip(&mut *of_bias);
-                    for (column, ((branch, grad), of_bias)) in columns.enumerate() {
-                        *branch = grad * self.mask.factor(first.wrapping_add(column as u32));
-                        *of_bias += *branch;
-                    }
-                } else {
-                    add_scaled(of_bias, 1.0, grad);
-                }
-            }
-            sums
-        }
-    }
     let width = gamma.len();
     let task = TASK_ROWS * width;
     let branches: Vec<&mut [f32]> = if mask.is_active() {
@@ -463,7 +466,7 @@ pub fn residual_norm_backward(
         .zip(branches)
         .enumerate()
         .map(|(index, (((grad, normalised), scales), branch))| {
-            dispatch(Rows {
+            dispatch(NormGradRows {
                 grad,
                 normalised,
                 scales,

@@ -234,157 +234,170 @@ impl TrainConfig {
     /// from their targets, which are composed motions too.
     pub fn preset(preset: Preset) -> Self {
         match preset {
-            Preset::Paper => Self {
-                model: NetworkConfig {
-                    width: 512,
-                    num_layers: 6,
-                    num_heads: 16,
-                    feed_forward: 2048,
-                    dropout: 0.1,
-                },
-                diffusion: DiffusionConfig {
-                    num_steps: 100,
-                    schedule: ScheduleName::Official,
-                    noise: NoiseKind::White,
-                    prediction: Prediction::Noise,
-                    loss: Loss::Mse,
-                    fixed_frames: FixedFrames::Clean,
-                    previous: PreviousFrames::Encoded,
-                    clip: true,
-                    text_dropout: 0.1,
-                    motion_weight: 0.0,
-                    contact_weight: 0.0,
-                    bone_weight: 0.0,
-                    guidance: 4.0,
-                    temperature: 1.0,
-                    generated_starts: 0.0,
-                    fixed_noise: 0.0,
-                    overlap: 0,
-                    tell_frames: false,
-                },
-                text: TextConfig {
-                    encoder: TextEncoder::Clip,
-                    words: WordsConfig {
-                        num_buckets: 64,
-                        max_words: 32,
-                    },
-                },
-                coordinator: GuidanceConfig {
-                    target: GuidanceTarget::CleanPrediction,
-                    strength: 1.0,
-                    num_steps: 20,
-                },
-                window: WINDOW_FRAMES,
-                keypoints: NUM_KEYPOINTS,
-                val_windows: 1_024,
-                run: RunSettings {
-                    optimizer: OptimizerConfig {
-                        learning_rate: 1e-4,
-                        decay: Decay::Linear,
-                        warmup_steps: 0,
-                        weight_decay: 0.01,
-                        max_gradient_norm: None,
-                        ema_decay: None,
-                    },
-                    batch_size: 1024,
-                    micro_batch_size: Some(256),
-                    length: RunLength {
-                        epochs: Some(1_500),
-                        steps: 800_000,
-                    },
-                    log_every: 20,
-                    val_every: 1_000,
-                    keep_epochs: 50,
-                    seed: 0,
+            Preset::Paper => Self::paper(),
+            Preset::Official => Self::official(),
+            Preset::Tiny => Self::tiny(),
+        }
+    }
+
+    fn paper() -> Self {
+        Self {
+            model: NetworkConfig {
+                width: 512,
+                num_layers: 6,
+                num_heads: 16,
+                feed_forward: 2048,
+                dropout: 0.1,
+            },
+            diffusion: DiffusionConfig {
+                num_steps: 100,
+                schedule: ScheduleName::Official,
+                noise: NoiseKind::White,
+                prediction: Prediction::Noise,
+                loss: Loss::Mse,
+                fixed_frames: FixedFrames::Clean,
+                previous: PreviousFrames::Encoded,
+                clip: true,
+                text_dropout: 0.1,
+                motion_weight: 0.0,
+                contact_weight: 0.0,
+                bone_weight: 0.0,
+                guidance: 4.0,
+                temperature: 1.0,
+                generated_starts: 0.0,
+                fixed_noise: 0.0,
+                overlap: 0,
+                tell_frames: false,
+            },
+            text: TextConfig {
+                encoder: TextEncoder::Clip,
+                words: WordsConfig {
+                    num_buckets: 64,
+                    max_words: 32,
                 },
             },
-            Preset::Official => Self {
-                model: NetworkConfig {
-                    num_layers: 8,
-                    ..Self::preset(Preset::Paper).model
-                },
-                diffusion: DiffusionConfig {
-                    loss: Loss::SmoothL1,
-                    fixed_frames: FixedFrames::Scaled,
-                    previous: PreviousFrames::Inpainted,
-                    guidance: 3.0,
-                    ..Self::preset(Preset::Paper).diffusion
-                },
-                coordinator: GuidanceConfig {
-                    target: GuidanceTarget::PosteriorMean,
-                    strength: 1.0,
-                    num_steps: 5,
-                },
-                run: RunSettings {
-                    batch_size: 256,
-                    length: RunLength {
-                        epochs: Some(4_000),
-                        steps: 800_000,
-                    },
-                    ..Self::preset(Preset::Paper).run
-                },
-                ..Self::preset(Preset::Paper)
+            coordinator: GuidanceConfig {
+                target: GuidanceTarget::CleanPrediction,
+                strength: 1.0,
+                num_steps: 20,
             },
-            Preset::Tiny => Self {
-                model: NetworkConfig {
-                    width: 128,
-                    num_layers: 3,
-                    num_heads: 4,
-                    feed_forward: 256,
-                    dropout: 0.0,
+            window: WINDOW_FRAMES,
+            keypoints: NUM_KEYPOINTS,
+            val_windows: 1_024,
+            run: RunSettings {
+                optimizer: OptimizerConfig {
+                    learning_rate: 1e-4,
+                    decay: Decay::Linear,
+                    warmup_steps: 0,
+                    weight_decay: 0.01,
+                    max_gradient_norm: None,
+                    ema_decay: None,
                 },
-                diffusion: DiffusionConfig {
-                    num_steps: 20,
-                    schedule: ScheduleName::Cosine,
-                    noise: NoiseKind::Shaped,
-                    prediction: Prediction::Gated,
-                    loss: Loss::SmoothL1,
-                    fixed_frames: FixedFrames::Clean,
-                    previous: PreviousFrames::Inpainted,
-                    clip: false,
-                    text_dropout: 0.1,
-                    motion_weight: 0.0,
-                    contact_weight: 0.5,
-                    bone_weight: 12.0,
-                    guidance: 1.0,
-                    temperature: 0.5,
-                    generated_starts: 0.4,
-                    fixed_noise: 0.02,
-                    overlap: 4,
-                    tell_frames: true,
+                batch_size: 1024,
+                micro_batch_size: Some(256),
+                length: RunLength {
+                    epochs: Some(1_500),
+                    steps: 800_000,
                 },
-                text: TextConfig {
-                    encoder: TextEncoder::Learned,
-                    words: WordsConfig {
-                        num_buckets: 16,
-                        max_words: 24,
-                    },
+                log_every: 20,
+                val_every: 1_000,
+                keep_epochs: 50,
+                seed: 0,
+            },
+        }
+    }
+
+    fn official() -> Self {
+        let paper = Self::paper();
+        Self {
+            model: NetworkConfig {
+                num_layers: 8,
+                ..paper.model
+            },
+            diffusion: DiffusionConfig {
+                loss: Loss::SmoothL1,
+                fixed_frames: FixedFrames::Scaled,
+                previous: PreviousFrames::Inpainted,
+                guidance: 3.0,
+                ..paper.diffusion
+            },
+            coordinator: GuidanceConfig {
+                target: GuidanceTarget::PosteriorMean,
+                strength: 1.0,
+                num_steps: 5,
+            },
+            run: RunSettings {
+                batch_size: 256,
+                length: RunLength {
+                    epochs: Some(4_000),
+                    steps: 800_000,
                 },
-                coordinator: GuidanceConfig {
-                    target: GuidanceTarget::CleanPrediction,
-                    strength: 0.3,
-                    num_steps: 8,
+                ..paper.run
+            },
+            ..paper
+        }
+    }
+
+    fn tiny() -> Self {
+        Self {
+            model: NetworkConfig {
+                width: 128,
+                num_layers: 3,
+                num_heads: 4,
+                feed_forward: 256,
+                dropout: 0.0,
+            },
+            diffusion: DiffusionConfig {
+                num_steps: 20,
+                schedule: ScheduleName::Cosine,
+                noise: NoiseKind::Shaped,
+                prediction: Prediction::Gated,
+                loss: Loss::SmoothL1,
+                fixed_frames: FixedFrames::Clean,
+                previous: PreviousFrames::Inpainted,
+                clip: false,
+                text_dropout: 0.1,
+                motion_weight: 0.0,
+                contact_weight: 0.5,
+                bone_weight: 12.0,
+                guidance: 1.0,
+                temperature: 0.5,
+                generated_starts: 0.4,
+                fixed_noise: 0.02,
+                overlap: 4,
+                tell_frames: true,
+            },
+            text: TextConfig {
+                encoder: TextEncoder::Learned,
+                words: WordsConfig {
+                    num_buckets: 16,
+                    max_words: 24,
                 },
-                window: WINDOW_FRAMES,
-                keypoints: NUM_KEYPOINTS,
-                val_windows: 256,
-                run: RunSettings {
-                    optimizer: OptimizerConfig {
-                        learning_rate: 1e-3,
-                        decay: Decay::Linear,
-                        warmup_steps: 50,
-                        weight_decay: 0.01,
-                        max_gradient_norm: None,
-                        ema_decay: Some(0.998),
-                    },
-                    batch_size: 64,
-                    micro_batch_size: Some(256),
-                    length: RunLength::of_steps(4_800),
-                    log_every: 20,
-                    val_every: 100,
-                    keep_epochs: 0,
-                    seed: 0,
+            },
+            coordinator: GuidanceConfig {
+                target: GuidanceTarget::CleanPrediction,
+                strength: 0.3,
+                num_steps: 8,
+            },
+            window: WINDOW_FRAMES,
+            keypoints: NUM_KEYPOINTS,
+            val_windows: 256,
+            run: RunSettings {
+                optimizer: OptimizerConfig {
+                    learning_rate: 1e-3,
+                    decay: Decay::Linear,
+                    warmup_steps: 50,
+                    weight_decay: 0.01,
+                    max_gradient_norm: None,
+                    ema_decay: Some(0.998),
                 },
+                batch_size: 64,
+                micro_batch_size: Some(256),
+                length: RunLength::of_steps(4_800),
+                log_every: 20,
+                val_every: 100,
+                keep_epochs: 0,
+                seed: 0,
             },
         }
     }

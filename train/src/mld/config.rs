@@ -59,89 +59,93 @@ impl MldConfig {
     /// epochs limited to ten million steps. `Tiny`: our choice for two processor cores and a few minutes.
     pub fn preset(preset: Preset) -> Self {
         match preset {
-            Preset::Paper | Preset::Official => {
-                let model = NetworkConfig {
-                    width: 256,
-                    num_layers: 9,
-                    num_heads: 4,
-                    feed_forward: 1024,
-                    dropout: 0.1,
-                };
-                let run = |batch_size, epochs| RunSettings {
-                    optimizer: OptimizerConfig {
-                        learning_rate: 1e-4,
-                        decay: Decay::Constant,
-                        warmup_steps: 0,
-                        weight_decay: 0.01,
-                        max_gradient_norm: None,
-                        ema_decay: None,
-                    },
-                    batch_size,
-                    micro_batch_size: None,
-                    length: RunLength {
-                        epochs: Some(epochs),
-                        steps: 10_000_000,
-                    },
-                    log_every: 100,
-                    val_every: 5_000,
-                    keep_epochs: 0,
-                    seed: 0,
-                };
-                Self {
-                    autoencoder: AutoencoderConfig {
-                        model,
-                        min_frames: 40,
-                        max_frames: 196,
-                        joints_weight: 1.0,
-                        kl_weight: 1e-4,
-                        run: run(128, 6_000),
-                    },
-                    model,
-                    text: TextConfig {
-                        encoder: TextEncoder::Clip,
-                        words: WordsConfig {
-                            num_buckets: 64,
-                            max_words: 32,
-                        },
-                    },
-                    diffusion_steps: 1_000,
-                    sampling_steps: 50,
-                    guidance: 7.5,
-                    text_dropout: 0.1,
-                    run: run(64, 2_000),
-                }
-            }
-            Preset::Tiny => {
-                let model = NetworkConfig {
-                    width: 64,
-                    num_layers: 3,
-                    num_heads: 4,
-                    feed_forward: 128,
-                    dropout: 0.0,
-                };
-                let editor = TrainConfig::preset(Preset::Tiny);
-                let run = RunSettings {
-                    batch_size: 16,
-                    micro_batch_size: None,
-                    length: RunLength::of_steps(1_500),
-                    ..editor.run
-                };
-                let official = Self::preset(Preset::Official);
-                Self {
-                    autoencoder: AutoencoderConfig {
-                        model,
-                        min_frames: 16,
-                        run,
-                        ..official.autoencoder
-                    },
-                    model,
-                    text: editor.text,
-                    // The vocabulary is learned, and strong guidance leaves what was seen.
-                    guidance: 2.0,
-                    run,
-                    ..official
-                }
-            }
+            Preset::Paper | Preset::Official => Self::official(),
+            Preset::Tiny => Self::tiny(),
+        }
+    }
+
+    fn official() -> Self {
+        let model = NetworkConfig {
+            width: 256,
+            num_layers: 9,
+            num_heads: 4,
+            feed_forward: 1024,
+            dropout: 0.1,
+        };
+        let run = |batch_size, epochs| RunSettings {
+            optimizer: OptimizerConfig {
+                learning_rate: 1e-4,
+                decay: Decay::Constant,
+                warmup_steps: 0,
+                weight_decay: 0.01,
+                max_gradient_norm: None,
+                ema_decay: None,
+            },
+            batch_size,
+            micro_batch_size: None,
+            length: RunLength {
+                epochs: Some(epochs),
+                steps: 10_000_000,
+            },
+            log_every: 100,
+            val_every: 5_000,
+            keep_epochs: 0,
+            seed: 0,
+        };
+        Self {
+            autoencoder: AutoencoderConfig {
+                model,
+                min_frames: 40,
+                max_frames: 196,
+                joints_weight: 1.0,
+                kl_weight: 1e-4,
+                run: run(128, 6_000),
+            },
+            model,
+            text: TextConfig {
+                encoder: TextEncoder::Clip,
+                words: WordsConfig {
+                    num_buckets: 64,
+                    max_words: 32,
+                },
+            },
+            diffusion_steps: 1_000,
+            sampling_steps: 50,
+            guidance: 7.5,
+            text_dropout: 0.1,
+            run: run(64, 2_000),
+        }
+    }
+
+    fn tiny() -> Self {
+        let model = NetworkConfig {
+            width: 64,
+            num_layers: 3,
+            num_heads: 4,
+            feed_forward: 128,
+            dropout: 0.0,
+        };
+        let editor = TrainConfig::preset(Preset::Tiny);
+        let run = RunSettings {
+            batch_size: 16,
+            micro_batch_size: None,
+            length: RunLength::of_steps(1_500),
+            ..editor.run
+        };
+        let official = Self::official();
+        Self {
+            autoencoder: AutoencoderConfig {
+                model,
+                min_frames: 16,
+                run,
+                ..official.autoencoder
+            },
+            model,
+            text: editor.text,
+            // The vocabulary is learned, and strong guidance leaves what was seen.
+            guidance: 2.0,
+            run,
+            ..official
         }
     }
 

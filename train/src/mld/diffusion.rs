@@ -124,18 +124,7 @@ pub fn train_mld<'a>(
         texts: record.text.texts(corpus.vectors)?,
         val: Vec::new(),
     };
-    let held_out = sampler(&val, "val");
-    let mut first = 0;
-    for crops in held_out.whole(config.run.micro_batch()) {
-        let count = crops.lengths.len();
-        // Steps spread evenly make validations comparable.
-        let timesteps = (first..first + count)
-            .map(|sample| (2 * sample + 1) * config.diffusion_steps / (2 * val.len()))
-            .collect();
-        let batch = task.noisy(&crops, held_out.seed, first as u64, 0.0)?;
-        task.val.push(LatentBatch { timesteps, ..batch });
-        first += count;
-    }
+    task.val = task.val_batches(&sampler(&val, "val"))?;
     let trainer = TrainerConfig {
         kind: KIND,
         samples: "motions",
@@ -225,6 +214,26 @@ impl DiffusionTask<'_> {
             timesteps,
             texts: self.texts.batch(captions.into_iter())?,
         })
+    }
+
+    /// The validation batches: all clips of a sampler, with steps spread evenly, which makes validations
+    /// comparable.
+    fn val_batches(&self, held_out: &CropSampler<'_>) -> Result<Vec<LatentBatch>, Error> {
+        let config = &self.record.train;
+        let mut batches = Vec::new();
+        let mut first = 0;
+        for crops in held_out.whole(config.run.micro_batch()) {
+            let count = crops.lengths.len();
+            let timesteps = (first..first + count)
+                .map(|sample| {
+                    (2 * sample + 1) * config.diffusion_steps / (2 * held_out.clips.len())
+                })
+                .collect();
+            let batch = self.noisy(&crops, held_out.seed, first as u64, 0.0)?;
+            batches.push(LatentBatch { timesteps, ..batch });
+            first += count;
+        }
+        Ok(batches)
     }
 }
 

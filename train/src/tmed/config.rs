@@ -127,105 +127,110 @@ impl TmedConfig {
     /// clips and two processor cores.
     pub fn preset(preset: Preset) -> Self {
         match preset {
-            Preset::Official => Self {
-                model: NetworkConfig {
-                    width: 512,
-                    num_layers: 8,
-                    num_heads: 4,
-                    feed_forward: 1024,
-                    dropout: 0.1,
-                },
-                text: TextConfig {
-                    encoder: TextEncoder::Clip,
-                    words: WordsConfig {
-                        num_buckets: 64,
-                        max_words: 32,
-                    },
-                },
-                data: ClipData::Pairs,
-                fps: Fps::new(30.0).expect("a rate"),
-                max_frames: 300,
-                statistics: StatisticsSplits::TrainAndVal,
-                diffusion: TmedDiffusion {
-                    num_steps: 300,
-                    text_dropout: 0.05,
-                    source_dropout: 0.05,
-                    both_dropout: 0.15,
-                    guidance: 2.0,
-                    source_guidance: 2.0,
-                    places: TargetPlaces::Padded,
-                    no_source: NoSource::Zeros,
-                    start: EditStart::Noise,
-                    edit_steps: None,
-                    respacing: Respacing::Official,
-                },
-                val_clips: 256,
-                run: RunSettings {
-                    optimizer: OptimizerConfig {
-                        learning_rate: 1e-4,
-                        decay: Decay::Constant,
-                        warmup_steps: 0,
-                        weight_decay: 0.01,
-                        max_gradient_norm: None,
-                        ema_decay: None,
-                    },
-                    batch_size: 128,
-                    micro_batch_size: Some(32),
-                    length: RunLength {
-                        epochs: Some(1_001),
-                        steps: 800_000,
-                    },
-                    log_every: 20,
-                    val_every: 1_000,
-                    keep_epochs: 50,
-                    seed: 0,
+            Preset::Paper => Self::paper(),
+            Preset::Official => Self::official(),
+            Preset::Tiny => Self::tiny(),
+        }
+    }
+
+    fn official() -> Self {
+        Self {
+            model: NetworkConfig {
+                width: 512,
+                num_layers: 8,
+                num_heads: 4,
+                feed_forward: 1024,
+                dropout: 0.1,
+            },
+            text: TextConfig {
+                encoder: TextEncoder::Clip,
+                words: WordsConfig {
+                    num_buckets: 64,
+                    max_words: 32,
                 },
             },
-            Preset::Paper => {
-                let official = Self::preset(Preset::Official);
-                let editor = TrainConfig::preset(Preset::Paper).run;
-                Self {
-                    data: ClipData::Composed,
-                    statistics: StatisticsSplits::Train,
-                    diffusion: TmedDiffusion {
-                        both_dropout: 0.05,
-                        places: TargetPlaces::Own,
-                        no_source: NoSource::Hidden,
-                        respacing: Respacing::Spread,
-                        ..official.diffusion
-                    },
-                    run: RunSettings {
-                        batch_size: editor.batch_size,
-                        micro_batch_size: Some(64),
-                        length: editor.length,
-                        ..official.run
-                    },
-                    ..official
-                }
-            }
-            Preset::Tiny => {
-                let (editor, paper) = (
-                    TrainConfig::preset(Preset::Tiny),
-                    Self::preset(Preset::Paper),
-                );
-                Self {
-                    model: editor.model,
-                    text: editor.text,
-                    fps: Fps::MODEL,
-                    max_frames: 60,
-                    diffusion: TmedDiffusion {
-                        num_steps: 50,
-                        ..paper.diffusion
-                    },
-                    val_clips: 64,
-                    run: RunSettings {
-                        batch_size: 32,
-                        micro_batch_size: None,
-                        ..editor.run
-                    },
-                    ..paper
-                }
-            }
+            data: ClipData::Pairs,
+            fps: Fps::new(30.0).expect("a rate"),
+            max_frames: 300,
+            statistics: StatisticsSplits::TrainAndVal,
+            diffusion: TmedDiffusion {
+                num_steps: 300,
+                text_dropout: 0.05,
+                source_dropout: 0.05,
+                both_dropout: 0.15,
+                guidance: 2.0,
+                source_guidance: 2.0,
+                places: TargetPlaces::Padded,
+                no_source: NoSource::Zeros,
+                start: EditStart::Noise,
+                edit_steps: None,
+                respacing: Respacing::Official,
+            },
+            val_clips: 256,
+            run: RunSettings {
+                optimizer: OptimizerConfig {
+                    learning_rate: 1e-4,
+                    decay: Decay::Constant,
+                    warmup_steps: 0,
+                    weight_decay: 0.01,
+                    max_gradient_norm: None,
+                    ema_decay: None,
+                },
+                batch_size: 128,
+                micro_batch_size: Some(32),
+                length: RunLength {
+                    epochs: Some(1_001),
+                    steps: 800_000,
+                },
+                log_every: 20,
+                val_every: 1_000,
+                keep_epochs: 50,
+                seed: 0,
+            },
+        }
+    }
+
+    fn paper() -> Self {
+        let official = Self::official();
+        let editor = TrainConfig::preset(Preset::Paper).run;
+        Self {
+            data: ClipData::Composed,
+            statistics: StatisticsSplits::Train,
+            diffusion: TmedDiffusion {
+                both_dropout: 0.05,
+                places: TargetPlaces::Own,
+                no_source: NoSource::Hidden,
+                respacing: Respacing::Spread,
+                ..official.diffusion
+            },
+            run: RunSettings {
+                batch_size: editor.batch_size,
+                micro_batch_size: Some(64),
+                length: editor.length,
+                ..official.run
+            },
+            ..official
+        }
+    }
+
+    fn tiny() -> Self {
+        let (editor, paper) = (TrainConfig::preset(Preset::Tiny), Self::paper());
+        Self {
+            model: editor.model,
+            text: editor.text,
+            fps: Fps::MODEL,
+            max_frames: 60,
+            diffusion: TmedDiffusion {
+                num_steps: 50,
+                ..paper.diffusion
+            },
+            val_clips: 64,
+            run: RunSettings {
+                batch_size: 32,
+                micro_batch_size: None,
+                ..editor.run
+            },
+            ..paper
         }
     }
 

@@ -101,16 +101,9 @@ pub fn train_tmed<'a>(
         Some(record) => (Some(record.text), Some(record.statistics)),
         None => (None, None),
     };
-    let statistics = match (known_statistics, config.statistics) {
-        (Some(known), _) => known,
-        (None, splits) => {
-            let both = [corpus.train, corpus.val];
-            let sources = match splits {
-                StatisticsSplits::Train => &both[..1],
-                StatisticsSplits::TrainAndVal => &both[..],
-            };
-            statistics(sources, config.fps, config.max_frames, corpus.skeleton)?
-        }
+    let statistics = match known_statistics {
+        Some(known) => known,
+        None => statistics_of(&corpus, config)?,
     };
     let instructions = corpus.instructions.iter().map(String::as_str);
     let text = TextRecord::chosen(&config.text, known_text, instructions, corpus.vectors)?;
@@ -163,6 +156,16 @@ pub fn train_tmed<'a>(
     };
     let (_, report) = train(&task, model, &trainer, &run, session)?;
     Ok(report)
+}
+
+/// The statistics of the splits that the settings name.
+fn statistics_of(corpus: &TmedCorpus<'_>, config: &TmedConfig) -> Result<FeatureStatistics, Error> {
+    let both = [corpus.train, corpus.val];
+    let sources = match config.statistics {
+        StatisticsSplits::Train => &both[..1],
+        StatisticsSplits::TrainAndVal => &both[..],
+    };
+    statistics(sources, config.fps, config.max_frames, corpus.skeleton)
 }
 
 struct TmedTask<'a> {

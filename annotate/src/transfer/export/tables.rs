@@ -100,71 +100,7 @@ impl Exporter<'_> {
             extra: task.extra.as_ref().map(ToString::to_string),
             accepted_by: Some(accepted.accepted_by),
         };
-        match accepted.answer {
-            Answer::MaskText {
-                masks,
-                count_reason,
-                note,
-            } => {
-                let base = AnnotationRow {
-                    count: masks.len() as u32,
-                    count_reason: count_reason.map(|reason| reason.to_string()),
-                    note,
-                    ..empty
-                };
-                if masks.is_empty() {
-                    put(base.clone())?;
-                }
-                for (number, mask) in masks.into_iter().enumerate() {
-                    let joints = mask_of(&mask.parts, mask.soft);
-                    put(AnnotationRow {
-                        number: number as u32,
-                        hard_joints: JointSet::names(joints.hard()),
-                        soft_joints: JointSet::names(joints.soft()),
-                        parts: mask.parts,
-                        text: mask.text,
-                        ..base.clone()
-                    })?;
-                }
-            }
-            Answer::Pair {
-                verdict,
-                parts,
-                edit_type,
-                text,
-                note,
-                ..
-            } => put(AnnotationRow {
-                verdict: Some(verdict.to_string()),
-                hard_joints: JointSet::names(mask_of(&parts, true).hard()),
-                soft_joints: JointSet::names(mask_of(&parts, true).soft()),
-                parts,
-                edit_type: edit_type.map(|kind| kind.to_string()),
-                text,
-                note,
-                ..empty
-            })?,
-            Answer::Style {
-                verdict,
-                parts,
-                style,
-                extent,
-                text,
-                note,
-                ..
-            } => put(AnnotationRow {
-                verdict: Some(verdict.to_string()),
-                hard_joints: JointSet::names(mask_of(&parts, true).hard()),
-                soft_joints: JointSet::names(mask_of(&parts, true).soft()),
-                parts,
-                style,
-                extent: extent.map(|extent| extent.to_string()),
-                text,
-                note,
-                ..empty
-            })?,
-        }
-        Ok(())
+        put_answer(accepted.answer, empty, put)
     }
 
     pub(super) fn labels(&mut self, put: Put<'_, LabelRow>) -> Result<(), Error> {
@@ -274,6 +210,79 @@ impl Exporter<'_> {
             }
         }
     }
+}
+
+/// Writes an answer as one row, or as a row for each of its masks, from the row of its task.
+fn put_answer(
+    answer: Answer,
+    empty: AnnotationRow,
+    put: Put<'_, AnnotationRow>,
+) -> Result<(), Error> {
+    match answer {
+        Answer::MaskText {
+            masks,
+            count_reason,
+            note,
+        } => {
+            let base = AnnotationRow {
+                count: masks.len() as u32,
+                count_reason: count_reason.map(|reason| reason.to_string()),
+                note,
+                ..empty
+            };
+            if masks.is_empty() {
+                put(base.clone())?;
+            }
+            for (number, mask) in masks.into_iter().enumerate() {
+                let joints = mask_of(&mask.parts, mask.soft);
+                put(AnnotationRow {
+                    number: number as u32,
+                    hard_joints: JointSet::names(joints.hard()),
+                    soft_joints: JointSet::names(joints.soft()),
+                    parts: mask.parts,
+                    text: mask.text,
+                    ..base.clone()
+                })?;
+            }
+        }
+        Answer::Pair {
+            verdict,
+            parts,
+            edit_type,
+            text,
+            note,
+            ..
+        } => put(AnnotationRow {
+            verdict: Some(verdict.to_string()),
+            hard_joints: JointSet::names(mask_of(&parts, true).hard()),
+            soft_joints: JointSet::names(mask_of(&parts, true).soft()),
+            parts,
+            edit_type: edit_type.map(|kind| kind.to_string()),
+            text,
+            note,
+            ..empty
+        })?,
+        Answer::Style {
+            verdict,
+            parts,
+            style,
+            extent,
+            text,
+            note,
+            ..
+        } => put(AnnotationRow {
+            verdict: Some(verdict.to_string()),
+            hard_joints: JointSet::names(mask_of(&parts, true).hard()),
+            soft_joints: JointSet::names(mask_of(&parts, true).soft()),
+            parts,
+            style,
+            extent: extent.map(|extent| extent.to_string()),
+            text,
+            note,
+            ..empty
+        })?,
+    }
+    Ok(())
 }
 
 impl Exporter<'_> {

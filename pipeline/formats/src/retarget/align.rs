@@ -6,6 +6,8 @@
 //! motion ([`by_motion`]).
 
 use std::f64::consts::FRAC_PI_2;
+use std::iter::StepBy;
+use std::ops::Range;
 
 use datasets_spec::Skeleton;
 use datasets_spec::quantile::quantile;
@@ -161,110 +163,11 @@ fn nearest_axis(direction: DVec3) -> DVec3 {
 /// over the frames of `source^-1 * body`, corrected so that limb bones have exact directions. The twist of
 /// each frame comes from the source's rotations; only its constant part is estimated.
 pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
-    let mut alignment = [DQuat::IDENTITY; NUM_BODY_JOINTS];
-    let stride = track.num_frames().div_ceil(MAX_SAMPLES);
-    let frames = (0..track.num_frames()).step_by(stride);
-    let rotation = |frame: usize, joint: usize| track.rotations(frame)[joint];
-    let point = |frame: usize, joint: usize| track.points(frame)[joint];
-    let hips_middle = |frame: usize| point(frame, 1).midpoint(point(frame, 2));
-    let is_mapped = |joint: usize| track.is_mapped(joint);
-    let mean_in = |joint: usize, vector: &dyn Fn(usize) -> DVec3| -> DVec3 {
-        frames
-            .clone()
-            .map(|frame| rotation(frame, joint).inverse() * vector(frame).normalize_or_zero())
-            .sum::<DVec3>()
-            .normalize_or_zero()
-    };
-    let mean_of = |joint: usize, body: &dyn Fn(usize) -> (DQuat, f64)| -> (DQuat, f64) {
-        mean_rotation(frames.clone().map(|frame| {
-            let (body, weight) = body(frame);
-            (rotation(frame, joint).inverse() * body, weight)
-        }))
-    };
-
-    // Joints closer than this fraction of the leg's length coincide and give no direction.
-    let apart = 0.02 * track.leg_length();
-    let is_apart = |a: &dyn Fn(usize) -> DVec3, b: &dyn Fn(usize) -> DVec3| {
-        frames
-            .clone()
-            .map(|frame| a(frame).distance(b(frame)))
-            .sum::<f64>()
-            > apart * frames.len() as f64
-    };
-
-    let hips_line = |frame: usize| point(frame, 1) - point(frame, 2);
-    let above_hips = [3, 6, 9, 12, 15].into_iter().find(|&joint| {
-        track.is_located(joint) && is_apart(&|frame| point(frame, joint), &hips_middle)
-    });
-    if let Some(above) = above_hips {
-        alignment[0] = axes(
-            mean_in(0, &hips_line),
-            mean_in(0, &|frame| point(frame, above) - hips_middle(frame)),
-        );
-    }
-    let pelvis_alignment = alignment[0];
-    let pelvis = |frame: usize| rotation(frame, 0) * pelvis_alignment;
-
-    let chest_joint = SPINE
-        .into_iter()
-        .rev()
-        .find(|&joint| is_mapped(joint))
-        .unwrap_or(0);
-    let pair = |left: usize, right: usize| {
-        let located = track.is_located(left) && track.is_located(right);
-        located && is_apart(&|frame| point(frame, left), &|frame| point(frame, right))
-    };
-    let (left, right) = [(13, 14), (16, 17)]
-        .into_iter()
-        .find(|&(left, right)| pair(left, right))
-        .unwrap_or((1, 2));
-    let top = if track.is_located(12) { 12 } else { 15 };
-    let base = SPINE
-        .into_iter()
-        .find(|&joint| is_mapped(joint) && joint != chest_joint);
-    if chest_joint != 0 {
-        alignment[chest_joint] = axes(
-            mean_in(chest_joint, &|frame| {
-                point(frame, left) - point(frame, right)
-            }),
-            mean_in(chest_joint, &|frame| {
-                let base = base.map_or_else(|| hips_middle(frame), |base| point(frame, base));
-                point(frame, top) - base
-            }),
-        );
-    }
-    let chest_alignment = alignment[chest_joint];
-    let chest = |frame: usize| rotation(frame, chest_joint) * chest_alignment;
-
-    for joint in SPINE {
-        if joint != chest_joint && is_mapped(joint) {
-            let height = |joint: usize| skeleton.rest(joint).y - skeleton.rest(0).y;
-            let share = height(joint) / height(chest_joint);
-            let body = |frame: usize| (slerp(pelvis(frame), chest(frame), share), 1.0);
-            alignment[joint] = mean_of(joint, &body).0;
-        }
-    }
-    // The body's head joint is off its midline, which must not tilt a straight neck.
-    let neck_bone = skeleton.offset(15).with_x(0.0);
-    let neck = |frame: usize| {
-        let chest = chest(frame);
-        let bone = point(frame, 15) - point(frame, 12);
-        (arc(chest * neck_bone, bone) * chest, 1.0)
-    };
-    if is_mapped(12) {
-        alignment[12] = if track.is_located(15) {
-            mean_of(12, &neck).0
-        } else {
-            mean_of(12, &|frame| (chest(frame), 1.0)).0
-        };
-    }
-    // On average the head is aligned with the chest, and the shoulders are level.
-    for joint in [13, 14, 15] {
-        if is_mapped(joint) {
-            alignment[joint] = mean_of(joint, &|frame| (chest(frame), 1.0)).0;
-        }
-    }
-
+    let mut estimate = Estimate::new(track, skeleton);
+    estimate.align_pelvis();
+    estimate.align_chest();
+    estimate.align_spine();
+    estimate.align_neck_and_head();
     // Knees bend about +x of the body; elbows, palms down, about -y (left) and +y (right).
     let limbs = [
         ([1, 4, 7], DVec3::X),
@@ -272,76 +175,248 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
         (ARMS[0], DVec3::NEG_Y),
         (ARMS[1], DVec3::Y),
     ];
-    for ([upper, middle, end], hinge) in limbs {
-        if !is_mapped(upper) {
-            continue;
+    for (limb, hinge) in limbs {
+        estimate.align_limb(limb, hinge);
+    }
+    for [_, _, ankle, foot] in LEGS {
+        estimate.align_foot(ankle, foot);
+    }
+    estimate.alignment
+}
+
+/// The alignment of a source by its motion, as far as it is estimated: from the pelvis outwards.
+struct Estimate<'a> {
+    track: &'a Track,
+    skeleton: &'a Skeleton,
+    /// The frames that are looked at.
+    frames: StepBy<Range<usize>>,
+    /// The highest joint of the spine that the source has; the pelvis if it has none.
+    chest: usize,
+    alignment: Alignment,
+}
+
+impl<'a> Estimate<'a> {
+    fn new(track: &'a Track, skeleton: &'a Skeleton) -> Self {
+        let stride = track.num_frames().div_ceil(MAX_SAMPLES);
+        let mut spine = SPINE.into_iter().rev();
+        Self {
+            track,
+            skeleton,
+            frames: (0..track.num_frames()).step_by(stride),
+            chest: spine.find(|&joint| track.is_mapped(joint)).unwrap_or(0),
+            alignment: [DQuat::IDENTITY; NUM_BODY_JOINTS],
         }
-        let is_leg = upper < 3;
-        let trunk = |frame: usize| if is_leg { pelvis(frame) } else { chest(frame) };
-        if !track.is_located(middle) {
-            alignment[upper] = mean_of(upper, &|frame| (trunk(frame), 1.0)).0;
-            continue;
+    }
+
+    fn rotation(&self, frame: usize, joint: usize) -> DQuat {
+        self.track.rotations(frame)[joint]
+    }
+
+    fn point(&self, frame: usize, joint: usize) -> DVec3 {
+        self.track.points(frame)[joint]
+    }
+
+    fn hips_middle(&self, frame: usize) -> DVec3 {
+        self.point(frame, 1).midpoint(self.point(frame, 2))
+    }
+
+    /// The way from a joint to another.
+    fn bone(&self, frame: usize, from: usize, to: usize) -> DVec3 {
+        self.point(frame, to) - self.point(frame, from)
+    }
+
+    /// The rotation of a joint of the body that is aligned.
+    fn body(&self, frame: usize, joint: usize) -> DQuat {
+        self.rotation(frame, joint) * self.alignment[joint]
+    }
+
+    /// The rotation of the joint `above`, turned as little as possible so that the body's `bone` points as the
+    /// source's bone does; with the weight 1.
+    fn swung(
+        &self,
+        frame: usize,
+        above: usize,
+        bone: DVec3,
+        [from, to]: [usize; 2],
+    ) -> (DQuat, f64) {
+        let body = self.body(frame, above);
+        (arc(body * bone, self.bone(frame, from, to)) * body, 1.0)
+    }
+
+    /// The mean direction of a vector in the frame of a joint.
+    fn mean_in(&self, joint: usize, vector: impl Fn(usize) -> DVec3) -> DVec3 {
+        let frames = self.frames.clone();
+        frames
+            .map(|frame| self.rotation(frame, joint).inverse() * vector(frame).normalize_or_zero())
+            .sum::<DVec3>()
+            .normalize_or_zero()
+    }
+
+    /// The mean alignment of a joint whose rotations of the body, with weights, are `body`; and the sum of the weights.
+    fn mean_of(&self, joint: usize, body: impl Fn(usize) -> (DQuat, f64)) -> (DQuat, f64) {
+        mean_rotation(self.frames.clone().map(|frame| {
+            let (body, weight) = body(frame);
+            (self.rotation(frame, joint).inverse() * body, weight)
+        }))
+    }
+
+    /// The alignment of a joint that turns on average as another one does.
+    fn in_line_with(&self, other: usize, joint: usize) -> DQuat {
+        self.mean_of(joint, |frame| (self.body(frame, other), 1.0))
+            .0
+    }
+
+    /// An estimate of a joint's alignment, corrected so that the bone to its child has its exact direction.
+    fn exact(&self, estimate: DQuat, joint: usize, child: usize) -> DQuat {
+        let exact = self.mean_in(joint, |frame| self.bone(frame, joint, child));
+        arc(estimate * self.skeleton.offset(child), exact) * estimate
+    }
+
+    /// Whether two points are on average so far apart that they give a direction.
+    fn is_apart(&self, a: impl Fn(usize) -> DVec3, b: impl Fn(usize) -> DVec3) -> bool {
+        // Joints closer than this fraction of the leg's length coincide and give no direction.
+        let apart = 0.02 * self.track.leg_length();
+        let distances = self.frames.clone().map(|frame| a(frame).distance(b(frame)));
+        distances.sum::<f64>() > apart * self.frames.len() as f64
+    }
+
+    fn align_pelvis(&mut self) {
+        let above_hips = [3, 6, 9, 12, 15].into_iter().find(|&joint| {
+            let point = |frame| self.point(frame, joint);
+            self.track.is_located(joint) && self.is_apart(point, |frame| self.hips_middle(frame))
+        });
+        if let Some(above) = above_hips {
+            self.alignment[0] = axes(
+                self.mean_in(0, |frame| self.bone(frame, 2, 1)),
+                self.mean_in(0, |frame| {
+                    self.point(frame, above) - self.hips_middle(frame)
+                }),
+            );
         }
-        let upper_bone = skeleton.offset(middle);
-        let swung = |frame: usize| {
-            let bone = point(frame, middle) - point(frame, upper);
-            (arc(trunk(frame) * upper_bone, bone) * trunk(frame), 1.0)
+    }
+
+    fn align_chest(&mut self) {
+        let (track, chest) = (self.track, self.chest);
+        if chest == 0 {
+            return;
+        }
+        let is_pair = |left: usize, right: usize| {
+            let located = track.is_located(left) && track.is_located(right);
+            let left = |frame| self.point(frame, left);
+            located && self.is_apart(left, |frame| self.point(frame, right))
         };
-        let hinged = |frame: usize| {
-            let bone = (point(frame, middle) - point(frame, upper)).normalize_or_zero();
-            let next = (point(frame, end) - point(frame, middle)).normalize_or_zero();
+        let (left, right) = [(13, 14), (16, 17)]
+            .into_iter()
+            .find(|&(left, right)| is_pair(left, right))
+            .unwrap_or((1, 2));
+        let top = if track.is_located(12) { 12 } else { 15 };
+        let base = SPINE
+            .into_iter()
+            .find(|&joint| track.is_mapped(joint) && joint != chest);
+        self.alignment[chest] = axes(
+            self.mean_in(chest, |frame| self.bone(frame, right, left)),
+            self.mean_in(chest, |frame| {
+                let base =
+                    base.map_or_else(|| self.hips_middle(frame), |base| self.point(frame, base));
+                self.point(frame, top) - base
+            }),
+        );
+    }
+
+    /// Aligns the joints between pelvis and chest, which turn from the one to the other by their height.
+    fn align_spine(&mut self) {
+        let (skeleton, chest) = (self.skeleton, self.chest);
+        for joint in SPINE {
+            if joint != chest && self.track.is_mapped(joint) {
+                let height = |joint: usize| skeleton.rest(joint).y - skeleton.rest(0).y;
+                let share = height(joint) / height(chest);
+                let body = |frame| slerp(self.body(frame, 0), self.body(frame, chest), share);
+                self.alignment[joint] = self.mean_of(joint, |frame| (body(frame), 1.0)).0;
+            }
+        }
+    }
+
+    fn align_neck_and_head(&mut self) {
+        // The body's head joint is off its midline, which must not tilt a straight neck.
+        let neck_bone = self.skeleton.offset(15).with_x(0.0);
+        if self.track.is_mapped(12) {
+            self.alignment[12] = if self.track.is_located(15) {
+                let neck = |frame| self.swung(frame, self.chest, neck_bone, [12, 15]);
+                self.mean_of(12, neck).0
+            } else {
+                self.in_line_with(self.chest, 12)
+            };
+        }
+        // On average the head is aligned with the chest, and the shoulders are level.
+        for joint in [13, 14, 15] {
+            if self.track.is_mapped(joint) {
+                self.alignment[joint] = self.in_line_with(self.chest, joint);
+            }
+        }
+    }
+
+    /// Aligns an arm or a leg, whose middle joint bends about the axis `hinge` of the body.
+    fn align_limb(&mut self, [upper, middle, end]: [usize; 3], hinge: DVec3) {
+        let track = self.track;
+        if !track.is_mapped(upper) {
+            return;
+        }
+        let trunk = if upper < 3 { 0 } else { self.chest };
+        if !track.is_located(middle) {
+            self.alignment[upper] = self.in_line_with(trunk, upper);
+            return;
+        }
+        let estimate = self.upper_limb(trunk, [upper, middle, end], hinge);
+        self.alignment[upper] = self.exact(estimate, upper, middle);
+        if track.is_mapped(middle) {
+            self.alignment[middle] = if track.is_located(end) {
+                let bone = self.skeleton.offset(end);
+                let below = |frame| self.swung(frame, upper, bone, [middle, end]);
+                self.exact(self.mean_of(middle, below).0, middle, end)
+            } else {
+                self.in_line_with(upper, middle)
+            };
+        }
+        if track.is_mapped(end) {
+            // Wrists are on average in line with the forearm; ankles with the shin, unless the soles
+            // determine them.
+            self.alignment[end] = self.in_line_with(middle, end);
+        }
+    }
+
+    /// Estimates the alignment of the upper joint of a limb by the plane in which the limb is bent; where it hardly
+    /// is, by the trunk.
+    fn upper_limb(&self, trunk: usize, [upper, middle, end]: [usize; 3], hinge: DVec3) -> DQuat {
+        /// Sum of squared sines of the bend from which the bending plane is reliable: three frames at a right
+        /// angle, or some thirty at 20 degrees.
+        const MIN_BENDING: f64 = 3.0;
+        let upper_bone = self.skeleton.offset(middle);
+        let hinged = |frame| {
+            let bone = self.bone(frame, upper, middle).normalize_or_zero();
+            let next = self.bone(frame, middle, end).normalize_or_zero();
             bent(bone, next).map_or((DQuat::IDENTITY, 0.0), |(axis, weight)| {
                 (axes(bone, axis) * axes(upper_bone, hinge).inverse(), weight)
             })
         };
-        /// Sum of squared sines of the bend from which the bending plane is reliable: three frames at a right
-        /// angle, or some thirty at 20 degrees.
-        const MIN_BENDING: f64 = 3.0;
         let mut estimate = (DQuat::IDENTITY, 0.0);
-        if track.is_located(end) {
-            estimate = mean_of(upper, &hinged);
+        if self.track.is_located(end) {
+            estimate = self.mean_of(upper, hinged);
         }
         if estimate.1 < MIN_BENDING {
-            estimate = mean_of(upper, &swung);
+            let swung = |frame| self.swung(frame, trunk, upper_bone, [upper, middle]);
+            estimate = self.mean_of(upper, swung);
         }
-        let exact = mean_in(upper, &|frame| point(frame, middle) - point(frame, upper));
-        alignment[upper] = arc(estimate.0 * upper_bone, exact) * estimate.0;
+        estimate.0
+    }
 
-        let upper_alignment = alignment[upper];
-        let above = |frame: usize| rotation(frame, upper) * upper_alignment;
-        if is_mapped(middle) {
-            alignment[middle] = if track.is_located(end) {
-                let bone = skeleton.offset(end);
-                let below = |frame: usize| {
-                    let measured = point(frame, end) - point(frame, middle);
-                    (arc(above(frame) * bone, measured) * above(frame), 1.0)
-                };
-                let estimate = mean_of(middle, &below).0;
-                let exact = mean_in(middle, &|frame| point(frame, end) - point(frame, middle));
-                arc(estimate * bone, exact) * estimate
-            } else {
-                mean_of(middle, &|frame| (above(frame), 1.0)).0
-            };
+    fn align_foot(&mut self, ankle: usize, foot: usize) {
+        if let Some(level) = by_sole(self.track, ankle, foot, self.skeleton) {
+            self.alignment[ankle] = level;
         }
-        if is_mapped(end) {
-            // Wrists are on average in line with the forearm; ankles with the shin, unless the soles
-            // determine them.
-            let middle_alignment = alignment[middle];
-            let body = |frame: usize| (rotation(frame, middle) * middle_alignment, 1.0);
-            alignment[end] = mean_of(end, &body).0;
+        if self.track.is_mapped(foot) {
+            self.alignment[foot] = self.in_line_with(ankle, foot);
         }
     }
-    for [_, _, ankle, foot] in LEGS {
-        if let Some(level) = by_sole(track, ankle, foot, skeleton) {
-            alignment[ankle] = level;
-        }
-        if is_mapped(foot) {
-            let ankle_alignment = alignment[ankle];
-            let body = |frame: usize| (rotation(frame, ankle) * ankle_alignment, 1.0);
-            alignment[foot] = mean_of(foot, &body).0;
-        }
-    }
-    alignment
 }
 
 /// The bending axis of a joint and its weight; none if the joint is nearly straight or folded.

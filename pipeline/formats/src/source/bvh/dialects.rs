@@ -69,66 +69,7 @@ impl RigText {
 
     /// The rig of BONES-SEED: 77 joints below a root that stays where it is, no end sites, bones along x.
     pub(crate) fn soma() -> Self {
-        let mut joints = vec![
-            ("Root".to_owned(), String::new(), 0),
-            ("Hips".to_owned(), "Root".to_owned(), 0),
-        ];
-        let mut chain = |parent: &str, names: &[(&str, usize)], side: &str| {
-            let mut above = parent.to_owned();
-            for (name, body) in names {
-                let name = format!("{side}{name}");
-                joints.push((name.clone(), above, *body));
-                above = name;
-            }
-        };
-        chain(
-            "Hips",
-            &[
-                ("Spine1", 3),
-                ("Spine2", 6),
-                ("Chest", 9),
-                ("Neck1", 12),
-                ("Neck2", 12),
-                ("Head", 15),
-                ("HeadEnd", 15),
-            ],
-            "",
-        );
-        for face in ["Jaw", "LeftEye", "RightEye"] {
-            chain("Head", &[(face, 15)], "");
-        }
-        for (side, right) in [("Left", 0), ("Right", 1)] {
-            let arm = [
-                ("Shoulder", 13 + right),
-                ("Arm", 16 + right),
-                ("ForeArm", 18 + right),
-                ("Hand", 20 + right),
-            ];
-            chain("Chest", &arm, side);
-            let hand = format!("{side}Hand");
-            for finger in ["Thumb", "Index", "Middle", "Ring", "Pinky"] {
-                let bones = if finger == "Thumb" { 3 } else { 4 };
-                let names: Vec<String> = (1..=bones)
-                    .map(|bone| format!("Hand{finger}{bone}"))
-                    .chain([format!("Hand{finger}End")])
-                    .collect();
-                let names: Vec<(&str, usize)> = names
-                    .iter()
-                    .map(|name| (name.as_str(), 20 + right))
-                    .collect();
-                chain(&hand, &names, side);
-            }
-        }
-        for (side, right) in [("Left", 0), ("Right", 1)] {
-            let leg = [
-                ("Leg", 1 + right),
-                ("Shin", 4 + right),
-                ("Foot", 7 + right),
-                ("ToeBase", 10 + right),
-                ("ToeEnd", 10 + right),
-            ];
-            chain("Hips", &leg, side);
-        }
+        let joints = soma_joints();
         let listed: Vec<(&str, &str, usize)> = joints
             .iter()
             .map(|(name, parent, body)| (name.as_str(), parent.as_str(), *body))
@@ -359,6 +300,71 @@ impl RigText {
         }
         text.push_str("}\n");
     }
+}
+
+/// The joints of SOMA as (name, parent, body joint), parents first.
+fn soma_joints() -> Vec<(String, String, usize)> {
+    let mut joints = vec![
+        ("Root".to_owned(), String::new(), 0),
+        ("Hips".to_owned(), "Root".to_owned(), 0),
+    ];
+    let mut chain = |parent: &str, names: &[(&str, usize)], side: &str| {
+        let mut above = parent.to_owned();
+        for (name, body) in names {
+            let name = format!("{side}{name}");
+            joints.push((name.clone(), above, *body));
+            above = name;
+        }
+    };
+    chain(
+        "Hips",
+        &[
+            ("Spine1", 3),
+            ("Spine2", 6),
+            ("Chest", 9),
+            ("Neck1", 12),
+            ("Neck2", 12),
+            ("Head", 15),
+            ("HeadEnd", 15),
+        ],
+        "",
+    );
+    for face in ["Jaw", "LeftEye", "RightEye"] {
+        chain("Head", &[(face, 15)], "");
+    }
+    for (side, right) in [("Left", 0), ("Right", 1)] {
+        let arm = [
+            ("Shoulder", 13 + right),
+            ("Arm", 16 + right),
+            ("ForeArm", 18 + right),
+            ("Hand", 20 + right),
+        ];
+        chain("Chest", &arm, side);
+        let hand = format!("{side}Hand");
+        for finger in ["Thumb", "Index", "Middle", "Ring", "Pinky"] {
+            let bones = if finger == "Thumb" { 3 } else { 4 };
+            let names: Vec<String> = (1..=bones)
+                .map(|bone| format!("Hand{finger}{bone}"))
+                .chain([format!("Hand{finger}End")])
+                .collect();
+            let names: Vec<(&str, usize)> = names
+                .iter()
+                .map(|name| (name.as_str(), 20 + right))
+                .collect();
+            chain(&hand, &names, side);
+        }
+    }
+    for (side, right) in [("Left", 0), ("Right", 1)] {
+        let leg = [
+            ("Leg", 1 + right),
+            ("Shin", 4 + right),
+            ("Foot", 7 + right),
+            ("ToeBase", 10 + right),
+            ("ToeEnd", 10 + right),
+        ];
+        chain("Hips", &leg, side);
+    }
+    joints
 }
 
 fn read_text(text: &str) -> Result<SourceClip, Rejected> {

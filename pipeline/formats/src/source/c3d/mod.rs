@@ -285,68 +285,29 @@ impl Layout {
         let raw = self.raw_positions(bytes, processor);
         let unit = self.unit(parameters, &raw, unit);
         let metres = unit.unit.metres();
-
-        let mut positions = Vec::with_capacity(self.frames * kept.len());
-        let mut residuals = Vec::with_capacity(self.frames * kept.len());
-        let (mut seen, mut implausible, mut at_origin) = (0usize, 0usize, 0usize);
-        for frame in raw.chunks_exact(self.points) {
-            for &point in &kept {
-                let Point { at, residual } = frame[point];
-                let is_seen = frame[point].is_seen();
-                let place = at * metres;
-                let plausible = place.is_finite() && place.length() < MAX_DISTANCE_M;
-                at_origin += usize::from(residual >= 0.0 && !is_seen);
-                if is_seen {
-                    seen += 1;
-                    implausible += usize::from(!plausible);
-                }
-                if is_seen && plausible {
-                    positions.push(place.as_vec3().to_array());
-                    residuals.push((residual * metres) as f32);
-                } else {
-                    positions.push([0.0; 3]);
-                    residuals.push(-1.0);
-                }
-            }
-        }
-        if implausible as f64 > MAX_IMPLAUSIBLE * seen as f64 {
+        let positions = Positions::of(raw.chunks_exact(self.points), &kept, metres);
+        if positions.implausible as f64 > MAX_IMPLAUSIBLE * positions.seen as f64 {
             let frames = raw.chunks_exact(self.points).map(|frame| {
                 let markers = kept.iter().map(|point| frame[*point]);
                 markers
                     .filter(|point| point.is_seen())
                     .map(|point| point.at)
             });
-            if let Some(rejected) = unit.doubt(frames) {
-                return Err(rejected);
-            }
-            return Err(Rejected::read(
-                "E-C3D-ENDIAN",
-                format!(
-                    "found {implausible} of {seen} positions farther than {MAX_DISTANCE_M} m; the \
-                     file says {processor:?}, and its numbers are another processor's"
-                ),
-            )
-            .at(self.start));
+            let other = || positions.other_processor(processor).at(self.start);
+            return Err(unit.doubt(frames).unwrap_or_else(other));
         }
-        if !positions.is_empty() && positions.iter().all(|position| *position == [0.0; 3]) {
+        if positions.are_all_zero() {
             return Err(Rejected::read(
                 "E-C3D-ZERO",
                 format!(
-                    "all coordinates are zero in {} positions, {seen} of them seen; expected a capture",
-                    positions.len()
+                    "all coordinates are zero in {} positions, {} of them seen; expected a capture",
+                    positions.places.len(),
+                    positions.seen
                 ),
             )
             .at(self.start));
         }
-        if implausible > 0 {
-            self.notes.push(format!(
-                "{implausible} positions farther than {MAX_DISTANCE_M} m count as not seen"
-            ));
-        }
-        if at_origin > 0 {
-            let note = format!("{at_origin} positions at the origin count as not seen");
-            self.notes.push(note);
-        }
+        self.notes.extend(positions.notes());
         Ok(C3dFile {
             processor,
             unit,
@@ -354,8 +315,8 @@ impl Layout {
             markers: Markers {
                 fps: self.fps,
                 labels,
-                positions,
-                residuals,
+                positions: positions.places,
+                residuals: positions.residuals,
                 set: None,
                 fit_residuals: Vec::new(),
             },
@@ -413,6 +374,96 @@ impl Point {
     /// Some programs write points that were not seen at the origin, as if they were.
     fn is_seen(self) -> bool {
         self.residual >= 0.0 && self.at != DVec3::ZERO
+    }
+}
+
+/// Positions of the markers of a capture in metres.
+struct Positions {
+    /// Frame by frame; zeros where a marker is not seen.
+    places: Vec<[f32; 3]>,
+    /// Negative where a marker is not seen.
+    residuals: Vec<f32>,
+    seen: usize,
+    /// Of those seen, the ones that are too far away, which then count as not seen.
+    implausible: usize,
+    /// Points at the origin that the file says are seen.
+    at_origin: usize,
+}
+
+impl Positions {
+    /// The points `kept` of each frame, whose unit is so many metres.
+    fn of<'a>(
+        frames: impl ExactSizeIterator<Item = &'a [Point]>,
+        kept: &[usize],
+        metres: f64,
+    ) -> Self {
+        let count = frames.len() * kept.len();
+        let mut positions = Self {
+            places: Vec::with_capacity(count),
+            residuals: Vec::with_capacity(count),
+            seen: 0,
+            implausible: 0,
+            at_origin: 0,
+        };
+        for frame in frames {
+            for &point in kept {
+                positions.add(frame[point], metres);
+            }
+        }
+        positions
+    }
+
+    fn add(&mut self, point: Point, metres: f64) {
+        let Point { at, residual } = point;
+        let is_seen = point.is_seen();
+        let place = at * metres;
+        let plausible = place.is_finite() && place.length() < MAX_DISTANCE_M;
+        self.at_origin += usize::from(residual >= 0.0 && !is_seen);
+        if is_seen {
+            self.seen += 1;
+            self.implausible += usize::from(!plausible);
+        }
+        if is_seen && plausible {
+            self.places.push(place.as_vec3().to_array());
+            self.residuals.push((residual * metres) as f32);
+        } else {
+            self.places.push([0.0; 3]);
+            self.residuals.push(-1.0);
+        }
+    }
+
+    fn are_all_zero(&self) -> bool {
+        !self.places.is_empty() && self.places.iter().all(|place| *place == [0.0; 3])
+    }
+
+    /// Why a file with so many implausible positions is of another processor than it says.
+    fn other_processor(&self, stated: Processor) -> Rejected {
+        Rejected::read(
+            "E-C3D-ENDIAN",
+            format!(
+                "found {} of {} positions farther than {MAX_DISTANCE_M} m; the \
+                 file says {stated:?}, and its numbers are another processor's",
+                self.implausible, self.seen
+            ),
+        )
+    }
+
+    fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if self.implausible > 0 {
+            notes.push(format!(
+                "{} positions farther than {MAX_DISTANCE_M} m count as not seen",
+                self.implausible
+            ));
+        }
+        if self.at_origin > 0 {
+            let note = format!(
+                "{} positions at the origin count as not seen",
+                self.at_origin
+            );
+            notes.push(note);
+        }
+        notes
     }
 }
 

@@ -65,28 +65,13 @@ impl TrcFile {
         let mut rows = Rows::parse(&mut lines, &header)?;
         let mut notes = Vec::new();
         let mut flags = 0;
-        let (found, stated) = (rows.len(), header.num_frames);
-        if found == 0 {
+        if rows.len() == 0 {
             let reason = "found 0 frames, expected at least 2";
             return Err(Rejected::read("E-TOO-SHORT", reason).at(bytes.len()));
         }
-        if found != stated {
-            if !lenient || stated == 0 {
-                return Err(Rejected::read(
-                    "E-TRC-FRAMES",
-                    format!(
-                        "found {found} rows, expected {stated} as NumFrames says; `stance ingest \
-                         --lenient` reads the rows that both agree on"
-                    ),
-                )
-                .at(rows.place_of(stated).unwrap_or(bytes.len())));
-            }
-            rows.truncate(stated);
+        if let Some(note) = cut_to_stated(&mut rows, header.num_frames, lenient, bytes.len())? {
             flags |= FLAG_ROW_COUNT;
-            notes.push(format!(
-                "the header says {stated} frames and {found} rows follow; {} were read",
-                rows.len()
-            ));
+            notes.push(note);
         }
         let rate = rows.rate(header.rate)?;
         if let Some(note) = rate.note {
@@ -101,45 +86,11 @@ impl TrcFile {
         };
         let (unit, note) = CaptureUnit::find(unit, &header.unit, largest);
         notes.extend(note);
-        let metres = unit.unit.metres();
-        let mut positions = Vec::with_capacity(rows.positions.len());
-        let mut residuals = Vec::with_capacity(rows.positions.len());
-        let (mut seen, mut far) = (0usize, 0usize);
-        for point in &rows.positions {
-            let place = point.map(|point| point * metres);
-            seen += usize::from(place.is_some());
-            let plausible = place.filter(|place| place.length() < MAX_DISTANCE_M);
-            far += usize::from(place.is_some() && plausible.is_none());
-            positions.push(plausible.map_or([0.0; 3], |place| place.as_vec3().to_array()));
-            residuals.push(if plausible.is_some() { 0.0 } else { -1.0 });
-        }
-        if far as f64 > MAX_IMPLAUSIBLE * seen as f64 {
-            let frames = rows.positions.chunks(header.names.len().max(1));
-            let frames = frames.map(|frame| frame.iter().flatten().copied());
-            let found = || {
-                let reason =
-                    format!("found {far} of {seen} positions farther than {MAX_DISTANCE_M} m");
-                Rejected::read(
-                    UNIT_CODE,
-                    format!("{reason} in {}, {}", unit.unit, unit.said),
-                )
-            };
-            return Err(unit.doubt(frames).unwrap_or_else(found).at(header.unit_at));
-        }
-        if far == seen {
-            return Err(Rejected::read(
-                "E-TRC-EMPTY",
-                format!(
-                    "no marker is seen in {} frames of {} markers, expected a capture",
-                    rows.len(),
-                    header.names.len()
-                ),
-            )
-            .at(header.names_at));
-        }
-        if far > 0 {
+        let positions = in_metres(&rows, &header, unit)?;
+        if positions.far > 0 {
             notes.push(format!(
-                "{far} positions farther than {MAX_DISTANCE_M} m count as not seen"
+                "{} positions farther than {MAX_DISTANCE_M} m count as not seen",
+                positions.far
             ));
         }
         if rows.num_zeros > 0 {
@@ -152,8 +103,8 @@ impl TrcFile {
             markers: Markers {
                 fps: rate.fps,
                 labels: header.labels(),
-                positions,
-                residuals,
+                positions: positions.places,
+                residuals: positions.residuals,
                 set: None,
                 fit_residuals: Vec::new(),
             },
@@ -162,6 +113,88 @@ impl TrcFile {
             flags,
         })
     }
+}
+
+/// Drops the rows beyond the number that the header states, if that is asked for. Returns what a reader may want to
+/// know about it.
+fn cut_to_stated(
+    rows: &mut Rows,
+    stated: usize,
+    lenient: bool,
+    end: usize,
+) -> Result<Option<String>, Rejected> {
+    let found = rows.len();
+    if found == stated {
+        return Ok(None);
+    }
+    if !lenient || stated == 0 {
+        return Err(Rejected::read(
+            "E-TRC-FRAMES",
+            format!(
+                "found {found} rows, expected {stated} as NumFrames says; `stance ingest \
+                 --lenient` reads the rows that both agree on"
+            ),
+        )
+        .at(rows.place_of(stated).unwrap_or(end)));
+    }
+    rows.truncate(stated);
+    Ok(Some(format!(
+        "the header says {stated} frames and {found} rows follow; {} were read",
+        rows.len()
+    )))
+}
+
+/// Positions of the markers in metres.
+struct Positions {
+    /// Frame by frame; zeros where a marker is not seen.
+    places: Vec<[f32; 3]>,
+    /// Negative where a marker is not seen.
+    residuals: Vec<f32>,
+    /// Positions that are too far away and count as not seen.
+    far: usize,
+}
+
+fn in_metres(rows: &Rows, header: &Header, unit: CaptureUnit) -> Result<Positions, Rejected> {
+    let metres = unit.unit.metres();
+    let mut places = Vec::with_capacity(rows.positions.len());
+    let mut residuals = Vec::with_capacity(rows.positions.len());
+    let (mut seen, mut far) = (0usize, 0usize);
+    for point in &rows.positions {
+        let place = point.map(|point| point * metres);
+        seen += usize::from(place.is_some());
+        let plausible = place.filter(|place| place.length() < MAX_DISTANCE_M);
+        far += usize::from(place.is_some() && plausible.is_none());
+        places.push(plausible.map_or([0.0; 3], |place| place.as_vec3().to_array()));
+        residuals.push(if plausible.is_some() { 0.0 } else { -1.0 });
+    }
+    if far as f64 > MAX_IMPLAUSIBLE * seen as f64 {
+        let frames = rows.positions.chunks(header.names.len().max(1));
+        let frames = frames.map(|frame| frame.iter().flatten().copied());
+        let found = || {
+            let reason = format!("found {far} of {seen} positions farther than {MAX_DISTANCE_M} m");
+            Rejected::read(
+                UNIT_CODE,
+                format!("{reason} in {}, {}", unit.unit, unit.said),
+            )
+        };
+        return Err(unit.doubt(frames).unwrap_or_else(found).at(header.unit_at));
+    }
+    if far == seen {
+        return Err(Rejected::read(
+            "E-TRC-EMPTY",
+            format!(
+                "no marker is seen in {} frames of {} markers, expected a capture",
+                rows.len(),
+                header.names.len()
+            ),
+        )
+        .at(header.names_at));
+    }
+    Ok(Positions {
+        places,
+        residuals,
+        far,
+    })
 }
 
 /// A line of the text.

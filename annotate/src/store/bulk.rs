@@ -1,0 +1,232 @@
+//! Actions on all tasks of a filter.
+
+use super::db::{Tx, params};
+use super::entry::{Body, Entry};
+use super::filter::{self, Values, condition};
+use super::leases::MINUTE;
+use super::records::{Millis, TaskRecord, Who};
+use super::rows::NUM_TASK_COLUMNS;
+use super::{log, project, rows, rules};
+use crate::Error;
+use crate::answer;
+use crate::state::{LogKind, targets};
+use crate::wire::{BulkAction, BulkDone, BulkRequest, MAX_TEXT_CHARS, Settings};
+
+/// Tasks that one bulk request looks at.
+const BULK_AT_ONCE: i64 = 2000;
+const DAY: Millis = 24 * 60 * MINUTE;
+
+/// Checks a bulk request. A preview needs no comment.
+fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<(), Error> {
+    filter::check(&request.filter)?;
+    if request.comment.chars().count() > MAX_TEXT_CHARS {
+        return Err(Error::invalid("comment", "the comment is too long"));
+    }
+    let needs_comment = matches!(
+        request.action,
+        BulkAction::Return | BulkAction::Drop | BulkAction::Reopen
+    );
+    if act && needs_comment && request.comment.trim().is_empty() {
+        return Err(Error::invalid(
+            "comment",
+            "write a comment; the authors and the log need it",
+        ));
+    }
+    match (request.action, request.person) {
+        (BulkAction::Assign, None) => Err(Error::invalid(
+            "person",
+            "name the person to give the tasks to",
+        )),
+        (BulkAction::Assign, Some(person)) => {
+            let active = tx.number(
+                "SELECT COUNT(*) FROM usr WHERE id = ?1 AND active = 1",
+                params![person],
+            )?;
+            if active == 0 {
+                return Err(Error::invalid(
+                    "person",
+                    format!("there is no active user {person}"),
+                ));
+            }
+            Ok(())
+        }
+        (_, Some(_)) => Err(Error::invalid(
+            "person",
+            "only the action assign has a person",
+        )),
+        (_, None) => Ok(()),
+    }
+}
+
+/// Looks at tasks of a filter, and acts on them if `act` is set. Without it all tasks are counted.
+pub(super) fn bulk(
+    tx: &mut dyn Tx,
+    who: &Who,
+    request: &BulkRequest,
+    act: bool,
+    now: Millis,
+) -> Result<BulkDone, Error> {
+    check_bulk(tx, request, act)?;
+    let settings = project::settings(tx)?;
+    let mut values = Values::default();
+    let place = condition(&request.filter, &mut values);
+    let after = values.put(request.after.unwrap_or(0));
+    let limit = values.put(if act { BULK_AT_ONCE } else { i64::MAX });
+    let me = values.put(who.id);
+    let sql = format!(
+        "SELECT {}, (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'review' AND l.usr <> {me}),
+           (SELECT COUNT(*) FROM revision r WHERE r.task = t.id AND r.author = {me} AND r.state <> 'draft')
+         FROM task t WHERE {place} AND t.id > {after} ORDER BY t.id LIMIT {limit}",
+        rows::TASK_COLUMNS
+    );
+    let found = tx.query(&sql, &values.0)?;
+    let mut done = BulkDone {
+        looked_at: found.len() as i64,
+        ..BulkDone::default()
+    };
+    let mut last = None;
+    for row in &found {
+        let one = One {
+            task: rows::read_task(row)?,
+            held: row.flag(NUM_TASK_COLUMNS)?,
+            own: row.flag(NUM_TASK_COLUMNS + 1)?,
+        };
+        let id = one.task.id;
+        match planned(tx, who, request, &settings, &one, now)? {
+            Ok(body) => {
+                done.done += 1;
+                if act {
+                    let entry = Entry {
+                        at: now,
+                        actor: Some(who.id),
+                        task: Some(id),
+                        epoch: None,
+                        body,
+                    };
+                    log::note(tx, &entry)?;
+                }
+            }
+            Err(reason) => *done.left_alone.entry(reason.to_owned()).or_default() += 1,
+        }
+        last = Some(id);
+    }
+    done.next = last.filter(|_| act && done.looked_at == BULK_AT_ONCE);
+    Ok(done)
+}
+
+/// A task of a bulk action.
+struct One {
+    task: TaskRecord,
+    /// Whether another reviewer looks at it.
+    held: bool,
+    /// Whether the actor answered it.
+    own: bool,
+}
+
+/// What is done to a task, or why it is left alone.
+type Planned = Result<Body, &'static str>;
+
+/// What a bulk action does to a task.
+fn planned(
+    tx: &mut dyn Tx,
+    who: &Who,
+    request: &BulkRequest,
+    settings: &Settings,
+    one: &One,
+    now: Millis,
+) -> Result<Planned, Error> {
+    let One { task, held, own } = one;
+    let comment = request.comment.trim().to_owned();
+    let empty = String::new();
+    let kind = match request.action {
+        BulkAction::Accept => LogKind::Accepted,
+        BulkAction::Return => LogKind::Returned,
+        BulkAction::Drop => LogKind::Dropped,
+        BulkAction::Reopen => LogKind::Reopened,
+        BulkAction::Assign => LogKind::Assigned,
+    };
+    if targets(task.state, kind).is_empty() {
+        return Ok(Err("wrong_state"));
+    }
+    if *held {
+        return Ok(Err("held"));
+    }
+    if *own && !settings.solo && request.action != BulkAction::Assign {
+        return Ok(Err("own_work"));
+    }
+    let until = now + Millis::from(settings.returned_days) * DAY;
+    let body = match request.action {
+        BulkAction::Accept => return accepted(tx, who, one, comment),
+        BulkAction::Return => {
+            let answers = rules::waiting_answers(tx, task.id)?;
+            Body::Returned {
+                authors: answers.iter().map(|own| own.author).collect(),
+                comment,
+                until,
+                secs: 0.0,
+                request: empty,
+            }
+        }
+        BulkAction::Drop => Body::Dropped {
+            comment,
+            secs: 0.0,
+            request: empty,
+        },
+        BulkAction::Reopen => Body::Reopened {
+            comment,
+            request: empty,
+            rule: None,
+        },
+        BulkAction::Assign => {
+            let person = request.person.unwrap_or(0);
+            return assigned(tx, task.id, person, until);
+        }
+    };
+    Ok(Ok(body))
+}
+
+/// Accepts the first of answers that agree.
+fn accepted(tx: &mut dyn Tx, who: &Who, one: &One, comment: String) -> Result<Planned, Error> {
+    let answers = rules::waiting_answers(tx, one.task.id)?;
+    let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
+    if answer::spread(&all).is_some_and(|distance| distance > 0.0) {
+        return Ok(Err("answers_differ"));
+    }
+    let Some(first) = answers.first() else {
+        return Ok(Err("wrong_state"));
+    };
+    Ok(Ok(Body::Accepted {
+        author: first.author,
+        comment,
+        secs: 0.0,
+        request: String::new(),
+        rule: None,
+        own: one.own && first.author == who.id,
+    }))
+}
+
+/// Keeps a task for a person who neither holds nor answered it.
+fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Planned, Error> {
+    let row = tx.one(
+        "SELECT t.wanted - t.submitted - (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'annotate'),
+                   (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.usr = ?2),
+                   (SELECT COUNT(*) FROM revision r WHERE r.task = t.id AND r.author = ?2
+                      AND r.state NOT IN ('draft', 'returned'))
+                 FROM task t WHERE t.id = ?1",
+        params![task, person],
+    )?;
+    let row = row.ok_or_else(|| Error::not_found("task"))?;
+    if row.int(1)? > 0 {
+        return Ok(Err("held"));
+    }
+    if row.int(2)? > 0 {
+        return Ok(Err("answered"));
+    }
+    if row.int(0)? <= 0 {
+        return Ok(Err("task_full"));
+    }
+    Ok(Ok(Body::Assigned {
+        user: person,
+        until,
+    }))
+}

@@ -1,0 +1,149 @@
+//! Filters of tasks, as conditions in SQL.
+
+use super::db::Value;
+use super::read;
+use crate::Error;
+use crate::wire::{SkipFilter, TaskFilter, TaskKind, TaskState};
+
+/// Parameters of a query that is put together.
+#[derive(Default)]
+pub(super) struct Values(pub(super) Vec<Value>);
+
+impl Values {
+    /// Adds a value and returns its place in the query.
+    pub(super) fn put(&mut self, value: impl Into<Value>) -> String {
+        self.0.push(value.into());
+        format!("?{}", self.0.len())
+    }
+}
+
+/// The SQL condition of a filter on task `t`.
+pub(super) fn condition(filter: &TaskFilter, values: &mut Values) -> String {
+    let mut all = vec!["t.gold IS NULL".to_owned()];
+    let mut equal = |column: &str, value: Option<&str>, values: &mut Values| {
+        if let Some(value) = value {
+            all.push(format!("t.{column} = {}", values.put(value)));
+        }
+    };
+    equal("kind", filter.kind.map(TaskKind::as_str), values);
+    equal("state", filter.state.map(TaskState::as_str), values);
+    equal("category", filter.category.as_deref(), values);
+    equal("split", filter.split.as_deref(), values);
+    if let Some(task) = filter.task {
+        all.push(format!("t.id = {}", values.put(task)));
+    }
+    if let Some(person) = filter.person {
+        let who = values.put(person);
+        all.push(format!(
+            "t.id IN (SELECT task FROM revision WHERE author = {who} AND state <> 'draft'
+               UNION SELECT task FROM lease WHERE usr = {who} UNION SELECT task FROM skip WHERE usr = {who})"
+        ));
+    }
+    let answered = |condition: String| {
+        format!(
+            "EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.state <> 'draft' AND {condition})"
+        )
+    };
+    if let Some(part) = &filter.part {
+        let like = values.put(format!("%|{part}|%"));
+        all.push(format!(
+            "({} OR EXISTS (SELECT 1 FROM accepted a WHERE a.task = t.id AND a.parts LIKE {like}))",
+            answered(format!("r.parts LIKE {like}"))
+        ));
+    }
+    if let Some(edit_type) = filter.edit_type {
+        let value = values.put(edit_type.as_str());
+        all.push(answered(format!("r.edit_type = {value}")));
+    }
+    if let Some(verdict) = filter.verdict {
+        let value = values.put(verdict.as_str());
+        all.push(answered(format!("r.verdict = {value}")));
+    }
+    if let Some(least) = filter.min_distance {
+        all.push(format!("t.distance >= {}", values.put(least)));
+    }
+    if let Some(most) = filter.max_distance {
+        all.push(format!("t.distance <= {}", values.put(most)));
+    }
+    if let Some(rule) = &filter.rule {
+        let basis = values.put(format!("rule:{rule}"));
+        all.push(format!(
+            "EXISTS (SELECT 1 FROM accepted a WHERE a.task = t.id AND a.basis = {basis})"
+        ));
+    }
+    all.extend(filter.skipped.map(skipped));
+    if let Some(text) = filter.q.as_deref().map(str::trim)
+        && !text.is_empty()
+    {
+        all.push(contains(text, values));
+    }
+    all.join(" AND ")
+}
+
+/// The condition of a task that was skipped.
+fn skipped(by: SkipFilter) -> String {
+    let skipped = "EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.postponed = 0)";
+    match by {
+        SkipFilter::Any => skipped.to_owned(),
+        SkipFilter::Everybody => format!(
+            "t.state IN ('open', 'leased', 'returned') AND {skipped} AND NOT EXISTS (
+               SELECT 1 FROM usr u WHERE u.active = 1
+                 AND (u.role = 'annotator'
+                   OR NOT EXISTS (SELECT 1 FROM usr a WHERE a.active = 1 AND a.role = 'annotator'))
+                 AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = u.id AND s.postponed = 0)
+                 AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = u.id
+                   AND r.state NOT IN ('draft', 'returned')))"
+        ),
+    }
+}
+
+/// The condition of a task with a text in its answers, its clips or its own words.
+fn contains(text: &str, values: &mut Values) -> String {
+    let like = values.put(read::like(text));
+    let fits = |column: &str| format!("{column} LIKE {like} ESCAPE '\\'");
+    format!(
+        "(EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.state <> 'draft' AND {})
+              OR EXISTS (SELECT 1 FROM accepted a WHERE a.task = t.id AND {})
+              OR EXISTS (SELECT 1 FROM motion m WHERE m.hash = t.source AND ({} OR {}))
+              OR EXISTS (SELECT 1 FROM motion m WHERE m.hash = t.target AND ({} OR {}))
+              OR {} OR {} OR {})",
+        fits("r.words"),
+        fits("a.words"),
+        fits("lower(m.id)"),
+        fits("lower(m.captions)"),
+        fits("lower(m.id)"),
+        fits("lower(m.captions)"),
+        fits("lower(t.category)"),
+        fits("lower(t.hint)"),
+        fits("lower(t.style)"),
+    )
+}
+
+/// Checks a filter.
+pub(super) fn check(filter: &TaskFilter) -> Result<(), Error> {
+    const MAX_SEARCH: usize = 200;
+    if let Some(part) = &filter.part
+        && let Err(error) = part.parse::<datasets_spec::BodyPart>()
+    {
+        return Err(Error::invalid("part", error.to_string()));
+    }
+    if filter
+        .q
+        .as_ref()
+        .is_some_and(|text| text.chars().count() > MAX_SEARCH)
+    {
+        return Err(Error::invalid(
+            "q",
+            format!("search for up to {MAX_SEARCH} characters"),
+        ));
+    }
+    for (field, value) in [
+        ("min_distance", filter.min_distance),
+        ("max_distance", filter.max_distance),
+    ] {
+        if value.is_some_and(|value| !(0.0..=1.0).contains(&value)) {
+            return Err(Error::invalid(field, "a distance is 0 to 1"));
+        }
+    }
+    Ok(())
+}

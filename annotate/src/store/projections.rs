@@ -1,0 +1,182 @@
+//! Rows of the projections that several kinds of entries write, and the state of a task that follows from them.
+
+use super::db::{Tx, params};
+use super::entry::{Entry, json};
+use super::records::{Credit, Millis};
+use crate::Error;
+use crate::state::Purpose;
+use crate::wire::{Answer, TaskState, Verdict};
+
+/// Column `accepted.basis` of an imported answer; behind a colon follows how it was accepted elsewhere.
+pub(super) const IMPORTED: &str = "import";
+
+/// Whether an answer keeps a fine-grained pair, which counts toward the quota of its category.
+pub(super) fn is_kept_pair(answer: &Answer) -> bool {
+    matches!(
+        answer,
+        Answer::Pair {
+            verdict: Verdict::Keep,
+            ..
+        }
+    )
+}
+
+pub(super) fn accept_imported(
+    tx: &mut dyn Tx,
+    seq: i64,
+    entry: &Entry,
+    task: i64,
+    answer: &Answer,
+    credit: Option<&Credit>,
+) -> Result<(), Error> {
+    tx.execute(
+        "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, at, seq, basis, words, parts)
+         VALUES (?1, ?2, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
+        params![
+            task,
+            entry.actor.unwrap_or(0),
+            json(answer)?,
+            credit.is_some_and(|credit| credit.merged),
+            credit.and_then(|credit| credit.author.clone()),
+            is_kept_pair(answer),
+            entry.at,
+            seq,
+            match credit.and_then(|credit| credit.accepted_by.as_deref()) {
+                Some(basis) => format!("{IMPORTED}:{basis}"),
+                None => IMPORTED.to_owned(),
+            },
+            words(answer),
+            part_list(answer)
+        ],
+    )?;
+    Ok(())
+}
+
+/// A lease to create.
+pub(super) struct NewLease {
+    pub(super) id: i64,
+    pub(super) task: i64,
+    pub(super) user: i64,
+    pub(super) epoch: i64,
+    pub(super) expires: Millis,
+    pub(super) purpose: Purpose,
+    pub(super) blind: bool,
+}
+
+pub(super) fn put_lease(tx: &mut dyn Tx, lease: &NewLease) -> Result<(), Error> {
+    end_lease_of(tx, lease.task, lease.user)?;
+    tx.execute(
+        "INSERT INTO lease (id, task, usr, epoch, expires, purpose, blind) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+        params![
+            lease.id,
+            lease.task,
+            lease.user,
+            lease.epoch,
+            lease.expires,
+            lease.purpose.as_str(),
+            lease.blind
+        ],
+    )?;
+    tx.execute(
+        "UPDATE task SET epoch = ?2 WHERE id = ?1",
+        params![lease.task, lease.epoch],
+    )?;
+    Ok(())
+}
+
+pub(super) fn end_lease_of(tx: &mut dyn Tx, task: i64, user: i64) -> Result<(), Error> {
+    tx.execute(
+        "DELETE FROM lease WHERE task = ?1 AND usr = ?2",
+        params![task, user],
+    )?;
+    Ok(())
+}
+
+pub(super) fn end_leases(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+    tx.execute("DELETE FROM lease WHERE task = ?1", params![task])?;
+    Ok(())
+}
+
+/// Lower-case texts of an answer, for searches.
+pub(super) fn words(answer: &Answer) -> String {
+    let texts: Vec<String> = answer
+        .texts()
+        .into_iter()
+        .map(|(text, _)| text)
+        .chain([answer.note()])
+        .filter(|text| !text.is_empty())
+        .map(str::to_lowercase)
+        .collect();
+    texts.join("\n")
+}
+
+/// Names of the parts of an answer, each between bars: `|LEFT_ARM|LOWER_BODY|`.
+pub(super) fn part_list(answer: &Answer) -> String {
+    let names: Vec<&str> = answer.part_names().into_iter().collect();
+    if names.is_empty() {
+        return String::new();
+    }
+    format!("|{}|", names.join("|"))
+}
+
+/// Notes that somebody decided about a task with its clip as it is now.
+pub(super) fn settle_clip(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+    tx.execute("UPDATE task SET changed = 0 WHERE id = ?1", params![task])?;
+    Ok(())
+}
+
+pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<(), Error> {
+    tx.execute(
+        "UPDATE task SET state = ?2, claimable = 0,
+           leases = (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose <> 'review') WHERE id = ?1",
+        params![task, state.as_str()],
+    )?;
+    count(tx, task)
+}
+
+/// Derives whether a pair counts toward the quota of its category: an accepted answer keeps it; or, before a decision,
+/// a submitted answer keeps it, or somebody is at work on it. A claim can so leave room for those who are at work.
+fn count(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+    tx.execute(
+        "UPDATE task SET counted = CASE
+             WHEN gold IS NOT NULL OR state = 'dropped' THEN 0
+             WHEN state = 'accepted' THEN COALESCE((SELECT a.keeps FROM accepted a WHERE a.task = ?1), 0)
+             WHEN EXISTS (SELECT 1 FROM revision r WHERE r.task = ?1 AND r.state = 'submitted' AND r.verdict = 'keep')
+               OR EXISTS (SELECT 1 FROM lease l WHERE l.task = ?1 AND l.purpose <> 'review') THEN 1
+             ELSE 0 END
+         WHERE id = ?1 AND kind = 'pair'",
+        params![task],
+    )?;
+    Ok(())
+}
+
+/// Counts the answers and leases of an undecided task and derives its state.
+pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+    let row = tx
+        .one(
+            "SELECT wanted, CASE WHEN gold IS NULL THEN 0 ELSE 1 END,
+               (SELECT COUNT(*) FROM revision WHERE task = ?1 AND state IN ('submitted', 'accepted', 'superseded')),
+               (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose IN ('annotate', 'assigned')),
+               (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose = 'returned')
+             FROM task WHERE id = ?1",
+            params![task],
+        )?
+        .ok_or_else(|| Error::not_found("task"))?;
+    let (wanted, gold) = (row.int(0)?, row.flag(1)?);
+    let (submitted, active, kept) = (row.int(2)?, row.int(3)?, row.int(4)?);
+    let state = if submitted >= wanted {
+        TaskState::Submitted
+    } else if active > 0 {
+        TaskState::Leased
+    } else if kept > 0 {
+        TaskState::Returned
+    } else {
+        TaskState::Open
+    };
+    let claimable = !gold && submitted + active + kept < wanted;
+    tx.execute(
+        "UPDATE task SET state = ?2, submitted = ?3, leases = ?4, claimable = ?5 WHERE id = ?1",
+        params![task, state.as_str(), submitted, active + kept, claimable],
+    )?;
+    count(tx, task)
+}

@@ -1,0 +1,253 @@
+//! The arguments of `stance annotate`.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use annotate::http::TrustedProxy;
+use datasets_spec::Split;
+use tables::Condition;
+
+/// File or address of the store.
+pub(super) const STORE: &str = "STANCE_STORE";
+
+/// Annotate a dataset in the browser: masks, descriptions, pairs, styles, review.
+///
+/// Without a subcommand a server starts and prints an address to open; it ends with Ctrl-C. Every
+/// clip is a task, and so is every pair. Answers are kept in one SQLite file in the dataset's folder
+/// `annotate`; `export` writes the accepted ones into the dataset, where `stance triplets` and
+/// `stance train` find them.
+///
+/// Drafts by a language model are on when STANCE_MODEL_URL and STANCE_MODEL_NAME are set
+/// (STANCE_MODEL_KEY too, if it needs a key).
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Dataset folder with motions
+    #[arg(value_parser = crate::local::path())]
+    pub(super) dataset: PathBuf,
+    /// Make tasks of the clips alone that fulfil a condition in SQL, such as "NOT has_mask"; it is kept for later imports,
+    /// tasks that exist stay, and "TRUE" takes all clips again. `stance query --help` tells more
+    #[arg(long = "where", value_name = "CONDITION")]
+    pub(super) condition: Option<Condition>,
+    /// Address to listen on; port 0 takes a free one
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8765")]
+    pub(super) listen: SocketAddr,
+    /// File of the annotations, or an address postgres://… [default: DATASET/annotate/store.sqlite]. An address
+    /// with a password belongs into the variable: others can read the command lines of processes
+    #[arg(long, value_name = "FILE", env = STORE, hide_env_values = true)]
+    pub(super) store: Option<String>,
+    /// Browsers reach the server through a proxy with TLS
+    #[arg(long)]
+    pub(super) secure: bool,
+    /// Names by which browsers reach the server, with commas between: that of the proxy. Requests to other names are refused;
+    /// localhost and addresses need none
+    #[arg(long, value_name = "NAME", value_delimiter = ',', env = "STANCE_HOST", value_parser = host_name)]
+    pub(super) host: Vec<String>,
+    /// Addresses or networks of proxies that name the client in X-Forwarded-For or Forwarded, with commas between
+    #[arg(long, value_name = "ADDR", value_delimiter = ',')]
+    pub(super) trusted_proxy: Vec<TrustedProxy>,
+    /// Second address to listen on, for /metrics, /healthz and /readyz without login
+    #[arg(long, value_name = "ADDR")]
+    pub(super) metrics: Option<SocketAddr>,
+    /// Copy the store this often while the server runs, into folder `annotate/backups` of the dataset [default: never]
+    #[arg(long, value_name = "HOURS", value_parser = clap::value_parser!(u16).range(1..))]
+    pub(super) backup_hours: Option<u16>,
+    /// Copies to keep; older ones are removed
+    #[arg(long, value_name = "N", default_value_t = 7, value_parser = clap::value_parser!(u16).range(1..))]
+    pub(super) backups: u16,
+    #[command(subcommand)]
+    pub(super) action: Option<Action>,
+}
+
+impl Args {
+    /// Folder of the store and of exports.
+    pub(super) fn folder(&self) -> PathBuf {
+        self.dataset.join("annotate")
+    }
+}
+
+#[derive(clap::Subcommand, Debug)]
+pub(super) enum Action {
+    /// Add, list and change users
+    User {
+        #[command(subcommand)]
+        action: UserAction,
+    },
+    /// Make a token for a user; it is printed only once
+    Token {
+        /// Name of the user
+        name: String,
+        /// Days until it expires
+        #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u16).range(1..=365))]
+        days: u16,
+    },
+    /// Take tasks of the dataset, or annotations of a file
+    ///
+    /// Annotations become accepted answers of tasks that nobody has worked on. Those of other tasks are left out; if
+    /// they differ, they are listed.
+    Import {
+        /// Folder of a STANCE release with mask_all.json and part_annotations.json, of an export of answers or of a
+        /// dataset (`stance export --to stance`), or an annotations.parquet [default: the dataset]
+        file: Option<PathBuf>,
+    },
+    /// List tasks with answers about a clip that was ingested anew since, with other content, or decide about them
+    Changed {
+        /// All these answers hold
+        #[arg(long)]
+        keep: bool,
+        /// All these accepted answers go back to review
+        #[arg(long, conflicts_with = "keep")]
+        reopen: bool,
+    },
+    /// Write accepted annotations
+    Export {
+        /// Where to: the dataset's own tables masks and pairs, Parquet tables, the STANCE release's JSON, or CSV
+        #[arg(long, default_value = "dataset", value_parser = ["dataset", "parquet", "stance", "csv"])]
+        format: String,
+        /// Folder for the files; not for format dataset
+        #[arg(long, value_name = "FOLDER", required_if_eq_any = [("format", "parquet"), ("format", "stance"), ("format", "csv")])]
+        to: Option<PathBuf>,
+        /// Splits to write [default: all]
+        #[arg(long, value_name = "SPLIT", num_args = 1..)]
+        split: Vec<Split>,
+        /// Also write the whole log; for format parquet
+        #[arg(long)]
+        events: bool,
+    },
+    /// Rules that accept answers without a reviewer; the admin page edits them
+    Rules {
+        #[command(subcommand)]
+        action: Option<RulesAction>,
+    },
+    /// Do one thing to all tasks of a filter; without --yes only count them
+    Bulk(Box<BulkArgs>),
+    /// Ask the language model for drafts of tasks that have none
+    Drafts {
+        /// Only tasks of this kind
+        #[arg(long, value_parser = ["mask_text", "pair", "style"])]
+        kind: Option<String>,
+        /// Most tasks to ask for
+        #[arg(long, default_value_t = usize::MAX, hide_default_value = true, value_name = "TASKS")]
+        limit: usize,
+    },
+    /// Copy the store to a new file; servers may keep running
+    Backup {
+        /// New file, or a folder that gets a copy named by the time
+        file: PathBuf,
+        /// Copies to keep in the folder; older ones are removed [default: all]
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+        keep: Option<u16>,
+    },
+    /// Derive all tables from the log and repair those that differ; servers may keep running
+    Rebuild,
+    /// Check that the log is complete and that all tables match it; servers may keep running
+    Check,
+}
+
+#[derive(clap::Subcommand, Debug)]
+pub(super) enum RulesAction {
+    /// List the rules, what they accepted and what they would accept
+    List,
+    /// Apply the enabled rules to all tasks that wait for review
+    Apply,
+    /// Disable a rule and take all its acceptances back
+    Undo {
+        /// Name of the rule
+        name: String,
+    },
+}
+
+#[derive(clap::Args, Debug)]
+pub(super) struct BulkArgs {
+    /// What to do with each task
+    #[arg(value_parser = ["accept", "return", "drop", "reopen", "assign"])]
+    pub(super) action: String,
+    /// Only tasks of this kind
+    #[arg(long, value_parser = ["mask_text", "pair", "style"])]
+    pub(super) kind: Option<String>,
+    /// Only tasks in this state
+    #[arg(long, value_parser = ["open", "leased", "submitted", "in_review", "accepted", "returned", "dropped"])]
+    pub(super) state: Option<String>,
+    /// Only tasks whose texts, captions or ids hold this text
+    #[arg(long, value_name = "TEXT")]
+    pub(super) search: Option<String>,
+    /// Only tasks that this person answered, skipped or holds
+    #[arg(long, value_name = "NAME")]
+    pub(super) person: Option<String>,
+    /// Only tasks with an answer that names this part
+    #[arg(long)]
+    pub(super) part: Option<String>,
+    /// Only tasks with an answer of this verdict
+    #[arg(long, value_parser = ["keep", "unnatural", "unclear", "identical"])]
+    pub(super) verdict: Option<String>,
+    /// Only tasks of this category
+    #[arg(long)]
+    pub(super) category: Option<String>,
+    /// Only tasks whose answers differ at most so much, 0 to 1
+    #[arg(long, value_name = "DISTANCE")]
+    pub(super) max_distance: Option<f64>,
+    /// Only tasks that this rule accepted
+    #[arg(long, value_name = "NAME")]
+    pub(super) rule: Option<String>,
+    /// Comment for the authors and the log; return, drop and reopen need one
+    #[arg(long, default_value = "")]
+    pub(super) comment: String,
+    /// Who the tasks are reserved for, for assign
+    #[arg(long, value_name = "NAME")]
+    pub(super) to: Option<String>,
+    /// Act; otherwise the tasks are only counted
+    #[arg(long)]
+    pub(super) yes: bool,
+}
+
+#[derive(clap::Subcommand, Debug)]
+pub(super) enum UserAction {
+    /// Add a user and print their token, only once
+    Add {
+        /// Name
+        name: String,
+        /// What they may do
+        #[arg(long, default_value = "annotator", value_parser = ["annotator", "reviewer", "admin"])]
+        role: String,
+    },
+    /// Add the users of a file with a line each, NAME or NAME,ROLE, and print a link to log in for each
+    Import {
+        /// File of lines
+        file: PathBuf,
+        /// Address of the server that the links begin with
+        #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8765")]
+        url: String,
+        /// Days until the links end
+        #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u16).range(1..=365))]
+        days: u16,
+    },
+    /// List the users
+    List,
+    /// Change what a user may do
+    Role {
+        /// Name
+        name: String,
+        /// What they may do
+        #[arg(value_parser = ["annotator", "reviewer", "admin"])]
+        role: String,
+    },
+    /// Block a user; their answers stay
+    Disable {
+        /// Name
+        name: String,
+    },
+    /// Unblock a user
+    Enable {
+        /// Name
+        name: String,
+    },
+}
+
+/// A host name alone, as the server compares it.
+fn host_name(text: &str) -> Result<String, String> {
+    match text.is_empty() || text.contains([':', '/']) {
+        true => {
+            Err("a name without scheme and port is needed, such as annotate.example".to_owned())
+        }
+        false => Ok(text.to_owned()),
+    }
+}

@@ -1,0 +1,83 @@
+//! Drafts by a language model.
+
+use annotate::drafting::{self, Drafted};
+use annotate::model::Model;
+use annotate::motions::MotionLibrary;
+use annotate::store::Store;
+use annotate::wire::TaskKind;
+use anyhow::{Context, bail};
+use datasets_spec::Progress as _;
+
+use super::args::Args;
+use super::shared::{now, say};
+use crate::exit::Exit;
+use crate::global::Global;
+
+/// Address of a language model's interface, up to and with its version, such as http://localhost:8000/v1.
+const MODEL_URL: &str = "STANCE_MODEL_URL";
+/// Name of the model.
+const MODEL_NAME: &str = "STANCE_MODEL_NAME";
+/// Its key, if it needs one.
+const MODEL_KEY: &str = "STANCE_MODEL_KEY";
+
+/// The language model, if its variables are set.
+pub(super) fn model() -> anyhow::Result<Option<Model>> {
+    let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
+    match (set(MODEL_URL), set(MODEL_NAME)) {
+        (None, None) => Ok(None),
+        (Some(url), Some(name)) => Ok(Some(Model::new(&url, &name, set(MODEL_KEY))?)),
+        _ => bail!("set both {MODEL_URL} and {MODEL_NAME}, or neither"),
+    }
+}
+
+/// The language model, which the command cannot do without.
+fn needed_model() -> anyhow::Result<Model> {
+    model()?.with_context(|| {
+        format!("there is no language model; set {MODEL_URL} and {MODEL_NAME} to that of an OpenAI-compatible endpoint")
+    })
+}
+
+pub(super) fn ask_drafts(
+    args: &Args,
+    store: &Store,
+    kind: Option<TaskKind>,
+    limit: usize,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let model = needed_model()?;
+    let motions = MotionLibrary::open(&args.dataset)?;
+    let bars = global.bars();
+    bars.begin("drafts", None);
+    let mut last = 0;
+    let done = drafting::draft_all(store, &motions, &model, kind, limit, now(), &mut |tasks| {
+        bars.advance((tasks - last) as u64);
+        last = tasks;
+    })?;
+    bars.finish(&format!("{} tasks", done.looked_at));
+    say_drafted(&done, global)
+}
+
+fn say_drafted(done: &Drafted, global: &Global) -> anyhow::Result<Exit> {
+    let mut lines = vec![format!(
+        "{} new texts for {} tasks",
+        done.texts, done.looked_at
+    )];
+    if done.without_parts > 0 {
+        lines.push(format!(
+            "  {} tasks have no part to describe; `stance masks` suggests some",
+            done.without_parts
+        ));
+    }
+    if let Some(failure) = &done.last_failure {
+        lines.push(format!(
+            "  {} requests failed, the last one because {failure}; run the command again",
+            done.failures
+        ));
+    }
+    say(global, &serde_json::to_value(done)?, &lines.join("\n"))?;
+    Ok(if done.failures > 0 {
+        Exit::Failed
+    } else {
+        Exit::Done
+    })
+}

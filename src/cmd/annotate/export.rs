@@ -1,0 +1,33 @@
+//! Export of accepted answers.
+
+use std::path::Path;
+
+use annotate::store::Store;
+use annotate::transfer::{self, Selection};
+
+use super::args::Args;
+use super::shared::{now, say};
+use crate::exit::Exit;
+use crate::global::Global;
+
+pub(super) fn export(
+    args: &Args,
+    store: &Store,
+    selection: &Selection,
+    to: Option<&Path>,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let folder = to.map_or_else(|| args.folder().join("exports"), Path::to_owned);
+    let done = transfer::export(store, &args.dataset, &folder, selection, &global.holder())?;
+    annotate::log_export(store, None, selection.format, &done, now())?;
+    let mut lines: Vec<String> = done
+        .counts
+        .iter()
+        .map(|(what, count)| format!("  {what:<24} {count:>8}"))
+        .collect();
+    lines.extend(done.messages.iter().cloned());
+    if !done.files.is_empty() {
+        lines.push(format!("{} in {}", done.files.join(", "), folder.display()));
+    }
+    say(global, &serde_json::to_value(&done)?, &lines.join("\n"))
+}

@@ -1,0 +1,131 @@
+//! Import of tasks from the dataset, and of annotations from files.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use annotate::store::{MotionRecord, Store};
+use annotate::transfer::{self, CHOSEN, Taken};
+use anyhow::Context;
+use datasets_spec::{Dataset, Progress as _};
+use formats::source::stance::exported_labels;
+
+use super::args::Args;
+use super::shared::{now, say};
+use crate::exit::Exit;
+use crate::global::Global;
+
+/// Source of the last import.
+pub(super) const IMPORTED: &str = "imported dataset";
+/// File of an export that can be imported.
+const ANNOTATIONS: &str = "annotations.parquet";
+
+pub(super) fn import(
+    args: &Args,
+    store: &Store,
+    file: Option<&Path>,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let taken = match file {
+        None => import_dataset(args, store, global)?,
+        Some(file) => {
+            // Annotations refer to tasks, so the tasks come first.
+            let messages = import_dataset(args, store, global)?.messages;
+            let motions: BTreeMap<_, _> = store
+                .all_motions()?
+                .into_iter()
+                .map(|motion| (motion.id.clone(), motion))
+                .collect();
+            let mut taken = match file.is_dir() {
+                true => import_folder(args, store, &motions, file)?,
+                false if file.extension().is_some_and(|found| found == "parquet") => {
+                    transfer::from_annotations(store, &motions, file, None, now())?
+                }
+                false => transfer::from_release(store, &motions, &read_json(file)?, None, now())?,
+            };
+            taken.messages.splice(..0, messages);
+            taken
+        }
+    };
+    say(global, &serde_json::to_value(&taken)?, &taken_text(&taken))
+}
+
+pub(super) fn import_dataset(args: &Args, store: &Store, global: &Global) -> anyhow::Result<Taken> {
+    if let Some(condition) = &args.condition {
+        store.put_note(CHOSEN, condition.text())?;
+    }
+    let bars = global.bars();
+    bars.begin("import", None);
+    let mut last = 0;
+    let taken = transfer::from_dataset(store, &args.dataset, None, now(), &mut |done, _| {
+        bars.advance(u64::try_from(done - last).unwrap_or(0));
+        last = done;
+    })?;
+    let count = |what: &str| taken.counts.get(what).copied().unwrap_or(0);
+    bars.finish(&format!(
+        "clips of the dataset: {} new tasks, {} known",
+        count("new_tasks"),
+        count("known_tasks")
+    ));
+    let root_hash = Dataset::open_unverified(&args.dataset)?
+        .manifest()
+        .root_hash
+        .clone();
+    store.put_note(IMPORTED, &root_hash)?;
+    Ok(taken)
+}
+
+/// Imports the labels of a folder: of an export of answers, of an exported dataset, or of a STANCE release.
+fn import_folder(
+    args: &Args,
+    store: &Store,
+    motions: &BTreeMap<String, MotionRecord>,
+    folder: &Path,
+) -> anyhow::Result<Taken> {
+    transfer::check_files(folder)?;
+    let annotations = folder.join(ANNOTATIONS);
+    if annotations.is_file() {
+        return Ok(transfer::from_annotations(
+            store,
+            motions,
+            &annotations,
+            None,
+            now(),
+        )?);
+    }
+    if let Some(labels) = exported_labels(folder)? {
+        let dataset = &args.dataset;
+        return Ok(transfer::from_labels(store, dataset, &labels, None, now())?);
+    }
+    let mut both = serde_json::Map::new();
+    for name in ["mask_all", "part_annotations", "accepted_by", "pairs"] {
+        let path = [folder.to_owned(), folder.join("regen")]
+            .into_iter()
+            .map(|folder| folder.join(format!("{name}.json")))
+            .find(|path| path.is_file());
+        if let Some(path) = path {
+            both.insert(name.to_owned(), read_json(&path)?);
+        }
+    }
+    Ok(transfer::from_release(
+        store,
+        motions,
+        &both.into(),
+        None,
+        now(),
+    )?)
+}
+
+fn read_json(path: &Path) -> anyhow::Result<serde_json::Value> {
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    serde_json::from_slice(&bytes).with_context(|| format!("{} is not JSON", path.display()))
+}
+
+fn taken_text(taken: &Taken) -> String {
+    let mut lines: Vec<String> = taken
+        .counts
+        .iter()
+        .map(|(what, count)| format!("  {what:<24} {count:>8}"))
+        .collect();
+    lines.extend(taken.messages.iter().cloned());
+    lines.join("\n")
+}

@@ -1,0 +1,71 @@
+//! `stance annotate`
+
+mod args;
+mod drafts;
+mod export;
+mod import;
+mod rules;
+mod serve;
+mod shared;
+mod store;
+mod tasks;
+mod users;
+
+use annotate::transfer::Selection;
+use annotate::wire::{ExportFormat, TaskKind};
+use anyhow::Context;
+use datasets_spec::Dataset;
+
+use self::args::Action;
+pub(crate) use self::args::Args;
+use self::drafts::ask_drafts;
+use self::export::export;
+use self::import::import;
+use self::rules::rules;
+use self::serve::serve;
+use self::store::{back_up, check, open, rebuild};
+use self::tasks::{changed_clips, run_bulk};
+use self::users::{find, token, user};
+use crate::exit::Exit;
+use crate::global::Global;
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    // Opened first, so that a folder that is not a dataset gets no store.
+    Dataset::open_unverified(&args.dataset)?;
+    let opened = open(args)?;
+    let Some(action) = &args.action else {
+        return serve(args, opened, global);
+    };
+    let store = opened.as_ref();
+    match action {
+        Action::User { action } => user(store, action, global),
+        Action::Token { name, days } => {
+            let user = find(store, name)?;
+            token(store, &user, i64::from(*days), global)
+        }
+        Action::Import { file } => import(args, store, file.as_deref(), global),
+        Action::Export {
+            format,
+            to,
+            split,
+            events,
+        } => {
+            let selection = Selection {
+                format: ExportFormat::parse(format).context("the format is not known")?,
+                splits: split.iter().map(ToString::to_string).collect(),
+                events: *events,
+            };
+            export(args, store, &selection, to.as_deref(), global)
+        }
+        Action::Rules { action } => rules(store, action.as_ref(), global),
+        Action::Bulk(bulk) => run_bulk(store, bulk, global),
+        Action::Drafts { kind, limit } => {
+            let kind = kind.as_deref().and_then(TaskKind::parse);
+            ask_drafts(args, store, kind, *limit, global)
+        }
+        Action::Changed { keep, reopen } => changed_clips(store, *keep, *reopen, global),
+        Action::Backup { file, keep } => back_up(store, file, *keep, global),
+        Action::Rebuild => rebuild(store, global),
+        Action::Check => check(store, global),
+    }
+}

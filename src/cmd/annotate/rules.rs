@@ -1,0 +1,72 @@
+//! Rules that accept answers without a reviewer.
+
+use annotate::store::Store;
+use annotate::wire::{RuleUndone, RulesApplied};
+
+use super::args::RulesAction;
+use super::shared::{now, say};
+use super::users::operator;
+use crate::exit::Exit;
+use crate::global::Global;
+
+pub(super) fn rules(
+    store: &Store,
+    action: Option<&RulesAction>,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    match action {
+        None | Some(RulesAction::List) => {
+            let states = store.rules()?;
+            let mut lines = vec![format!(
+                "{:<24} {:<9} {:>9} {:>13} {:>15}",
+                "rule", "enabled", "accepted", "would accept", "left to review"
+            )];
+            lines.extend(states.iter().map(|state| {
+                format!(
+                    "{:<24} {:<9} {:>9} {:>13} {:>15}",
+                    state.rule.name,
+                    if state.rule.enabled { "yes" } else { "no" },
+                    state.accepted,
+                    state.would_accept,
+                    state.left_to_review
+                )
+            }));
+            say(global, &serde_json::to_value(&states)?, &lines.join("\n"))
+        }
+        Some(RulesAction::Apply) => {
+            let mut all = RulesApplied::default();
+            let mut after = Some(0);
+            while let Some(from) = after {
+                let some = store.apply_rules(from, now())?;
+                all.looked_at += some.looked_at;
+                for (name, count) in some.accepted {
+                    *all.accepted.entry(name).or_default() += count;
+                }
+                after = some.next;
+            }
+            let mut lines = vec![format!("{} tasks waited for review", all.looked_at)];
+            lines.extend(
+                all.accepted
+                    .iter()
+                    .map(|(name, count)| format!("  accepted by {name:<24} {count:>8}")),
+            );
+            say(global, &serde_json::to_value(&all)?, &lines.join("\n"))
+        }
+        Some(RulesAction::Undo { name }) => {
+            let admin = operator(store)?;
+            let mut all = RuleUndone::default();
+            loop {
+                let some = store.undo_rule(admin.id, name, now())?;
+                all.reopened += some.reopened;
+                if some.left == 0 {
+                    break;
+                }
+            }
+            let text = format!(
+                "rule {name} is disabled; {} of its acceptances were taken back and wait for review",
+                all.reopened
+            );
+            say(global, &serde_json::to_value(&all)?, &text)
+        }
+    }
+}

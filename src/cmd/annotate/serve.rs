@@ -1,0 +1,206 @@
+//! The server, and copies of the store while it runs.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use annotate::http::{PATIENCE, Server, ServerConfig, UPLOAD_PATIENCE};
+use annotate::motions::MotionLibrary;
+use annotate::store::{self, Store, TokenUse};
+use annotate::wire::{Role, User};
+use anyhow::Context;
+use datasets_spec::Dataset;
+use serde::Serialize;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
+
+use super::args::Args;
+use super::drafts::model;
+use super::import::{IMPORTED, import_dataset};
+use super::shared::now;
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::report;
+
+/// Name of the user that the first start creates.
+const FIRST_ADMIN: &str = "admin";
+const MINUTE: i64 = 60_000;
+const HOUR: i64 = 60 * MINUTE;
+
+/// The `--json` document of a server that listens.
+#[derive(Serialize)]
+struct Listening {
+    url: String,
+    token: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    metrics: Option<String>,
+}
+
+pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::Result<Exit> {
+    let model = model()?;
+    let dataset = Dataset::open(&args.dataset)?;
+    let is_imported = store.note(IMPORTED)?.as_deref() == Some(&dataset.manifest().root_hash);
+    if !is_imported || args.condition.is_some() {
+        import_dataset(args, store.as_ref(), global)?;
+    }
+    let admin = first_admin(&store)?;
+    let mut schedule = Schedule::new(args);
+    schedule.run(store.as_ref());
+    let motions = Arc::new(MotionLibrary::open(&args.dataset)?);
+    for warning in warnings(args) {
+        report::note(&format!("warning: {warning}"));
+    }
+    if let Some(model) = &model {
+        report::note(&format!("drafts by {}", model.name()));
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        flag::register(signal, Arc::clone(&stop)).context("cannot wait for an interrupt")?;
+    }
+    let server = Server::start(
+        Arc::clone(&store),
+        motions,
+        ServerConfig {
+            listen: args.listen,
+            operators: args.metrics,
+            secure: args.secure,
+            hosts: args.host.clone(),
+            trusted_proxies: args.trusted_proxy.clone(),
+            data: args.folder(),
+            dataset: args.dataset.clone(),
+            model,
+            patience: PATIENCE,
+            upload_patience: UPLOAD_PATIENCE,
+            clock: Arc::new(now),
+            log: report::note,
+        },
+    )?;
+    announce(&server, &store, &admin, global)?;
+    while !stop.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_millis(50));
+        schedule.run(store.as_ref());
+    }
+    drop(server);
+    Ok(Exit::Done)
+}
+
+/// The admin that the printed address logs in; the first start creates one.
+fn first_admin(store: &Store) -> anyhow::Result<User> {
+    let mut users = store.users()?.into_iter();
+    match users.find(|user| user.active && user.role == Role::Admin) {
+        Some(admin) => Ok(admin),
+        None => Ok(store.add_user(None, FIRST_ADMIN, Role::Admin, now())?),
+    }
+}
+
+/// What an operator should know about the addresses before somebody else finds out.
+fn warnings(args: &Args) -> Vec<&'static str> {
+    let mut all = Vec::new();
+    let is_reached = !args.listen.ip().is_loopback();
+    if is_reached && !args.secure {
+        all.push(
+            "others can reach this address and nothing on the way is encrypted; put a proxy with TLS in front, pass --secure, and listen on 127.0.0.1",
+        );
+    }
+    if is_reached && args.secure {
+        all.push(
+            "others can reach this address without the proxy and its TLS; listen on 127.0.0.1, unless the proxy runs on another machine",
+        );
+    }
+    if args.secure && args.host.is_empty() {
+        all.push(
+            "requests that a proxy passes on by its name are refused; say the name with --host",
+        );
+    }
+    if args.secure && args.trusted_proxy.is_empty() {
+        all.push(
+            "all browsers share the limits of one address; name the proxy with --trusted-proxy, such as 127.0.0.1",
+        );
+    }
+    if args
+        .metrics
+        .is_some_and(|metrics| !metrics.ip().is_loopback())
+    {
+        all.push("others can read the figures at the address of --metrics without a login");
+    }
+    all
+}
+
+/// Prints the address to open, with a token that logs the admin in once.
+fn announce(
+    server: &Server,
+    store: &Arc<Store>,
+    admin: &User,
+    global: &Global,
+) -> anyhow::Result<()> {
+    // A shared store has a clock of its own.
+    let now = store.clock()?.map_or_else(now, |clock| clock());
+    let token = store
+        .issue(admin.id, TokenUse::Once, now + 60 * MINUTE, now)?
+        .token;
+    let url = format!("http://{}/", server.address());
+    let metrics = server
+        .operators()
+        .map(|address| format!("http://{address}/metrics"));
+    if global.json {
+        report::text(&serde_json::to_string(&Listening {
+            url,
+            token,
+            metrics,
+        })?);
+    } else {
+        if let Some(metrics) = metrics {
+            report::note(&format!("figures for Prometheus: {metrics}"));
+        }
+        report::text(&format!("{url}#token={token}"));
+        report::note(&format!(
+            "open this address within an hour; it logs {} in once. Ctrl-C ends the server",
+            admin.name
+        ));
+    }
+    std::io::stdout().flush().context("cannot write to stdout")
+}
+
+/// Copies of the store at regular times.
+struct Schedule {
+    folder: PathBuf,
+    /// Milliseconds between copies; none without a schedule.
+    every: Option<i64>,
+    keep: usize,
+    /// When to look for the newest copy again.
+    next: i64,
+}
+
+impl Schedule {
+    fn new(args: &Args) -> Self {
+        Self {
+            folder: args.folder().join("backups"),
+            every: args.backup_hours.map(|hours| i64::from(hours) * HOUR),
+            keep: args.backups.into(),
+            next: 0,
+        }
+    }
+
+    /// Makes a copy if one is due. The server goes on without it if it fails.
+    fn run(&mut self, store: &Store) {
+        let now = now();
+        let Some(every) = self.every.filter(|_| self.next <= now) else {
+            return;
+        };
+        self.next = now + MINUTE;
+        let copied = store::backup_is_due(&self.folder, every, now).and_then(|due| {
+            if due {
+                store::back_up(store, &self.folder, self.keep, now)?;
+            }
+            Ok(())
+        });
+        if let Err(error) = copied {
+            report::note(&format!(
+                "the store was not copied: {error:#}; the next try is in an hour"
+            ));
+            self.next = now + HOUR;
+        }
+    }
+}

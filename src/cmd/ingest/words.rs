@@ -1,0 +1,259 @@
+//! What is told of an ingestion, before and after it.
+
+use std::collections::BTreeMap;
+
+use clip::LabelProblem;
+use pipeline::annotation::pairs::RefusedLine;
+use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestReport};
+
+/// What is said of clips that stay although their files are gone, or give them no more.
+const MISSING: &str = "missing, kept; --prune removes them";
+const UNUSABLE: &str = "kept as they were, their files give them no more; --prune removes them";
+
+/// A forecast in words.
+pub(super) fn foreseen(told: &Forecast) -> String {
+    let mut text = "nothing was written\n".to_owned();
+    for source in &told.sources {
+        let is_new = if source.is_new { ", a new source" } else { "" };
+        text += &format!("source {}{is_new}\n", source.name);
+        let moved: Vec<String> = source
+            .moved
+            .iter()
+            .map(|(id, path)| format!("{id} to {path}"))
+            .collect();
+        text += &listed("new", &source.new);
+        text += &listed("changed", &source.changed);
+        text += &listed("read again", &source.read_again);
+        text += &listed("moved", &moved);
+        text += &counted("equal", source.equal.len());
+        text += &listed(MISSING, &source.missing);
+        text += &listed(UNUSABLE, &source.kept_unusable);
+        text += &listed("pruned", &source.pruned);
+        text += &counted(
+            "quarantined",
+            usize::try_from(source.quarantined).unwrap_or(usize::MAX),
+        );
+        text += &counted(
+            "skipped",
+            usize::try_from(source.skipped).unwrap_or(usize::MAX),
+        );
+    }
+    if let Some(settings) = &told.settings {
+        text += &format!("settings differ: {settings}\n");
+    }
+    for lost in &told.lost {
+        text += &format!(
+            "would be lost: {} of {} ({})\n",
+            lost.id, lost.table, lost.reason
+        );
+    }
+    for line in &told.refused_splits {
+        text += &format!("line of the splits without a clip: {line}\n");
+    }
+    for remark in &told.remarks {
+        text += &format!("note: {remark}\n");
+    }
+    for refusal in &told.refusals {
+        text += &format!("the run would be refused: {refusal}\n");
+    }
+    text
+}
+
+/// Summary of the ingestion, on one screen.
+pub(crate) fn summary(done: &IngestReport) -> String {
+    let accounting = &done.accounting;
+    let mut text = format!(
+        "{} files, {} sources = {} ingested + {} quarantined + {} skipped{}\n",
+        done.files,
+        accounting.sources,
+        accounting.ingested,
+        accounting.quarantined,
+        accounting.skipped,
+        if done.already_complete {
+            " (already complete)"
+        } else {
+            ""
+        },
+    );
+    for (reason, count) in &done.skipped {
+        text += &format!("  skipped {count:>6}  {reason}\n");
+    }
+    for (code, count) in &accounting.codes {
+        text += &quarantined(done, code, *count);
+    }
+    for (table, rows) in table_rows(done) {
+        text += &format!("{table:<12} {rows:>8} rows\n");
+    }
+    if done.dropped_pairs > 0 {
+        text += &format!(
+            "{} pairs were dropped, because one of their motions is not in the dataset\n",
+            done.dropped_pairs
+        );
+    }
+    text += &refused("lines of the pairs gave none", &done.refused_pairs);
+    text += &refused("lines of the splits name no clip", &done.refused_splits);
+    text += &problems(&done.label_problems);
+    for (tag, clips) in &done.licenses {
+        let tag = if tag.is_empty() { "not stated" } else { tag };
+        text += &format!("licence {tag:<20} {clips:>8} clips\n");
+    }
+    text += &alike_clips(&done.alike);
+    if let Some(growth) = &done.growth {
+        text += &grown(growth);
+    }
+    for remark in &done.remarks {
+        text += &format!("note: {remark}\n");
+    }
+    text += &format!("root hash {}\n", done.dataset.manifest().root_hash);
+    text
+}
+
+/// How many files were rejected with a code, and the first of them.
+fn quarantined(done: &IngestReport, code: &str, count: u64) -> String {
+    const SHOWN: usize = 3;
+    let mut text = format!("  {code:<20} {count:>6}\n");
+    let rows = done.quarantine.iter().filter(|row| row.code == code);
+    for row in rows.clone().take(SHOWN) {
+        let place = row
+            .byte_offset
+            .map_or(String::new(), |offset| format!(" at byte {offset}"));
+        text += &format!("    {}: {}{place}\n", row.path, row.reason);
+    }
+    let more = rows.count().saturating_sub(SHOWN);
+    if more > 0 {
+        let root = done.dataset.root().display();
+        text += &format!("    and {more} more; stance inspect {root} --list quarantine\n");
+    }
+    text
+}
+
+/// Lines of a list that were of no use; nothing for none.
+fn refused(what: &str, lines: &[RefusedLine]) -> String {
+    if lines.is_empty() {
+        return String::new();
+    }
+    let mut text = format!("{} {what}\n", lines.len());
+    for line in lines {
+        text += &format!("  {line}\n");
+    }
+    text
+}
+
+/// Labels that could not be used; nothing for none.
+fn problems(problems: &[LabelProblem]) -> String {
+    const SHOWN: usize = 10;
+    if problems.is_empty() {
+        return String::new();
+    }
+    let mut text = format!(
+        "{} labels could not be used; their motions were ingested without them\n",
+        problems.len()
+    );
+    for problem in problems.iter().take(SHOWN) {
+        text += &format!("  {problem}\n");
+    }
+    let more = problems.len().saturating_sub(SHOWN);
+    if more > 0 {
+        text += &format!("  and {more} more; --json lists all\n");
+    }
+    text
+}
+
+/// Rows of each table.
+pub(super) fn table_rows(done: &IngestReport) -> BTreeMap<&str, u64> {
+    let manifest = done.dataset.manifest();
+    let tables = manifest.tables.keys();
+    tables
+        .map(|table| (table.as_str(), manifest.rows(table, None)))
+        .collect()
+}
+
+/// Clips that are alike.
+fn alike_clips(alike: &[AlikeClips]) -> String {
+    const SHOWN: usize = 5;
+    let (together, apart): (Vec<&AlikeClips>, Vec<&AlikeClips>) =
+        alike.iter().partition(|alike| alike.splits.len() == 1);
+    let mut text = String::new();
+    for (clips, what) in [
+        (together, "are nearly equal and share a split"),
+        (
+            apart,
+            "are alike and in several splits, because a list or an earlier version puts them there; \
+             `stance verify` reports them",
+        ),
+    ] {
+        for alike in clips.iter().take(SHOWN) {
+            let ids: Vec<&str> = alike.clips.iter().take(SHOWN).map(String::as_str).collect();
+            let more = match alike.clips.len() - ids.len() {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
+            text += &format!("{}{more} {what}\n", ids.join(", "));
+        }
+        if clips.len() > SHOWN {
+            text += &format!(
+                "and {} more groups that {what}; --json lists all\n",
+                clips.len() - SHOWN
+            );
+        }
+    }
+    text
+}
+
+/// What became of the clips and labels that the dataset had.
+fn grown(growth: &Growth) -> String {
+    let mut text = format!(
+        "{} clips are new, {} changed, {} were read again, {} moved, {} stay as they are\n",
+        growth.new,
+        growth.changed.len(),
+        growth.read_again.len(),
+        growth.moved.len(),
+        growth.kept
+    );
+    for (what, clips) in [
+        ("changed", &growth.changed),
+        ("moved", &growth.moved),
+        (MISSING, &growth.missing),
+        (UNUSABLE, &growth.kept_unusable),
+        ("pruned", &growth.pruned),
+    ] {
+        text += &listed(what, clips);
+    }
+    for (table, count) in &growth.labels {
+        text += &format!("{count} {table} stay\n");
+    }
+    for lost in &growth.lost {
+        text += &format!("lost: {} of {} ({})\n", lost.id, lost.table, lost.reason);
+    }
+    if !growth.dropped_tables.is_empty() {
+        text += &format!(
+            "not carried over, because clips changed or went: {}; their commands make them again\n",
+            growth.dropped_tables.join(", ")
+        );
+    }
+    text
+}
+
+/// A count of clips; nothing for none.
+fn counted(what: &str, count: usize) -> String {
+    match count {
+        0 => String::new(),
+        count => format!("  {count:>6} {what}\n"),
+    }
+}
+
+/// A count of clips with the first of them; nothing for none.
+fn listed(what: &str, clips: &[String]) -> String {
+    const SHOWN: usize = 5;
+    let mut text = counted(what, clips.len());
+    for clip in clips.iter().take(SHOWN) {
+        text += &format!("         {clip}\n");
+    }
+    if clips.len() > SHOWN {
+        text += &format!(
+            "         and {} more; --json lists all\n",
+            clips.len() - SHOWN
+        );
+    }
+    text
+}

@@ -1,0 +1,265 @@
+//! The document `config.json` of a run: written, read and compared.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use datasets_spec::Skeleton;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::Error;
+use crate::config::rename_former;
+
+/// Version of the run folder.
+pub const FORMAT: u32 = 1;
+
+/// Version of burn, whose module tree decides the names of weights.
+const BURN_VERSION: &str = "0.22.1";
+
+pub(super) const CONFIG: &str = "config.json";
+
+/// Kind of a run folder with a motion encoder trained elsewhere, on features that do not depend on the body.
+pub(crate) const MOTION_KIND: &str = "tmr-motion";
+
+/// The document `config.json`: everything a run depends on. `C` is the configuration of the kind of
+/// run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunRecord<C> {
+    /// Version of the run folder.
+    pub format: u32,
+    /// Kind of model.
+    pub kind: String,
+    /// Programs that made the run, by name.
+    pub versions: BTreeMap<String, String>,
+    /// Hash of the tables it was trained on.
+    pub dataset_hash: String,
+    /// Name of the skeleton the motions drive.
+    pub skeleton: String,
+    /// BLAKE3 of that skeleton's rest positions; none in runs of earlier versions, which recorded its
+    /// name alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub skeleton_hash: Option<String>,
+    /// Lineage of the weights, oldest first; empty for a run trained in one piece.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lineage: Vec<Ancestor>,
+    /// The resolved configuration and what was fitted to the training split.
+    pub config: C,
+}
+
+/// A step in the lineage of a checkpoint: weights that the run continued from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ancestor {
+    /// How they were taken over.
+    pub by: Inheritance,
+    /// What identifies them: BLAKE3, hexadecimal.
+    pub weights: String,
+    /// Step they were made by, counted in the run they come from; 0 if it was not trained here.
+    pub step: u64,
+    /// Settings that changed: name, value before and value after.
+    pub changed: BTreeMap<String, [Value; 2]>,
+}
+
+/// How a run takes over weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Inheritance {
+    /// The run itself continues, with other settings.
+    Extend,
+    /// A new run begins with them.
+    Init,
+}
+
+impl<C> RunRecord<C> {
+    /// The record of a new run.
+    pub fn new(kind: &str, dataset_hash: &str, skeleton: &Skeleton, config: C) -> Self {
+        Self {
+            format: FORMAT,
+            kind: kind.to_owned(),
+            versions: [
+                ("stance", env!("CARGO_PKG_VERSION")),
+                ("burn", BURN_VERSION),
+            ]
+            .map(|(name, version)| (name.to_owned(), version.to_owned()))
+            .into(),
+            dataset_hash: dataset_hash.to_owned(),
+            skeleton: skeleton.name().to_owned(),
+            skeleton_hash: Some(skeleton.hash()),
+            lineage: Vec::new(),
+            config,
+        }
+    }
+}
+
+/// Checks that the model of a run folder was trained on a skeleton; `what` names it.
+///
+/// # Errors
+/// It was trained on another one, or the folder is no run.
+pub fn check_skeleton(
+    run_dir: &Path,
+    what: &'static str,
+    skeleton: &Skeleton,
+) -> Result<(), Error> {
+    let path = run_dir.join(CONFIG);
+    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
+    check_skeleton_of(&text, run_dir, what, skeleton)
+}
+
+/// As [`check_skeleton`], from the text of a run's `config.json`. Errors name the run by `run_dir`.
+///
+/// # Errors
+/// As [`check_skeleton`].
+pub fn check_skeleton_of(
+    text: &str,
+    run_dir: &Path,
+    what: &'static str,
+    skeleton: &Skeleton,
+) -> Result<(), Error> {
+    #[derive(Deserialize)]
+    struct Trained {
+        kind: String,
+        skeleton: String,
+        skeleton_hash: Option<String>,
+    }
+    let trained: Trained = serde_json::from_str(text).map_err(|source| Error::Json {
+        path: run_dir.join(CONFIG),
+        source,
+    })?;
+    if trained.kind == MOTION_KIND {
+        return Ok(());
+    }
+    let hash = skeleton.hash();
+    let fits = match &trained.skeleton_hash {
+        Some(recorded) => *recorded == hash,
+        None => trained.skeleton == skeleton.name(),
+    };
+    if fits {
+        return Ok(());
+    }
+    let of = trained.skeleton_hash.as_deref();
+    Err(Error::OtherSkeleton {
+        what,
+        run: run_dir.to_owned(),
+        trained: format!("{} ({:.12})", trained.skeleton, of.unwrap_or("no hash")),
+        asked: format!("{} ({hash:.12})", skeleton.name()),
+    })
+}
+
+/// The kind of model in a run folder.
+pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
+    #[derive(Deserialize)]
+    struct Kind {
+        kind: String,
+    }
+    let path = run_dir.join(CONFIG);
+    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
+    let found: Kind = serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
+    Ok(found.kind)
+}
+
+/// Reads the document of a finished or running run.
+pub(crate) fn read_record<C: DeserializeOwned>(
+    run_dir: &Path,
+    kind: &'static str,
+) -> Result<RunRecord<C>, Error> {
+    let path = run_dir.join(CONFIG);
+    let text = match fs::read_to_string(&path) {
+        Ok(text) => text,
+        Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
+            return Err(not_a_run(run_dir, kind, format!("it holds no {CONFIG}")));
+        }
+        Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
+    };
+    record_of(&text, run_dir, kind)
+}
+
+/// Parses the text of a run's `config.json`. Errors name the run by `run_dir`.
+pub(crate) fn record_of<C: DeserializeOwned>(
+    text: &str,
+    run_dir: &Path,
+    kind: &'static str,
+) -> Result<RunRecord<C>, Error> {
+    #[derive(Deserialize)]
+    struct Header {
+        format: u32,
+        kind: String,
+    }
+    let path = run_dir.join(CONFIG);
+    let json = |source| Error::Json {
+        path: path.clone(),
+        source,
+    };
+    let header: Header = serde_json::from_str(text).map_err(json)?;
+    if header.kind != kind {
+        let reason = format!("it is a run of {:?}", header.kind);
+        return Err(not_a_run(run_dir, kind, reason));
+    }
+    if header.format != FORMAT {
+        let reason = format!(
+            "it has format {}, this program reads {FORMAT}",
+            header.format
+        );
+        return Err(not_a_run(run_dir, kind, reason));
+    }
+    parse_record(text).map_err(json)
+}
+
+/// Reads a record of this version or of an earlier one.
+pub(super) fn parse_record<C: DeserializeOwned>(
+    text: &str,
+) -> Result<RunRecord<C>, serde_json::Error> {
+    let mut record: Value = serde_json::from_str(text)?;
+    rename_former(&mut record["config"]);
+    if let Some(settings) = record["config"].get_mut("train") {
+        rename_former(settings);
+    }
+    serde_json::from_value(record)
+}
+
+/// The error that a folder is no run of a kind.
+pub(super) fn not_a_run(path: &Path, kind: &str, reason: impl Into<String>) -> Error {
+    Error::NotARun {
+        path: path.to_owned(),
+        kind: kind.to_owned(),
+        reason: reason.into(),
+    }
+}
+
+pub(super) fn to_value<T: Serialize>(document: &T) -> Result<Value, serde_json::Error> {
+    serde_json::from_str(&serde_json::to_string(document)?)
+}
+
+/// The fields in which two documents differ, with both values. Versions of programs and the lineage
+/// may differ.
+pub(super) fn differences(recorded: &Value, asked: &Value) -> BTreeMap<String, [Value; 2]> {
+    fn walk(recorded: &Value, asked: &Value, path: &str, found: &mut BTreeMap<String, [Value; 2]>) {
+        let (Value::Object(before), Value::Object(after)) = (recorded, asked) else {
+            if recorded != asked {
+                found.insert(path.to_owned(), [recorded.clone(), asked.clone()]);
+            }
+            return;
+        };
+        let names: std::collections::BTreeSet<&String> =
+            before.keys().chain(after.keys()).collect();
+        for name in names {
+            let path = if path.is_empty() {
+                name.clone()
+            } else {
+                format!("{path}.{name}")
+            };
+            if path == "versions" || path == "lineage" {
+                continue;
+            }
+            let side = |document: &serde_json::Map<String, Value>| {
+                document.get(name).cloned().unwrap_or(Value::Null)
+            };
+            walk(&side(before), &side(after), &path, found);
+        }
+    }
+    let mut found = BTreeMap::new();
+    walk(recorded, asked, "", &mut found);
+    found
+}

@@ -1,0 +1,200 @@
+//! Settings of the evaluation encoder.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::config::{
+    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, WordsConfig, positive,
+};
+use crate::features::FeatureRecipe;
+use crate::model::tmr::TmrSizes;
+use crate::vocabulary::Vocabulary;
+
+/// Settings of the encoder's training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TmrConfig {
+    /// Input features of the encoder.
+    pub features: FeatureRecipe,
+    /// Sizes of the transformers; the width is that of the latent space.
+    pub model: NetworkConfig,
+    /// Width of a word vector.
+    pub word_width: usize,
+    /// Vocabulary.
+    pub text: WordsConfig,
+    /// Frames at the rate of the features from one frame of the encoder to the next.
+    pub frame_stride: usize,
+    /// Shortest crop shown in training, in frames of the encoder.
+    pub min_frames: usize,
+    /// Longest crop shown in training, in frames of the encoder. Later frames of a longer motion are
+    /// ignored.
+    pub max_frames: usize,
+    /// Weights of the parts of the loss.
+    pub weights: LossWeights,
+    /// Temperature of the contrastive loss.
+    pub temperature: f64,
+    /// Settings that every training run has. The contrastive loss compares all pairs of a batch, so a
+    /// batch is not split into micro-batches.
+    #[serde(flatten)]
+    pub run: RunSettings,
+}
+
+/// Weights of the parts of the encoder's loss.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LossWeights {
+    /// Reconstruction loss of the motions decoded from either latent vector.
+    pub reconstruction: f64,
+    /// KL divergences between the two distributions and from the standard normal one.
+    pub kl: f64,
+    /// Distance between the two latent vectors.
+    pub latent: f64,
+    /// Contrastive loss over the pairs of the batch.
+    pub contrastive: f64,
+}
+
+impl TmrConfig {
+    /// The named settings.
+    ///
+    /// # Source
+    /// `Official`: Petrovich et al. 2023 (`algorithms` section 15), its 500 epochs of HumanML3D at
+    /// batch 32 given as steps. `Tiny`: our choice, for a few hundred clips and a minute on two
+    /// processor cores: every second frame, a smaller network, and a larger weight of the contrastive
+    /// loss, because training is too short for the reconstruction to shape the space.
+    pub fn preset(preset: Preset) -> Self {
+        match preset {
+            Preset::Paper | Preset::Official => Self::official(),
+            Preset::Tiny => Self::tiny(),
+        }
+    }
+
+    fn official() -> Self {
+        Self {
+            features: FeatureRecipe::HumanMl3d,
+            model: NetworkConfig {
+                width: 256,
+                num_layers: 6,
+                num_heads: 4,
+                feed_forward: 1024,
+                dropout: 0.1,
+            },
+            word_width: 256,
+            text: WordsConfig {
+                num_buckets: 64,
+                max_words: 64,
+            },
+            frame_stride: 1,
+            min_frames: 40,
+            max_frames: 200,
+            weights: LossWeights {
+                reconstruction: 1.0,
+                kl: 1e-5,
+                latent: 1e-5,
+                contrastive: 0.1,
+            },
+            temperature: 0.1,
+            run: RunSettings {
+                optimizer: OptimizerConfig {
+                    learning_rate: 1e-4,
+                    decay: Decay::Constant,
+                    warmup_steps: 0,
+                    weight_decay: 0.01,
+                    max_gradient_norm: None,
+                    ema_decay: None,
+                },
+                batch_size: 32,
+                micro_batch_size: None,
+                length: RunLength::of_steps(365_000),
+                log_every: 100,
+                val_every: 5_000,
+                keep_epochs: 0,
+                seed: 0,
+            },
+        }
+    }
+
+    fn tiny() -> Self {
+        Self {
+            features: FeatureRecipe::Smpl135,
+            model: NetworkConfig {
+                width: 64,
+                num_layers: 2,
+                num_heads: 4,
+                feed_forward: 128,
+                dropout: 0.0,
+            },
+            word_width: 64,
+            text: WordsConfig {
+                num_buckets: 16,
+                max_words: 24,
+            },
+            frame_stride: 2,
+            min_frames: 16,
+            max_frames: 100,
+            weights: LossWeights {
+                reconstruction: 1.0,
+                kl: 1e-5,
+                latent: 1e-5,
+                contrastive: 1.0,
+            },
+            temperature: 0.1,
+            run: RunSettings {
+                optimizer: OptimizerConfig {
+                    learning_rate: 1e-3,
+                    decay: Decay::Linear,
+                    warmup_steps: 20,
+                    weight_decay: 0.01,
+                    max_gradient_norm: None,
+                    ema_decay: None,
+                },
+                batch_size: 32,
+                micro_batch_size: None,
+                length: RunLength::of_steps(300),
+                log_every: 10,
+                val_every: 50,
+                keep_epochs: 0,
+                seed: 0,
+            },
+        }
+    }
+
+    /// Checks that the settings can be trained with.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        self.model.check()?;
+        self.run.check()?;
+        self.run
+            .check_whole("every pair of a batch is contrasted with every other")?;
+        positive("word_width", self.word_width as u64)?;
+        positive("frame_stride", self.frame_stride as u64)?;
+        positive("min_frames", self.min_frames as u64)?;
+        if self.max_frames < self.min_frames {
+            return Err(Error::Config {
+                field: "max_frames",
+                problem: format!(
+                    "it is {}, less than min_frames {}",
+                    self.max_frames, self.min_frames
+                ),
+            });
+        }
+        if !(self.temperature.is_finite() && self.temperature > 0.0) {
+            return Err(Error::Config {
+                field: "temperature",
+                problem: format!("it is {}, and must be positive", self.temperature),
+            });
+        }
+        Ok(())
+    }
+
+    /// Sizes of the network for the words of a vocabulary.
+    pub(super) fn sizes(&self, vocabulary: &Vocabulary) -> TmrSizes {
+        TmrSizes {
+            motion_features: self.features.width(),
+            num_tokens: vocabulary.num_tokens(),
+            word_width: self.word_width,
+            network: self.model,
+        }
+    }
+}

@@ -1,0 +1,13 @@
+//! The evaluation encoder: training and use.
+
+mod clips;
+mod config;
+mod encoder;
+mod task;
+
+pub use self::clips::CaptionedMotion;
+pub use self::config::{LossWeights, TmrConfig};
+pub(crate) use self::encoder::MOTION_WEIGHTS;
+pub use self::encoder::{MotionEncoderRecord, TmrEncoder};
+pub(crate) use self::task::KIND;
+pub use self::task::{TmrCorpus, TmrRecord, train_tmr};
