@@ -12,14 +12,13 @@ use crate::Error;
 use crate::compare::{Comparison, compare};
 use crate::evaluators::Evaluators;
 use crate::judge::{Judge, Judges, unranked};
-use crate::linalg::Matrix;
 use crate::metric;
-use crate::metric::cross_retrieval::{CrossRanks, cross_ranks};
-use crate::metric::retrieval::unit_rows;
 use crate::names::ALL_TASKS;
 use crate::protocol::Protocol;
 use crate::score::score_and_compare;
 use crate::table::Table;
+
+pub use crate::judge::{RankedGalleries, encoder_retrieval};
 
 /// Items and the edits that systems made of them.
 #[derive(Clone, Debug)]
@@ -274,33 +273,4 @@ impl Paired {
         let names = self.names.each_ref().map(String::as_str);
         compare(items, edits, names, evaluators, protocol, progress)
     }
-}
-
-/// Galleries of a repeat, as positions, and the ranks in them.
-pub type RankedGalleries = (Vec<Vec<usize>>, CrossRanks);
-
-/// How well an encoder's texts and motions retrieve each other: for each repeat its galleries, as positions, and the
-/// ranks in them. Motions with equal texts may stand for each other.
-///
-/// # Shapes
-/// `texts` `[N]`; the latents of texts and of motions `[N, D]`.
-///
-/// # Errors
-/// A latent is not finite or has no direction.
-pub fn encoder_retrieval(
-    texts: &[&str],
-    text_latents: &[Vec<f64>],
-    motion_latents: &[Vec<f64>],
-    protocol: &Protocol,
-) -> Result<Vec<RankedGalleries>, Error> {
-    let unit = |latents: &[Vec<f64>]| unit_rows(&Matrix::from_rows(latents));
-    let (texts_at, motions_at) = (unit(text_latents)?, unit(motion_latents)?);
-    (0..protocol.repeats)
-        .map(|repeat| {
-            let galleries = protocol.galleries(texts.len(), repeat);
-            let same_text = |a: usize, b: usize| texts[a] == texts[b];
-            let ranks = cross_ranks(&texts_at, &motions_at, &galleries, same_text)?;
-            Ok((galleries, ranks))
-        })
-        .collect()
 }

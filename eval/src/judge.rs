@@ -13,9 +13,10 @@ use datasets_spec::record::ScoreRow;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::answers::encoder_retrieval;
 use crate::evaluators::MotionEncoder;
-use crate::metric::retrieval::{E2T_RECALL_1, RECALL_AT};
+use crate::linalg::Matrix;
+use crate::metric::cross_retrieval::{CrossRanks, cross_ranks};
+use crate::metric::retrieval::{E2T_RECALL_1, RECALL_AT, unit_rows};
 use crate::names::IDENTITY;
 use crate::protocol::Protocol;
 use crate::score::Resamples;
@@ -227,6 +228,35 @@ impl JudgeReport {
             },
         ]
     }
+}
+
+/// Galleries of a repeat, as positions, and the ranks in them.
+pub type RankedGalleries = (Vec<Vec<usize>>, CrossRanks);
+
+/// How well an encoder's texts and motions retrieve each other: for each repeat its galleries, as positions, and the
+/// ranks in them. Motions with equal texts may stand for each other.
+///
+/// # Shapes
+/// `texts` `[N]`; the latents of texts and of motions `[N, D]`.
+///
+/// # Errors
+/// A latent is not finite or has no direction.
+pub fn encoder_retrieval(
+    texts: &[&str],
+    text_latents: &[Vec<f64>],
+    motion_latents: &[Vec<f64>],
+    protocol: &Protocol,
+) -> Result<Vec<RankedGalleries>, Error> {
+    let unit = |latents: &[Vec<f64>]| unit_rows(&Matrix::from_rows(latents));
+    let (texts_at, motions_at) = (unit(text_latents)?, unit(motion_latents)?);
+    (0..protocol.repeats)
+        .map(|repeat| {
+            let galleries = protocol.galleries(texts.len(), repeat);
+            let same_text = |a: usize, b: usize| texts[a] == texts[b];
+            let ranks = cross_ranks(&texts_at, &motions_at, &galleries, same_text)?;
+            Ok((galleries, ranks))
+        })
+        .collect()
 }
 
 /// The cut-offs of the recalls of a report.

@@ -5,12 +5,16 @@ use std::collections::BTreeMap;
 use datasets_spec::record::ScoreRow;
 
 use crate::judge::{Judges, unranked};
-use crate::metric::{self, Better, Metric};
+use crate::metric::{self, Metric};
 use crate::names::{GIVEN, NOVELTIES, place_of_task};
 
+mod column;
 pub(crate) mod notes;
 mod ranking;
 
+use ranking::{Key, key};
+
+pub use column::Column;
 pub(crate) use ranking::{Standing, standings};
 
 /// The scores of one task under one protocol and one encoder.
@@ -58,22 +62,6 @@ pub struct Items {
     pub novelty: String,
     /// Digest of the sorted item ids.
     pub digest: String,
-}
-
-/// A column of a table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Column {
-    /// The metric.
-    pub metric: &'static Metric,
-    /// Which values are good in this task.
-    pub better: Better,
-}
-
-impl Column {
-    /// The metric with its arrow, such as `FID ↓`.
-    pub fn label(&self) -> String {
-        format!("{} {}", self.metric, self.better.arrow())
-    }
 }
 
 /// A row of a table.
@@ -345,18 +333,6 @@ fn counted(count: u32, what: &str) -> String {
     } else {
         format!("{count} {what}s")
     }
-}
-
-/// Task, protocol, encoder and items: scores that share them stand in one table.
-type Key<'a> = (&'a str, &'a str, &'a str, &'a str);
-
-fn key(row: &ScoreRow) -> Key<'_> {
-    (
-        &row.task,
-        &row.protocol,
-        &row.encoder_hash,
-        &row.items_digest,
-    )
 }
 
 /// Digits of a hash that tables print: enough to tell the encoders of a project apart.

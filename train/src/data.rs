@@ -15,7 +15,6 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::config::narrowed;
 use crate::noise_shape::NoiseShape;
-use crate::text::table::EmbeddingTable;
 use crate::vocabulary::{TokenBatch, Vocabulary};
 
 /// Batches prepared ahead of the trainer: one being taken and one ready.
@@ -95,20 +94,6 @@ pub trait TextVectors: Sync + std::fmt::Debug {
 
     /// What identifies the encoder.
     fn encoder_hash(&self) -> &str;
-}
-
-impl TextVectors for EmbeddingTable {
-    fn width(&self) -> usize {
-        Self::width(self)
-    }
-
-    fn get(&self, text: &str) -> Option<&[f32]> {
-        Self::get(self, text)
-    }
-
-    fn encoder_hash(&self) -> &str {
-        self.encoder()
-    }
 }
 
 /// How instructions become what a network is given.

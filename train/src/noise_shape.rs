@@ -5,7 +5,9 @@ use kinematics::normalise::FRAME_WIDTH;
 use serde::{Deserialize, Serialize};
 
 use crate::bones::{ROOT_NUMBERS, bone_number, parent_number};
-use crate::extrapolation::LEAST_SPREAD;
+
+/// Lower bound of a spread in model units, as that of frames whose change is extrapolated.
+const LEAST_SPREAD: f64 = 2e-3;
 
 /// Lower bound of the standard deviation by which a bone is scaled for the network, in model units. Bones of the
 /// trunk hardly change; unbounded, their noise would be seen as large as a swinging leg.
@@ -267,6 +269,11 @@ mod tests {
 
     fn scale(number: usize) -> f32 {
         0.05 * (1 + number % 4) as f32
+    }
+
+    #[test]
+    fn the_least_spread_is_that_of_frames() {
+        assert_eq!(LEAST_SPREAD, crate::extrapolation::LEAST_SPREAD);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, Command};
 
-use crate::{LOOK_EVERY, PATIENCE};
+use crate::waits::{LOOK_EVERY, PATIENCE};
 
 /// Non-printing keys, as named by WebDriver.
 pub mod keys {

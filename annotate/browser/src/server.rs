@@ -11,6 +11,8 @@ use tempfile::TempDir;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, Command};
 
+use crate::waits::PATIENCE;
+
 /// Number of clips of the built-in corpus: enough for masks, bundles of eight and style pairs.
 const CLIPS: &str = "48";
 
@@ -197,7 +199,7 @@ impl Server {
             .expect("stance starts");
         let stdout = child.stdout.take().expect("stdout is piped");
         let mut lines = BufReader::new(stdout).lines();
-        let line = tokio::time::timeout(crate::PATIENCE, lines.next_line())
+        let line = tokio::time::timeout(PATIENCE, lines.next_line())
             .await
             .expect("the server says where it is in time")
             .expect("stdout is text")

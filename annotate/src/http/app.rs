@@ -23,7 +23,7 @@ use crate::clock::Clock;
 use crate::model::Model;
 use crate::motions::MotionLibrary;
 use crate::quality::KeptFigures;
-use crate::store::{Millis, Store, Who};
+use crate::store::{Millis, Store, TokenUse, Who};
 use crate::wire::{Code, MAX_BODY_BYTES, Role};
 
 /// Default timeout of a request.
@@ -313,6 +313,21 @@ pub(super) fn cookie(headers: &HeaderMap, name: &str) -> Option<String> {
         .filter_map(|pair| pair.trim().split_once('='))
         .find(|(known, _)| *known == name)
         .map(|(_, value)| value.to_owned())
+}
+
+pub(super) fn bearer(headers: &HeaderMap) -> Option<&str> {
+    text(headers, &header::AUTHORIZATION)?
+        .strip_prefix("Bearer ")
+        .map(str::trim)
+}
+
+/// The token of a request, from its bearer header or its cookie.
+pub(super) fn credential(app: &App, headers: &HeaderMap) -> Result<(String, TokenUse), Error> {
+    match (bearer(headers), cookie(headers, &app.cookie_name())) {
+        (Some(token), _) => Ok((token.to_owned(), TokenUse::Token)),
+        (None, Some(token)) => Ok((token, TokenUse::Session)),
+        (None, None) => Err(Error::refused(Code::Unauthenticated, "log in first")),
+    }
 }
 
 /// Runs blocking work on the blocking thread pool.

@@ -7,8 +7,6 @@ use axum::response::Response;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
-use super::app::set;
-
 /// Smaller bodies fit into one packet anyway.
 const WORTHWHILE: usize = 1400;
 
@@ -47,7 +45,8 @@ pub(super) fn gzip(bytes: &[u8], level: Compression) -> Option<Vec<u8>> {
 
 /// Marks a response as compressed.
 pub(super) fn mark(response: &mut Response) {
-    set(response, header::CONTENT_ENCODING, "gzip");
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
 }
 
 /// Tells caches that the response depends on what the client accepts.

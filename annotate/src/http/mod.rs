@@ -32,9 +32,9 @@ use crate::Error;
 use crate::lock::lock;
 use crate::motions::MotionLibrary;
 use crate::quality::KeptFigures;
-use crate::store::{Store, TokenUse, Who};
+use crate::store::{Store, Who};
 use crate::wire::{Code, Problem};
-use app::{App, blocking, cookie, packed, reply_response, set, text};
+use app::{App, bearer, blocking, credential, packed, reply_response, set, text};
 use limit::Limiter;
 use metrics::Metrics;
 use socket::Socket;
@@ -449,15 +449,6 @@ fn admit(
     Ok(Some(who))
 }
 
-/// The token of a request, from its bearer header or its cookie.
-fn credential(app: &App, headers: &HeaderMap) -> Result<(String, TokenUse), Error> {
-    match (bearer(headers), cookie(headers, &app.cookie_name())) {
-        (Some(token), _) => Ok((token.to_owned(), TokenUse::Token)),
-        (None, Some(token)) => Ok((token, TokenUse::Session)),
-        (None, None) => Err(Error::refused(Code::Unauthenticated, "log in first")),
-    }
-}
-
 /// Refuses requests to a host name that is not this server's. In DNS rebinding an attacker points a name of their own at
 /// this address, and the browser takes their page and this server for one origin. `localhost` and IP addresses cannot be
 /// pointed elsewhere, so they are always accepted.
@@ -496,12 +487,6 @@ fn check_own(app: &App, headers: &HeaderMap) -> Result<(), Error> {
         ));
     }
     Ok(())
-}
-
-fn bearer(headers: &HeaderMap) -> Option<&str> {
-    text(headers, &header::AUTHORIZATION)?
-        .strip_prefix("Bearer ")
-        .map(str::trim)
 }
 
 fn problem_response(problem: &Problem) -> Response {

@@ -10,7 +10,7 @@ use axum::response::IntoResponse;
 use axum::response::sse::{Event, Sse};
 use tokio::sync::mpsc;
 
-use super::app::{App, Context, Reply, blocking, set, text};
+use super::app::{App, Context, Reply, blocking, credential, set, text};
 use crate::Error;
 use crate::state::LogKind;
 use crate::store::{Store, TokenUse, Who};
@@ -63,7 +63,7 @@ impl futures_core::Stream for Events {
 
 pub(super) async fn open(context: Context) -> Result<Reply, Error> {
     let app = Arc::clone(&context.app);
-    let (token, purpose) = super::credential(&app, &context.headers)?;
+    let (token, purpose) = credential(&app, &context.headers)?;
     let listener = Listener { token, purpose };
     if app.last_seq.receiver_count() >= LISTENERS {
         return Err(Error::refused(

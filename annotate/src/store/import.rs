@@ -167,7 +167,7 @@ const RETARGETED_AT_ONCE: i64 = 1000;
 
 /// Gives the next unanswered and half-answered tasks after `after` the number of people that the settings ask for,
 /// and returns the last task looked at. Answers and leases that exist are kept, so a task never wants fewer.
-pub(super) fn retarget(
+fn retarget_some(
     tx: &mut dyn Tx,
     actor: i64,
     after: i64,
@@ -196,6 +196,29 @@ pub(super) fn retarget(
         rules::on_answer(tx, &settings, task, now)?;
     }
     found.last().map(|row| row.int(0)).transpose()
+}
+
+/// Brings the number of people of some more tasks up to date, and returns whether all are.
+pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool, Error> {
+    let row = tx.one(
+        "SELECT body FROM setting WHERE name = ?1",
+        params![project::RETARGETING],
+    )?;
+    let Some(row) = row else { return Ok(true) };
+    let after = row.text(0)?.parse().unwrap_or(0);
+    match retarget_some(tx, actor, after, now)? {
+        Some(last) => {
+            project::put(tx, project::RETARGETING, &last.to_string())?;
+            Ok(false)
+        }
+        None => {
+            tx.execute(
+                "DELETE FROM setting WHERE name = ?1",
+                params![project::RETARGETING],
+            )?;
+            Ok(true)
+        }
+    }
 }
 
 /// What a task with a known answer is for.

@@ -3,7 +3,7 @@
 //! # To change the tables
 //!
 //! 1. Change `schema.sql` (what is not derived) or `projections.sql` (what is derived from the log) to what a new
-//!    store gets. A new projection also has a line in [`rebuild::PROJECTIONS`].
+//!    store gets. A new projection also has a line in [`derived::PROJECTIONS`].
 //! 2. Append a step to [`STEPS`]: SQL for both databases that brings the tables of `schema.sql` from the version
 //!    before to the new one. It is empty if only projections or their rows changed: every upgrade drops the
 //!    projections, creates them anew and derives them from the log.
@@ -14,11 +14,10 @@
 //! (`tests/stores`) and compares their tables with those of a new store.
 
 use super::db::{Tx, params};
-use super::{people, rebuild};
+use super::{derived, people};
 use crate::Error;
 
 const SCHEMA: &str = include_str!("schema.sql");
-const PROJECTIONS: &str = include_str!("projections.sql");
 
 /// Changes of `schema.sql`, from version 1 on.
 const STEPS: &[&str] = &[
@@ -126,26 +125,21 @@ pub(super) fn apply(tx: &mut dyn Tx, plan: Plan) -> Result<(), Error> {
         Plan::Nothing => return Ok(()),
         Plan::Create => {
             tx.define(SCHEMA)?;
-            define_projections(tx)?;
+            derived::define_projections(tx)?;
         }
         Plan::Upgrade(from) => {
             let done = usize::try_from(from - 1).unwrap_or(0);
             for step in STEPS.iter().skip(done) {
                 tx.define(step)?;
             }
-            for projection in &rebuild::PROJECTIONS {
+            for projection in &derived::PROJECTIONS {
                 tx.define(&format!("DROP TABLE IF EXISTS {}", projection.table))?;
             }
-            define_projections(tx)?;
-            rebuild::derive(tx)?;
+            derived::define_projections(tx)?;
+            derived::derive(tx)?;
         }
     }
     identify(tx)
-}
-
-/// Creates the projections.
-pub(super) fn define_projections(tx: &mut dyn Tx) -> Result<(), Error> {
-    tx.define(PROJECTIONS)
 }
 
 /// Gives the store an id, if it has none.

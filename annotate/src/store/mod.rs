@@ -16,6 +16,7 @@ mod browse;
 mod bulk;
 mod claim;
 pub(crate) mod db;
+mod derived;
 mod draw;
 mod entry;
 mod filter;
@@ -43,6 +44,7 @@ mod replies;
 mod review;
 mod rows;
 mod rules;
+mod settings;
 mod sqlite;
 #[expect(
     clippy::module_inception,

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use super::db::{Row, Tx, params};
 use super::entry::{Body, Entry, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
-use super::{import, log, pictures, rows, rules};
+use super::settings::check;
+use super::{log, rows};
 use crate::Error;
 use crate::wire::{
     Action, Job, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Suggestion, SuggestionSource, TaskState,
@@ -68,140 +69,6 @@ pub(super) fn put(tx: &mut dyn Tx, name: &str, body: &str) -> Result<(), Error> 
         "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET body = excluded.body",
         params![name, body],
     )?;
-    Ok(())
-}
-
-/// Brings the number of people of some more tasks up to date, and returns whether all are.
-pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool, Error> {
-    let row = tx.one(
-        "SELECT body FROM setting WHERE name = ?1",
-        params![RETARGETING],
-    )?;
-    let Some(row) = row else { return Ok(true) };
-    let after = row.text(0)?.parse().unwrap_or(0);
-    match import::retarget(tx, actor, after, now)? {
-        Some(last) => {
-            put(tx, RETARGETING, &last.to_string())?;
-            Ok(false)
-        }
-        None => {
-            tx.execute("DELETE FROM setting WHERE name = ?1", params![RETARGETING])?;
-            Ok(true)
-        }
-    }
-}
-
-/// Maximum number of names in a list, and of pictures in a guide.
-const MAX_NAMES: usize = 200;
-
-/// Checks settings.
-fn check(settings: &Settings) -> Result<(), Error> {
-    check_numbers(settings)?;
-    check_names(settings)?;
-    if !crate::clock::is_zone(&settings.time_zone) {
-        return Err(Error::invalid(
-            "time_zone",
-            format!(
-                "{:?} is no time zone; write a name such as Europe/Berlin or UTC",
-                settings.time_zone
-            ),
-        ));
-    }
-    rules::check(&settings.rules)?;
-    check_guides(settings)
-}
-
-fn check_numbers(settings: &Settings) -> Result<(), Error> {
-    let shares = [
-        ("overlap_percent", settings.overlap_percent),
-        ("gold_percent", settings.gold_percent),
-        ("blind_percent", settings.blind_percent),
-        ("review_percent", settings.review_percent),
-        ("practice_percent", settings.practice_percent),
-    ];
-    for (field, share) in shares {
-        if share > 100 {
-            return Err(Error::invalid(
-                field,
-                format!("{share} % is out of range; use 0 to 100"),
-            ));
-        }
-    }
-    let ranges = [
-        ("answers_per_task", settings.answers_per_task, 1, 50),
-        ("lease_minutes", settings.lease_minutes, 1, 24 * 60),
-        ("returned_days", settings.returned_days, 1, 365),
-        (
-            "take_back_minutes",
-            settings.take_back_minutes,
-            0,
-            7 * 24 * 60,
-        ),
-        ("practice_tasks", settings.practice_tasks, 0, 100),
-    ];
-    for (field, value, least, most) in ranges {
-        if !(least..=most).contains(&value) {
-            return Err(Error::invalid(
-                field,
-                format!("{value} is out of range; use {least} to {most}"),
-            ));
-        }
-    }
-    if settings.min_masks > settings.max_masks || settings.max_masks > crate::wire::MAX_MASKS {
-        return Err(Error::invalid(
-            "max_masks",
-            format!(
-                "use at least min_masks and at most {}",
-                crate::wire::MAX_MASKS
-            ),
-        ));
-    }
-    Ok(())
-}
-
-fn check_names(settings: &Settings) -> Result<(), Error> {
-    if settings.name.trim().is_empty() || settings.name.chars().count() > 100 {
-        return Err(Error::invalid(
-            "name",
-            "the project needs a name of up to 100 characters",
-        ));
-    }
-    for (field, names) in [
-        ("styles", &settings.styles),
-        ("templates", &settings.templates),
-        ("mask_templates", &settings.mask_templates),
-        ("style_templates", &settings.style_templates),
-    ] {
-        let bad = |name: &String| name.trim().is_empty() || name.chars().count() > 100;
-        if names.len() > MAX_NAMES || names.iter().any(bad) {
-            return Err(Error::invalid(
-                field,
-                format!("use up to {MAX_NAMES} names of up to 100 characters"),
-            ));
-        }
-    }
-    Ok(())
-}
-
-fn check_guides(settings: &Settings) -> Result<(), Error> {
-    const MAX_GUIDE: usize = 100_000;
-    for (kind, guide) in &settings.guides {
-        if guide.text.chars().count() > MAX_GUIDE || guide.pictures.len() > MAX_NAMES {
-            return Err(Error::invalid(
-                &format!("guides.{kind}"),
-                format!("use up to {MAX_GUIDE} characters and {MAX_NAMES} pictures"),
-            ));
-        }
-        for picture in &guide.pictures {
-            pictures::check_name(&picture.name)?;
-        }
-    }
-    if settings.guide.chars().count() > MAX_GUIDE {
-        return Err(Error::invalid(
-            "guide",
-            format!("use up to {MAX_GUIDE} characters"),
-        ));
-    }
     Ok(())
 }
 
@@ -655,39 +522,6 @@ mod tests {
                 ..Prefs::default()
             };
             assert!(check_prefs(&prefs).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn settings_are_bounded() {
-        assert!(check(&Settings::default()).is_ok());
-        for broken in [
-            Settings {
-                gold_percent: 101,
-                ..Settings::default()
-            },
-            Settings {
-                answers_per_task: 0,
-                ..Settings::default()
-            },
-            Settings {
-                lease_minutes: 0,
-                ..Settings::default()
-            },
-            Settings {
-                min_masks: 5,
-                ..Settings::default()
-            },
-            Settings {
-                styles: vec![String::new()],
-                ..Settings::default()
-            },
-            Settings {
-                name: " ".to_owned(),
-                ..Settings::default()
-            },
-        ] {
-            assert!(check(&broken).is_err());
         }
     }
 }

@@ -8,69 +8,15 @@ use std::sync::{Arc, Mutex};
 
 use super::apply::apply;
 use super::db::{self, Database, Row, Tx, Value, params};
-use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
-use super::migrate;
+use super::derived::{PROJECTIONS, Projection, define_projections, entries};
 use super::sqlite::Scratch;
 use crate::Error;
 use crate::lock::lock;
 
-/// A projection.
-pub(super) struct Projection {
-    pub(super) table: &'static str,
-    /// Column of the task that a row belongs to.
-    task: &'static str,
-    /// Sort columns.
-    order: &'static str,
-}
-
-const fn projection(table: &'static str, task: &'static str, order: &'static str) -> Projection {
-    Projection { table, task, order }
-}
-
-/// The projections.
-pub(super) const PROJECTIONS: [Projection; 10] = [
-    projection("task", "id", "id"),
-    projection("lease", "task", "id"),
-    projection("revision", "task", "task, author"),
-    projection("review", "task", "seq"),
-    projection("accepted", "task", "task"),
-    projection("skip", "task", "task, usr"),
-    projection("suggestion_use", "task", "seq"),
-    projection("gold_score", "task", "task, usr"),
-    projection("work", "task", "seq"),
-    projection("gold_place", "task", "task, usr"),
-];
-
-/// Entries read at a time.
-const BATCH: i64 = 1000;
 /// Tasks compared at a time.
 const COMPARED: i64 = 1000;
 /// Tasks repaired in a transaction: as much as claiming two bundles writes.
 const REPAIRED: usize = 16;
-
-/// Entries of the log after a sequence number, up to [`BATCH`].
-fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>, Error> {
-    let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
-    tx.query(&sql, params![after, BATCH])?
-        .iter()
-        .map(read_entry)
-        .collect()
-}
-
-/// Fills the empty projections of a store from its log.
-pub(super) fn derive(tx: &mut dyn Tx) -> Result<(), Error> {
-    let mut last = 0;
-    loop {
-        let some = entries(tx, last)?;
-        if some.is_empty() {
-            return Ok(());
-        }
-        for (seq, entry) in some {
-            apply(tx, seq, &entry)?;
-            last = seq;
-        }
-    }
-}
 
 /// What follows from the log up to an entry.
 struct Derived {
@@ -81,7 +27,7 @@ struct Derived {
 impl Derived {
     fn new() -> Result<Self, Error> {
         let scratch = Scratch::new()?;
-        migrate::define_projections(&mut scratch.tx())?;
+        define_projections(&mut scratch.tx())?;
         Ok(Self { scratch, last: 0 })
     }
 

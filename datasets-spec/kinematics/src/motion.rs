@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-pub use crate::pose::BODY_POSE_WIDTH;
+pub use crate::pose::{BODY_POSE_WIDTH, StoredFrame};
 use crate::pose::{KeypointFrame, Pose};
 use crate::rotation::from_axis_angle;
 use crate::simd::blocks::{self, Columns, WideColumns};
@@ -26,10 +26,6 @@ pub struct Motion {
     global_orient: Vec<[f32; 3]>,
     body_pose: Vec<[f32; BODY_POSE_WIDTH]>,
 }
-
-/// The numbers of a frame of a [`Motion`]: translation in metres, root orientation and body rotations as axis-angle in
-/// radians.
-pub type StoredFrame = [f32; 6 + BODY_POSE_WIDTH];
 
 /// A motion that grows by a few poses at a time. A pose takes 728 bytes, a stored frame 276.
 #[derive(Clone, Debug, Default)]

@@ -7,6 +7,10 @@ use crate::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 /// Numbers of `body_pose` in a frame: 21 joints times 3.
 pub const BODY_POSE_WIDTH: usize = 3 * (NUM_BODY_JOINTS - 1);
 
+/// The numbers of a frame of a [`Motion`](crate::Motion): translation in metres, root orientation and body rotations as
+/// axis-angle in radians.
+pub type StoredFrame = [f32; 6 + BODY_POSE_WIDTH];
+
 /// The 28 keypoints of one frame, in metres.
 pub type KeypointFrame = [DVec3; NUM_KEYPOINTS];
 

@@ -11,7 +11,7 @@ use arrow_array::{
 use arrow_buffer::{OffsetBuffer, ScalarBuffer};
 use arrow_schema::{DataType, Field, Fields};
 
-use super::{Caption, PartCaption, Quality};
+use super::values::{Caption, PartCaption, Quality};
 use crate::{MotionId, Split};
 
 /// A type that can be a column. Encoding fails if a list column is too long for its offsets; decoding

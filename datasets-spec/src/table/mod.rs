@@ -3,13 +3,13 @@
 mod cell;
 mod chunks;
 mod shard;
+mod values;
 
 use std::sync::Arc;
 
 use arrow_array::Array;
 pub use arrow_array::RecordBatch;
 use arrow_schema::{DataType, Field, Schema};
-use serde::{Deserialize, Serialize};
 
 use crate::{Error, MotionId};
 
@@ -18,44 +18,11 @@ pub use shard::{
     ColumnDescription, RowWriter, ShardDescription, ShardReader, describe, read_column, read_rows,
     read_rows_on, write_rows,
 };
+pub use values::{Caption, PartCaption, Quality};
 
 /// Version of the table schemas. The major number changes when an old reader would misread a
 /// column; columns may be added within a major version, and readers ignore those they do not know.
 pub const SCHEMA_VERSION: &str = "1.9.0";
-
-/// A caption and the part of the clip it speaks of. `from_s` and `to_s` are both 0 where it speaks
-/// of the whole clip (HumanML3D's convention).
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Caption {
-    /// The text.
-    pub text: String,
-    /// Its tokens as `lemma/POS`, separated by spaces; empty if the source has none.
-    pub tokens: String,
-    /// Start in seconds.
-    pub from_s: f32,
-    /// End in seconds.
-    pub to_s: f32,
-}
-
-/// What one body part does.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct PartCaption {
-    /// Name of the part in the release's spelling, such as `LEFT_ARM`.
-    pub part: String,
-    /// What it does, completing "The person is ...".
-    pub text: String,
-}
-
-/// Findings of the quality checks on a clip.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Quality {
-    /// Bit set of the findings; see the format document.
-    pub flags: u32,
-    /// Highest joint speed in m/s.
-    pub max_speed: f32,
-    /// Mean speed of a planted foot over the ground in m/s.
-    pub foot_skate: f32,
-}
 
 /// One column of a table.
 #[derive(Clone, Debug, PartialEq)]

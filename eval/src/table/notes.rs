@@ -2,7 +2,7 @@
 
 use datasets_spec::record::ScoreRow;
 
-use super::Column;
+use super::column::Column;
 use super::ranking::{Standing, idle};
 use crate::metric::diversity::DIVERSITY;
 use crate::metric::interval::MIN_TARGETS;

@@ -4,10 +4,22 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::ScoreRow;
 
-use super::{Column, Key, key};
+use super::column::Column;
 use crate::judge::{Judges, unranked};
 use crate::metric::{self, Better};
 use crate::names::{GIVEN, IDENTITY, REAL_DATA};
+
+/// Task, protocol, encoder and items: scores that share them stand in one table.
+pub(super) type Key<'a> = (&'a str, &'a str, &'a str, &'a str);
+
+pub(super) fn key(row: &ScoreRow) -> Key<'_> {
+    (
+        &row.task,
+        &row.protocol,
+        &row.encoder_hash,
+        &row.items_digest,
+    )
+}
 
 /// Where a score stands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]

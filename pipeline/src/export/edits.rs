@@ -9,8 +9,9 @@ use datasets_spec::{Dataset, Motion, Progress, Skeleton};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::document::write_json;
 use super::paths::{safe_path, unique};
-use super::{Layout, amass, item_stem, write_json};
+use super::{Layout, amass, item_stem};
 use crate::Error;
 use work::NewFolder;
 

@@ -8,7 +8,7 @@ use datasets_spec::{Motion, Progress, Skeleton};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::write_json;
+use super::document::write_json;
 use crate::Error;
 use work::NewFolder;
 

@@ -29,13 +29,11 @@ use parquet::errors::ParquetError;
 use parquet::file::properties::WriterProperties;
 use serde_json::json;
 
-use self::statistics::Statistics;
+use self::statistics::{STATE_WIDTH, Statistics};
 use super::Exported;
 use crate::Error;
 use crate::clips::Clips;
 
-/// Numbers of a frame.
-const STATE_WIDTH: usize = 69;
 /// Rows of a data file: about 30 MB.
 const FILE_FRAMES: usize = 100_000;
 /// Episodes of a file of the table of episodes: about 50 MB, most of it statistics.

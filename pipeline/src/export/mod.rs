@@ -7,6 +7,7 @@ mod amass;
 mod before;
 mod by_clip;
 mod clips;
+mod document;
 mod edits;
 mod feature_files;
 mod features;
@@ -14,6 +15,7 @@ mod form;
 mod humanml3d;
 mod items;
 mod job;
+mod layout;
 mod left_out;
 mod lerobot;
 mod motionfix;
@@ -21,13 +23,11 @@ mod paths;
 mod stance;
 mod webdataset;
 
-use std::fs;
 use std::path::Path;
 
 use datasets_spec::Progress;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
-use serde::Serialize;
 
 use crate::Error;
 use crate::clips::Clips;
@@ -41,79 +41,9 @@ pub use items::export_items;
 pub(crate) use items::item_stem;
 pub use job::plan_export;
 pub(crate) use job::{JOB, open_job};
+pub use layout::Layout;
 pub use left_out::{Counts, Exported, untagged_captions};
 pub use motionfix::export_triplets;
-
-/// A layout to export to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Layout {
-    /// AMASS npz files with the keys of the SMPL-X releases.
-    Amass,
-    /// A HumanML3D folder.
-    HumanMl3d,
-    /// The layout of the STANCE release.
-    Stance,
-    /// A BVH file for each clip.
-    Bvh,
-    /// A GLB file for each clip: an animated skeleton in a simple body.
-    Gltf,
-    /// Tar shards of npy and json members.
-    WebDataset,
-    /// LeRobot v3: one row per frame.
-    LeRobot,
-    /// A folder of 272 features as HumanML3D-272.
-    HumanMl3d272,
-    /// A folder of 272 features as BABEL-272.
-    Babel272,
-    /// A folder of 272 features as MotionMillion.
-    MotionMillion,
-    /// A folder of the 201 features of HY-Motion.
-    HyMotion,
-    /// Dumps of MotionFix: the pairs of the dataset.
-    MotionFix,
-}
-
-impl std::fmt::Display for Layout {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.as_str())
-    }
-}
-
-impl Layout {
-    /// Every layout.
-    pub const ALL: [Layout; 12] = [
-        Self::Amass,
-        Self::HumanMl3d,
-        Self::Stance,
-        Self::Bvh,
-        Self::Gltf,
-        Self::WebDataset,
-        Self::LeRobot,
-        Self::HumanMl3d272,
-        Self::Babel272,
-        Self::MotionMillion,
-        Self::HyMotion,
-        Self::MotionFix,
-    ];
-
-    /// The name used on the command line.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Amass => "amass",
-            Self::HumanMl3d => "humanml3d",
-            Self::Stance => "stance",
-            Self::Bvh => "bvh",
-            Self::Gltf => "gltf",
-            Self::WebDataset => "webdataset",
-            Self::LeRobot => "lerobot",
-            Self::HumanMl3d272 => "humanml3d-272",
-            Self::Babel272 => "babel-272",
-            Self::MotionMillion => "motionmillion",
-            Self::HyMotion => "hy-motion",
-            Self::MotionFix => "motionfix",
-        }
-    }
-}
 
 /// Writes clips to a new folder in another layout.
 ///
@@ -150,13 +80,4 @@ pub fn export(
     done.left_by_others = folder.left_by_others();
     folder.publish()?;
     Ok(done)
-}
-
-/// Writes a JSON document, indented and with a line end.
-fn write_json(folder: &Path, name: &str, value: &impl Serialize) -> Result<(), Error> {
-    let path = folder.join(name);
-    let mut text = serde_json::to_vec_pretty(value)
-        .map_err(|error| datasets_spec::Error::io("write", &path)(error.into()))?;
-    text.push(b'\n');
-    Ok(fs::write(&path, text).map_err(datasets_spec::Error::io("write", &path))?)
 }

@@ -19,8 +19,8 @@ use formats::write::motionfix::Parameters;
 use pickle::{DictWriter, Value};
 use rayon::prelude::*;
 
-use super::left_out::{PAIRS, put};
-use super::{Exported, write_json};
+use super::document::write_json;
+use super::left_out::{Exported, PAIRS, put};
 use crate::Error;
 use crate::clips::Clips;
 use work::NewFolder;

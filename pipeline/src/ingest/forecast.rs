@@ -10,10 +10,13 @@ use serde::Serialize;
 
 use super::fates::{Fate, Fates};
 use super::growth::LostLabel;
+use super::list::list_given;
+use super::options::IngestOptions;
 use super::plan::Plan;
+use super::prepared::Prepared;
 use super::recorded::Recorded;
 use super::run::{foreseen, labels, refuse_loss, refuse_mixture};
-use super::{IngestOptions, Prepared, SourceArg, listed};
+use super::sources::SourceArg;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 
@@ -75,7 +78,7 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
     options: &IngestOptions,
     progress: &dyn Progress,
 ) -> Result<Forecast, Error> {
-    let listed = listed(sources, out, progress)?;
+    let listed = list_given(sources, out, progress)?;
     let store = ByPath::store();
     let newest = Staging::newest(store.as_ref(), out)?;
     let prepared = Prepared::of(store.as_ref(), out, newest.as_ref(), options)?;

@@ -3,13 +3,9 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use datasets_spec::record::SkippedRow;
-use formats::source::Entry;
 use formats::source::labels::{is_pattern, matches};
 use serde::{Deserialize, Serialize};
 
-use super::list::path_of;
-use super::plan::{Plan, source_hash};
 use crate::Error;
 
 /// The lines of a file.
@@ -91,60 +87,6 @@ impl IdList {
         lines
             .map(|(number, line)| (*number, line.as_str()))
             .collect()
-    }
-}
-
-/// Why a clip that the user does not choose is skipped.
-pub(super) const NOT_CHOSEN: &str = "clip that --ids does not choose";
-
-impl Plan {
-    /// Leaves out the clips that the user does not choose. Those that the dataset has stay as they are.
-    pub(super) fn choose(&mut self, list: &IdList) {
-        const SHOWN: usize = 10;
-        let mut known = BTreeSet::new();
-        let (mut skipped, mut stay) = (Vec::new(), 0u64);
-        let staying = &mut self.staying;
-        self.items.retain(|item| {
-            let names = item.names();
-            let is_chosen = list.chooses(&names);
-            known.extend(names);
-            if is_chosen {
-                return true;
-            }
-            let Entry { file, key, .. } = &item.entry;
-            if item.known.is_some() {
-                stay += 1;
-                staying.insert(file.clone());
-            } else {
-                skipped.push((path_of(file, key), item.inputs.clone(), file.clone()));
-            }
-            false
-        });
-        for (path, inputs_hash, file) in skipped {
-            self.skipped.push(SkippedRow {
-                path,
-                source_name: self.source_name(&file).to_owned(),
-                source_hash: source_hash(&self.sources, &file),
-                inputs_hash,
-                reason: NOT_CHOSEN.to_owned(),
-            });
-        }
-        if stay > 0 {
-            self.choice.push(format!(
-                "{stay} clips of the dataset are not among those of --ids; they were not read and stay as they are"
-            ));
-        }
-        let unmatched = list.unmatched(&known);
-        for (number, name) in unmatched.iter().take(SHOWN) {
-            self.choice.push(format!(
-                "line {number} of --ids: no clip is called {name:?}"
-            ));
-        }
-        if unmatched.len() > SHOWN {
-            let more = unmatched.len() - SHOWN;
-            self.choice
-                .push(format!("{more} more lines of --ids name no clip"));
-        }
     }
 }
 

@@ -7,11 +7,12 @@ use datasets_spec::{MotionId, Seed, Split};
 use formats::source::{Entry, Format, escaped};
 
 use super::alike::Alike;
-use super::id_list::NOT_CHOSEN;
-use super::list::path_of;
-use super::plan::{Plan, Planned, without_extension};
+use super::list::{path_of, without_extension};
+use super::plan::{Plan, Planned};
 use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
+use super::split_by::SplitBy;
+use super::taken_out::NOT_CHOSEN;
 use crate::versions::taken_out;
 
 impl Plan {
@@ -296,6 +297,43 @@ impl Plan {
         let format = self.releases[release].0;
         let before = self.releases[..release].iter();
         before.filter(|(other, _)| *other == format).count()
+    }
+
+    /// The label of a clip that its split is drawn by; none if it has none, or splits are drawn by clip.
+    fn split_label(&self, item: &Planned) -> Option<String> {
+        match self.split_by {
+            SplitBy::Clip => None,
+            SplitBy::Subject => {
+                let source = self.source_name(&item.entry.file);
+                item.subject
+                    .as_ref()
+                    .map(|subject| format!("subject:{source}/{subject}"))
+            }
+            SplitBy::Action => item
+                .action
+                .as_ref()
+                .map(|action| format!("action:{action}")),
+        }
+    }
+
+    /// Says how many clips lack the label that splits are drawn by.
+    pub(super) fn note_split_labels(&mut self) {
+        if self.split_by == SplitBy::Clip {
+            return;
+        }
+        let lacking = self
+            .items
+            .iter()
+            .filter(|item| self.split_label(item).is_none());
+        let count = lacking.count();
+        if count > 0 {
+            self.remarks.push(format!(
+                "{count} of {} clips state no {by}, and their splits were drawn by clip; a label file, a sidecar or a table of \
+                 the source states it",
+                self.items.len(),
+                by = self.split_by
+            ));
+        }
     }
 
     /// Key of the drawn split, for clips without a published one.

@@ -11,11 +11,13 @@ use serde::{Deserialize, Serialize};
 use super::deal::Dealt;
 use super::fates::Fates;
 use super::inputs;
+use super::list::list_given;
 use super::options::{IngestOptions, StoredOptions};
 use super::plan::{Plan, Planned};
+use super::prepared::{Prepared, effective};
 use super::run::{Pieces, foreseen, labels, piece, refuse_loss, refuse_mixture, shard_facts};
 use super::shard::ShardNotes;
-use super::{Prepared, SourceArg, effective};
+use super::sources::SourceArg;
 use crate::Error;
 use work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece};
 
@@ -46,7 +48,7 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     progress: &dyn Progress,
 ) -> Result<work::Plan, Error> {
     let store = ByPath::store();
-    let listed = super::listed(sources, destination, progress)?;
+    let listed = list_given(sources, destination, progress)?;
     let newest = Staging::newest(store.as_ref(), destination)?;
     let prepared = Prepared::of(store.as_ref(), destination, newest.as_ref(), options)?;
     prepared.refuse_other_settings(destination)?;

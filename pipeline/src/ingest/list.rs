@@ -14,8 +14,8 @@ use formats::source::read_head;
 use formats::source::text_of_name;
 use rayon::prelude::*;
 
-use super::places::{Kind, Places};
-use super::sources::{SourceArg, name_of_folder};
+use super::places::Places;
+use super::sources::{Kind, SourceArg, free, name_of_folder};
 use crate::Error;
 
 /// A source file in the plan.
@@ -342,8 +342,70 @@ pub(crate) fn list_sources(
     Ok(listed)
 }
 
+/// The files of the sources of a run, whose dataset is at `out`.
+///
+/// # Errors
+/// As [`list_sources`].
+pub(super) fn list_given<S: Clone + Into<SourceArg>>(
+    sources: &[S],
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<Vec<Listed>, Error> {
+    let sources: Vec<SourceArg> = sources.iter().cloned().map(Into::into).collect();
+    list_sources(&sources, Some(out), progress)
+}
+
+/// All files of the sources by their relative path, each behind the label of its source, and those of each source.
+pub(crate) fn list_files(sources: &[PathBuf], progress: &dyn Progress) -> Result<Listing, Error> {
+    let sources: Vec<SourceArg> = sources.iter().cloned().map(SourceArg::from).collect();
+    let listed = list_sources(&sources, None, progress)?;
+    let labels = numbered_labels(&listed);
+    Ok(merged(
+        listed.into_iter().map(|source| source.listing).zip(labels),
+    ))
+}
+
+/// Lists every source for itself, with a label that keeps its files apart from those of the others.
+pub(crate) fn list_each<'a>(
+    sources: &'a [PathBuf],
+    progress: &dyn Progress,
+) -> Result<Vec<(&'a Path, String, Listing)>, Error> {
+    let list = |source: &PathBuf| list_sources(&[source.clone().into()], None, progress);
+    let listed: Vec<Listed> = sources
+        .iter()
+        .map(list)
+        .collect::<Result<Vec<_>, _>>()?
+        .into_iter()
+        .flatten()
+        .collect();
+    let labels = numbered_labels(&listed);
+    let each = sources.iter().zip(labels).zip(listed);
+    Ok(each
+        .map(|((source, label), listed)| (source.as_path(), label, listed.listing))
+        .collect())
+}
+
+/// Labels where nothing is recorded: none for a single source, else the names, with numbers where several places have
+/// one name.
+fn numbered_labels(listed: &[Listed]) -> Vec<String> {
+    let places: BTreeSet<&str> = listed.iter().map(|source| source.place.as_str()).collect();
+    let mut labels: BTreeMap<&str, String> = BTreeMap::new();
+    let mut taken = BTreeSet::new();
+    for source in listed.iter().filter(|_| places.len() > 1) {
+        labels
+            .entry(&source.place)
+            .or_insert_with(|| free(&source.own_name(), |label| taken.insert(label.to_owned())));
+    }
+    let labels = listed
+        .iter()
+        .map(|source| labels.get(source.place.as_str()));
+    labels
+        .map(|label| label.cloned().unwrap_or_default())
+        .collect()
+}
+
 /// The files of all sources. Each path begins with the label of its source.
-pub(super) fn merged(sources: impl IntoIterator<Item = (Listing, String)>) -> Listing {
+fn merged(sources: impl IntoIterator<Item = (Listing, String)>) -> Listing {
     let mut merged = Listing::default();
     for (listing, label) in sources {
         let behind = |name: &str| labelled(&label, name);
@@ -527,6 +589,15 @@ pub(super) fn path_of(file: &str, key: &str) -> String {
         "" => file.to_owned(),
         // Names of motions come from files and may hold anything.
         key => format!("{file}#{}", text_of_name(key.as_ref())),
+    }
+}
+
+/// A path without the extension of its file.
+pub(super) fn without_extension(relative: &str) -> &str {
+    let name_start = relative.rfind('/').map_or(0, |slash| slash + 1);
+    match relative[name_start..].rfind('.') {
+        Some(dot) if dot > 0 => &relative[..name_start + dot],
+        _ => relative,
     }
 }
 

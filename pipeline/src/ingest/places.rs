@@ -10,24 +10,12 @@ use datasets_spec::dataset::PRIVATE;
 use datasets_spec::store::Store;
 use serde::{Deserialize, Serialize};
 
-use super::sources::Given;
+use super::sources::{Given, Kind};
 use crate::Error;
 
 const FILE: &str = "sources.json";
 /// Keeps the folder out of version control.
 const IGNORE: (&str, &[u8]) = (".gitignore", b"*\n");
-
-/// What was given of a source.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum Kind {
-    /// A single file that was given a name.
-    File,
-    /// Some files of a folder.
-    Files,
-    /// A folder with all that is below it.
-    Folder,
-}
 
 /// The resolved places of every source, by its name.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -20,10 +20,11 @@ use formats::source::{
 use rayon::prelude::*;
 
 use super::inputs;
-use super::list::{self, Source, hash_files, quarantine_row};
+use super::known::Identified;
+use super::list::{self, Source, hash_files, quarantine_row, without_extension};
 use super::options::{IngestOptions, Settings};
 use super::recorded::Recorded;
-use super::sources::{self, Given, Identified};
+use super::sources::{self, Given};
 use super::split_by::SplitBy;
 use super::split_list::{SplitList, name_of_subject};
 use crate::Error;
@@ -620,14 +621,6 @@ pub(super) fn bounded_length(files: &Files, relative: &str) -> Result<usize, Rej
 pub(super) fn source_hash(sources: &BTreeMap<String, Source>, relative: &str) -> String {
     let hash = sources.get(relative).map(|source| source.hash.clone());
     hash.and_then(Result::ok).unwrap_or_default()
-}
-
-pub(super) fn without_extension(relative: &str) -> &str {
-    let name_start = relative.rfind('/').map_or(0, |slash| slash + 1);
-    match relative[name_start..].rfind('.') {
-        Some(dot) if dot > 0 => &relative[..name_start + dot],
-        _ => relative,
-    }
 }
 
 #[cfg(test)]

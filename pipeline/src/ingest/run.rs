@@ -12,20 +12,21 @@ use datasets_spec::table::Row;
 use datasets_spec::{NoProgress, Progress, Split, Transaction};
 use serde::Serialize;
 
-use super::Prepared;
 use super::alike::Alike;
 use super::deal::{Item, Shards};
 use super::equal;
 use super::fates::{Fates, Files};
-use super::growth::{Growth, Labels, LostLabel, Outside};
+use super::growth::{Growth, LostLabel};
+use super::kept::{Labels, Outside};
 use super::options::{
     IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
     SETTINGS_FACT, Settings, rate_name,
 };
 use super::places::Places;
 use super::plan::Plan;
+use super::prepared::Prepared;
 use super::recorded::Base;
-use super::report::{IngestReport, Tally, counted};
+use super::report::{IngestReport, Tally, already_complete, counted};
 use super::shard::{Done, ShardNotes};
 use super::sources::SOURCES_FACT;
 use crate::Error;
@@ -34,7 +35,7 @@ use crate::clip_table::CLIP_TABLES;
 use work::{self, Failed, Made, Piece};
 
 /// A run from its plan to the report.
-pub(super) struct Run<'a> {
+struct Run<'a> {
     transaction: Transaction,
     options: &'a IngestOptions,
     settings: &'a Settings,
@@ -44,7 +45,7 @@ pub(super) struct Run<'a> {
     must_agree: Option<&'a str>,
     plan: &'a Plan,
     fates: Fates<'a>,
-    pub(super) plan_hash: String,
+    plan_hash: String,
     /// Facts of every file.
     facts: [(&'static str, String); 6],
 }
@@ -112,8 +113,61 @@ struct Pairs {
     refused: Vec<RefusedLine>,
 }
 
+impl Prepared {
+    /// Carries a plan out.
+    pub(super) fn conclude(
+        self,
+        transaction: Transaction,
+        plan: &Plan,
+        pieces: Pieces,
+        progress: &dyn Progress,
+    ) -> Result<IngestReport, Error> {
+        let recorded = &self.base.recorded;
+        let fates = Fates::of(plan, recorded, self.options.prune);
+        let places = self.places_with(plan);
+        let outside = plan.outside(recorded);
+        let is_same = self.differing.is_none();
+        let pairs = self
+            .options
+            .pairs
+            .as_ref()
+            .map(|list| list.hash().to_owned());
+        let is_complete = !self.is_new
+            && is_same
+            && fates.nothing_changed()
+            && plan.items.iter().all(|item| item.is_kept)
+            && plan.has_rejected(recorded, &outside)
+            && plan.has_known_sources(recorded)
+            && self.base.pairs == pairs;
+        let mut report = if is_complete {
+            let out = transaction.root().to_owned();
+            places.write(transaction.store().as_ref(), &out)?;
+            transaction.finish()?;
+            let mut growth = fates.report(plan, &BTreeSet::new());
+            growth.count(&labels(&self.base, &fates));
+            IngestReport {
+                growth: Some(growth),
+                ..already_complete(&out, plan)?
+            }
+        } else {
+            let run = Run::new(transaction, &self, plan, (fates, &places));
+            let (report, growth) = run.finish(outside, is_same, pieces, progress)?;
+            IngestReport {
+                growth: (!self.is_new).then_some(growth),
+                ..report
+            }
+        };
+        let warning = license::warning(&report.licenses);
+        report.remarks.extend(plan.choice.iter().cloned());
+        report
+            .remarks
+            .extend(self.kept.iter().cloned().chain(warning));
+        Ok(report)
+    }
+}
+
 impl<'a> Run<'a> {
-    pub(super) fn new(
+    fn new(
         transaction: Transaction,
         prepared: &'a Prepared,
         plan: &'a Plan,
@@ -145,7 +199,7 @@ impl<'a> Run<'a> {
     /// Reads what is new or changed, or takes the shards that were made of it, and commits it with what stays.
     /// `outside` are rejected items of sources that are not of this run. Tables composed of the clips stay where no
     /// clip changes and `is_same` says that the settings did not.
-    pub(super) fn finish(
+    fn finish(
         mut self,
         outside: Outside,
         is_same: bool,

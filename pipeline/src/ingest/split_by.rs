@@ -8,8 +8,6 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use serde::{Deserialize, Serialize};
 
-use super::plan::{Plan, Planned};
-
 /// What drawn splits keep together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -58,45 +56,6 @@ impl FromStr for SplitBy {
 impl fmt::Display for SplitBy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.as_str())
-    }
-}
-
-impl Plan {
-    /// The label of a clip that its split is drawn by; none if it has none, or splits are drawn by clip.
-    pub(super) fn split_label(&self, item: &Planned) -> Option<String> {
-        match self.split_by {
-            SplitBy::Clip => None,
-            SplitBy::Subject => {
-                let source = self.source_name(&item.entry.file);
-                item.subject
-                    .as_ref()
-                    .map(|subject| format!("subject:{source}/{subject}"))
-            }
-            SplitBy::Action => item
-                .action
-                .as_ref()
-                .map(|action| format!("action:{action}")),
-        }
-    }
-
-    /// Says how many clips lack the label that splits are drawn by.
-    pub(super) fn note_split_labels(&mut self) {
-        if self.split_by == SplitBy::Clip {
-            return;
-        }
-        let lacking = self
-            .items
-            .iter()
-            .filter(|item| self.split_label(item).is_none());
-        let count = lacking.count();
-        if count > 0 {
-            self.remarks.push(format!(
-                "{count} of {} clips state no {by}, and their splits were drawn by clip; a label file, a sidecar or a table of \
-                 the source states it",
-                self.items.len(),
-                by = self.split_by
-            ));
-        }
     }
 }
 

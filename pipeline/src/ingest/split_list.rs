@@ -10,8 +10,6 @@ use formats::csv_lines;
 use formats::source::labels::{is_pattern, matches};
 use serde::{Deserialize, Serialize};
 
-use super::plan::without_extension;
-use super::recorded::Recorded;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 
@@ -94,30 +92,6 @@ impl SplitList {
     /// The split of a line.
     pub(super) fn split(&self, line: usize) -> Split {
         self.lines[line].split
-    }
-
-    /// Which recorded clips it would move, in words.
-    pub(super) fn changes(&self, recorded: &Recorded) -> String {
-        const SHOWN: usize = 3;
-        let moved: Vec<String> = recorded
-            .clips
-            .iter()
-            .filter_map(|clip| {
-                let stem = without_extension(&clip.path);
-                let names = [clip.id.as_str(), clip.id.source_clip(), &clip.path, stem];
-                let line = self.line_of(&names.map(str::to_owned).into())?;
-                let split = self.split(line);
-                (split != clip.split).then(|| format!("{} ({}, now {split})", clip.id, clip.split))
-            })
-            .collect();
-        let more = match moved.len().saturating_sub(SHOWN) {
-            0 => String::new(),
-            more => format!(" and {more} more"),
-        };
-        match moved.is_empty() {
-            true => "has other lines, which move none of its clips by their ids".to_owned(),
-            false => format!("moves {}{more}", moved[..moved.len().min(SHOWN)].join(", ")),
-        }
     }
 
     /// The lines that say nothing of the clips with these names, by number.

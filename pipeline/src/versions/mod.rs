@@ -6,6 +6,7 @@
 
 mod choose;
 mod compact;
+mod counts;
 mod labels;
 mod remove;
 mod restore;
@@ -21,6 +22,7 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use serde::Serialize;
 
+use self::counts::rows_of;
 use crate::Error;
 
 pub use self::choose::{Choice, taken_out};
@@ -97,12 +99,4 @@ impl Version {
             root_hash: manifest.root_hash.clone(),
         }
     }
-}
-
-/// Rows of each table.
-fn rows_of(manifest: &Manifest) -> BTreeMap<String, u64> {
-    let tables = manifest.tables.keys();
-    tables
-        .map(|table| (table.clone(), manifest.rows(table, None)))
-        .collect()
 }

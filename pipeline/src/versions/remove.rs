@@ -11,10 +11,10 @@ use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
 
-use super::choose::{REMOVED, accounting, left_out};
+use super::choose::{Choice, REMOVED, accounting, left_out};
+use super::counts::rows_of;
 use super::labels::{Labels, check_lost, is_mask_of_people, is_pair_of_people, lost};
 use super::select::{composed, json};
-use super::{Choice, rows_of};
 use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipRow};
 use crate::ingest::LostLabel;

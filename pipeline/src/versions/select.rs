@@ -14,10 +14,10 @@ use datasets_spec::{Dataset, MotionId, Progress, Transaction};
 use serde::{Deserialize, Serialize};
 use tables::Condition;
 
-use super::choose::{NOT_SELECTED, accounting, left_out};
+use super::choose::{Choice, NOT_SELECTED, accounting, left_out};
+use super::counts::rows_of;
 use super::labels::Labels;
 use super::rows::ClipIndex;
-use super::{Choice, rows_of};
 use crate::Error;
 use crate::ingest::Places;
 

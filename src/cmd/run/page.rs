@@ -15,7 +15,7 @@ use pipeline::ingest::IngestReport;
 use serde::Serialize;
 use train::fit::TrainReport;
 
-use super::{Places, Plan};
+use super::plan::{Places, Plan};
 use crate::cmd::eval::tables;
 use crate::cmd::page::{opening, strip_of};
 use crate::global::Global;

@@ -1,25 +1,27 @@
 //! Settings of a training run. The resolved settings are saved beside every result.
 
+mod check;
 mod diffusion;
 mod run;
+mod schedule;
 mod setting;
 
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 
 use crate::Error;
-use crate::text::clip::ClipModel;
-use crate::text::source::FrozenEncoder;
 use compose::{ComposeConfig, RangeRule, SlerpRule};
 use kinematics::canonical::{Anchor, FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::FRAME_WIDTH;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
+pub(crate) use self::check::{positive, share};
 pub(crate) use self::diffusion::is_zero;
 pub use self::diffusion::{
-    DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction, PreviousFrames, ScheduleName,
+    DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction, PreviousFrames,
 };
 pub use self::run::{Decay, OptimizerConfig, RunLength, RunSettings};
+pub use self::schedule::ScheduleName;
+pub(crate) use self::setting::rename_former;
 pub use self::setting::{SettingError, overlay};
 
 /// Settings of the editor's training.
@@ -45,37 +47,6 @@ pub struct TrainConfig {
     /// Settings that every training run has.
     #[serde(flatten)]
     pub run: RunSettings,
-}
-
-/// Gives settings of version 0.1 their present names: in records on disk and in files of settings.
-pub(crate) fn rename_former(settings: &mut Value) {
-    let Some(table) = settings.as_object_mut() else {
-        return;
-    };
-    if let Some(size) = table.remove("max_part") {
-        table.insert("micro_batch_size".to_owned(), size);
-    }
-    if let Some(ratio) = table.remove("plain_pairs") {
-        table.insert("undonored_ratio".to_owned(), ratio);
-    }
-    if let Some(steps) = table.remove("num_steps") {
-        table.insert(
-            "length".to_owned(),
-            json!({ "epochs": null, "steps": steps }),
-        );
-    }
-    if let Some(rate) = table.remove("learning_rate") {
-        // The pose network's other settings of the optimiser were fixed.
-        let optimizer = json!({
-            "learning_rate": rate, "decay": "linear", "warmup_steps": 0, "weight_decay": 0.0,
-        });
-        table.insert("optimizer".to_owned(), optimizer);
-    }
-    if let Some(optimizer) = table.get_mut("optimizer").and_then(Value::as_object_mut)
-        && let Some(decay) = optimizer.remove("average")
-    {
-        optimizer.insert("ema_decay".to_owned(), decay);
-    }
 }
 
 /// Sizes of a transformer.
@@ -169,17 +140,6 @@ pub enum TextEncoder {
     Clip,
     /// Any other frozen encoder: a table of its vectors, one for each text, which its user makes.
     Table,
-}
-
-impl TextEncoder {
-    /// The frozen encoder that is asked for, if one is; `clip` is the CLIP that the model uses.
-    pub(crate) fn frozen(self, clip: ClipModel) -> Option<FrozenEncoder> {
-        match self {
-            Self::Learned => None,
-            Self::Clip => Some(FrozenEncoder::Clip(clip)),
-            Self::Table => Some(FrozenEncoder::Table),
-        }
-    }
 }
 
 /// Named settings.
@@ -505,28 +465,10 @@ impl NetworkConfig {
     }
 }
 
-pub(crate) fn positive(field: &'static str, value: u64) -> Result<(), Error> {
-    if value == 0 {
-        return Err(Error::Config {
-            field,
-            problem: "it must be at least 1".to_owned(),
-        });
-    }
-    Ok(())
-}
-
-pub(crate) fn share(field: &'static str, value: f64) -> Result<(), Error> {
-    if !(0.0..1.0).contains(&value) {
-        return Err(Error::Config {
-            field,
-            problem: format!("it is {value}, and must lie in [0, 1)"),
-        });
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
 
     #[test]

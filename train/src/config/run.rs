@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{positive, share};
+use super::check::{positive, share};
 use crate::Error;
 
 /// Settings that every training run has, whatever is trained. In files they stand beside the

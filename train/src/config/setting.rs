@@ -2,9 +2,7 @@
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde_json::Value;
-
-use super::rename_former;
+use serde_json::{Value, json};
 
 /// A setting that does not fit its model.
 #[derive(Debug, thiserror::Error)]
@@ -53,6 +51,37 @@ pub fn overlay<T: Serialize + DeserializeOwned>(
             problem: error.to_string(),
         }
     })
+}
+
+/// Gives settings of version 0.1 their present names: in records on disk and in files of settings.
+pub(crate) fn rename_former(settings: &mut Value) {
+    let Some(table) = settings.as_object_mut() else {
+        return;
+    };
+    if let Some(size) = table.remove("max_part") {
+        table.insert("micro_batch_size".to_owned(), size);
+    }
+    if let Some(ratio) = table.remove("plain_pairs") {
+        table.insert("undonored_ratio".to_owned(), ratio);
+    }
+    if let Some(steps) = table.remove("num_steps") {
+        table.insert(
+            "length".to_owned(),
+            json!({ "epochs": null, "steps": steps }),
+        );
+    }
+    if let Some(rate) = table.remove("learning_rate") {
+        // The pose network's other settings of the optimiser were fixed.
+        let optimizer = json!({
+            "learning_rate": rate, "decay": "linear", "warmup_steps": 0, "weight_decay": 0.0,
+        });
+        table.insert("optimizer".to_owned(), optimizer);
+    }
+    if let Some(optimizer) = table.get_mut("optimizer").and_then(Value::as_object_mut)
+        && let Some(decay) = optimizer.remove("average")
+    {
+        optimizer.insert("ema_decay".to_owned(), decay);
+    }
 }
 
 /// The settings of a document, each with the keys that lead to it and as a document of its own.

@@ -7,6 +7,7 @@ use burn::tensor::Device;
 use super::clip::{ClipEncoder, ClipFiles, ClipModel};
 use super::hub::HubCache;
 use super::table::EmbeddingTable;
+use crate::config::TextEncoder;
 use crate::{Error, Session};
 
 /// Table of the instructions a run was trained with, in its folder.
@@ -19,6 +20,17 @@ pub enum FrozenEncoder {
     Clip(ClipModel),
     /// Another one, whose vectors are in a table.
     Table,
+}
+
+impl TextEncoder {
+    /// The frozen encoder that is asked for, if one is; `clip` is the CLIP that the model uses.
+    pub(crate) fn frozen(self, clip: ClipModel) -> Option<FrozenEncoder> {
+        match self {
+            Self::Learned => None,
+            Self::Clip => Some(FrozenEncoder::Clip(clip)),
+            Self::Table => Some(FrozenEncoder::Table),
+        }
+    }
 }
 
 /// Where a frozen text encoder is found.

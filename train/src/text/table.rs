@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::clip::ClipEncoder;
 use crate::Error;
+use crate::data::TextVectors;
 use crate::model::torch::StoredTensor;
 
 /// Texts encoded at a time.
@@ -347,6 +348,20 @@ impl EmbeddingTable {
             return Err(malformed(path, "its rows and texts do not belong together"));
         }
         Ok(table)
+    }
+}
+
+impl TextVectors for EmbeddingTable {
+    fn width(&self) -> usize {
+        Self::width(self)
+    }
+
+    fn get(&self, text: &str) -> Option<&[f32]> {
+        Self::get(self, text)
+    }
+
+    fn encoder_hash(&self) -> &str {
+        self.encoder()
     }
 }
 

@@ -7,7 +7,7 @@ use crate::Error;
 use crate::lock::lock;
 use crate::store::db::{Tx, params};
 use crate::store::records::{IssuedToken, Millis, TokenUse, Who};
-use crate::store::{people, project};
+use crate::store::{import, people, project};
 use crate::wire::{Prefs, Role, Settings, TokenInfo, User};
 
 impl Store {
@@ -40,7 +40,7 @@ impl Store {
     /// `invalid`; or the store fails.
     pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<(), Error> {
         self.write(move |tx| project::put_settings(tx, actor, settings, now))?;
-        while !self.write(move |tx| project::retarget(tx, actor, now))? {}
+        while !self.write(move |tx| import::retarget(tx, actor, now))? {}
         Ok(())
     }
 

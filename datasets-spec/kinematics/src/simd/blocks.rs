@@ -4,8 +4,7 @@
 use glam::{DQuat, DVec3};
 
 use super::lanes::{self, Kernel, LANES};
-use crate::motion::StoredFrame;
-use crate::pose::{BODY_POSE_WIDTH, Pose};
+use crate::pose::{BODY_POSE_WIDTH, Pose, StoredFrame};
 use crate::rotation::{MAX_TURN, from_axis_angle};
 use crate::skeleton::NUM_BODY_JOINTS;
 

@@ -2,14 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::set::{MarkerSet, marker_sets};
+use super::set::{MarkerSet, bare_label, marker_sets};
 use crate::source::unique_keys;
-
-/// A label without the subject before a colon, in upper case.
-pub fn bare_label(label: &str) -> String {
-    let bare = label.rsplit(':').next().unwrap_or(label);
-    bare.trim().to_uppercase()
-}
 
 /// Whether a point is a model output and not a marker: an angle, a force, or an axis of a segment such as
 /// `LFEA`.

@@ -7,8 +7,13 @@ use datasets_spec::Joint;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::label::bare_label;
 use super::part::Part;
+
+/// A label without the subject before a colon, in upper case.
+pub fn bare_label(label: &str) -> String {
+    let bare = label.rsplit(':').next().unwrap_or(label);
+    bare.trim().to_uppercase()
+}
 
 /// Placement of a marker: its joint, and its offset from the joint at rest in metres, x to the body's left,
 /// y up and z to the front. In the rest pose the arms are stretched to the sides, palms down.

@@ -189,6 +189,21 @@ fn missing(relative: &str) -> Rejected {
 pub(super) const LFS_POINTER: &[u8] = b"version https://git-lfs.github.com/spec/";
 pub(super) const UTF8_BOM: &[u8] = b"\xEF\xBB\xBF";
 
+/// Bytes looked at to recognise a file.
+pub const HEAD_BYTES: usize = 512;
+
+/// The first bytes of a file; none if it cannot be read, which the hash reports.
+pub fn read_head(path: &Path) -> Vec<u8> {
+    let read = || {
+        let file = ByPath.open_at(path)?;
+        let length = file.size().min(HEAD_BYTES as u64);
+        let mut head = vec![0; usize::try_from(length).unwrap_or(HEAD_BYTES)];
+        file.read_exact_at(&mut head, 0)?;
+        io::Result::Ok(head)
+    };
+    read().unwrap_or_default()
+}
+
 /// Whether these are the first bytes of a Git LFS pointer.
 pub fn is_pointer(head: &[u8]) -> bool {
     head.starts_with(LFS_POINTER)

@@ -33,10 +33,7 @@ pub mod webdataset;
 
 use std::path::Path;
 
-use datasets_spec::store::{ByPath, Store as _};
-
-pub use self::files::Files;
-pub use self::files::{is_pointer, refuse_pointer};
+pub use self::files::{Files, HEAD_BYTES, is_pointer, read_head, refuse_pointer};
 pub use self::format::{Contents, Entry, Format, Recognised, Release, SourceFormat};
 use self::labels::ClipLabels;
 pub use self::names::escaped;
@@ -198,21 +195,6 @@ pub fn label(
         }
         other => other,
     }
-}
-
-/// Bytes looked at to recognise a file.
-pub const HEAD_BYTES: usize = 512;
-
-/// The first bytes of a file; none if it cannot be read, which the hash reports.
-pub fn read_head(path: &Path) -> Vec<u8> {
-    let read = || {
-        let file = ByPath.open_at(path)?;
-        let length = file.size().min(HEAD_BYTES as u64);
-        let mut head = vec![0; usize::try_from(length).unwrap_or(HEAD_BYTES)];
-        file.read_exact_at(&mut head, 0)?;
-        std::io::Result::Ok(head)
-    };
-    read().unwrap_or_default()
 }
 
 #[cfg(test)]

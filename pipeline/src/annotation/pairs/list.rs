@@ -11,8 +11,10 @@ use datasets_spec::{BodyPart, MotionId, Split};
 use formats::csv_lines;
 use serde::{Deserialize, Serialize};
 
-use super::LISTED;
 use crate::Error;
+
+/// Source of pairs from a [`PairList`].
+pub const LISTED: &str = "csv";
 
 /// The pairs of a file, by its names of clips.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -12,15 +12,13 @@ use serde::{Deserialize, Serialize};
 use tables::Tables;
 
 use crate::Error;
-pub use list::{ListedPairs, PairList, RefusedLine};
+pub use list::{LISTED, ListedPairs, PairList, RefusedLine};
 pub(crate) use list::{names_of, originals};
 
 /// Source of pairs from labels; the number is the version of the rules.
 pub const SOURCE: &str = "style-labels-2";
 /// Prefix of [`SOURCE`] in every version of the rules.
 const SOURCE_OF_LABELS: &str = "style-labels-";
-/// Source of pairs from a [`PairList`].
-pub const LISTED: &str = "csv";
 
 /// Whether a pair was made from labels, by this or an older version of the rules.
 pub fn is_from_labels(row: &PairRow) -> bool {

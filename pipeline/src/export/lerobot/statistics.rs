@@ -6,8 +6,8 @@
 
 use serde_json::{Map, Value, json};
 
-use super::STATE_WIDTH;
-
+/// Numbers of a frame.
+pub(super) const STATE_WIDTH: usize = 69;
 /// Quantiles by their names.
 pub(super) const QUANTILES: [(&str, f64); 5] = [
     ("q01", 0.01),

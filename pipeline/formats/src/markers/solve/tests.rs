@@ -1,7 +1,8 @@
 use testkit::walk;
 
 use super::*;
-use crate::markers::label::{Subjects, bare_label};
+use crate::markers::bare_label;
+use crate::markers::label::Subjects;
 use datasets_spec::Fps;
 
 /// Markers of a walk: worn a little elsewhere than the set says, on a person of another size,

@@ -7,16 +7,18 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use bzip2::read::MultiBzDecoder;
+use datasets_spec::Progress;
 use datasets_spec::store::{ByPath, Reader, Store};
 use flate2::read::MultiGzDecoder;
 use lzma_rust2::XzReader;
 use tar::EntryType;
 
+use super::content::{CLIMBS, Content, DAMAGED, LIMIT, NAME, Named, named};
+use super::kind::Kind;
 use super::limits::Budget;
 use super::members::{Member, ReadFrom};
-use super::scratch::no_room;
+use super::scratch::{Scratch, no_room};
 use super::unpacked::{Capped, Counting};
-use super::{CLIMBS, Content, DAMAGED, Kind, LIMIT, NAME, Named, Unpacking, named};
 use crate::Error;
 use clip::Rejected;
 
@@ -125,14 +127,14 @@ pub(super) fn unpack(
     path: &Path,
     kind: Kind,
     mut budget: Budget,
-    unpacking: &Unpacking<'_>,
+    scratch: &Arc<Scratch>,
+    progress: &dyn Progress,
 ) -> Result<Result<Content, Rejected>, Error> {
-    let scratch = &unpacking.scratch;
     let packed = match ByPath.open(path) {
         Ok(packed) => packed,
         Err(error) => return Ok(Err(unreadable(&error))),
     };
-    let (packed, count) = Counting::new(packed, unpacking.progress);
+    let (packed, count) = Counting::new(packed, progress);
     let place = || count.load(Ordering::Relaxed);
     let (most, packed_size) = (budget.bytes_left(), budget.size());
     let unpacked: Box<dyn Read + '_> = match kind {

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use datasets_spec::store::{ByPath, Reader, Store};
 use zip::{CompressionMethod, ZipArchive};
 
+use super::content::{CLIMBS, Content, DAMAGED, LIMIT, NAME, Named, PACKING, named};
 use super::limits::Budget;
 use super::members::{Member, ReadFrom};
-use super::{CLIMBS, Content, DAMAGED, LIMIT, NAME, Named, PACKING, named};
 use clip::Rejected;
 
 /// Lists a zip archive.

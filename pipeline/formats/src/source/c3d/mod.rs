@@ -9,21 +9,22 @@
 //! The C3D user guide of c3d.org; formats of the VAX as DEC documents them.
 
 mod parameters;
+mod processor;
 
 use std::path::Path;
 
 use datasets_spec::Fps;
 use glam::DVec3;
 
-use self::parameters::Parameters;
+use self::parameters::{BLOCK, Parameters};
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
 use super::unit::Unit;
 use crate::markers::{self, Capture, CaptureUnit, is_model_output};
 use clip::{MAX_FPS, MIN_FPS, Markers, Outcome, Rejected};
 
-/// Bytes of a block.
-const BLOCK: usize = 512;
+pub use self::processor::Processor;
+
 /// Second byte of every C3D file.
 const MAGIC: u8 = 0x50;
 /// Maximum distance in metres of a marker from the origin: a plausibility test for the number format.
@@ -32,51 +33,6 @@ const MAX_DISTANCE_M: f64 = 100.0;
 const MAX_IMPLAUSIBLE: f64 = 0.1;
 /// Limit on points per frame; real captures have a few hundred.
 const MAX_POINTS: usize = 10_000;
-
-/// Number format of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Processor {
-    /// Little-endian IEEE numbers.
-    Intel,
-    /// Little-endian whole numbers and VAX floating point.
-    Dec,
-    /// Big-endian IEEE numbers.
-    Mips,
-}
-
-impl Processor {
-    fn of(code: u8) -> Option<Self> {
-        match code {
-            84 => Some(Self::Intel),
-            85 => Some(Self::Dec),
-            86 => Some(Self::Mips),
-            _ => None,
-        }
-    }
-
-    fn u16(self, bytes: [u8; 2]) -> u16 {
-        match self {
-            Self::Intel | Self::Dec => u16::from_le_bytes(bytes),
-            Self::Mips => u16::from_be_bytes(bytes),
-        }
-    }
-
-    fn i16(self, bytes: [u8; 2]) -> i16 {
-        self.u16(bytes) as i16
-    }
-
-    fn f32(self, bytes: [u8; 4]) -> f32 {
-        match self {
-            Self::Intel => f32::from_le_bytes(bytes),
-            Self::Mips => f32::from_be_bytes(bytes),
-            Self::Dec => {
-                // Two little-endian words, the high one first, and an exponent that is two larger.
-                let [b0, b1, b2, b3] = bytes;
-                f32::from_be_bytes([b1, b0, b3, b2]) / 4.0
-            }
-        }
-    }
-}
 
 /// A parsed capture.
 #[derive(Clone, Debug)]

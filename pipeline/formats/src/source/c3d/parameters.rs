@@ -2,9 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use super::{BLOCK, Processor};
+use super::processor::Processor;
 use clip::Rejected;
 
+/// Bytes of a block.
+pub(super) const BLOCK: usize = 512;
 /// Groups whose labels name points that are not markers.
 const MODEL_OUTPUTS: [&str; 6] = [
     "ANGLES",

@@ -4,8 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::{MaskRow, PairRow};
 
-use super::origin::{self, Origin, Record};
-use super::release::CODE_OF_ORIGIN;
+use super::origin::{self, CODE_OF_ORIGIN, Origin, Record};
 use crate::source::format::Entry;
 use clip::{EditOf, Rejected, RotationSource, SourceClip, SourceMask};
 

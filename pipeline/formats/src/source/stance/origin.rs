@@ -23,6 +23,8 @@ pub const MASKS: &str = "masks.jsonl";
 /// The file of its pairs.
 pub const PAIRS: &str = "pairs.jsonl";
 
+/// Code of what an export says of itself.
+pub(super) const CODE_OF_ORIGIN: &str = "E-STANCE-ORIGIN";
 /// Value of `format`. Exports of earlier versions hold the motions alone.
 const FORMAT: &str = "stance-export";
 /// Version of the three files.

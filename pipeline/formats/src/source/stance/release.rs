@@ -9,7 +9,7 @@ use super::annotation::{Annotations, parse_parts};
 use super::labels::Labels;
 use super::motion::release_clip;
 use super::name::{listed_name, motion_id, original_of};
-use super::origin::{self, Origin, Origins, Parsed};
+use super::origin::{self, CODE_OF_ORIGIN, Origin, Origins, Parsed};
 use super::split::{ClipSplits, Lists};
 use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release, check_skeleton};
@@ -33,9 +33,6 @@ const FOLDERS: [&str; 5] = [BASE_MOTION, STYLE_TRANSFER, ADJUSTMENT, REGEN, SPLI
 /// Keys of the two motions of an adjustment.
 const SOURCE_KEY: &str = "src";
 const TARGET_KEY: &str = "tgt";
-
-/// Code of what an export says of itself.
-pub(super) const CODE_OF_ORIGIN: &str = "E-STANCE-ORIGIN";
 
 /// Largest pickle read, in bytes: an hour at 20 fps takes 20 MB.
 const MAX_PICKLE_LEN: u64 = 256 << 20;

@@ -1,9 +1,11 @@
 //! The settings and marker names above the rows.
 
-use super::{Line, Lines, MAGIC};
+use super::lines::{Line, Lines};
 use crate::markers::unique_labels;
 use clip::{MAX_FPS, MIN_FPS, Rejected};
 
+/// First word of every file.
+pub(super) const MAGIC: &[u8] = b"PathFileType";
 /// The only type of TRC file in use: trajectories.
 const TRAJECTORIES: &str = "4";
 /// Limit on markers; real captures have a few hundred.

@@ -8,13 +8,15 @@
 //! OpenSim's documentation of its `.trc` files.
 
 mod header;
+mod lines;
 mod rows;
 #[cfg(test)]
 mod tests;
 
 use std::path::Path;
 
-use self::header::Header;
+use self::header::{Header, MAGIC};
+use self::lines::Lines;
 use self::rows::Rows;
 use super::files::UTF8_BOM;
 use super::format::{Format, Recognised, SourceFormat};
@@ -28,8 +30,6 @@ use clip::{Markers, Outcome, Rejected};
 const MAX_DISTANCE_M: f64 = 100.0;
 /// Fraction of implausible positions above which the unit is taken to be wrong.
 const MAX_IMPLAUSIBLE: f64 = 0.1;
-/// First word of every file.
-const MAGIC: &[u8] = b"PathFileType";
 
 /// A parsed capture.
 #[derive(Clone, Debug, PartialEq)]
@@ -195,79 +195,6 @@ fn in_metres(rows: &Rows, header: &Header, unit: CaptureUnit) -> Result<Position
         residuals,
         far,
     })
-}
-
-/// A line of the text.
-#[derive(Clone, Copy)]
-struct Line<'a> {
-    /// Its place in the file.
-    at: usize,
-    text: &'a [u8],
-    /// Whether a line break follows.
-    is_whole: bool,
-}
-
-impl<'a> Line<'a> {
-    /// The cells of the line with their places in the file, trimmed. Tabs separate them; a line without any
-    /// has its cells apart by blanks.
-    fn cells(&self) -> Vec<(usize, &'a [u8])> {
-        let is_tabbed = self.text.contains(&b'\t');
-        let mut cells = Vec::new();
-        let mut start = 0;
-        let ends = self.text.iter().enumerate();
-        let ends = ends.filter(|(_, byte)| match is_tabbed {
-            true => **byte == b'\t',
-            false => byte.is_ascii_whitespace(),
-        });
-        for end in ends.map(|(end, _)| end).chain([self.text.len()]) {
-            let cell = &self.text[start..end];
-            let skipped = cell.len() - cell.trim_ascii_start().len();
-            let cell_at = self.at + start + skipped;
-            start = end + 1;
-            if is_tabbed || !cell.is_empty() {
-                cells.push((cell_at, cell.trim_ascii()));
-            }
-        }
-        cells
-    }
-}
-
-/// The lines of a file that are not blank.
-struct Lines<'a> {
-    bytes: &'a [u8],
-    at: usize,
-}
-
-impl<'a> Lines<'a> {
-    fn of(bytes: &'a [u8]) -> Self {
-        let at = if bytes.starts_with(UTF8_BOM) {
-            UTF8_BOM.len()
-        } else {
-            0
-        };
-        Self { bytes, at }
-    }
-}
-
-impl<'a> Iterator for Lines<'a> {
-    type Item = Line<'a>;
-
-    fn next(&mut self) -> Option<Line<'a>> {
-        while self.at < self.bytes.len() {
-            let rest = &self.bytes[self.at..];
-            let end = rest.iter().position(|byte| matches!(byte, b'\n' | b'\r'));
-            let line = Line {
-                at: self.at,
-                text: &rest[..end.unwrap_or(rest.len())],
-                is_whole: end.is_some(),
-            };
-            self.at += line.text.len() + 1;
-            if !line.text.trim_ascii().is_empty() {
-                return Some(line);
-            }
-        }
-        None
-    }
 }
 
 /// TRC: marker positions as text.

@@ -4,7 +4,7 @@ use datasets_spec::Fps;
 use glam::DVec3;
 
 use super::header::Header;
-use super::{Line, Lines};
+use super::lines::{Line, Lines};
 use clip::{MAX_FPS, MIN_FPS, Rejected};
 
 /// Columns before the coordinates: number and time of the frame.

@@ -1,0 +1,65 @@
+//! The projections, and how they follow from the log.
+
+use super::apply::apply;
+use super::db::{Tx, params};
+use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
+use crate::Error;
+
+/// A projection.
+pub(super) struct Projection {
+    pub(super) table: &'static str,
+    /// Column of the task that a row belongs to.
+    pub(super) task: &'static str,
+    /// Sort columns.
+    pub(super) order: &'static str,
+}
+
+const fn projection(table: &'static str, task: &'static str, order: &'static str) -> Projection {
+    Projection { table, task, order }
+}
+
+/// The projections.
+pub(super) const PROJECTIONS: [Projection; 10] = [
+    projection("task", "id", "id"),
+    projection("lease", "task", "id"),
+    projection("revision", "task", "task, author"),
+    projection("review", "task", "seq"),
+    projection("accepted", "task", "task"),
+    projection("skip", "task", "task, usr"),
+    projection("suggestion_use", "task", "seq"),
+    projection("gold_score", "task", "task, usr"),
+    projection("work", "task", "seq"),
+    projection("gold_place", "task", "task, usr"),
+];
+
+/// Entries read at a time.
+const BATCH: i64 = 1000;
+
+/// Creates the projections.
+pub(super) fn define_projections(tx: &mut dyn Tx) -> Result<(), Error> {
+    tx.define(include_str!("projections.sql"))
+}
+
+/// Entries of the log after a sequence number, up to [`BATCH`].
+pub(super) fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>, Error> {
+    let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
+    tx.query(&sql, params![after, BATCH])?
+        .iter()
+        .map(read_entry)
+        .collect()
+}
+
+/// Fills the empty projections of a store from its log.
+pub(super) fn derive(tx: &mut dyn Tx) -> Result<(), Error> {
+    let mut last = 0;
+    loop {
+        let some = entries(tx, last)?;
+        if some.is_empty() {
+            return Ok(());
+        }
+        for (seq, entry) in some {
+            apply(tx, seq, &entry)?;
+            last = seq;
+        }
+    }
+}

@@ -1,0 +1,209 @@
+//! Checks of new settings.
+
+use super::pictures;
+use crate::Error;
+use crate::wire::{Rule, RuleKind, Settings};
+
+/// Maximum number of names in a list, and of pictures in a guide.
+const MAX_NAMES: usize = 200;
+
+/// Checks new settings.
+pub(super) fn check(settings: &Settings) -> Result<(), Error> {
+    check_numbers(settings)?;
+    check_names(settings)?;
+    if !crate::clock::is_zone(&settings.time_zone) {
+        return Err(Error::invalid(
+            "time_zone",
+            format!(
+                "{:?} is no time zone; write a name such as Europe/Berlin or UTC",
+                settings.time_zone
+            ),
+        ));
+    }
+    check_rules(&settings.rules)?;
+    check_guides(settings)
+}
+
+fn check_numbers(settings: &Settings) -> Result<(), Error> {
+    let shares = [
+        ("overlap_percent", settings.overlap_percent),
+        ("gold_percent", settings.gold_percent),
+        ("blind_percent", settings.blind_percent),
+        ("review_percent", settings.review_percent),
+        ("practice_percent", settings.practice_percent),
+    ];
+    for (field, share) in shares {
+        if share > 100 {
+            return Err(Error::invalid(
+                field,
+                format!("{share} % is out of range; use 0 to 100"),
+            ));
+        }
+    }
+    let ranges = [
+        ("answers_per_task", settings.answers_per_task, 1, 50),
+        ("lease_minutes", settings.lease_minutes, 1, 24 * 60),
+        ("returned_days", settings.returned_days, 1, 365),
+        (
+            "take_back_minutes",
+            settings.take_back_minutes,
+            0,
+            7 * 24 * 60,
+        ),
+        ("practice_tasks", settings.practice_tasks, 0, 100),
+    ];
+    for (field, value, least, most) in ranges {
+        if !(least..=most).contains(&value) {
+            return Err(Error::invalid(
+                field,
+                format!("{value} is out of range; use {least} to {most}"),
+            ));
+        }
+    }
+    if settings.min_masks > settings.max_masks || settings.max_masks > crate::wire::MAX_MASKS {
+        return Err(Error::invalid(
+            "max_masks",
+            format!(
+                "use at least min_masks and at most {}",
+                crate::wire::MAX_MASKS
+            ),
+        ));
+    }
+    Ok(())
+}
+
+fn check_names(settings: &Settings) -> Result<(), Error> {
+    if settings.name.trim().is_empty() || settings.name.chars().count() > 100 {
+        return Err(Error::invalid(
+            "name",
+            "the project needs a name of up to 100 characters",
+        ));
+    }
+    for (field, names) in [
+        ("styles", &settings.styles),
+        ("templates", &settings.templates),
+        ("mask_templates", &settings.mask_templates),
+        ("style_templates", &settings.style_templates),
+    ] {
+        let bad = |name: &String| name.trim().is_empty() || name.chars().count() > 100;
+        if names.len() > MAX_NAMES || names.iter().any(bad) {
+            return Err(Error::invalid(
+                field,
+                format!("use up to {MAX_NAMES} names of up to 100 characters"),
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn check_guides(settings: &Settings) -> Result<(), Error> {
+    const MAX_GUIDE: usize = 100_000;
+    for (kind, guide) in &settings.guides {
+        if guide.text.chars().count() > MAX_GUIDE || guide.pictures.len() > MAX_NAMES {
+            return Err(Error::invalid(
+                &format!("guides.{kind}"),
+                format!("use up to {MAX_GUIDE} characters and {MAX_NAMES} pictures"),
+            ));
+        }
+        for picture in &guide.pictures {
+            pictures::check_name(&picture.name)?;
+        }
+    }
+    if settings.guide.chars().count() > MAX_GUIDE {
+        return Err(Error::invalid(
+            "guide",
+            format!("use up to {MAX_GUIDE} characters"),
+        ));
+    }
+    Ok(())
+}
+
+fn check_rules(rules: &[Rule]) -> Result<(), Error> {
+    const MAX_RULES: usize = 20;
+    let refuse = |index: usize, field: &str, problem: String| {
+        Err(Error::invalid(&format!("rules.{index}.{field}"), problem))
+    };
+    if rules.len() > MAX_RULES {
+        return Err(Error::invalid(
+            "rules",
+            format!("use up to {MAX_RULES} rules"),
+        ));
+    }
+    for (index, rule) in rules.iter().enumerate() {
+        let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
+        if !(1..=40).contains(&rule.name.len()) || !rule.name.chars().all(allowed) {
+            return refuse(
+                index,
+                "name",
+                format!(
+                    "{:?} is no name of a rule; use 1 to 40 letters, digits and dashes",
+                    rule.name
+                ),
+            );
+        }
+        if rules[..index].iter().any(|other| other.name == rule.name) {
+            return refuse(index, "name", format!("two rules are called {}", rule.name));
+        }
+        if rule.accepts == RuleKind::Trusted && rule.people.is_empty() {
+            return refuse(index, "people", "name the people to trust".to_owned());
+        }
+        if rule.accepts != RuleKind::Trusted && !rule.people.is_empty() {
+            return refuse(
+                index,
+                "people",
+                format!(
+                    "a rule that accepts {} has no people; leave them out",
+                    rule.accepts
+                ),
+            );
+        }
+        if !(1..=50).contains(&rule.min_answers) {
+            return refuse(index, "min_answers", "use 1 to 50".to_owned());
+        }
+        if !(0.0..=1.0).contains(&rule.max_distance) {
+            return refuse(index, "max_distance", "use 0 to 1".to_owned());
+        }
+        if rule.review_percent > 100 {
+            return refuse(index, "review_percent", "use 0 to 100".to_owned());
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_are_bounded() {
+        assert!(check(&Settings::default()).is_ok());
+        for broken in [
+            Settings {
+                gold_percent: 101,
+                ..Settings::default()
+            },
+            Settings {
+                answers_per_task: 0,
+                ..Settings::default()
+            },
+            Settings {
+                lease_minutes: 0,
+                ..Settings::default()
+            },
+            Settings {
+                min_masks: 5,
+                ..Settings::default()
+            },
+            Settings {
+                styles: vec![String::new()],
+                ..Settings::default()
+            },
+            Settings {
+                name: " ".to_owned(),
+                ..Settings::default()
+            },
+        ] {
+            assert!(check(&broken).is_err());
+        }
+    }
+}

@@ -1,0 +1,28 @@
+//! What can go wrong with a question.
+
+use std::path::PathBuf;
+
+/// What can go wrong with a question.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A table cannot be read.
+    #[error(transparent)]
+    Spec(#[from] datasets_spec::Error),
+    /// A question cannot be understood or answered.
+    #[error("{text:?}: {problem}")]
+    Sql {
+        /// The question.
+        text: String,
+        /// What is wrong, and what there is.
+        problem: String,
+    },
+    /// An answer cannot be written as Parquet.
+    #[error("the answer cannot be written as Parquet: {0}")]
+    Parquet(String),
+    /// A condition chooses no clip.
+    #[error("no clip of {} fulfils the condition; `stance stats` shows which values there are", path.display())]
+    NoneChosen {
+        /// The dataset.
+        path: PathBuf,
+    },
+}

@@ -1,0 +1,19 @@
+//! A column of a table.
+
+use crate::metric::{Better, Metric};
+
+/// A column of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// The metric.
+    pub metric: &'static Metric,
+    /// Which values are good in this task.
+    pub better: Better,
+}
+
+impl Column {
+    /// The metric with its arrow, such as `FID ↓`.
+    pub fn label(&self) -> String {
+        format!("{} {}", self.metric, self.better.arrow())
+    }
+}

@@ -1,0 +1,121 @@
+//! What is in an archive, and what is wrong with it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::members::{Member, Members, ReadFrom};
+use crate::source::names::text_of_bytes;
+use clip::Rejected;
+
+/// An archive or a member that is damaged, or is something else than its name says.
+pub const DAMAGED: &str = "E-ARCHIVE-DAMAGED";
+/// A member whose name leads out of the archive, or is that of another one.
+pub(super) const NAME: &str = "E-ARCHIVE-NAME";
+/// More members, bytes or levels than are read.
+pub(super) const LIMIT: &str = "E-ARCHIVE-LIMIT";
+/// A member that is packed in a way that is not read, or encrypted.
+pub(super) const PACKING: &str = "E-ARCHIVE-PACKING";
+
+/// What is in an archive.
+#[derive(Debug, Default)]
+pub(super) struct Content {
+    /// Files by name.
+    pub(super) members: BTreeMap<String, Member>,
+    pub(super) special: Vec<(String, String)>,
+    /// Members that cannot be used; the name is empty for the archive itself.
+    pub(super) refused: Vec<(String, Rejected)>,
+    /// What the members are read from.
+    pub(super) read_from: Option<ReadFrom>,
+}
+
+impl Content {
+    pub(super) fn is_empty(&self) -> bool {
+        self.members.is_empty() && self.special.is_empty() && self.refused.is_empty()
+    }
+
+    pub(super) fn members(self, at: &Path) -> Members {
+        Members::new(at, self.members, self.read_from)
+    }
+
+    /// Refuses a member.
+    pub(super) fn refuse(&mut self, name: &str, code: &'static str, reason: String, at: u64) {
+        let rejected = Rejected {
+            byte_offset: Some(at),
+            ..Rejected::read(code, reason)
+        };
+        self.refused.push((name.to_owned(), rejected));
+    }
+
+    /// Adds a file. Of several members of one name the last is the file, as when it is unpacked.
+    pub(super) fn add(&mut self, name: String, member: Member) {
+        if self.members.insert(name.clone(), member).is_some() {
+            let reason = "an earlier member of this name in its archive; the last one is read";
+            self.special.push((name, reason.to_owned()));
+        }
+    }
+}
+
+/// What a member's name means.
+pub(super) enum Named {
+    File(String),
+    /// It is passed over, and why.
+    Special(String, &'static str),
+    /// It cannot be the name of a member.
+    Refused(String),
+}
+
+/// The name of a member as a relative path. Names that lead out of the archive are refused: no system unpacks them.
+pub(super) fn named(raw: &[u8]) -> Named {
+    let shown = text_of_bytes(raw);
+    let is_drive =
+        |part: &[u8]| part.len() == 2 && part[1] == b':' && part[0].is_ascii_alphabetic();
+    let mut parts = Vec::new();
+    for part in raw.split(|byte| *byte == b'/') {
+        match part {
+            b"" if parts.is_empty() => return Named::Refused(shown),
+            b"" | b"." => {}
+            b".." => return Named::Refused(shown),
+            drive if parts.is_empty() && is_drive(drive) => return Named::Refused(shown),
+            part => parts.push(text_of_bytes(part)),
+        }
+    }
+    if raw.is_empty() || parts.is_empty() {
+        return Named::Refused(shown);
+    }
+    let is_resource =
+        parts[0] == "__MACOSX" || parts.last().is_some_and(|name| name.starts_with("._"));
+    let name = parts.join("/");
+    match is_resource {
+        true => Named::Special(name, "resource file of macOS, no motion"),
+        false => Named::File(name),
+    }
+}
+
+pub(super) const CLIMBS: &str =
+    "the name of the member leads out of the archive; pack the files by their relative paths";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_stay_in_the_archive() {
+        let text = |name: &[u8]| match named(name) {
+            Named::File(name) => name,
+            Named::Special(name, _) => format!("special {name}"),
+            Named::Refused(name) => format!("refused {name}"),
+        };
+        for (name, expected) in [
+            (&b"./a//b/walk.bvh"[..], "a/b/walk.bvh"),
+            (b"a/../walk.bvh", "refused a/../walk.bvh"),
+            (b"/etc/passwd", "refused /etc/passwd"),
+            (b"C:/walk.bvh", "refused C:/walk.bvh"),
+            (b"", "refused "),
+            (b"a\xff\x1b", r"a\xff\x1b"),
+            (b"__MACOSX/a/walk.bvh", "special __MACOSX/a/walk.bvh"),
+            (b"a/._walk.bvh", "special a/._walk.bvh"),
+        ] {
+            assert_eq!(text(name), expected);
+        }
+    }
+}

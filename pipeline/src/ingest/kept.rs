@@ -1,0 +1,221 @@
+//! What a dataset that grows keeps of its labels, rejected items and sources.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use clip::LabelProblem;
+use datasets_spec::record::{MaskRow, PairRow, QuarantineRow, SkippedRow};
+use datasets_spec::table::Row;
+use datasets_spec::{MotionId, Split};
+
+use super::fates::{Fate, Fates};
+use super::growth::{Growth, LostLabel};
+use super::plan::Plan;
+use super::recorded::Recorded;
+use super::sources::SourceLabel;
+use crate::versions::{is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source};
+
+/// Labels of the version before: those that stay and those that are lost.
+#[derive(Default)]
+pub(super) struct Labels {
+    pub(super) masks: Vec<MaskRow>,
+    pub(super) pairs: Vec<PairRow>,
+    pub(super) lost: Vec<LostLabel>,
+}
+
+impl Growth {
+    /// Adds what became of the labels.
+    pub(super) fn count(&mut self, labels: &Labels) {
+        let counts = [
+            (MaskRow::TABLE, labels.masks.len()),
+            (PairRow::TABLE, labels.pairs.len()),
+        ];
+        let counts = counts.into_iter().filter(|(_, count)| *count > 0);
+        self.labels = counts
+            .map(|(table, count)| (table.to_owned(), count as u64))
+            .collect();
+        self.lost.clone_from(&labels.lost);
+    }
+}
+
+impl Fates<'_> {
+    /// The labels of clips that are still there. Before the clips are settled, all that are read again are taken to be
+    /// usable.
+    pub(super) fn labels(&self, masks: Vec<MaskRow>, pairs: Vec<PairRow>) -> Labels {
+        let mut labels = Labels::default();
+        for mask in masks {
+            // Reading the source makes its masks again, and a stage makes those that it derived.
+            match self.place(&mask.motion_id) {
+                Ok(Place::ReadAgain) if is_mask_of_source(&mask) => {}
+                Ok(_) => labels.masks.push(mask),
+                Err(_) if !is_mask_of_people(&mask) => {}
+                Err(lost) => labels.lose(MaskRow::TABLE, mask.id, lost),
+            }
+        }
+        for pair in pairs {
+            let [source, target] = [&pair.source_id, &pair.target_id].map(|id| self.place(id));
+            match source.and(target) {
+                Ok(Place::ReadAgain) if is_pair_of_source(&pair) => {}
+                Ok(_) => labels.pairs.push(pair),
+                Err(_) if !is_pair_of_people(&pair) => {}
+                Err(lost) => labels.lose(PairRow::TABLE, pair.id, lost),
+            }
+        }
+        labels
+    }
+
+    /// Where a clip with a label is; the clip and what happened to it if its labels do not hold for it any more.
+    fn place(&self, id: &MotionId) -> Result<Place, (String, String)> {
+        let reason = match self.of_clip(id) {
+            Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable) => {
+                return Ok(Place::Stays);
+            }
+            Some(Fate::ReadAgain { is_same_file: true }) => return Ok(Place::ReadAgain),
+            Some(Fate::ReadAgain { .. }) => format!("the file of {id} changed"),
+            Some(Fate::Pruned { is_there: false }) => format!("the file of {id} is gone"),
+            Some(Fate::Pruned { is_there: true }) => format!("{id} cannot be used any more"),
+            None => format!("{id} is not in the dataset"),
+        };
+        Err((id.to_string(), reason))
+    }
+}
+
+impl Plan {
+    /// Recorded problems of labels that are as they were.
+    pub(super) fn recorded_problems(
+        &self,
+        recorded: &Recorded,
+        problems: Vec<LabelProblem>,
+    ) -> Vec<LabelProblem> {
+        let skipped = recorded.skipped.iter();
+        let rows: BTreeMap<&str, &SkippedRow> =
+            skipped.map(|row| (row.path.as_str(), row)).collect();
+        let stays = |problem: &LabelProblem| {
+            let source = self.sources.get(&problem.file);
+            let now = source.and_then(|source| source.hash.as_deref().ok());
+            let row = rows.get(problem.file.as_str());
+            let is_same = now.is_some() && now == row.map(|row| row.source_hash.as_str());
+            let is_of_run = match row {
+                Some(row) => self.is_of_run(&row.source_name, &row.path),
+                None => source.is_some(),
+            };
+            is_same || !is_of_run
+        };
+        problems.into_iter().filter(stays).collect()
+    }
+}
+
+/// Rejected items of sources that a run does not read.
+#[derive(Default)]
+pub(super) struct Outside {
+    pub(super) quarantine: Vec<QuarantineRow>,
+    pub(super) skipped: Vec<SkippedRow>,
+}
+
+impl Plan {
+    /// The rejected items of sources that are not of this run.
+    pub(super) fn outside(&self, recorded: &Recorded) -> Outside {
+        let is_outside = |name: &str, path: &str| {
+            // The path of one of several motions ends in its key.
+            let file = path.split_once('#').map_or(path, |(file, _)| file);
+            let here = |path| self.sources.contains_key(path) || self.is_of_run(name, path);
+            !here(path) && !here(file)
+        };
+        let quarantine = recorded.quarantine.iter();
+        let skipped = recorded.skipped.iter();
+        Outside {
+            quarantine: quarantine
+                .filter(|row| is_outside(&row.source_name, &row.path))
+                .cloned()
+                .collect(),
+            skipped: skipped
+                .filter(|row| is_outside(&row.source_name, &row.path))
+                .cloned()
+                .collect(),
+        }
+    }
+
+    /// Whether this run rejects what is recorded as rejected.
+    pub(super) fn has_rejected(&self, recorded: &Recorded, outside: &Outside) -> bool {
+        let codes = |rows: &[QuarantineRow]| -> BTreeSet<(String, String, String)> {
+            let rows = rows.iter();
+            rows.map(|row| (row.path.clone(), row.source_hash.clone(), row.code.clone()))
+                .collect()
+        };
+        let reasons = |rows: &[SkippedRow]| -> BTreeSet<(String, String, String)> {
+            let rows = rows.iter();
+            rows.map(|row| {
+                (
+                    row.path.clone(),
+                    row.source_hash.clone(),
+                    row.reason.clone(),
+                )
+            })
+            .collect()
+        };
+        let (mut now, mut skipped) = (codes(&self.rejected), reasons(&self.skipped));
+        now.extend(codes(&outside.quarantine));
+        skipped.extend(reasons(&outside.skipped));
+        now == codes(&recorded.quarantine) && skipped == reasons(&recorded.skipped)
+    }
+
+    /// The sources of the dataset with those of this run.
+    pub(super) fn all_labels(&self, recorded: &Recorded) -> Vec<SourceLabel> {
+        let mut sources = recorded.sources.clone();
+        for given in &self.given {
+            if !sources.contains(&given.label) {
+                sources.push(given.label.clone());
+            }
+        }
+        sources.sort_by(|a, b| (&a.label, &a.name).cmp(&(&b.label, &b.name)));
+        sources
+    }
+
+    /// The sources of the dataset, as JSON.
+    pub(super) fn all_sources(&self, recorded: &Recorded) -> String {
+        serde_json::to_string(&self.all_labels(recorded)).expect("texts serialise")
+    }
+
+    /// Whether all sources of this run are recorded.
+    pub(super) fn has_known_sources(&self, recorded: &Recorded) -> bool {
+        let mut given = self.given.iter();
+        given.all(|given| recorded.sources.contains(&given.label))
+    }
+}
+
+/// Where a clip is whose labels stay.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Place {
+    Stays,
+    ReadAgain,
+}
+
+impl Labels {
+    /// Brings the labels into the splits of their clips. Pairs whose clips are in two splits now are lost.
+    pub(super) fn follow(&mut self, splits: &BTreeMap<&str, Split>) {
+        for mask in &mut self.masks {
+            let split = splits.get(mask.motion_id.as_str());
+            mask.split = split.copied().unwrap_or(mask.split);
+        }
+        for mut pair in std::mem::take(&mut self.pairs) {
+            let [source, target] =
+                [&pair.source_id, &pair.target_id].map(|id| splits.get(id.as_str()));
+            if source == target {
+                pair.split = source.copied().unwrap_or(pair.split);
+                self.pairs.push(pair);
+            } else {
+                let reason = "its clips are in two splits now".to_owned();
+                let clip = pair.target_id.to_string();
+                self.lose(PairRow::TABLE, pair.id, (clip, reason));
+            }
+        }
+    }
+
+    fn lose(&mut self, table: &str, id: String, (clip, reason): (String, String)) {
+        self.lost.push(LostLabel {
+            table: table.to_owned(),
+            id,
+            clip,
+            reason,
+        });
+    }
+}

@@ -1,0 +1,229 @@
+//! What a run knows before it identifies its sources: its options, and what its dataset holds.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use datasets_spec::manifest::Manifest;
+use datasets_spec::record::MotionRow;
+use datasets_spec::store::Store;
+use datasets_spec::table::Row;
+use datasets_spec::{Progress, Resample, Seed};
+use formats::source::ReadOptions;
+
+use super::known::Known;
+use super::list::{Listed, without_extension};
+use super::options::{IngestOptions, SEED_FACT, SHARED_SETTINGS, Settings};
+use super::places::Places;
+use super::plan::Plan;
+use super::recorded::{Base, Recorded};
+use super::split_by::SplitBy;
+use super::split_list::SplitList;
+use crate::Error;
+
+/// What a run knows before it identifies its sources.
+pub(super) struct Prepared {
+    pub(super) options: IngestOptions,
+    pub(super) settings: Settings,
+    pub(super) base: Base,
+    /// Where the sources of the dataset were found.
+    places: Places,
+    pub(super) is_new: bool,
+    /// The settings that differ from those the dataset was made with, in words.
+    pub(super) differing: Option<String>,
+    /// Those of them that are one for all clips of a dataset.
+    must_agree: Option<String>,
+    /// Remarks where the dataset keeps splits that were drawn otherwise than asked for.
+    pub(super) kept: Vec<String>,
+}
+
+impl Prepared {
+    /// Reads what the dataset at `root` holds.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub(super) fn of(
+        store: &dyn Store,
+        root: &Path,
+        base: Option<&Manifest>,
+        options: &IngestOptions,
+    ) -> Result<Self, Error> {
+        options.fps.map_or(Ok(()), IngestOptions::check_fps)?;
+        let (options, kept) = effective(base, options);
+        let settings = Settings::of(&options);
+        let recorded = Base::read(root, base)?;
+        let is_new = recorded.is_none();
+        let base = recorded.unwrap_or_default();
+        let differing = |only| match is_new {
+            true => None,
+            false => {
+                let in_words = |name: &str| match name {
+                    "splits" => options
+                        .splits
+                        .as_ref()
+                        .map(|list| list.changes(&base.recorded)),
+                    "ids" => options
+                        .ids
+                        .as_ref()
+                        .map(|list| format!("now chooses {}", list.shown())),
+                    _ => None,
+                };
+                settings.differing(base.settings.as_ref(), only, &in_words)
+            }
+        };
+        let mut places = match is_new {
+            true => Places::default(),
+            false => Places::read(store, root)?,
+        };
+        let names = base
+            .recorded
+            .sources
+            .iter()
+            .map(|source| source.name.as_str());
+        places.retain(&names.collect());
+        Ok(Self {
+            differing: differing(None),
+            must_agree: differing(Some(&SHARED_SETTINGS[..])),
+            options,
+            settings,
+            base,
+            places,
+            is_new,
+            kept,
+        })
+    }
+
+    /// Refuses other settings than those of the dataset, unless a new version was asked for.
+    pub(super) fn refuse_other_settings(&self, root: &Path) -> Result<(), Error> {
+        match &self.differing {
+            Some(differing) if !self.options.new_version => Err(Error::OtherSettings {
+                path: root.to_owned(),
+                differing: differing.clone(),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// The settings that differ and that are one for all clips of a dataset, in words.
+    pub(super) fn must_agree(&self) -> Option<&str> {
+        self.must_agree.as_deref()
+    }
+
+    pub(super) fn plan(
+        &self,
+        store: Arc<dyn Store>,
+        out: &Path,
+        listed: Vec<Listed>,
+        progress: &dyn Progress,
+    ) -> Result<Plan, Error> {
+        let recorded = &self.base.recorded;
+        let known = Known {
+            out,
+            recorded,
+            places: &self.places,
+        };
+        let (mut sources, mut remarks) = known.identify(listed)?;
+        if self.differing.is_some() && self.options.new_version {
+            // Clips of a dataset are all read with the same settings.
+            let (others, said) = known.others(&sources, progress)?;
+            sources.extend(others);
+            sources.sort_by(|(a, _), (b, _)| a.label.name.cmp(&b.label.name));
+            remarks.extend(said);
+        }
+        Plan::make(
+            store,
+            (sources, remarks),
+            &self.options,
+            recorded,
+            self.differing.is_none(),
+            progress,
+        )
+    }
+
+    /// The places of the sources, with those of a plan.
+    pub(super) fn places_with(&self, plan: &Plan) -> Places {
+        let mut places = self.places.clone();
+        places.record(&plan.given);
+        places
+    }
+}
+
+impl SplitList {
+    /// Which recorded clips it would move, in words.
+    fn changes(&self, recorded: &Recorded) -> String {
+        const SHOWN: usize = 3;
+        let moved: Vec<String> = recorded
+            .clips
+            .iter()
+            .filter_map(|clip| {
+                let stem = without_extension(&clip.path);
+                let names = [clip.id.as_str(), clip.id.source_clip(), &clip.path, stem];
+                let line = self.line_of(&names.map(str::to_owned).into())?;
+                let split = self.split(line);
+                (split != clip.split).then(|| format!("{} ({}, now {split})", clip.id, clip.split))
+            })
+            .collect();
+        let more = match moved.len().saturating_sub(SHOWN) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        match moved.is_empty() {
+            true => "has other lines, which move none of its clips by their ids".to_owned(),
+            false => format!("moves {}{more}", moved[..moved.len().min(SHOWN)].join(", ")),
+        }
+    }
+}
+
+/// The options as a run uses them, and remarks where splits stay as the dataset was made with.
+pub(super) fn effective(
+    base: Option<&Manifest>,
+    options: &IngestOptions,
+) -> (IngestOptions, Vec<String>) {
+    let (seed, kept_seed) = split_seed(base, options.seed);
+    let (split_by, kept_by) = split_by(base, options.split_by);
+    let options = IngestOptions {
+        seed,
+        split_by: Some(split_by),
+        read: ReadOptions {
+            // The published stride rule counts the file's own frames.
+            rate: options.fps.filter(|_| options.resample == Resample::Exact),
+            ..options.read.clone()
+        },
+        ..options.clone()
+    };
+    (options, kept_seed.into_iter().chain(kept_by).collect())
+}
+
+/// What splits are drawn by, and a remark if it is not what was asked for.
+fn split_by(base: Option<&Manifest>, asked: Option<SplitBy>) -> (SplitBy, Option<String>) {
+    let recorded = SplitBy::recorded(base);
+    let kept = recorded
+        .zip(asked)
+        .filter(|(recorded, asked)| recorded != asked);
+    let remark = kept.map(|(recorded, asked)| {
+        format!(
+            "the splits were drawn by {recorded} when the dataset was made and stay as they are; ingest into a new folder to \
+             draw them by {asked}"
+        )
+    });
+    (recorded.or(asked).unwrap_or_default(), remark)
+}
+
+/// The seed of the splits, and a remark if it is not the one asked for: a dataset that is there
+/// keeps its own, so that no clip moves.
+fn split_seed(base: Option<&Manifest>, asked: Seed) -> (Seed, Option<String>) {
+    let recorded = base
+        .filter(|base| base.plans.contains_key(MotionRow::TABLE))
+        .and_then(|base| base.facts.get(SEED_FACT)?.parse().ok().map(Seed));
+    match recorded {
+        Some(seed) if seed != asked => {
+            let remark = format!(
+                "the splits were drawn with seed {} when the dataset was made and stay as they are; \
+                 ingest into a new folder to draw them with seed {}",
+                seed.0, asked.0
+            );
+            (seed, Some(remark))
+        }
+        Some(seed) => (seed, None),
+        None => (asked, None),
+    }
+}
