@@ -33,6 +33,7 @@ mod query;
 mod reasons;
 mod remote;
 mod results;
+mod rooms;
 mod round_trips;
 mod seams;
 mod settings;
