@@ -58,10 +58,7 @@ impl Gain {
 /// A row does not hold a motion.
 pub fn best_edit(answered: &Answered) -> Result<Option<BestEdit<'_>>, Error> {
     let candidates = first_takes(answered);
-    let errors: Vec<Option<[f64; 2]>> = candidates
-        .par_iter()
-        .map(|(item, edit)| errors(item, edit, &answered.skeleton))
-        .collect::<Result<_, Error>>()?;
+    let errors = all_errors(&candidates, &answered.skeleton)?;
     let mut gains = Vec::new();
     let mut best: Option<(usize, [f64; 2])> = None;
     let gain_of = |[source, edit]: [f64; 2]| source - edit;
@@ -80,6 +77,30 @@ pub fn best_edit(answered: &Answered) -> Result<Option<BestEdit<'_>>, Error> {
     });
     let chosen = candidates.get(best.map_or(0, |(index, _)| index));
     Ok(chosen.map(|&(item, edit)| BestEdit { item, edit, gain }))
+}
+
+/// How many metres closer each edit is to its target than its source is, as [`best_edit`] compares them: of every item that the
+/// system listed first has edited and that can be measured, by id.
+///
+/// # Errors
+/// A row does not hold a motion.
+pub fn gains(answered: &Answered) -> Result<Vec<(&ItemRow, f64)>, Error> {
+    let candidates = first_takes(answered);
+    let errors = all_errors(&candidates, &answered.skeleton)?;
+    let measured = std::iter::zip(candidates, errors);
+    Ok(measured
+        .filter_map(|((item, _), errors)| errors.map(|[source, edit]| (item, source - edit)))
+        .collect())
+}
+
+fn all_errors(
+    candidates: &[(&ItemRow, &EditRow)],
+    skeleton: &Skeleton,
+) -> Result<Vec<Option<[f64; 2]>>, Error> {
+    candidates
+        .par_iter()
+        .map(|(item, edit)| errors(item, edit, skeleton))
+        .collect()
 }
 
 /// The items that the system listed first has edited, by id, with their takes of the lowest seed.

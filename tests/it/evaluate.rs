@@ -339,7 +339,9 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     let bench = Bench::open();
     let systems = "[[system]]\nname = \"ours\"\n\
                    [[system]]\nname = \"Nearest\"\nmodel = \"nearest\"\ntrain = { triplets = 8 }\n\
-                   [[picture]]\nname = \"Both\"\nsystems = [\"Nearest\", \"ours\"]\nitems = 2\n";
+                   [[picture]]\nname = \"Both\"\nsystems = [\"Nearest\", \"ours\"]\nitems = 2\n\
+                   [[picture]]\nname = \"Worst\"\nsystems = [\"ours\"]\nitems = 1\norder = \"worst\"\n\
+                   [[picture]]\nname = \"Best\"\nsystems = [\"ours\"]\nitems = 1\norder = \"best\"\n";
     let figures = |key: &str| {
         format!(
             "[[figure]]\nname = \"MCM ratio\"\nkey = \"{key}\"\nvalues = [0.2, 1.0]\n\
@@ -411,7 +413,15 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     assert!(places.is_sorted(), "{places:?}");
     assert!(out.join("figures/both.png").exists());
     let pictures = first["pictures"].as_array().expect("a list");
-    assert_eq!(pictures.len(), 1);
+    assert_eq!(pictures.len(), 3);
+    // The rule by which these are chosen stands beside the instruction: how much closer to the target an edit is.
+    let [worst, best] = ["worst", "best"].map(|name| {
+        let drawn = fs::read_to_string(out.join(format!("figures/{name}.svg"))).expect("drawn");
+        let (before, _) = drawn.split_once(" cm closer)").expect("a gain");
+        let (_, gain) = before.rsplit_once('(').expect("a bracket");
+        gain.parse::<f64>().expect("a number")
+    });
+    assert!(worst <= best, "{worst} {best}");
     // Every cell of the table is a number, in the order of the plan.
     let csv = fs::read_to_string(out.join("tables/table-1.csv")).expect("a table");
     assert!(csv.contains("Nearest") && csv.contains("ours"), "{csv}");

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{EditRow, ItemRow};
 use eval::answers::Answered;
+use eval::best_edit::gains;
 use eval::draw::strip::{Style, sheet, strip};
 use serde::Deserialize;
 
@@ -23,9 +24,27 @@ pub(super) struct Picture {
     /// Tasks of the items; without any, all.
     #[serde(default)]
     tasks: Vec<String>,
-    /// Number of items, the first ones whose edits are of different parts.
+    /// Novelties of the items; without any, all.
+    #[serde(default)]
+    novelty: Vec<String>,
+    /// Number of items.
     #[serde(default = "three")]
     items: usize,
+    #[serde(default)]
+    order: Order,
+}
+
+/// Which items a picture has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Order {
+    /// The first ones whose edits are of different parts.
+    #[default]
+    Parts,
+    /// Those whose edits by the first system take most off the distance from the source to the target.
+    Best,
+    /// Those whose edits take least off it.
+    Worst,
 }
 
 fn three() -> usize {
@@ -52,7 +71,7 @@ pub(super) fn draw(
         anyhow::bail!("none of its systems has edits");
     };
     let mut panels = Vec::new();
-    for item in chosen(picture, &first.items) {
+    for (item, gain) in chosen(picture, first)? {
         let made: Vec<EditRow> = answered
             .iter()
             .filter_map(|(system, answered)| {
@@ -65,7 +84,11 @@ pub(super) fn draw(
             .collect();
         let made: Vec<&EditRow> = made.iter().collect();
         let drawn = strip_of(item, &made, &first.skeleton, &BTreeSet::new())?;
-        panels.push((drawn.caption, strip(&drawn.rows, &Style::default())));
+        let caption = match gain {
+            Some(gain) => format!("{} ({:+.1} cm closer)", drawn.caption, 100.0 * gain),
+            None => drawn.caption,
+        };
+        panels.push((caption, strip(&drawn.rows, &Style::default())));
     }
     anyhow::ensure!(!panels.is_empty(), "there is no item of its tasks");
     let svg = sheet(&panels, 1, Style::default().width);
@@ -76,17 +99,42 @@ pub(super) fn draw(
     Ok(path)
 }
 
-/// The first items of the tasks whose edited parts differ, and then the first others.
-fn chosen<'a>(picture: &Picture, items: &'a [ItemRow]) -> Vec<&'a ItemRow> {
-    let is_wanted =
-        |item: &&ItemRow| picture.tasks.is_empty() || picture.tasks.contains(&item.task);
-    let mut parts: BTreeSet<&[String]> = BTreeSet::new();
-    let (first, others): (Vec<&ItemRow>, Vec<&ItemRow>) = items
-        .iter()
-        .filter(is_wanted)
-        .partition(|item| parts.insert(&item.parts));
-    let mut all = first;
-    all.extend(others);
+/// The items of a picture; with how many metres closer the edit is to the target than the source, where that chooses them.
+fn chosen<'a>(
+    picture: &Picture,
+    answered: &'a Answered,
+) -> anyhow::Result<Vec<(&'a ItemRow, Option<f64>)>> {
+    let is_one_of =
+        |wanted: &[String], found: &str| wanted.is_empty() || wanted.iter().any(|one| one == found);
+    let is_wanted = |item: &ItemRow| {
+        is_one_of(&picture.tasks, &item.task)
+            && is_one_of(
+                &picture.novelty,
+                item.novelty.as_deref().unwrap_or_default(),
+            )
+    };
+    let mut all: Vec<(&ItemRow, Option<f64>)> = match picture.order {
+        Order::Parts => {
+            let mut parts: BTreeSet<&[String]> = BTreeSet::new();
+            let (first, others): (Vec<&ItemRow>, Vec<&ItemRow>) = answered
+                .items
+                .iter()
+                .filter(|item| is_wanted(item))
+                .partition(|item| parts.insert(&item.parts));
+            let all = first.into_iter().chain(others);
+            all.map(|item| (item, None)).collect()
+        }
+        Order::Best | Order::Worst => {
+            let mut all = gains(answered)?;
+            all.retain(|(item, _)| is_wanted(item));
+            all.sort_by(|(_, a), (_, b)| match picture.order {
+                Order::Worst => a.total_cmp(b),
+                _ => b.total_cmp(a),
+            });
+            let all = all.into_iter();
+            all.map(|(item, gain)| (item, Some(gain))).collect()
+        }
+    };
     all.truncate(picture.items);
-    all
+    Ok(all)
 }
