@@ -3,6 +3,7 @@
 //! ```text
 //! RUN/config.json               what the run was asked to do
 //! RUN/metrics.jsonl             one line every few steps
+//! RUN/events.out.tfevents.*     the same numbers for TensorBoard
 //! RUN/checkpoint/last/          weights, optimiser and place in the run
 //! RUN/checkpoint/best/          weights at the lowest validation loss
 //! RUN/checkpoint/epoch-50/      weights after so many epochs, where the settings keep them
@@ -11,6 +12,7 @@
 //!
 //! A checkpoint appears whole or not at all: it is written beside its place and renamed into it.
 
+mod events;
 mod record;
 
 use std::collections::BTreeMap;
@@ -25,6 +27,7 @@ use serde_json::Value;
 
 use crate::Error;
 
+use self::events::EVENTS;
 pub use self::record::{
     Ancestor, FORMAT, Inheritance, RunRecord, check_skeleton, check_skeleton_of,
 };
@@ -362,20 +365,24 @@ impl Run {
     /// Appends a line to the metrics file.
     pub(crate) fn log(&self, line: &impl Serialize) -> Result<(), Error> {
         let path = self.dir.join(METRICS);
-        let mut text = serde_json::to_string(line).map_err(|source| Error::Json {
+        let not_json = |source| Error::Json {
             path: path.clone(),
             source,
-        })?;
+        };
+        let mut text = serde_json::to_string(line).map_err(not_json)?;
         text.push('\n');
-        Ok(OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(&path)
-            .and_then(|mut file| file.write_all(text.as_bytes()))
-            .map_err(datasets_spec::Error::io("append to", path))?)
+        append(&path, text.as_bytes())?;
+        let events = self.dir.join(EVENTS);
+        let line = serde_json::to_value(line).map_err(not_json)?;
+        let mut records = match events.exists() {
+            true => Vec::new(),
+            false => events::head(),
+        };
+        records.extend(events::of_line(&line));
+        append(&events, &records)
     }
 
-    /// Drops the lines of the metrics file that lie after `step`: a run that is continued writes
+    /// Drops the lines of the metrics file, and the events, that lie after `step`: a run that is continued writes
     /// them again.
     pub(crate) fn rewind_log(&self, step: u64) -> Result<(), Error> {
         #[derive(Deserialize)]
@@ -396,8 +403,21 @@ impl Run {
             })
             .flat_map(|line| [line, "\n"])
             .collect();
-        write_atomically(&path, kept.as_bytes())
+        write_atomically(&path, kept.as_bytes())?;
+        let lines = kept
+            .lines()
+            .filter_map(|line| serde_json::from_str(line).ok());
+        let records = lines.map(|line: Value| events::of_line(&line));
+        let records: Vec<Vec<u8>> = std::iter::once(events::head()).chain(records).collect();
+        write_atomically(&self.dir.join(EVENTS), &records.concat())
     }
+}
+
+fn append(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    let mut options = OpenOptions::new();
+    let opened = options.create(true).append(true).open(path);
+    let appended = opened.and_then(|mut file| file.write_all(bytes));
+    Ok(appended.map_err(datasets_spec::Error::io("append to", path))?)
 }
 
 /// Reads and checks a checkpoint of a run. `None` if there is none yet.
@@ -716,5 +736,8 @@ mod tests {
         run.rewind_log(4).expect("rewound");
         let text = fs::read_to_string(dir.path().join(METRICS)).expect("read");
         assert_eq!(text, "{\"step\":2}\n{\"step\":4}\n");
+        let lines = [2, 4].map(|step| events::of_line(&serde_json::json!({ "step": step })));
+        let expected = [events::head(), lines.concat()].concat();
+        assert_eq!(fs::read(dir.path().join(EVENTS)).expect("read"), expected);
     }
 }
