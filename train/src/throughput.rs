@@ -15,6 +15,7 @@ use crate::model::denoiser::Denoiser;
 use crate::model::weights::draw;
 use crate::optimizer::adamw;
 use crate::schedule::Schedule;
+use crate::transfer::read;
 
 /// Steps before the clock starts: kernels are compiled and memory is taken in the first ones.
 const WARM_UP: usize = 3;
@@ -88,7 +89,7 @@ pub fn of_training(
         let last = loss.clone().inner();
         let gradients = GradientsParams::from_grads(loss.backward(), &model);
         model = optimizer.step(1e-4, model, gradients);
-        let loss: f32 = last.into_scalar();
+        let loss = read(last)[0];
         device
             .sync()
             .map_err(|error| format!("does not answer: {error:?}"))?;
