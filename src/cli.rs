@@ -214,25 +214,23 @@ mod tests {
         }
     }
 
-    /// The commands of this program in the blocks of shell of a document.
-    fn commands(text: &str) -> Vec<String> {
+    /// The commands of this program in the blocks of shell of a document, as words.
+    fn commands(text: &str) -> Vec<Vec<String>> {
         let blocks = text.split("```sh\n").skip(1);
         let blocks = blocks.filter_map(|block| block.split("```").next());
         let mut commands = Vec::new();
         for block in blocks {
             for line in block.replace("\\\n", " ").lines() {
-                // A comment begins after a blank; `#` is also part of names.
-                let line = line.split(" #").next().unwrap_or_default();
-                for command in line
-                    .split("&&")
-                    .flat_map(|part| part.split([';', '|', '<', '>']))
-                {
-                    let command = command.trim();
-                    let words = command.strip_prefix("cargo run --release -- ");
-                    commands.extend(match (words, command.strip_prefix("stance ")) {
-                        (Some(words), _) | (None, Some(words)) => Some(words.to_owned()),
-                        (None, None) => None,
-                    });
+                let words = shlex::split(line).unwrap_or_else(|| panic!("an open quote: {line}"));
+                let is_between = |word: &String| ["&&", "|", ">", ">>", "<"].contains(&&**word);
+                for command in words.split(is_between) {
+                    let words: Vec<&str> = command.iter().map(String::as_str).collect();
+                    let words = match *words {
+                        ["cargo", "run", "--release", "--", ref words @ ..] => words,
+                        ["stance", ref words @ ..] => words,
+                        _ => continue,
+                    };
+                    commands.push(words.iter().copied().map(str::to_owned).collect());
                 }
             }
         }
@@ -257,9 +255,9 @@ mod tests {
         }
         let (mut verbs, mut refused) = (BTreeSet::new(), Vec::new());
         for path in &found {
-            for command in commands(&fs::read_to_string(path).expect("text")) {
-                let words = shlex::split(&command).expect("quotes that are closed");
+            for words in commands(&fs::read_to_string(path).expect("text")) {
                 verbs.extend(words.first().cloned());
+                let command = words.join(" ");
                 let all = std::iter::once("stance".to_owned()).chain(words);
                 match Cli::try_parse_from(all) {
                     // Help and the version are asked for by what clap calls errors.
