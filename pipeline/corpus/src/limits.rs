@@ -114,43 +114,43 @@ fn repetitions() -> Vec<Question> {
 }
 
 /// Actions of one side, with what asks for the other: `{side}` is that of the source, `{other}` of the target.
-const SIDED: [(Action, &str, &[BodyPart]); 6] = [
+const SIDED: [(Action, &str, BodyPart); 6] = [
     (
         Action::WalkWave,
         "Wave with the {other} hand instead of the {side} one.",
-        &[BodyPart::BothArms],
+        BodyPart::BothArms,
     ),
     (
         Action::WalkPhone,
         "Hold the phone to the {other} ear instead of the {side} one.",
-        &[BodyPart::BothArms],
+        BodyPart::BothArms,
     ),
     (
         Action::Throw,
         "Throw with the {other} hand instead of the {side} one.",
-        &[],
+        BodyPart::BothArms,
     ),
     (
         Action::Reach,
         "Reach up with the {other} hand instead of the {side} one.",
-        &[BodyPart::BothArms],
+        BodyPart::BothArms,
     ),
     (
         Action::WalkCircle,
         "Walk around to the {other} instead of the {side}.",
-        &[],
+        BodyPart::LowerBody,
     ),
     (
         Action::WalkTurn,
         "Turn around over the {other} side instead of the {side} one.",
-        &[],
+        BodyPart::LowerBody,
     ),
 ];
 
 fn sides(seed: Seed) -> Vec<Question> {
     let mut questions = Vec::new();
     for take in 0..2 * TAKES {
-        for (action, template, parts) in SIDED {
+        for (action, template, part) in SIDED {
             let take = format!("limit-{take}-other-side");
             let facts = facts(action, &take, seed);
             let of = |is_mirrored| Performance {
@@ -168,7 +168,7 @@ fn sides(seed: Seed) -> Vec<Question> {
                 instruction: template
                     .replace("{side}", facts.side.word())
                     .replace("{other}", facts.side.other().word()),
-                parts: parts.to_vec(),
+                parts: vec![part],
                 kind: EditKind::FineGrained,
                 seen: None,
             });
