@@ -13,7 +13,7 @@ const NOTES: &str = "A dataset or source may be a URL: s3://BUCKET/PATH, gs://, 
                      With --json, a failure is a JSON document on stdout too, with the fields code (such as \
                         E-IO), item (a file, folder or clip, or null) and reason.";
 
-/// The verbs by what they are for. Every verb is in one group.
+/// The verbs in groups, by what they are used for.
 const GROUPS: [(&str, &[&str]); 6] = [
     ("Start here", &["demo", "run"]),
     (
@@ -142,7 +142,7 @@ enum Command {
     Man(cmd::completions::ManArgs),
 }
 
-/// The command with a help that groups its verbs, a line each.
+/// The command, whose help has the verbs in groups and a line for each.
 fn grouped(command: clap::Command) -> clap::Command {
     let mut verbs = String::new();
     for (title, names) in GROUPS {

@@ -32,8 +32,8 @@ pub(crate) struct Args {
     /// training. The test set builtin-1 is of `--clips 780 --adjusted 2 --held-out`
     #[arg(long)]
     held_out: bool,
-    /// Write questions of what editors are known to do badly instead, a folder each: to count, to tell left from right, and to
-    /// understand words that training has not
+    /// Instead, write test questions of what editors are known to do badly, in a folder each: counting, left and right, and
+    /// words that training does not have
     #[arg(long, conflicts_with_all = ["clips", "adjusted", "held_out"])]
     limits: bool,
 }

@@ -19,7 +19,7 @@ use crate::report;
 pub(crate) struct Args {
     #[command(flatten)]
     device: DeviceArgs,
-    /// Seconds to train
+    /// Least seconds to train
     #[arg(long, value_name = "N", default_value_t = 10)]
     secs: u64,
     /// Windows of a step; the preset trains on 256

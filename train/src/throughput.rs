@@ -49,7 +49,7 @@ pub fn network(preset: Preset, device: &Device) -> Denoiser {
 }
 
 /// Trains the network of a preset without additions (`paper` or `official`) for at least this long, in steps of `rows`
-/// windows: batch to the device, forward, loss, backward and AdamW. The device is read once, at the end of every step.
+/// windows: batch to the device, forward, loss, backward and AdamW. The device is read after 1, 2, 4, ... more steps.
 ///
 /// # Errors
 /// The loss is not finite, or the device does not answer.
@@ -84,23 +84,29 @@ pub fn of_training(
     let mut optimizer = adamw(0.01);
     let mut begun = clock();
     let mut steps = 0;
-    for step in 1.. {
-        let loss = objective.loss(&model, &batch, text.clone());
-        let last = loss.clone().inner();
-        let gradients = GradientsParams::from_grads(loss.backward(), &model);
-        model = optimizer.step(1e-4, model, gradients);
-        let loss = read(last)[0];
+    // A read waits for the device. Runs read it every few steps, so that rounds grow.
+    let rounds = std::iter::successors(Some(1), |round| Some(2 * round));
+    for (place, round) in std::iter::once(WARM_UP).chain(rounds).enumerate() {
+        let mut last = None;
+        for _ in 0..round {
+            let loss = objective.loss(&model, &batch, text.clone());
+            last = Some(loss.clone().inner());
+            let gradients = GradientsParams::from_grads(loss.backward(), &model);
+            model = optimizer.step(1e-4, model, gradients);
+        }
+        let loss = last.map_or(f32::NAN, |loss| read(loss)[0]);
         device
             .sync()
             .map_err(|error| format!("does not answer: {error:?}"))?;
         if !loss.is_finite() {
-            return Err(format!("gives a loss of {loss} in step {step}"));
+            return Err(format!("gives a loss of {loss}"));
         }
-        if step == WARM_UP {
+        if place == 0 {
             begun = clock();
+            continue;
         }
-        steps = step.saturating_sub(WARM_UP);
-        if steps > 0 && clock() - begun >= least {
+        steps += round;
+        if clock() - begun >= least {
             break;
         }
     }

@@ -268,7 +268,7 @@ impl Taking {
         self.log(tx, &entry, event, written.key, Some(problem))
     }
 
-    /// Keeps the answer of somebody without a lease: as a draft, or in the log alone if they handed one in.
+    /// Keeps the answer of a person whose lease has ended: as a draft, or in the log alone if an answer of theirs is submitted.
     fn without_lease(
         &self,
         tx: &mut dyn Tx,

@@ -112,7 +112,7 @@ pub(super) fn end(
     Ok(())
 }
 
-/// Ends all leases of a user, for others to take their tasks.
+/// Ends all leases of a user. Others can then take the tasks.
 pub(super) fn end_all(
     tx: &mut dyn Tx,
     user: i64,

@@ -1,4 +1,4 @@
-//! Rows of the projections that several kinds of entries write, and the state of a task that follows from them.
+//! Rows that entries of several kinds write, and the state of a task, which follows from these rows.
 
 use super::db::{Tx, params};
 use super::entry::{Entry, json};

@@ -1,7 +1,8 @@
 //! Questions of what editors are known to do badly (paper, Appendix F): to count, to tell one side from the other, and to
 //! understand words that training has not shown.
 //!
-//! Their motions are new takes of actions that training shows, by the first performer, so that nothing else is new.
+//! Their motions are new takes of actions that training shows, by the first performer. Training shows every adjustment and
+//! style, but not each of every action.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! The quick start of the README: one task of each kind is annotated, reviewed and exported, from login to the
+//! The quick start of `docs/annotators.md`: one task of each kind is annotated, reviewed and exported, from login to the
 //! tables, without a mouse.
 
 use annotate_browser::{Browser, Dataset, Graphics, Server, keys};

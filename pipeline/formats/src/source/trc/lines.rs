@@ -13,8 +13,8 @@ pub(super) struct Line<'a> {
 }
 
 impl<'a> Line<'a> {
-    /// The cells of the line with their places in the file, trimmed. Tabs separate them; a line without any
-    /// has its cells apart by blanks.
+    /// The trimmed cells of the line, with their places in the file. Tabs separate cells, or blanks in a line without
+    /// tabs.
     pub(super) fn cells(&self) -> Vec<(usize, &'a [u8])> {
         let is_tabbed = self.text.contains(&b'\t');
         let mut cells = Vec::new();
