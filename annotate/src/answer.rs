@@ -4,8 +4,8 @@ use datasets_spec::{BlendMask, BodyPart, JointSet};
 
 use crate::Error;
 use crate::wire::{
-    Answer, Code, CountReason, EditType, Extent, MAX_MASKS, MAX_TEXT_CHARS, MaskAnswer, Problem,
-    Settings, TaskKind, Verdict,
+    Answer, Code, CountReason, EditType, Extent, MAX_MASKS, MAX_NAME_CHARS, MAX_TEXT_CHARS,
+    MaskAnswer, Problem, Settings, Style, TaskKind, Verdict,
 };
 
 /// Checks a draft: fields may be missing, but each present field must be valid.
@@ -262,22 +262,41 @@ fn check_usable_style(
     extent: Option<Extent>,
     settings: &Settings,
 ) -> Result<(), Error> {
-    text_needed("answer.style", style.map_or("", String::as_str))?;
-    if let Some(style) = style
-        && !settings.styles.contains(style)
-    {
-        return Err(Error::invalid(
-            "answer.style",
-            format!(
-                "{style:?} is no style of this project; known are {}",
-                settings.styles.join(", ")
-            ),
-        ));
-    }
+    check_style_name(style.map_or("", String::as_str), settings)?;
     if extent.is_none() {
         return Err(Error::invalid(
             "answer.extent",
             "choose how much of the body the style shows in",
+        ));
+    }
+    Ok(())
+}
+
+/// Checks the name of a style: one of the project's, or a new one that cannot be taken for one of these.
+///
+/// # Errors
+/// The name is empty or too long, has spaces around it, or differs from a style of the project in capital letters
+/// alone.
+pub fn check_style_name(style: &str, settings: &Settings) -> Result<(), Error> {
+    text_needed("answer.style", style)?;
+    if style.trim() != style || style.chars().count() > MAX_NAME_CHARS {
+        return Err(Error::invalid(
+            "answer.style",
+            format!(
+                "name the style in up to {MAX_NAME_CHARS} characters, without spaces around it"
+            ),
+        ));
+    }
+    let alike = |known: &&Style| known.name.to_lowercase() == style.to_lowercase();
+    if !settings.has_style(style)
+        && let Some(known) = settings.styles.iter().find(alike)
+    {
+        return Err(Error::invalid(
+            "answer.style",
+            format!(
+                "{style:?} differs from the style {:?} in capital letters alone; choose that one",
+                known.name
+            ),
         ));
     }
     Ok(())
@@ -409,6 +428,18 @@ impl Answer {
         match self {
             Self::Pair { edit_type, .. } => *edit_type,
             Self::MaskText { .. } | Self::Style { .. } => None,
+        }
+    }
+
+    /// The style of a pair that is kept, if the project does not have it yet.
+    pub fn new_style(&self, settings: &Settings) -> Option<&str> {
+        match self {
+            Self::Style {
+                verdict: Verdict::Keep,
+                style: Some(style),
+                ..
+            } if !settings.has_style(style) => Some(style),
+            _ => None,
         }
     }
 
@@ -662,10 +693,19 @@ pub(crate) mod tests {
         };
         assert_eq!(code(&style("proud", Some(Extent::Whole))), None);
         assert_eq!(code(&style("proud", None)), Some(Code::Invalid));
-        assert_eq!(
-            code(&style("unheard of", Some(Extent::Whole))),
-            Some(Code::Invalid)
-        );
+        // A new name is a proposal; one that is nearly a known one, or none, is not.
+        let new = style("limping", Some(Extent::Whole));
+        assert_eq!(code(&new), None);
+        assert_eq!(new.new_style(&Settings::default()), Some("limping"));
+        let known = style("proud", Some(Extent::Whole));
+        assert_eq!(known.new_style(&Settings::default()), None);
+        for name in ["Proud", " proud", "", &"x".repeat(101)] {
+            assert_eq!(
+                code(&style(name, Some(Extent::Whole))),
+                Some(Code::Invalid),
+                "{name:?}"
+            );
+        }
         assert!(check_draft(&pair(Verdict::Keep), TaskKind::Style).is_err());
     }
 

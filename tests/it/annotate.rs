@@ -1091,3 +1091,57 @@ fn two_servers_of_one_store_give_nothing_twice() {
     assert_eq!(stored, people * each, "every answer is there once");
     assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
 }
+
+/// The styles of a dataset are those of its project; texts and colours come from a file and go out as one.
+#[test]
+fn styles_go_into_another_project_as_they_come_out() {
+    let (dir, dataset) = dataset(24);
+    stance(&["pairs", arg(&dataset)]).expect_code(0);
+    let labels: BTreeSet<String> = Dataset::open(&dataset)
+        .expect("a dataset")
+        .read::<PairRow>(None)
+        .expect("pairs")
+        .into_iter()
+        .filter_map(|pair| pair.style)
+        .collect();
+    assert!(!labels.is_empty(), "the corpus has style pairs");
+    let other = dir.path().join("other.sqlite");
+    let stores: [&[&str]; 2] = [&[], &["--store", arg(&other)]];
+    let styles = |store: &[&str], words: &[&str]| {
+        let words = [&["annotate", arg(&dataset)], store, &["styles"], words].concat();
+        stance(&words)
+    };
+    for store in stores {
+        Person::of_store(store, &dataset, "root", "admin");
+    }
+    stance(&["annotate", arg(&dataset), "import"]).expect_code(0);
+    let listed: Vec<Value> = styles(stores[0], &["--json"]).expect_code(0).json();
+    let names: BTreeSet<String> = listed
+        .iter()
+        .map(|style| style["name"].as_str().expect("a name").to_owned())
+        .collect();
+    assert!(labels.is_subset(&names), "{labels:?} of {names:?}");
+
+    let file = dir.path().join("styles.toml");
+    let told = "[[style]]\nname = \"old\"\ntext = \"\"\"Short steps,\nbent back.\"\"\"\ncolour = \"#8f6b00\"\n\n\
+                [[style]]\nname = \"limping\"\n";
+    std::fs::write(&file, told).expect("a file");
+    let taken: Value = styles(stores[0], &[arg(&file), "--json"])
+        .expect_code(0)
+        .json();
+    assert_eq!((&taken["new"], &taken["changed"]), (&json!(1), &json!(1)));
+    let out = styles(stores[0], &[]).expect_code(0).stdout;
+    assert!(out.contains("#8f6b00"), "{out}");
+    std::fs::write(&file, &out).expect("a file");
+    styles(stores[1], &[arg(&file)]).expect_code(0);
+    let [one, two] = stores.map(|store| -> Vec<Value> {
+        let mut all: Vec<Value> = styles(store, &["--json"]).expect_code(0).json();
+        all.sort_by_key(|style| style["name"].to_string());
+        all
+    });
+    assert_eq!(one, two);
+
+    std::fs::write(&file, "[[style]]\nname = \"x\"\ncolour = \"red\"\n").expect("a file");
+    let refused = styles(stores[0], &[arg(&file)]).expect_code(1);
+    assert!(refused.stderr.contains("#rrggbb"), "{}", refused.stderr);
+}

@@ -535,6 +535,30 @@ fn every_answer_of_a_project_comes_back_by_way_of_the_stance_layout() {
 }
 
 #[test]
+fn a_spreadsheet_and_the_dataset_count_what_they_leave_out() {
+    let made = Labelled::new();
+    let tables = made.annotate("store.sqlite", &["export"]);
+    assert_eq!(tables["counts"]["left_out_extents"], 6, "{tables}");
+    assert_eq!(
+        tables["counts"]["left_out_rejected_pairs"], REJECTED,
+        "{tables}"
+    );
+    let to = made.path("sheet");
+    let export = ["export", "--format", "csv", "--to", arg(&to)];
+    let own = made.annotate("store.sqlite", &export);
+    let answers = made.answers("dataset", "store.sqlite");
+    let tasks: BTreeSet<&String> = answers.iter().map(|row| &row.task).collect();
+    assert_eq!(own["counts"]["labels"], tasks.len(), "{own}");
+    assert!(own["counts"]["merged_or_imported"].is_null(), "{own}");
+    let table = made.path("store.sqlite-answers");
+    made.annotate("fresh.sqlite", &["import", arg(&table)]);
+    let none = made.annotate("fresh.sqlite", &export);
+    assert_eq!(none["counts"]["labels"], 0, "{none}");
+    assert_eq!(none["counts"]["merged_or_imported"], tasks.len(), "{none}");
+    assert_eq!(none["messages"].as_array().map(Vec::len), Some(1), "{none}");
+}
+
+#[test]
 fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
     let made = Labelled::new();
     made.with_all_labels();

@@ -156,7 +156,7 @@ fn planned(
     }
     let until = now + Millis::from(settings.returned_days) * DAY;
     let body = match request.action {
-        BulkAction::Accept => return accepted(tx, who, one, comment),
+        BulkAction::Accept => return accepted(tx, who, one, settings, comment),
         BulkAction::Return => {
             let answers = rules::waiting_answers(tx, task.id)?;
             Body::Returned {
@@ -186,7 +186,13 @@ fn planned(
 }
 
 /// Accepts the first of answers that agree.
-fn accepted(tx: &mut dyn Tx, who: &Who, one: &One, comment: String) -> Result<Planned, Error> {
+fn accepted(
+    tx: &mut dyn Tx,
+    who: &Who,
+    one: &One,
+    settings: &Settings,
+    comment: String,
+) -> Result<Planned, Error> {
     let answers = rules::waiting_answers(tx, one.task.id)?;
     let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
     if answer::spread(&all).is_some_and(|distance| distance > 0.0) {
@@ -195,6 +201,9 @@ fn accepted(tx: &mut dyn Tx, who: &Who, one: &One, comment: String) -> Result<Pl
     let Some(first) = answers.first() else {
         return Ok(Err("wrong_state"));
     };
+    if first.answer.new_style(settings).is_some() {
+        return Ok(Err("new_style"));
+    }
     Ok(Ok(Body::Accepted {
         author: first.author,
         comment,

@@ -8,7 +8,7 @@ use super::records::{Imported, Millis, NewTask};
 use super::{log, rows, rules};
 use crate::Error;
 use crate::answer;
-use crate::wire::{Answer, Settings, TaskState};
+use crate::wire::{Answer, Settings, TaskKind, TaskState};
 
 /// What the key of a gold task has before that of the task it was copied from.
 pub(super) const GOLD_KEY: &str = "gold:";
@@ -23,6 +23,7 @@ pub(super) fn import(
     tasks: &[NewTask],
     now: Millis,
 ) -> Result<Imported, Error> {
+    project::add_styles(tx, actor, tasks.iter().flat_map(styles), now)?;
     let settings = project::settings(tx)?;
     let mut done = Imported::default();
     let mut next = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM task", &[])?;
@@ -46,6 +47,19 @@ pub(super) fn import(
         }
     }
     Ok(done)
+}
+
+/// The styles that a task names: the label of its pair, and that of its answer.
+fn styles(task: &NewTask) -> impl Iterator<Item = &str> {
+    let label = match task.kind {
+        TaskKind::Style => task.style.as_deref(),
+        TaskKind::MaskText | TaskKind::Pair => None,
+    };
+    let answered = match &task.accepted {
+        Some(Answer::Style { style, .. }) => style.as_deref(),
+        _ => None,
+    };
+    label.into_iter().chain(answered)
 }
 
 /// What became of an imported answer to a known task.

@@ -5,11 +5,12 @@ use std::collections::BTreeMap;
 use super::db::{Row, Tx, params};
 use super::entry::{Body, Entry, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
-use super::settings::check;
+use super::settings::{check, is_name};
 use super::{log, rows};
 use crate::Error;
 use crate::wire::{
-    Action, Job, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Suggestion, SuggestionSource, TaskState,
+    Action, Job, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Style, Suggestion, SuggestionSource,
+    TaskState,
 };
 
 /// Key of the settings.
@@ -39,7 +40,7 @@ pub(super) const RETARGETING: &str = "note:retargeting";
 
 pub(super) fn put_settings(
     tx: &mut dyn Tx,
-    actor: i64,
+    actor: Option<i64>,
     settings: Settings,
     now: Millis,
 ) -> Result<(), Error> {
@@ -52,7 +53,7 @@ pub(super) fn put_settings(
     put(tx, SETTINGS, &json("setting", &settings)?)?;
     let entry = Entry {
         at: now,
-        actor: Some(actor),
+        actor,
         task: None,
         epoch: None,
         body: Body::SettingsChanged {
@@ -61,6 +62,26 @@ pub(super) fn put_settings(
     };
     log::note(tx, &entry)?;
     Ok(())
+}
+
+/// Adds styles that the project does not have, in their order. What cannot be a name is no style.
+pub(super) fn add_styles<'a>(
+    tx: &mut dyn Tx,
+    actor: Option<i64>,
+    names: impl IntoIterator<Item = &'a str>,
+    now: Millis,
+) -> Result<(), Error> {
+    let mut settings = self::settings(tx)?;
+    let known = settings.styles.len();
+    for name in names {
+        if is_name(name) && !settings.has_style(name) {
+            settings.styles.push(Style::named(name));
+        }
+    }
+    match settings.styles.len() == known {
+        true => Ok(()),
+        false => put_settings(tx, actor, settings, now),
+    }
 }
 
 /// Stores a value under a name.

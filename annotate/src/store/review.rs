@@ -212,6 +212,7 @@ pub(super) fn review(
     deciding.check_lease(tx)?;
     let authors = deciding.authors(tx)?;
     let body = deciding.body(comment, authors, request)?;
+    deciding.take_style(tx, &body)?;
     deciding.log(tx, body, key)
 }
 
@@ -344,6 +345,26 @@ impl Deciding<'_> {
                 rule: None,
             },
         })
+    }
+
+    /// Who accepts an answer with a new style accepts its name for the project.
+    fn take_style(&self, tx: &mut dyn Tx, body: &Body) -> Result<(), Error> {
+        let answer = match body {
+            Body::Accepted { author, .. } => {
+                rows::revision(tx, self.task.id, *author)?.map(|own| own.answer)
+            }
+            Body::Merged { answer, .. } => Some(answer.clone()),
+            _ => None,
+        };
+        let Some(style) = answer
+            .as_ref()
+            .and_then(|answer| answer.new_style(&self.settings))
+        else {
+            return Ok(());
+        };
+        // Another spelling may have been accepted since the answer was handed in.
+        answer::check_style_name(style, &self.settings)?;
+        project::add_styles(tx, Some(self.user), [style], self.now)
     }
 
     /// Writes the entry and returns the reply, which is stored for repetitions of the same key.

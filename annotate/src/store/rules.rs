@@ -11,7 +11,9 @@ use super::records::{Millis, TaskRecord};
 use super::{log, project, rows};
 use crate::Error;
 use crate::answer;
-use crate::wire::{Revision, Rule, RuleKind, RuleState, RuleUndone, RulesApplied, Settings};
+use crate::wire::{
+    Answer, Revision, Rule, RuleKind, RuleState, RuleUndone, RulesApplied, Settings,
+};
 
 /// Tasks that one request looks at.
 const AT_ONCE: i64 = 2000;
@@ -39,8 +41,9 @@ fn is_sampled(seed: u32, task: &TaskRecord, percent: u32) -> bool {
     (task.shuffle + i64::from(seed)) % WHOLE < i64::from(percent)
 }
 
-/// Applies a rule to a task with its answers in the order they were handed in.
-fn fit(rule: &Rule, seed: u32, task: &TaskRecord, answers: &[Revision]) -> Fit {
+/// Applies a rule to a task with its answers in the order they were handed in. A style that the project does not have
+/// is left to reviewers.
+fn fit(rule: &Rule, settings: &Settings, task: &TaskRecord, answers: &[Revision]) -> Fit {
     let (Some(first), false) = (answers.first(), task.gold.is_some()) else {
         return Fit::No;
     };
@@ -67,7 +70,8 @@ fn fit(rule: &Rule, seed: u32, task: &TaskRecord, answers: &[Revision]) -> Fit {
     if answer::spread(&all).is_some_and(|distance| distance > rule.max_distance) {
         return Fit::No;
     }
-    if is_sampled(seed, task, rule.review_percent) {
+    let new_style = |answer: &Answer| answer.new_style(settings).is_some();
+    if is_sampled(settings.seed, task, rule.review_percent) || all.iter().any(new_style) {
         Fit::Review
     } else {
         Fit::Accept(author)
@@ -95,7 +99,7 @@ fn decide(
 ) -> Result<Option<String>, Error> {
     let answers = waiting_answers(tx, task.id)?;
     for rule in settings.rules.iter().filter(|rule| rule.enabled) {
-        match fit(rule, settings.seed, task, &answers) {
+        match fit(rule, settings, task, &answers) {
             Fit::No => {}
             // The first rule that fits decides, so that a later one does not accept what this one left to reviewers.
             Fit::Review => return Ok(None),
@@ -200,7 +204,7 @@ pub(super) fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>, Error> {
         for task in &tasks {
             let answers = waiting_answers(tx, task.id)?;
             for state in &mut states {
-                match fit(&state.rule, settings.seed, task, &answers) {
+                match fit(&state.rule, &settings, task, &answers) {
                     Fit::No => {}
                     Fit::Review => state.left_to_review += 1,
                     Fit::Accept(_) => state.would_accept += 1,
@@ -241,7 +245,7 @@ pub(super) fn undo(
         && rule.enabled
     {
         rule.enabled = false;
-        project::put_settings(tx, actor, settings, now)?;
+        project::put_settings(tx, Some(actor), settings, now)?;
     }
     let basis = format!("rule:{name}");
     let tasks = tx.query(

@@ -2,10 +2,12 @@
 
 use super::pictures;
 use crate::Error;
-use crate::wire::{Rule, RuleKind, Settings};
+use crate::wire::{MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style};
 
-/// Maximum number of names in a list, and of pictures in a guide.
+/// Maximum number of phrases in a list, and of pictures in a guide.
 const MAX_NAMES: usize = 200;
+/// Maximum number of styles: datasets of a hundred are published.
+const MAX_STYLES: usize = 2_000;
 
 /// Checks new settings.
 pub(super) fn check(settings: &Settings) -> Result<(), Error> {
@@ -73,24 +75,60 @@ fn check_numbers(settings: &Settings) -> Result<(), Error> {
 }
 
 fn check_names(settings: &Settings) -> Result<(), Error> {
-    if settings.name.trim().is_empty() || settings.name.chars().count() > 100 {
+    if !is_name(&settings.name) {
         return Err(Error::invalid(
             "name",
-            "the project needs a name of up to 100 characters",
+            format!("the project needs a name of up to {MAX_NAME_CHARS} characters"),
         ));
     }
+    check_styles(&settings.styles)?;
     for (field, names) in [
-        ("styles", &settings.styles),
         ("templates", &settings.templates),
         ("mask_templates", &settings.mask_templates),
         ("style_templates", &settings.style_templates),
     ] {
-        let bad = |name: &String| name.trim().is_empty() || name.chars().count() > 100;
-        if names.len() > MAX_NAMES || names.iter().any(bad) {
+        if names.len() > MAX_NAMES || !names.iter().all(|name| is_name(name)) {
             return Err(Error::invalid(
                 field,
-                format!("use up to {MAX_NAMES} names of up to 100 characters"),
+                format!("use up to {MAX_NAMES} names of up to {MAX_NAME_CHARS} characters"),
             ));
+        }
+    }
+    Ok(())
+}
+
+/// Whether a text can be a name: it is not blank, and short enough for a button.
+pub(super) fn is_name(text: &str) -> bool {
+    !text.trim().is_empty() && text.chars().count() <= MAX_NAME_CHARS
+}
+
+fn check_styles(styles: &[Style]) -> Result<(), Error> {
+    let refuse = |problem: String| Err(Error::invalid("styles", problem));
+    if styles.len() > MAX_STYLES {
+        return refuse(format!("use up to {MAX_STYLES} styles"));
+    }
+    for (index, style) in styles.iter().enumerate() {
+        let name = &style.name;
+        if !is_name(name) {
+            return refuse(format!(
+                "name each style in up to {MAX_NAME_CHARS} characters"
+            ));
+        }
+        if styles[..index].iter().any(|other| other.name == *name) {
+            return refuse(format!("two styles are called {name:?}"));
+        }
+        if style.text.chars().count() > MAX_TEXT_CHARS {
+            return refuse(format!(
+                "the text of {name:?} has more than {MAX_TEXT_CHARS} characters"
+            ));
+        }
+        let is_colour = |text: &String| {
+            text.strip_prefix('#').is_some_and(|digits| {
+                digits.len() == 6 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())
+            })
+        };
+        if !style.colour.as_ref().is_none_or(is_colour) {
+            return refuse(format!("the colour of {name:?} is not written as #rrggbb"));
         }
     }
     Ok(())
@@ -177,6 +215,18 @@ mod tests {
     #[test]
     fn settings_are_bounded() {
         assert!(check(&Settings::default()).is_ok());
+        let styles = |styles| Settings {
+            styles,
+            ..Settings::default()
+        };
+        assert!(
+            check(&styles(vec![Style {
+                name: "old".to_owned(),
+                text: "Short steps.".to_owned(),
+                colour: Some("#8f6B00".to_owned()),
+            }]))
+            .is_ok()
+        );
         for broken in [
             Settings {
                 gold_percent: 101,
@@ -194,10 +244,12 @@ mod tests {
                 min_masks: 5,
                 ..Settings::default()
             },
-            Settings {
-                styles: vec![String::new()],
-                ..Settings::default()
-            },
+            styles(vec![Style::default()]),
+            styles(vec![Style::named("old"), Style::named("old")]),
+            styles(vec![Style {
+                colour: Some("red".to_owned()),
+                ..Style::named("old")
+            }]),
             Settings {
                 name: " ".to_owned(),
                 ..Settings::default()

@@ -258,7 +258,7 @@ pub struct BulkDone {
     /// Tasks changed, or that would be changed.
     pub done: i64,
     /// Tasks left alone, by reason: `wrong_state`, `own_work`, `held` (by another person), `answers_differ`,
-    /// `answered` (by the person), `task_full`.
+    /// `answered` (by the person), `task_full`, `new_style` (a reviewer has to see it).
     pub left_alone: BTreeMap<String, i64>,
     /// Value of `after` for the next request; `null` once all are done.
     pub next: Option<i64>,

@@ -35,7 +35,7 @@ pub use names::{
     SuggestionSource, SuggestionUse, TaskKind, TaskSort, TaskState, TextForm, Verdict,
 };
 pub use people::{
-    Limits, Login, Me, NewToken, NewUser, NewUserLink, NewUsers, Prefs, Project, Settings,
+    Limits, Login, Me, NewToken, NewUser, NewUserLink, NewUsers, Prefs, Project, Settings, Style,
     TokenInfo, TokenShown, User, UserChange,
 };
 pub use problem::Problem;
@@ -54,6 +54,8 @@ pub use task::{
 
 /// Maximum characters of a text.
 pub const MAX_TEXT_CHARS: usize = 2_000;
+/// Maximum characters of the name of a style, a phrase or the project.
+pub const MAX_NAME_CHARS: usize = 100;
 /// Maximum events of a batch.
 pub const MAX_EVENTS: usize = 64;
 /// Maximum bytes of a request body, except imports.

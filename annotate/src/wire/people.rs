@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::log::KindGuide;
 use super::names::{Action, Role, TaskKind, TextForm};
@@ -86,7 +86,7 @@ pub struct Project {
     /// Most masks of an answer without a reason.
     pub max_masks: usize,
     /// Styles to choose from.
-    pub styles: Vec<String>,
+    pub styles: Vec<Style>,
     /// Phrases to complete the instruction of a fine-grained pair with.
     pub templates: Vec<String>,
     /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
@@ -97,6 +97,47 @@ pub struct Project {
     pub text_forms: BTreeMap<TaskKind, TextForm>,
     /// Name of the time zone in which days and weeks begin.
     pub time_zone: String,
+}
+
+/// A style of the project.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct Style {
+    /// Its name, as answers and pairs have it: 1 to 100 characters.
+    pub name: String,
+    /// What it looks like, for the people who perform it and who describe it.
+    #[serde(default)]
+    pub text: String,
+    /// The colour of its mark, `#rrggbb`.
+    #[serde(default)]
+    pub colour: Option<String>,
+}
+
+impl Style {
+    /// A style that has a name alone.
+    pub fn named(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            ..Self::default()
+        }
+    }
+}
+
+/// Stores of version 0.1 have names alone.
+fn styles_or_names<'de, D: Deserializer<'de>>(stored: D) -> Result<Vec<Style>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Stored {
+        Name(String),
+        Style(Style),
+    }
+    let stored = Vec::<Stored>::deserialize(stored)?;
+    let styles = stored.into_iter().map(|stored| match stored {
+        Stored::Name(name) => Style::named(&name),
+        Stored::Style(style) => style,
+    });
+    Ok(styles.collect())
 }
 
 /// `GET`/`PUT settings`.
@@ -125,8 +166,10 @@ pub struct Settings {
     pub min_masks: usize,
     /// Most masks of an answer without a reason.
     pub max_masks: usize,
-    /// Styles to choose from.
-    pub styles: Vec<String>,
+    /// Styles to choose from, in the order in which they came. Those of the dataset are added as its pairs are
+    /// imported, and a new one as the first answer with it is accepted.
+    #[serde(deserialize_with = "styles_or_names")]
+    pub styles: Vec<Style>,
     /// Phrases to complete the instruction of a fine-grained pair with.
     pub templates: Vec<String>,
     /// Phrases to start the description of a mask with: they complete "The person is …".
@@ -164,6 +207,13 @@ pub struct Settings {
     /// every export.
     #[serde(default)]
     pub solo: bool,
+}
+
+impl Settings {
+    /// Whether the project has a style of this name.
+    pub fn has_style(&self, name: &str) -> bool {
+        self.styles.iter().any(|style| style.name == name)
+    }
 }
 
 fn take_back_minutes() -> u32 {
@@ -302,7 +352,9 @@ impl Default for Settings {
             min_masks: 2,
             max_masks: 4,
             // Styles of the paper (Sec. 4.1) and the one more of the release.
-            styles: words(&["proud", "old", "playful", "depressed", "angry", "sexy"]),
+            styles: ["proud", "old", "playful", "depressed", "angry", "sexy"]
+                .map(Style::named)
+                .into(),
             templates: words(&[
                 "higher",
                 "lower",

@@ -112,7 +112,7 @@ declarations! {
         NewUsers Next NextRequest Outlook PartAgreement PartInfo Person PictureInfo Practice
         Prefs Problem Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest
         ReviewView Revision Rule RuleState RuleUndone RulesApplied Settings Shelf ShelfItem SkeletonInfo SkipBrief
-        SuggestRequest Suggestion Task TaskFile TaskFilter TaskPage TaskRow TaskView TokenInfo TokenShown User
+        Style SuggestRequest Suggestion Task TaskFile TaskFilter TaskPage TaskRow TaskView TokenInfo TokenShown User
         UserChange Week;
     enums:
         Action BulkAction Code CountReason Decision EditType EventKind ExportFormat Extent ImportFormat
@@ -142,6 +142,7 @@ fn generated() -> String {
     let mut text = HEAD.to_owned();
     let constants: [(&str, usize); 5] = [
         ("MAX_TEXT_CHARS", super::MAX_TEXT_CHARS),
+        ("MAX_NAME_CHARS", super::MAX_NAME_CHARS),
         ("MAX_EVENTS", super::MAX_EVENTS),
         ("MAX_BODY_BYTES", super::MAX_BODY_BYTES),
         ("MAX_MASKS", super::MAX_MASKS),

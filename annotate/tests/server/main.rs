@@ -9,6 +9,7 @@ mod model;
 mod scale;
 mod simulation;
 mod store;
+mod styles;
 mod support;
 mod transfer;
 mod versions;

@@ -1,7 +1,7 @@
 /** The guide: what it says about a kind of task, as a page and beside the work. */
 
 import { fill, h, type Child } from "./dom";
-import type { Guide, GuidePicture, TaskKind, TextForm } from "./wire";
+import type { Guide, GuidePicture, Style, TaskKind, TextForm } from "./wire";
 import { KIND_WORDS } from "./words";
 
 const FORM_WORDS: Readonly<Record<TextForm, string>> = {
@@ -69,16 +69,35 @@ export function pictureFigure(picture: GuidePicture): HTMLElement {
 }
 
 /** What the guide says about a kind of task alone. */
-export function kindGuide(guide: Guide, kind: TaskKind, styles: readonly string[]): HTMLElement[] {
+export function kindGuide(guide: Guide, kind: TaskKind, styles: readonly Style[]): HTMLElement[] {
   const own = guide.kinds[kind];
   const form = guide.forms[kind];
   const pictures = own?.pictures ?? [];
   return [
     ...formatGuide(own?.text ?? ""),
     ...(form ? [h("p", { class: "note" }, FORM_WORDS[form])] : []),
-    ...(kind === "style" && styles.length > 0 ? [h("p", {}, `Styles to choose from: ${styles.join(", ")}.`)] : []),
+    ...(kind === "style" ? styleList(styles) : []),
     ...(pictures.length > 0 ? [h("div", { class: "examples" }, ...pictures.map(pictureFigure))] : []),
   ];
+}
+
+/** The styles of the project with what each looks like; those without a text follow in one line. */
+function styleList(styles: readonly Style[]): HTMLElement[] {
+  const [told, bare] = [styles.filter((style) => style.text !== ""), styles.filter((style) => style.text === "")];
+  const names = bare.map((style) => style.name).join(", ");
+  return [
+    ...(told.length > 0
+      ? [h("dl", { class: "styles" }, ...told.flatMap((style) => [h("dt", {}, colourMark(style.colour), style.name), h("dd", {}, style.text)]))]
+      : []),
+    ...(names ? [h("p", {}, told.length > 0 ? `Further styles: ${names}.` : `Styles to choose from: ${names}.`)] : []),
+  ];
+}
+
+function colourMark(colour: string | null): HTMLElement | null {
+  if (!colour) return null;
+  const mark = h("span", { class: "swatch" });
+  mark.style.background = colour;
+  return mark;
 }
 
 /** The guide in a column beside the work. It takes no focus when it opens. */
@@ -90,7 +109,7 @@ export class GuideBeside {
 
   constructor(
     private readonly load: () => Promise<Guide>,
-    private readonly styles: readonly string[],
+    private readonly styles: readonly Style[],
     close: HTMLElement,
   ) {
     this.element = h(

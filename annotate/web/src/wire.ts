@@ -4,6 +4,7 @@
  */
 
 export const MAX_TEXT_CHARS = 2000;
+export const MAX_NAME_CHARS = 100;
 export const MAX_EVENTS = 64;
 export const MAX_BODY_BYTES = 262144;
 export const MAX_MASKS = 16;
@@ -302,7 +303,7 @@ export type BulkDone = {
   looked_at: number,
   /** Tasks changed, or that would be changed. */
   done: number,
-  /** Tasks left alone, by reason: `wrong_state`, `own_work`, `held` (by another person), `answers_differ`, `answered` (by the person), `task_full`. */
+  /** Tasks left alone, by reason: `wrong_state`, `own_work`, `held` (by another person), `answers_differ`, `answered` (by the person), `task_full`, `new_style` (a reviewer has to see it). */
   left_alone: { [key in string]: number },
   /** Value of `after` for the next request; `null` once all are done. */
   next: number | null, };
@@ -921,7 +922,7 @@ export type Project = {
   /** Most masks of an answer without a reason. */
   max_masks: number,
   /** Styles to choose from. */
-  styles: Array<string>,
+  styles: Array<Style>,
   /** Phrases to complete the instruction of a fine-grained pair with. */
   templates: Array<string>,
   /** Phrases to complete the instruction of a style pair with; `{style}` is the chosen style. */
@@ -1110,8 +1111,8 @@ export type Settings = {
   min_masks: number,
   /** Most masks of an answer without a reason. */
   max_masks: number,
-  /** Styles to choose from. */
-  styles: Array<string>,
+  /** Styles to choose from, in the order in which they came. Those of the dataset are added as its pairs are imported, and a new one as the first answer with it is accepted. */
+  styles: Array<Style>,
   /** Phrases to complete the instruction of a fine-grained pair with. */
   templates: Array<string>,
   /** Phrases to start the description of a mask with: they complete "The person is …". */
@@ -1186,6 +1187,15 @@ export type SkipBrief = {
   note: string,
   /** When. */
   at: number, };
+
+/** A style of the project. */
+export type Style = {
+  /** Its name, as answers and pairs have it: 1 to 100 characters. */
+  name: string,
+  /** What it looks like, for the people who perform it and who describe it. */
+  text: string,
+  /** The colour of its mark, `#rrggbb`. */
+  colour: string | null, };
 
 /** `POST tasks/{id}/suggest`. */
 export type SuggestRequest = {

@@ -101,6 +101,10 @@ pub(super) enum Action {
     /// Write accepted annotations
     Export {
         /// Where to: the dataset's own tables masks and pairs, Parquet tables, the STANCE release's JSON, or CSV
+        ///
+        /// `parquet` and `stance` are imported again without a loss. `dataset` leaves out notes, reasons, extents and rejected pairs.
+        /// `csv` has the answers of each person for spreadsheets; it is not imported, and leaves out what reviewers merged. What is
+        /// left out is counted.
         #[arg(long, default_value = "dataset", value_parser = ["dataset", "parquet", "stance", "csv"])]
         format: String,
         /// Folder for the files; not for format dataset
@@ -117,6 +121,14 @@ pub(super) enum Action {
     Rules {
         #[command(subcommand)]
         action: Option<RulesAction>,
+    },
+    /// Print the styles as TOML; or add those of such a file, and take over its texts and colours
+    ///
+    /// A table [[style]] for each, with `name`, and where they are known `text` (what it looks like) and `colour` (#rrggbb).
+    /// The labels of style pairs are added without it as the pairs are imported. Nothing is removed; the admin page does.
+    Styles {
+        /// File to read
+        file: Option<PathBuf>,
     },
     /// Do one thing to all tasks of a filter; without --yes only count them
     Bulk(Box<BulkArgs>),

@@ -8,6 +8,7 @@ mod rules;
 mod serve;
 mod shared;
 mod store;
+mod styles;
 mod tasks;
 mod users;
 
@@ -24,6 +25,7 @@ use self::import::import;
 use self::rules::rules;
 use self::serve::serve;
 use self::store::{back_up, check, open, rebuild};
+use self::styles::styles;
 use self::tasks::{changed_clips, run_bulk};
 use self::users::{find, token, user};
 use crate::exit::Exit;
@@ -58,6 +60,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             export(args, store, &selection, to.as_deref(), global)
         }
         Action::Rules { action } => rules(store, action.as_ref(), global),
+        Action::Styles { file } => styles(store, file.as_deref(), global),
         Action::Bulk(bulk) => run_bulk(store, bulk, global),
         Action::Drafts { kind, limit } => {
             let kind = kind.as_deref().and_then(TaskKind::parse);

@@ -231,6 +231,66 @@ async fn a_style_pair_is_done_by_keyboard_and_aligned_for_viewing_alone() {
     desk.browser.quit().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_style_that_is_not_listed_is_typed_and_joins_the_list_once_accepted() {
+    let desk = Desk::open("app/style").await;
+    let browser = &desk.browser;
+    let listed = "[...document.querySelectorAll('#styles-of-project option')].some((own) => own.value === 'limping')";
+    let mut task = browser.task().await;
+    // The first that wants one answer, so that it can be reviewed at once.
+    loop {
+        let view = browser.request("GET", &format!("tasks/{task}"), None).await;
+        if view["body"]["task"]["wanted"] == 1 {
+            break;
+        }
+        browser.press(&["x"]).await;
+        task = browser.next_task(task).await;
+    }
+    assert_eq!(browser.js(&format!("return {listed};")).await, json!(false));
+    browser
+        .js("document.querySelector('.other-style').focus();")
+        .await;
+    browser.type_text("limping").await;
+    browser
+        .until(
+            "it is said to be new",
+            "document.querySelector('[data-new-style]')",
+        )
+        .await;
+    browser.picture("style-new").await;
+    browser.press(&[keys::ESCAPE, "o", "o", "o", "t"]).await;
+    browser.type_text("Limp with the left leg.").await;
+    browser.control(&[keys::ENTER]).await;
+    browser
+        .until(
+            "it is handed in",
+            &format!("document.querySelector('.work')?.dataset.task !== '{task}'"),
+        )
+        .await;
+    assert_eq!(mine(browser, task).await["answer"]["style"], "limping");
+
+    let rev = desk.dataset.add_user("rev", "reviewer").await;
+    let ask = json!({ "queue": "sample", "task": task });
+    let review = browser
+        .request_as(&rev, "POST", "review/next", Some(ask))
+        .await;
+    let review = &review["body"]["review"];
+    let decision = json!({
+        "idem_key": "test-accept-style",
+        "task": task,
+        "lease_epoch": review["lease"]["epoch"],
+        "decision": "accept",
+        "author": review["candidates"][0]["revision"]["author"],
+    });
+    let accepted = browser
+        .request_as(&rev, "POST", "reviews", Some(decision))
+        .await;
+    assert_eq!(accepted["status"], 200, "{accepted}");
+    browser.open(&desk.server.page("app/style")).await;
+    browser.until("it is listed", listed).await;
+    desk.browser.quit().await;
+}
+
 async fn motions(browser: &Browser, task: i64) -> Value {
     let view = browser.request("GET", &format!("tasks/{task}"), None).await;
     view["body"]["task"]["motions"].clone()

@@ -39,7 +39,7 @@ impl Store {
     /// # Errors
     /// `invalid`; or the store fails.
     pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<(), Error> {
-        self.write(move |tx| project::put_settings(tx, actor, settings, now))?;
+        self.write(move |tx| project::put_settings(tx, Some(actor), settings, now))?;
         while !self.write(move |tx| import::retarget(tx, actor, now))? {}
         Ok(())
     }

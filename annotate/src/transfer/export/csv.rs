@@ -41,6 +41,18 @@ impl Exporter<'_> {
         })?;
         self.done.count("labels", count);
         self.done.files.push("labels.csv".to_owned());
+        let mut others = 0;
+        self.each_accepted::<Error>(|_, accepted| {
+            others += usize::from(accepted.merged || accepted.credit.is_some());
+            Ok(())
+        })?;
+        if others > 0 {
+            self.done.count("merged_or_imported", others);
+            self.done.messages.push(format!(
+                "{others} accepted answers were merged by a reviewer or imported: they are no label of a person, and \
+                 layout parquet alone has them"
+            ));
+        }
         Ok(())
     }
 }

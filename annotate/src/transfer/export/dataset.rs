@@ -34,6 +34,7 @@ impl Exporter<'_> {
             let split: Split = accepted.task.split.parse()?;
             let author = exporter.author(&accepted);
             let (answer, done) = (&accepted.answer, &mut exporter.done);
+            count_losses(answer, done);
             let accepted_by = Some(accepted.accepted_by.clone());
             if accepted.task.kind == TaskKind::MaskText {
                 answered.insert(motion.clone());
@@ -101,6 +102,34 @@ impl Exporter<'_> {
             ..Commit::default()
         })?;
         Ok(())
+    }
+}
+
+/// Counts what the tables have no place for.
+fn count_losses(answer: &Answer, done: &mut Exported) {
+    let has_reason = matches!(
+        answer,
+        Answer::MaskText {
+            count_reason: Some(_),
+            ..
+        }
+    );
+    let has_extent = matches!(
+        answer,
+        Answer::Style {
+            extent: Some(_),
+            ..
+        }
+    );
+    for (what, is_lost) in [
+        ("left_out_notes", !answer.note().is_empty()),
+        ("left_out_reasons", has_reason),
+        ("left_out_extents", has_extent),
+        ("left_out_rejected_pairs", answer.is_reject()),
+    ] {
+        if is_lost {
+            done.count(what, 1);
+        }
     }
 }
 

@@ -48,10 +48,23 @@ export function action(label: string, hint: string, run: () => void, className =
   return html`<button type="button" class=${className} @click=${run}>${keyHint(hint)}<span class="button-label">${label}</span></button>`;
 }
 
-/** A button of a choice, such as a body part. */
-export function choice(id: string, label: string, hint: string, chosen: boolean, run: () => void): TemplateResult {
+/** A square of a colour. An attribute of SVG, since the policy of the page refuses inline styles. */
+export function swatch(colour: string | null): TemplateResult | typeof nothing {
+  if (!colour) return nothing;
+  return html`<svg class="swatch" viewBox="0 0 1 1" aria-hidden="true"><rect width="1" height="1" fill=${colour}></rect></svg>`;
+}
+
+/** A button of a choice, such as a body part; `mark` stands before its label. */
+export function choice(
+  id: string,
+  label: string,
+  hint: string,
+  chosen: boolean,
+  run: () => void,
+  mark: TemplateResult | typeof nothing = nothing,
+): TemplateResult {
   return html`<button type="button" class="part" data-part=${id} aria-pressed=${chosen ? "true" : "false"} @click=${run}>
-    ${keyHint(hint)}<span class="button-label">${label}</span>
+    ${keyHint(hint)}${mark}<span class="button-label">${label}</span>
   </button>`;
 }
 

@@ -6,9 +6,20 @@ import { reason } from "../api";
 import type { App } from "../app";
 import { PART_ACTIONS, type ActionId } from "../keys";
 import { lintText } from "../lints";
-import { EDIT_TYPES, EXTENTS, MAX_TEXT_CHARS, type Extent, type Suggestion, type SuggestionUse, type Task, type Verdict } from "../wire";
+import {
+  EDIT_TYPES,
+  EXTENTS,
+  MAX_NAME_CHARS,
+  MAX_TEXT_CHARS,
+  type Extent,
+  type Style,
+  type Suggestion,
+  type SuggestionUse,
+  type Task,
+  type Verdict,
+} from "../wire";
 import type { PairAnswer, StyleAnswer } from "../words";
-import { Component, action, choice, define, draftBox, keyHint, lintList } from "./component";
+import { Component, action, choice, define, draftBox, keyHint, lintList, swatch } from "./component";
 
 export type TwoAnswer = PairAnswer | StyleAnswer;
 
@@ -30,6 +41,9 @@ const REJECTS: readonly (readonly [Verdict, ActionId, string])[] = [
   ["unclear", "unclear", "Unclear"],
   ["identical", "identical", "Identical"],
 ];
+
+/** Styles that have a button; the others are chosen in the field beside, which proposes their names. */
+const MAX_STYLE_BUTTONS = 12;
 
 /** The parts of an extent. */
 const EXTENT_PARTS: Readonly<Record<Extent, readonly string[]>> = {
@@ -87,7 +101,7 @@ export class PairEditor extends Component {
         return true;
       case "style":
         if (this.answer.kind !== "style") return false;
-        this.edit({ style: next(this.styles, this.answer.style) });
+        this.edit({ style: next(this.styles.map((style) => style.name), this.answer.style) });
         return true;
       case "extent":
         if (this.answer.kind !== "style") return false;
@@ -110,6 +124,7 @@ export class PairEditor extends Component {
   /** The answer to submit, or `null` after telling the user what is missing. */
   complete(): TwoAnswer | null {
     const answer = { ...this.answer, verdict: "keep" as const, text: this.answer.text.trim() };
+    if (answer.kind === "style") answer.style = answer.style?.trim() || null;
     const lacking: string[] = [];
     if (answer.parts.length === 0) lacking.push("a body part");
     if (answer.kind === "pair" && answer.edit_type === null) lacking.push("an edit type");
@@ -135,7 +150,7 @@ export class PairEditor extends Component {
     this.classList.add("editor", "pair-editor");
   }
 
-  private get styles(): readonly string[] {
+  private get styles(): readonly Style[] {
     return this.app.me.project.styles;
   }
 
@@ -269,7 +284,7 @@ export class PairEditor extends Component {
     `;
     if (answer.kind === "style") {
       return html`
-        ${group("Style", keys.hint("style"), options("style", this.styles, answer.style, (style) => this.edit({ style })))}
+        ${group("Style", keys.hint("style"), this.styleChoices(answer.style))}
         ${group("Shows in", keys.hint("extent"), options("extent", EXTENTS, answer.extent, (extent) => this.setExtent(extent)))}
         ${group("Edited parts", "", parts)}
       `;
@@ -277,6 +292,34 @@ export class PairEditor extends Component {
     return html`
       ${group("Edited parts", "", parts)}
       ${group("Edit type", keys.hint("edit_type"), options("type", EDIT_TYPES, answer.edit_type, (edit_type) => this.edit({ edit_type })))}
+    `;
+  }
+
+  /** Buttons of the first styles and of the chosen one, and a field for any other, also for one that is new. */
+  private styleChoices(chosen: string | null): TemplateResult {
+    const { styles } = this;
+    const known = styles.find((style) => style.name === chosen);
+    const shown = styles.slice(0, MAX_STYLE_BUTTONS);
+    if (known && !shown.includes(known)) shown.push(known);
+    const button = ({ name, colour }: Style): TemplateResult =>
+      choice(`style-${name}`, name, "", name === chosen, () => this.edit({ style: name }), swatch(colour));
+    const typed = (event: Event): void => this.commit({ style: (event.target as HTMLInputElement).value || null }, "style");
+    return html`
+      <div class="part-row">${shown.map(button)}</div>
+      <input
+        class="other-style"
+        type="text"
+        list="styles-of-project"
+        maxlength=${MAX_NAME_CHARS}
+        placeholder="Another style"
+        aria-label="Another style"
+        autocomplete="off"
+        .value=${live(known ? "" : (chosen ?? ""))}
+        @input=${typed}
+        @blur=${() => this.host.seal()}
+      />
+      <datalist id="styles-of-project">${styles.map((style) => html`<option value=${style.name}></option>`)}</datalist>
+      ${styleNote(known, chosen)}
     `;
   }
 
@@ -298,6 +341,12 @@ export class PairEditor extends Component {
       ${this.phrases.map((phrase, index) => html`<button type="button" class="phrase" @click=${() => this.usePhrase(index)}>${phrase}</button>`)}
     </div>`;
   }
+}
+
+/** What the project says of the chosen style, or that it is new. */
+function styleNote(known: Style | undefined, chosen: string | null): TemplateResult | typeof nothing {
+  if (known) return known.text ? html`<p class="note">${known.text}</p>` : nothing;
+  return chosen?.trim() ? html`<p class="note" data-new-style>“${chosen.trim()}” is new. A reviewer who accepts it adds it to the styles.</p>` : nothing;
 }
 
 /** The value after `current`, or the first one. */

@@ -4,6 +4,7 @@ import { reason } from "../api";
 import type { App, Screen } from "../app";
 import { NewcomersForm } from "../components/newcomers-form";
 import { fill, h, type Child } from "../dom";
+import { StyleRows } from "../style-rows";
 import { ask, button, field, select, table, when } from "../ui";
 import type { Audit, ExportFormat, ImportFormat, Job, Role, Settings, TokenInfo, TokenShown, User } from "../wire";
 
@@ -215,7 +216,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   let settings = await app.api.get<Settings>("settings");
   const name = h("input", { attrs: { type: "text" } });
   const numbers = new Map(NUMBERS.map(([key]) => [key, h("input", { attrs: { type: "number", min: 0 } })]));
-  const styles = h("input", { attrs: { type: "text" } });
+  const styles = new StyleRows();
   const templates = h("textarea", { attrs: { rows: 4 } });
   const maskTemplates = h("textarea", { attrs: { rows: 4 } });
   const styleTemplates = h("textarea", { attrs: { rows: 4 } });
@@ -224,7 +225,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   const show = (): void => {
     name.value = settings.name;
     for (const [key, input] of numbers) input.value = String(settings[key]);
-    styles.value = settings.styles.join(", ");
+    styles.show(settings.styles);
     templates.value = settings.templates.join("\n");
     maskTemplates.value = settings.mask_templates.join("\n");
     styleTemplates.value = settings.style_templates.join("\n");
@@ -232,8 +233,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     zone.value = settings.time_zone;
   };
   show();
-  const list = (text: string, separator: RegExp): string[] =>
-    text.split(separator).map((item) => item.trim()).filter((item) => item !== "");
+  const lines = (text: string): string[] => text.split(/\n/).map((item) => item.trim()).filter((item) => item !== "");
   return h(
     "section",
     { class: "card" },
@@ -241,20 +241,21 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     field("Project", name),
     h("div", { class: "numbers" }, ...NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))),
     field("Time zone in which days begin, such as Europe/Berlin", zone),
-    field("Styles, with commas between", styles),
+    styles.element,
     field("Phrases to begin descriptions of masks with, one a line; they complete “The person is …”", maskTemplates),
     field("Template phrases of pairs, one a line", templates),
     field("Template phrases of style pairs, one a line; {style} is the chosen style", styleTemplates),
     field("Guide (plain text; # heading, - item)", guide),
     button("Save settings", async () => {
+      // Rules, guidelines and styles may have been added elsewhere since this page was opened.
+      const now = await app.api.get<Settings>("settings");
       const changed: Settings = {
-        // Rules and guidelines are edited elsewhere, maybe since this page was opened.
-        ...(await app.api.get<Settings>("settings")),
+        ...now,
         name: name.value.trim(),
-        styles: list(styles.value, /,/),
-        templates: list(templates.value, /\n/),
-        mask_templates: list(maskTemplates.value, /\n/),
-        style_templates: list(styleTemplates.value, /\n/),
+        styles: styles.read(now.styles),
+        templates: lines(templates.value),
+        mask_templates: lines(maskTemplates.value),
+        style_templates: lines(styleTemplates.value),
         guide: guide.value,
         time_zone: zone.value.trim(),
       };

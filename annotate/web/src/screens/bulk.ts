@@ -41,6 +41,7 @@ const LEFT_ALONE: Readonly<Record<string, string>> = {
   answers_differ: "their answers differ; review them one by one",
   answered: "this person has answered them",
   task_full: "they have as many people as they want",
+  new_style: "they name a style that the project does not have; review them one by one",
 };
 
 export function leftAlone(counts: BulkDone["left_alone"]): string[] {

@@ -1,0 +1,67 @@
+/** Rows in which an admin edits the styles of a project. */
+
+import { fill, h } from "./dom";
+import { MAX_NAME_CHARS, MAX_TEXT_CHARS, type Style } from "./wire";
+
+/** Shown by the picker of a style without a colour. */
+const NO_COLOUR = "#808080";
+
+export class StyleRows {
+  readonly element = h("div", { class: "style-rows", attrs: { role: "group", "aria-label": "Styles" } });
+  private shown: ReadonlySet<string> = new Set();
+  private rows: { row: HTMLElement; read(): Style }[] = [];
+  private readonly list = h("div", {});
+
+  constructor() {
+    const add = h("button", { attrs: { type: "button" }, on: { click: () => this.add({ name: "", text: "", colour: null }, true) } }, "Add a style");
+    this.element.append(h("div", { class: "label" }, "Styles"), this.list, add);
+  }
+
+  show(styles: readonly Style[]): void {
+    this.rows = [];
+    this.shown = new Set(styles.map((style) => style.name));
+    fill(this.list);
+    for (const style of styles) this.add(style, false);
+  }
+
+  /** The styles, without rows that have no name, and what `now` has beside those that were shown. */
+  read(now: readonly Style[]): Style[] {
+    const read = this.rows.map((own) => own.read()).filter((style) => style.name !== "");
+    const names = new Set(read.map((style) => style.name));
+    return [...read, ...now.filter(({ name }) => !this.shown.has(name) && !names.has(name))];
+  }
+
+  private add(style: Style, focus: boolean): void {
+    const called = style.name || "the new style";
+    const name = h("input", { attrs: { type: "text", maxlength: MAX_NAME_CHARS, "aria-label": "Name of the style", placeholder: "Name" } });
+    const text = h("textarea", {
+      attrs: { rows: 1, maxlength: MAX_TEXT_CHARS, "aria-label": `What ${called} looks like`, placeholder: "What it looks like" },
+    });
+    const coloured = h("input", { attrs: { type: "checkbox", "aria-label": `${called} has a colour` } });
+    const colour = h("input", { attrs: { type: "color", "aria-label": `Colour of ${called}` } });
+    name.value = style.name;
+    text.value = style.text;
+    coloured.checked = style.colour !== null;
+    colour.value = style.colour ?? NO_COLOUR;
+    colour.addEventListener("input", () => (coloured.checked = true));
+    const drop = h("button", { attrs: { type: "button", "aria-label": `Remove ${called}` } }, "Remove");
+    const row = h("div", { class: "style-row" }, name, coloured, colour, text, drop);
+    const own = {
+      row,
+      // A text that nobody touched stays as it is: the field of a browser changes line ends.
+      read: (): Style => ({
+        name: name.value.trim(),
+        text: text.value === text.defaultValue ? style.text : text.value.trim(),
+        colour: coloured.checked ? colour.value : null,
+      }),
+    };
+    text.defaultValue = text.value;
+    drop.addEventListener("click", () => {
+      this.rows = this.rows.filter((other) => other !== own);
+      row.remove();
+    });
+    this.rows.push(own);
+    this.list.append(row);
+    if (focus) name.focus();
+  }
+}

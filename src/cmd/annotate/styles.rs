@@ -1,0 +1,62 @@
+//! The styles of a project, as a file of names, texts and colours.
+
+use std::path::Path;
+
+use annotate::store::Store;
+use annotate::wire::Style;
+use serde::{Deserialize, Serialize};
+
+use super::shared::{now, say};
+use super::users::operator;
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::settings;
+
+/// `styles.toml`: a table `[[style]]` for each.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StyleFile {
+    style: Vec<Style>,
+}
+
+/// Adds the styles of a file and takes over its texts and colours, or prints those of the project.
+pub(super) fn styles(store: &Store, file: Option<&Path>, global: &Global) -> anyhow::Result<Exit> {
+    let mut project = store.settings()?;
+    let Some(file) = file else {
+        let list = StyleFile {
+            style: project.styles,
+        };
+        return say(
+            global,
+            &serde_json::to_value(&list.style)?,
+            toml::to_string(&list)?.trim_end(),
+        );
+    };
+    let told: StyleFile = settings::read(file)?;
+    let (mut new, mut changed) = (0, 0);
+    for style in told.style {
+        match project
+            .styles
+            .iter_mut()
+            .find(|known| known.name == style.name)
+        {
+            Some(known) => {
+                changed += usize::from(*known != style);
+                *known = style;
+            }
+            None => {
+                new += 1;
+                project.styles.push(style);
+            }
+        }
+    }
+    let all = project.styles.len();
+    if new + changed > 0 {
+        store.put_settings(operator(store)?.id, project, now())?;
+    }
+    say(
+        global,
+        &serde_json::json!({ "styles": all, "new": new, "changed": changed }),
+        &format!("{all} styles: {new} new, {changed} changed"),
+    )
+}
