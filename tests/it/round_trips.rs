@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use annotate::store::open_sqlite;
+use annotate::store::{Store, open_sqlite};
 use annotate::transfer::AnnotationRow;
 use annotate::wire::{Answer, EditType, Extent, MaskAnswer, Role, TaskKind, Verdict};
 use datasets_spec::dataset::commit_rows;
@@ -556,6 +556,78 @@ fn a_spreadsheet_and_the_dataset_count_what_they_leave_out() {
     assert_eq!(none["counts"]["labels"], 0, "{none}");
     assert_eq!(none["counts"]["merged_or_imported"], tasks.len(), "{none}");
     assert_eq!(none["messages"].as_array().map(Vec::len), Some(1), "{none}");
+}
+
+/// Unfinished work moves to a dataset that was ingested elsewhere, with other content of its clips and without one.
+#[test]
+fn a_packed_project_goes_on_where_it_is_unpacked() {
+    let made = Labelled::new();
+    let (file, other, store) = (
+        made.path("project"),
+        made.path("elsewhere"),
+        made.path("store.sqlite"),
+    );
+    let opened = open_sqlite(&store).expect("a store");
+    let ann = opened.users().expect("users")[0].clone();
+    made.annotate("store.sqlite", &["token", &ann.name]);
+    assert_eq!(opened.tokens(ann.id).expect("tokens").len(), 1);
+    let told = |store: &Store| {
+        let funnel = store.funnel().expect("counts");
+        let people = store.users().expect("users");
+        (serde_json::to_value(funnel).expect("JSON"), people)
+    };
+    let before = told(&opened);
+    made.annotate("store.sqlite", &["pack", arg(&file)]);
+    // Never over a file, and never over a project.
+    let (dataset, fresh) = (made.path("dataset"), made.path("fresh.sqlite"));
+    let of = |dataset: &Path, store: &Path, words: &[&str]| {
+        let options = ["annotate", arg(dataset), "--store", arg(store), "--json"];
+        stance(&[&options[..], words].concat())
+    };
+    of(&dataset, &store, &["pack", arg(&file)]).expect_code(1);
+    let refused = of(&dataset, &store, &["unpack", arg(&file)]).expect_code(1);
+    assert!(refused.stderr.contains("stays"), "{}", refused.stderr);
+
+    // The same dataset: nothing is asked again, and nobody can log in with an old token.
+    let moved: Value = of(&dataset, &fresh, &["unpack", arg(&file)])
+        .expect_code(0)
+        .json();
+    assert_eq!(
+        (&moved["people"], &moved["changed"]),
+        (&2.into(), &0.into())
+    );
+    let there = open_sqlite(&fresh).expect("a store");
+    assert_eq!(told(&there), before);
+    assert!(there.tokens(ann.id).expect("tokens").is_empty());
+    assert_eq!(
+        made.answers("dataset", "fresh.sqlite"),
+        made.answers("dataset", "store.sqlite")
+    );
+
+    // Other content: each task with an answer is flagged.
+    let source = made.path("corpus");
+    let ingest = ["ingest", arg(&source), "--out", arg(&other), "--fps", "30"];
+    stance(&ingest).expect_code(0);
+    let none = made.path("none.sqlite");
+    let moved: Value = of(&other, &none, &["unpack", arg(&file)])
+        .expect_code(0)
+        .json();
+    let listed: Value = of(&other, &none, &["changed"]).expect_code(0).json();
+    assert!(moved["changed"].as_u64() > Some(20), "{moved}");
+    assert_eq!(
+        listed.as_array().map(Vec::len),
+        moved["changed"].as_u64().map(|count| count as usize)
+    );
+    assert_eq!(
+        of(&other, &none, &["check"]).expect_code(0).json::<Value>()["findings"],
+        serde_json::json!([])
+    );
+
+    // Not a project: nothing is left.
+    let nothing = made.path("nothing.sqlite");
+    fs::write(made.path("text"), "no project").expect("written");
+    of(&dataset, &nothing, &["unpack", arg(&made.path("text"))]).expect_code(1);
+    assert!(!nothing.exists());
 }
 
 #[test]

@@ -199,6 +199,15 @@ pub(crate) trait Tx {
 pub(crate) type Work = Box<dyn FnOnce(&mut dyn Tx) -> Result<(), Error> + Send>;
 
 /// A database: write transactions run one after the other, read transactions beside them.
+/// What a copy of a store holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Content {
+    /// Everything.
+    All,
+    /// All but tokens and sessions, which open the store on this machine alone.
+    WithoutTokens,
+}
+
 pub(crate) trait Database: Send + Sync {
     /// Runs work in a transaction and returns once it is durable. Failed work is rolled back.
     fn write(&self, work: Work) -> Result<(), Error>;
@@ -207,7 +216,7 @@ pub(crate) trait Database: Send + Sync {
     /// The database as it is now, whatever is written later.
     fn snapshot(&self) -> Result<Box<dyn Database>, Error>;
     /// Writes a backup to a new file without blocking others.
-    fn backup(&self, path: &std::path::Path) -> Result<(), Error>;
+    fn backup(&self, path: &std::path::Path, content: Content) -> Result<(), Error>;
     /// Checks that the store accepts writes, by writing.
     fn check(&self) -> Result<(), Error>;
     /// Whether servers on several machines can share it.

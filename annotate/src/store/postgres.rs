@@ -11,7 +11,7 @@ use std::path::Path;
 use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
 use postgres::{Client, Statement};
 
-use super::db::{Database, Row, Tx, Value, Work, params};
+use super::db::{Content, Database, Row, Tx, Value, Work, params};
 use super::group::{Writer, WriterThread, caught};
 use super::migrate::{self, Plan, Upgrade};
 use super::postgres_address;
@@ -405,7 +405,7 @@ impl Database for Postgres {
         )
     }
 
-    fn backup(&self, _: &Path) -> Result<(), Error> {
+    fn backup(&self, _: &Path, _: Content) -> Result<(), Error> {
         Err(Error::Open {
             path: self.address.place(),
             reason: format!(

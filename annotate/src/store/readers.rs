@@ -2,7 +2,7 @@
 
 use std::sync::{Condvar, Mutex, PoisonError};
 
-use super::db::{Database, Work};
+use super::db::{Content, Database, Work};
 use super::group::caught;
 use crate::Error;
 use crate::lock::lock;
@@ -85,7 +85,7 @@ where
         caught(|| (self.run)(&mut connection, work))
     }
 
-    fn backup(&self, _: &std::path::Path) -> Result<(), Error> {
+    fn backup(&self, _: &std::path::Path, _: Content) -> Result<(), Error> {
         Err(Error::Closed)
     }
 

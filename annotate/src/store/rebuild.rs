@@ -198,7 +198,7 @@ pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>, Error> {
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use super::super::db::Work;
+    use super::super::db::{Content, Work};
     use super::super::records::NewTask;
     use super::super::sqlite::Sqlite;
     use super::super::store::Store;
@@ -255,8 +255,8 @@ mod tests {
             self.inner.snapshot()
         }
 
-        fn backup(&self, path: &std::path::Path) -> Result<(), Error> {
-            self.inner.backup(path)
+        fn backup(&self, path: &std::path::Path, content: Content) -> Result<(), Error> {
+            self.inner.backup(path, content)
         }
 
         fn check(&self) -> Result<(), Error> {

@@ -8,7 +8,7 @@ use std::time::Duration;
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, TransactionBehavior, params_from_iter};
 
-use super::db::{Database, Row, Tx, Value, Work};
+use super::db::{Content, Database, Row, Tx, Value, Work};
 use super::group::{Writer, WriterThread, caught};
 use super::migrate::{self, Plan, Upgrade};
 use super::readers::{Readers, Snapshot};
@@ -125,7 +125,7 @@ fn prepare(db: &mut Connection, path: &Path) -> Result<Option<Upgrade>, Error> {
         Plan::Create => None,
         Plan::Upgrade(from) => {
             let copy = unused(path, from);
-            copy_to(db, &copy)?;
+            copy_to(db, &copy, Content::All)?;
             Some(copy)
         }
     };
@@ -167,7 +167,7 @@ fn unused(path: &Path, version: i64) -> PathBuf {
 }
 
 /// Copies a database to a new file, which appears whole and on the disk or not at all.
-fn copy_to(db: &Connection, path: &Path) -> Result<(), Error> {
+fn copy_to(db: &Connection, path: &Path, content: Content) -> Result<(), Error> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
     let copied = (|| {
@@ -175,6 +175,9 @@ fn copy_to(db: &Connection, path: &Path) -> Result<(), Error> {
         // One read transaction copies everything; writers continue.
         db.execute("VACUUM INTO ?1", [text.as_ref()])
             .map_err(failed("copy itself"))?;
+        if content == Content::WithoutTokens {
+            forget_tokens(&temporary).map_err(failed("leave tokens out"))?;
+        }
         publish(&temporary, path, &mut |path| {
             std::fs::File::open(path).and_then(|file| file.sync_all())
         })
@@ -184,6 +187,11 @@ fn copy_to(db: &Connection, path: &Path) -> Result<(), Error> {
         let _removed = std::fs::remove_file(&temporary);
     }
     copied
+}
+
+/// Removes tokens from a copy, also from the pages that they lay in.
+fn forget_tokens(copy: &Path) -> rusqlite::Result<()> {
+    Connection::open(copy)?.execute_batch("DELETE FROM token; VACUUM")
 }
 
 /// Gives a file its name once its content is on the disk, and brings the name there too. `sync` brings a file or a folder
@@ -344,7 +352,7 @@ impl Database for Sqlite {
         )
     }
 
-    fn backup(&self, path: &Path) -> Result<(), Error> {
+    fn backup(&self, path: &Path, content: Content) -> Result<(), Error> {
         if path.exists() {
             return Err(open_error(path, "the file exists; choose another name"));
         }
@@ -352,7 +360,7 @@ impl Database for Sqlite {
         reader
             .execute_batch("PRAGMA query_only=OFF")
             .map_err(failed("copy itself"))?;
-        copy_to(&reader, path)
+        copy_to(&reader, path, content)
     }
 
     fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
@@ -655,8 +663,8 @@ mod tests {
         let (dir, store) = store();
         db::write(&store, put("kept")).expect("writes");
         let copy = dir.path().join("copy.sqlite");
-        store.backup(&copy).expect("copies");
-        assert!(store.backup(&copy).is_err());
+        store.backup(&copy, Content::All).expect("copies");
+        assert!(store.backup(&copy, Content::All).is_err());
         assert_eq!(names(&Sqlite::open(&copy).expect("opens")), ["kept"]);
     }
 

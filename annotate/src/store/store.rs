@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use super::browse::{self, DecisionQuery, PageQuery};
-use super::db::{self, Database, Tx, params};
+use super::db::{self, Content, Database, Tx, params};
 use super::import::Known;
 use super::migrate::{self, Upgrade};
 use super::records::{
@@ -632,7 +632,15 @@ impl Store {
     /// # Errors
     /// The store fails, or the file exists.
     pub fn backup(&self, path: &Path) -> Result<(), Error> {
-        self.db.backup(path)
+        self.db.backup(path, Content::All)
+    }
+
+    /// Writes the store without tokens and sessions to a new file, for another machine.
+    ///
+    /// # Errors
+    /// As [`Self::backup`].
+    pub fn pack(&self, path: &Path) -> Result<(), Error> {
+        self.db.backup(path, Content::WithoutTokens)
     }
 
     /// Checks that the store can be read and that its writer answers, without writing anything. A full disk shows

@@ -186,8 +186,8 @@ pub fn from_dataset(
     let whole = Dataset::open(root)?;
     let dataset = chosen(store, &whole)?;
     let mut taken = Taken::default();
-    let clips = clips(&whole)?;
-    let clips = without_copies(&clips, &mut taken);
+    let all = clips(&whole)?;
+    let clips = without_copies(&all, &mut taken);
     let by_id: BTreeMap<&str, &Clip> = clips
         .iter()
         .map(|clip| (clip.record.id.as_str(), *clip))
@@ -195,6 +195,7 @@ pub fn from_dataset(
     replace_changed(store, &clips, actor, now, &mut taken)?;
     store.put_motions(clips.iter().map(|clip| clip.record.clone()).collect())?;
     taken.count("motions", clips.len() as i64);
+    note_gone(store, &all, &mut taken)?;
 
     let chosen: Vec<&Clip> = clips
         .iter()
@@ -238,6 +239,24 @@ fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
         what: dataset.root().display().to_string(),
         problem: error.to_string(),
     })
+}
+
+/// Says how many clips the project knows that are not in the dataset.
+fn note_gone(store: &Store, clips: &[Clip], taken: &mut Taken) -> Result<(), Error> {
+    let here: BTreeSet<&str> = clips.iter().map(|clip| clip.record.id.as_str()).collect();
+    let known = store.all_motions()?;
+    let mut gone = known
+        .iter()
+        .filter(|motion| !here.contains(motion.id.as_str()));
+    if let Some(first) = gone.next() {
+        let count = 1 + gone.count();
+        taken.count("clips_gone", count as i64);
+        taken.messages.push(format!(
+            "{count} clips of the project are not in this dataset, for example {}; their tasks and answers stay",
+            first.id
+        ));
+    }
+    Ok(())
 }
 
 /// The clips without those that repeat the motion of one before them.

@@ -149,6 +149,21 @@ pub(super) enum Action {
         #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
         keep: Option<u16>,
     },
+    /// Write the project to one file for another machine: answers, drafts, people, time at work, open tasks
+    ///
+    /// Tokens stay here. The dataset is not in the file; copy its folder, or ingest the sources there.
+    Pack {
+        /// New file
+        file: PathBuf,
+    },
+    /// Take a packed project as that of a dataset that has none, and its clips as they are here
+    ///
+    /// Tasks about clips that have other content here are flagged (`changed`); those about clips that are not here stay, and
+    /// are counted. Everybody needs a new token (`token`).
+    Unpack {
+        /// File of `pack`
+        file: PathBuf,
+    },
     /// Derive all tables from the log and repair those that differ; servers may keep running
     Rebuild,
     /// Check that the log is complete and that all tables match it; servers may keep running

@@ -4,6 +4,7 @@ mod args;
 mod drafts;
 mod export;
 mod import;
+mod pack;
 mod rules;
 mod serve;
 mod shared;
@@ -22,6 +23,7 @@ pub(crate) use self::args::Args;
 use self::drafts::ask_drafts;
 use self::export::export;
 use self::import::import;
+use self::pack::{pack, unpack};
 use self::rules::rules;
 use self::serve::serve;
 use self::store::{back_up, check, open, rebuild};
@@ -34,6 +36,9 @@ use crate::global::Global;
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     // Opened first, so that a folder that is not a dataset gets no store.
     Dataset::open_unverified(&args.dataset)?;
+    if let Some(Action::Unpack { file }) = &args.action {
+        return unpack(args, file, global);
+    }
     let opened = open(args)?;
     let Some(action) = &args.action else {
         return serve(args, opened, global);
@@ -68,6 +73,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         Action::Changed { keep, reopen } => changed_clips(store, *keep, *reopen, global),
         Action::Backup { file, keep } => back_up(store, file, *keep, global),
+        Action::Pack { file } => pack(store, file, global),
+        Action::Unpack { file } => unpack(args, file, global),
         Action::Rebuild => rebuild(store, global),
         Action::Check => check(store, global),
     }

@@ -30,6 +30,25 @@ pub(super) fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
     Ok(store)
 }
 
+/// Where a store is.
+pub(super) enum Place<'a> {
+    /// A file of SQLite.
+    File(PathBuf),
+    /// Address of a database.
+    Postgres(&'a str),
+}
+
+/// Where the store is that the arguments name.
+pub(super) fn place(args: &Args) -> Place<'_> {
+    match args.store.as_deref().filter(|store| !store.is_empty()) {
+        Some(url) if url.starts_with("postgres://") || url.starts_with("postgresql://") => {
+            Place::Postgres(url)
+        }
+        Some(file) => Place::File(PathBuf::from(file)),
+        None => Place::File(args.folder().join("store.sqlite")),
+    }
+}
+
 /// Whether an address of a database holds a password.
 fn has_password(url: &str) -> bool {
     let Some((_, rest)) = url.split_once("://") else {
@@ -40,12 +59,9 @@ fn has_password(url: &str) -> bool {
 }
 
 fn find_or_create(args: &Args) -> anyhow::Result<Arc<Store>> {
-    let file = match args.store.as_ref().filter(|store| !store.is_empty()) {
-        Some(url) if url.starts_with("postgres://") || url.starts_with("postgresql://") => {
-            return open_postgres(url);
-        }
-        Some(file) => PathBuf::from(file),
-        None => args.folder().join("store.sqlite"),
+    let file = match place(args) {
+        Place::Postgres(url) => return open_postgres(url),
+        Place::File(file) => file,
     };
     if let Some(parent) = file.parent() {
         std::fs::create_dir_all(parent)
