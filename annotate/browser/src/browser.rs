@@ -3,7 +3,9 @@
 use std::process::Stdio;
 use std::time::Instant;
 
-use fantoccini::actions::{InputSource, KeyAction, KeyActions};
+use fantoccini::actions::{
+    InputSource, KeyAction, KeyActions, MOUSE_BUTTON_LEFT, PointerAction, TouchActions,
+};
 use fantoccini::wd::Capabilities;
 use fantoccini::{Client, ClientBuilder};
 use hyper_util::client::legacy::connect::HttpConnector;
@@ -274,6 +276,31 @@ impl Browser {
             .expect("keys are pressed");
     }
 
+    /// Touches the middle of the first matching element, which must be on the screen, with a finger.
+    pub async fn tap(&self, selector: &str) {
+        let at = self
+            .js_with(
+                "const box = document.querySelector(arguments[0]).getBoundingClientRect();
+                 return [box.left + box.width / 2, box.top + box.height / 2];",
+                vec![json!(selector)],
+            )
+            .await;
+        let at = |axis: usize| at[axis].as_f64().expect("a place");
+        let button = MOUSE_BUTTON_LEFT;
+        let touch = TouchActions::new("finger".to_owned())
+            .then(PointerAction::MoveTo {
+                duration: None,
+                x: at(0),
+                y: at(1),
+            })
+            .then(PointerAction::Down { button })
+            .then(PointerAction::Up { button });
+        self.client
+            .perform_actions(touch)
+            .await
+            .expect("the screen is touched");
+    }
+
     /// Logs in with the token in the URL, like the printed address, and opens a page.
     pub async fn log_in(&self, server: &crate::Server, token: &str, path: &str) {
         self.open(&server.page(&format!("#token={token}"))).await;
@@ -392,25 +419,34 @@ impl Browser {
 
     /// Checks the page in two sizes, and saves a screenshot of each if ANNOTATE_PICTURES names a folder.
     pub async fn in_each_size(&self, name: &str, check: impl AsyncFn(u32)) {
-        let folder = std::env::var_os("ANNOTATE_PICTURES");
+        // Take the smaller size last: tests continue in it.
+        for (width, height) in [(1920, 1080), (1280, 800)] {
+            self.resize(width, height).await;
+            self.photograph(&format!("{name}-{width}")).await;
+            check(width).await;
+        }
+    }
+
+    /// Gives the page a size in pixels, and waits until it is drawn.
+    pub async fn resize(&self, width: u32, height: u32) {
         let edge = self
             .js("return [outerWidth - innerWidth, outerHeight - innerHeight];")
             .await;
         let edge = |at: usize| edge[at].as_u64().unwrap_or(0) as u32;
-        // Take the smaller size last: tests continue in it.
-        for (width, height) in [(1920, 1080), (1280, 800)] {
-            self.client
-                .set_window_size(width + edge(0), height + edge(1))
-                .await
-                .expect("the window has another size");
-            self.js_async("{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); return null; }")
-                .await;
-            if let Some(folder) = &folder {
-                let png = self.client.screenshot().await.expect("a picture");
-                let path = std::path::Path::new(folder).join(format!("{name}-{width}.png"));
-                std::fs::write(&path, png).expect("the picture is kept");
-            }
-            check(width).await;
+        self.client
+            .set_window_size(width + edge(0), height + edge(1))
+            .await
+            .expect("the window has another size");
+        self.js_async("{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); return null; }")
+            .await;
+    }
+
+    /// Saves a screenshot if ANNOTATE_PICTURES names a folder.
+    pub async fn photograph(&self, name: &str) {
+        if let Some(folder) = std::env::var_os("ANNOTATE_PICTURES") {
+            let png = self.client.screenshot().await.expect("a picture");
+            let path = std::path::Path::new(&folder).join(format!("{name}.png"));
+            std::fs::write(&path, png).expect("the picture is kept");
         }
     }
 

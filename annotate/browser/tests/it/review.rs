@@ -121,6 +121,99 @@ async fn an_answer_goes_back_with_a_comment_to_its_author() {
     bench.browser.quit().await;
 }
 
+/// What is on the screen of a page: the stage, the decisions, the smallest button, and what hangs over.
+async fn seen(browser: &Browser) -> Value {
+    browser
+        .js(
+            "const box = (selector) => document.querySelector(selector).getBoundingClientRect();
+             const [stage, foot] = [box('.stage-area'), box('.panel-foot')];
+             const buttons = [...document.querySelectorAll('.panel-foot button, .transport button')];
+             const heights = buttons.map((own) => own.getBoundingClientRect().height).filter((own) => own > 0);
+             return {
+               width: innerWidth,
+               over: document.documentElement.scrollWidth - innerWidth,
+               stage: Math.min(stage.bottom, innerHeight) - Math.max(stage.top, 0),
+               foot: innerHeight - foot.bottom,
+               button: Math.min(...heights),
+               text: Math.min(...[...document.querySelectorAll('.panel-scroll *')]
+                 .filter((own) => own.childElementCount === 0 && own.textContent.trim() && own.tagName !== 'KBD')
+                 .map((own) => parseFloat(getComputedStyle(own).fontSize))),
+             };",
+        )
+        .await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn answers_are_reviewed_by_touch_on_a_tablet_held_upright() {
+    let bench = Bench::with_answer("Wave with the left arm.").await;
+    let browser = &bench.browser;
+    browser.task().await;
+    browser.resize(820, 1180).await;
+    browser.photograph("review-820").await;
+    let page = seen(browser).await;
+    let number = |name: &str| page[name].as_f64().expect("a number");
+    assert!(number("over") <= 0.0 && number("foot") >= 0.0, "{page}");
+    assert!(
+        number("stage") >= 300.0 && number("button") >= 40.0,
+        "{page}"
+    );
+    // It plays by itself: a finger stops it, and moves through the clip.
+    let label = "document.querySelector('.transport .play').textContent";
+    browser
+        .until("it plays", &format!("{label}.includes('Pause')"))
+        .await;
+    browser.tap(".transport .play").await;
+    browser
+        .until("it stands", &format!("{label}.includes('Play')"))
+        .await;
+    browser
+        .js("document.querySelector('.scrub').value = 0;")
+        .await;
+    browser.tap(".scrub").await;
+    let moved = "Number(document.querySelector('.scrub').value) > 5";
+    browser.until("it is moved", moved).await;
+    browser.tap(".panel-foot button:nth-child(2)").await;
+    browser
+        .until(
+            "the comment is asked for",
+            "document.querySelector('dialog[open] textarea')",
+        )
+        .await;
+    browser.tap("dialog[open] textarea").await;
+    browser.type_text("Which hand?").await;
+    browser.tap("dialog[open] button.primary").await;
+    browser
+        .until(
+            "it is decided",
+            "document.querySelector('.toast')?.textContent.includes('returned')",
+        )
+        .await;
+    assert_eq!(bench.view().await["comment"], "Which hand?");
+    bench.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_answer_is_read_and_accepted_on_a_telephone() {
+    let bench = Bench::with_answer("Wave with the left arm.").await;
+    let browser = &bench.browser;
+    browser.task().await;
+    browser.resize(390, 844).await;
+    browser.photograph("review-390").await;
+    let page = seen(browser).await;
+    let number = |name: &str| page[name].as_f64().expect("a number");
+    assert!(number("over") <= 0.0 && number("foot") >= 0.0, "{page}");
+    assert!(number("stage") >= 200.0 && number("text") >= 12.0, "{page}");
+    browser.tap(".panel-foot button.primary").await;
+    browser
+        .until(
+            "it is decided",
+            "document.querySelector('.toast')?.textContent.includes('accepted')",
+        )
+        .await;
+    assert_eq!(bench.view().await["mine"]["state"], "accepted");
+    bench.browser.quit().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn an_answer_is_merged_and_edited() {
     let bench = Bench::with_answer("Wave with the left arm.").await;
