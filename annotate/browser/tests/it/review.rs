@@ -166,9 +166,9 @@ async fn answers_are_reviewed_by_touch_on_a_tablet_held_upright() {
     browser
         .until("it stands", &format!("{label}.includes('Play')"))
         .await;
-    browser
-        .js("document.querySelector('.scrub').value = 0;")
-        .await;
+    browser.press(&[keys::HOME]).await;
+    let begin = "document.querySelector('.scrub').value === '0'";
+    browser.until("it is at its begin", begin).await;
     browser.tap(".scrub").await;
     let moved = "Number(document.querySelector('.scrub').value) > 5";
     browser.until("it is moved", moved).await;
