@@ -78,28 +78,54 @@ impl Chart {
     }
 }
 
+/// Colours and the viewer, which every page has.
+const VIEWER_STYLE: &str = include_str!("viewer.css");
+/// The rest of a report.
 const STYLE: &str = include_str!("report.css");
+
+/// Opens a page. Its policy forbids loading anything, and every script but the viewer's.
+fn head(title: &str, styles: &[&str]) -> String {
+    format!(
+        concat!(
+            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n",
+            "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n",
+            "<meta http-equiv=\"Content-Security-Policy\" ",
+            "content=\"default-src 'none'; style-src 'unsafe-inline'; script-src {script}\">\n",
+            "<title>{title}</title>\n<style>\n{style}</style>\n</head>\n",
+        ),
+        script = viewer::script_source(),
+        title = escaped(title),
+        style = styles.concat(),
+    )
+}
+
+/// The motions of a strip in 3D, as a page of their own that loads nothing: for a frame of a notebook. It fills the
+/// frame.
+///
+/// The caption stands above the motions, then the joints that any of them has highlighted.
+pub fn viewer_page(strip: &Strip) -> String {
+    let title = match strip.caption.as_str() {
+        "" => "Motions",
+        caption => caption,
+    };
+    format!(
+        "{head}<body class=\"alone\">\n{body}<script>{script}</script>\n</body>\n</html>\n",
+        head = head(title, &[VIEWER_STYLE]),
+        body = viewer::alone(strip),
+        script = viewer::SCRIPT,
+    )
+}
 
 impl Report {
     /// Writes the page. All text of the report is escaped, the page runs no script but its own
     /// viewer's, and its policy forbids loading anything.
     pub fn to_html(&self) -> String {
-        let mut html = String::new();
-        let title = escaped(&self.title);
+        let mut html = head(&self.title, &[VIEWER_STYLE, STYLE]);
         let _ = write!(
             html,
-            concat!(
-                "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n",
-                "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n",
-                "<meta http-equiv=\"Content-Security-Policy\" ",
-                "content=\"default-src 'none'; style-src 'unsafe-inline'; script-src {script}\">\n",
-                "<title>{title}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<header>\n",
-                "<h1>{title}</h1>\n<p class=\"lead\">{subtitle}</p>\n</header>\n",
-            ),
-            title = title,
-            style = STYLE,
-            script = viewer::script_source(),
-            subtitle = escaped(&self.subtitle),
+            "<body>\n<header>\n<h1>{}</h1>\n<p class=\"lead\">{}</p>\n</header>\n",
+            escaped(&self.title),
+            escaped(&self.subtitle),
         );
         let sections = self.sections();
         navigation(&mut html, &sections);
@@ -255,7 +281,7 @@ fn commands(commands: &[String]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::{Fps, Motion, Pose, Skeleton};
+    use datasets_spec::{Fps, JointSet, Motion, Pose, Skeleton};
 
     use super::*;
     use crate::draw::plot::{Curve, Scale};
@@ -367,21 +393,40 @@ mod tests {
     }
 
     #[test]
-    fn the_page_refers_to_nothing_outside_itself() {
-        let html = hostile().to_html();
-        for reference in ["src=", "@import", "url("] {
-            assert!(
-                !html.replace("src=x", "").contains(reference),
-                "{reference}"
-            );
+    fn a_page_refers_to_nothing_outside_itself() {
+        for html in [hostile().to_html(), viewer_page(&hostile().strips[0])] {
+            for reference in ["src=", "@import", "url("] {
+                assert!(
+                    !html.replace("src=x", "").contains(reference),
+                    "{reference}"
+                );
+            }
+            for part in html.split("href=\"").skip(1) {
+                assert!(part.starts_with('#'), "{:.30}", part);
+            }
+            for part in html.split("http").skip(1) {
+                let known =
+                    part.starts_with("://www.w3.org/2000/svg") || part.starts_with("-equiv");
+                assert!(known, "{:.30}", part);
+            }
         }
-        for part in html.split("href=\"").skip(1) {
-            assert!(part.starts_with('#'), "{:.30}", part);
-        }
-        for part in html.split("http").skip(1) {
-            let known = part.starts_with("://www.w3.org/2000/svg") || part.starts_with("-equiv");
-            assert!(known, "{:.30}", part);
-        }
+    }
+
+    #[test]
+    fn a_viewer_alone_has_its_caption_and_marked_joints() {
+        let mut strip = hostile().strips.remove(0);
+        let html = viewer_page(&strip);
+        check_nesting(&without_scripts(&html));
+        // The data and the program.
+        assert_eq!(html.matches("<script").count(), 2);
+        assert_eq!(html.matches("</script>").count(), 2);
+        assert!(html.contains("<h3 class=\"instruction\"><q>&quot;"));
+        assert!(!html.contains("class=\"marked\""));
+        strip.caption.clear();
+        strip.rows[0].highlighted = JointSet::of(&[16, 18]);
+        let html = viewer_page(&strip);
+        assert!(html.contains("<title>Motions</title>") && !html.contains("<h3"));
+        assert!(html.contains("<span class=\"marked\">left_shoulder, left_elbow</span>"));
     }
 
     #[test]
@@ -426,7 +471,7 @@ mod tests {
     #[test]
     fn strips_and_viewers_mark_joints_in_the_same_green() {
         let defined = format!("--marked: {};", HALO.to_lowercase());
-        assert!(STYLE.contains(&defined));
+        assert!(VIEWER_STYLE.contains(&defined));
         assert!(viewer::SCRIPT.contains("\"--marked\""));
     }
 

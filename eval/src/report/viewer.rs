@@ -2,12 +2,13 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use datasets_spec::Keypoints;
+use datasets_spec::{JointSet, Keypoints};
 use glam::DVec3;
 use kinematics::skeleton::KEYPOINT_PARENTS;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
+use crate::draw::escaped;
 use crate::draw::strip::Row;
 
 /// An edited item: its instruction, and the motions to compare.
@@ -62,6 +63,25 @@ pub(super) fn element(id: &str, strips: &[Strip]) -> String {
     )
 }
 
+/// The viewer of one strip, under its caption and the names of its highlighted joints where it has them.
+pub(super) fn alone(strip: &Strip) -> String {
+    let mut html = String::new();
+    if !strip.caption.is_empty() {
+        html += &format!(
+            "<h3 class=\"instruction\"><q>{}</q></h3>\n",
+            escaped(&strip.caption)
+        );
+    }
+    let marked = strip
+        .rows
+        .iter()
+        .fold(JointSet::EMPTY, |marked, row| marked.union(row.highlighted));
+    if !marked.is_empty() {
+        html += &format!("<p class=\"head\"><span class=\"marked\">{marked}</span></p>\n");
+    }
+    html + &element("viewer", std::slice::from_ref(strip))
+}
+
 fn item(strip: &Strip) -> serde_json::Value {
     // One origin for all motions of an item: their relative position is part of the edit.
     let origin = strip
@@ -103,7 +123,7 @@ fn points(keypoints: &Keypoints, origin: DVec3) -> String {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::{Fps, JointSet, Motion, Pose, Skeleton};
+    use datasets_spec::{Fps, Motion, Pose, Skeleton};
 
     use super::*;
 
