@@ -6,8 +6,10 @@ use ::corpus::{CorpusOptions, write_corpus};
 use clip::check::Teleports;
 use datasets_spec::{Fps, Resample, Seed};
 use formats::source::{ReadOptions, format_named};
+use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairList;
 use pipeline::ingest::{IngestOptions, IngestReport, SourceArg, SplitList, ingest as run};
+use pipeline::stage::{self, Context, Judged};
 use pyo3::prelude::*;
 
 use crate::error::Failure;
@@ -123,6 +125,21 @@ fn counts(done: &IngestReport) -> serde_json::Result<String> {
         "root_hash": done.dataset.manifest().root_hash,
     });
     serde_json::to_string(&counts)
+}
+
+/// Marks which parts of the body each clip is about, by how fast they move, as `stance masks` does.
+#[pyfunction]
+pub(crate) fn masks(py: Python<'_>, dataset: PathBuf) -> PyResult<()> {
+    work::long(py, false, |progress| {
+        remote_store::register()?;
+        let context = Context {
+            progress,
+            holder: &holder(),
+        };
+        let config = MaskConfig::default();
+        stage::masks(&dataset, &config, Judged::Refuse, None, &context)?;
+        Ok(())
+    })
 }
 
 /// Writes the built-in corpus of procedural motions with captions, without adjusted clips.

@@ -12,6 +12,7 @@ mod ingest;
 mod metrics;
 mod mix;
 mod motion;
+mod viewer;
 mod work;
 
 /// The module that `python/stance` imports from.
@@ -22,7 +23,7 @@ mod _native {
     #[pymodule_export]
     use super::evaluate::{Encoder, evaluate};
     #[pymodule_export]
-    use super::ingest::{corpus, ingest};
+    use super::ingest::{corpus, ingest, masks};
     #[pymodule_export]
     use super::metrics::{
         diversity, fid, foot_score, foot_slide, jerk, multimodality, position_error, retrieval,
@@ -31,6 +32,8 @@ mod _native {
     use super::mix::{Mix, Triplet};
     #[pymodule_export]
     use super::motion::{Motion, blend};
+    #[pymodule_export]
+    use super::viewer::viewer_page;
 
     /// The version of the package.
     #[pymodule_export]
@@ -38,4 +41,13 @@ mod _native {
     /// Version of the table schemas that are read.
     #[pymodule_export]
     const SCHEMA_VERSION: &str = datasets_spec::table::SCHEMA_VERSION;
+    /// Names of the SMPL-X joints.
+    #[pymodule_export]
+    const JOINT_NAMES: &[&str] = &kinematics::skeleton::JOINT_NAMES;
+    /// Places of the keypoints among the joints.
+    #[pymodule_export]
+    const KEYPOINT_JOINTS: &[usize] = &kinematics::skeleton::KEYPOINT_JOINTS;
+    /// The keypoint above each; -1 for the root.
+    #[pymodule_export]
+    const KEYPOINT_PARENTS: &[i8] = &kinematics::skeleton::KEYPOINT_PARENTS;
 }

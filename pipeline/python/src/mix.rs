@@ -199,3 +199,14 @@ pub(crate) struct Triplet {
     original: Motion,
     edited: Motion,
 }
+
+#[pymethods]
+impl Triplet {
+    /// Both motions in the viewer of reports, for a notebook.
+    fn _repr_html_(this: Bound<'_, Self>) -> PyResult<Bound<'_, PyAny>> {
+        let shown = this.py().import("stance._show")?;
+        shown
+            .call_method1("show_triplet", (this,))?
+            .call_method0("_repr_html_")
+    }
+}

@@ -289,6 +289,14 @@ impl Motion {
         )
     }
 
+    /// The clip in the viewer of reports, for a notebook.
+    fn _repr_html_(this: Bound<'_, Self>) -> PyResult<Bound<'_, PyAny>> {
+        let shown = this.py().import("stance._show")?;
+        shown
+            .call_method1("show", (this,))?
+            .call_method0("_repr_html_")
+    }
+
     fn __eq__(&self, other: &Self) -> bool {
         self.inner == other.inner && self.skeleton == other.skeleton
     }
@@ -416,8 +424,8 @@ pub(crate) fn points<const K: usize>(
     Ok(points.as_chunks::<K>().0.to_vec())
 }
 
-/// The joints of names, in any spelling of case.
-fn joint_set(names: &[String]) -> Result<JointSet, Failure> {
+/// The joints of names.
+pub(crate) fn joint_set(names: &[String]) -> Result<JointSet, Failure> {
     let one = |name: &String| {
         Joint::ALL
             .into_iter()
