@@ -357,18 +357,27 @@
       element("div", { class: "transport" }, play, scrub, clock, speed, ghostLabel, followLabel),
     );
 
-    let backend;
+    let backend = null;
     try {
       backend = webgl(canvas);
     } catch (problem) {
-      // A canvas keeps the kind of its first context.
       console.warn(problem);
+    }
+    function drawPlainly() {
+      // A canvas keeps the kind of its first context.
       const fresh = canvas.cloneNode();
       canvas.replaceWith(fresh);
       canvas = fresh;
+      backend = flat(canvas);
+      root.dataset.renderer = backend.name;
     }
-    backend ??= flat(canvas);
-    root.dataset.renderer = backend.name;
+    if (backend) {
+      root.dataset.renderer = backend.name;
+      // Browsers keep about 16 contexts; one more takes that of the oldest viewer, such as of a long notebook.
+      canvas.addEventListener("webglcontextlost", () => { drawPlainly(); redraw(); });
+    } else {
+      drawPlainly();
+    }
 
     let item, motions, last, playing = false, visible = false, time = 0, before = null, asked = false;
 
