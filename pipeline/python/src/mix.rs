@@ -202,6 +202,10 @@ pub(crate) struct Triplet {
 
 #[pymethods]
 impl Triplet {
+    fn __repr__(&self) -> String {
+        format!("Triplet({:.8}, {:?})", self.id, self.instruction)
+    }
+
     /// Both motions in the viewer of reports, for a notebook.
     fn _repr_html_(this: Bound<'_, Self>) -> PyResult<Bound<'_, PyAny>> {
         let shown = this.py().import("stance._show")?;

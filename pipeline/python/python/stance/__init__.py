@@ -33,6 +33,8 @@ from ._native import (
     position_error,
     retrieval,
 )
+from ._rerun import to_rerun
+from ._show import Shown, show
 
 __version__: str = _native.VERSION
 
@@ -46,6 +48,7 @@ __all__ = [
     "MotionCutMix",
     "SCHEMA_VERSION",
     "Scores",
+    "Shown",
     "Triplet",
     "blend",
     "corpus",
@@ -56,9 +59,12 @@ __all__ = [
     "foot_slide",
     "ingest",
     "jerk",
+    "masks",
     "multimodality",
     "position_error",
     "retrieval",
+    "show",
+    "to_rerun",
 ]
 
 _Path = str | _os.PathLike[str]
@@ -79,6 +85,14 @@ def ingest(sources: _Path | _Iterable[_Path], out: _Path, **options: _Any) -> di
     if isinstance(sources, (str, _os.PathLike)):
         sources = [sources]
     return _json.loads(_native.ingest(list(sources), out, **options))
+
+
+def masks(dataset: _Path) -> None:
+    """Marks which body parts each clip of a dataset is about, by how fast they move, as ``stance masks`` does.
+
+    :class:`MotionCutMix` needs them. Masks that people have judged are an error.
+    """
+    _native.masks(dataset)
 
 
 def corpus(out: _Path, clips: int | None = None, seed: int = 0) -> None:

@@ -11,6 +11,12 @@ _F32 = NDArray[np.float32]
 
 VERSION: str
 SCHEMA_VERSION: str
+JOINT_NAMES: list[str]
+"""Names of the 55 SMPL-X joints."""
+KEYPOINT_JOINTS: list[int]
+"""Places of the 28 keypoints among the joints; the first 22 are the body joints."""
+KEYPOINT_PARENTS: list[int]
+"""The keypoint above each of the 28; -1 for the pelvis."""
 
 class Motion:
     """A motion of ``L`` frames as SMPL-X parameters, y up, in metres and radians, and the skeleton it drives."""
@@ -38,6 +44,9 @@ class Motion:
     def from_amass_bytes(bytes: bytes) -> Motion: ...
     def to_amass_bytes(self) -> bytes: ...
     def __len__(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]: ...
+    def _repr_html_(self) -> str:
+        """The clip in 3D, for a notebook; :func:`stance.show` has more."""
     @property
     def fps(self) -> float: ...
     @property
@@ -112,6 +121,8 @@ class Triplet:
     alpha: float
     original: Motion
     edited: Motion
+    def _repr_html_(self) -> str:
+        """Both motions in 3D, for a notebook."""
 
 class Mix:
     def __init__(self, path: _Path, config: str, seed: int, split: str, normalizer: str | None) -> None: ...
@@ -191,4 +202,7 @@ def evaluate(
     protocol: str,
 ) -> tuple[str, str]: ...
 def ingest(sources: Sequence[_Path], out: _Path, **options: Any) -> str: ...
+def masks(dataset: _Path) -> None: ...
 def corpus(out: _Path, clips: int | None = None, seed: int = 0) -> None: ...
+def viewer_page(motions: Sequence[Motion], labels: Sequence[str], title: str, joints: Sequence[str]) -> str:
+    """An HTML page with motions side by side in 3D; it loads nothing."""
