@@ -1,6 +1,8 @@
 """Checks the package `stance` against the command: python check_package.py WORK (made by tests/python/package)."""
 
+import base64
 import functools
+import html
 import http.server
 import json
 import multiprocessing
@@ -89,6 +91,52 @@ def motions_come_back(work: pathlib.Path) -> None:
         assert taken if joint in arm else kept or joint == 13, joint
     named = stance.blend(motion, other, hard=["left_shoulder", "left_elbow", "left_wrist"], soft=["left_collar"], alpha=0.25)
     assert named == blended
+
+
+def motions_show_themselves(work: pathlib.Path) -> None:
+    """The page in a frame has the positions to the millimetre, and texts as texts."""
+    dataset = stance.Dataset(work / "dataset")
+    motion, other = (dataset[id] for id in dataset.ids()[:2])
+
+    def data(page: str) -> dict:
+        return json.loads(page.split('id="viewer-data">')[1].split("</script>")[0])
+
+    def check(shown: dict, origin: np.ndarray, motion: stance.Motion) -> None:
+        found = np.frombuffer(base64.b64decode(shown["points"]), "<i2").reshape(-1, 28, 3) / 1000
+        # Half a millimetre, and the rounding of f32 positions of metres.
+        assert np.abs(found - (motion.keypoints() - origin)).max() < 0.5e-3 + 1e-6
+        # 200 frames are 45 kB.
+        assert len(shown["points"]) <= 224 * len(motion) + 4
+
+    frame = motion._repr_html_()
+    assert frame.startswith("<iframe srcdoc=") and frame.count("<") == 2, "the page is one attribute"
+    page = html.unescape(frame.split('"')[1])
+    (item,) = data(page)["items"]
+    origin = motion.keypoints()[0, 0] * [1, 0, 1]
+    assert item["fps"] == motion.fps
+    check(item["motions"][0], origin, motion)
+
+    hostile = "</script><img src=x>"
+    # Another rate is brought to that of the first.
+    shown = stance.show(motion, other.resample(10), names=["a", hostile], captions=["", "b"], title=hostile, joints=["left_elbow"])
+    (item,) = data(shown.page)["items"]
+    assert [part["label"] for part in item["motions"]] == ["a", f"{hostile}\nb"]
+    assert [part["marked"] for part in item["motions"]] == [[18], [18]] and item["caption"] == hostile
+    check(item["motions"][1], origin, other.resample(10).resample(motion.fps))
+    assert "<img" not in shown.page and shown.page.count("<script") == 2
+    shown.save(work / "shown.html")
+    assert (work / "shown.html").read_text(encoding="utf-8") == shown.page
+
+    triplet = stance.MotionCutMix(work / "dataset", seed=5).triplet(0, 3)
+    page = html.unescape(triplet._repr_html_())
+    assert data(page)["items"][0]["caption"] == triplet.instruction
+    for wrong in ({"names": ["one"]}, {"captions": ["one", "two", "three"]}):
+        try:
+            stance.show(motion, other, **wrong)
+        except ValueError as error:
+            assert "2 motions" in str(error)
+        else:
+            raise AssertionError(wrong)
 
 
 def windows_are_those_of_the_command(work: pathlib.Path) -> None:
@@ -229,6 +277,7 @@ def errors_have_codes(work: pathlib.Path) -> None:
     assert code(stance.MotionCutMix, dataset, {"mcm_ratio": 2}) == "E-FAILED"
     assert code(stance.MotionCutMix, dataset, {"ratio": 1}) == "E-FAILED"
     assert code(stance.Motion, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 60)), 20) == "E-FAILED"
+    assert code(stance.show) == code(stance.show, dataset[dataset.ids()[0]], joints=["tail"]) == "E-FAILED"
 
 
 def ingestion_is_that_of_the_command(work: pathlib.Path) -> None:
@@ -237,8 +286,11 @@ def ingestion_is_that_of_the_command(work: pathlib.Path) -> None:
     assert counts["sources"] == counts["ingested"] + counts["quarantined"] + counts["skipped"]
     assert counts["ingested"] == 120
     assert stance.Dataset(work / "again").arrays("motions", "transl")[0].shape[1] == 3
-    hashes = [json.dumps([file["blake3"] for file in dataset.manifest["tables"]["motions"]]) for dataset in (command, stance.Dataset(work / "again"))]
-    assert hashes[0] == hashes[1]
+    stance.masks(work / "again")
+    again = stance.Dataset(work / "again")
+    for table in ("motions", "masks"):
+        hashes = [[file["blake3"] for file in dataset.manifest["tables"][table]] for dataset in (command, again)]
+        assert hashes[0] == hashes[1], table
 
 
 def a_dataset_is_read_from_an_address(work: pathlib.Path) -> None:
@@ -313,6 +365,7 @@ if __name__ == "__main__":
     work = pathlib.Path(sys.argv[1])
     read_datasets(work)
     motions_come_back(work)
+    motions_show_themselves(work)
     windows_are_those_of_the_command(work)
     processes_share_a_stream(work)
     scores_are_those_of_the_command(work)
