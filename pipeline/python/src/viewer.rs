@@ -19,7 +19,8 @@ pub(crate) fn viewer_page(
     title: String,
     joints: Vec<String>,
 ) -> PyResult<String> {
-    let motions: Vec<Motion> = motions.iter().map(|motion| (**motion).clone()).collect();
+    let copied = |motion: &PyRef<'_, Motion>| Motion::of(motion.inner.clone(), &motion.skeleton);
+    let motions: Vec<Motion> = motions.iter().map(copied).collect();
     work::quick(py, || {
         let marked = joint_set(&joints)?;
         let first = motions
