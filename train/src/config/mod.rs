@@ -116,8 +116,54 @@ pub enum GuidanceTarget {
 pub struct TextConfig {
     /// The encoder.
     pub encoder: TextEncoder,
+    /// What a model is given of a text by the encoder `bert`; if it is not set, states if the model reads tokens, else
+    /// the pooled vector.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vectors: Option<BertVectors>,
     /// Words of the learned encoder.
     pub words: WordsConfig,
+}
+
+impl TextConfig {
+    /// Checks settings of a model that reads tokens or one vector.
+    ///
+    /// # Errors
+    /// `vectors` is set for another encoder than `bert`.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        if self.vectors.is_some() && self.encoder != TextEncoder::Bert {
+            return Err(Error::Config {
+                field: "text.vectors",
+                problem: "it is for text.encoder = \"bert\" alone; leave it out".to_owned(),
+            });
+        }
+        Ok(())
+    }
+
+    /// Checks settings of a model that is given one vector for each text.
+    ///
+    /// # Errors
+    /// As [`Self::check`], or they ask for the vectors of tokens.
+    pub(crate) fn check_pooled(&self) -> Result<(), Error> {
+        if self.vectors == Some(BertVectors::States) {
+            return Err(Error::Config {
+                field: "text.vectors",
+                problem: "it is states, one vector for each token, and this model is given one for each text; set it to \
+                          pooled, or leave it out"
+                    .to_owned(),
+            });
+        }
+        self.check()
+    }
+}
+
+/// What a model is given of a text by BERT.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BertVectors {
+    /// One vector for each text, pooled as the files of the encoder say.
+    Pooled,
+    /// One vector for each token: the last hidden states.
+    States,
 }
 
 /// How texts become words with numbers.
@@ -138,6 +184,8 @@ pub enum TextEncoder {
     Learned,
     /// The text tower of CLIP, frozen: ViT-B/32, or ViT-L/14 for TMED. Its vectors are made before training.
     Clip,
+    /// BERT or one of its relatives, frozen, from a folder that the user names. Its vectors are made before training.
+    Bert,
     /// Any other frozen encoder: a table of its vectors, one for each text, which its user makes.
     Table,
 }
@@ -231,6 +279,7 @@ impl TrainConfig {
             },
             text: TextConfig {
                 encoder: TextEncoder::Clip,
+                vectors: None,
                 words: WordsConfig {
                     num_buckets: 64,
                     max_words: 32,
@@ -329,6 +378,7 @@ impl TrainConfig {
             },
             text: TextConfig {
                 encoder: TextEncoder::Learned,
+                vectors: None,
                 words: WordsConfig {
                     num_buckets: 16,
                     max_words: 24,
@@ -395,6 +445,7 @@ impl TrainConfig {
                 problem: format!("it is {}", self.coordinator.strength),
             });
         }
+        self.text.check_pooled()?;
         positive("val_windows", self.val_windows as u64)?;
         positive("text.words.num_buckets", self.text.words.num_buckets as u64)?;
         positive("text.words.max_words", self.text.words.max_words as u64)

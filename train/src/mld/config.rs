@@ -104,6 +104,7 @@ impl MldConfig {
             model,
             text: TextConfig {
                 encoder: TextEncoder::Clip,
+                vectors: None,
                 words: WordsConfig {
                     num_buckets: 64,
                     max_words: 32,
@@ -157,6 +158,7 @@ impl MldConfig {
         self.autoencoder.check()?;
         check_layers("model.num_layers", &self.model)?;
         self.run.check()?;
+        self.text.check_pooled()?;
         share("text_dropout", self.text_dropout)?;
         if self.model.width != self.autoencoder.model.width {
             return Err(Error::Config {

@@ -5,24 +5,20 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 
-use super::hub::{Hub, HubCache, read_checked};
+use super::files::{WEIGHTS, file_in, first, read_weights};
+use super::hub::{Hub, HubCache};
 use super::tokens::ClipTokenizer;
 use crate::Error;
 use crate::model::clip::{ClipConfig, ClipText};
-use crate::model::torch::{StateDictOptions, state_dict_from_torch};
 use crate::model::weights::to_safetensors;
 use crate::transfer::read;
 
-/// File names of the weights, safetensors first; the other is a pickle.
-const WEIGHTS: [&str; 2] = ["model.safetensors", "pytorch_model.bin"];
 /// Names the tokenizer may have.
 const TOKENIZERS: [&str; 3] = [
     "tokenizer.json",
     "bpe_simple_vocab_16e6.txt.gz",
     "merges.txt",
 ];
-/// First bytes of the files `torch.save` writes: a zip archive, or before PyTorch 1.6 a pickle.
-const TORCH_MAGIC: [&[u8]; 2] = [b"PK\x03\x04", &[0x80, 0x02]];
 
 /// A published CLIP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,9 +74,7 @@ impl ClipFiles {
     /// # Errors
     /// One is missing.
     pub fn in_folder(folder: &Path) -> Result<Self, Error> {
-        Self::find(folder, |name| {
-            Some(folder.join(name)).filter(|path| path.is_file())
-        })
+        Self::find(folder, file_in(folder))
     }
 
     /// Finds the files in the cache of Hugging Face's tools. Nothing is downloaded.
@@ -94,19 +88,9 @@ impl ClipFiles {
     }
 
     fn find(folder: &Path, find: impl Fn(&str) -> Option<PathBuf>) -> Result<Self, Error> {
-        let first = |what, names: &'static [&'static str]| {
-            names
-                .iter()
-                .find_map(|name| find(name))
-                .ok_or_else(|| Error::NoEncoderFile {
-                    what,
-                    names,
-                    folder: folder.to_owned(),
-                })
-        };
         Ok(Self {
-            weights: first("weights", &WEIGHTS)?,
-            tokenizer: first("tokenizer", &TOKENIZERS)?,
+            weights: first("weights", &WEIGHTS, folder, &find)?,
+            tokenizer: first("tokenizer", &TOKENIZERS, folder, &find)?,
         })
     }
 
@@ -156,14 +140,7 @@ impl ClipEncoder {
     /// A file cannot be read, differs from its checksum, or is not of this size.
     pub fn load(config: &ClipConfig, files: &ClipFiles, device: &Device) -> Result<Self, Error> {
         let path = &files.weights;
-        let mut bytes = read_checked(path)?;
-        if TORCH_MAGIC.iter().any(|magic| bytes.starts_with(magic)) {
-            let options = StateDictOptions {
-                keep: &["text_model.", "text_projection."],
-                ..StateDictOptions::default()
-            };
-            bytes = state_dict_from_torch(&bytes, path, &options)?;
-        }
+        let bytes = read_weights(path, &["text_model.", "text_projection."])?;
         let network = ClipText::from_safetensors(config, &bytes, "", path, device)?;
         drop(bytes);
         let tokenizer = ClipTokenizer::read(&files.tokenizer)?;

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 
+use super::bert::{BertEncoder, BertFiles};
 use super::clip::{ClipEncoder, ClipFiles, ClipModel};
 use super::hub::HubCache;
 use super::table::EmbeddingTable;
-use crate::config::TextEncoder;
+use crate::config::{BertVectors, TextConfig, TextEncoder};
+use crate::model::denoiser::TEXT_DIVISOR;
 use crate::{Error, Session};
 
 /// Table of the instructions a run was trained with, in its folder.
@@ -18,6 +20,8 @@ pub(crate) const EMBEDDINGS: &str = "embeddings.safetensors";
 pub enum FrozenEncoder {
     /// CLIP, which this program runs.
     Clip(ClipModel),
+    /// BERT, which this program runs.
+    Bert,
     /// Another one, whose vectors are in a table.
     Table,
 }
@@ -28,6 +32,7 @@ impl TextEncoder {
         match self {
             Self::Learned => None,
             Self::Clip => Some(FrozenEncoder::Clip(clip)),
+            Self::Bert => Some(FrozenEncoder::Bert),
             Self::Table => Some(FrozenEncoder::Table),
         }
     }
@@ -36,15 +41,11 @@ impl TextEncoder {
 /// Where a frozen text encoder is found.
 #[derive(Clone, Debug, Default)]
 pub struct TextEncoderSource {
-    /// Given by the user: the folder of CLIP, or a table of vectors.
+    /// Given by the user: the folder of CLIP or of BERT, or a table of vectors.
     pub given: Option<PathBuf>,
-    /// Cache of the Hugging Face hub, searched otherwise.
+    /// Cache of the Hugging Face hub, searched for CLIP otherwise.
     pub cache: Option<HubCache>,
 }
-
-/// Encodes texts, and tells how many of how many are done.
-type Compute<'a> =
-    fn(&ClipEncoder, Vec<&'a str>, &mut dyn FnMut(usize, usize)) -> Result<EmbeddingTable, Error>;
 
 impl TextEncoderSource {
     /// Loads a CLIP.
@@ -64,11 +65,22 @@ impl TextEncoderSource {
         ClipEncoder::load(&model.config(), &files, device)
     }
 
-    /// Vectors of texts. Those of CLIP are in the run folder, or computed; those of another encoder are in the table that the
-    /// user names, or in the run folder.
+    /// Loads the BERT whose folder the user names.
     ///
     /// # Errors
-    /// As [`Self::load`], a text cannot be encoded, or the table lacks one or contradicts that of the run folder.
+    /// No folder is named, or it holds none.
+    pub fn load_bert(&self, device: &Device) -> Result<BertEncoder, Error> {
+        let folder = self.given.as_ref().filter(|given| given.is_dir());
+        let files = BertFiles::in_folder(folder.ok_or(Error::NoTextFolder)?)?;
+        BertEncoder::load(&files, device)
+    }
+
+    /// Vectors of texts, one each. Those of CLIP and BERT are in the run folder, or computed; those of another encoder
+    /// are in the table that the user names, or in the run folder.
+    ///
+    /// # Errors
+    /// As [`Self::load`] and [`Self::load_bert`], a text cannot be encoded, or the table lacks one or contradicts that
+    /// of the run folder.
     pub(crate) fn embeddings(
         &self,
         run: &Path,
@@ -78,10 +90,31 @@ impl TextEncoderSource {
     ) -> Result<EmbeddingTable, Error> {
         match encoder {
             FrozenEncoder::Clip(model) => {
-                self.computed(run, texts, model, EmbeddingTable::compute, session)
+                let load = || self.load(model, session.device);
+                computed(run, texts, "CLIP", load, EmbeddingTable::compute, session)
             }
+            FrozenEncoder::Bert => self.pooled(run, texts, TEXT_DIVISOR, session),
             FrozenEncoder::Table => self.given_table(run, texts),
         }
+    }
+
+    /// Pooled vectors of BERT whose numbers have the root mean square `loudness`: as they are, they are too quiet for a
+    /// network whose own words have about that size.
+    fn pooled(
+        &self,
+        run: &Path,
+        texts: &[String],
+        loudness: f64,
+        session: &Session<'_>,
+    ) -> Result<EmbeddingTable, Error> {
+        let load = || self.load_bert(session.device);
+        let compute =
+            |encoder: &BertEncoder, texts: Vec<&str>, progress: &mut dyn FnMut(usize, usize)| {
+                let pooled = BertVectors::Pooled;
+                let table = EmbeddingTable::compute_bert(encoder, pooled, texts, progress)?;
+                Ok(table.of_length(loudness * (encoder.width() as f64).sqrt()))
+            };
+        computed(run, texts, "BERT", load, compute, session)
     }
 
     fn given_table(&self, run: &Path, texts: &[String]) -> Result<EmbeddingTable, Error> {
@@ -90,7 +123,7 @@ impl TextEncoderSource {
             .exists()
             .then(|| EmbeddingTable::load(&path))
             .transpose()?;
-        // A folder is that of CLIP, for other models of the same command.
+        // A folder is that of CLIP or BERT, for other models of the same command.
         let given = self.given.as_ref().filter(|given| !given.is_dir());
         let table = given.map(|path| EmbeddingTable::load(path)).transpose()?;
         let texts = texts.iter().map(String::as_str);
@@ -109,46 +142,64 @@ impl TextEncoderSource {
         Ok(table)
     }
 
-    /// The last hidden states of the tokens of texts in CLIP ViT-L/14: those of the run folder if it holds
-    /// all of them, else computed.
+    /// The vectors of texts for a model that reads tokens: the last hidden states of CLIP ViT-L/14, or of BERT its
+    /// states or, as a single token, its pooled vector. Those of the run folder if it holds all of them, else computed.
     ///
     /// # Errors
-    /// As [`Self::load`], or a text cannot be encoded.
+    /// As [`Self::load`] and [`Self::load_bert`], or a text cannot be encoded.
     pub(crate) fn token_embeddings(
         &self,
         run: &Path,
         texts: &[String],
+        config: &TextConfig,
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
-        let compute = EmbeddingTable::compute_tokens;
-        self.computed(run, texts, ClipModel::VitL14, compute, session)
-    }
-
-    fn computed<'a>(
-        &self,
-        run: &Path,
-        texts: &'a [String],
-        model: ClipModel,
-        compute: Compute<'a>,
-        session: &Session<'_>,
-    ) -> Result<EmbeddingTable, Error> {
-        let path = run.join(EMBEDDINGS);
-        if path.exists() {
-            let table = EmbeddingTable::load(&path)?;
-            if table.check_texts(texts.iter().map(String::as_str)).is_ok() {
-                return Ok(table);
-            }
+        if config.encoder != TextEncoder::Bert {
+            let load = || self.load(ClipModel::VitL14, session.device);
+            let compute = EmbeddingTable::compute_tokens;
+            return computed(run, texts, "CLIP", load, compute, session);
         }
-        let encoder = self.load(model, session.device)?;
-        let progress = session.progress;
-        progress.begin("texts", Some(texts.len() as u64));
-        let mut reported = 0;
-        let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
-        let table = compute(&encoder, texts, &mut |done, _| {
-            progress.advance((done - reported) as u64);
-            reported = done;
-        })?;
-        progress.finish(&format!("{} texts encoded by CLIP", table.texts().len()));
-        Ok(table)
+        if config.vectors == Some(BertVectors::Pooled) {
+            return self.pooled(run, texts, 1.0, session);
+        }
+        let load = || self.load_bert(session.device);
+        let compute =
+            |encoder: &BertEncoder, texts: Vec<&str>, progress: &mut dyn FnMut(usize, usize)| {
+                EmbeddingTable::compute_bert(encoder, BertVectors::States, texts, progress)
+            };
+        computed(run, texts, "BERT", load, compute, session)
     }
+}
+
+/// The table of the run folder if it holds all texts, else one that a loaded encoder computes.
+fn computed<'a, E>(
+    run: &Path,
+    texts: &'a [String],
+    name: &str,
+    load: impl FnOnce() -> Result<E, Error>,
+    compute: impl FnOnce(
+        &E,
+        Vec<&'a str>,
+        &mut dyn FnMut(usize, usize),
+    ) -> Result<EmbeddingTable, Error>,
+    session: &Session<'_>,
+) -> Result<EmbeddingTable, Error> {
+    let path = run.join(EMBEDDINGS);
+    if path.exists() {
+        let table = EmbeddingTable::load(&path)?;
+        if table.check_texts(texts.iter().map(String::as_str)).is_ok() {
+            return Ok(table);
+        }
+    }
+    let encoder = load()?;
+    let progress = session.progress;
+    progress.begin("texts", Some(texts.len() as u64));
+    let mut reported = 0;
+    let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
+    let table = compute(&encoder, texts, &mut |done, _| {
+        progress.advance((done - reported) as u64);
+        reported = done;
+    })?;
+    progress.finish(&format!("{} texts encoded by {name}", table.texts().len()));
+    Ok(table)
 }

@@ -8,8 +8,10 @@ use datasets_spec::store::replace_file;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
+use super::bert::BertEncoder;
 use super::clip::ClipEncoder;
 use crate::Error;
+use crate::config::BertVectors;
 use crate::data::TextVectors;
 use crate::model::torch::StoredTensor;
 
@@ -79,6 +81,37 @@ impl EmbeddingTable {
         let identity = encoder.token_identity();
         let encode = |batch: &[&str]| encoder.encode_tokens(batch);
         Self::of(identity, encoder.token_width(), texts, encode, progress)
+    }
+
+    /// Encodes texts by BERT, each once: its pooled vectors, or those of every token.
+    ///
+    /// # Errors
+    /// A text cannot be encoded.
+    pub fn compute_bert<'a>(
+        encoder: &BertEncoder,
+        vectors: BertVectors,
+        texts: impl IntoIterator<Item = &'a str>,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<Self, Error> {
+        let encode = |batch: &[&str]| encoder.encode(batch, vectors);
+        let identity = encoder.identity(vectors);
+        Self::of(identity, encoder.width(), texts, encode, progress)
+    }
+
+    /// The table with every vector brought to a length. Its encoder gets another name, so that nobody takes it for the
+    /// one whose vectors are as they were.
+    pub(crate) fn of_length(mut self, length: f64) -> Self {
+        for row in self.values.chunks_exact_mut(self.width.max(1)) {
+            let squares: f64 = row.iter().map(|value| f64::from(*value).powi(2)).sum();
+            if squares > 0.0 {
+                let factor = length / squares.sqrt();
+                for value in row {
+                    *value = (f64::from(*value) * factor) as f32;
+                }
+            }
+        }
+        self.encoder = format!("scaled-{}", self.encoder);
+        self
     }
 
     fn of<'a>(

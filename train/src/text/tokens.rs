@@ -28,7 +28,7 @@ const MAX_MERGES_LEN: u64 = 64 << 20;
 const GZIP_MAGIC: &[u8] = &[0x1f, 0x8b];
 /// Probe text for tokenizers that share a vocabulary: case, contractions, digits, punctuation, white
 /// space, and letters beyond ASCII.
-const PROBE: &str = "Raise  it's 2nd\tArm, café 90°-ÉÅ &amp; \u{1f600}!";
+pub(super) const PROBE: &str = "Raise  it's 2nd\tArm, café 90°-ÉÅ &amp; \u{1f600}!";
 
 /// Byte-pair encoding of texts as CLIP was trained with it.
 #[derive(Clone, Debug)]
@@ -139,14 +139,7 @@ impl ClipTokenizer {
             .iter()
             .map(|text| self.encode(text, context))
             .collect::<Result<_, _>>()?;
-        let width = rows.iter().map(Vec::len).max().unwrap_or(1);
-        let mut ids = Vec::with_capacity(rows.len() * width);
-        for row in rows {
-            let filled = ids.len() + width;
-            ids.extend(row);
-            ids.resize(filled, PADDING);
-        }
-        Ok(TokenBatch { ids, width })
+        Ok(batch_of(rows))
     }
 
     /// Hashes what determines tokenisation. The same vocabulary as JSON or as a list of merges hashes
@@ -155,16 +148,10 @@ impl ClipTokenizer {
     /// # Errors
     /// As [`ClipTokenizer::encode`].
     pub(crate) fn hash_into(&self, hasher: &mut blake3::Hasher) -> Result<(), Error> {
-        let vocabulary: BTreeMap<u32, String> = self
-            .tokenizer
-            .get_vocab(false)
-            .into_iter()
-            .map(|(token, id)| (id, token))
-            .collect();
         // Hash special tokens by number: their names differ between files.
         let special = [self.start, self.end].map(i64::from);
-        for (id, token) in &vocabulary {
-            if !special.contains(&i64::from(*id)) {
+        for (id, token) in vocabulary_of(&self.tokenizer) {
+            if !special.contains(&i64::from(id)) {
                 hasher.update(&id.to_le_bytes());
                 hasher.update(token.as_bytes());
                 hasher.update(&[0]);
@@ -175,6 +162,27 @@ impl ClipTokenizer {
         }
         Ok(())
     }
+}
+
+/// Rows of tokens, filled up to the longest of them.
+///
+/// # Shapes
+/// `B` rows give `[B, T]`.
+pub(super) fn batch_of(rows: Vec<Vec<i32>>) -> TokenBatch {
+    let width = rows.iter().map(Vec::len).max().unwrap_or(1);
+    let mut ids = Vec::with_capacity(rows.len() * width);
+    for row in rows {
+        let filled = ids.len() + width;
+        ids.extend(row);
+        ids.resize(filled, PADDING);
+    }
+    TokenBatch { ids, width }
+}
+
+/// The tokens of a vocabulary by their numbers.
+pub(super) fn vocabulary_of(tokenizer: &Tokenizer) -> BTreeMap<u32, String> {
+    let vocabulary = tokenizer.get_vocab(false).into_iter();
+    vocabulary.map(|(token, id)| (id, token)).collect()
 }
 
 /// The `tokenizer.json` of a list of merges, as bytes.

@@ -144,6 +144,7 @@ impl TmedConfig {
             },
             text: TextConfig {
                 encoder: TextEncoder::Clip,
+                vectors: None,
                 words: WordsConfig {
                     num_buckets: 64,
                     max_words: 32,
@@ -242,10 +243,11 @@ impl TmedConfig {
         self.model.check()?;
         self.run.check()?;
         self.diffusion.check()?;
+        self.text.check()?;
         if self.text.encoder == TextEncoder::Table {
             return Err(Error::Config {
                 field: "text.encoder",
-                problem: "a table holds one vector for each text, and TMED reads tokens; set it to learned or clip"
+                problem: "a table holds one vector for each text, and TMED reads tokens; set it to learned, clip or bert"
                     .to_owned(),
             });
         }
@@ -259,8 +261,11 @@ impl TmedConfig {
     pub(crate) fn text_places(&self) -> usize {
         /// The context of CLIP.
         const CLIP_TOKENS: usize = 77;
+        /// The context of BERT.
+        const BERT_TOKENS: usize = 512;
         match self.text.encoder {
             TextEncoder::Clip | TextEncoder::Table => CLIP_TOKENS,
+            TextEncoder::Bert => BERT_TOKENS,
             TextEncoder::Learned => self.text.words.max_words,
         }
     }

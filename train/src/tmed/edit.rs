@@ -367,7 +367,7 @@ impl EditSystem for TmedSystem {
         if let TextRecord::Frozen { .. } = self.record.text {
             let texts = [texts, &[String::new()]].concat();
             let (encoder, run) = (&self.source.text_encoder, &self.source.run);
-            let table = encoder.token_embeddings(run, &texts, session)?;
+            let table = encoder.token_embeddings(run, &texts, &self.record.train.text, session)?;
             self.record.text.texts(Some(&table))?;
             self.vectors = Some(table);
         }

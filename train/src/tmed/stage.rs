@@ -65,9 +65,9 @@ pub fn train_on_dataset<'a>(
     };
     let vectors = match config.text.encoder {
         TextEncoder::Learned => None,
-        TextEncoder::Clip | TextEncoder::Table => {
+        TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table => {
             let all = [texts.as_slice(), &val_texts, &[String::new()]].concat();
-            let table = text_encoder.token_embeddings(start.run, &all, session)?;
+            let table = text_encoder.token_embeddings(start.run, &all, &config.text, session)?;
             create_dir(start.run)?;
             table.save(&start.run.join(EMBEDDINGS))?;
             Some(table)

@@ -1,0 +1,488 @@
+//! BERT and its relatives as encoders of instructions: a folder of Hugging Face's or of sentence-transformers.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+use tokenizers::{Tokenizer, TruncationParams};
+
+use super::bert_net::{BertConfig, BertText};
+use super::files::{WEIGHTS, file_in, first, read_weights};
+use super::hub::read_checked;
+use super::tokens::{PROBE, batch_of, vocabulary_of};
+use crate::Error;
+use crate::config::BertVectors;
+use crate::model::weights::to_safetensors;
+use crate::transfer::read;
+
+const CONFIG: [&str; 1] = ["config.json"];
+const TOKENIZERS: [&str; 2] = ["tokenizer.json", "vocab.txt"];
+/// Settings of the tokenizer, of its lengths, and of what follows the network. A folder may lack each.
+const TOKENIZER_CONFIG: &str = "tokenizer_config.json";
+const SENTENCE_CONFIG: &str = "sentence_bert_config.json";
+const MODULES: &str = "modules.json";
+/// Names of the licence and of the model's description, which are copied too.
+const PAPERS: [&str; 3] = ["README.md", "LICENSE", "LICENSE.txt"];
+/// Shortest limit of a text: start, one token, end.
+const LEAST_TOKENS: usize = 3;
+/// PyTorch's floor for the length of a vector that is divided by it.
+const MIN_LENGTH: f64 = 1e-12;
+
+/// The files of a BERT.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BertFiles {
+    folder: PathBuf,
+    config: PathBuf,
+    weights: PathBuf,
+    tokenizer: PathBuf,
+}
+
+impl BertFiles {
+    /// Finds the files in a folder: `config.json`, `model.safetensors` or `pytorch_model.bin`, and `tokenizer.json` or
+    /// `vocab.txt`.
+    ///
+    /// # Errors
+    /// One is missing.
+    pub fn in_folder(folder: &Path) -> Result<Self, Error> {
+        let find = file_in(folder);
+        Ok(Self {
+            folder: folder.to_owned(),
+            config: first("config", &CONFIG, folder, &find)?,
+            weights: first("weights", &WEIGHTS, folder, &find)?,
+            tokenizer: first("tokenizer", &TOKENIZERS, folder, &find)?,
+        })
+    }
+
+    /// Names of all files that the encoder is made of, within its folder and with `/`, of which `has` tells whether
+    /// they are there and `read` reads one.
+    ///
+    /// # Errors
+    /// `modules.json` cannot be read.
+    pub(super) fn names(
+        has: impl Fn(&str) -> bool,
+        read: impl FnOnce(&str) -> Result<Vec<u8>, Error>,
+    ) -> Result<Vec<String>, Error> {
+        let one_of = |names: &[&'static str]| names.iter().copied().find(|name| has(name));
+        let mut names: Vec<String> = [&CONFIG[..], &WEIGHTS, &TOKENIZERS]
+            .into_iter()
+            .filter_map(one_of)
+            .chain([TOKENIZER_CONFIG, SENTENCE_CONFIG, MODULES])
+            .chain(PAPERS)
+            .map(str::to_owned)
+            .collect();
+        if has(MODULES) {
+            let modules: Vec<SentenceModule> = parse(&read(MODULES)?, Path::new(MODULES))?;
+            let folders = modules.iter().filter(|module| module.has_plain_folder());
+            names.extend(folders.map(|module| format!("{}/{}", module.path, CONFIG[0])));
+        }
+        names.retain(|name| has(name));
+        Ok(names)
+    }
+
+    /// BLAKE3 of the files that the encoder is made of, in hexadecimal.
+    ///
+    /// # Errors
+    /// A file cannot be read.
+    pub fn hash(&self) -> Result<String, Error> {
+        let path = |name: &str| self.folder.join(name);
+        let names = Self::names(
+            |name| path(name).is_file() && !PAPERS.contains(&name),
+            |name| read_checked(&path(name)),
+        )?;
+        let mut hasher = blake3::Hasher::new();
+        for name in names {
+            hasher.update(blake3::hash(&read_checked(&path(&name))?).as_bytes());
+            hasher.update(name.as_bytes());
+        }
+        Ok(hasher.finalize().to_hex().to_string())
+    }
+
+    /// A document of the folder, if it is there.
+    fn optional<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, Error> {
+        let path = self.folder.join(name);
+        if !path.is_file() {
+            return Ok(None);
+        }
+        parse(&read_checked(&path)?, &path).map(Some)
+    }
+}
+
+fn parse<T: DeserializeOwned>(document: &[u8], path: &Path) -> Result<T, Error> {
+    serde_json::from_slice(document).map_err(|source| Error::Json {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// A line of `modules.json`.
+#[derive(Deserialize)]
+struct SentenceModule {
+    path: String,
+    #[serde(rename = "type")]
+    kind: String,
+}
+
+impl SentenceModule {
+    /// Whether it has a folder, directly within that of the model.
+    fn has_plain_folder(&self) -> bool {
+        let path = self.path.as_str();
+        !(path.is_empty() || path.starts_with('.') || path.contains(['/', '\\', ':']))
+    }
+}
+
+/// `tokenizer_config.json`.
+#[derive(Deserialize)]
+struct TokenizerConfig {
+    #[serde(default = "yes")]
+    do_lower_case: bool,
+    #[serde(default)]
+    strip_accents: Option<bool>,
+    #[serde(default = "yes")]
+    tokenize_chinese_chars: bool,
+    /// Some tokenizers without a limit record 10^30.
+    model_max_length: Option<f64>,
+}
+
+impl Default for TokenizerConfig {
+    fn default() -> Self {
+        Self {
+            do_lower_case: true,
+            strip_accents: None,
+            tokenize_chinese_chars: true,
+            model_max_length: None,
+        }
+    }
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// `sentence_bert_config.json`.
+#[derive(Default, Deserialize)]
+struct SentenceConfig {
+    max_seq_length: Option<usize>,
+    #[serde(default)]
+    do_lower_case: bool,
+}
+
+/// Which tokens a pooled vector is the mean of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Pooling {
+    All,
+    First,
+}
+
+/// What is done before and after the network.
+#[derive(Debug)]
+struct Rules {
+    /// Longest row of tokens, start and end included; longer texts are cut.
+    max_tokens: usize,
+    /// Whether texts are put in lower case before they come to the tokenizer, which may do so itself.
+    lowers: bool,
+    pooling: Pooling,
+    /// Whether pooled vectors are brought to length 1.
+    normalizes: bool,
+}
+
+impl Rules {
+    /// # Source
+    /// `Transformer`, `Pooling` and `Normalize` of sentence-transformers. A folder without `modules.json` gives the
+    /// mean of all tokens, as there.
+    fn read(files: &BertFiles, config: &BertConfig, limit: Option<f64>) -> Result<Self, Error> {
+        let sentence: SentenceConfig = files.optional(SENTENCE_CONFIG)?.unwrap_or_default();
+        let limit = limit.filter(|limit| *limit < config.context as f64);
+        let limit = limit.map_or(config.context, |limit| limit as usize);
+        let mut rules = Self {
+            max_tokens: sentence.max_seq_length.unwrap_or(limit).min(config.context),
+            lowers: sentence.do_lower_case,
+            pooling: Pooling::All,
+            normalizes: false,
+        };
+        if rules.max_tokens < LEAST_TOKENS {
+            return Err(Error::TextModel {
+                path: files.folder.join(SENTENCE_CONFIG),
+                detail: format!("texts of {} tokens hold no word", rules.max_tokens),
+            });
+        }
+        let modules: Vec<SentenceModule> = files.optional(MODULES)?.unwrap_or_default();
+        for module in modules {
+            match module.kind.rsplit('.').next().unwrap_or_default() {
+                "Transformer" => {}
+                "Pooling" if module.has_plain_folder() => {
+                    let name = format!("{}/{}", module.path, CONFIG[0]);
+                    let modes: Option<BTreeMap<String, Value>> = files.optional(&name)?;
+                    rules.pooling = pooling(&modes.unwrap_or_default(), &files.folder.join(name))?;
+                }
+                "Normalize" => rules.normalizes = true,
+                _ => {
+                    return Err(Error::TextModel {
+                        path: files.folder.join(MODULES),
+                        detail: format!("module {} is not known", module.kind),
+                    });
+                }
+            }
+        }
+        Ok(rules)
+    }
+
+    /// The pooled vector of the states of a text.
+    ///
+    /// # Shapes
+    /// `states` `[T, d]`, the result `[d]`.
+    fn pool(&self, states: &[f32], width: usize) -> Vec<f32> {
+        let states = match self.pooling {
+            Pooling::All => states,
+            Pooling::First => &states[..width],
+        };
+        let count = (states.len() / width) as f64;
+        let mut mean = vec![0.0f64; width];
+        for state in states.chunks_exact(width) {
+            for (sum, value) in mean.iter_mut().zip(state) {
+                *sum += f64::from(*value) / count;
+            }
+        }
+        let length = if self.normalizes {
+            let squares: f64 = mean.iter().map(|value| value * value).sum();
+            squares.sqrt().max(MIN_LENGTH)
+        } else {
+            1.0
+        };
+        mean.iter().map(|value| (value / length) as f32).collect()
+    }
+}
+
+/// The pooling that a folder's `config.json` asks for.
+fn pooling(modes: &BTreeMap<String, Value>, path: &Path) -> Result<Pooling, Error> {
+    let asked: Vec<&str> = modes
+        .iter()
+        .filter(|(_, value)| **value == Value::Bool(true))
+        .filter_map(|(name, _)| name.strip_prefix("pooling_mode_"))
+        .collect();
+    match asked[..] {
+        ["mean_tokens"] => Ok(Pooling::All),
+        ["cls_token"] => Ok(Pooling::First),
+        _ => Err(Error::TextModel {
+            path: path.to_owned(),
+            detail: format!("it pools by {asked:?}; mean_tokens and cls_token are known"),
+        }),
+    }
+}
+
+/// BERT or DistilBERT with its tokenizer.
+#[derive(Debug)]
+pub struct BertEncoder {
+    network: BertText,
+    config: BertConfig,
+    tokenizer: Tokenizer,
+    rules: Rules,
+    identity: String,
+}
+
+impl BertEncoder {
+    /// Reads an encoder onto a device. Its sizes, its tokenizer and its pooling are those of its files.
+    ///
+    /// # Errors
+    /// A file cannot be read or differs from its checksum, the network is of another kind, a tensor is missing or of
+    /// another shape, or the tokenizer has tokens that the network has not.
+    pub fn load(files: &BertFiles, device: &Device) -> Result<Self, Error> {
+        let config = BertConfig::parse(&read_checked(&files.config)?, &files.config)?;
+        let bytes = read_weights(&files.weights, &[])?;
+        let network = BertText::from_safetensors(&config, &bytes, &files.weights, device)?;
+        drop(bytes);
+        let settings: TokenizerConfig = files.optional(TOKENIZER_CONFIG)?.unwrap_or_default();
+        let rules = Rules::read(files, &config, settings.model_max_length)?;
+        let tokenizer = read_tokenizer(&files.tokenizer, &settings, rules.max_tokens)?;
+        let last = tokenizer.get_vocab(true).into_values().max();
+        if last.is_some_and(|last| last as usize >= config.num_tokens) {
+            return Err(Error::Tokenizer {
+                path: files.tokenizer.clone(),
+                detail: format!(
+                    "it has tokens up to number {}, the network knows {}",
+                    last.unwrap_or_default(),
+                    config.num_tokens
+                ),
+            });
+        }
+        let mut encoder = Self {
+            network,
+            config,
+            tokenizer,
+            rules,
+            identity: String::new(),
+        };
+        encoder.identity = encoder.hashed()?;
+        Ok(encoder)
+    }
+
+    /// Hash of everything that a vector depends on, whatever files it came in.
+    fn hashed(&self) -> Result<String, Error> {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update_rayon(&to_safetensors(
+            &self.network,
+            Path::new("weights of BERT"),
+        )?);
+        for (id, token) in vocabulary_of(&self.tokenizer) {
+            hasher.update(&id.to_le_bytes());
+            hasher.update(token.as_bytes());
+            hasher.update(&[0]);
+        }
+        for id in self.tokens(PROBE)? {
+            hasher.update(&id.to_le_bytes());
+        }
+        let rules = json!([
+            self.config.num_heads,
+            format!("{:?}", self.config.activation),
+            self.config.norm_epsilon,
+            self.rules.max_tokens,
+            self.rules.lowers,
+            format!("{:?}", self.rules.pooling),
+            self.rules.normalizes,
+        ]);
+        hasher.update(rules.to_string().as_bytes());
+        Ok(hasher.finalize().to_hex().to_string())
+    }
+
+    /// Identity of the encoder: BLAKE3 of its weights, its vocabulary and its rules, independent of the file formats
+    /// they came in.
+    pub fn identity(&self, vectors: BertVectors) -> String {
+        match vectors {
+            BertVectors::Pooled => self.identity.clone(),
+            BertVectors::States => format!("tokens-{}", self.identity),
+        }
+    }
+
+    /// Numbers of a vector, of a text as of a token.
+    pub fn width(&self) -> usize {
+        self.config.width
+    }
+
+    /// Encodes texts in one batch. A text of more tokens than the folder allows is cut, as sentence-transformers cut
+    /// it (`max_seq_length` of `sentence_bert_config.json`, else the places that the network knows).
+    ///
+    /// # Shapes
+    /// `N` texts give `N` vectors `[d]`, or with [`BertVectors::States`] `N` lists of `[T, d]`, row-major, start and end
+    /// included.
+    ///
+    /// # Errors
+    /// A text cannot be cut into tokens.
+    ///
+    /// # Source
+    /// Pooled vectors are those of `SentenceTransformer.encode`, states are `last_hidden_state` of the network.
+    pub fn encode(&self, texts: &[&str], vectors: BertVectors) -> Result<Vec<Vec<f32>>, Error> {
+        if texts.is_empty() {
+            return Ok(Vec::new());
+        }
+        let rows: Vec<Vec<i32>> = texts
+            .iter()
+            .map(|text| self.tokens(text))
+            .collect::<Result<_, _>>()?;
+        let lengths: Vec<usize> = rows.iter().map(Vec::len).collect();
+        let tokens = batch_of(rows);
+        let width = self.config.width;
+        let values = read(self.network.hidden(&self.config, &tokens, &lengths));
+        let rows = values.chunks_exact(tokens.width * width).zip(&lengths);
+        Ok(rows
+            .map(|(row, &length)| {
+                let states = &row[..length * width];
+                match vectors {
+                    BertVectors::Pooled => self.rules.pool(states, width),
+                    BertVectors::States => states.to_vec(),
+                }
+            })
+            .collect())
+    }
+
+    /// The tokens of a text, start and end included.
+    fn tokens(&self, text: &str) -> Result<Vec<i32>, Error> {
+        let failed = |detail: String| Error::TokenizedText {
+            text: text.to_owned(),
+            detail,
+        };
+        let lowered = self.rules.lowers.then(|| text.to_lowercase());
+        let encoding = self
+            .tokenizer
+            .encode_fast(lowered.as_deref().unwrap_or(text).trim(), true)
+            .map_err(|error| failed(error.to_string()))?;
+        let tokens: Vec<i32> = encoding.get_ids().iter().map(|&id| id as i32).collect();
+        if tokens.is_empty() {
+            return Err(failed(
+                "the tokenizer adds no start and no end to it".to_owned(),
+            ));
+        }
+        Ok(tokens)
+    }
+}
+
+/// Reads a `tokenizer.json` or a `vocab.txt`, which cuts texts after so many tokens.
+fn read_tokenizer(
+    path: &Path,
+    settings: &TokenizerConfig,
+    max_tokens: usize,
+) -> Result<Tokenizer, Error> {
+    let failed = |detail: String| Error::Tokenizer {
+        path: path.to_owned(),
+        detail,
+    };
+    let mut content = read_checked(path)?;
+    if path.extension().is_some_and(|ending| ending == "txt") {
+        let text = String::from_utf8(content).map_err(|error| failed(error.to_string()))?;
+        content = document_of_vocabulary(&text, settings).map_err(failed)?;
+    }
+    let tokenizer = Tokenizer::from_bytes(content.as_slice());
+    let mut tokenizer = tokenizer.map_err(|error| failed(error.to_string()))?;
+    // The file's own limit is that of a training, and rows are filled up here.
+    let truncation = TruncationParams {
+        max_length: max_tokens,
+        ..TruncationParams::default()
+    };
+    tokenizer
+        .with_truncation(Some(truncation))
+        .map_err(|error| failed(error.to_string()))?;
+    tokenizer.with_padding(None);
+    Ok(tokenizer)
+}
+
+/// The `tokenizer.json` of a list of word pieces, as bytes.
+///
+/// # Source
+/// `BertTokenizer` of Hugging Face: a token's number is its line.
+fn document_of_vocabulary(text: &str, settings: &TokenizerConfig) -> Result<Vec<u8>, String> {
+    let vocabulary: BTreeMap<&str, usize> = text
+        .lines()
+        .enumerate()
+        .map(|(id, token)| (token, id))
+        .collect();
+    let id = |token: &str| {
+        let id = vocabulary.get(token).copied();
+        id.ok_or_else(|| format!("it has no token {token}"))
+    };
+    let (unknown, start, end) = (id("[UNK]")?, id("[CLS]")?, id("[SEP]")?);
+    let special = [("[UNK]", unknown), ("[CLS]", start), ("[SEP]", end)].map(|(name, id)| {
+        json!({
+            "id": id, "content": name, "special": true, "normalized": false,
+            "single_word": false, "lstrip": false, "rstrip": false,
+        })
+    });
+    let document = json!({
+        "version": "1.0",
+        "added_tokens": special,
+        "normalizer": {
+            "type": "BertNormalizer", "clean_text": true,
+            "handle_chinese_chars": settings.tokenize_chinese_chars,
+            "strip_accents": settings.strip_accents, "lowercase": settings.do_lower_case,
+        },
+        "pre_tokenizer": {"type": "BertPreTokenizer"},
+        "post_processor": {
+            "type": "BertProcessing", "sep": ["[SEP]", end], "cls": ["[CLS]", start],
+        },
+        "model": {
+            "type": "WordPiece", "unk_token": "[UNK]", "continuing_subword_prefix": "##",
+            "max_input_chars_per_word": 100, "vocab": vocabulary,
+        },
+    });
+    serde_json::to_vec(&document).map_err(|error| error.to_string())
+}

@@ -1,0 +1,393 @@
+//! The network of BERT and of DistilBERT.
+
+use std::path::Path;
+
+use burn::module::Module;
+use burn::nn::{Embedding, EmbeddingConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
+use burn::tensor::activation::{gelu, gelu_approximate, relu};
+use burn::tensor::module::attention;
+use burn::tensor::ops::AttentionModuleOptions;
+use burn::tensor::{Bool, Device, Tensor};
+use safetensors::SafeTensors;
+use serde::Deserialize;
+
+use crate::Error;
+use crate::model::text::token_tensor;
+use crate::model::torch::{StoredTensor, float_tensor, safetensors_of};
+use crate::model::transformer::padding_of;
+use crate::model::weights::from_safetensors;
+use crate::vocabulary::TokenBatch;
+
+/// What names may begin with: the network alone has no prefix, one with a head has that of its kind.
+const PREFIXES: [&str; 4] = ["", "bert.", "distilbert.", "model."];
+/// The tensor that is looked for under each prefix.
+const WORDS: &str = "embeddings.word_embeddings.weight";
+/// Parts of a layer: our name, that of BERT, that of DistilBERT.
+const PARTS: [(&str, &str, &str); 8] = [
+    ("query", "attention.self.query", "attention.q_lin"),
+    ("key", "attention.self.key", "attention.k_lin"),
+    ("value", "attention.self.value", "attention.v_lin"),
+    ("attended", "attention.output.dense", "attention.out_lin"),
+    (
+        "attention_norm",
+        "attention.output.LayerNorm",
+        "sa_layer_norm",
+    ),
+    ("hidden", "intermediate.dense", "ffn.lin1"),
+    ("output", "output.dense", "ffn.lin2"),
+    ("output_norm", "output.LayerNorm", "output_layer_norm"),
+];
+
+/// Kinds of network that differ in names, and in that DistilBERT has no segments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BertKind {
+    /// BERT, as which MiniLM is published too.
+    Bert,
+    /// DistilBERT.
+    DistilBert,
+}
+
+/// Activation of the feed-forward layers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Activation {
+    /// The exact GELU.
+    Gelu,
+    /// GELU by the hyperbolic tangent.
+    GeluTanh,
+    /// ReLU.
+    Relu,
+}
+
+/// Sizes of a network, as its `config.json` says them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BertConfig {
+    /// Which network.
+    pub kind: BertKind,
+    /// Tokens of the vocabulary.
+    pub num_tokens: usize,
+    /// Longest row of tokens, start and end included.
+    pub context: usize,
+    /// Segments of a pair of texts; none of DistilBERT.
+    pub num_segments: usize,
+    /// Width of a token.
+    pub width: usize,
+    /// Transformer layers.
+    pub num_layers: usize,
+    /// Attention heads.
+    pub num_heads: usize,
+    /// Hidden width of the feed-forward layers.
+    pub feed_forward: usize,
+    /// Activation of the feed-forward layers.
+    pub activation: Activation,
+    /// Added to the variance by the norms.
+    pub norm_epsilon: f64,
+}
+
+/// The fields of `config.json`, under the names of either kind.
+#[derive(Deserialize)]
+struct Described {
+    vocab_size: usize,
+    max_position_embeddings: usize,
+    #[serde(default = "two_segments")]
+    type_vocab_size: usize,
+    #[serde(alias = "dim")]
+    hidden_size: usize,
+    #[serde(alias = "n_layers")]
+    num_hidden_layers: usize,
+    #[serde(alias = "n_heads")]
+    num_attention_heads: usize,
+    #[serde(alias = "hidden_dim")]
+    intermediate_size: usize,
+    #[serde(alias = "activation")]
+    hidden_act: String,
+    #[serde(default = "tiny_epsilon")]
+    layer_norm_eps: f64,
+    position_embedding_type: Option<String>,
+}
+
+fn two_segments() -> usize {
+    2
+}
+
+fn tiny_epsilon() -> f64 {
+    1e-12
+}
+
+impl BertConfig {
+    /// Reads a `config.json`; `path` names the file in errors.
+    ///
+    /// # Errors
+    /// It is of another network than BERT and DistilBERT, or lacks a size.
+    pub fn parse(document: &[u8], path: &Path) -> Result<Self, Error> {
+        #[derive(Deserialize)]
+        struct Named {
+            model_type: Option<String>,
+        }
+        let json = |source| Error::Json {
+            path: path.to_owned(),
+            source,
+        };
+        let refused = |detail: String| Error::TextModel {
+            path: path.to_owned(),
+            detail,
+        };
+        let named: Named = serde_json::from_slice(document).map_err(json)?;
+        let kind = match named.model_type.as_deref() {
+            Some("bert") => BertKind::Bert,
+            Some("distilbert") => BertKind::DistilBert,
+            Some(other) => {
+                let problem = format!("model_type is {other}; bert and distilbert are known");
+                return Err(refused(problem));
+            }
+            None => return Err(refused("it has no model_type".to_owned())),
+        };
+        let found: Described = serde_json::from_slice(document).map_err(json)?;
+        let position = found.position_embedding_type.as_deref();
+        if position.is_some_and(|position| position != "absolute") {
+            let problem = "position_embedding_type is not absolute".to_owned();
+            return Err(refused(problem));
+        }
+        let activation = match found.hidden_act.as_str() {
+            "gelu" => Activation::Gelu,
+            "gelu_new" | "gelu_fast" | "gelu_pytorch_tanh" => Activation::GeluTanh,
+            "relu" => Activation::Relu,
+            other => return Err(refused(format!("activation {other} is not known"))),
+        };
+        let (width, heads) = (found.hidden_size, found.num_attention_heads);
+        if heads == 0 || width == 0 || !width.is_multiple_of(heads) {
+            let problem = format!("its width is {width}, and it has {heads} attention heads");
+            return Err(refused(problem));
+        }
+        Ok(Self {
+            kind,
+            num_tokens: found.vocab_size,
+            context: found.max_position_embeddings,
+            num_segments: match kind {
+                BertKind::Bert => found.type_vocab_size,
+                BertKind::DistilBert => 0,
+            },
+            width,
+            num_layers: found.num_hidden_layers,
+            num_heads: heads,
+            feed_forward: found.intermediate_size,
+            activation,
+            norm_epsilon: found.layer_norm_eps,
+        })
+    }
+
+    /// The tensors of the network: their names in a file and here, and their shapes in PyTorch.
+    fn tensors(&self) -> Vec<(String, String, Vec<usize>)> {
+        let (width, hidden) = (self.width, self.feed_forward);
+        let mut found = Vec::new();
+        let mut table = |theirs: &str, ours: &str, rows: usize| {
+            found.push((theirs.to_owned(), ours.to_owned(), vec![rows, width]));
+        };
+        table(WORDS, "words.weight", self.num_tokens);
+        let places = "embeddings.position_embeddings.weight";
+        table(places, "places.weight", self.context);
+        if self.num_segments > 0 {
+            let segments = "embeddings.token_type_embeddings.weight";
+            table(segments, "segments.weight", self.num_segments);
+        }
+        let mut part = |theirs: String, ours: String, weight: Vec<usize>| {
+            let bias = (
+                format!("{theirs}.bias"),
+                format!("{ours}.bias"),
+                vec![weight[0]],
+            );
+            found.push((format!("{theirs}.weight"), format!("{ours}.weight"), weight));
+            found.push(bias);
+        };
+        let norm = "embeddings.LayerNorm".to_owned();
+        part(norm, "norm".to_owned(), vec![width]);
+        for layer in 0..self.num_layers {
+            for (ours, bert, distilbert) in PARTS {
+                let theirs = match self.kind {
+                    BertKind::Bert => format!("encoder.layer.{layer}.{bert}"),
+                    BertKind::DistilBert => format!("transformer.layer.{layer}.{distilbert}"),
+                };
+                let weight = match ours {
+                    "attention_norm" | "output_norm" => vec![width],
+                    "hidden" => vec![hidden, width],
+                    "output" => vec![width, hidden],
+                    _ => vec![width, width],
+                };
+                part(theirs, format!("layers.{layer}.{ours}"), weight);
+            }
+        }
+        found
+    }
+}
+
+/// BERT or DistilBERT without its heads, for inference: a post-norm transformer in which every token sees all others.
+///
+/// # Source
+/// Devlin et al. 2019, Sec. 3, and Sanh et al. 2019; parameters are those of Hugging Face's `BertModel` and
+/// `DistilBertModel`.
+#[derive(Module, Debug)]
+pub struct BertText {
+    words: Embedding,
+    places: Embedding,
+    segments: Option<Embedding>,
+    norm: LayerNorm,
+    layers: Vec<BertLayer>,
+}
+
+impl BertText {
+    /// Builds the network with weights of no meaning.
+    pub fn new(config: &BertConfig, device: &Device) -> Self {
+        let table = |rows| EmbeddingConfig::new(rows, config.width).init(device);
+        Self {
+            words: table(config.num_tokens),
+            places: table(config.context),
+            segments: (config.num_segments > 0).then(|| table(config.num_segments)),
+            norm: norm(config, device),
+            layers: (0..config.num_layers)
+                .map(|_| BertLayer::new(config, device))
+                .collect(),
+        }
+    }
+
+    /// Builds the network with the weights of a safetensors file under Hugging Face's names, with or without a prefix
+    /// of the network. Weights of half and double precision become single precision, and other tensors, such as those
+    /// of a head, are left alone. `path` names the file in errors.
+    ///
+    /// # Errors
+    /// The file is malformed, or a tensor is missing or of another shape.
+    pub fn from_safetensors(
+        config: &BertConfig,
+        bytes: &[u8],
+        path: &Path,
+        device: &Device,
+    ) -> Result<Self, Error> {
+        let file = SafeTensors::deserialize(bytes).map_err(|error| Error::weights(path, error))?;
+        let prefix = PREFIXES
+            .into_iter()
+            .find(|prefix| file.tensor(&format!("{prefix}{WORDS}")).is_ok())
+            .ok_or_else(|| Error::weights(path, format!("{WORDS} is missing")))?;
+        let mut tensors: Vec<(String, StoredTensor)> = Vec::new();
+        for (theirs, ours, shape) in config.tensors() {
+            let name = format!("{prefix}{theirs}");
+            let found = file.tensor(&name).or_else(|_| file.tensor(&former(&name)));
+            let Ok(view) = found else {
+                return Err(Error::weights(path, format!("{name} is missing")));
+            };
+            if view.shape() != shape {
+                let problem = format!("{name} is {:?}, not {shape:?}", view.shape());
+                return Err(Error::weights(path, problem));
+            }
+            tensors.push((ours, float_tensor(&name, &view, path)?));
+        }
+        let mut network = Self::new(config, device);
+        from_safetensors(&mut network, safetensors_of(tensors, path)?, "", path)?;
+        Ok(network.no_grad())
+    }
+
+    /// Every token after the last layer. Tokens from a row's length on are hidden from all others, and what they
+    /// become means nothing.
+    ///
+    /// # Shapes
+    /// `B` rows of `T` tokens give `[B, T, d]`; `lengths` `[B]`.
+    ///
+    /// # Panics
+    /// If rows are longer than the context.
+    ///
+    /// # Source
+    /// `last_hidden_state` of the reference, whose texts are all of the first segment.
+    pub fn hidden(&self, config: &BertConfig, tokens: &TokenBatch, lengths: &[usize]) -> Tensor<3> {
+        let device = self.words.weight.val().device();
+        let words = self.words.forward(token_tensor(tokens, &device));
+        let [batch, length, _] = words.dims();
+        let places = self.places.weight.val().narrow(0, 0, length);
+        let mut x = words + places.unsqueeze_dim::<3>(0);
+        if let Some(segments) = &self.segments {
+            let first = segments.weight.val().narrow(0, 0, 1);
+            x = x + first.unsqueeze_dim::<3>(0);
+        }
+        let is_padded = lengths.iter().any(|&own| own < length);
+        let padding: Option<Tensor<4, Bool>> = is_padded.then(|| {
+            padding_of(lengths, length, &device)
+                .reshape([batch, 1, 1, length])
+                .expand([batch, config.num_heads, length, length])
+        });
+        self.layers.iter().fold(self.norm.forward(x), |x, layer| {
+            layer.forward(config, x, padding.as_ref())
+        })
+    }
+}
+
+/// The name of a norm's weight or bias in files that were converted from TensorFlow.
+fn former(name: &str) -> String {
+    name.replace("LayerNorm.weight", "LayerNorm.gamma")
+        .replace("LayerNorm.bias", "LayerNorm.beta")
+}
+
+fn norm(config: &BertConfig, device: &Device) -> LayerNorm {
+    LayerNormConfig::new(config.width)
+        .with_epsilon(config.norm_epsilon)
+        .init(device)
+}
+
+/// A post-norm transformer layer.
+#[derive(Module, Debug)]
+struct BertLayer {
+    query: Linear,
+    key: Linear,
+    value: Linear,
+    attended: Linear,
+    attention_norm: LayerNorm,
+    hidden: Linear,
+    output: Linear,
+    output_norm: LayerNorm,
+}
+
+impl BertLayer {
+    fn new(config: &BertConfig, device: &Device) -> Self {
+        let linear = |from, to| LinearConfig::new(from, to).init(device);
+        let (width, hidden) = (config.width, config.feed_forward);
+        Self {
+            query: linear(width, width),
+            key: linear(width, width),
+            value: linear(width, width),
+            attended: linear(width, width),
+            attention_norm: norm(config, device),
+            hidden: linear(width, hidden),
+            output: linear(hidden, width),
+            output_norm: norm(config, device),
+        }
+    }
+
+    fn forward(
+        &self,
+        config: &BertConfig,
+        x: Tensor<3>,
+        padding: Option<&Tensor<4, Bool>>,
+    ) -> Tensor<3> {
+        let [batch, length, width] = x.dims();
+        let heads = |layer: &Linear| {
+            layer
+                .forward(x.clone())
+                .reshape([batch, length, config.num_heads, width / config.num_heads])
+                .swap_dims(1, 2)
+        };
+        let attended = attention(
+            heads(&self.query),
+            heads(&self.key),
+            heads(&self.value),
+            padding.cloned(),
+            None,
+            AttentionModuleOptions::default(),
+        );
+        let attended = attended.swap_dims(1, 2).reshape([batch, length, width]);
+        let x = self
+            .attention_norm
+            .forward(x.clone() + self.attended.forward(attended));
+        let hidden = self.hidden.forward(x.clone());
+        let hidden = match config.activation {
+            Activation::Gelu => gelu(hidden),
+            Activation::GeluTanh => gelu_approximate(hidden),
+            Activation::Relu => relu(hidden),
+        };
+        self.output_norm.forward(x + self.output.forward(hidden))
+    }
+}
