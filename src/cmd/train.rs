@@ -74,8 +74,8 @@ pub(crate) struct Args {
     /// Train on windows recorded by `stance triplets --windows` in place of composing them
     #[arg(long, value_name = "FOLDER")]
     windows: Option<PathBuf>,
-    /// Folder of CLIP or a table of vectors (`stance model table`), for settings with a frozen text encoder [default:
-    /// CLIP in the hub's cache]
+    /// Folder of CLIP or BERT, or a table of vectors (`stance model table`), for settings with a frozen text encoder
+    /// [default: CLIP in the hub's cache]
     #[arg(long, value_name = "PATH")]
     text_encoder: Option<PathBuf>,
     /// Memory of the device in GB: steps are split into micro-batches that fit, in place of micro_batch_size of the

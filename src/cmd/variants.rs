@@ -70,8 +70,8 @@ pub(crate) struct Args {
     /// Maximum mean distance of bones from their lengths in metres
     #[arg(long, value_name = "M", default_value_t = VariantConfig::default().max_bone_drift_m)]
     max_drift: f32,
-    /// Folder of CLIP or a table of vectors (`stance model table`), for a generator with a frozen text encoder [default:
-    /// CLIP in the hub's cache]
+    /// Folder of CLIP or BERT, or a table of vectors (`stance model table`), for a generator with a frozen text encoder
+    /// [default: CLIP in the hub's cache]
     #[arg(long, value_name = "PATH")]
     text_encoder: Option<PathBuf>,
     /// Dataset folder to write

@@ -23,6 +23,7 @@ use train::j2s::J2sConfig;
 use train::kind::ModelKind;
 use train::registry::{self, MODELS};
 use train::system::EditConfig;
+use train::text::bert::BertFiles;
 use train::tmr::TmrConfig;
 
 use super::pictures::Picture;
@@ -54,7 +55,7 @@ pub(super) struct Plan {
     pub(super) out: PathBuf,
     /// Run folder of the encoder that motions are scored with, or `builtin`; without it one is trained under `out`.
     encoder: Option<PathBuf>,
-    /// Folder of CLIP or a table of vectors, for settings with a frozen text encoder.
+    /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder.
     #[serde(alias = "clip")]
     pub(super) text_encoder: Option<PathBuf>,
     #[serde(default = "tiny")]
@@ -170,7 +171,7 @@ pub(super) struct Training {
     pub(super) own: Value,
     /// All settings of the preset: another version of the program may have others under its name.
     pub(super) settings_of_preset: Value,
-    /// Hash of the table of text vectors, if the model is told instructions by one.
+    /// Hash of the table of text vectors, or of the files of BERT, if the model is told instructions by one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) text_table: Option<String>,
     pub(super) compose: ComposeConfig,
@@ -534,16 +535,20 @@ impl Plan {
         })
     }
 
-    /// Hash of the table of text vectors, if settings ask for one and it is there.
+    /// Hash of the table of text vectors or of the folder of BERT, if settings ask for one and it is there.
     fn text_table(&self, own: &Value) -> anyhow::Result<Option<String>> {
-        let is_asked = own.pointer("/text/encoder") == Some(&json!("table"));
-        let table = self.text_encoder.as_ref();
-        let Some(path) = table.filter(|path| is_asked && path.is_file()) else {
-            return Ok(None);
-        };
-        let bytes =
-            std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-        Ok(Some(blake3::hash(&bytes).to_hex().to_string()))
+        let asked = own.pointer("/text/encoder").and_then(Value::as_str);
+        match (asked, &self.text_encoder) {
+            (Some("table"), Some(path)) if path.is_file() => {
+                let bytes = std::fs::read(path)
+                    .with_context(|| format!("cannot read {}", path.display()))?;
+                Ok(Some(blake3::hash(&bytes).to_hex().to_string()))
+            }
+            (Some("bert"), Some(folder)) if folder.is_dir() => {
+                Ok(Some(BertFiles::in_folder(folder)?.hash()?))
+            }
+            _ => Ok(None),
+        }
     }
 
     /// The protocol, with a gallery of the paper's tables where it is one of them.

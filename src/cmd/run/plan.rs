@@ -32,7 +32,7 @@ pub(crate) struct RunConfig {
     /// Named settings of the models.
     #[serde(default = "default_preset")]
     pub(super) preset: Preset,
-    /// Folder of CLIP or a table of vectors, for settings with a frozen text encoder; without it CLIP is searched in the
+    /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder; without it CLIP is searched in the
     /// hub's cache.
     #[serde(alias = "clip")]
     pub(super) text_encoder: Option<PathBuf>,
