@@ -11,7 +11,7 @@ use train::checkpoint::Slot;
 use train::compose::ComposeRecord;
 use train::config::{BertVectors, TrainConfig};
 use train::coordinator::{CoordinatorConfig, CoordinatorRecord};
-use train::exchange::{self, MdmArgs};
+use train::exchange::{self, MdmArgs, TextSide};
 use train::features::{FeatureRecipe, FeatureStats};
 use train::fit::{EditorRecord, TextRecord};
 use train::model::torch::{StateDictOptions, state_dict_from_torch};
@@ -170,7 +170,8 @@ struct ImportArgs {
     /// Attention heads of an evaluation encoder, MDM or TMED, which the file does not record
     #[arg(long, value_name = "N", default_value_t = 4)]
     heads: usize,
-    /// Folder of the CLIP text encoder that the model uses [default: the hub's cache]
+    /// Folder of the text encoder that the model uses: CLIP [default: the hub's cache]; for tmr DistilBERT, with which the text
+    /// side in the same file, or in text_encoder.pt beside motion_encoder.pt, is imported too
     #[arg(long, value_name = "FOLDER")]
     text_encoder: Option<PathBuf>,
     /// Run folder to write
@@ -425,12 +426,28 @@ fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
 const TINY_SPREAD: f32 = 1e-12;
 
 fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> anyhow::Result<()> {
-    let options = StateDictOptions {
-        strip: &["module.", "motion_encoder."],
-        keep: &["tokens", "projection.", "seqTransEncoder."],
-        ..StateDictOptions::default()
+    let side = |file: &Path, name: &str| {
+        let options = StateDictOptions {
+            strip: &["module.", name],
+            keep: &["tokens", "projection.", "seqTransEncoder."],
+            ..StateDictOptions::default()
+        };
+        weights(file, &options)
     };
-    let weights = weights(&args.file, &options)?;
+    let motions = side(&args.file, "motion_encoder.")?;
+    // The networks are in one file, or in a file each.
+    let name = args.file.file_name().unwrap_or_default().to_string_lossy();
+    let text_file = args
+        .file
+        .with_file_name(name.replace("motion_encoder", "text_encoder"));
+    let texts = match &args.text_encoder {
+        Some(folder) => Some(TextSide {
+            weights: side(&text_file, "text_encoder.")?,
+            path: &text_file,
+            folder,
+        }),
+        None => None,
+    };
     let numbers = |name: &str| -> anyhow::Result<Vec<f32>> {
         let path = stats.join(name);
         Ok(exchange::read_torch_numbers(&read(&path)?, &path)?)
@@ -444,7 +461,8 @@ fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> any
             .collect(),
     };
     let (out, file) = (&args.out, &args.file);
-    exchange::import_motion_encoder(out, args.heads, features, weights, file, &device())?;
+    let heads = args.heads;
+    exchange::import_motion_encoder(out, heads, features, motions, file, texts, &device())?;
     Ok(())
 }
 

@@ -12,7 +12,7 @@ use serde::Deserialize;
 
 use crate::Error;
 use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, write_atomically};
-use crate::config::{NetworkConfig, Preset};
+use crate::config::{BertVectors, NetworkConfig, Preset};
 use crate::coordinator::{self, CoordinatorConfig, CoordinatorRecord};
 use crate::features::FeatureStats;
 use crate::fit::{self, EditorRecord};
@@ -22,7 +22,9 @@ use crate::model::denoiser::Denoiser;
 use crate::model::position::sinusoid_values;
 use crate::model::tmr::SequenceEncoder;
 use crate::model::weights::{from_safetensors, to_safetensors};
-use crate::tmr::{self, MotionEncoderRecord};
+use crate::text::bert::{BertEncoder, BertFiles};
+use crate::text::package::unpack;
+use crate::tmr::{self, ImportedText, MotionEncoderRecord};
 
 /// Rows of the position tables the released checkpoints store.
 const TABLE_ROWS: usize = 5_000;
@@ -105,12 +107,23 @@ pub fn import_coordinator(
     run.write(Slot::Best, &files.into())
 }
 
+/// The text side of TMR trained elsewhere.
+#[derive(Clone, Debug)]
+pub struct TextSide<'a> {
+    /// Safetensors file under the released names.
+    pub weights: Vec<u8>,
+    /// Name of that file in errors.
+    pub path: &'a Path,
+    /// Folder of the network whose last hidden states it reads: DistilBERT for the released ones. The run keeps a copy.
+    pub folder: &'a Path,
+}
+
 /// Makes a run folder of TMR's motion encoder trained elsewhere: that of TMR itself, or the evaluator of
-/// MotionFix. Its size is read off its tensors.
+/// MotionFix; with its text side, where that is given. Sizes are read off the tensors.
 ///
 /// # Errors
-/// The folder holds another run, a tensor is missing or does not fit the recipe, the statistics are
-/// of another width, or a file cannot be written.
+/// The folder holds another run, a tensor is missing or does not fit the recipe or the states of the text network, the
+/// statistics are of another width, or a file cannot be read or written.
 ///
 /// # Source
 /// `formats` section 7.
@@ -120,18 +133,13 @@ pub fn import_motion_encoder(
     features: FeatureStats,
     weights: Vec<u8>,
     path: &Path,
+    texts: Option<TextSide<'_>>,
     device: &Device,
 ) -> Result<(), Error> {
     let recipe = features.recipe;
     check_stats(&features)?;
-    // Lightning's checkpoints name the networks, the extracted files do not.
-    const NETWORK: &str = "motion_encoder.";
-    let file = SafeTensors::deserialize(&weights).map_err(|e| Error::weights(path, e))?;
-    let is_named = file.names().iter().any(|name| name.starts_with(NETWORK));
-    let prefix = if is_named { NETWORK } else { "" };
-    let input = format!("{prefix}projection.weight");
-    let encoder = format!("{prefix}seqTransEncoder");
-    let (model, num_features) = encoder_sizes(&file, &input, &encoder, num_heads, path)?;
+    let (network, model, num_features) =
+        sequence_encoder(weights, "motion_encoder.", num_heads, path, device)?;
     if num_features != recipe.width() {
         return Err(Error::Encoder {
             problem: format!(
@@ -141,20 +149,85 @@ pub fn import_motion_encoder(
             ),
         });
     }
-    let mut network = SequenceEncoder::new(recipe.width(), &model, device);
-    from_safetensors(&mut network, weights, prefix, path)?;
-    let record = MotionEncoderRecord { model, features };
-    let files = [(
+    let mut files = Files::from([(
         tmr::MOTION_WEIGHTS.to_owned(),
         to_safetensors(&network, run_dir)?,
-    )];
+    )]);
+    let folder = texts.as_ref().map(|side| side.folder.to_owned());
+    let text = match texts {
+        None => None,
+        Some(side) => {
+            let (network, record) = text_side(side, num_heads, model.width, device)?;
+            let bytes = to_safetensors(&network, run_dir)?;
+            files.insert(tmr::TEXT_WEIGHTS.to_owned(), bytes);
+            Some(record)
+        }
+    };
+    let record = MotionEncoderRecord {
+        model,
+        features,
+        text,
+    };
     // Its features do not depend on the body.
     let skeleton = Skeleton::smplx_neutral();
     let run = Run::open(
         run_dir,
         &RunRecord::new(checkpoint::MOTION_KIND, "imported", &skeleton, record),
     )?;
-    run.write(Slot::Best, &files.into())
+    let copy = run_dir.join(tmr::TEXT_FOLDER);
+    if let Some(folder) = folder.filter(|_| !copy.exists()) {
+        unpack(&folder, &copy, device)?;
+    }
+    run.write(Slot::Best, &files)
+}
+
+/// One of TMR's encoders, its sizes, and the numbers of a step of its input. Lightning's checkpoints put `name` before the
+/// names of its tensors, extracted files do not.
+fn sequence_encoder(
+    weights: Vec<u8>,
+    name: &str,
+    num_heads: usize,
+    path: &Path,
+    device: &Device,
+) -> Result<(SequenceEncoder, NetworkConfig, usize), Error> {
+    let file = SafeTensors::deserialize(&weights).map_err(|e| Error::weights(path, e))?;
+    let is_named = file.names().iter().any(|tensor| tensor.starts_with(name));
+    let prefix = if is_named { name } else { "" };
+    let input = format!("{prefix}projection.weight");
+    let encoder = format!("{prefix}seqTransEncoder");
+    let (model, num_features) = encoder_sizes(&file, &input, &encoder, num_heads, path)?;
+    let mut network = SequenceEncoder::new(num_features, &model, device);
+    from_safetensors(&mut network, weights, prefix, path)?;
+    Ok((network, model, num_features))
+}
+
+/// The text side of TMR, and what is recorded of it. `latent` is the width of its motion side.
+fn text_side(
+    side: TextSide<'_>,
+    num_heads: usize,
+    latent: usize,
+    device: &Device,
+) -> Result<(SequenceEncoder, ImportedText), Error> {
+    let encoder = BertEncoder::load(&BertFiles::in_folder(side.folder)?, device)?;
+    let (network, model, width) =
+        sequence_encoder(side.weights, "text_encoder.", num_heads, side.path, device)?;
+    if width != encoder.width() || model.width != latent {
+        return Err(Error::Encoder {
+            problem: format!(
+                "has a text side that takes {width} numbers a token and gives {}; the states of {} have {}, and its \
+                 motion side gives {latent}",
+                model.width,
+                side.folder.display(),
+                encoder.width()
+            ),
+        });
+    }
+    let record = ImportedText {
+        model,
+        encoder_hash: encoder.identity(BertVectors::States),
+        width,
+    };
+    Ok((network, record))
 }
 
 /// Checks statistics that were read.

@@ -5,15 +5,22 @@ use std::fs;
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-use burn::tensor::Device;
+use burn::tensor::{Device, Tensor, TensorData};
+use datasets_spec::Seed;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde_json::{Value, json};
 use train::Error;
-use train::config::BertVectors;
+use train::checkpoint::Slot;
+use train::config::{BertVectors, NetworkConfig};
+use train::exchange::{TextSide, import_motion_encoder};
+use train::features::{FeatureRecipe, FeatureStats};
+use train::model::tmr::SequenceEncoder;
+use train::model::weights::{draw, to_safetensors};
 use train::text::bert::{BertEncoder, BertFiles};
 use train::text::package::unpack;
 use train::text::table::EmbeddingTable;
+use train::tmr::TmrEncoder;
 use zip::write::SimpleFileOptions;
 
 const VOCABULARY: &str = "[PAD]\n[UNK]\n[CLS]\n[SEP]\nraise\nthe\nleft\nright\narm\n##s\nwave\n";
@@ -441,4 +448,71 @@ fn a_table_holds_what_the_encoder_gives() {
             check(found, &encode(&encoder, text, vectors), text);
         }
     }
+}
+
+#[test]
+fn the_text_side_of_tmr_reads_the_states_of_its_network() {
+    let device = Device::flex();
+    let recipe = FeatureRecipe::HumanMl3d;
+    let model = NetworkConfig {
+        width: 8,
+        num_layers: 1,
+        num_heads: 2,
+        feed_forward: 12,
+        dropout: 0.0,
+    };
+    let drawn = |inputs: usize, seed: u64| {
+        let network = SequenceEncoder::new(inputs, &model, &device);
+        draw(network, Seed(seed)).expect("known layers")
+    };
+    let path = Path::new("last.safetensors");
+    let bytes = |network: &SequenceEncoder| to_safetensors(network, path).expect("saved");
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let distilbert = folder("distilbert", "distilbert.");
+    let run = dir.path().join("run");
+    let stats = FeatureStats {
+        recipe,
+        mean: vec![0.0; recipe.width()],
+        std: vec![1.0; recipe.width()],
+    };
+    let import = |run: &Path, text: &SequenceEncoder| {
+        let side = TextSide {
+            weights: bytes(text),
+            path,
+            folder: distilbert.path(),
+        };
+        let motions = bytes(&drawn(recipe.width(), 1));
+        import_motion_encoder(run, 2, stats.clone(), motions, path, Some(side), &device)
+    };
+    let error = import(&dir.path().join("other"), &drawn(WIDTH + 1, 2)).expect_err("too wide");
+    assert!(
+        error.to_string().contains("takes 5 numbers a token"),
+        "{error}"
+    );
+    let text = drawn(WIDTH, 2);
+    import(&run, &text).expect("imported");
+
+    // The run needs the folder no more.
+    let states = load(distilbert.path()).expect("loads");
+    let states = encode(&states, "raise the arm", BertVectors::States);
+    drop(distilbert);
+    let encoder = TmrEncoder::load(&run, Slot::Best, &device).expect("loads");
+    let codes = encoder
+        .encode_texts(&["wave", "raise the arm"])
+        .expect("encoded");
+    let length = states.len() / WIDTH;
+    let states = Tensor::<3>::from_data(TensorData::new(states, [1, length, WIDTH]), &device);
+    let expected = text.forward(states, &[length]).mu.into_data();
+    let expected: Vec<f32> = expected.try_into_vec_as().expect("floats");
+    check(&codes[1], &expected, "latent");
+    // A folder that was exchanged is noticed.
+    let copy = run.join("text_encoder");
+    write_weights(&copy, &weights("distilbert", ""));
+    TmrEncoder::load(&run, Slot::Best, &device).expect("the same weights without a prefix");
+    let mut other = weights("distilbert", "");
+    let words = other.get_mut("embeddings.word_embeddings.weight");
+    words.expect("words").1[0] = 3.0;
+    write_weights(&copy, &other);
+    let error = TmrEncoder::load(&run, Slot::Best, &device).expect_err("another network");
+    assert!(matches!(error, Error::Corrupt { .. }), "{error}");
 }

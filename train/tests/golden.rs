@@ -835,7 +835,15 @@ fn golden_tmr_is_imported_as_an_encoder_of_motions() {
         let import = |recipe: FeatureRecipe| {
             let heads = golden.size("num_heads");
             let path = Path::new("motion_encoder.pt");
-            import_motion_encoder(&run, heads, stats(recipe), bytes.clone(), path, &device)
+            import_motion_encoder(
+                &run,
+                heads,
+                stats(recipe),
+                bytes.clone(),
+                path,
+                None,
+                &device,
+            )
         };
         let problem = import(FeatureRecipe::MotionFix).expect_err("another recipe");
         assert!(problem.to_string().contains("135"), "{problem}");

@@ -14,15 +14,20 @@ use crate::Error;
 use crate::checkpoint::{
     self, Files, MOTION_KIND, RunRecord, Slot, read_for_use, read_kind, take, weights_hash,
 };
-use crate::config::NetworkConfig;
+use crate::config::{BertVectors, NetworkConfig};
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
 use crate::model::tmr::{SequenceEncoder, Tmr};
 use crate::model::weights::from_safetensors;
+use crate::text::bert::{BertEncoder, BertFiles};
 use crate::transfer::read;
 use crate::vocabulary::Vocabulary;
 
 /// Weights of a motion encoder trained elsewhere.
 pub(crate) const MOTION_WEIGHTS: &str = "motion_encoder.safetensors";
+
+/// Weights of a text side trained elsewhere, and the folder of the network whose states it reads.
+pub(crate) const TEXT_WEIGHTS: &str = "text_encoder.safetensors";
+pub(crate) const TEXT_FOLDER: &str = "text_encoder";
 
 /// Motions or texts encoded at a time.
 const ENCODE_BATCH: usize = 32;
@@ -35,6 +40,30 @@ pub struct MotionEncoderRecord {
     pub model: NetworkConfig,
     /// Features of a motion, and their normaliser.
     pub features: FeatureStats,
+    /// Its text side, if that was imported too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub text: Option<ImportedText>,
+}
+
+/// Record of a text side trained elsewhere.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImportedText {
+    /// Size of the transformer.
+    pub model: NetworkConfig,
+    /// Identity of the frozen network whose states it reads.
+    pub encoder_hash: String,
+    /// Numbers of a state.
+    pub width: usize,
+}
+
+/// What encodes texts.
+#[derive(Debug)]
+enum TextEncoding {
+    /// Words that were learned with the motion encoder.
+    Words(Box<(Tmr, Vocabulary)>),
+    /// Last hidden states of a frozen network, as in the released TMR.
+    States(Box<(SequenceEncoder, BertEncoder)>),
 }
 
 /// A trained encoder.
@@ -42,7 +71,7 @@ pub struct MotionEncoderRecord {
 pub struct TmrEncoder {
     motion_encoder: SequenceEncoder,
     /// The text encoder, if there is one.
-    texts: Option<(Tmr, Vocabulary)>,
+    texts: Option<TextEncoding>,
     features: FeatureStats,
     frame_stride: usize,
     /// Frames beyond this number are ignored.
@@ -98,7 +127,10 @@ impl TmrEncoder {
             motion_encoder: model.motion_encoder.clone(),
             frame_stride: config.frame_stride,
             max_frames: config.max_frames,
-            texts: Some((model, record.config.vocabulary)),
+            texts: Some(TextEncoding::Words(Box::new((
+                model,
+                record.config.vocabulary,
+            )))),
             features: record.config.features,
             dataset_hash: record.dataset_hash,
             hash,
@@ -108,11 +140,25 @@ impl TmrEncoder {
 
     fn load_motion(run_dir: &Path, device: &Device) -> Result<Self, Error> {
         let record: RunRecord<MotionEncoderRecord> = checkpoint::read_record(run_dir, MOTION_KIND)?;
-        let MotionEncoderRecord { model, features } = record.config.clone();
+        let MotionEncoderRecord {
+            model,
+            features,
+            text,
+        } = record.config.clone();
         model.check()?;
         let mut files = read_for_use(run_dir, Slot::Best, MOTION_KIND)?;
         let bytes = take(&mut files, MOTION_WEIGHTS, run_dir)?;
-        let hash = weights_hash(&record.config, &[&bytes]);
+        let text_bytes = match &text {
+            Some(_) => take(&mut files, TEXT_WEIGHTS, run_dir)?,
+            None => Vec::new(),
+        };
+        let hash = match &text {
+            Some(_) => weights_hash(&record.config, &[&bytes, &text_bytes]),
+            None => weights_hash(&record.config, &[&bytes]),
+        };
+        let texts = text
+            .map(|text| load_texts(&text, text_bytes, run_dir, device))
+            .transpose()?;
         let mut motion_encoder = SequenceEncoder::new(features.recipe.width(), &model, device);
         from_safetensors(
             &mut motion_encoder,
@@ -122,7 +168,7 @@ impl TmrEncoder {
         )?;
         Ok(Self {
             motion_encoder,
-            texts: None,
+            texts,
             features,
             frame_stride: 1,
             max_frames: usize::MAX,
@@ -208,26 +254,68 @@ impl TmrEncoder {
     /// The mean latent vector of each text, `[d]`.
     ///
     /// # Errors
-    /// The encoder was trained elsewhere, without its text encoder.
+    /// The encoder was imported without its text side, or a text cannot be cut into tokens.
     pub fn encode_texts(&self, texts: &[&str]) -> Result<Vec<Vec<f32>>, Error> {
-        let Some((model, vocabulary)) = &self.texts else {
+        let Some(encoding) = &self.texts else {
             return Err(Error::Encoder {
-                problem: "was imported and knows motions alone: the released text side stands on \
-                          DistilBERT, which this program has not"
-                    .to_owned(),
+                problem:
+                    "was imported without its text side and knows motions alone; import it with \
+                          --text-encoder, the folder of DistilBERT"
+                        .to_owned(),
             });
         };
-        Ok(texts
-            .chunks(ENCODE_BATCH)
-            .flat_map(|chunk| {
-                rows(
-                    model
-                        .encode_text(&vocabulary.encode_batch(chunk.iter().copied()))
-                        .mu,
-                )
-            })
-            .collect())
+        let mut codes = Vec::with_capacity(texts.len());
+        for chunk in texts.chunks(ENCODE_BATCH) {
+            let latent = match encoding {
+                TextEncoding::Words(words) => {
+                    let (model, vocabulary) = &**words;
+                    model.encode_text(&vocabulary.encode_batch(chunk.iter().copied()))
+                }
+                TextEncoding::States(states) => {
+                    let (network, encoder) = &**states;
+                    let states = encoder.encode(chunk, BertVectors::States)?;
+                    let (values, lengths) = padded(&states, encoder.width());
+                    network.forward(Tensor::from_data(values, &self.device), &lengths)
+                }
+            };
+            codes.extend(rows(latent.mu));
+        }
+        Ok(codes)
     }
+}
+
+/// Loads the text side of an imported encoder.
+fn load_texts(
+    record: &ImportedText,
+    weights: Vec<u8>,
+    run_dir: &Path,
+    device: &Device,
+) -> Result<TextEncoding, Error> {
+    let folder = run_dir.join(TEXT_FOLDER);
+    let encoder = BertEncoder::load(&BertFiles::in_folder(&folder)?, device)?;
+    if encoder.identity(BertVectors::States) != record.encoder_hash {
+        return Err(Error::Corrupt {
+            path: folder,
+            detail: "it holds another text encoder than the one that was imported".to_owned(),
+        });
+    }
+    let mut network = SequenceEncoder::new(record.width, &record.model, device);
+    from_safetensors(&mut network, weights, "", &run_dir.join(TEXT_WEIGHTS))?;
+    Ok(TextEncoding::States(Box::new((network, encoder))))
+}
+
+/// States of texts as one array `[B, T, d]`, zero past the end of a text, and the tokens of each.
+fn padded(states: &[Vec<f32>], width: usize) -> (TensorData, Vec<usize>) {
+    let longest = states.iter().map(Vec::len).max().unwrap_or(0);
+    let mut values = Vec::with_capacity(states.len() * longest);
+    for row in states {
+        let filled = values.len() + longest;
+        values.extend_from_slice(row);
+        values.resize(filled, 0.0);
+    }
+    let lengths = states.iter().map(|row| row.len() / width).collect();
+    let shape = [states.len(), longest / width, width];
+    (TensorData::new(values, shape), lengths)
 }
 
 fn rows(tensor: Tensor<2>) -> Vec<Vec<f32>> {

@@ -7,7 +7,7 @@ mod task;
 
 pub use self::clips::CaptionedMotion;
 pub use self::config::{LossWeights, TmrConfig};
-pub(crate) use self::encoder::MOTION_WEIGHTS;
-pub use self::encoder::{MotionEncoderRecord, TmrEncoder};
+pub use self::encoder::{ImportedText, MotionEncoderRecord, TmrEncoder};
+pub(crate) use self::encoder::{MOTION_WEIGHTS, TEXT_FOLDER, TEXT_WEIGHTS};
 pub(crate) use self::task::KIND;
 pub use self::task::{TmrCorpus, TmrRecord, train_tmr};
