@@ -727,7 +727,7 @@ fn plans_of_the_program_can_be_followed() {
     let listed: Vec<String> = stance(&["--json", "reproduce", "--list"])
         .expect_code(0)
         .json();
-    assert_eq!(listed.len(), 21);
+    assert_eq!(listed.len(), 22);
     for name in listed {
         let ran = stance(&["reproduce", &name, "--dry-run"]).expect_code(0);
         assert!(ran.stdout.lines().count() > 1, "{name}: {}", ran.stdout);

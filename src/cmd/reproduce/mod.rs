@@ -89,6 +89,7 @@ const PLANS: &[(&str, &str)] = plans![
     "real-small-choices",
     "real-small-text",
     "real-few",
+    "wording",
 ];
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
