@@ -1,10 +1,13 @@
 //! The command line: the verbs, and what runs for each.
 
+use std::ffi::OsString;
+
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::cmd;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::itself::Itself;
 
 /// Notes on URLs, and on failures for scripts.
 const NOTES: &str = "A dataset or source may be a URL: s3://BUCKET/PATH, gs://, az://, and for reading http://, https:// \
@@ -54,12 +57,12 @@ pub(crate) struct Cli {
 }
 
 impl Cli {
-    /// Parses the words of this process.
+    /// Parses a command line, whose first word is the name of the program.
     ///
     /// # Errors
-    /// They are no command line; or ask for help, which is printed as an error.
-    pub(crate) fn of_process() -> Result<Self, clap::Error> {
-        let matches = grouped(Self::command()).try_get_matches()?;
+    /// It is none; or it asks for help, which is printed as an error.
+    pub(crate) fn of_words(words: &[OsString]) -> Result<Self, clap::Error> {
+        let matches = grouped(Self::command()).try_get_matches_from(words)?;
         Self::from_arg_matches(&matches)
     }
 
@@ -69,7 +72,7 @@ impl Cli {
     }
 
     /// Runs the verb.
-    pub(crate) fn run(&self) -> anyhow::Result<Exit> {
+    pub(crate) fn run(&self, itself: Itself<'_>) -> anyhow::Result<Exit> {
         let global = &self.global;
         global.start()?;
         match &self.command {
@@ -82,7 +85,7 @@ impl Cli {
             Command::Ingest(args) => cmd::ingest::run(args, global),
             Command::Inspect(args) => cmd::inspect::run(args, global),
             Command::Verify(args) => cmd::verify::run(args, global),
-            Command::Stage(args) => cmd::stage::run(args, global),
+            Command::Stage(args) => cmd::stage::run(args, global, itself),
             Command::Query(args) => cmd::query::run(args, global),
             Command::Stats(args) => cmd::stats::run(args, global),
             Command::Export(args) => cmd::export::run(args, global),

@@ -1,7 +1,6 @@
 //! Exit codes. Scripts rely on them.
 
 use std::error::Error as StdError;
-use std::process::ExitCode;
 
 /// How a command ended. A command line that cannot be parsed exits with 2 before any command runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -105,11 +104,5 @@ impl Exit {
             Self::Locked => 75,
             Self::Interrupted => 130,
         }
-    }
-}
-
-impl From<Exit> for ExitCode {
-    fn from(exit: Exit) -> ExitCode {
-        ExitCode::from(exit.code())
     }
 }

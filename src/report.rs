@@ -30,6 +30,12 @@ pub(crate) fn failure(failure: &Failure) {
     text(&document);
 }
 
+/// Writes what the buffer of stdout still holds.
+pub(crate) fn flush() {
+    // A closed pipe is not an error here either.
+    let _flushed = std::io::stdout().flush();
+}
+
 /// Prints a note to stderr.
 pub(crate) fn note(text: &str) {
     eprintln!("{}", printable(text));

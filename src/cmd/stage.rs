@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{ExitStatus, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context, bail};
@@ -18,6 +18,7 @@ use crate::cmd;
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::itself::Itself;
 use crate::report;
 use crate::session::surroundings;
 use crate::stages::per_window;
@@ -137,10 +138,10 @@ fn parse_size(text: &str) -> Result<u64, String> {
         .ok_or_else(|| format!("expected a size such as 4GB or 512MB, got {text:?}"))
 }
 
-pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+pub(crate) fn run(args: &Args, global: &Global, itself: Itself<'_>) -> anyhow::Result<Exit> {
     match &args.action {
         Action::Plan(args) => plan(args, global),
-        Action::Work(args) => work(args, global),
+        Action::Work(args) => work(args, global, itself),
         Action::Commit(args) => commit(args, global),
         Action::Status(args) => status(args, global),
     }
@@ -279,7 +280,7 @@ fn say(
     Ok(Exit::Done)
 }
 
-fn work(args: &WorkArgs, global: &Global) -> anyhow::Result<Exit> {
+fn work(args: &WorkArgs, global: &Global, itself: Itself<'_>) -> anyhow::Result<Exit> {
     #[cfg(unix)]
     if let (Some(bytes), false) = (args.memory, args.isolate) {
         rlimit::setrlimit(rlimit::Resource::AS, bytes, bytes)
@@ -293,7 +294,7 @@ fn work(args: &WorkArgs, global: &Global) -> anyhow::Result<Exit> {
     progress.begin("work", Some(ids.len() as u64));
     for id in &ids {
         let record = match args.isolate {
-            true => isolated(args, &worker, id, global),
+            true => isolated(args, &worker, id, global, itself),
             false => worker.make(id),
         };
         match record.outcome {
@@ -363,9 +364,15 @@ fn chosen(args: &WorkArgs, plan: &Plan) -> anyhow::Result<Vec<String>> {
 }
 
 /// Makes a piece in a process of its own.
-fn isolated(args: &WorkArgs, worker: &Worker, id: &str, global: &Global) -> Record {
+fn isolated(
+    args: &WorkArgs,
+    worker: &Worker,
+    id: &str,
+    global: &Global,
+    itself: Itself<'_>,
+) -> Record {
     let begun = Instant::now();
-    let failed = match child(args, id, global) {
+    let failed = match child(args, id, global, itself) {
         Ok((Some(record), _)) => return record,
         Ok((None, status)) => Failed::new("E-CRASH", ended(status)),
         Err(error) => Failed::new("E-IO", format!("cannot start a process: {error}")),
@@ -380,8 +387,9 @@ fn child(
     args: &WorkArgs,
     id: &str,
     global: &Global,
+    itself: Itself<'_>,
 ) -> std::io::Result<(Option<Record>, ExitStatus)> {
-    let mut command = Command::new(std::env::current_exe()?);
+    let mut command = itself()?;
     command.args(["--json", "--no-progress"]);
     if let Some(threads) = global.threads() {
         command.args(["--threads", &threads.to_string()]);

@@ -80,7 +80,7 @@ fn modules(folder: &Path, at: &Module, found: &mut BTreeMap<Module, PathBuf>) {
         if path.is_dir() {
             modules(&path, &child, found);
         } else if path.extension().is_some_and(|extension| extension == "rs") && stem != "tests" {
-            let is_own = ["lib", "main", "mod"].contains(&stem.as_str());
+            let is_own = ["lib", "mod"].contains(&stem.as_str());
             found.insert(if is_own { at.clone() } else { child }, path);
         }
     }

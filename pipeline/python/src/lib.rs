@@ -1,10 +1,11 @@
-//! The compiled half of the Python package `stance`.
+//! The compiled half of the Python package `stance`, and the command.
 //!
 //! It holds what is fast and exact: reading datasets, forward kinematics, features, MotionCutMix, scores. What is
 //! plain Python (tables of pyarrow, batches for PyTorch, the words of the documentation) is in `python/stance`.
 //!
 //! Every function that takes more than a moment releases Python's lock, and ends on Ctrl-C.
 
+mod command;
 mod dataset;
 mod error;
 mod evaluate;
@@ -18,6 +19,8 @@ mod work;
 /// The module that `python/stance` imports from.
 #[pyo3::pymodule]
 mod _native {
+    #[pymodule_export]
+    use super::command::main;
     #[pymodule_export]
     use super::dataset::{Dataset, Item};
     #[pymodule_export]

@@ -1,0 +1,20 @@
+"""The command ``stance``: its script, and ``python -m stance``."""
+
+import signal
+import sys
+
+from . import _native
+
+
+def main() -> int:
+    """Runs the command line of this process and returns its exit code."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # Python's handler only sets a flag, which nobody looks at while Rust works. A signal that is ignored, as under
+        # nohup, stays ignored.
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)
+    return _native.main(["stance", *sys.argv[1:]], sys.executable)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,82 @@
+//! The `stance` command: parse, dispatch, render. The work is done by the library crates.
+//!
+//! It is a library for two programs: `main.rs`, and the Python package, which brings the same command.
+
+mod chosen;
+mod cli;
+mod cmd;
+mod device;
+mod evaluators;
+mod exit;
+mod failure;
+mod global;
+mod itself;
+mod judge;
+mod local;
+mod progress;
+mod report;
+mod seeds;
+mod session;
+mod settings;
+mod stages;
+mod test_set;
+mod trainings;
+
+use std::ffi::OsString;
+
+use cli::Cli;
+use exit::Exit;
+use failure::Failure;
+pub use itself::Itself;
+
+/// Exit code of usage errors.
+const USAGE: u8 = 2;
+
+/// Runs a command line, whose first word is the name of the program, and returns its exit code.
+pub fn run(words: impl IntoIterator<Item = OsString>, itself: Itself<'_>) -> u8 {
+    let words: Vec<OsString> = words.into_iter().collect();
+    let code = run_words(&words, itself);
+    // A program in Rust does so when it ends; Python knows nothing of this buffer.
+    report::flush();
+    code
+}
+
+fn run_words(words: &[OsString], itself: Itself<'_>) -> u8 {
+    let texts: Vec<String> = words
+        .iter()
+        .map(|word| word.to_string_lossy().into_owned())
+        .collect();
+    let has_json = texts.iter().any(|word| word == "--json");
+    if device::is_list_asked(&texts) {
+        return match device::print_list(has_json) {
+            Ok(exit) => exit.code(),
+            Err(error) => {
+                report::error(&error);
+                Exit::of_error(&error).code()
+            }
+        };
+    }
+    let cli = match Cli::of_words(words) {
+        Ok(cli) => cli,
+        Err(error) => {
+            // The command line did not parse, so --json is looked for among its words.
+            if has_json && error.use_stderr() {
+                report::failure(&Failure::of_usage(&error));
+            }
+            // A closed pipe is not an error.
+            let _printed = error.print();
+            return if error.use_stderr() { USAGE } else { 0 };
+        }
+    };
+    let registered = remote_store::register().map_err(anyhow::Error::from);
+    match registered.and_then(|()| cli.run(itself)) {
+        Ok(exit) => exit.code(),
+        Err(error) => {
+            report::error(&error);
+            if cli.json() {
+                report::failure(&Failure::of_error(&error));
+            }
+            Exit::of_error(&error).code()
+        }
+    }
+}
