@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from . import _native
+from stance import _native
 
 
 def main() -> int:
@@ -13,7 +13,8 @@ def main() -> int:
         # nohup, stays ignored.
         if callable(signal.getsignal(number)):
             signal.signal(number, signal.SIG_DFL)
-    return _native.main(["stance", *sys.argv[1:]], sys.executable)
+    # This file and not `-m stance`, which would find a `stance.py` in the working folder first.
+    return _native.main(["stance", *sys.argv[1:]], sys.executable, __file__)
 
 
 if __name__ == "__main__":

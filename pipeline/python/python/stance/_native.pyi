@@ -18,8 +18,8 @@ KEYPOINT_JOINTS: list[int]
 KEYPOINT_PARENTS: list[int]
 """The keypoint above each of the 28; -1 for the pelvis."""
 
-def main(words: Sequence[str], python: str) -> int:
-    """Runs a command line, whose first word is the name of the program; its exit code. ``python`` starts it again."""
+def main(words: Sequence[str], python: str, script: str) -> int:
+    """Runs a command line, whose first word is the program; its exit code. ``python script`` starts it again."""
 
 class Motion:
     """A motion of ``L`` frames as SMPL-X parameters, y up, in metres and radians, and the skeleton it drives."""
