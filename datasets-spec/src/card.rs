@@ -1,9 +1,9 @@
 //! The card of a dataset, for people and for the Hugging Face `datasets` library, which reads its YAML header.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use crate::Split;
-use crate::license::{is_non_commercial, licenses, warning};
+use crate::license::{hub_header, is_non_commercial, licenses, warning};
 use crate::manifest::{Manifest, SPLIT_BY_FACT};
 
 /// Name of the file.
@@ -12,14 +12,12 @@ pub(crate) const FILE: &str = "README.md";
 /// The library's split name for tables without splits. It reserves `all`.
 const WITHOUT_SPLIT: &str = "rows";
 
-/// Families of SPDX identifiers that the hub knows.
-const KNOWN_TO_HUB: [&str; 5] = ["CC-BY", "CC0-1.0", "MIT", "Apache-2.0", "BSD-"];
-
 /// The card of a dataset. It follows from the manifest alone.
 pub(crate) fn text(manifest: &Manifest) -> String {
     let mut text = String::from("---\npretty_name: Motion dataset\ntags:\n- motion\n- smpl-x\n");
-    text += &license_header(manifest);
+    text += &hub_header(&licenses(manifest));
     text += "configs:\n";
+    let main = main_table(manifest);
     for (table, files) in &manifest.tables {
         let mut splits: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
         for file in files.iter().filter(|file| file.rows > 0) {
@@ -30,7 +28,7 @@ pub(crate) fn text(manifest: &Manifest) -> String {
             continue;
         }
         text += &format!("- config_name: {table}\n");
-        if table == "motions" {
+        if table == main {
             text += "  default: true\n";
         }
         text += "  data_files:\n";
@@ -54,11 +52,38 @@ pub(crate) fn text(manifest: &Manifest) -> String {
     }
     text += &sources(manifest);
     text += &license_table(manifest);
-    text += "\n## Loading\n\n```python\nfrom datasets import load_dataset\n\n\
-             motions = load_dataset(\"PATH\", \"motions\", split=\"train\").with_format(\"numpy\")\n\
-             motions[0][\"body_pose\"]  # (frames, 63), axis-angle in radians\n```\n";
+    text += &loading(manifest, main);
     text += &format!("\nRoot hash: `{}`\n", manifest.root_hash);
     text
+}
+
+/// The table that a reader gets who names none: the motions, else the edits, else the first one with rows.
+fn main_table(manifest: &Manifest) -> &str {
+    let has_rows = |table: &&str| manifest.rows(table, None) > 0;
+    let mut tables = manifest.tables.keys().map(String::as_str);
+    ["motions", "edits"]
+        .into_iter()
+        .find(has_rows)
+        .or_else(|| tables.find(has_rows))
+        .unwrap_or("motions")
+}
+
+/// How Python reads the dataset.
+fn loading(manifest: &Manifest, main: &str) -> String {
+    let files = manifest.tables.get(main).into_iter().flatten();
+    let split = files
+        .filter(|file| file.rows > 0)
+        .map(|file| file.split.map_or(WITHOUT_SPLIT, Split::as_str))
+        .find(|split| main != "motions" || *split == Split::Train.as_str())
+        .unwrap_or(Split::Train.as_str());
+    let example = match main {
+        "motions" => "\nmotions[0][\"body_pose\"]  # (frames, 63), axis-angle in radians",
+        _ => "",
+    };
+    format!(
+        "\n## Loading\n\n```python\nfrom datasets import load_dataset\n\n\
+         {main} = load_dataset(\"PATH\", \"{main}\", split=\"{split}\").with_format(\"numpy\"){example}\n```\n"
+    )
 }
 
 fn tables(manifest: &Manifest) -> String {
@@ -70,26 +95,6 @@ fn tables(manifest: &Manifest) -> String {
         text += &format!("| {table} | {train} | {val} | {test} | {rows} |\n");
     }
     text
-}
-
-/// Licences by the names of the Hugging Face hub, which are SPDX identifiers in lower case.
-fn license_header(manifest: &Manifest) -> String {
-    let names: BTreeSet<String> = licenses(manifest)
-        .keys()
-        .flat_map(|tag| tag.split(" AND "))
-        .map(|tag| match tag {
-            "" => "unknown".to_owned(),
-            tag if KNOWN_TO_HUB.iter().any(|family| tag.starts_with(family)) => tag.to_lowercase(),
-            _ => "other".to_owned(),
-        })
-        .collect();
-    match names.len() {
-        0 => String::new(),
-        _ => {
-            let lines = names.iter().map(|name| format!("- {name}\n"));
-            format!("license:\n{}", lines.collect::<String>())
-        }
-    }
 }
 
 /// Clips by licence, and what follows from a mixture of them.

@@ -1,6 +1,6 @@
 //! Licences of motions, by their tags.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use crate::Error;
@@ -16,6 +16,38 @@ pub fn is_non_commercial(tag: &str) -> bool {
     let tag = tag.to_lowercase();
     let mut parts = tag.split(|c: char| !c.is_ascii_alphanumeric());
     parts.any(|part| matches!(part, "nc" | "noncommercial")) || tag.contains("non-commercial")
+}
+
+/// Whether a licence keeps most people from passing motions on as they are stored here, by its tag: the research licences
+/// of motion collections, which are named by references, and Creative Commons without derivatives, as motions were
+/// retargeted and resampled.
+pub fn is_restricted(tag: &str) -> bool {
+    let mut parts = tag.split(|c: char| !c.is_ascii_alphanumeric());
+    parts.any(|part| matches!(part, "LicenseRef" | "ND"))
+}
+
+/// Families of SPDX identifiers that the Hugging Face hub knows.
+const KNOWN_TO_HUB: [&str; 5] = ["CC-BY", "CC0-1.0", "MIT", "Apache-2.0", "BSD-"];
+
+/// The entry `license` of a card's header: the names of the Hugging Face hub, which are SPDX identifiers in lower case.
+/// Empty without licences.
+pub fn hub_header(licenses: &BTreeMap<String, u64>) -> String {
+    let names: BTreeSet<String> = licenses
+        .keys()
+        .flat_map(|tag| tag.split(" AND "))
+        .map(|tag| match tag {
+            "" => "unknown".to_owned(),
+            tag if KNOWN_TO_HUB.iter().any(|family| tag.starts_with(family)) => tag.to_lowercase(),
+            _ => "other".to_owned(),
+        })
+        .collect();
+    match names.len() {
+        0 => String::new(),
+        _ => {
+            let lines = names.iter().map(|name| format!("- {name}\n"));
+            format!("license:\n{}", lines.collect::<String>())
+        }
+    }
 }
 
 /// Clips by licence tag. Nothing, if the dataset was made before licences were counted.
@@ -70,6 +102,20 @@ pub fn warning(licenses: &BTreeMap<String, u64>) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn licences_that_restrict_passing_on_are_known() {
+        for tag in [
+            "LicenseRef-AMASS-NonCommercial",
+            "MIT AND LicenseRef-SMPL-NonCommercial",
+            "CC-BY-NC-ND-4.0",
+        ] {
+            assert!(is_restricted(tag), "{tag}");
+        }
+        for tag in ["", "CC-BY-NC-SA-4.0", "CC0-1.0", "MIT", "BSD-3-Clause"] {
+            assert!(!is_restricted(tag), "{tag}");
+        }
+    }
 
     #[test]
     fn a_mixture_with_non_commercial_sources_is_said() {

@@ -16,6 +16,9 @@ pub enum Error {
         /// What is wrong with it.
         problem: String,
     },
+    /// A file of the hub cannot be fetched, or is damaged.
+    #[error(transparent)]
+    Hub(#[from] remote_store::hub::Error),
     /// The motions to train on do not give what the model learns from.
     #[error(transparent)]
     Compose(#[from] compose::Error),
@@ -296,32 +299,6 @@ pub enum Error {
         /// Names it may have.
         names: &'static [&'static str],
     },
-    /// A download failed.
-    #[error(
-        "cannot download {address} ({problem}); run again to go on where it stopped, or download \
-         it by hand and name its folder"
-    )]
-    Download {
-        /// What was asked for.
-        address: String,
-        /// What happened.
-        problem: String,
-    },
-    /// A downloaded file is not what its checksum says.
-    #[error(
-        "{} is damaged ({name} expected {expected}, found {found}); delete it and download it again",
-        path.display()
-    )]
-    Checksum {
-        /// The file.
-        path: PathBuf,
-        /// Kind of checksum.
-        name: &'static str,
-        /// What it should be.
-        expected: String,
-        /// What it is.
-        found: String,
-    },
     /// A file is no tokenizer of a text encoder.
     #[error(
         "{} is no tokenizer of the text encoder ({detail}); give its tokenizer.json, or of CLIP \
@@ -379,6 +356,7 @@ impl Error {
             Self::Spec(error) => error.code(),
             Self::Work(error) => error.code(),
             Self::Compose(error) => error.code(),
+            Self::Hub(error) => error.code(),
             _ => None,
         }
     }

@@ -4,11 +4,12 @@
 //! `http://`, `https://` and `hf://`. A program calls [`register`] once; from then on every path that is a URL
 //! is served here. Credentials and endpoints come from the environment, as the format document says.
 //! Requests are asynchronous and run on a runtime of this crate; its callers block until they are answered.
+//! [`hub`] is the client of the Hugging Face hub, which is blocking by itself.
 
 mod cache;
 mod client;
 mod file;
-mod hub;
+pub mod hub;
 mod place;
 mod remote;
 mod settings;

@@ -12,7 +12,7 @@ use object_store::ObjectStore;
 use crate::cache::Cache;
 use crate::client::{Client, Got, MAX_REQUEST};
 use crate::file::RemoteFile;
-use crate::hub::{HubCache, beside};
+use crate::hub::{HubCache, beside, dataset_path};
 use crate::place::{Place, Scheme};
 use crate::settings::Settings;
 
@@ -21,7 +21,7 @@ use crate::settings::Settings;
 pub struct Remote {
     retries: usize,
     cache: Option<Arc<Cache>>,
-    hub: HubCache,
+    hub: Option<HubCache>,
     /// Clients by scheme and bucket.
     clients: Mutex<BTreeMap<String, Client>>,
     /// What is known of files that do not change while this process reads them.
@@ -45,7 +45,7 @@ impl Remote {
         Self {
             retries: settings.retries,
             cache: cache.map(|(folder, bytes)| Arc::new(Cache::new(folder, *bytes))),
-            hub: HubCache::new(settings.hub),
+            hub: settings.hub,
             ..Self::default()
         }
     }
@@ -75,7 +75,7 @@ impl Remote {
     fn find(&self, path: &Path) -> io::Result<Found> {
         let place = Place::parse(path)?;
         if place.scheme == Scheme::Hub {
-            return self.hub.path(&place).map(Found::Local);
+            return dataset_path(self.hub.as_ref(), &place).map(Found::Local);
         }
         let client = self.client(&place)?;
         Ok(Found::Remote(place, client))

@@ -14,7 +14,7 @@ pub struct Settings {
     /// How often a request that fails for a time is repeated.
     pub retries: usize,
     /// Where Hugging Face's tools keep datasets, if anywhere.
-    pub hub: Option<PathBuf>,
+    pub hub: Option<HubCache>,
 }
 
 /// Bytes of the cache, unless the environment says otherwise.
@@ -61,7 +61,7 @@ impl Settings {
         Ok(Self {
             cache: cache.filter(|_| size > 0).map(|folder| (folder, size)),
             retries,
-            hub: HubCache::folder_of(folder),
+            hub: HubCache::from_variables(&variable),
         })
     }
 }

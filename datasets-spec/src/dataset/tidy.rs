@@ -19,6 +19,14 @@ use crate::manifest::Manifest;
 use crate::store::{aside, write_atomically};
 use crate::{Error, card, croissant};
 
+/// The files in a dataset's root that describe it, which follow from its manifest: names and texts.
+pub fn descriptions(manifest: &Manifest) -> [(&'static str, String); 2] {
+    [
+        (card::FILE, card::text(manifest)),
+        (croissant::FILE, croissant::text(manifest)),
+    ]
+}
+
 /// What [`Transaction::prune`] removed.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Pruned {
@@ -85,10 +93,7 @@ impl Transaction {
     /// removes what no version names.
     pub(super) fn settle(&self, manifest: &Manifest) -> Result<(), Error> {
         self.arrange(manifest)?;
-        for (name, text) in [
-            (card::FILE, card::text(manifest)),
-            (croissant::FILE, croissant::text(manifest)),
-        ] {
+        for (name, text) in descriptions(manifest) {
             let path = self.root.join(name);
             // An unreadable file is rewritten like one that differs.
             if self.store.read(&path).ok().as_deref() == Some(text.as_bytes()) {

@@ -1,11 +1,18 @@
 //! Downloads from a server of a few lines on this machine.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader};
+use std::ffi::OsString;
+use std::fs;
+use std::io::{self, BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
+use sha1::Sha1;
+use sha2::{Digest, Sha256};
+
+use super::checksum::hex;
 use super::*;
 
 const REPO: &str = "owner/model";
@@ -13,18 +20,18 @@ const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
 
 /// A file as the server gives it.
 #[derive(Clone)]
-pub(crate) struct Served {
-    pub(crate) content: Vec<u8>,
+struct Served {
+    content: Vec<u8>,
     /// Checksum the server claims.
-    pub(crate) etag: String,
+    etag: String,
     /// Bytes of an answer's body after which the server hangs up.
-    pub(crate) cut: Option<usize>,
+    cut: Option<usize>,
     /// Whether it can start in the middle.
-    pub(crate) ranges: bool,
+    ranges: bool,
 }
 
 impl Served {
-    pub(crate) fn large(content: &[u8]) -> Self {
+    fn large(content: &[u8]) -> Self {
         Self {
             content: content.to_vec(),
             etag: hex(&Sha256::digest(content)),
@@ -33,7 +40,7 @@ impl Served {
         }
     }
 
-    pub(crate) fn small(content: &[u8]) -> Self {
+    fn small(content: &[u8]) -> Self {
         let head = format!("blob {}\0", content.len());
         let hash = Sha1::new().chain_update(head).chain_update(content);
         Self {
@@ -44,11 +51,11 @@ impl Served {
 }
 
 /// Requests a server has answered: method, path and range.
-pub(crate) type Log = Arc<Mutex<Vec<String>>>;
+type Log = Arc<Mutex<Vec<String>>>;
 
 /// Starts a server; it ends with the test process. Large files are given from another place, and
 /// small ones are described at another place, as the public server does.
-pub(crate) fn serve(files: BTreeMap<&'static str, Served>) -> (Hub, Log) {
+fn serve(files: BTreeMap<&'static str, Served>) -> (Hub, Log) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("bound");
     let log = Log::default();

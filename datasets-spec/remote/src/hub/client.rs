@@ -1,0 +1,360 @@
+//! Requests to the hub, and to the storage that it names.
+
+use std::ffi::OsString;
+use std::fmt;
+use std::fs;
+use std::io::Read;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use serde_json::Value;
+use ureq::http::{HeaderMap, Response, StatusCode, header};
+use ureq::{Agent, Body, Proxy, RequestBuilder, SendBody};
+
+use super::error::Error;
+
+/// The public server. Answers of other servers may name it where they mean themselves.
+const ENDPOINT: &str = "https://huggingface.co";
+/// The branch that is followed where none is named.
+pub(super) const BRANCH: &str = "main";
+/// Maximum number of redirects followed.
+pub(super) const MAX_REDIRECTS: u32 = 5;
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(30);
+/// Read timeout.
+const READ_TIMEOUT: Duration = Duration::from_secs(60);
+/// Time in which a commit of many files, or the assembly of a large file, is answered.
+const COMMIT_TIMEOUT: Duration = Duration::from_secs(600);
+/// Maximum bytes of an answer: a page of a listing, or the places of a thousand parts.
+const MAX_ANSWER_LEN: u64 = 64 << 20;
+/// Characters of a server's message that an error repeats.
+const MAX_MESSAGE_LEN: usize = 300;
+/// Content type of most calls.
+pub(super) const JSON: &str = "application/json";
+
+/// A server of repos.
+#[derive(Clone)]
+pub struct Hub {
+    endpoint: String,
+    token: Option<String>,
+    agent: Agent,
+}
+
+impl fmt::Debug for Hub {
+    /// Leaves out the token.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Hub")
+            .field("endpoint", &self.endpoint)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Hub {
+    /// The server at `endpoint`, reached directly and without a token.
+    pub fn at(endpoint: &str) -> Self {
+        Self::through(endpoint, None)
+    }
+
+    /// The server, and the proxy to it, that the variables `HF_ENDPOINT`, `HTTPS_PROXY` and
+    /// `ALL_PROXY` name; without them the public server, reached directly. The caller passes the
+    /// environment in. There is no token: a wrong one would be refused where none is needed.
+    ///
+    /// # Errors
+    /// A variable does not name a proxy.
+    pub fn from_variables(variable: impl Fn(&str) -> Option<OsString>) -> Result<Self, Error> {
+        let text = |name: &str| {
+            variable(name)
+                .map(|value| value.to_string_lossy().into_owned())
+                .filter(|value| !value.is_empty())
+        };
+        let endpoint = text("HF_ENDPOINT").unwrap_or_else(|| ENDPOINT.to_owned());
+        let proxy = ["HTTPS_PROXY", "https_proxy", "ALL_PROXY", "all_proxy"]
+            .into_iter()
+            .find_map(text)
+            .map(|address| {
+                Proxy::new(&address).map_err(|error| Error::Proxy {
+                    variable: "HTTPS_PROXY",
+                    problem: error.to_string(),
+                })
+            })
+            .transpose()?;
+        Ok(Self::through(&endpoint, proxy))
+    }
+
+    /// The same server with a token, which it alone is told: neither the storage that it names nor a place that it
+    /// redirects to.
+    #[must_use]
+    pub fn with_token(self, token: Option<String>) -> Self {
+        Self { token, ..self }
+    }
+
+    fn through(endpoint: &str, proxy: Option<Proxy>) -> Self {
+        let config = Agent::config_builder()
+            .proxy(proxy)
+            .http_status_as_error(false)
+            .max_redirects(0)
+            .max_redirects_will_error(false)
+            .timeout_connect(Some(CONNECT_TIMEOUT))
+            .timeout_recv_response(Some(READ_TIMEOUT))
+            .timeout_per_read(Some(READ_TIMEOUT))
+            .user_agent(concat!("stance/", env!("CARGO_PKG_VERSION")))
+            .build();
+        Self {
+            endpoint: endpoint.trim_end_matches('/').to_owned(),
+            token: None,
+            agent: config.into(),
+        }
+    }
+
+    /// The address of the server.
+    pub fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    /// Whether there is a token.
+    pub fn has_token(&self) -> bool {
+        self.token.is_some()
+    }
+
+    /// Where a file of a repo is downloaded from. `repo` is its path on the server.
+    pub(super) fn address(&self, repo: &str, revision: &str, file: &str) -> String {
+        let (revision, file) = (quoted(revision, ""), quoted(file, "/"));
+        format!("{}/{repo}/resolve/{revision}/{file}", self.endpoint)
+    }
+
+    /// An address that an answer names, on this server where it means the public one.
+    pub(super) fn here(&self, address: &str) -> String {
+        match address.strip_prefix(ENDPOINT) {
+            Some(rest) => format!("{}{rest}", self.endpoint),
+            None => address.to_owned(),
+        }
+    }
+
+    /// Whether an address is on this server, which may know the token.
+    fn is_own(&self, address: &str) -> bool {
+        origin_of(address) == origin_of(&self.endpoint)
+    }
+
+    fn authorized<B>(&self, request: RequestBuilder<B>, address: &str) -> RequestBuilder<B> {
+        match &self.token {
+            Some(token) if self.is_own(address) => {
+                request.header(header::AUTHORIZATION, format!("Bearer {token}"))
+            }
+            _ => request,
+        }
+    }
+
+    /// The answer to a question about a file, without its redirect followed.
+    pub(super) fn head(&self, address: &str) -> Result<Response<Body>, String> {
+        let request = self.authorized(self.agent.head(address), address);
+        request.call().map_err(|error| error.to_string())
+    }
+
+    /// A document or file from a byte on. Redirects are followed here, so that each place is told the token only if
+    /// it is on this server.
+    pub(super) fn get(&self, address: &str, from: u64) -> Result<Response<Body>, String> {
+        let mut address = address.to_owned();
+        for _ in 0..=MAX_REDIRECTS {
+            let request = self.authorized(self.agent.get(&address), &address);
+            let request = match from {
+                0 => request,
+                from => request.header(header::RANGE, format!("bytes={from}-")),
+            };
+            let response = request.call().map_err(|error| error.to_string())?;
+            match redirect(&address, &response) {
+                Some(place) => address = place,
+                None => return Ok(response),
+            }
+        }
+        Err("the server redirects without end".to_owned())
+    }
+
+    /// The answer to a question.
+    pub(super) fn ask(&self, address: &str) -> Result<Answer, Error> {
+        let response = self
+            .get(address, 0)
+            .map_err(|problem| failed(address, problem))?;
+        self.answer(address, response)
+    }
+
+    /// The answer to a call with a body of a content type.
+    pub(super) fn post(&self, address: &str, kind: &str, body: &[u8]) -> Result<Answer, Error> {
+        // What is no JSON of its own kind is answered by plain JSON.
+        let accepted = if kind.ends_with("+json") { kind } else { JSON };
+        let request = self
+            .authorized(self.agent.post(address), address)
+            .header(header::CONTENT_TYPE, kind)
+            .header(header::ACCEPT, accepted)
+            .config()
+            .timeout_recv_response(Some(COMMIT_TIMEOUT))
+            .timeout_per_read(Some(COMMIT_TIMEOUT))
+            .build();
+        let response = request
+            .send(body)
+            .map_err(|error| failed(address, error.to_string()))?;
+        self.answer(address, response)
+    }
+
+    fn answer(&self, address: &str, response: Response<Body>) -> Result<Answer, Error> {
+        let (parts, mut body) = response.into_parts();
+        let text = body
+            .with_config()
+            .limit(MAX_ANSWER_LEN)
+            .read_to_vec()
+            .map_err(|error| failed(address, error.to_string()))?;
+        Ok(Answer {
+            address: without_query(address),
+            is_authorized: self.has_token() && self.is_own(address),
+            status: parts.status,
+            headers: parts.headers,
+            // Some answers are plain words.
+            body: serde_json::from_slice(&text).unwrap_or(Value::Null),
+        })
+    }
+
+    /// Sends `len` bytes to a place of the storage, which is told no token, and returns the headers of its answer.
+    pub(super) fn put(
+        &self,
+        address: &str,
+        content: &mut dyn Read,
+        len: u64,
+    ) -> Result<HeaderMap, String> {
+        let request = self
+            .agent
+            .put(address)
+            .header(header::CONTENT_LENGTH, len.to_string());
+        let response = request
+            .send(SendBody::from_reader(content))
+            .map_err(|error| error.to_string())?;
+        match response.status() {
+            status if status.is_success() => Ok(response.headers().clone()),
+            status => Err(format!("the storage answers {status}")),
+        }
+    }
+}
+
+/// What the server says.
+pub(super) struct Answer {
+    /// What was asked, without what may be secret in it.
+    pub(super) address: String,
+    is_authorized: bool,
+    pub(super) status: StatusCode,
+    pub(super) headers: HeaderMap,
+    /// The document; null where it is none.
+    pub(super) body: Value,
+}
+
+impl Answer {
+    /// The answer, if it is no refusal.
+    pub(super) fn checked(self) -> Result<Self, Error> {
+        if self.status.is_success() {
+            return Ok(self);
+        }
+        let said = text_of(&self.headers, "x-error-message")
+            .or_else(|| self.body["error"].as_str())
+            .map(|said| said.chars().take(MAX_MESSAGE_LEN).collect::<String>());
+        let problem = match said {
+            Some(said) => format!("{}: {said}", self.status),
+            None => self.status.to_string(),
+        };
+        let address = self.address;
+        Err(match self.status {
+            StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => Error::Refused {
+                address,
+                problem,
+                remedy: match self.is_authorized {
+                    true => {
+                        "the token (HF_TOKEN, or that of `hf auth login`) is wrong or may not do this"
+                    }
+                    false => "set HF_TOKEN or run `hf auth login`",
+                },
+            },
+            StatusCode::NOT_FOUND => Error::NotFound { what: address },
+            _ => Error::Call { address, problem },
+        })
+    }
+
+    /// The error that the answer is not understood.
+    pub(super) fn malformed(&self, problem: &str) -> Error {
+        failed(&self.address, format!("the answer {problem}"))
+    }
+}
+
+/// The folder of Hugging Face's tools that the environment names: `HF_HOME`, or `huggingface` in `XDG_CACHE_HOME` or in
+/// `.cache` of the home folder; none if it names no home.
+pub(super) fn home_from_variables(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
+    let folder = |name: &str| {
+        variable(name)
+            .filter(|value| !value.is_empty())
+            .map(PathBuf::from)
+    };
+    folder("HF_HOME")
+        .or_else(|| Some(folder("XDG_CACHE_HOME")?.join("huggingface")))
+        .or_else(|| {
+            let home = folder("HOME").or_else(|| folder("USERPROFILE"))?;
+            Some(home.join(".cache/huggingface"))
+        })
+}
+
+/// The token that the environment names: `HF_TOKEN`, or the file of `hf auth login`, which is `HF_TOKEN_PATH` or `token`
+/// in the folder of Hugging Face's tools (`HF_HOME`). The caller passes the environment in; none if there is no such
+/// file.
+pub fn token_from_variables(variable: impl Fn(&str) -> Option<OsString>) -> Option<String> {
+    let value = |name: &str| variable(name).filter(|value| !value.is_empty());
+    let token = match (value("HF_TOKEN"), value("HF_TOKEN_PATH")) {
+        (Some(token), _) => token.to_string_lossy().into_owned(),
+        (None, Some(path)) => fs::read_to_string(path).ok()?,
+        (None, None) => fs::read_to_string(home_from_variables(&variable)?.join("token")).ok()?,
+    };
+    Some(token.trim().to_owned()).filter(|token| !token.is_empty())
+}
+
+/// Where an answer redirects to; none if it does not.
+pub(super) fn redirect(address: &str, response: &Response<Body>) -> Option<String> {
+    let place = text_of(response.headers(), header::LOCATION.as_str())
+        .filter(|_| response.status().is_redirection())?;
+    Some(match place.starts_with('/') {
+        true => format!("{}{place}", origin_of(address)),
+        false => place.to_owned(),
+    })
+}
+
+pub(super) fn text_of<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
+    headers.get(name)?.to_str().ok()
+}
+
+/// Whether text is the name of a commit.
+pub(super) fn is_commit(text: &str) -> bool {
+    !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_hexdigit())
+}
+
+/// Scheme, host and port of an address.
+fn origin_of(address: &str) -> &str {
+    let host = address.find("://").map_or(0, |at| at + 3);
+    let end = address[host..].find(['/', '?', '#']);
+    &address[..end.map_or(address.len(), |end| host + end)]
+}
+
+/// An address without its query, which may hold a signature.
+fn without_query(address: &str) -> String {
+    address.split('?').next().unwrap_or(address).to_owned()
+}
+
+fn failed(address: &str, problem: String) -> Error {
+    Error::Call {
+        address: without_query(address),
+        problem,
+    }
+}
+
+/// Text in which all bytes but letters, digits, `-._~` and those of `kept` are percent-encoded.
+pub(super) fn quoted(text: &str, kept: &str) -> String {
+    let mut quoted = String::with_capacity(text.len());
+    for byte in text.bytes() {
+        let letter = char::from(byte);
+        match byte.is_ascii_alphanumeric() || "-._~".contains(letter) || kept.contains(letter) {
+            true => quoted.push(letter),
+            false => quoted += &format!("%{byte:02X}"),
+        }
+    }
+    quoted
+}

@@ -1,0 +1,142 @@
+//! Files that are published.
+
+use std::fs::{self, File};
+use std::io::{Cursor, Read};
+use std::path::{Path, PathBuf};
+
+use super::checksum::{Checksum, sha256};
+use super::error::Error;
+
+/// A file as a repo is to hold it.
+#[derive(Clone, Debug)]
+pub struct HubFile {
+    /// Its path in the repo, with forward slashes.
+    pub path: String,
+    /// What it holds.
+    pub content: Content,
+}
+
+/// What a file holds.
+#[derive(Clone, Debug)]
+pub enum Content {
+    /// A file on this machine.
+    File {
+        /// Where it is.
+        path: PathBuf,
+        /// Its SHA-256, hexadecimal, if it is known.
+        sha256: Option<String>,
+    },
+    /// Text that is in no file.
+    Text(String),
+}
+
+impl Content {
+    /// Bytes.
+    pub(super) fn size(&self) -> Result<u64, Error> {
+        match self {
+            Self::File { path, .. } => {
+                let metadata = fs::metadata(path);
+                Ok(metadata
+                    .map_err(datasets_spec::Error::io("read", path))?
+                    .len())
+            }
+            Self::Text(text) => Ok(text.len() as u64),
+        }
+    }
+
+    pub(super) fn open(&self) -> Result<Box<dyn Read + '_>, Error> {
+        let content: Box<dyn Read + '_> = match self {
+            Self::File { path, .. } => {
+                Box::new(File::open(path).map_err(datasets_spec::Error::io("open", path))?)
+            }
+            Self::Text(text) => Box::new(Cursor::new(text.as_bytes())),
+        };
+        Ok(content)
+    }
+
+    /// The first `len` bytes, or all where there are fewer.
+    pub(super) fn start(&self, len: u64) -> Result<Vec<u8>, Error> {
+        let mut bytes = Vec::new();
+        self.open()?
+            .take(len)
+            .read_to_end(&mut bytes)
+            .map_err(datasets_spec::Error::io("read", self.place()))?;
+        Ok(bytes)
+    }
+
+    /// SHA-256, hexadecimal.
+    pub(super) fn sha256(&self) -> Result<String, Error> {
+        match self {
+            Self::File {
+                sha256: Some(known),
+                ..
+            } => Ok(known.clone()),
+            _ => {
+                let found = sha256(self.open()?);
+                Ok(found.map_err(datasets_spec::Error::io("read", self.place()))?)
+            }
+        }
+    }
+
+    /// Whether it has a checksum.
+    pub(super) fn has(&self, checksum: &Checksum, size: u64) -> Result<bool, Error> {
+        match checksum {
+            Checksum::Sha256(expected) => Ok(self.sha256()? == *expected),
+            Checksum::Git(_) => {
+                let found = checksum.is_of(self.open()?, size);
+                Ok(found.map_err(datasets_spec::Error::io("read", self.place()))?)
+            }
+        }
+    }
+
+    /// Where it is, for errors.
+    fn place(&self) -> &Path {
+        match self {
+            Self::File { path, .. } => path,
+            Self::Text(_) => Path::new("a text"),
+        }
+    }
+}
+
+/// The files below a folder, by their paths. Hidden files and folders, and locks, are those of one copy alone; folders
+/// of `without`, which are named relative to the folder, are passed over.
+///
+/// # Errors
+/// A folder cannot be listed.
+pub fn files_below(folder: &Path, without: &[&str]) -> Result<Vec<HubFile>, Error> {
+    let mut files = Vec::new();
+    let mut folders = vec![String::new()];
+    while let Some(below) = folders.pop() {
+        let place = folder.join(&below);
+        let list = || -> std::io::Result<Vec<(String, bool)>> {
+            let entries = fs::read_dir(&place)?.map(|entry| {
+                let entry = entry?;
+                let name = entry.file_name().to_string_lossy().into_owned();
+                // A link counts as what it leads to.
+                Ok((name, fs::metadata(entry.path())?.is_dir()))
+            });
+            entries.collect()
+        };
+        for (name, is_dir) in list().map_err(datasets_spec::Error::io("list", &place))? {
+            let path = match below.as_str() {
+                "" => name.clone(),
+                below => format!("{below}/{name}"),
+            };
+            if name.starts_with('.') || name == "LOCK" || without.contains(&path.as_str()) {
+                continue;
+            }
+            match is_dir {
+                true => folders.push(path),
+                false => files.push(HubFile {
+                    content: Content::File {
+                        path: place.join(&name),
+                        sha256: None,
+                    },
+                    path,
+                }),
+            }
+        }
+    }
+    files.sort_by(|a, b| a.path.cmp(&b.path));
+    Ok(files)
+}

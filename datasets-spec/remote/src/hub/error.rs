@@ -1,0 +1,159 @@
+//! Errors of the hub.
+
+use std::path::PathBuf;
+
+use datasets_spec::Code;
+
+/// An error that names the item it happened to. None shows a token.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file on this machine cannot be read or written.
+    #[error(transparent)]
+    Spec(#[from] datasets_spec::Error),
+    /// A variable of the environment names no proxy.
+    #[error("{variable} names no proxy ({problem})")]
+    Proxy {
+        /// The variable.
+        variable: &'static str,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A name is not that of a repo.
+    #[error("{name:?} is no name of a repo: {problem}; expected OWNER/NAME")]
+    Name {
+        /// The name.
+        name: String,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// No token is known.
+    #[error(
+        "no token of the hub is known; make one with the right to write at {endpoint}/settings/tokens, and set HF_TOKEN \
+         or run `hf auth login`"
+    )]
+    NoToken {
+        /// The server.
+        endpoint: String,
+    },
+    /// The server does not allow a request.
+    #[error("the hub refuses {address} ({problem}); {remedy}")]
+    Refused {
+        /// What was asked for.
+        address: String,
+        /// What the server says.
+        problem: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// The server has no such repo or revision, or does not show it.
+    #[error("the hub has no {what}, or does not show it to this token")]
+    NotFound {
+        /// What was looked for.
+        what: String,
+    },
+    /// A name is that of a dataset and of a model.
+    #[error("{name} is a dataset and a model; say which: --type dataset or --type model")]
+    Ambiguous {
+        /// The name.
+        name: String,
+    },
+    /// A request failed.
+    #[error("{address} failed ({problem}); run the same command again to go on where it stopped")]
+    Call {
+        /// What was asked for.
+        address: String,
+        /// What happened.
+        problem: String,
+    },
+    /// A file cannot be uploaded.
+    #[error(
+        "cannot upload {path} ({problem}); run the same command again to go on where it stopped"
+    )]
+    Upload {
+        /// The file, as the repo names it.
+        path: String,
+        /// What happened.
+        problem: String,
+    },
+    /// A file that is to be deleted cannot be.
+    #[error("cannot delete {path}: {problem}")]
+    Delete {
+        /// The file or folder, as the repo names it.
+        path: String,
+        /// Why not.
+        problem: &'static str,
+    },
+    /// A repo holds nothing that this program made.
+    #[error("{repo} holds no {kind} of this program: it has no {missing}")]
+    Foreign {
+        /// The repo.
+        repo: String,
+        /// What was expected.
+        kind: &'static str,
+        /// The file that it lacks.
+        missing: &'static str,
+    },
+    /// A repo has a file whose name leads out of its folder.
+    #[error("{repo} has a file {path:?}, which cannot be written here")]
+    Path {
+        /// The repo.
+        repo: String,
+        /// The name.
+        path: String,
+    },
+    /// The folder to write is there already.
+    #[error("{} is there already; choose another folder", path.display())]
+    Exists {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A download failed.
+    #[error(
+        "cannot download {address} ({problem}); run again to go on where it stopped, or download \
+         it by hand and name its folder"
+    )]
+    Download {
+        /// What was asked for.
+        address: String,
+        /// What happened.
+        problem: String,
+    },
+    /// A downloaded file is not what its checksum says.
+    #[error(
+        "{} is damaged ({name} expected {expected}, found {found}); delete it and download it again",
+        path.display()
+    )]
+    Checksum {
+        /// The file.
+        path: PathBuf,
+        /// Kind of checksum.
+        name: &'static str,
+        /// What it should be.
+        expected: String,
+        /// What it is.
+        found: String,
+    },
+}
+
+impl Error {
+    /// The code of the error, and what it happened to.
+    pub fn code(&self) -> Option<Code> {
+        let item = match self {
+            Self::Spec(error) => return error.code(),
+            Self::Proxy { variable, .. } => (*variable).to_owned(),
+            Self::Name { name, .. } | Self::Ambiguous { name } => name.clone(),
+            Self::NoToken { endpoint } => endpoint.clone(),
+            Self::NotFound { what } => what.clone(),
+            Self::Refused { address, .. }
+            | Self::Call { address, .. }
+            | Self::Download { address, .. } => address.clone(),
+            Self::Upload { path, .. } | Self::Delete { path, .. } | Self::Path { path, .. } => {
+                path.clone()
+            }
+            Self::Foreign { repo, .. } => repo.clone(),
+            Self::Exists { path } | Self::Checksum { path, .. } => path.display().to_string(),
+        };
+        Some(("E-HUB", Some(item)))
+    }
+}

@@ -1,0 +1,198 @@
+//! Pulling: a folder that appears whole or not at all.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+
+use datasets_spec::Progress;
+use datasets_spec::manifest::Manifest;
+use serde::Serialize;
+
+use super::checksum::Wanted;
+use super::client::Hub;
+use super::download::download;
+use super::error::Error;
+use super::repo::{Repo, RepoKind, Tree, commit_of, tree};
+
+/// What was pulled.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Pulled {
+    /// The commit.
+    pub commit: String,
+    /// Files.
+    pub files: usize,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Files of the repo that the newest version of the dataset does not name.
+    pub passed_over: Vec<String>,
+}
+
+/// A repo that lies beside the folder that it is to become, complete and checked file by file.
+#[derive(Debug)]
+pub struct Staged {
+    folder: PathBuf,
+    out: PathBuf,
+    pulled: Pulled,
+}
+
+impl Staged {
+    /// Where it lies now.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Makes the folder appear.
+    ///
+    /// # Errors
+    /// It cannot be renamed.
+    pub fn publish(self) -> Result<Pulled, Error> {
+        fs::rename(&self.folder, &self.out)
+            .map_err(datasets_spec::Error::io("rename into place", &self.out))?;
+        Ok(self.pulled)
+    }
+
+    /// Removes what was downloaded.
+    ///
+    /// # Errors
+    /// It cannot be removed.
+    pub fn discard(self) -> Result<(), Error> {
+        let removed = fs::remove_dir_all(&self.folder);
+        Ok(removed.map_err(datasets_spec::Error::io("remove", &self.folder))?)
+    }
+}
+
+/// Downloads the files of a repo beside the folder `out`. Of a dataset, these are the files of its newest version. Each is
+/// checked against its checksum, and an interrupted download is resumed.
+///
+/// # Errors
+/// The folder is there already, the repo has no such revision or holds nothing of this program, the server refuses or
+/// fails, or a file is not what its checksum says. What was downloaded is kept, unless it is wrong.
+pub fn pull(
+    hub: &Hub,
+    repo: &Repo,
+    revision: &str,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<Staged, Error> {
+    let exists = || Error::Exists {
+        path: out.to_owned(),
+    };
+    let name = out.file_name().ok_or_else(exists)?.to_string_lossy();
+    if fs::symlink_metadata(out).is_ok() {
+        return Err(exists());
+    }
+    let commit = commit_of(hub, repo, revision)?.ok_or_else(|| Error::NotFound {
+        what: repo.to_string(),
+    })?;
+    let mut files = tree(hub, repo, &commit)?;
+    // Another commit has another folder, so that none of its files is taken for one of this.
+    let folder = out.with_file_name(format!(".{name}.{commit:.12}.part"));
+    let source = Source {
+        hub,
+        repo,
+        commit: &commit,
+        folder: &folder,
+    };
+    let passed_over = match repo.kind {
+        RepoKind::Dataset => source.keep_newest(&mut files, progress)?,
+        RepoKind::Model if files.contains_key("config.json") => Vec::new(),
+        RepoKind::Model => return Err(source.foreign("run", "config.json")),
+    };
+    // Settings of the repo itself, such as .gitattributes.
+    files.retain(|path, _| !path.split('/').any(|part| part.starts_with('.')));
+    progress.begin("pull", Some(files.len() as u64));
+    for (path, file) in &files {
+        source.fetch(path, file, progress)?;
+        progress.advance(1);
+    }
+    let pulled = Pulled {
+        files: files.len(),
+        bytes: files.values().filter_map(|file| file.len).sum(),
+        passed_over,
+        commit,
+    };
+    progress.finish(&format!(
+        "{} files, {:.1} MB",
+        pulled.files,
+        pulled.bytes as f64 / 1e6
+    ));
+    Ok(Staged {
+        folder,
+        out: out.to_owned(),
+        pulled,
+    })
+}
+
+/// A commit, and the folder that it is downloaded to.
+struct Source<'a> {
+    hub: &'a Hub,
+    repo: &'a Repo,
+    commit: &'a str,
+    folder: &'a Path,
+}
+
+impl Source<'_> {
+    fn foreign(&self, kind: &'static str, missing: &'static str) -> Error {
+        Error::Foreign {
+            repo: self.repo.to_string(),
+            kind,
+            missing,
+        }
+    }
+
+    /// Keeps the files of the newest version of a dataset, and what lies beside its tables. Returns the others.
+    fn keep_newest(&self, files: &mut Tree, progress: &dyn Progress) -> Result<Vec<String>, Error> {
+        let version = |path: &str| -> Option<u64> {
+            let number = path.strip_prefix("meta/manifest-")?;
+            number.strip_suffix(".json")?.parse().ok()
+        };
+        let newest = files
+            .iter()
+            .filter_map(|(path, file)| Some((version(path)?, path, file)))
+            .max_by_key(|(version, ..)| *version);
+        let Some((_, newest, file)) = newest else {
+            return Err(self.foreign("dataset", "meta/manifest-<n>.json"));
+        };
+        let place = self.fetch(newest, file, progress)?;
+        let text = fs::read(&place).map_err(datasets_spec::Error::io("read", &place))?;
+        let manifest: Manifest =
+            serde_json::from_slice(&text).map_err(|source| datasets_spec::Error::Json {
+                path: place,
+                source,
+            })?;
+        let entries = manifest.tables.into_values().flatten();
+        let mut named: BTreeSet<String> = entries.map(|entry| entry.path).collect();
+        named.insert(newest.clone());
+        let is_kept = |path: &String| {
+            let is_table = path.starts_with("data/") || path.starts_with("meta/");
+            !is_table || named.contains(path)
+        };
+        let others = files
+            .keys()
+            .filter(|path| !is_kept(path))
+            .cloned()
+            .collect();
+        files.retain(|path, _| is_kept(path));
+        Ok(others)
+    }
+
+    /// Downloads a file, unless it is here, and returns where it is.
+    fn fetch(&self, path: &str, file: &Wanted, progress: &dyn Progress) -> Result<PathBuf, Error> {
+        let mut parts = Path::new(path).components();
+        let is_below = parts.all(|part| matches!(part, Component::Normal(_)));
+        if path.is_empty() || path.contains('\\') || !is_below {
+            return Err(Error::Path {
+                repo: self.repo.to_string(),
+                path: path.to_owned(),
+            });
+        }
+        let place = self.folder.join(path);
+        let parent = place.parent().unwrap_or(self.folder);
+        fs::create_dir_all(parent).map_err(datasets_spec::Error::io("create", parent))?;
+        let address = self.hub.address(&self.repo.path(), self.commit, path);
+        download(self.hub, &address, file, &place, &mut |done, _| {
+            progress.message(&format!("{path} {:.1} MB", done as f64 / 1e6));
+        })?;
+        Ok(place)
+    }
+}

@@ -1,0 +1,294 @@
+//! Publishing: one commit of what differs.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use datasets_spec::Progress;
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::client::{Hub, JSON, quoted};
+use super::content::HubFile;
+use super::error::Error;
+use super::lfs::{self, Object};
+use super::repo::{Repo, Tree, commit_of, create, tree};
+
+/// Files that the server is asked about at a time, which is the most that it answers.
+const BATCH: usize = 256;
+/// First bytes of a file by which the server tells text from data.
+const SAMPLE_LEN: u64 = 512;
+/// The file by which the hub says what LFS keeps. It is the repo's own.
+const ATTRIBUTES: &str = ".gitattributes";
+
+/// How files are published.
+#[derive(Clone, Copy, Debug)]
+pub struct PushOptions<'a> {
+    /// Branch.
+    pub revision: &'a str,
+    /// First line of the commit's message.
+    pub message: &'a str,
+    /// Whether a new repo is private.
+    pub is_private: bool,
+    /// Files and folders of the repo to delete, of what is not published.
+    pub delete: &'a [String],
+    /// Only say what would be done: nothing is written.
+    pub dry_run: bool,
+}
+
+/// What was published, or would be.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Pushed {
+    /// The commit; none where nothing differs, or nothing is written.
+    pub commit: Option<String>,
+    /// Files that the repo lacks or has otherwise.
+    pub changed: Vec<String>,
+    /// Files that the repo has.
+    pub unchanged: usize,
+    /// Files that were deleted.
+    pub deleted: Vec<String>,
+    /// Files of the repo that are not published, and stay.
+    pub only_in_repo: Vec<String>,
+    /// Large files that were sent; the others were there, in this repo or from an interrupted upload.
+    pub sent: usize,
+    /// Their bytes.
+    pub sent_bytes: u64,
+}
+
+/// Publishes files in a repo, which is made if it is not there. One commit shows all at once. Files that the repo has are
+/// not sent, and what it has beside them is deleted only if it is named.
+///
+/// # Errors
+/// There is no token; a file to delete is not there or is published; the server refuses or fails, another commit was made
+/// meanwhile, or a file cannot be read. What was uploaded before is not lost: the same call goes on from there.
+pub fn push(
+    hub: &Hub,
+    repo: &Repo,
+    files: &[HubFile],
+    options: &PushOptions<'_>,
+    progress: &dyn Progress,
+) -> Result<Pushed, Error> {
+    if !(hub.has_token() || options.dry_run) {
+        return Err(Error::NoToken {
+            endpoint: hub.endpoint().to_owned(),
+        });
+    }
+    let parent = commit_of(hub, repo, options.revision)?;
+    let there = match &parent {
+        Some(commit) => tree(hub, repo, commit)?,
+        None => Tree::new(),
+    };
+    let changed = changed(files, &there)?;
+    let deleted = deleted(files, &there, options.delete)?;
+    let published = paths(files);
+    let left = there.keys().filter(|path| {
+        *path != ATTRIBUTES && !published.contains(path.as_str()) && !deleted.contains(path)
+    });
+    let mut done = Pushed {
+        changed: changed.iter().map(|file| file.path.clone()).collect(),
+        unchanged: files.len() - changed.len(),
+        only_in_repo: left.cloned().collect(),
+        deleted,
+        ..Pushed::default()
+    };
+    let is_same = changed.is_empty() && done.deleted.is_empty();
+    if options.dry_run || is_same {
+        return Ok(done);
+    }
+    if parent.is_none() {
+        create(hub, repo, options.is_private)?;
+    }
+    progress.begin("push", Some(changed.len() as u64));
+    let (regular, large) = by_mode(hub, repo, options.revision, &changed)?;
+    (done.sent, done.sent_bytes) =
+        lfs::send(hub, repo, options.revision, &distinct(&large), progress)?;
+    let lines = commit_lines(options, parent.as_deref(), &regular, &large, &done.deleted)?;
+    done.commit = Some(commit(hub, repo, options.revision, &lines)?);
+    progress.finish(&format!(
+        "{} files, {:.1} MB of them uploaded",
+        done.changed.len(),
+        done.sent_bytes as f64 / 1e6
+    ));
+    Ok(done)
+}
+
+fn paths(files: &[HubFile]) -> BTreeSet<&str> {
+    files.iter().map(|file| file.path.as_str()).collect()
+}
+
+/// The files that a repo lacks or has otherwise.
+fn changed<'a>(files: &'a [HubFile], there: &Tree) -> Result<Vec<&'a HubFile>, Error> {
+    let mut changed = Vec::new();
+    for file in files {
+        let size = file.content.size()?;
+        let is_same = match there
+            .get(&file.path)
+            .filter(|found| found.len == Some(size))
+        {
+            None => false,
+            Some(found) => file.content.has(&found.checksum, size)?,
+        };
+        if !is_same {
+            changed.push(file);
+        }
+    }
+    Ok(changed)
+}
+
+/// The files of a repo that are named to be deleted, each by its own path or by that of a folder.
+fn deleted(files: &[HubFile], there: &Tree, named: &[String]) -> Result<Vec<String>, Error> {
+    let published = paths(files);
+    let mut deleted = BTreeSet::new();
+    for name in named {
+        let refused = |problem| Error::Delete {
+            path: name.clone(),
+            problem,
+        };
+        let folder = format!("{}/", name.trim_end_matches('/'));
+        let found: Vec<&String> = there
+            .keys()
+            .filter(|path| *path == name || path.starts_with(&folder))
+            .collect();
+        if found.is_empty() {
+            return Err(refused("the repo has no such file"));
+        }
+        let before = deleted.len();
+        let left = found
+            .into_iter()
+            .filter(|path| !published.contains(path.as_str()));
+        deleted.extend(left.cloned());
+        if deleted.len() == before {
+            return Err(refused("it is published"));
+        }
+    }
+    Ok(deleted.into_iter().collect())
+}
+
+/// Files that a commit holds in itself, and those that LFS keeps.
+type Modes<'a> = (Vec<&'a HubFile>, Vec<Object<'a>>);
+
+/// Asks the server which files a commit holds in itself.
+fn by_mode<'a>(
+    hub: &Hub,
+    repo: &Repo,
+    revision: &str,
+    files: &[&'a HubFile],
+) -> Result<Modes<'a>, Error> {
+    let address = format!("{}/preupload/{}", repo.api(hub), quoted(revision, ""));
+    let (mut regular, mut large) = (Vec::new(), Vec::new());
+    for batch in files.chunks(BATCH) {
+        let mut asked = Vec::new();
+        for file in batch {
+            asked.push(json!({
+                "path": file.path,
+                "size": file.content.size()?,
+                "sample": STANDARD.encode(file.content.start(SAMPLE_LEN)?),
+            }));
+        }
+        let asked = json!({ "files": asked }).to_string();
+        let answer = hub.post(&address, JSON, asked.as_bytes())?.checked()?;
+        let found = answer.body["files"].as_array();
+        let found = found.ok_or_else(|| answer.malformed("names no files"))?;
+        let found: BTreeMap<&str, &Value> = found
+            .iter()
+            .filter_map(|mode| Some((mode["path"].as_str()?, mode)))
+            .collect();
+        for &file in batch {
+            let mode = found.get(file.path.as_str());
+            let mode = mode.ok_or_else(|| answer.malformed("lacks a file"))?;
+            if mode["shouldIgnore"] == true {
+                return Err(Error::Upload {
+                    path: file.path.clone(),
+                    problem: "the .gitignore of the repo excludes it".to_owned(),
+                });
+            }
+            let size = file.content.size()?;
+            // The storage keeps no empty objects.
+            if mode["uploadMode"] == "lfs" && size > 0 {
+                let oid = file.content.sha256()?;
+                large.push(Object { file, oid, size });
+            } else {
+                regular.push(file);
+            }
+        }
+    }
+    Ok((regular, large))
+}
+
+/// The objects without those that hold what one before them holds.
+fn distinct<'a>(objects: &[Object<'a>]) -> Vec<Object<'a>> {
+    let by_oid: BTreeMap<&str, &Object<'a>> = objects
+        .iter()
+        .rev()
+        .map(|object| (object.oid.as_str(), object))
+        .collect();
+    let mut distinct: Vec<Object<'a>> = by_oid
+        .into_values()
+        .map(|object| Object {
+            file: object.file,
+            oid: object.oid.clone(),
+            size: object.size,
+        })
+        .collect();
+    distinct.sort_by(|a, b| a.file.path.cmp(&b.file.path));
+    distinct
+}
+
+/// The commit as the server reads it: a JSON document a line. With its parent named, it fails if another one was made
+/// meanwhile.
+fn commit_lines(
+    options: &PushOptions<'_>,
+    parent: Option<&str>,
+    regular: &[&HubFile],
+    large: &[Object<'_>],
+    deleted: &[String],
+) -> Result<Vec<u8>, Error> {
+    let mut header = json!({ "summary": options.message, "description": "" });
+    if let Some(parent) = parent {
+        header["parentCommit"] = parent.into();
+    }
+    let mut lines = Vec::new();
+    let mut add = |key: &str, value: Value| {
+        lines.extend(
+            json!({ "key": key, "value": value })
+                .to_string()
+                .into_bytes(),
+        );
+        lines.push(b'\n');
+    };
+    add("header", header);
+    for file in regular {
+        let content = STANDARD.encode(file.content.start(u64::MAX)?);
+        add(
+            "file",
+            json!({ "path": file.path, "encoding": "base64", "content": content }),
+        );
+    }
+    for object in large {
+        add(
+            "lfsFile",
+            json!({
+                "path": object.file.path,
+                "algo": "sha256",
+                "oid": object.oid,
+                "size": object.size,
+            }),
+        );
+    }
+    for path in deleted {
+        add("deletedFile", json!({ "path": path }));
+    }
+    Ok(lines)
+}
+
+/// Makes the commit and returns its name.
+fn commit(hub: &Hub, repo: &Repo, revision: &str, lines: &[u8]) -> Result<String, Error> {
+    let address = format!("{}/commit/{}", repo.api(hub), quoted(revision, ""));
+    let answer = hub
+        .post(&address, "application/x-ndjson", lines)?
+        .checked()?;
+    match answer.body["commitOid"].as_str() {
+        Some(commit) => Ok(commit.to_owned()),
+        None => Err(answer.malformed("names no commit")),
+    }
+}
