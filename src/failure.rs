@@ -66,5 +66,8 @@ fn known(cause: &(dyn Error + 'static)) -> Option<Code> {
     if let Some(error) = cause.downcast_ref::<eval::Error>() {
         return error.code();
     }
+    if let Some(error) = cause.downcast_ref::<remote_store::hub::Error>() {
+        return error.code();
+    }
     cause.is::<std::io::Error>().then_some(("E-IO", None))
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::Split;
-use crate::license::{hub_header, is_non_commercial, licenses, warning};
+use crate::license::{hub_names, is_non_commercial, licenses, warning};
 use crate::manifest::{Manifest, SPLIT_BY_FACT};
 
 /// Name of the file.
@@ -15,7 +15,13 @@ const WITHOUT_SPLIT: &str = "rows";
 /// The card of a dataset. It follows from the manifest alone.
 pub(crate) fn text(manifest: &Manifest) -> String {
     let mut text = String::from("---\npretty_name: Motion dataset\ntags:\n- motion\n- smpl-x\n");
-    text += &hub_header(&licenses(manifest));
+    let licenses = hub_names(&licenses(manifest));
+    if !licenses.is_empty() {
+        text += "license:\n";
+    }
+    for name in licenses {
+        text += &format!("- {name}\n");
+    }
     text += "configs:\n";
     let main = main_table(manifest);
     for (table, files) in &manifest.tables {

@@ -29,10 +29,9 @@ pub fn is_restricted(tag: &str) -> bool {
 /// Families of SPDX identifiers that the Hugging Face hub knows.
 const KNOWN_TO_HUB: [&str; 5] = ["CC-BY", "CC0-1.0", "MIT", "Apache-2.0", "BSD-"];
 
-/// The entry `license` of a card's header: the names of the Hugging Face hub, which are SPDX identifiers in lower case.
-/// Empty without licences.
-pub fn hub_header(licenses: &BTreeMap<String, u64>) -> String {
-    let names: BTreeSet<String> = licenses
+/// The names that the Hugging Face hub has for licences: SPDX identifiers in lower case.
+pub fn hub_names(licenses: &BTreeMap<String, u64>) -> BTreeSet<String> {
+    licenses
         .keys()
         .flat_map(|tag| tag.split(" AND "))
         .map(|tag| match tag {
@@ -40,14 +39,7 @@ pub fn hub_header(licenses: &BTreeMap<String, u64>) -> String {
             tag if KNOWN_TO_HUB.iter().any(|family| tag.starts_with(family)) => tag.to_lowercase(),
             _ => "other".to_owned(),
         })
-        .collect();
-    match names.len() {
-        0 => String::new(),
-        _ => {
-            let lines = names.iter().map(|name| format!("- {name}\n"));
-            format!("license:\n{}", lines.collect::<String>())
-        }
-    }
+        .collect()
 }
 
 /// Clips by licence tag. Nothing, if the dataset was made before licences were counted.

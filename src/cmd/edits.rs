@@ -107,7 +107,8 @@ fn parse_name(text: &str) -> Result<String, String> {
     }
 }
 
-fn parse_license(text: &str) -> Result<String, String> {
+/// Parses the tag of a licence.
+pub(crate) fn parse_license(text: &str) -> Result<String, String> {
     match text.trim() {
         "" => Err("expected a licence".to_owned()),
         license => Ok(license.to_owned()),

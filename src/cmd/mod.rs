@@ -12,6 +12,7 @@ pub(crate) mod edit;
 pub(crate) mod edits;
 pub(crate) mod eval;
 pub(crate) mod export;
+pub(crate) mod hub;
 pub(crate) mod ingest;
 pub(crate) mod inspect;
 pub(crate) mod items;

@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::util::{arg, stance};
 
 /// The verbs of this version; scripts rely on them.
-const VERBS: [&str; 30] = [
+const VERBS: [&str; 31] = [
     "demo",
     "run",
     "build",
@@ -27,6 +27,7 @@ const VERBS: [&str; 30] = [
     "train",
     "variants",
     "model",
+    "hub",
     "edit",
     "edits",
     "eval",
@@ -60,7 +61,7 @@ fn usage_errors_exit_with_2() {
 }
 
 /// Verbs that are found in other verbs.
-const INNER: [&[&str]; 13] = [
+const INNER: [&[&str]; 15] = [
     &["items", "export"],
     &["edits", "import"],
     &["eval", "compare"],
@@ -68,6 +69,8 @@ const INNER: [&[&str]; 13] = [
     &["model", "import"],
     &["model", "export"],
     &["model", "fetch"],
+    &["hub", "push"],
+    &["hub", "pull"],
     &["train", "plot"],
     &["triplets", "stats"],
     &["stage", "plan"],

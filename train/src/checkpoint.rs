@@ -29,10 +29,10 @@ use crate::Error;
 
 use self::events::EVENTS;
 pub use self::record::{
-    Ancestor, FORMAT, Inheritance, RunRecord, check_skeleton, check_skeleton_of,
+    Ancestor, CONFIG, FORMAT, Inheritance, RunRecord, check_skeleton, check_skeleton_of, read_any,
 };
-use self::record::{CONFIG, differences, not_a_run, parse_record, to_value};
 pub(crate) use self::record::{MOTION_KIND, read_kind, read_record, record_of};
+use self::record::{differences, not_a_run, parse_record, to_value};
 
 pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";

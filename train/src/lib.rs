@@ -55,6 +55,7 @@
 mod bones;
 pub mod candidates;
 pub mod captioned;
+pub mod card;
 pub mod checkpoint;
 pub mod compose;
 pub mod config;

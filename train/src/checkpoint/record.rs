@@ -18,7 +18,8 @@ pub const FORMAT: u32 = 1;
 /// Version of burn, whose module tree decides the names of weights.
 const BURN_VERSION: &str = "0.22.1";
 
-pub(super) const CONFIG: &str = "config.json";
+/// Name of the document that makes a folder a run.
+pub const CONFIG: &str = "config.json";
 
 /// Kind of a run folder with a motion encoder trained elsewhere, on features that do not depend on the body.
 pub(crate) const MOTION_KIND: &str = "tmr-motion";
@@ -158,6 +159,24 @@ pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
     let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
     let found: Kind = serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
     Ok(found.kind)
+}
+
+/// Reads the document of a run of any kind; its configuration is not interpreted.
+///
+/// # Errors
+/// The folder holds no run, or one of another format.
+pub fn read_any(run_dir: &Path) -> Result<RunRecord<Value>, Error> {
+    let path = run_dir.join(CONFIG);
+    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
+    let refused = |reason: String| not_a_run(run_dir, "stance", reason);
+    let record: RunRecord<Value> = serde_json::from_str(&text)
+        .map_err(|error| refused(format!("its {CONFIG} is of another program ({error})")))?;
+    match record.format {
+        FORMAT => Ok(record),
+        other => Err(refused(format!(
+            "it has format {other}, this program reads {FORMAT}"
+        ))),
+    }
 }
 
 /// Reads the document of a finished or running run.

@@ -110,8 +110,21 @@ impl Hub {
         &self.endpoint
     }
 
+    /// Checks that there is a token.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn check_token(&self) -> Result<(), Error> {
+        match self.token {
+            Some(_) => Ok(()),
+            None => Err(Error::NoToken {
+                endpoint: self.endpoint.clone(),
+            }),
+        }
+    }
+
     /// Whether there is a token.
-    pub fn has_token(&self) -> bool {
+    pub(super) fn has_token(&self) -> bool {
         self.token.is_some()
     }
 

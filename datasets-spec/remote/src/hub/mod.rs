@@ -4,7 +4,7 @@
 //! with it, and 0.5 cannot upload and verifies no checksum. What is sent, and in which order, follows the Python client
 //! (`huggingface_hub` 2.4, over LFS).
 //!
-//! Read [`Hub`] first, then [`push()`] and [`pull()`]. [`HubCache`] is the folder of Hugging Face's own tools.
+//! Read [`Hub`] first, then [`Push`] and [`pull()`]. [`HubCache`] is the folder of Hugging Face's own tools.
 
 mod cache;
 mod checksum;
@@ -24,8 +24,8 @@ pub use self::client::{Hub, token_from_variables};
 pub use self::content::{Content, HubFile, files_below};
 pub(crate) use self::datasets::{beside, dataset_path};
 pub use self::error::Error;
-pub use self::pull::{Pulled, Staged, pull};
-pub use self::push::{PushOptions, Pushed, push};
+pub use self::pull::{Pulled, Staged, manifest_version, pull};
+pub use self::push::{Push, PushOptions, Pushed};
 pub use self::repo::{Repo, RepoKind, RepoName, kind_of};
 
 #[cfg(test)]

@@ -61,6 +61,12 @@ impl Staged {
     }
 }
 
+/// The version of a dataset whose manifest a path names.
+pub fn manifest_version(path: &str) -> Option<u64> {
+    let number = path.strip_prefix("meta/manifest-")?;
+    number.strip_suffix(".json")?.parse().ok()
+}
+
 /// Downloads the files of a repo beside the folder `out`. Of a dataset, these are the files of its newest version. Each is
 /// checked against its checksum, and an interrupted download is resumed.
 ///
@@ -142,13 +148,9 @@ impl Source<'_> {
 
     /// Keeps the files of the newest version of a dataset, and what lies beside its tables. Returns the others.
     fn keep_newest(&self, files: &mut Tree, progress: &dyn Progress) -> Result<Vec<String>, Error> {
-        let version = |path: &str| -> Option<u64> {
-            let number = path.strip_prefix("meta/manifest-")?;
-            number.strip_suffix(".json")?.parse().ok()
-        };
         let newest = files
             .iter()
-            .filter_map(|(path, file)| Some((version(path)?, path, file)))
+            .filter_map(|(path, file)| Some((manifest_version(path)?, path, file)))
             .max_by_key(|(version, ..)| *version);
         let Some((_, newest, file)) = newest else {
             return Err(self.foreign("dataset", "meta/manifest-<n>.json"));

@@ -32,8 +32,6 @@ pub struct PushOptions<'a> {
     pub is_private: bool,
     /// Files and folders of the repo to delete, of what is not published.
     pub delete: &'a [String],
-    /// Only say what would be done: nothing is written.
-    pub dry_run: bool,
 }
 
 /// What was published, or would be.
@@ -55,61 +53,94 @@ pub struct Pushed {
     pub sent_bytes: u64,
 }
 
-/// Publishes files in a repo, which is made if it is not there. One commit shows all at once. Files that the repo has are
-/// not sent, and what it has beside them is deleted only if it is named.
-///
-/// # Errors
-/// There is no token; a file to delete is not there or is published; the server refuses or fails, another commit was made
-/// meanwhile, or a file cannot be read. What was uploaded before is not lost: the same call goes on from there.
-pub fn push(
-    hub: &Hub,
-    repo: &Repo,
-    files: &[HubFile],
-    options: &PushOptions<'_>,
-    progress: &dyn Progress,
-) -> Result<Pushed, Error> {
-    if !(hub.has_token() || options.dry_run) {
-        return Err(Error::NoToken {
-            endpoint: hub.endpoint().to_owned(),
+/// A commit to make: what of some files a repo lacks.
+#[derive(Debug)]
+pub struct Push<'a> {
+    hub: &'a Hub,
+    repo: &'a Repo,
+    options: PushOptions<'a>,
+    /// The commit that this one follows; none where there is no repo yet.
+    parent: Option<String>,
+    changed: Vec<&'a HubFile>,
+    preview: Pushed,
+}
+
+impl<'a> Push<'a> {
+    /// Compares files with those of a repo. Nothing is written.
+    ///
+    /// # Errors
+    /// A file to delete is not there or is published; the server refuses or fails, or a file cannot be read.
+    pub fn plan(
+        hub: &'a Hub,
+        repo: &'a Repo,
+        files: &'a [HubFile],
+        options: PushOptions<'a>,
+    ) -> Result<Self, Error> {
+        let parent = commit_of(hub, repo, options.revision)?;
+        let there = match &parent {
+            Some(commit) => tree(hub, repo, commit)?,
+            None => Tree::new(),
+        };
+        let changed = changed(files, &there)?;
+        let deleted = deleted(files, &there, options.delete)?;
+        let published = paths(files);
+        let left = there.keys().filter(|path| {
+            *path != ATTRIBUTES && !published.contains(path.as_str()) && !deleted.contains(path)
         });
+        let preview = Pushed {
+            changed: changed.iter().map(|file| file.path.clone()).collect(),
+            unchanged: files.len() - changed.len(),
+            only_in_repo: left.cloned().collect(),
+            deleted,
+            ..Pushed::default()
+        };
+        Ok(Self {
+            hub,
+            repo,
+            options,
+            parent,
+            changed,
+            preview,
+        })
     }
-    let parent = commit_of(hub, repo, options.revision)?;
-    let there = match &parent {
-        Some(commit) => tree(hub, repo, commit)?,
-        None => Tree::new(),
-    };
-    let changed = changed(files, &there)?;
-    let deleted = deleted(files, &there, options.delete)?;
-    let published = paths(files);
-    let left = there.keys().filter(|path| {
-        *path != ATTRIBUTES && !published.contains(path.as_str()) && !deleted.contains(path)
-    });
-    let mut done = Pushed {
-        changed: changed.iter().map(|file| file.path.clone()).collect(),
-        unchanged: files.len() - changed.len(),
-        only_in_repo: left.cloned().collect(),
-        deleted,
-        ..Pushed::default()
-    };
-    let is_same = changed.is_empty() && done.deleted.is_empty();
-    if options.dry_run || is_same {
-        return Ok(done);
+
+    /// What the commit would change.
+    pub fn preview(&self) -> &Pushed {
+        &self.preview
     }
-    if parent.is_none() {
-        create(hub, repo, options.is_private)?;
+
+    /// Uploads what the storage lacks and makes the commit, which shows all at once; nothing where nothing differs. A repo
+    /// that is not there is made.
+    ///
+    /// # Errors
+    /// There is no token, the server refuses or fails, another commit was made meanwhile, or a file cannot be read. What
+    /// was uploaded before is not lost: the same push goes on from there.
+    pub fn send(self, progress: &dyn Progress) -> Result<Pushed, Error> {
+        let Self {
+            hub, repo, options, ..
+        } = self;
+        hub.check_token()?;
+        let mut done = self.preview;
+        if self.changed.is_empty() && done.deleted.is_empty() {
+            return Ok(done);
+        }
+        if self.parent.is_none() {
+            create(hub, repo, options.is_private)?;
+        }
+        progress.begin("push", Some(self.changed.len() as u64));
+        let (regular, large) = by_mode(hub, repo, options.revision, &self.changed)?;
+        (done.sent, done.sent_bytes) =
+            lfs::send(hub, repo, options.revision, &distinct(&large), progress)?;
+        let parent = self.parent.as_deref();
+        let lines = commit_lines(&options, parent, &regular, &large, &done.deleted)?;
+        done.commit = Some(commit(hub, repo, options.revision, &lines)?);
+        progress.finish(&format!(
+            "{} files, {:.1} MB of them uploaded",
+            done.changed.len(),
+            done.sent_bytes as f64 / 1e6
+        ));
+        Ok(done)
     }
-    progress.begin("push", Some(changed.len() as u64));
-    let (regular, large) = by_mode(hub, repo, options.revision, &changed)?;
-    (done.sent, done.sent_bytes) =
-        lfs::send(hub, repo, options.revision, &distinct(&large), progress)?;
-    let lines = commit_lines(options, parent.as_deref(), &regular, &large, &done.deleted)?;
-    done.commit = Some(commit(hub, repo, options.revision, &lines)?);
-    progress.finish(&format!(
-        "{} files, {:.1} MB of them uploaded",
-        done.changed.len(),
-        done.sent_bytes as f64 / 1e6
-    ));
-    Ok(done)
 }
 
 fn paths(files: &[HubFile]) -> BTreeSet<&str> {

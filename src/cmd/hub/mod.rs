@@ -1,0 +1,265 @@
+//! `stance hub`
+
+mod thing;
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use clap::ValueEnum;
+use remote_store::hub::{
+    Hub, Push, PushOptions, Pushed, Repo, RepoKind, RepoName, kind_of, pull, token_from_variables,
+};
+use serde::Serialize;
+
+use self::thing::Thing;
+use crate::cmd::edits::parse_license;
+use crate::exit::Exit;
+use crate::global::Global;
+use crate::report;
+
+/// Publish datasets, trained models and edits on the Hugging Face hub, and pull them.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum Action {
+    Push(PushArgs),
+    Pull(PullArgs),
+}
+
+/// Publish a dataset, a trained model or edits in a repo of the hub.
+///
+/// A run becomes a model, everything else a dataset; each has a card. One commit shows all at once. What the repo has is
+/// not sent again, so the same command goes on after an interruption. Files that only the repo has stay, and are listed.
+/// The token is HF_TOKEN, or that of `hf auth login`; HF_ENDPOINT names another server.
+#[derive(clap::Args, Debug)]
+struct PushArgs {
+    /// Dataset folder, folder of edits, or run folder
+    #[arg(value_parser = crate::local::path())]
+    folder: PathBuf,
+    /// Repo of the hub: OWNER/NAME; it is made if it is not there
+    repo: RepoName,
+    /// Branch to commit to
+    #[arg(long, default_value = "main")]
+    revision: String,
+    /// Licence of what none is stated for, such as CC-BY-4.0; or a stated one that restricts passing on, if you may
+    #[arg(long, value_name = "SPDX", value_parser = parse_license)]
+    license: Vec<String>,
+    /// Dataset that a run was trained on, whose licences its card states
+    #[arg(long)]
+    dataset: Option<PathBuf>,
+    /// Make a new repo a private one
+    #[arg(long)]
+    private: bool,
+    /// File or folder of the repo to delete, of what is not published
+    #[arg(long, value_name = "PATH")]
+    delete: Vec<String>,
+    /// Only say what would be published and deleted
+    #[arg(long)]
+    dry_run: bool,
+}
+
+/// Pull a dataset, a trained model or edits from a repo of the hub.
+///
+/// Every file is checked against its checksum, and the folder appears whole or not at all; the same command goes on after
+/// an interruption. Private repos need a token: HF_TOKEN, or that of `hf auth login`. HF_ENDPOINT names another server.
+#[derive(clap::Args, Debug)]
+struct PullArgs {
+    /// Repo of the hub: OWNER/NAME
+    repo: RepoName,
+    /// Branch, tag or commit
+    #[arg(long, default_value = "main")]
+    revision: String,
+    /// What the repo holds [default: what the hub has by this name]
+    #[arg(long = "type", value_name = "TYPE", value_enum)]
+    kind: Option<KindArg>,
+    /// Folder to write
+    #[arg(long, value_parser = crate::local::path())]
+    out: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum KindArg {
+    Dataset,
+    Model,
+}
+
+pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    match &args.action {
+        Action::Push(args) => push_folder(args, global),
+        Action::Pull(args) => pull_repo(args, global),
+    }
+}
+
+/// The server and the token that the environment names.
+fn connect() -> anyhow::Result<Hub> {
+    let variable = |name: &str| std::env::var_os(name);
+    Ok(Hub::from_variables(variable)?.with_token(token_from_variables(variable)))
+}
+
+/// The `--json` document of `push`.
+#[derive(Serialize)]
+struct PushDocument<'a> {
+    repo: &'a RepoName,
+    #[serde(rename = "type")]
+    kind: RepoKind,
+    what: &'static str,
+    address: String,
+    revision: &'a str,
+    dry_run: bool,
+    #[serde(flatten)]
+    done: &'a Pushed,
+}
+
+fn push_folder(args: &PushArgs, global: &Global) -> anyhow::Result<Exit> {
+    let hub = connect()?;
+    if !args.dry_run {
+        hub.check_token()?;
+    }
+    let thing = Thing::open(&args.folder)?;
+    if args.dataset.is_some() && thing.kind() != RepoKind::Model {
+        bail!(
+            "--dataset is about runs, and {} is none",
+            args.folder.display()
+        );
+    }
+    let repo = Repo {
+        kind: thing.kind(),
+        name: args.repo.clone(),
+    };
+    let files = thing.files(
+        &args.folder,
+        &args.license,
+        args.dataset.as_deref(),
+        &args.repo,
+    )?;
+    let message = format!("stance {}: {}", env!("CARGO_PKG_VERSION"), thing.title());
+    let options = PushOptions {
+        revision: &args.revision,
+        message: &message,
+        is_private: args.private,
+        delete: &args.delete,
+    };
+    let push = Push::plan(&hub, &repo, &files, options)?;
+    thing.check_version(&push.preview().only_in_repo)?;
+    let done = match args.dry_run {
+        true => push.preview().clone(),
+        false => push.send(&global.bars())?,
+    };
+    let document = PushDocument {
+        repo: &args.repo,
+        kind: repo.kind,
+        what: thing.name(),
+        address: repo.address(&hub),
+        revision: &args.revision,
+        dry_run: args.dry_run,
+        done: &done,
+    };
+    if global.json {
+        report::json(&document)?;
+    } else {
+        report::text(&pushed_text(&document));
+    }
+    Ok(Exit::Done)
+}
+
+fn pushed_text(document: &PushDocument<'_>) -> String {
+    /// Files of a list that are printed; `--json` has all.
+    const SHOWN: usize = 10;
+    let done = document.done;
+    let mut text = match (&done.commit, document.dry_run) {
+        (Some(commit), _) => format!(
+            "{} files committed as {commit:.12}, {} unchanged; {} large ones sent ({:.1} MB)\n",
+            done.changed.len(),
+            done.unchanged,
+            done.sent,
+            done.sent_bytes as f64 / 1e6
+        ),
+        (None, true) => format!(
+            "{} files to publish, {} unchanged; nothing was written\n",
+            done.changed.len(),
+            done.unchanged
+        ),
+        (None, false) => format!("nothing to publish: {} files unchanged\n", done.unchanged),
+    };
+    let mut list = |title: &str, paths: &[String]| {
+        if paths.is_empty() {
+            return;
+        }
+        text += &format!("{title}\n");
+        for path in paths.iter().take(SHOWN) {
+            text += &format!("  {path}\n");
+        }
+        if paths.len() > SHOWN {
+            text += &format!("  and {} more; --json lists all\n", paths.len() - SHOWN);
+        }
+    };
+    if document.dry_run {
+        list("to publish", &done.changed);
+    }
+    let deleted = if document.dry_run {
+        "to delete"
+    } else {
+        "deleted"
+    };
+    list(deleted, &done.deleted);
+    list(
+        "only in the repo, where they stay (--delete PATH)",
+        &done.only_in_repo,
+    );
+    text + &format!("{} in {}\n", document.what, document.address)
+}
+
+fn pull_repo(args: &PullArgs, global: &Global) -> anyhow::Result<Exit> {
+    let hub = connect()?;
+    let kind = match args.kind {
+        Some(KindArg::Dataset) => RepoKind::Dataset,
+        Some(KindArg::Model) => RepoKind::Model,
+        None => kind_of(&hub, &args.repo, &args.revision)?,
+    };
+    let name = args.repo.clone();
+    let repo = Repo { kind, name };
+    let staged = pull(&hub, &repo, &args.revision, &args.out, &global.bars())?;
+    let what = match Thing::open(staged.folder()) {
+        Ok(thing) if thing.kind() == kind => thing.name(),
+        Ok(thing) => {
+            let found = thing.name();
+            staged.discard()?;
+            bail!("nothing was written: {repo} holds a {found}");
+        }
+        Err(error) => {
+            staged.discard()?;
+            return Err(error.context(format!("nothing was written from {repo}")));
+        }
+    };
+    let pulled = staged.publish()?;
+    if global.json {
+        report::json(&serde_json::json!({
+            "repo": args.repo,
+            "type": kind,
+            "what": what,
+            "revision": args.revision,
+            "out": args.out,
+            "commit": pulled.commit,
+            "files": pulled.files,
+            "bytes": pulled.bytes,
+            "passed_over": pulled.passed_over,
+        }))?;
+    } else {
+        let passed_over = match pulled.passed_over.len() {
+            0 => String::new(),
+            count => format!("; {count} files of older versions passed over"),
+        };
+        report::text(&format!(
+            "{what} of {repo} at {:.12} in {}: {} files, {:.1} MB{passed_over}",
+            pulled.commit,
+            args.out.display(),
+            pulled.files,
+            pulled.bytes as f64 / 1e6
+        ));
+    }
+    Ok(Exit::Done)
+}

@@ -1,0 +1,290 @@
+//! What a folder holds, and which files of it are published.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, bail};
+use compose::COMPOSED;
+use datasets_spec::Dataset;
+use datasets_spec::dataset::descriptions;
+use datasets_spec::license::{LICENSES_FACT, is_restricted, licenses};
+use datasets_spec::record::{EditRow, MotionRow, PairRow};
+use datasets_spec::store::aside;
+use datasets_spec::table::Row;
+use eval::judge::{JudgeReport, REPORT};
+use remote_store::hub::{Content, HubFile, RepoKind, RepoName, files_below, manifest_version};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use train::card::{self, About};
+use train::checkpoint::{CONFIG, RunRecord, read_any};
+
+/// Scores of a model, which `stance eval --json` printed into its run folder.
+const SCORES: &str = "scores.json";
+
+/// What is published: known by the files that this program writes.
+pub(super) enum Thing {
+    Dataset(Box<Dataset>),
+    Edits(Box<Dataset>),
+    Run(Box<RunRecord<Value>>),
+}
+
+impl Thing {
+    /// Finds out what a folder holds. The hashes of a dataset's files are verified.
+    pub(super) fn open(folder: &Path) -> anyhow::Result<Self> {
+        if folder.join(CONFIG).is_file() {
+            return Ok(Self::Run(Box::new(read_any(folder)?)));
+        }
+        match Dataset::open(folder) {
+            Ok(dataset) if dataset.manifest().rows(EditRow::TABLE, None) > 0 => {
+                Ok(Self::Edits(Box::new(dataset)))
+            }
+            Ok(dataset) => Ok(Self::Dataset(Box::new(dataset))),
+            Err(error @ datasets_spec::Error::NotADataset { .. }) => {
+                let expected = format!(
+                    "expected a dataset, edits, or a run with its {CONFIG}, found none of them in {}",
+                    folder.display()
+                );
+                Err(anyhow::Error::from(error).context(expected))
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    pub(super) fn kind(&self) -> RepoKind {
+        match self {
+            Self::Dataset(_) | Self::Edits(_) => RepoKind::Dataset,
+            Self::Run(_) => RepoKind::Model,
+        }
+    }
+
+    pub(super) fn name(&self) -> &'static str {
+        match self {
+            Self::Dataset(_) => "dataset",
+            Self::Edits(_) => "edits",
+            Self::Run(_) => "run",
+        }
+    }
+
+    /// What it is, in a line.
+    pub(super) fn title(&self) -> String {
+        match self {
+            Self::Dataset(dataset) | Self::Edits(dataset) => {
+                let manifest = dataset.manifest();
+                format!(
+                    "{}, version {}, root hash {:.12}",
+                    self.name(),
+                    manifest.version,
+                    manifest.root_hash
+                )
+            }
+            Self::Run(record) => format!("run of {}", record.kind),
+        }
+    }
+
+    /// The files as a repo is to hold them, with a card that states the licences. Those `given` are for what states none,
+    /// and confirm those that restrict passing on. `trained_on` is the dataset of a run.
+    pub(super) fn files(
+        &self,
+        folder: &Path,
+        given: &[String],
+        trained_on: Option<&Path>,
+        repo: &RepoName,
+    ) -> anyhow::Result<Vec<HubFile>> {
+        match self {
+            Self::Dataset(dataset) | Self::Edits(dataset) => {
+                let licenses = licenses_of(dataset, given)?;
+                files_of_dataset(dataset, &licenses)
+            }
+            Self::Run(record) => {
+                let dataset = trained_on.map(Dataset::open_unverified).transpose()?;
+                let licenses = match &dataset {
+                    Some(dataset) => {
+                        check_trained_on(record, dataset)?;
+                        licenses_of(dataset, given)?
+                    }
+                    None => settled(BTreeMap::new(), 0, given, folder).context(
+                        "a run does not record the licences of its data; name the dataset: --dataset DATASET",
+                    )?,
+                };
+                let mut files = files_below(folder, &[])?;
+                let judge: Option<JudgeReport> = read(&folder.join(REPORT))?;
+                let scores: Option<Vec<Score>> = read(&folder.join(SCORES))?;
+                let scores = scores.unwrap_or_default().into_iter();
+                let text = card::text(
+                    record,
+                    &About {
+                        repo: &repo.to_string(),
+                        licenses: &licenses,
+                        root_hash: dataset.as_ref().map(|it| it.manifest().root_hash.as_str()),
+                        judge: &judge.map_or(Vec::new(), |judge| judge.lines()),
+                        scores: &Vec::from_iter(scores.map(|it| (it.system, it.metric, it.mean))),
+                    },
+                );
+                replace(&mut files, card::FILE, text);
+                Ok(files)
+            }
+        }
+    }
+
+    /// Checks that readers of a repo find this version of a dataset: they open the newest one.
+    pub(super) fn check_version(&self, only_in_repo: &[String]) -> anyhow::Result<()> {
+        let (Self::Dataset(dataset) | Self::Edits(dataset)) = self else {
+            return Ok(());
+        };
+        let version = dataset.manifest().version;
+        let versions = only_in_repo
+            .iter()
+            .filter_map(|path| manifest_version(path));
+        match versions.max().filter(|newest| *newest > version) {
+            None => Ok(()),
+            Some(newest) => bail!(
+                "the repo holds version {newest}, and {} is version {version}; if it is to take its place: --delete \
+                 meta/manifest-{newest}.json",
+                dataset.root().display()
+            ),
+        }
+    }
+}
+
+/// A score of `stance eval --json`; its other fields are of no interest here.
+#[derive(Deserialize)]
+struct Score {
+    system: String,
+    metric: String,
+    mean: f64,
+}
+
+/// A document beside a run, if it is there.
+fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<Option<T>> {
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let text = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let parsed = serde_json::from_slice(&text);
+    parsed
+        .map(Some)
+        .with_context(|| format!("{} is not what stance writes there", path.display()))
+}
+
+/// Checks that a run was trained on the tables of a dataset.
+fn check_trained_on(record: &RunRecord<Value>, dataset: &Dataset) -> anyhow::Result<()> {
+    // What models learn from: motions alone, with captured pairs, or all that edits are composed of.
+    let of_models: [&[&str]; 3] = [
+        &COMPOSED,
+        &[MotionRow::TABLE],
+        &[MotionRow::TABLE, PairRow::TABLE],
+    ];
+    let is_trained_on = of_models
+        .iter()
+        .any(|tables| dataset.content_hash(tables) == record.dataset_hash);
+    if !is_trained_on {
+        bail!(
+            "the run was trained on other tables ({:.12}) than {} holds; name the licence of its data: --license",
+            record.dataset_hash,
+            dataset.root().display()
+        );
+    }
+    Ok(())
+}
+
+fn licenses_of(dataset: &Dataset, given: &[String]) -> anyhow::Result<BTreeMap<String, u64>> {
+    let manifest = dataset.manifest();
+    let motions = [MotionRow::TABLE, EditRow::TABLE].map(|table| manifest.rows(table, None));
+    settled(
+        licenses(manifest),
+        motions.iter().sum(),
+        given,
+        dataset.root(),
+    )
+}
+
+/// The licences under which motions are passed on, with how many each is of: those that are stated, and the given one for
+/// the others. `count` is of all motions, for folders that state nothing.
+fn settled(
+    mut stated: BTreeMap<String, u64>,
+    count: u64,
+    given: &[String],
+    folder: &Path,
+) -> anyhow::Result<BTreeMap<String, u64>> {
+    let folder = folder.display();
+    let restricted = |tag: &&String| is_restricted(tag);
+    if let Some(tag) = stated
+        .keys()
+        .filter(restricted)
+        .find(|tag| !given.contains(tag))
+    {
+        bail!(
+            "{} motions of {folder} are under {tag}, which may not let you pass them on; if you may: --license {tag}",
+            stated[tag]
+        );
+    }
+    let mut others = given
+        .iter()
+        .filter(|tag| !(is_restricted(tag) && stated.contains_key(*tag)));
+    let named = (others.next().cloned(), others.next().is_some());
+    let unstated = match stated.remove("") {
+        None if stated.is_empty() => Some(count),
+        unstated => unstated,
+    };
+    match (unstated, named) {
+        (_, (_, true)) => bail!("--license names several licences for what states none"),
+        (Some(unstated), (Some(tag), false)) => {
+            *stated.entry(tag).or_default() += unstated;
+        }
+        (Some(_), (None, false)) => bail!(
+            "no licence is stated for motions of {folder}; name the one under which they may be passed on: --license \
+             CC-BY-4.0"
+        ),
+        (None, (Some(tag), false)) => {
+            bail!("all motions of {folder} state a licence, so none is under {tag}")
+        }
+        (None, (None, false)) => {}
+    }
+    Ok(stated)
+}
+
+/// The files of the newest version, what lies beside them, and the descriptions with these licences.
+fn files_of_dataset(
+    dataset: &Dataset,
+    licenses: &BTreeMap<String, u64>,
+) -> anyhow::Result<Vec<HubFile>> {
+    let (root, mut manifest) = (dataset.root(), dataset.manifest().clone());
+    let mut files = files_below(root, &["data", "meta"])?;
+    for entry in manifest.tables.values().flatten() {
+        let place = root.join(&entry.path);
+        // A run that was killed after its commit may have left the file aside.
+        let aside = aside(&place).filter(|_| !place.is_file());
+        files.push(HubFile {
+            path: entry.path.clone(),
+            content: Content::File {
+                path: aside.unwrap_or(place),
+                sha256: Some(entry.sha256.clone()).filter(|hash| !hash.is_empty()),
+            },
+        });
+    }
+    let path = format!("meta/manifest-{}.json", manifest.version);
+    files.push(HubFile {
+        content: Content::File {
+            path: root.join(&path),
+            sha256: None,
+        },
+        path,
+    });
+    let stated = serde_json::to_string(licenses)?;
+    manifest.facts.insert(LICENSES_FACT.to_owned(), stated);
+    for (name, text) in descriptions(&manifest) {
+        replace(&mut files, name, text);
+    }
+    Ok(files)
+}
+
+/// Publishes text under a name, in place of the file of that name.
+fn replace(files: &mut Vec<HubFile>, name: &str, text: String) {
+    files.retain(|file| file.path != name);
+    files.push(HubFile {
+        path: name.to_owned(),
+        content: Content::Text(text),
+    });
+}
