@@ -22,6 +22,7 @@ mod golden;
 mod grown;
 mod growth;
 mod help;
+mod hub;
 mod ingest;
 mod keys;
 mod labels;

@@ -1,0 +1,523 @@
+//! Repos published and pulled through the command, against a hub of this test.
+
+mod server;
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use datasets_spec::dataset::commit_rows;
+use datasets_spec::record::{EditRow, MotionRow, QuarantineRow};
+use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Skeleton, Split};
+use serde_json::{Value, json};
+
+use self::server::{Hub, TOKEN};
+use crate::archives::files_below;
+use crate::util::{Ran, arg, corpus, files_with_extension, stance};
+
+const CLIPS: &str = "lab/clips";
+
+impl Hub {
+    /// Publishes a folder and returns the `--json` document.
+    fn push(&self, folder: &Path, repo: &str, more: &[&str]) -> Value {
+        self.try_push(folder, repo, more).expect_code(0).json()
+    }
+
+    fn try_push(&self, folder: &Path, repo: &str, more: &[&str]) -> Ran {
+        let args = ["--json", "hub", "push", arg(folder), repo];
+        self.run(Some(TOKEN), &[&args, more].concat())
+    }
+
+    /// The card of a repo.
+    fn card(&self, repo: &str) -> String {
+        let bytes = self.state().read(repo, "README.md").expect("a card");
+        String::from_utf8(bytes).expect("text")
+    }
+
+    fn pull(&self, token: Option<&str>, repo: &str, out: &Path, more: &[&str]) -> Ran {
+        let args = ["--json", "hub", "pull", repo, "--out", arg(out)];
+        self.run(token, &[&args, more].concat())
+    }
+}
+
+/// A dataset of a few clips under CC0-1.0.
+fn dataset() -> (tempfile::TempDir, PathBuf) {
+    let dir = corpus(6);
+    let dataset = dir.path().join("dataset");
+    let sources = dir.path().join("corpus");
+    let args = ["ingest", arg(&sources), "--out", arg(&dataset)];
+    stance(&[&args[..], &["--license", "CC0-1.0"]].concat()).expect_code(0);
+    (dir, dataset)
+}
+
+/// A run folder as training leaves one, with weights of four kinds.
+fn run_folder(folder: &Path, dataset_hash: &str) {
+    let best = folder.join("checkpoint/best");
+    fs::create_dir_all(&best).expect("made");
+    let record = json!({
+        "format": 1,
+        "kind": "motionrefit",
+        "versions": { "stance": "0.1.0" },
+        "dataset_hash": dataset_hash,
+        "skeleton": "smplx-neutral",
+        "config": { "train": { "seed": 7 } },
+    });
+    fs::write(folder.join("config.json"), record.to_string()).expect("written");
+    fs::write(folder.join("metrics.jsonl"), "").expect("written");
+    fs::create_dir_all(folder.join("checkpoint/.last.new")).expect("made");
+    fs::write(folder.join("checkpoint/.last.new/half"), "half").expect("written");
+    for (number, size) in [100, 20_000, 20_001, 90_000].into_iter().enumerate() {
+        let bytes: Vec<u8> = (0..size)
+            .map(|at| (at * (number + 3) % 251) as u8)
+            .collect();
+        fs::write(best.join(format!("{number}.safetensors")), bytes).expect("written");
+    }
+}
+
+fn words(list: &Value) -> BTreeSet<&str> {
+    let list = list.as_array().expect("a list").iter();
+    list.map(|word| word.as_str().expect("text")).collect()
+}
+
+/// Files of a dataset's newest version, and what describes them.
+fn published(dataset: &Path) -> BTreeSet<String> {
+    let manifest = Dataset::open(dataset)
+        .expect("a dataset")
+        .manifest()
+        .clone();
+    let named = manifest.tables.into_values().flatten();
+    let mut files: BTreeSet<String> = named.map(|file| file.path).collect();
+    files.insert(format!("meta/manifest-{}.json", manifest.version));
+    files.extend(["README.md", "croissant.json"].map(str::to_owned));
+    files
+}
+
+#[test]
+fn a_dataset_comes_back_byte_for_byte_and_is_sent_once() {
+    let (dir, dataset) = dataset();
+    let hub = Hub::open();
+    let expected = published(&dataset);
+    // Without a token, and without anything written.
+    let args = ["--json", "hub", "push", arg(&dataset), CLIPS, "--dry-run"];
+    let preview: Value = hub.run(None, &args).expect_code(0).json();
+    let names: BTreeSet<&str> = expected.iter().map(String::as_str).collect();
+    assert_eq!(words(&preview["changed"]), names);
+    assert_eq!(preview["commit"], Value::Null);
+    assert!(
+        hub.state()
+            .calls
+            .iter()
+            .all(|call| call.line.starts_with("GET "))
+    );
+
+    let first = hub.push(&dataset, CLIPS, &[]);
+    assert_eq!(
+        (&first["type"], &first["what"]),
+        (&json!("dataset"), &json!("dataset"))
+    );
+    assert_eq!(words(&first["changed"]).len(), expected.len());
+    // Shards without rows are equal, and sent once.
+    let manifest = Dataset::open(&dataset)
+        .expect("a dataset")
+        .manifest()
+        .clone();
+    let shards = manifest.tables.into_values().flatten();
+    let distinct: BTreeSet<String> = shards.map(|shard| shard.sha256).collect();
+    assert_eq!(first["sent"], distinct.len());
+    let card = hub.card("datasets/lab/clips");
+    for part in [
+        "license:\n- cc0-1.0\n",
+        "config_name: motions\n  default: true\n",
+    ] {
+        assert!(card.contains(part), "{card}");
+    }
+
+    let out = dir.path().join("pulled");
+    let pulled: Value = hub
+        .pull(Some(TOKEN), CLIPS, &out, &[])
+        .expect_code(0)
+        .json();
+    assert_eq!(pulled["commit"], first["commit"]);
+    let found = files_below(&out);
+    assert_eq!(found.keys().cloned().collect::<BTreeSet<_>>(), expected);
+    for (path, bytes) in &found {
+        assert_eq!(
+            bytes,
+            &fs::read(dataset.join(path)).expect("there"),
+            "{path}"
+        );
+    }
+    hub.pull(Some(TOKEN), CLIPS, &out, &[]).expect_code(1);
+    for call in &hub.state().calls {
+        let is_told = call.token.is_some();
+        assert!(
+            !(is_told && call.is_storage),
+            "the storage knows the token: {}",
+            call.line
+        );
+    }
+
+    // What is there is not sent again.
+    hub.state().calls.clear();
+    let again = hub.push(&dataset, CLIPS, &[]);
+    assert_eq!(again["commit"], Value::Null);
+    assert_eq!(again["unchanged"], expected.len());
+    assert!(
+        hub.state()
+            .calls
+            .iter()
+            .all(|call| call.line.starts_with("GET "))
+    );
+}
+
+#[test]
+fn only_what_changed_is_committed_and_nothing_is_deleted_silently() {
+    let (dir, dataset) = dataset();
+    let hub = Hub::open();
+    hub.push(&dataset, CLIPS, &[]);
+    let before = published(&dataset);
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let second = hub.push(&dataset, CLIPS, &[]);
+    let changed = words(&second["changed"]);
+    let shard = before.iter().find(|path| path.starts_with("data/motions/"));
+    assert!(
+        !changed.contains(shard.expect("a shard").as_str()),
+        "{changed:?}"
+    );
+    assert!(changed.contains("meta/manifest-2.json"), "{changed:?}");
+    assert_eq!(
+        words(&second["only_in_repo"]),
+        BTreeSet::from(["meta/manifest-1.json"])
+    );
+
+    // Of versions, the newest is pulled.
+    let out = dir.path().join("second");
+    let pulled: Value = hub.pull(None, CLIPS, &out, &[]).expect_code(0).json();
+    assert_eq!(
+        words(&pulled["passed_over"]),
+        BTreeSet::from(["meta/manifest-1.json"])
+    );
+    assert_eq!(published(&out), published(&dataset));
+
+    // A commit that someone else makes meanwhile is not lost: a file that is only there stays until it is named.
+    hub.state()
+        .write("datasets/lab/clips", "notes/NOTES.md", b"of others");
+    let refused = hub
+        .try_push(&dataset, CLIPS, &["--delete", "README.md"])
+        .expect_code(1);
+    assert!(
+        refused.stderr.contains("it is published"),
+        "{}",
+        refused.stderr
+    );
+    hub.try_push(&dataset, CLIPS, &["--delete", "other"])
+        .expect_code(1);
+    let third = hub.push(
+        &dataset,
+        CLIPS,
+        &["--delete", "meta/manifest-1.json", "--delete", "notes"],
+    );
+    assert_eq!(
+        words(&third["deleted"]),
+        BTreeSet::from(["meta/manifest-1.json", "notes/NOTES.md"])
+    );
+    let paths: BTreeSet<String> = hub
+        .state()
+        .paths("datasets/lab/clips")
+        .into_iter()
+        .collect();
+    let mut expected = published(&dataset);
+    expected.insert(".gitattributes".to_owned());
+    assert_eq!(paths, expected);
+
+    // Another dataset of a lower version would be hidden by this one.
+    let older = dir.path().join("older");
+    let row = quarantined();
+    let skeleton = Skeleton::smplx_neutral();
+    commit_rows(&older, &[row], None, &skeleton, "plan", "test").expect("committed");
+    let refused = hub
+        .try_push(&older, CLIPS, &["--license", "MIT"])
+        .expect_code(1);
+    assert!(
+        refused.stderr.contains("--delete meta/manifest-2.json"),
+        "{}",
+        refused.stderr
+    );
+}
+
+fn quarantined() -> QuarantineRow {
+    QuarantineRow {
+        path: "walk.bvh".to_owned(),
+        source_name: String::new(),
+        source_hash: String::new(),
+        inputs_hash: String::new(),
+        code: "E-BVH-FRAMES".to_owned(),
+        reason: "found 3 rows of motion, expected 4".to_owned(),
+        byte_offset: None,
+        stage: "read".to_owned(),
+    }
+}
+
+#[test]
+fn a_push_that_broke_off_goes_on_where_it_stopped() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let run = dir.path().join("run");
+    run_folder(&run, "abc");
+    let hub = Hub::open();
+    let license = ["--license", "CC-BY-4.0"];
+    // The first two objects, of one part each.
+    hub.state().puts_left = Some(2);
+    let broken = hub.try_push(&run, "lab/editor", &license).expect_code(1);
+    assert!(
+        broken.stderr.contains("run the same command again"),
+        "{}",
+        broken.stderr
+    );
+    assert_eq!(broken.json::<Value>()["code"], "E-HUB");
+    assert_eq!(hub.state().paths("models/lab/editor"), [".gitattributes"]);
+    let before = hub.state().take_calls("PUT");
+    assert_eq!(before.len(), 3, "the third one failed");
+
+    hub.state().puts_left = None;
+    let whole = hub.push(&run, "lab/editor", &license);
+    assert_eq!(whole["sent"], 2);
+    let after = hub.state().take_calls("PUT");
+    for put in &before[..2] {
+        assert!(!after.contains(put), "{put} was sent twice");
+    }
+    // Two and five parts.
+    assert_eq!(after.len(), 7);
+    let sent = fs::read(run.join("checkpoint/best/3.safetensors")).expect("there");
+    let found = hub
+        .state()
+        .read("models/lab/editor", "checkpoint/best/3.safetensors");
+    assert_eq!(found.expect("there"), sent);
+}
+
+#[test]
+fn tokens_and_names_are_checked() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let run = dir.path().join("run");
+    run_folder(&run, "abc");
+    let hub = Hub::open();
+    for name in [
+        "", "editor", "a/b/c", "a/", "a/b.git", "a/b--c", "a/b c", "a/-b",
+    ] {
+        let refused = hub.try_push(&run, name, &[]).expect_code(2);
+        assert!(refused.stderr.contains("OWNER/NAME"), "{}", refused.stderr);
+    }
+    let args = ["hub", "push", arg(&run), "lab/editor", "--license", "MIT"];
+    let missing = hub.run(None, &args).expect_code(1);
+    assert!(missing.stderr.contains("HF_TOKEN"), "{}", missing.stderr);
+    assert!(hub.state().calls.is_empty());
+
+    let wrong = hub.run(Some("hf_secret_but_wrong"), &args).expect_code(1);
+    assert!(wrong.stderr.contains("refuses"), "{}", wrong.stderr);
+    assert!(!wrong.stderr.contains("secret"), "{}", wrong.stderr);
+    assert!(hub.state().paths("models/lab/editor").is_empty());
+
+    // The token of `hf auth login`, and a repo that needs one.
+    fs::write(hub.token_file(), format!("{TOKEN}\n")).expect("written");
+    let args = [&args[..], &["--private"]].concat();
+    hub.run(None, &args).expect_code(0);
+    let out = dir.path().join("pulled");
+    hub.pull(None, "lab/editor", &out, &[]).expect_code(0);
+    fs::remove_file(hub.token_file()).expect("removed");
+    let hidden = hub.pull(None, "lab/editor", &dir.path().join("other"), &[]);
+    let hidden = hidden.expect_code(1);
+    assert!(
+        hidden.stderr.contains("the hub has no"),
+        "{}",
+        hidden.stderr
+    );
+}
+
+#[test]
+fn wrong_bytes_are_refused_and_cut_downloads_go_on() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let run = dir.path().join("run");
+    run_folder(&run, "abc");
+    let hub = Hub::open();
+    hub.push(&run, "lab/editor", &["--license", "MIT"]);
+    hub.state().is_tampered = true;
+    let out = dir.path().join("pulled");
+    let refused = hub.pull(None, "lab/editor", &out, &[]).expect_code(1);
+    assert!(refused.stderr.contains("is damaged"), "{}", refused.stderr);
+    assert!(!out.exists());
+
+    hub.state().is_tampered = false;
+    hub.state().cut = Some(30_000);
+    let other = hub
+        .pull(None, "lab/editor", &out, &["--revision", "v9"])
+        .expect_code(1);
+    assert!(other.stderr.contains("v9"), "{}", other.stderr);
+    let pulled: Value = hub
+        .pull(None, "lab/editor", &out, &[])
+        .expect_code(0)
+        .json();
+    assert_eq!(
+        (&pulled["type"], &pulled["what"]),
+        (&json!("model"), &json!("run"))
+    );
+    let mut found = files_below(&out);
+    let card = String::from_utf8(found.remove("README.md").expect("a card")).expect("text");
+    for part in [
+        "license: mit\n",
+        "| tables trained on | `abc` |",
+        "| seed | 7 |",
+        "stance hub pull lab/editor --out RUN",
+        "Dynamic Motion Blending",
+    ] {
+        assert!(card.contains(part), "{part}: {card}");
+    }
+    let mut expected = files_below(&run);
+    expected.retain(|path, _| !path.contains("/."));
+    assert_eq!(found, expected);
+    let left = fs::read_dir(dir.path()).expect("a folder").count();
+    assert_eq!(left, 2, "only the run and what was pulled");
+}
+
+#[test]
+fn what_may_not_be_passed_on_is_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let hub = Hub::open();
+    let skeleton = Skeleton::smplx_neutral();
+    let unstated = dir.path().join("unstated");
+    commit_rows(&unstated, &[quarantined()], None, &skeleton, "plan", "test").expect("committed");
+    let refused = hub.try_push(&unstated, CLIPS, &[]).expect_code(1);
+    assert!(refused.stderr.contains("--license"), "{}", refused.stderr);
+    hub.push(&unstated, CLIPS, &["--license", "CC-BY-4.0"]);
+    let card = hub.card("datasets/lab/clips");
+    assert!(card.contains("license:\n- cc-by-4.0\n"), "{card}");
+
+    // A licence that restricts passing on is to be named by whoever may.
+    let sources = corpus(4);
+    let restricted = sources.path().join("restricted");
+    let clips = sources.path().join("corpus");
+    // Sidecars state a licence of their own.
+    for sidecar in files_with_extension(&clips, "json") {
+        let text = fs::read_to_string(&sidecar).expect("text");
+        let text = text.replace("CC0-1.0", "LicenseRef-AMASS-NonCommercial");
+        fs::write(&sidecar, text).expect("written");
+    }
+    let tag = "LicenseRef-AMASS-NonCommercial";
+    stance(&[
+        "ingest",
+        arg(&clips),
+        "--out",
+        arg(&restricted),
+        "--license",
+        tag,
+    ])
+    .expect_code(0);
+    let refused = hub.try_push(&restricted, "lab/other", &[]).expect_code(1);
+    assert!(refused.stderr.contains(tag), "{}", refused.stderr);
+    hub.push(&restricted, "lab/other", &["--license", tag]);
+
+    // A run is under what its data is under.
+    let run = dir.path().join("run");
+    let data = Dataset::open(&restricted).expect("a dataset");
+    run_folder(&run, &data.content_hash(&[MotionRow::TABLE]));
+    let refused = hub.try_push(&run, "lab/editor", &[]).expect_code(1);
+    assert!(refused.stderr.contains("--dataset"), "{}", refused.stderr);
+    let of = |dataset: &Path| {
+        let args = ["--dataset", arg(dataset), "--license", tag];
+        hub.try_push(&run, "lab/editor", &args)
+    };
+    let refused = of(&unstated).expect_code(1);
+    assert!(
+        refused.stderr.contains("other tables"),
+        "{}",
+        refused.stderr
+    );
+    of(&restricted).expect_code(0);
+    let card = hub.card("models/lab/editor");
+    assert!(
+        card.contains(tag) && card.contains(&data.manifest().root_hash),
+        "{card}"
+    );
+}
+
+#[test]
+fn edits_are_tables_and_other_folders_are_nothing() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let hub = Hub::open();
+    let edits = dir.path().join("edits");
+    let row = EditRow {
+        id: "1".to_owned(),
+        split: Split::Test,
+        system: "Mine".to_owned(),
+        checkpoint_hash: String::new(),
+        settings_hash: String::new(),
+        settings: "{}".to_owned(),
+        source_id: "a".to_owned(),
+        target_id: "b".to_owned(),
+        instruction: "wave".to_owned(),
+        kind: "semantic".to_owned(),
+        seed: 0,
+        fps: 20.0,
+        n_frames: 2,
+        transl: vec![[0.0; 3]; 2],
+        global_orient: vec![[0.0; 3]; 2],
+        body_pose: vec![[0.0; 63]; 2],
+        fit_error_m: None,
+        bone_drift_m: None,
+    };
+    let skeleton = Skeleton::smplx_neutral();
+    commit_rows(&edits, &[row], None, &skeleton, "plan", "test").expect("committed");
+    let pushed = hub.push(&edits, "lab/edits", &["--license", "CC0-1.0"]);
+    assert_eq!(
+        (&pushed["type"], &pushed["what"]),
+        (&json!("dataset"), &json!("edits"))
+    );
+    let card = hub.card("datasets/lab/edits");
+    assert!(
+        card.contains("config_name: edits\n  default: true\n"),
+        "{card}"
+    );
+    let out = dir.path().join("pulled");
+    let pulled: Value = hub.pull(None, "lab/edits", &out, &[]).expect_code(0).json();
+    assert_eq!(pulled["what"], "edits");
+    let rows: Vec<EditRow> = Dataset::open(&out)
+        .expect("edits")
+        .read(None)
+        .expect("rows");
+    assert_eq!(rows.len(), 1);
+
+    let nothing = dir.path().join("nothing");
+    fs::create_dir(&nothing).expect("made");
+    let refused = hub.try_push(&nothing, "lab/nothing", &[]).expect_code(1);
+    assert!(
+        refused
+            .stderr
+            .contains("expected a dataset, edits, or a run"),
+        "{}",
+        refused.stderr
+    );
+    // Repos of other programs, and names that lead out of the folder.
+    hub.state().write("models/lab/foreign", "weights.bin", b"1");
+    let out = dir.path().join("foreign");
+    let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
+    assert!(refused.stderr.contains("config.json"), "{}", refused.stderr);
+    hub.state()
+        .write("models/lab/foreign", "config.json", b"{}");
+    let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
+    assert!(
+        refused.stderr.contains("another program"),
+        "{}",
+        refused.stderr
+    );
+    hub.state().write("models/lab/foreign", "a/../../b", b"1");
+    let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
+    assert!(
+        refused.stderr.contains("cannot be written here"),
+        "{}",
+        refused.stderr
+    );
+    assert!(!out.exists());
+    // One name of two kinds.
+    hub.state().write("datasets/lab/foreign", "a", b"1");
+    let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
+    assert!(refused.stderr.contains("--type"), "{}", refused.stderr);
+}

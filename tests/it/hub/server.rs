@@ -1,0 +1,560 @@
+//! A hub on this machine: the calls by which repos are published and pulled, and a storage on another port.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use serde_json::{Value, json};
+use sha1::Sha1;
+use sha2::{Digest, Sha256};
+
+use crate::util::{Ran, command};
+
+/// The token that may do everything.
+pub(crate) const TOKEN: &str = "hf_the_right_one";
+/// Bytes of a part of a large file, and the size beyond which there are parts.
+const CHUNK: usize = 20_000;
+/// Entries on a page of a listing.
+const PAGE: usize = 3;
+
+/// A file of a commit.
+#[derive(Clone)]
+enum Stored {
+    Regular(Vec<u8>),
+    /// In the storage, by its SHA-256.
+    Large(String),
+}
+
+type Files = BTreeMap<String, Stored>;
+
+/// A request that was answered.
+pub(crate) struct Call {
+    /// Method and path.
+    pub(crate) line: String,
+    pub(crate) token: Option<String>,
+    pub(crate) is_storage: bool,
+}
+
+/// What the hub holds, and how it fails.
+#[derive(Default)]
+pub(crate) struct State {
+    /// Commits of each repo, the oldest first.
+    repos: BTreeMap<String, Vec<Files>>,
+    private: BTreeSet<String>,
+    objects: BTreeMap<String, Vec<u8>>,
+    parts: BTreeMap<(String, usize), Vec<u8>>,
+    pub(crate) calls: Vec<Call>,
+    /// Uploads after which the storage hangs up.
+    pub(crate) puts_left: Option<usize>,
+    /// Bytes of a download after which the storage hangs up.
+    pub(crate) cut: Option<usize>,
+    /// Whether the storage gives wrong bytes.
+    pub(crate) is_tampered: bool,
+}
+
+impl State {
+    /// The content of a file in the newest commit of a repo.
+    pub(crate) fn read(&self, repo: &str, path: &str) -> Option<Vec<u8>> {
+        match self.repos.get(repo)?.last()?.get(path)? {
+            Stored::Regular(bytes) => Some(bytes.clone()),
+            Stored::Large(oid) => self.objects.get(oid).cloned(),
+        }
+    }
+
+    /// The paths of the newest commit of a repo.
+    pub(crate) fn paths(&self, repo: &str) -> Vec<String> {
+        let newest = self.repos.get(repo).and_then(|commits| commits.last());
+        newest.map_or(Vec::new(), |files| files.keys().cloned().collect())
+    }
+
+    /// Changes the newest commit of a repo that was made elsewhere.
+    pub(crate) fn write(&mut self, repo: &str, path: &str, bytes: &[u8]) {
+        let commits = self.repos.entry(repo.to_owned()).or_default();
+        let mut files = commits.last().cloned().unwrap_or_default();
+        files.insert(path.to_owned(), Stored::Regular(bytes.to_vec()));
+        commits.push(files);
+    }
+
+    /// The requests with a method, by their paths, since they were last taken.
+    pub(crate) fn take_calls(&mut self, method: &str) -> Vec<String> {
+        let calls = std::mem::take(&mut self.calls).into_iter();
+        calls
+            .filter_map(|call| Some(call.line.strip_prefix(method)?.trim().to_owned()))
+            .collect()
+    }
+}
+
+/// A hub that runs as long as the test.
+pub(crate) struct Hub {
+    address: String,
+    home: tempfile::TempDir,
+    state: Arc<Mutex<State>>,
+}
+
+impl Hub {
+    pub(crate) fn open() -> Self {
+        let state = Arc::<Mutex<State>>::default();
+        let bound = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
+        let addresses = bound
+            .each_ref()
+            .map(|it| format!("http://{}", it.local_addr().expect("bound")));
+        for (is_storage, listener) in [false, true].into_iter().zip(bound) {
+            let (state, addresses) = (Arc::clone(&state), addresses.clone());
+            std::thread::spawn(move || {
+                for stream in listener.incoming().flatten() {
+                    // A client that hangs up is the client's affair.
+                    let _answered = answer(stream, &state, &addresses, is_storage);
+                }
+            });
+        }
+        let [address, _] = addresses;
+        let home = tempfile::tempdir().expect("a folder");
+        Self {
+            address,
+            home,
+            state,
+        }
+    }
+
+    pub(crate) fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().expect("no thread panicked")
+    }
+
+    /// Where the tools of the hub keep a token.
+    pub(crate) fn token_file(&self) -> std::path::PathBuf {
+        self.home.path().join("token")
+    }
+
+    /// Runs the command with this hub and a token.
+    pub(crate) fn run(&self, token: Option<&str>, args: &[&str]) -> Ran {
+        let mut command = command(args);
+        for name in [
+            "HF_TOKEN",
+            "HF_TOKEN_PATH",
+            "HTTPS_PROXY",
+            "https_proxy",
+            "ALL_PROXY",
+            "all_proxy",
+        ] {
+            command.env_remove(name);
+        }
+        command
+            .env("HF_ENDPOINT", &self.address)
+            .env("HF_HOME", self.home.path());
+        if let Some(token) = token {
+            command.env("HF_TOKEN", token);
+        }
+        command.output().expect("stance starts").into()
+    }
+}
+
+struct Request {
+    method: String,
+    target: String,
+    token: Option<String>,
+    from: usize,
+    body: Vec<u8>,
+}
+
+impl Request {
+    fn read(stream: &TcpStream) -> std::io::Result<Self> {
+        let mut reader = BufReader::new(stream.try_clone()?);
+        let mut first = String::new();
+        reader.read_line(&mut first)?;
+        let (mut token, mut from, mut length) = (None, 0, 0);
+        loop {
+            let mut line = String::new();
+            reader.read_line(&mut line)?;
+            let line = line.trim();
+            let Some((name, value)) = line.split_once(": ") else {
+                break;
+            };
+            match name.to_lowercase().as_str() {
+                "authorization" => token = Some(value.replace("Bearer ", "")),
+                "content-length" => length = value.parse().unwrap_or(0),
+                "range" => {
+                    let start = value.trim_start_matches("bytes=").trim_end_matches('-');
+                    from = start.parse().unwrap_or(0);
+                }
+                _ => {}
+            }
+        }
+        let mut body = vec![0; length];
+        reader.read_exact(&mut body)?;
+        let mut words = first.split_whitespace().map(str::to_owned);
+        Ok(Self {
+            method: words.next().unwrap_or_default(),
+            target: words.next().unwrap_or_default(),
+            token,
+            from,
+            body,
+        })
+    }
+
+    fn json(&self) -> Value {
+        serde_json::from_slice(&self.body).unwrap_or(Value::Null)
+    }
+}
+
+struct Reply {
+    status: &'static str,
+    headers: Vec<String>,
+    body: Vec<u8>,
+}
+
+impl Reply {
+    fn new(status: &'static str, body: impl Into<Vec<u8>>) -> Self {
+        Self {
+            status,
+            headers: Vec::new(),
+            body: body.into(),
+        }
+    }
+
+    fn json(document: &Value) -> Self {
+        Self::new("200 OK", document.to_string())
+    }
+
+    fn refused(status: &'static str, code: &str, problem: &str) -> Self {
+        Self {
+            headers: vec![format!("X-Error-Code: {code}")],
+            ..Self::new(status, json!({ "error": problem }).to_string())
+        }
+    }
+
+    /// Bytes from one on.
+    fn bytes(bytes: &[u8], from: usize) -> Self {
+        let mut reply = Self::new("200 OK", &bytes[from..]);
+        if from > 0 {
+            let (last, all) = (bytes.len() - 1, bytes.len());
+            reply.status = "206 Partial Content";
+            reply.headers = vec![format!("Content-Range: bytes {from}-{last}/{all}")];
+        }
+        reply
+    }
+}
+
+/// Answers one request. Addresses are those of the hub and of its storage.
+fn answer(
+    mut stream: TcpStream,
+    state: &Mutex<State>,
+    addresses: &[String; 2],
+    is_storage: bool,
+) -> std::io::Result<()> {
+    let request = Request::read(&stream)?;
+    let mut state = state.lock().expect("no thread panicked");
+    state.calls.push(Call {
+        line: format!("{} {}", request.method, request.target),
+        token: request.token.clone(),
+        is_storage,
+    });
+    let reply = match is_storage {
+        true => stored(&request, &mut state),
+        false => Some(called(&request, &mut state, addresses)),
+    };
+    // Without a reply the connection is closed.
+    let Some(reply) = reply else {
+        return Ok(());
+    };
+    let cut = state.cut.filter(|_| is_storage).unwrap_or(usize::MAX);
+    drop(state);
+    let mut head = format!("HTTP/1.1 {}\r\n", reply.status);
+    for header in &reply.headers {
+        head += &format!("{header}\r\n");
+    }
+    let length = reply.body.len();
+    head += &format!("Content-Length: {length}\r\nConnection: close\r\n\r\n");
+    stream.write_all(head.as_bytes())?;
+    stream.write_all(&reply.body[..length.min(cut)])
+}
+
+/// The storage: objects and parts of them by their SHA-256.
+fn stored(request: &Request, state: &mut State) -> Option<Reply> {
+    let parts: Vec<&str> = request.target.split('/').skip(1).collect();
+    match (request.method.as_str(), parts.as_slice()) {
+        ("PUT", ["put", oid, part @ ..]) => {
+            if let Some(left) = &mut state.puts_left {
+                *left = left.checked_sub(1)?;
+            }
+            match part {
+                [number] => {
+                    let number = number.parse().expect("a number");
+                    let key = ((*oid).to_owned(), number);
+                    state.parts.insert(key, request.body.clone());
+                }
+                _ => drop(
+                    state
+                        .objects
+                        .insert((*oid).to_owned(), request.body.clone()),
+                ),
+            }
+            Some(Reply {
+                headers: vec!["ETag: \"of-this\"".to_owned()],
+                ..Reply::new("200 OK", "")
+            })
+        }
+        ("GET", ["get", oid]) => {
+            let mut bytes = state.objects.get(*oid)?.clone();
+            if state.is_tampered {
+                bytes[0] ^= 1;
+            }
+            Some(Reply::bytes(&bytes, request.from))
+        }
+        _ => Some(Reply::new("404 Not Found", "")),
+    }
+}
+
+/// The API.
+fn called(request: &Request, state: &mut State, addresses: &[String; 2]) -> Reply {
+    if request.token.as_deref().is_some_and(|token| token != TOKEN) {
+        let problem = "Invalid credentials in Authorization header";
+        return Reply::refused("401 Unauthorized", "", problem);
+    }
+    if request.token.is_none() && request.method != "GET" {
+        return Reply::refused("401 Unauthorized", "", "a token is needed");
+    }
+    let (path, query) = request
+        .target
+        .split_once('?')
+        .unwrap_or((&request.target, ""));
+    let parts: Vec<&str> = path.split('/').skip(1).collect();
+    match (request.method.as_str(), parts.as_slice()) {
+        ("POST", ["api", "repos", "create"]) => create(&request.json(), state),
+        (_, ["api", kind, owner, name, what, of]) => {
+            let repo = format!("{kind}/{owner}/{name}");
+            let is_hidden = request.token.is_none() && state.private.contains(&repo);
+            if is_hidden || !state.repos.contains_key(&repo) {
+                return Reply::refused("404 Not Found", "RepoNotFound", "no such repo");
+            }
+            match *what {
+                "revision" => revision(&repo, of, state),
+                "tree" => tree(request, &repo, query, state, addresses),
+                "preupload" => preupload(&request.json()),
+                "commit" => commit(&request.body, &repo, state),
+                _ => Reply::new("404 Not Found", ""),
+            }
+        }
+        ("POST", [.., "info", "lfs", "objects", "batch"]) => {
+            batch(&request.json(), state, addresses)
+        }
+        ("POST", ["verify"]) => {
+            let asked = request.json();
+            let object = state.objects.get(asked["oid"].as_str().unwrap_or_default());
+            match object.is_some_and(|object| asked["size"] == object.len()) {
+                true => Reply::new("200 OK", "fine"),
+                false => Reply::refused("400 Bad Request", "", "not as it was said"),
+            }
+        }
+        ("POST", ["complete"]) => complete(&request.json(), state),
+        ("GET", ["datasets", owner, name, "resolve", _, path @ ..]) => {
+            let repo = format!("datasets/{owner}/{name}");
+            resolve(request, &repo, &path.join("/"), state, addresses)
+        }
+        ("GET", [owner, name, "resolve", _, path @ ..]) => {
+            let repo = format!("models/{owner}/{name}");
+            resolve(request, &repo, &path.join("/"), state, addresses)
+        }
+        _ => Reply::new("404 Not Found", ""),
+    }
+}
+
+fn create(asked: &Value, state: &mut State) -> Reply {
+    let word = |field: &str| asked[field].as_str().unwrap_or_default().to_owned();
+    let repo = format!(
+        "{}s/{}/{}",
+        word("type"),
+        word("organization"),
+        word("name")
+    );
+    if state.repos.contains_key(&repo) {
+        return Reply::refused("409 Conflict", "", "it exists");
+    }
+    if word("visibility") == "private" {
+        state.private.insert(repo.clone());
+    }
+    state.write(&repo, ".gitattributes", b"*.parquet filter=lfs\n");
+    Reply::json(&json!({ "url": repo }))
+}
+
+/// Name of the commit at a place.
+fn commit_name(index: usize) -> String {
+    format!("{:040x}", index + 1)
+}
+
+fn revision(repo: &str, revision: &str, state: &State) -> Reply {
+    let commits = &state.repos[repo];
+    let newest = commit_name(commits.len() - 1);
+    match revision == "main" || revision == newest {
+        true => Reply::json(&json!({ "sha": newest })),
+        false => Reply::refused("404 Not Found", "RevisionNotFound", "no such revision"),
+    }
+}
+
+fn git_name(bytes: &[u8]) -> String {
+    let head = format!("blob {}\0", bytes.len());
+    hex(&Sha1::new()
+        .chain_update(head)
+        .chain_update(bytes)
+        .finalize())
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// A page of the files of the newest commit.
+fn tree(
+    request: &Request,
+    repo: &str,
+    query: &str,
+    state: &State,
+    addresses: &[String; 2],
+) -> Reply {
+    let files = state.repos[repo].last().expect("a commit");
+    let start = query.split("cursor=").nth(1);
+    let start: usize = start.map_or(0, |start| start.parse().expect("a number"));
+    let page = files.iter().skip(start).take(PAGE);
+    let mut entries: Vec<Value> = page
+        .map(|(path, stored)| match stored {
+            Stored::Regular(bytes) => {
+                json!({ "type": "file", "path": path, "size": bytes.len(), "oid": git_name(bytes) })
+            }
+            Stored::Large(oid) => {
+                let size = state.objects[oid].len();
+                json!({
+                    "type": "file",
+                    "path": path,
+                    "size": size,
+                    "oid": git_name(b"a pointer"),
+                    "lfs": { "oid": oid, "size": size, "pointerSize": 130 },
+                })
+            }
+        })
+        .collect();
+    entries.push(json!({ "type": "directory", "path": "data", "size": 0, "oid": git_name(b"") }));
+    let mut reply = Reply::json(&entries.into());
+    if files.len() > start + PAGE {
+        let path = request.target.split('?').next().unwrap_or_default();
+        let (address, next) = (&addresses[0], start + PAGE);
+        reply.headers = vec![format!(
+            "Link: <{address}{path}?recursive=true&cursor={next}>; rel=\"next\""
+        )];
+    }
+    reply
+}
+
+fn is_large(path: &str) -> bool {
+    path.ends_with(".parquet") || path.ends_with(".safetensors")
+}
+
+fn preupload(asked: &Value) -> Reply {
+    let files = asked["files"].as_array().expect("files").iter();
+    let modes = files.map(|file| {
+        let path = file["path"].as_str().expect("a path");
+        let sample = STANDARD.decode(file["sample"].as_str().expect("a sample"));
+        assert!(sample.expect("base64").len() <= 512);
+        let mode = if is_large(path) { "lfs" } else { "regular" };
+        json!({ "path": path, "uploadMode": mode, "shouldIgnore": false })
+    });
+    Reply::json(&json!({ "files": Vec::from_iter(modes) }))
+}
+
+fn batch(asked: &Value, state: &State, [hub, storage]: &[String; 2]) -> Reply {
+    let objects = asked["objects"].as_array().expect("objects").iter();
+    let answers = objects.map(|object| {
+        let oid = object["oid"].as_str().expect("an oid");
+        let size = object["size"].as_u64().expect("a size") as usize;
+        let mut answer = object.clone();
+        if state.objects.contains_key(oid) {
+            return answer;
+        }
+        let place = format!("{storage}/put/{oid}");
+        let upload = match size > CHUNK {
+            false => json!({ "href": place }),
+            true => {
+                let parts = (1..=size.div_ceil(CHUNK)).map(|part| {
+                    let place = format!("{place}/{part}");
+                    (format!("{part:05}"), Value::from(place))
+                });
+                let mut header: serde_json::Map<String, Value> = parts.collect();
+                header.insert("chunk_size".to_owned(), CHUNK.to_string().into());
+                json!({ "href": format!("{hub}/complete"), "header": header })
+            }
+        };
+        answer["actions"] =
+            json!({ "upload": upload, "verify": { "href": format!("{hub}/verify") } });
+        answer
+    });
+    Reply::json(&json!({ "objects": Vec::from_iter(answers) }))
+}
+
+fn complete(asked: &Value, state: &mut State) -> Reply {
+    let oid = asked["oid"].as_str().expect("an oid");
+    let mut bytes = Vec::new();
+    for part in asked["parts"].as_array().expect("parts") {
+        assert_eq!(part["etag"], "\"of-this\"");
+        let number = part["partNumber"].as_u64().expect("a number") as usize;
+        bytes.extend(&state.parts[&(oid.to_owned(), number)]);
+    }
+    state.objects.insert(oid.to_owned(), bytes);
+    Reply::json(&json!({}))
+}
+
+fn commit(lines: &[u8], repo: &str, state: &mut State) -> Reply {
+    let text = std::str::from_utf8(lines).expect("text");
+    let lines = text
+        .lines()
+        .map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
+    let commits = &state.repos[repo];
+    let mut files = commits.last().cloned().unwrap_or_default();
+    for line in lines {
+        let value = &line["value"];
+        let path = value["path"].as_str().unwrap_or_default().to_owned();
+        match line["key"].as_str().expect("a key") {
+            "header" => {
+                let parent = value["parentCommit"].as_str();
+                if parent.is_some_and(|parent| parent != commit_name(commits.len() - 1)) {
+                    return Reply::refused("412 Precondition Failed", "", "another commit");
+                }
+            }
+            "file" => {
+                let bytes = STANDARD.decode(value["content"].as_str().expect("content"));
+                files.insert(path, Stored::Regular(bytes.expect("base64")));
+            }
+            "lfsFile" => {
+                let oid = value["oid"].as_str().expect("an oid").to_owned();
+                let object = state.objects.get(&oid).expect("uploaded before");
+                assert_eq!(hex(&Sha256::digest(object)), oid, "{path}");
+                files.insert(path, Stored::Large(oid));
+            }
+            "deletedFile" => drop(files.remove(&path).expect("it is there")),
+            key => panic!("{key}"),
+        }
+    }
+    let name = commit_name(commits.len());
+    let commits = state.repos.get_mut(repo).expect("it is there");
+    commits.push(files);
+    Reply::json(&json!({ "commitOid": name, "commitUrl": format!("{repo}/commit/{name}") }))
+}
+
+fn resolve(
+    request: &Request,
+    repo: &str,
+    path: &str,
+    state: &State,
+    addresses: &[String; 2],
+) -> Reply {
+    let is_hidden = request.token.is_none() && state.private.contains(repo);
+    let files = state.repos.get(repo).filter(|_| !is_hidden);
+    match files.and_then(|commits| commits.last()?.get(path)) {
+        Some(Stored::Regular(bytes)) => Reply::bytes(bytes, request.from),
+        Some(Stored::Large(oid)) => Reply {
+            headers: vec![format!("Location: {}/get/{oid}", addresses[1])],
+            ..Reply::new("302 Found", "")
+        },
+        None => Reply::new("404 Not Found", ""),
+    }
+}
