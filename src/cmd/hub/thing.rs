@@ -118,7 +118,7 @@ impl Thing {
                         repo: &repo.to_string(),
                         licenses: &licenses,
                         root_hash: dataset.as_ref().map(|it| it.manifest().root_hash.as_str()),
-                        judge: &judge.map_or(Vec::new(), |judge| judge.lines()),
+                        judge: &judge.map(|judge| judge.lines()).unwrap_or_default(),
                         scores: &Vec::from_iter(scores.map(|it| (it.system, it.metric, it.mean))),
                     },
                 );

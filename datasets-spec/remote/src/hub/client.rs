@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 use std::fmt;
 use std::fs;
-use std::io::Read;
+use std::io::{self, Read};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -224,7 +224,7 @@ impl Hub {
         })
     }
 
-    /// Sends `len` bytes to a place of the storage, which is told no token, and returns the headers of its answer.
+    /// Sends the next `len` bytes to a place of the storage, which is told no token, and returns the headers of its answer.
     pub(super) fn put(
         &self,
         address: &str,
@@ -235,13 +235,24 @@ impl Hub {
             .agent
             .put(address)
             .header(header::CONTENT_LENGTH, len.to_string());
+        let mut body = Read::take(content, len).chain(Shortened);
         let response = request
-            .send(SendBody::from_reader(content))
+            .send(SendBody::from_reader(&mut body))
             .map_err(|error| error.to_string())?;
         match response.status() {
             status if status.is_success() => Ok(response.headers().clone()),
             status => Err(format!("the storage answers {status}")),
         }
+    }
+}
+
+/// The end of a file that became shorter. Without it, ureq would wait for the missing bytes forever.
+struct Shortened;
+
+impl Read for Shortened {
+    fn read(&mut self, _buffer: &mut [u8]) -> io::Result<usize> {
+        let problem = "the file became shorter while it was read";
+        Err(io::Error::new(io::ErrorKind::UnexpectedEof, problem))
     }
 }
 

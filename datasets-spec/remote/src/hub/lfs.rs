@@ -3,8 +3,6 @@
 //! # Source
 //! Git LFS batch API, with the transfer `multipart` of the hub (`huggingface_hub/lfs.py`).
 
-use std::io::Read;
-
 use datasets_spec::Progress;
 use serde_json::{Value, json};
 
@@ -81,7 +79,7 @@ fn upload(hub: &Hub, object: &Object<'_>, actions: &Value) -> Result<(), Error> 
     let mut content = object.file.content.open()?;
     match &upload["header"]["chunk_size"] {
         Value::Null => {
-            hub.put(&place, &mut content.take(size), size)
+            hub.put(&place, &mut content, size)
                 .map_err(|problem| failed(object, &problem))?;
         }
         chunk => {
@@ -90,7 +88,7 @@ fn upload(hub: &Hub, object: &Object<'_>, actions: &Value) -> Result<(), Error> 
                 .into_iter()
                 .enumerate()
             {
-                let sent = hub.put(part, &mut content.by_ref().take(len), len);
+                let sent = hub.put(part, &mut content, len);
                 let headers = sent.map_err(|problem| failed(object, &problem))?;
                 let etag = text_of(&headers, "etag")
                     .ok_or_else(|| failed(object, "the storage names no ETag of a part"))?;
