@@ -200,7 +200,7 @@ fn only_what_changed_is_committed_and_nothing_is_deleted_silently() {
     );
     assert_eq!(published(&out), published(&dataset));
 
-    // A commit that someone else makes meanwhile is not lost: a file that is only there stays until it is named.
+    // What somebody else committed stays until it is named.
     hub.state()
         .write("datasets/lab/clips", "notes/NOTES.md", b"of others");
     let refused = hub
@@ -440,7 +440,7 @@ fn what_may_not_be_passed_on_is_refused() {
 }
 
 #[test]
-fn edits_are_tables_and_other_folders_are_nothing() {
+fn edits_are_published_as_a_dataset() {
     let dir = tempfile::tempdir().expect("a folder");
     let hub = Hub::open();
     let edits = dir.path().join("edits");
@@ -484,7 +484,12 @@ fn edits_are_tables_and_other_folders_are_nothing() {
         .read(None)
         .expect("rows");
     assert_eq!(rows.len(), 1);
+}
 
+#[test]
+fn folders_and_repos_of_others_are_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let hub = Hub::open();
     let nothing = dir.path().join("nothing");
     fs::create_dir(&nothing).expect("made");
     let refused = hub.try_push(&nothing, "lab/nothing", &[]).expect_code(1);
