@@ -319,7 +319,7 @@ fn called(request: &Request, state: &mut State, addresses: &[String; 2]) -> Repl
     let (path, query) = request
         .target
         .split_once('?')
-        .unwrap_or((&request.target, ""));
+        .unwrap_or((request.target.as_str(), ""));
     let parts: Vec<&str> = path.split('/').skip(1).collect();
     match (request.method.as_str(), parts.as_slice()) {
         ("POST", ["api", "repos", "create"]) => create(&request.json(), state),

@@ -42,7 +42,7 @@ pub struct RepoName(String);
 impl RepoName {
     /// Owner and name.
     fn parts(&self) -> (&str, &str) {
-        self.0.split_once('/').unwrap_or(("", &self.0))
+        self.0.split_once('/').unwrap_or(("", self.0.as_str()))
     }
 }
 
