@@ -179,9 +179,12 @@ fn mean(states: &[f32]) -> Vec<f32> {
     (0..WIDTH).map(column).collect()
 }
 
+/// A text, and three vectors of it.
+type Recorded = (&'static str, [f32; WIDTH], [f32; WIDTH], [f32; WIDTH]);
+
 /// Vectors of the first and the last token of a text, and the mean of all, by kind of network: recorded with `states`
 /// of `tests/python/check_bert.py` in double precision, of the weights of [`weights`].
-const RECORDED: [(&str, [f32; WIDTH], [f32; WIDTH], [f32; WIDTH]); 2] = [
+const RECORDED: [Recorded; 2] = [
     (
         "bert",
         [-0.10936, -0.402932, 0.195663, 0.183819],

@@ -140,7 +140,7 @@ fn public_names() -> BTreeSet<String> {
 fn generated() -> String {
     let config = Config::new().with_large_int("number");
     let mut text = HEAD.to_owned();
-    let constants: [(&str, usize); 5] = [
+    let constants: [(&str, usize); 6] = [
         ("MAX_TEXT_CHARS", super::MAX_TEXT_CHARS),
         ("MAX_NAME_CHARS", super::MAX_NAME_CHARS),
         ("MAX_EVENTS", super::MAX_EVENTS),

@@ -37,10 +37,11 @@ fn label(site: &Site, labels: &[&str]) {
         .read(None)
         .expect("pairs");
     let one = pairs.last().expect("a style pair").clone();
+    let sources: Vec<_> = pairs.iter().map(|pair| pair.source_id.clone()).collect();
     pairs.extend(labels.iter().enumerate().map(|(at, label)| PairRow {
         id: format!("own{at}"),
         source_id: one.target_id.clone(),
-        target_id: pairs[at].source_id.clone(),
+        target_id: sources[at].clone(),
         style: Some((*label).to_owned()),
         ..one.clone()
     }));

@@ -90,7 +90,7 @@ impl BertFiles {
         let path = |name: &str| self.folder.join(name);
         let names = Self::names(
             |name| path(name).is_file() && !PAPERS.contains(&name),
-            |name| read_checked(&path(name)),
+            |name| Ok(read_checked(&path(name))?),
         )?;
         let mut hasher = blake3::Hasher::new();
         for name in names {
