@@ -179,7 +179,7 @@ fn mean(states: &[f32]) -> Vec<f32> {
     (0..WIDTH).map(column).collect()
 }
 
-/// A text, and three vectors of it.
+/// A kind of network, and three vectors of it.
 type Recorded = (&'static str, [f32; WIDTH], [f32; WIDTH], [f32; WIDTH]);
 
 /// Vectors of the first and the last token of a text, and the mean of all, by kind of network: recorded with `states`
