@@ -36,7 +36,8 @@ fn label(site: &Site, labels: &[&str]) {
         .expect("a dataset")
         .read(None)
         .expect("pairs");
-    let one = pairs.last().expect("a style pair").clone();
+    let one = pairs.iter().find(|pair| pair.kind == "style");
+    let one = one.expect("a style pair").clone();
     let sources: Vec<_> = pairs.iter().map(|pair| pair.source_id.clone()).collect();
     pairs.extend(labels.iter().enumerate().map(|(at, label)| PairRow {
         id: format!("own{at}"),
@@ -50,7 +51,7 @@ fn label(site: &Site, labels: &[&str]) {
         &pairs,
         Some(|row: &PairRow| row.split),
         &Skeleton::smplx_neutral(),
-        "pairs",
+        &format!("pairs of {labels:?}"),
         "test",
     )
     .expect("pairs");
