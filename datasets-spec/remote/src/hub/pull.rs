@@ -104,6 +104,7 @@ pub fn pull(
         RepoKind::Model if files.contains_key("config.json") => Vec::new(),
         RepoKind::Model => return Err(source.foreign("run", "config.json")),
     };
+    files.keys().try_for_each(|path| source.check(path))?;
     // Settings of the repo itself, such as .gitattributes.
     files.retain(|path, _| !path.split('/').any(|part| part.starts_with('.')));
     progress.begin("pull", Some(files.len() as u64));
@@ -178,8 +179,8 @@ impl Source<'_> {
         Ok(others)
     }
 
-    /// Downloads a file, unless it is here, and returns where it is.
-    fn fetch(&self, path: &str, file: &Wanted, progress: &dyn Progress) -> Result<PathBuf, Error> {
+    /// Refuses a path that leads out of the folder.
+    fn check(&self, path: &str) -> Result<(), Error> {
         let mut parts = Path::new(path).components();
         let is_below = parts.all(|part| matches!(part, Component::Normal(_)));
         if path.is_empty() || path.contains('\\') || !is_below {
@@ -188,6 +189,12 @@ impl Source<'_> {
                 path: path.to_owned(),
             });
         }
+        Ok(())
+    }
+
+    /// Downloads a file, unless it is here, and returns where it is.
+    fn fetch(&self, path: &str, file: &Wanted, progress: &dyn Progress) -> Result<PathBuf, Error> {
+        self.check(path)?;
         let place = self.folder.join(path);
         let parent = place.parent().unwrap_or(self.folder);
         fs::create_dir_all(parent).map_err(datasets_spec::Error::io("create", parent))?;
