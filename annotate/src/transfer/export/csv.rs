@@ -43,7 +43,7 @@ impl Exporter<'_> {
         self.done.files.push("labels.csv".to_owned());
         let mut others = 0;
         self.each_accepted::<Error>(|_, accepted| {
-            others += usize::from(accepted.merged || accepted.credit.is_some());
+            others += usize::from(accepted.merged || accepted.author == 0);
             Ok(())
         })?;
         if others > 0 {
