@@ -149,8 +149,8 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     refused(&items, "other.safetensors", "has another vector for");
 }
 
-/// Writes a DistilBERT of one layer, whose vocabulary is the letters.
-fn write_distilbert(folder: &Path) {
+/// Writes a DistilBERT of one layer, whose vocabulary is the letters. Its weights depend on `phase`.
+fn write_distilbert(folder: &Path, phase: f32) {
     const WIDTH: usize = 8;
     let letters: Vec<String> = ('a'..='z').map(String::from).collect();
     let pieces: Vec<String> = letters.iter().map(|letter| format!("##{letter}")).collect();
@@ -187,7 +187,7 @@ fn write_distilbert(folder: &Path) {
         .enumerate()
         .map(|(place, (_, shape))| {
             let count: usize = shape.iter().product();
-            let values = (0..count).map(|i| (0.7 * i as f32 + place as f32).sin());
+            let values = (0..count).map(|i| (0.7 * i as f32 + place as f32 + phase).sin());
             values.flat_map(f32::to_le_bytes).collect()
         })
         .collect();
@@ -210,7 +210,7 @@ fn write_distilbert(folder: &Path) {
 fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     let workshop = Workshop::open();
     let path = |name: &str| workshop.path(name);
-    write_distilbert(&path("package/model"));
+    write_distilbert(&path("package/model"), 0.0);
     let (package, encoder) = (path("package"), path("encoder"));
     let take = [
         "model",
@@ -223,12 +223,14 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     stance(&take).expect_code(0);
 
     let small = fs::read_to_string(path("small.toml")).expect("settings");
-    let train = |model: &str, settings: &str, told: &[&str]| {
-        let config = path(&format!("{model}.toml"));
+    let train_into = |run: &str, model: &str, settings: &str, told: &[&str]| {
+        let config = path(&format!("{run}.toml"));
         fs::write(&config, settings).expect("writes");
         let settings = ["--config", arg(&config), "--steps", "4"];
-        workshop.train_with(model, model, &[&settings, told].concat())
+        workshop.train_with(model, run, &[&settings, told].concat())
     };
+    let train =
+        |model: &str, settings: &str, told: &[&str]| train_into(model, model, settings, told);
     let told = ["--text-encoder", arg(&encoder)];
     let editor = format!("text.encoder = \"bert\"\n{small}");
     let unnamed = train("motionrefit", &editor, &[]).expect_code(1).stderr;
@@ -249,9 +251,21 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     // The same network, as one vector brought to a length, and as its tokens.
     let (pooled, states) = (hash("motionrefit"), hash("tmed"));
     assert_eq!(
-        pooled.strip_prefix("scaled-"),
+        pooled.strip_prefix("rms10-"),
         states.strip_prefix("tokens-")
     );
+
+    // Vectors that a training left, which failed before it began, are not taken for those of another encoder.
+    let other = path("other");
+    write_distilbert(&other, 0.5);
+    let anew = path("anew");
+    fs::create_dir_all(&anew).expect("made");
+    let vectors = "embeddings.safetensors";
+    fs::copy(path("motionrefit").join(vectors), anew.join(vectors)).expect("copied");
+    let told_other = ["--text-encoder", arg(&other)];
+    train_into("anew", "motionrefit", &editor, &told_other).expect_code(0);
+    assert_ne!(hash("anew"), pooled);
+    assert!(hash("anew").starts_with("rms10-"));
 
     // An instruction that training has not shown needs the encoder.
     let (run, clip) = (path("motionrefit"), workshop.clip());

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
+use remote_store::hub::HubCache;
 
 use super::bert::{BertEncoder, BertFiles};
 use super::clip::{ClipEncoder, ClipFiles, ClipModel};
-use super::hub::HubCache;
 use super::table::EmbeddingTable;
 use crate::config::{BertVectors, TextConfig, TextEncoder};
 use crate::model::denoiser::TEXT_DIVISOR;
@@ -91,41 +91,38 @@ impl TextEncoderSource {
         match encoder {
             FrozenEncoder::Clip(model) => {
                 let load = || self.load(model, session.device);
-                computed(run, texts, "CLIP", load, EmbeddingTable::compute, session)
+                let compute = EmbeddingTable::compute;
+                self.computed(run, texts, "CLIP", load, compute, session)
             }
             FrozenEncoder::Bert => self.bert(run, texts, Some(TEXT_DIVISOR), session),
             FrozenEncoder::Table => self.given_table(run, texts),
         }
     }
 
-    /// Vectors of BERT: with a loudness the pooled ones, whose numbers get that root mean square, because as they are
-    /// they are too quiet for a network whose own words have about that size; else the states of tokens.
+    /// Vectors of BERT. With `rms`, the pooled ones, scaled so that the numbers of each have that root mean square;
+    /// unscaled they are about a hundred times smaller than what a network learns for words. Without, the states of
+    /// tokens.
     fn bert(
         &self,
         run: &Path,
         texts: &[String],
-        loudness: Option<f64>,
+        rms: Option<f64>,
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
         let load = || self.load_bert(session.device);
-        computed(
-            run,
-            texts,
-            "BERT",
-            load,
-            |encoder: &BertEncoder, texts, progress| {
-                let vectors = match loudness {
+        let compute =
+            |encoder: &BertEncoder, texts: Vec<&str>, progress: &mut dyn FnMut(usize, usize)| {
+                let vectors = match rms {
                     Some(_) => BertVectors::Pooled,
                     None => BertVectors::States,
                 };
                 let table = EmbeddingTable::compute_bert(encoder, vectors, texts, progress)?;
-                Ok(match loudness {
-                    Some(loudness) => table.of_length(loudness * (encoder.width() as f64).sqrt()),
+                Ok(match rms {
+                    Some(rms) => table.scaled_to(rms),
                     None => table,
                 })
-            },
-            session,
-        )
+            };
+        self.computed(run, texts, "BERT", load, compute, session)
     }
 
     fn given_table(&self, run: &Path, texts: &[String]) -> Result<EmbeddingTable, Error> {
@@ -168,42 +165,56 @@ impl TextEncoderSource {
         if config.encoder != TextEncoder::Bert {
             let load = || self.load(ClipModel::VitL14, session.device);
             let compute = EmbeddingTable::compute_tokens;
-            return computed(run, texts, "CLIP", load, compute, session);
+            return self.computed(run, texts, "CLIP", load, compute, session);
         }
-        let loudness = (config.vectors == Some(BertVectors::Pooled)).then_some(1.0);
-        self.bert(run, texts, loudness, session)
+        let rms = (config.vectors == Some(BertVectors::Pooled)).then_some(1.0);
+        self.bert(run, texts, rms, session)
     }
-}
 
-/// The table of the run folder if it holds all texts, else one that a loaded encoder computes.
-fn computed<'a, E>(
-    run: &Path,
-    texts: &'a [String],
-    name: &str,
-    load: impl FnOnce() -> Result<E, Error>,
-    compute: impl FnOnce(
-        &E,
-        Vec<&'a str>,
-        &mut dyn FnMut(usize, usize),
-    ) -> Result<EmbeddingTable, Error>,
-    session: &Session<'_>,
-) -> Result<EmbeddingTable, Error> {
-    let path = run.join(EMBEDDINGS);
-    if path.exists() {
-        let table = EmbeddingTable::load(&path)?;
-        if table.check_texts(texts.iter().map(String::as_str)).is_ok() {
-            return Ok(table);
-        }
+    /// The table of the run folder if it holds all texts, else one that a loaded encoder computes. Where the user names an
+    /// encoder, a table of another one, which a training that failed may have left, does not count.
+    fn computed<'a, E>(
+        &self,
+        run: &Path,
+        texts: &'a [String],
+        name: &str,
+        load: impl FnOnce() -> Result<E, Error>,
+        compute: impl Fn(
+            &E,
+            Vec<&'a str>,
+            &mut dyn FnMut(usize, usize),
+        ) -> Result<EmbeddingTable, Error>,
+        session: &Session<'_>,
+    ) -> Result<EmbeddingTable, Error> {
+        let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
+        let path = run.join(EMBEDDINGS);
+        let stored = path.exists().then(|| EmbeddingTable::load(&path));
+        let stored = stored
+            .transpose()?
+            .filter(|table| table.check_texts(texts.iter().copied()).is_ok());
+        let encoder = match (stored, &self.given) {
+            (Some(table), None) => return Ok(table),
+            (Some(table), Some(_)) => {
+                // What is named may be for another model of the same command.
+                let Ok(encoder) = load() else {
+                    return Ok(table);
+                };
+                let none = compute(&encoder, Vec::new(), &mut |_, _| {})?;
+                if none.encoder() == table.encoder() {
+                    return Ok(table);
+                }
+                encoder
+            }
+            (None, _) => load()?,
+        };
+        let progress = session.progress;
+        progress.begin("texts", Some(texts.len() as u64));
+        let mut reported = 0;
+        let table = compute(&encoder, texts, &mut |done, _| {
+            progress.advance((done - reported) as u64);
+            reported = done;
+        })?;
+        progress.finish(&format!("{} texts encoded by {name}", table.texts().len()));
+        Ok(table)
     }
-    let encoder = load()?;
-    let progress = session.progress;
-    progress.begin("texts", Some(texts.len() as u64));
-    let mut reported = 0;
-    let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
-    let table = compute(&encoder, texts, &mut |done, _| {
-        progress.advance((done - reported) as u64);
-        reported = done;
-    })?;
-    progress.finish(&format!("{} texts encoded by {name}", table.texts().len()));
-    Ok(table)
 }

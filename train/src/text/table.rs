@@ -98,9 +98,10 @@ impl EmbeddingTable {
         Self::of(identity, encoder.width(), texts, encode, progress)
     }
 
-    /// The table with every vector brought to a length. Its encoder gets another name, so that nobody takes it for the
-    /// one whose vectors are as they were.
-    pub(crate) fn of_length(mut self, length: f64) -> Self {
+    /// The table with every vector scaled so that its numbers have this root mean square. The name of its encoder says so:
+    /// other vectors have another name.
+    pub(crate) fn scaled_to(mut self, rms: f64) -> Self {
+        let length = rms * (self.width as f64).sqrt();
         for row in self.values.chunks_exact_mut(self.width.max(1)) {
             let squares: f64 = row.iter().map(|value| f64::from(*value).powi(2)).sum();
             if squares > 0.0 {
@@ -110,7 +111,7 @@ impl EmbeddingTable {
                 }
             }
         }
-        self.encoder = format!("scaled-{}", self.encoder);
+        self.encoder = format!("rms{rms}-{}", self.encoder);
         self
     }
 
