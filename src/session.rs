@@ -5,10 +5,10 @@ use std::sync::{Arc, LazyLock, Once};
 use std::time::Instant;
 
 use datasets_spec::Progress;
+use remote_store::hub::HubCache;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 use train::Session;
-use train::text::hub::HubCache;
 use train::text::source::TextEncoderSource;
 use train::work::Surroundings;
 

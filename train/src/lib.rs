@@ -3,7 +3,7 @@
 //! A model is trained from a dataset folder into a run folder by a function of [`stage`], and a trained
 //! editor answers test items as an [`system::EditSystem`]. [`registry::MODELS`] lists the models. The
 //! crate chooses no device but by [`device::open`], and reads no clock or environment, and nothing but
-//! [`text::hub::HubCache::fetch`] uses the network. The caller passes what it needs as a [`Session`].
+//! [`remote_store::hub::HubCache::fetch`] uses the network. The caller passes what it needs as a [`Session`].
 //!
 //! Read [`fit::train_motionrefit`] first, which shows a whole training run, then
 //! [`model::denoiser::Denoiser`].

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::Seed;
+use remote_store::hub::HubCache;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 use train::Error;
@@ -17,7 +18,6 @@ use train::model::clip::{ClipConfig, ClipText};
 use train::model::torch::{StateDictOptions, state_dict_from_torch};
 use train::model::weights::{draw, to_safetensors};
 use train::text::clip::{ClipEncoder, ClipFiles, ClipModel};
-use train::text::hub::HubCache;
 use train::text::table::EmbeddingTable;
 use train::text::tokens::ClipTokenizer;
 use train::vocabulary::TokenBatch;

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
+use remote_store::hub::read_checked;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -11,7 +12,6 @@ use tokenizers::{Tokenizer, TruncationParams};
 
 use super::bert_net::{BertConfig, BertText};
 use super::files::{WEIGHTS, file_in, first, read_weights};
-use super::hub::read_checked;
 use super::tokens::{PROBE, batch_of, vocabulary_of};
 use crate::Error;
 use crate::config::BertVectors;
@@ -190,8 +190,8 @@ struct Rules {
 
 impl Rules {
     /// # Source
-    /// `Transformer`, `Pooling` and `Normalize` of sentence-transformers. A folder without `modules.json` gives the
-    /// mean of all tokens, as there.
+    /// The modules `Transformer`, `Pooling` and `Normalize` of sentence-transformers. Without `modules.json` the vector
+    /// is the mean over all tokens, which is the default of that library.
     fn read(files: &BertFiles, config: &BertConfig, limit: Option<f64>) -> Result<Self, Error> {
         let sentence: SentenceConfig = files.optional(SENTENCE_CONFIG)?.unwrap_or_default();
         let limit = limit.filter(|limit| *limit < config.context as f64);
@@ -287,7 +287,7 @@ impl BertEncoder {
     ///
     /// # Errors
     /// A file cannot be read or differs from its checksum, the network is of another kind, a tensor is missing or of
-    /// another shape, or the tokenizer has tokens that the network has not.
+    /// another shape, or the vocabulary of the tokenizer is larger than that of the network.
     pub fn load(files: &BertFiles, device: &Device) -> Result<Self, Error> {
         let config = BertConfig::parse(&read_checked(&files.config)?, &files.config)?;
         let bytes = read_weights(&files.weights, &[])?;

@@ -248,9 +248,9 @@ impl BertText {
         }
     }
 
-    /// Builds the network with the weights of a safetensors file under Hugging Face's names, with or without a prefix
-    /// of the network. Weights of half and double precision become single precision, and other tensors, such as those
-    /// of a head, are left alone. `path` names the file in errors.
+    /// Builds the network and loads its weights from a safetensors file. Tensors have Hugging Face's names, with or
+    /// without a prefix such as `bert.`; others, such as those of a head, are ignored. Weights of half and double
+    /// precision are converted to single precision. `path` names the file in errors.
     ///
     /// # Errors
     /// The file is malformed, or a tensor is missing or of another shape.

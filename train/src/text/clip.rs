@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
+use remote_store::hub::{Hub, HubCache};
 use serde::{Deserialize, Serialize};
 
 use super::files::{WEIGHTS, file_in, first, read_weights};
-use super::hub::{Hub, HubCache};
 use super::tokens::ClipTokenizer;
 use crate::Error;
 use crate::model::clip::{ClipConfig, ClipText};

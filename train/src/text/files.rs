@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use super::hub::read_checked;
+use remote_store::hub::read_checked;
+
 use crate::Error;
 use crate::model::torch::{StateDictOptions, state_dict_from_torch};
 

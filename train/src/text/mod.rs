@@ -9,7 +9,6 @@ pub mod bert;
 pub mod bert_net;
 pub mod clip;
 mod files;
-pub mod hub;
 pub mod package;
 pub mod source;
 pub mod table;

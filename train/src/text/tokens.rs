@@ -45,7 +45,7 @@ impl ClipTokenizer {
     /// # Errors
     /// The file cannot be read, or is none of these.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        Self::parse(&super::hub::read_checked(path)?, path)
+        Self::parse(&remote_store::hub::read_checked(path)?, path)
     }
 
     /// [`ClipTokenizer::read`] of a file's content; `path` names the file in errors.
@@ -164,7 +164,7 @@ impl ClipTokenizer {
     }
 }
 
-/// Rows of tokens, filled up to the longest of them.
+/// Pads rows of tokens to the length of the longest.
 ///
 /// # Shapes
 /// `B` rows give `[B, T]`.

@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 
 use burn::tensor::Device;
 use datasets_spec::NoProgress;
+use remote_store::hub::HubCache;
 use serde_json::Value;
 use work::{Failed, Plan};
 
-use crate::text::hub::HubCache;
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
 

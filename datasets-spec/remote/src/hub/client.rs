@@ -156,7 +156,7 @@ impl Hub {
         }
     }
 
-    /// The answer to a question about a file, without its redirect followed.
+    /// The response to a HEAD request. Redirects are not followed.
     pub(super) fn head(&self, address: &str) -> Result<Response<Body>, String> {
         let request = self.authorized(self.agent.head(address), address);
         request.call().map_err(|error| error.to_string())
@@ -181,7 +181,7 @@ impl Hub {
         Err("the server redirects without end".to_owned())
     }
 
-    /// The answer to a question.
+    /// The answer to a GET request.
     pub(super) fn ask(&self, address: &str) -> Result<Answer, Error> {
         let response = self
             .get(address, 0)
@@ -189,7 +189,7 @@ impl Hub {
         self.answer(address, response)
     }
 
-    /// The answer to a call with a body of a content type.
+    /// The answer to a POST request with a body of content type `kind`.
     pub(super) fn post(&self, address: &str, kind: &str, body: &[u8]) -> Result<Answer, Error> {
         // What is no JSON of its own kind is answered by plain JSON.
         let accepted = if kind.ends_with("+json") { kind } else { JSON };

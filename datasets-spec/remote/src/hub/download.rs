@@ -106,6 +106,12 @@ pub(super) fn download(
     let mut done = file
         .seek(SeekFrom::End(0))
         .map_err(datasets_spec::Error::io("read", part))?;
+    // Too long: it holds something else.
+    if wanted.len.is_some_and(|len| done > len) {
+        done = 0;
+        file.set_len(0)
+            .map_err(datasets_spec::Error::io("write", part))?;
+    }
     for attempt in 1.. {
         if wanted.len == Some(done) {
             break;

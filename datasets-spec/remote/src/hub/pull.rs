@@ -192,7 +192,7 @@ impl Source<'_> {
         Ok(())
     }
 
-    /// Downloads a file, unless it is here, and returns where it is.
+    /// Downloads a file if the folder lacks it, and returns its path on this machine.
     fn fetch(&self, path: &str, file: &Wanted, progress: &dyn Progress) -> Result<PathBuf, Error> {
         self.check(path)?;
         let place = self.folder.join(path);

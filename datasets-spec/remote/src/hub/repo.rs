@@ -217,7 +217,8 @@ pub(super) fn tree(hub: &Hub, repo: &Repo, commit: &str) -> Result<Tree, Error> 
     Ok(files)
 }
 
-/// A file of a listing. What LFS keeps has a SHA-256 beside the name that Git knows its pointer by.
+/// Path, size and checksum of a file in a listing. A file in LFS has a SHA-256 of its own; its `oid` is the Git hash of
+/// the small file that points to it.
 fn file_of(entry: &Value) -> Option<(String, Wanted)> {
     let checksum = entry["lfs"]["oid"].as_str().or(entry["oid"].as_str())?;
     let wanted = Wanted {
