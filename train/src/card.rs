@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use datasets_spec::license::{hub_names, is_non_commercial};
+use serde::Deserialize;
 use serde_json::Value;
 
 use crate::checkpoint::RunRecord;
@@ -31,8 +32,27 @@ pub struct About<'a> {
     pub root_hash: Option<&'a str>,
     /// Report of an encoder on its own retrieval, a line each.
     pub judge: &'a [String],
-    /// Scores of its edits: system, metric and value.
-    pub scores: &'a [(String, String, f64)],
+    /// Scores of its edits.
+    pub scores: &'a [Score],
+}
+
+/// A score of `stance eval --json`; its other fields are of no interest here.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct Score {
+    /// Name of the system.
+    pub system: String,
+    /// The items: `all`, those of a task, or those of a novelty.
+    pub task: String,
+    /// Name of the metric, with its unit.
+    pub metric: String,
+    /// Value.
+    pub mean: f64,
+    /// Half of the 95 % interval, where there is one.
+    pub ci95: Option<f64>,
+    /// Items.
+    pub n: u32,
+    /// Hash of the encoder that judged; empty for metrics of motions alone.
+    pub encoder_hash: String,
 }
 
 /// The card of a run. It follows from the record and what is said about it.
@@ -117,10 +137,18 @@ fn scores(about: &About<'_>) -> String {
         text += &format!("- {line}\n");
     }
     if !about.scores.is_empty() {
-        text += "\n| system | metric | value |\n|---|---|---:|\n";
+        text += "\nAs `stance eval` printed them. They name a system; that its edits are of these weights is the word of who \
+                 published them.\n\n| system | items | metric | value | n | judge |\n|---|---|---|---:|---:|---|\n";
     }
-    for (system, metric, value) in about.scores {
-        text += &format!("| {system} | {metric} | {value:.3} |\n");
+    for score in about.scores {
+        let (system, items, metric) = (&score.system, &score.task, &score.metric);
+        let interval = score
+            .ci95
+            .map_or(String::new(), |half| format!(" ±{half:.3}"));
+        let (value, n, judge) = (score.mean, score.n, &score.encoder_hash);
+        text += &format!(
+            "| {system} | {items} | {metric} | {value:.3}{interval} | {n} | {judge:.12} |\n"
+        );
     }
     text
 }
@@ -167,6 +195,11 @@ mod tests {
         let config = json!({ "train": { "seed": 7, "widths": vec![1; 100] }, "fitted": 1 });
         let record = RunRecord::new("motionrefit", "abc", &Skeleton::smplx_neutral(), config);
         let licenses = BTreeMap::from([("CC-BY-NC-4.0".to_owned(), 12)]);
+        let score = json!({
+            "system": "MotionReFit", "task": "all", "metric": "R@1", "mean": 63.88, "ci95": 7.5, "n": 128,
+            "encoder_hash": "0123456789abcdef", "protocol": "p",
+        });
+        let score = serde_json::from_value(score).expect("a score");
         let card = text(
             &record,
             &About {
@@ -174,7 +207,7 @@ mod tests {
                 licenses: &licenses,
                 root_hash: Some("def"),
                 judge: &[],
-                scores: &[("MotionReFit".to_owned(), "R@1".to_owned(), 63.88)],
+                scores: &[score],
             },
         );
         for part in [
@@ -182,7 +215,7 @@ mod tests {
             "| tables trained on | `abc` |\n| dataset | root hash `def` |\n",
             "| seed | 7 |\n",
             "| CC-BY-NC-4.0 | 12 | no |\n",
-            "| MotionReFit | R@1 | 63.880 |\n",
+            "| MotionReFit | all | R@1 | 63.880 ±7.500 | 128 | 0123456789ab |\n",
             "stance hub pull lab/editor --out RUN\nstance edit RUN --items ITEMS --out EDITS\n",
             "\"widths\": \"100 values\"",
             "Dynamic Motion Blending for Versatile Motion Editing",

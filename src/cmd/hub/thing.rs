@@ -14,10 +14,9 @@ use datasets_spec::store::aside;
 use datasets_spec::table::Row;
 use eval::judge::{JudgeReport, REPORT};
 use remote_store::hub::{Content, HubFile, RepoKind, RepoName, files_below, manifest_version};
-use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
-use train::card::{self, About};
+use train::card::{self, About, Score};
 use train::checkpoint::{CONFIG, RunRecord, read_any};
 
 /// Scores of a model, which `stance eval --json` printed into its run folder.
@@ -111,7 +110,6 @@ impl Thing {
                 let mut files = files_below(folder, &[])?;
                 let judge: Option<JudgeReport> = read(&folder.join(REPORT))?;
                 let scores: Option<Vec<Score>> = read(&folder.join(SCORES))?;
-                let scores = scores.unwrap_or_default().into_iter();
                 let text = card::text(
                     record,
                     &About {
@@ -119,7 +117,7 @@ impl Thing {
                         licenses: &licenses,
                         root_hash: dataset.as_ref().map(|it| it.manifest().root_hash.as_str()),
                         judge: &judge.map(|judge| judge.lines()).unwrap_or_default(),
-                        scores: &Vec::from_iter(scores.map(|it| (it.system, it.metric, it.mean))),
+                        scores: &scores.unwrap_or_default(),
                     },
                 );
                 replace(&mut files, card::FILE, text);
@@ -146,14 +144,6 @@ impl Thing {
             ),
         }
     }
-}
-
-/// A score of `stance eval --json`; its other fields are of no interest here.
-#[derive(Deserialize)]
-struct Score {
-    system: String,
-    metric: String,
-    mean: f64,
 }
 
 /// A document beside a run, if it is there.
