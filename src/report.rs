@@ -30,6 +30,22 @@ pub(crate) fn failure(failure: &Failure) {
     text(&document);
 }
 
+/// Appends a list under a title, if there is anything in it. Of a long one only the begin is shown.
+pub(crate) fn append_list(text: &mut String, title: &str, lines: &[String]) {
+    /// Lines that are shown; `--json` has all.
+    const SHOWN: usize = 10;
+    if lines.is_empty() {
+        return;
+    }
+    *text += &format!("{title}\n");
+    for line in lines.iter().take(SHOWN) {
+        *text += &format!("  {line}\n");
+    }
+    if lines.len() > SHOWN {
+        *text += &format!("  and {} more; --json lists all\n", lines.len() - SHOWN);
+    }
+}
+
 /// Writes what the buffer of stdout still holds.
 pub(crate) fn flush() {
     // A closed pipe is not an error here either.

@@ -259,8 +259,6 @@ fn settings(given: Option<&str>) -> anyhow::Result<String> {
 }
 
 fn text(args: &ImportArgs, report: &AnswerReport, is_written: bool) -> String {
-    /// Lines of a list that are printed; `--json` has all.
-    const SHOWN: usize = 10;
     let mut text = format!(
         "{} answers found: {} imported, {} refused, {} files passed over\n{} of {} items answered by \
          {}\n",
@@ -272,18 +270,7 @@ fn text(args: &ImportArgs, report: &AnswerReport, is_written: bool) -> String {
         report.items,
         args.name
     );
-    let mut list = |title: &str, lines: Vec<String>| {
-        if lines.is_empty() {
-            return;
-        }
-        text += &format!("{title}\n");
-        for line in lines.iter().take(SHOWN) {
-            text += &format!("  {line}\n");
-        }
-        if lines.len() > SHOWN {
-            text += &format!("  and {} more; --json lists all\n", lines.len() - SHOWN);
-        }
-    };
+    let mut list = |title, lines: Vec<String>| report::append_list(&mut text, title, &lines);
     let refused = report.refused.iter().map(|refusal| {
         let place = refusal
             .byte_offset

@@ -1,5 +1,7 @@
 //! A project on its way to another machine.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use annotate::store::{self, Store};
@@ -12,7 +14,6 @@ use super::shared::say;
 use super::store::{Place, place};
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::local;
 
 /// What a file of SQLite begins with.
 const MAGIC: &[u8] = b"SQLite format 3\0";
@@ -38,8 +39,11 @@ pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Resul
             to.display()
         );
     }
-    let bytes = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
-    if !bytes.starts_with(MAGIC) {
+    let mut begin = Vec::new();
+    File::open(file)
+        .and_then(|from| from.take(MAGIC.len() as u64).read_to_end(&mut begin))
+        .with_context(|| format!("cannot read {}", file.display()))?;
+    if begin != MAGIC {
         bail!(
             "{} is no packed project; `stance annotate DATASET pack FILE` writes one",
             file.display()
@@ -49,7 +53,11 @@ pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Resul
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot create folder {}", folder.display()))?;
     }
-    local::write(&to, &bytes)?;
+    let aside = to.with_extension("unpacked");
+    std::fs::copy(file, &aside)
+        .and_then(|_| File::open(&aside)?.sync_all())
+        .and_then(|()| std::fs::rename(&aside, &to))
+        .with_context(|| format!("cannot write {}", to.display()))?;
     let opened = store::open_sqlite(&to).and_then(|store| {
         let users = store.users()?.len();
         Ok((store, users))

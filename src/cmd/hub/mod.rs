@@ -45,7 +45,8 @@ struct PushArgs {
     /// Branch to commit to
     #[arg(long, default_value = "main")]
     revision: String,
-    /// Licence of what none is stated for, such as CC-BY-4.0; or a stated one that restricts passing on, if you may
+    /// Licence of motions that state none, such as CC-BY-4.0; or a stated one that restricts redistribution, which you
+    /// confirm by naming it
     #[arg(long, value_name = "SPDX", value_parser = parse_license)]
     license: Vec<String>,
     /// Dataset that a run was trained on, whose licences its card states
@@ -167,8 +168,6 @@ fn push_folder(args: &PushArgs, global: &Global) -> anyhow::Result<Exit> {
 }
 
 fn pushed_text(document: &PushDocument<'_>) -> String {
-    /// Files of a list that are printed; `--json` has all.
-    const SHOWN: usize = 10;
     let done = document.done;
     let mut text = match (&done.commit, document.dry_run) {
         (Some(commit), _) => format!(
@@ -185,18 +184,7 @@ fn pushed_text(document: &PushDocument<'_>) -> String {
         ),
         (None, false) => format!("nothing to publish: {} files unchanged\n", done.unchanged),
     };
-    let mut list = |title: &str, paths: &[String]| {
-        if paths.is_empty() {
-            return;
-        }
-        text += &format!("{title}\n");
-        for path in paths.iter().take(SHOWN) {
-            text += &format!("  {path}\n");
-        }
-        if paths.len() > SHOWN {
-            text += &format!("  and {} more; --json lists all\n", paths.len() - SHOWN);
-        }
-    };
+    let mut list = |title, paths| report::append_list(&mut text, title, paths);
     if document.dry_run {
         list("to publish", &done.changed);
     }
