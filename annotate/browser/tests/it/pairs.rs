@@ -261,12 +261,7 @@ async fn a_style_that_is_not_listed_is_typed_and_joins_the_list_once_accepted() 
     browser.press(&[keys::ESCAPE, "o", "o", "o", "t"]).await;
     browser.type_text("Limp with the left leg.").await;
     browser.control(&[keys::ENTER]).await;
-    browser
-        .until(
-            "it is handed in",
-            &format!("document.querySelector('.work')?.dataset.task !== '{task}'"),
-        )
-        .await;
+    browser.next_task(task).await;
     assert_eq!(mine(browser, task).await["answer"]["style"], "limping");
 
     let rev = desk.dataset.add_user("rev", "reviewer").await;

@@ -121,9 +121,14 @@ async fn an_answer_goes_back_with_a_comment_to_its_author() {
     bench.browser.quit().await;
 }
 
-/// What is on the screen of a page: the stage, the decisions, the smallest button, and what hangs over.
-async fn seen(browser: &Browser) -> Value {
-    browser
+/// Gives a review page a size in pixels, and checks that `stage` pixels of the stage and all decisions are on the screen
+/// and nothing hangs over. Returns the height of the smallest button and the size of the smallest text.
+async fn fits(bench: &Bench, [width, height]: [u32; 2], stage: f64) -> [f64; 2] {
+    let browser = &bench.browser;
+    browser.task().await;
+    browser.resize(width, height).await;
+    browser.photograph(&format!("review-{width}")).await;
+    let page = browser
         .js(
             "const box = (selector) => document.querySelector(selector).getBoundingClientRect();
              const [stage, foot] = [box('.stage-area'), box('.panel-foot')];
@@ -140,23 +145,20 @@ async fn seen(browser: &Browser) -> Value {
                  .map((own) => parseFloat(getComputedStyle(own).fontSize))),
              };",
         )
-        .await
+        .await;
+    let number = |name: &str| page[name].as_f64().expect("a number");
+    assert_eq!(page["width"], width, "{page}");
+    assert!(number("over") <= 0.0 && number("foot") >= 0.0, "{page}");
+    assert!(number("stage") >= stage, "{page}");
+    [number("button"), number("text")]
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn answers_are_reviewed_by_touch_on_a_tablet_held_upright() {
     let bench = Bench::with_answer("Wave with the left arm.").await;
     let browser = &bench.browser;
-    browser.task().await;
-    browser.resize(820, 1180).await;
-    browser.photograph("review-820").await;
-    let page = seen(browser).await;
-    let number = |name: &str| page[name].as_f64().expect("a number");
-    assert!(number("over") <= 0.0 && number("foot") >= 0.0, "{page}");
-    assert!(
-        number("stage") >= 300.0 && number("button") >= 40.0,
-        "{page}"
-    );
+    let [button, _] = fits(&bench, [820, 1180], 300.0).await;
+    assert!(button >= 40.0, "{button}");
     // It plays by itself: a finger stops it, and moves through the clip.
     let label = "document.querySelector('.transport .play').textContent";
     browser
@@ -196,13 +198,8 @@ async fn answers_are_reviewed_by_touch_on_a_tablet_held_upright() {
 async fn an_answer_is_read_and_accepted_on_a_telephone() {
     let bench = Bench::with_answer("Wave with the left arm.").await;
     let browser = &bench.browser;
-    browser.task().await;
-    browser.resize(390, 844).await;
-    browser.photograph("review-390").await;
-    let page = seen(browser).await;
-    let number = |name: &str| page[name].as_f64().expect("a number");
-    assert!(number("over") <= 0.0 && number("foot") >= 0.0, "{page}");
-    assert!(number("stage") >= 200.0 && number("text") >= 12.0, "{page}");
+    let [_, text] = fits(&bench, [390, 844], 200.0).await;
+    assert!(text >= 12.0, "{text}");
     browser.tap(".panel-foot button.primary").await;
     browser
         .until(
