@@ -148,7 +148,7 @@ enum Command {
     Man(cmd::completions::ManArgs),
 }
 
-/// The command, whose help has the verbs in groups and a line for each.
+/// The command with a help text that lists its verbs by group, one line each.
 fn grouped(command: clap::Command) -> clap::Command {
     let mut verbs = String::new();
     for (title, names) in GROUPS {

@@ -201,7 +201,7 @@ fn sequence_encoder(
     Ok((network, model, num_features))
 }
 
-/// The text side of TMR, and what is recorded of it. `latent` is the width of its motion side.
+/// Loads the text encoder of TMR, and makes the record of it. `latent` is the width that the motion encoder gives.
 fn text_side(
     side: TextSide<'_>,
     num_heads: usize,

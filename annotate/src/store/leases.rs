@@ -112,7 +112,7 @@ pub(super) fn end(
     Ok(())
 }
 
-/// Ends all leases of a user. Others can then take the tasks.
+/// Ends all leases of a user, so that others can take the tasks.
 pub(super) fn end_all(
     tx: &mut dyn Tx,
     user: i64,

@@ -125,7 +125,7 @@ pub(super) enum Action {
     /// Print the styles as TOML; or add those of such a file, and take over its texts and colours
     ///
     /// A table [[style]] for each, with `name`, and where they are known `text` (what it looks like) and `colour` (#rrggbb).
-    /// The labels of style pairs are added without it as the pairs are imported. Nothing is removed; the admin page does.
+    /// An import of style pairs adds their labels by itself. This command removes no style; the admin page can.
     Styles {
         /// File to read
         file: Option<PathBuf>,
