@@ -79,7 +79,7 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     let refused = workshop.train_with("tmed", "pairs", &["--config", arg(&pairs)]);
     let refused = refused.expect_code(1);
     assert!(refused.stderr.contains("composed"), "{}", refused.stderr);
-    // It edits whole motions alone.
+    // It follows one instruction, of some frames or of all.
     let clip = workshop.clip();
     let (run, out) = (workshop.path("mixed"), workshop.path("part.npz"));
     let refused = stance(&[
@@ -89,12 +89,14 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
         arg(&clip),
         "--during",
         "0:10 The person is waving.",
+        "--during",
+        "10:20 The person is bowing.",
         "--out",
         arg(&out),
     ])
     .expect_code(1);
     assert!(
-        refused.stderr.contains("whole motions"),
+        refused.stderr.contains("one instruction"),
         "{}",
         refused.stderr
     );
