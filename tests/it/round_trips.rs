@@ -176,6 +176,8 @@ fn masks(number: usize) -> Answer {
     let mask = |names: &[&str], soft| MaskAnswer {
         parts: parts(names),
         soft,
+        joints: Vec::new(),
+        range: None,
         text: format!(
             "moving {number} times with {}",
             names.join(" and ").to_lowercase()
