@@ -104,6 +104,11 @@ export class Clock {
     this.set({ loopOut: frame, loopIn: loopIn < frame ? loopIn : 0 });
   }
 
+  /** Loops between two frames, both included. */
+  setLoop(loopIn: number, loopOut: number): void {
+    this.set({ loopIn, loopOut: Math.min(loopOut, this.state.frames - 1) });
+  }
+
   clearLoop(): void {
     this.set({ loopIn: 0, loopOut: this.state.frames - 1 });
   }
