@@ -106,7 +106,8 @@ export class Clock {
 
   /** Loops between two frames, both included. */
   setLoop(loopIn: number, loopOut: number): void {
-    this.set({ loopIn, loopOut: Math.min(loopOut, this.state.frames - 1) });
+    const last = this.state.frames - 1;
+    this.set({ loopIn: Math.min(loopIn, last), loopOut: Math.min(loopOut, last) });
   }
 
   clearLoop(): void {

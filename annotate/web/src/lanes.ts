@@ -58,8 +58,10 @@ export class RangeLanes {
     const [label, plot] = row.children as unknown as [HTMLElement, HTMLElement];
     label.textContent = `mask ${index + 1}`;
     plot.firstElementChild?.setAttribute("aria-label", `mask ${index + 1}: ${rangeWords(range, this.fps)}`);
-    plot.style.setProperty("--from", String(range[0] / this.frames));
-    plot.style.setProperty("--to", String(range[1] / this.frames));
+    // A clip that was ingested anew may be shorter than the range.
+    const share = (frame: number): string => String(Math.min(1, frame / this.frames));
+    plot.style.setProperty("--from", share(range[0]));
+    plot.style.setProperty("--to", share(range[1]));
   }
 
   private putHandles(row: HTMLElement, [start, end]: Span, index: number): void {
