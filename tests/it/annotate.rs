@@ -173,6 +173,8 @@ fn masks(text: &str) -> Answer {
     let mask = |part: &str| MaskAnswer {
         parts: vec![part.to_owned()],
         soft: true,
+        joints: Vec::new(),
+        range: None,
         text: format!("The person is {text} with their {}.", part.to_lowercase()),
         suggestion: None,
     };

@@ -19,7 +19,7 @@ mod task;
 #[cfg(test)]
 mod typescript;
 
-pub use answer::{Answer, MaskAnswer, Revision, Suggestion};
+pub use answer::{Answer, JointChoice, MaskAnswer, Revision, Suggestion};
 pub use browse::{
     AnswerBrief, BulkDone, BulkRequest, DecisionRow, Decisions, Holder, SkipBrief, TaskFile,
     TaskFilter, TaskPage, TaskRow,
@@ -31,8 +31,8 @@ pub use mine::{MyAnswer, MyAnswers};
 pub(crate) use names::names;
 pub use names::{
     Action, BulkAction, Code, CountReason, Decision, EditType, EventKind, ExportFormat, Extent,
-    ImportFormat, ReviewQueue, RevisionState, Role, RuleKind, SkipFilter, SkipReason, Standing,
-    SuggestionSource, SuggestionUse, TaskKind, TaskSort, TaskState, TextForm, Verdict,
+    ImportFormat, JointWeight, ReviewQueue, RevisionState, Role, RuleKind, SkipFilter, SkipReason,
+    Standing, SuggestionSource, SuggestionUse, TaskKind, TaskSort, TaskState, TextForm, Verdict,
 };
 pub use people::{
     Limits, Login, Me, NewToken, NewUser, NewUserLink, NewUsers, Prefs, Project, Settings, Style,

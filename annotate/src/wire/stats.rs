@@ -77,7 +77,7 @@ pub struct Person {
     pub gold_items: i64,
     /// Mean score on gold tasks, 0 to 1.
     pub gold_score: Option<f64>,
-    /// Agreement with others (mean Jaccard of joint sets).
+    /// Agreement with others (mean Jaccard index of the joints and frames of masks).
     pub agreement: Option<Estimate>,
     /// Time of the last log entry.
     pub last_seen: Option<i64>,
@@ -90,7 +90,7 @@ pub struct Person {
 pub struct Agreement {
     /// One for each of the release's parts, and `overall` of their decisions together.
     pub parts: Vec<PartAgreement>,
-    /// Mean Jaccard index of joint sets.
+    /// Mean Jaccard index of the joints and frames of masks.
     pub jaccard: Option<Estimate>,
     /// Krippendorff's alpha of masks with the MASI distance.
     pub alpha_masi: Option<Estimate>,

@@ -7,6 +7,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
 
+use datasets_spec::record::MaskRow;
 use ts_rs::{Config, TS};
 
 /// First lines of the file.
@@ -107,7 +108,7 @@ declarations! {
     structs:
         Agreement Answer AnswerBrief ApplyRules Audit AuditEntry BlendRequest BulkDone BulkRequest Bundle BundleItem
         Candidate Change DayWork DecisionRow Decisions Empty Estimate EventBatch EventResult EventResults
-        ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home Job KindGuide Lease
+        ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home Job JointChoice KindGuide Lease
         Limits Login MaskAnswer Me MotionInfo MyAnswer MyAnswers NewEvent NewReview NewToken NewUser NewUserLink
         NewUsers Next NextRequest Outlook PartAgreement PartInfo Person PictureInfo Practice
         Prefs Problem Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest
@@ -115,7 +116,7 @@ declarations! {
         Style SuggestRequest Suggestion Task TaskFile TaskFilter TaskPage TaskRow TaskView TokenInfo TokenShown User
         UserChange Week;
     enums:
-        Action BulkAction Code CountReason Decision EditType EventKind ExportFormat Extent ImportFormat
+        Action BulkAction Code CountReason Decision EditType EventKind ExportFormat Extent ImportFormat JointWeight
         ReviewQueue RevisionState Role RuleKind SkipFilter SkipReason Standing SuggestionSource
         SuggestionUse TaskKind TaskSort TaskState TextForm Verdict;
 }
@@ -140,12 +141,14 @@ fn public_names() -> BTreeSet<String> {
 fn generated() -> String {
     let config = Config::new().with_large_int("number");
     let mut text = HEAD.to_owned();
-    let constants: [(&str, usize); 6] = [
+    let shortest = usize::try_from(MaskRow::SHORTEST).expect("a number of frames");
+    let constants: [(&str, usize); 7] = [
         ("MAX_TEXT_CHARS", super::MAX_TEXT_CHARS),
         ("MAX_NAME_CHARS", super::MAX_NAME_CHARS),
         ("MAX_EVENTS", super::MAX_EVENTS),
         ("MAX_BODY_BYTES", super::MAX_BODY_BYTES),
         ("MAX_MASKS", super::MAX_MASKS),
+        ("SHORTEST_RANGE", shortest),
         ("BUNDLE", super::BUNDLE),
     ];
     text.push('\n');

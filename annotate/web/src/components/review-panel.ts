@@ -32,6 +32,8 @@ export interface ReviewStage {
   paint(candidate: Candidate | undefined, glow: number): void;
   /** Highlights only these parts, for example while answers are merged. */
   paintParts(parts: readonly string[], glow?: number): void;
+  /** Highlights what an answer takes, and shows the frames of its masks. */
+  paintAnswer(answer: Answer): void;
   /** Present for masks. */
   mask: MaskStage | null;
 }
