@@ -1123,7 +1123,8 @@ fn styles_go_into_another_project_as_they_come_out() {
     assert!(labels.is_subset(&names), "{labels:?} of {names:?}");
 
     let file = dir.path().join("styles.toml");
-    let told = "[[style]]\nname = \"old\"\ntext = \"\"\"Short steps,\nbent back.\"\"\"\ncolour = \"#8f6b00\"\n\n\
+    let told = "[[style]]\nname = \"old\"\ntext = \"\"\"Short steps,\nbent back.\"\"\"\ncolour = \"#8f6b00\"\n\
+                guideline = \"\"\"Bend the knees.\n\nDo not limp.\"\"\"\n\n\
                 [[style]]\nname = \"limping\"\n";
     std::fs::write(&file, told).expect("a file");
     let taken: Value = styles(stores[0], &[arg(&file), "--json"])
@@ -1132,6 +1133,10 @@ fn styles_go_into_another_project_as_they_come_out() {
     assert_eq!((&taken["new"], &taken["changed"]), (&json!(1), &json!(1)));
     let out = styles(stores[0], &[]).expect_code(0).stdout;
     assert!(out.contains("#8f6b00"), "{out}");
+    let listed: Vec<Value> = styles(stores[0], &["--json"]).expect_code(0).json();
+    let old = listed.iter().find(|style| style["name"] == "old");
+    let old = old.expect("the style of the file");
+    assert_eq!(old["guideline"], "Bend the knees.\n\nDo not limp.");
     std::fs::write(&file, &out).expect("a file");
     styles(stores[1], &[arg(&file)]).expect_code(0);
     let [one, two] = stores.map(|store| -> Vec<Value> {

@@ -2,7 +2,9 @@
 
 use super::pictures;
 use crate::Error;
-use crate::wire::{MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style};
+use crate::wire::{
+    MAX_GUIDELINE_CHARS, MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style,
+};
 
 /// Maximum number of phrases in a list, and of pictures in a guide.
 const MAX_NAMES: usize = 200;
@@ -122,6 +124,11 @@ fn check_styles(styles: &[Style]) -> Result<(), Error> {
                 "the text of {name:?} has more than {MAX_TEXT_CHARS} characters"
             ));
         }
+        if style.guideline.chars().count() > MAX_GUIDELINE_CHARS {
+            return refuse(format!(
+                "the guideline of {name:?} has more than {MAX_GUIDELINE_CHARS} characters"
+            ));
+        }
         let is_colour = |text: &String| {
             text.strip_prefix('#').is_some_and(|digits| {
                 digits.len() == 6 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())
@@ -223,6 +230,7 @@ mod tests {
             check(&styles(vec![Style {
                 name: "old".to_owned(),
                 text: "Short steps.".to_owned(),
+                guideline: "Bend the knees.\n\nDo not limp.".to_owned(),
                 colour: Some("#8f6B00".to_owned()),
             }]))
             .is_ok()
@@ -248,6 +256,10 @@ mod tests {
             styles(vec![Style::named("old"), Style::named("old")]),
             styles(vec![Style {
                 colour: Some("red".to_owned()),
+                ..Style::named("old")
+            }]),
+            styles(vec![Style {
+                guideline: "x".repeat(MAX_GUIDELINE_CHARS + 1),
                 ..Style::named("old")
             }]),
             Settings {

@@ -109,6 +109,10 @@ pub struct Style {
     /// What it looks like, for the people who perform it and who describe it.
     #[serde(default)]
     pub text: String,
+    /// How it is performed, in paragraphs with empty lines between: what the body does, and what it must not do. Up to
+    /// 10,000 characters.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub guideline: String,
     /// The colour of its mark, `#rrggbb`.
     #[serde(default)]
     pub colour: Option<String>,

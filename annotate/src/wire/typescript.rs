@@ -140,8 +140,9 @@ fn public_names() -> BTreeSet<String> {
 fn generated() -> String {
     let config = Config::new().with_large_int("number");
     let mut text = HEAD.to_owned();
-    let constants: [(&str, usize); 6] = [
+    let constants: [(&str, usize); 7] = [
         ("MAX_TEXT_CHARS", super::MAX_TEXT_CHARS),
+        ("MAX_GUIDELINE_CHARS", super::MAX_GUIDELINE_CHARS),
         ("MAX_NAME_CHARS", super::MAX_NAME_CHARS),
         ("MAX_EVENTS", super::MAX_EVENTS),
         ("MAX_BODY_BYTES", super::MAX_BODY_BYTES),

@@ -4,6 +4,7 @@
  */
 
 export const MAX_TEXT_CHARS = 2000;
+export const MAX_GUIDELINE_CHARS = 10000;
 export const MAX_NAME_CHARS = 100;
 export const MAX_EVENTS = 64;
 export const MAX_BODY_BYTES = 262144;
@@ -1194,6 +1195,8 @@ export type Style = {
   name: string,
   /** What it looks like, for the people who perform it and who describe it. */
   text: string,
+  /** How it is performed, in paragraphs with empty lines between: what the body does, and what it must not do. Up to 10,000 characters. */
+  guideline?: string,
   /** The colour of its mark, `#rrggbb`. */
   colour: string | null, };
 

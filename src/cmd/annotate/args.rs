@@ -122,9 +122,10 @@ pub(super) enum Action {
         #[command(subcommand)]
         action: Option<RulesAction>,
     },
-    /// Print the styles as TOML; or add those of such a file, and take over its texts and colours
+    /// Print the styles as TOML; or add those of such a file, and take over its texts, guidelines and colours
     ///
-    /// A table [[style]] for each, with `name`, and where they are known `text` (what it looks like) and `colour` (#rrggbb).
+    /// A table [[style]] for each, with `name`, and where they are known `text` (what it looks like), `guideline` (how it is
+    /// performed, in paragraphs) and `colour` (#rrggbb).
     /// An import of style pairs adds their labels by itself. This command removes no style; the admin page can.
     Styles {
         /// File to read

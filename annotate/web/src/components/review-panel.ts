@@ -226,6 +226,7 @@ export class ReviewPanel extends Component {
         this.app,
         {
           ...host,
+          sourceStyle: this.review.task.style,
           reject: (verdict) => void this.decide("merge", { answer: { ...editor.current, verdict } }),
           repaint: (parts) => this.stage.paintParts(parts),
         },

@@ -203,6 +203,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
       suggestionUsed: (id, used) => void session.suggestionUsed(id, used),
       askDraft:
         app.me.model && !view.blind ? (parts) => app.api.post<Suggestion>(`tasks/${task.id}/suggest`, { parts }) : null,
+      sourceStyle: task.style,
       reject,
       repaint: (parts) => pair.paint(parts),
     },
