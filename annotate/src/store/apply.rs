@@ -239,6 +239,7 @@ impl Change<'_> {
             Body::Imported { .. }
             | Body::RoleChanged { .. }
             | Body::SettingsChanged { .. }
+            | Body::CapturesPlanned { .. }
             | Body::GuidePicture { .. }
             | Body::ParaphraseJudged { .. }
             | Body::Exported { .. } => Ok(()),

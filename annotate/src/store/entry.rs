@@ -7,7 +7,7 @@ use super::db::Row;
 use super::records::{Credit, Millis};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
-use crate::wire::{Answer, Role, Settings, SkipReason, SuggestionUse, TaskKind};
+use crate::wire::{Answer, PlannedCapture, Role, Settings, SkipReason, SuggestionUse, TaskKind};
 
 /// Version of the entries' bodies.
 pub(super) const VERSION: i64 = 1;
@@ -223,6 +223,9 @@ pub(crate) enum Body {
         /// `None`: the reviewer took the judgement back.
         accepted: Option<bool>,
     },
+    CapturesPlanned {
+        cells: Vec<PlannedCapture>,
+    },
     /// A picture of the guide was stored; without a hash, it was deleted.
     GuidePicture {
         name: String,
@@ -256,6 +259,7 @@ impl Body {
             Self::Exported { .. } => LogKind::Exported,
             Self::Assigned { .. } => LogKind::Assigned,
             Self::Retargeted { .. } => LogKind::Retargeted,
+            Self::CapturesPlanned { .. } => LogKind::CapturesPlanned,
             Self::GuidePicture { .. } => LogKind::GuidePicture,
             Self::ParaphraseJudged { .. } => LogKind::ParaphraseJudged,
         }

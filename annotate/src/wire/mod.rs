@@ -5,6 +5,7 @@
 
 mod answer;
 mod browse;
+mod captures;
 mod home;
 mod jobs;
 mod log;
@@ -24,6 +25,7 @@ pub use browse::{
     AnswerBrief, BulkDone, BulkRequest, DecisionRow, Decisions, Holder, SkipBrief, TaskFile,
     TaskFilter, TaskPage, TaskRow,
 };
+pub use captures::{CaptureCell, CapturePlan, Captures, PlannedCapture};
 pub use home::{Home, QueueInfo, ReturnedTask, Shelf, ShelfItem};
 pub use jobs::{ExportRequest, Job};
 pub use log::{Audit, AuditEntry, Change, Guide, GuidePicture, KindGuide, PictureInfo};

@@ -1,6 +1,7 @@
 //! Integration tests of the annotation server and its store, with a module per topic.
 
 mod api;
+mod captures;
 mod deployment;
 mod figures;
 mod hostile;

@@ -31,7 +31,7 @@ fn names(person: &Client) -> Vec<String> {
 }
 
 /// Adds style pairs of these labels to the dataset of a site, and imports them as the server does at its start.
-fn label(site: &Site, labels: &[&str]) {
+pub(crate) fn label(site: &Site, labels: &[&str]) {
     let mut pairs: Vec<PairRow> = Dataset::open(&site.dataset)
         .expect("a dataset")
         .read(None)

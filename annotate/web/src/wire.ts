@@ -351,6 +351,35 @@ export type Candidate = {
   /** Edit distance of its texts from their drafts, 0 to 1. */
   draft_distance: number | null, };
 
+/** A cell of the plan with what has arrived. */
+export type CaptureCell = {
+  /** Id of the source motion. */
+  motion: string,
+  /** Name of the style. */
+  style: string,
+  /** Takes that are wanted. */
+  takes: number,
+  /** Takes that arrived and are not rejected. */
+  arrived: number,
+  /** Takes that were judged unusable or dropped. */
+  rejected: number,
+  /** Takes that are still to capture. */
+  missing: number,
+  /** Whether the project has a motion of this id. */
+  known: boolean, };
+
+/** `PUT captures`: the whole plan, in place of the one before. */
+export type CapturePlan = {
+  /** Its cells, each motion with each style once. */
+  cells: Array<PlannedCapture>, };
+
+/** `GET captures`, and the answer to `PUT captures`: the plan with what has arrived of it. A take is a style pair of the motion in the style. */
+export type Captures = {
+  /** The cells in the order of the plan. */
+  cells: Array<CaptureCell>,
+  /** Style pairs of no planned cell, without rejected ones. */
+  unplanned: number, };
+
 /** An entry of `GET stream` (event `change`). */
 export type Change = {
   /** Sequence number in the log. */
@@ -866,6 +895,15 @@ export type PictureInfo = {
   mime: string,
   /** Size in bytes. */
   bytes: number, };
+
+/** A cell of the plan. */
+export type PlannedCapture = {
+  /** Id of the source motion; the project need not know it yet. */
+  motion: string,
+  /** Name of the style. */
+  style: string,
+  /** Takes that are wanted, 1 to 1,000. */
+  takes: number, };
 
 /** `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives practice tasks before. */
 export type Practice = {

@@ -115,6 +115,10 @@ pub(super) fn quota(cx: &Context) -> Result<Reply, Error> {
     json(&rows)
 }
 
+pub(super) fn captures(cx: &Context) -> Result<Reply, Error> {
+    json(&cx.app.store.captures()?)
+}
+
 /// Days that `stats/days` shows if the query names none, today among them.
 const DAYS_SHOWN: i64 = 28;
 

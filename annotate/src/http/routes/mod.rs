@@ -87,6 +87,7 @@ pub static ROUTES: &[Route] = routes! {
     GET "/api/v1/stats/quota" REVIEWER dashboard::quota;
     GET "/api/v1/stats/days" REVIEWER dashboard::days;
     GET "/api/v1/stats/outlook" REVIEWER dashboard::outlook;
+    GET "/api/v1/captures" REVIEWER dashboard::captures;
     GET "/api/v1/settings" ADMIN admin::settings;
     GET "/api/v1/users" ADMIN admin::users;
     POST "/api/v1/users" ADMIN admin::add_user;
@@ -114,6 +115,13 @@ pub static ROUTES: &[Route] = routes! {
         access: ADMIN,
         max_body: MAX_SETTINGS_BYTES,
         handler: Handler::Work(admin::put_settings),
+    };
+    @also Route {
+        method: "PUT",
+        path: "/api/v1/captures",
+        access: ADMIN,
+        max_body: MAX_SETTINGS_BYTES,
+        handler: Handler::Work(admin::put_captures),
     };
     @also Route {
         method: "PUT",
