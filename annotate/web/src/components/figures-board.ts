@@ -10,6 +10,7 @@ import {
   TASK_KINDS,
   TASK_STATES,
   type Agreement,
+  type Captures,
   type DayWork,
   type Funnel,
   type HeldLease,
@@ -20,6 +21,7 @@ import {
   type Week,
 } from "../wire";
 import { KIND_NAMES, KIND_WORDS, PURPOSE_WORDS, SHORT_KIND } from "../words";
+import { CapturesBoard } from "./captures-board";
 import { agreementByWeek, agreementChart, dayBars, daySpan, measureWords, mostOf, stateBar, throughput } from "./charts";
 import { Component, define, figureTable, pageLink, switcher } from "./component";
 
@@ -34,6 +36,7 @@ interface Figures {
   people: Person[];
   agreement: Agreement;
   quota: QuotaRow[];
+  captures: Captures;
   outlook: Outlook[];
   leases: HeldLease[];
   days: DayWork[];
@@ -45,6 +48,7 @@ export class FiguresBoard extends Component {
   private figures: Figures | null = null;
   private days: number;
   private measure: Measure = "hours";
+  private readonly captures = new CapturesBoard();
   /** Number of the last request, so that a slow one does not replace a newer one. */
   private asked = 0;
 
@@ -59,17 +63,19 @@ export class FiguresBoard extends Component {
     const { api } = this.app;
     const turn = ++this.asked;
     const at = Date.now();
-    const [funnel, people, agreement, quota, outlook, leases, days] = await Promise.all([
+    const [funnel, people, agreement, quota, captures, outlook, leases, days] = await Promise.all([
       api.get<Funnel>("stats/funnel"),
       api.get<Person[]>("stats/people"),
       api.get<Agreement>("stats/agreement"),
       api.get<QuotaRow[]>("stats/quota"),
+      api.get<Captures>("captures"),
       api.get<Outlook[]>("stats/outlook"),
       api.get<HeldLease[]>("leases"),
       api.get<DayWork[]>(`stats/days?from=${periodStart(this.days, at)}`),
     ]);
     if (turn !== this.asked) return;
-    this.figures = { funnel, people, agreement, quota, outlook, leases, days, at };
+    this.figures = { funnel, people, agreement, quota, captures, outlook, leases, days, at };
+    this.captures.show(captures);
     this.requestUpdate();
   }
 
@@ -97,6 +103,7 @@ export class FiguresBoard extends Component {
       <section class="card wide">${peopleTable(figures.people)}</section>
       <section class="card" data-figures="quota">${quotaTable(figures.quota)}</section>
       <section class="card">${this.leases(figures.leases)}</section>
+      ${figures.captures.cells.length > 0 ? html`<section class="card wide" data-figures="captures">${this.captures}</section>` : nothing}
     `;
   }
 

@@ -13,7 +13,7 @@ const POLL_MS = 500;
 const ROLES: readonly Role[] = ["annotator", "reviewer", "admin"];
 
 export async function openAdmin(app: App): Promise<Screen> {
-  const people = h("div", { class: "stack" }, await peopleSection(app), modelSection(app));
+  const people = h("div", { class: "stack" }, await peopleSection(app), modelSection(app), capturesSection(app));
   const sections = [exportsSection(app), people, await settingsSection(app), auditSection(app)];
   const heading = h("h1", { attrs: { tabindex: -1 } }, "Administration");
   const element = h("div", { class: "page wide" }, heading, h("div", { class: "dashboard" }, ...sections));
@@ -267,9 +267,31 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   );
 }
 
+function command(text: string): HTMLElement {
+  return h("pre", {}, h("code", {}, text));
+}
+
+/** The capture plan, which is a file. */
+function capturesSection(app: App): HTMLElement {
+  return h(
+    "section",
+    { class: "card" },
+    h("h2", {}, "Captures"),
+    h(
+      "p",
+      {},
+      "Which motions are captured in which styles is planned in a CSV file with lines motion,style,takes. ",
+      app.link("dashboard", "The dashboard"),
+      " shows what is still to capture.",
+    ),
+    command("stance annotate DATASET captures plan.csv"),
+    h("p", {}, "A page for performers, with the guideline of each style and what is still to capture in it:"),
+    command("stance annotate DATASET captures --sheet sheet.html"),
+  );
+}
+
 /** What a language model does in bulk, which is started on the command line. */
 function modelSection(app: App): HTMLElement {
-  const command = (text: string): HTMLElement => h("pre", {}, h("code", {}, text));
   return h(
     "section",
     { class: "card" },
