@@ -99,6 +99,7 @@ pub(crate) fn bare_task(key: String, motion: &str) -> NewTask {
         category: None,
         hint: None,
         style: None,
+        edit_type: None,
         priority: 1,
         gold: None,
         extra: None,

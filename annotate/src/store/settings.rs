@@ -8,6 +8,8 @@ use crate::wire::{
 
 /// Maximum number of phrases in a list, and of pictures in a guide.
 const MAX_NAMES: usize = 200;
+/// Maximum quota of an edit type.
+const MAX_QUOTA: u32 = 10_000_000;
 /// Maximum number of styles: datasets of a hundred are published.
 const MAX_STYLES: usize = 2_000;
 
@@ -63,6 +65,16 @@ fn check_numbers(settings: &Settings) -> Result<(), Error> {
                 format!("{value} is out of range; use {least} to {most}"),
             ));
         }
+    }
+    if let Some((edit_type, wanted)) = settings
+        .edit_type_quota
+        .iter()
+        .find(|(_, wanted)| **wanted > MAX_QUOTA)
+    {
+        return Err(Error::invalid(
+            "edit_type_quota",
+            format!("{wanted} pairs of {edit_type} are out of range; use 0 to {MAX_QUOTA}"),
+        ));
     }
     if settings.min_masks > settings.max_masks || settings.max_masks > crate::wire::MAX_MASKS {
         return Err(Error::invalid(
@@ -218,6 +230,7 @@ fn check_rules(rules: &[Rule]) -> Result<(), Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::EditType;
 
     #[test]
     fn settings_are_bounded() {
@@ -250,6 +263,10 @@ mod tests {
             },
             Settings {
                 min_masks: 5,
+                ..Settings::default()
+            },
+            Settings {
+                edit_type_quota: [(EditType::Speed, MAX_QUOTA + 1)].into(),
                 ..Settings::default()
             },
             styles(vec![Style::default()]),

@@ -46,7 +46,8 @@ pub use review::{
 };
 pub use rules::{ApplyRules, Rule, RuleState, RuleUndone, RulesApplied};
 pub use stats::{
-    Agreement, DayWork, Estimate, Funnel, Outlook, PartAgreement, Person, QuotaRow, Week,
+    Agreement, DayWork, EditTypeCount, Estimate, Funnel, Outlook, PartAgreement, Person, QuotaRow,
+    Week,
 };
 pub use task::{
     BlendRequest, Bundle, BundleItem, Empty, EventBatch, EventResult, EventResults, Feedback,

@@ -7,6 +7,7 @@ mod figures;
 mod hostile;
 mod load;
 mod model;
+mod quotas;
 mod scale;
 mod simulation;
 mod store;

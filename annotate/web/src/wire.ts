@@ -444,6 +444,15 @@ export type Decisions = {
   /** Value of `before` for the next page. */
   next: number | null, };
 
+/** `GET stats/edit-types`: one for each edit type that the project has a quota of. */
+export type EditTypeCount = {
+  /** Edit type. */
+  edit_type: EditType,
+  /** Pairs kept: answered `keep` and not sent back. */
+  kept: number,
+  /** Pairs wanted. */
+  wanted: number, };
+
 /** Why a queue is empty. Counts are tasks of the kind. */
 export type Empty = {
   /** All tasks. */
@@ -1162,6 +1171,8 @@ export type Settings = {
   quota: number,
   /** Pairs kept of each category, after which its other pairs are not given out; 0 for no bound. */
   category_quota: number,
+  /** Pairs wanted of each edit type, of all categories together; 0, or no entry, for no bound. Pairs that are stated to be of the type that is furthest behind are given out first; none is held back. */
+  edit_type_quota: { [key in EditType]?: number },
   /** The guide, plain text. */
   guide: string,
   /** Name of the time zone in which days begin, such as `Europe/Berlin`. */

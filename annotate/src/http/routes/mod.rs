@@ -85,6 +85,7 @@ pub static ROUTES: &[Route] = routes! {
     GET "/api/v1/stats/people" REVIEWER dashboard::people;
     GET "/api/v1/stats/agreement" REVIEWER dashboard::agreement;
     GET "/api/v1/stats/quota" REVIEWER dashboard::quota;
+    GET "/api/v1/stats/edit-types" ANNOTATOR dashboard::edit_types;
     GET "/api/v1/stats/days" REVIEWER dashboard::days;
     GET "/api/v1/stats/outlook" REVIEWER dashboard::outlook;
     GET "/api/v1/captures" REVIEWER dashboard::captures;
