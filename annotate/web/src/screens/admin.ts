@@ -6,7 +6,18 @@ import { NewcomersForm } from "../components/newcomers-form";
 import { fill, h, type Child } from "../dom";
 import { StyleRows } from "../style-rows";
 import { ask, button, field, select, table, when } from "../ui";
-import type { Audit, ExportFormat, ImportFormat, Job, Role, Settings, TokenInfo, TokenShown, User } from "../wire";
+import {
+  EDIT_TYPES,
+  type Audit,
+  type ExportFormat,
+  type ImportFormat,
+  type Job,
+  type Role,
+  type Settings,
+  type TokenInfo,
+  type TokenShown,
+  type User,
+} from "../wire";
 
 /** Polling interval of a running job. */
 const POLL_MS = 500;
@@ -216,6 +227,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   let settings = await app.api.get<Settings>("settings");
   const name = h("input", { attrs: { type: "text" } });
   const numbers = new Map(NUMBERS.map(([key]) => [key, h("input", { attrs: { type: "number", min: 0 } })]));
+  const types = EDIT_TYPES.map((type) => [type, h("input", { attrs: { type: "number", min: 0 } })] as const);
   const styles = new StyleRows();
   const templates = h("textarea", { attrs: { rows: 4 } });
   const maskTemplates = h("textarea", { attrs: { rows: 4 } });
@@ -225,6 +237,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   const show = (): void => {
     name.value = settings.name;
     for (const [key, input] of numbers) input.value = String(settings[key]);
+    for (const [type, input] of types) input.value = String(settings.edit_type_quota[type] ?? 0);
     styles.show(settings.styles);
     templates.value = settings.templates.join("\n");
     maskTemplates.value = settings.mask_templates.join("\n");
@@ -240,6 +253,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     h("h2", {}, "Settings"),
     field("Project", name),
     h("div", { class: "numbers" }, ...NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))),
+    h("div", { class: "numbers" }, ...types.map(([type, input]) => field(`Pairs wanted of edit type “${type}” (0: any)`, input))),
     field("Time zone in which days begin, such as Europe/Berlin", zone),
     styles.element,
     field("Phrases to begin descriptions of masks with, one a line; they complete “The person is …”", maskTemplates),
@@ -260,6 +274,8 @@ async function settingsSection(app: App): Promise<HTMLElement> {
         time_zone: zone.value.trim(),
       };
       for (const [key, input] of numbers) changed[key] = Number(input.value);
+      const quotas = types.map(([type, input]) => [type, Number(input.value)] as const);
+      changed.edit_type_quota = Object.fromEntries(quotas.filter(([, wanted]) => wanted !== 0));
       settings = await app.api.json<Settings>("PUT", "settings", changed);
       show();
       app.toasts.show("Settings are saved.");
