@@ -107,7 +107,8 @@ declarations! {
     structs:
         Agreement Answer AnswerBrief ApplyRules Audit AuditEntry BlendRequest BulkDone BulkRequest Bundle BundleItem
         Candidate CaptureCell CapturePlan Captures Change DayWork DecisionRow Decisions EditTypeCount Empty Estimate
-        EventBatch EventResult EventResults ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home Job KindGuide Lease
+        EventBatch EventResult EventResults ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home
+        Job KindGuide Lease
         Limits Login MaskAnswer Me MotionInfo MyAnswer MyAnswers NewEvent NewReview NewToken NewUser NewUserLink
         NewUsers Next NextRequest Outlook PartAgreement PartInfo Person PictureInfo PlannedCapture Practice
         Prefs Problem Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest
