@@ -381,7 +381,7 @@ mod tests {
             taken.masks
         };
         let mut lines = drafts(&masks).expect("joints");
-        (lines[0].start, lines[0].end) = (Some(4), Some(30));
+        (lines[0].start, lines[0].end) = (Some(4), Some(36));
         let collar = JointChoice {
             joint: "left_collar".to_owned(),
             weight: JointWeight::None,
@@ -390,7 +390,7 @@ mod tests {
         lines[0].verdict = Verdict::Accept;
         let mut later = lines[0].clone();
         later.mask = String::new();
-        (later.start, later.end) = (Some(20), Some(40));
+        (later.start, later.end) = (Some(9), Some(40));
         lines.push(later);
         let rows = take(&masks, &lines);
         assert_eq!(rows[0].soft_joints, Vec::<String>::new());
@@ -402,8 +402,8 @@ mod tests {
         assert_eq!(
             ranges,
             [
-                ("a#LEFT_ARM", Some(4), Some(30)),
-                ("a#LEFT_ARM@20-40", Some(20), Some(40))
+                ("a#LEFT_ARM", Some(4), Some(36)),
+                ("a#LEFT_ARM@9-40", Some(9), Some(40))
             ]
         );
         // They come out as they went in.
@@ -420,7 +420,7 @@ mod tests {
         };
         for (problem, part) in [
             (refused(|line| line.end = None), "both start and end"),
-            (refused(|line| line.end = Some(19)), "needs 16 at least"),
+            (refused(|line| line.end = Some(19)), "needs 31 at least"),
             (refused(|line| line.end = Some(41)), "a clip of 40 frames"),
             (
                 refused(|line| line.parts = vec!["HEAD".to_owned()]),

@@ -120,6 +120,9 @@ table! {
     }
 }
 
+/// Values of [`PairRow::edit_type`].
+pub const EDIT_TYPES: [&str; 6] = ["amplitude", "speed", "force", "spatial", "timing", "other"];
+
 table! {
     /// A captured or generated pair: a motion and its edit.
     #[derive(Serialize, Deserialize)]

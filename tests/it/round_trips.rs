@@ -332,7 +332,7 @@ fn a_range_and_a_chosen_joint_survive_an_export_into_a_fresh_project() {
     };
     let mut answer = masks(99);
     if let Answer::MaskText { masks, .. } = &mut answer {
-        masks[0].range = Some([2, 20]);
+        masks[0].range = Some([2, 33]);
         masks[1].joints = vec![JointChoice {
             joint: "left_hip".to_owned(),
             weight: JointWeight::Soft,
@@ -346,7 +346,7 @@ fn a_range_and_a_chosen_joint_survive_an_export_into_a_fresh_project() {
     let first = made.answers("dataset", "store.sqlite");
     let ranged: Vec<&AnnotationRow> = first.iter().filter(|row| row.start.is_some()).collect();
     assert_eq!(ranged.len(), 1);
-    assert_eq!((ranged[0].start, ranged[0].end), (Some(2), Some(20)));
+    assert_eq!((ranged[0].start, ranged[0].end), (Some(2), Some(33)));
     let chosen = |row: &&AnnotationRow| row.soft_joints.contains(&"left_hip".to_owned());
     assert_eq!(first.iter().filter(chosen).count(), 1);
     made.annotate("fresh.sqlite", &["import"]);

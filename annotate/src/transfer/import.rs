@@ -77,6 +77,7 @@ pub(super) fn task(key: String, kind: TaskKind, motion: &MotionRecord) -> NewTas
         category: motion.action.clone(),
         hint: None,
         style: None,
+        edit_type: None,
         priority: 0,
         gold: None,
         extra: None,
@@ -321,7 +322,7 @@ fn tasks_of_pairs<'a>(
     by_id: &BTreeMap<&str, &Clip>,
     taken: &mut Taken,
 ) -> (BTreeMap<String, Vec<NewTask>>, Vec<NewTask>) {
-    let mut missing = 0;
+    let (mut missing, mut unknown_types) = (0, 0);
     let (mut fine, mut styles) = (BTreeMap::<String, Vec<NewTask>>::new(), Vec::new());
     for pair in pairs {
         let (Some(source), Some(target)) = (
@@ -342,6 +343,8 @@ fn tasks_of_pairs<'a>(
         let mut new = task(pair_key(pair), kind, &source.record);
         new.target = Some(target.record.hash.clone());
         new.style.clone_from(&pair.style);
+        new.edit_type = pair.edit_type.as_deref().and_then(EditType::parse);
+        unknown_types += i64::from(pair.edit_type.is_some() && new.edit_type.is_none());
         if pair.source == PAIR_SOURCE {
             new.accepted = Some(accepted_pair(pair, kind));
             new.credit = credit("", false, pair.accepted_by.as_deref());
@@ -360,6 +363,14 @@ fn tasks_of_pairs<'a>(
         taken.count("pairs_without_motion", missing);
         taken.messages.push(format!(
             "{missing} pairs name a missing or repeated motion and get no task"
+        ));
+    }
+    if unknown_types > 0 {
+        let known: Vec<&str> = EditType::ALL.iter().map(|kind| kind.as_str()).collect();
+        taken.count("unknown_edit_types", unknown_types);
+        taken.messages.push(format!(
+            "{unknown_types} pairs have an edit type that is not one of {}; they are taken without it",
+            known.join(", ")
         ));
     }
     (fine, styles)

@@ -140,6 +140,19 @@ pub struct QuotaRow {
     pub category_wanted: i64,
 }
 
+/// `GET stats/edit-types`: one for each edit type that the project has a quota of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct EditTypeCount {
+    /// Edit type.
+    pub edit_type: EditType,
+    /// Pairs kept: answered `keep` and not sent back.
+    pub kept: i64,
+    /// Pairs wanted.
+    pub wanted: i64,
+}
+
 /// `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day
 /// of `from` is counted whole.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

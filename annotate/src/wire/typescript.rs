@@ -107,10 +107,11 @@ macro_rules! declarations {
 declarations! {
     structs:
         Agreement Answer AnswerBrief ApplyRules Audit AuditEntry BlendRequest BulkDone BulkRequest Bundle BundleItem
-        Candidate Change DayWork DecisionRow Decisions Empty Estimate EventBatch EventResult EventResults
-        ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home Job JointChoice KindGuide Lease
+        Candidate CaptureCell CapturePlan Captures Change DayWork DecisionRow Decisions EditTypeCount Empty Estimate
+        EventBatch EventResult EventResults ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home
+        Job JointChoice KindGuide Lease
         Limits Login MaskAnswer Me MotionInfo MyAnswer MyAnswers NewEvent NewReview NewToken NewUser NewUserLink
-        NewUsers Next NextRequest Outlook PartAgreement PartInfo Person PictureInfo Practice
+        NewUsers Next NextRequest Outlook PartAgreement PartInfo Person PictureInfo PlannedCapture Practice
         Prefs Problem Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest
         ReviewView Revision Rule RuleState RuleUndone RulesApplied Settings Shelf ShelfItem SkeletonInfo SkipBrief
         Style SuggestRequest Suggestion Task TaskFile TaskFilter TaskPage TaskRow TaskView TokenInfo TokenShown User
@@ -142,8 +143,9 @@ fn generated() -> String {
     let config = Config::new().with_large_int("number");
     let mut text = HEAD.to_owned();
     let shortest = usize::try_from(MaskRow::SHORTEST).expect("a number of frames");
-    let constants: [(&str, usize); 7] = [
+    let constants: [(&str, usize); 8] = [
         ("MAX_TEXT_CHARS", super::MAX_TEXT_CHARS),
+        ("MAX_GUIDELINE_CHARS", super::MAX_GUIDELINE_CHARS),
         ("MAX_NAME_CHARS", super::MAX_NAME_CHARS),
         ("MAX_EVENTS", super::MAX_EVENTS),
         ("MAX_BODY_BYTES", super::MAX_BODY_BYTES),

@@ -538,7 +538,7 @@ fn ranges_and_joints_are_checked_and_kept() {
             site.send(site.ann, task, event(kind, epoch, rev, Some(answer)), START)
         };
         let with_joint = |joint: &str, weight| {
-            let mut answer = in_range([4, 30]);
+            let mut answer = in_range([4, 36]);
             if let Answer::MaskText { masks, .. } = &mut answer {
                 masks[0].joints = vec![JointChoice {
                     joint: joint.to_owned(),
@@ -548,7 +548,7 @@ fn ranges_and_joints_are_checked_and_kept() {
             answer
         };
         for (answer, field, words) in [
-            (in_range([4, 19]), "range", "a range needs 16 at least"),
+            (in_range([4, 34]), "range", "a range needs 31 at least"),
             (in_range([20, 41]), "range", "of a clip of 40 frames"),
             (in_range([30, 4]), "range", "a later end"),
             (
@@ -600,9 +600,9 @@ fn a_merged_answer_has_ranges_of_the_clip_too() {
             };
             site.store.review(site.eve.id, review, START)
         };
-        let refused = merge([20, 41]).expect_err("it leaves the clip");
+        let refused = merge([9, 41]).expect_err("it leaves the clip");
         assert_eq!(refused.problem().code, Code::Invalid);
-        assert_eq!(merge([20, 40]).expect("merges").state, TaskState::Accepted);
+        assert_eq!(merge([9, 40]).expect("merges").state, TaskState::Accepted);
         site.whole();
     });
 }

@@ -510,6 +510,7 @@ pub(crate) fn bare_task(number: usize, kind: TaskKind) -> NewTask {
         category: None,
         hint: None,
         style: None,
+        edit_type: None,
         priority: 0,
         gold: None,
         extra: None,

@@ -252,9 +252,9 @@ fn parquet_comes_back_as_it_went() {
 fn ranged() -> Answer {
     let answer = json!({ "kind": "mask_text", "masks": [
         { "parts": ["BOTH_LEGS"], "joints": [{ "joint": "left_hip", "weight": "soft" }], "text": "walking" },
-        { "parts": ["LEFT_ARM"], "range": [0, 20], "text": "waving" },
+        { "parts": ["LEFT_ARM"], "range": [0, 31], "text": "waving" },
         {
-            "parts": ["LEFT_ARM"], "range": [16, 40], "text": "pointing", "joints": [
+            "parts": ["LEFT_ARM"], "range": [9, 40], "text": "pointing", "joints": [
                 { "joint": "left_collar", "weight": "hard" }, { "joint": "left_wrist", "weight": "none" },
             ],
         },
@@ -277,7 +277,7 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
     let frames = |row: &AnnotationRow| (row.start, row.end);
     assert_eq!(frames(&rows[0]), (None, None));
     assert_eq!(rows[0].soft_joints, ["left_hip"]);
-    assert_eq!(frames(&rows[2]), (Some(16), Some(40)));
+    assert_eq!(frames(&rows[2]), (Some(9), Some(40)));
     assert_eq!(
         rows[2].hard_joints,
         ["left_collar", "left_shoulder", "left_elbow"]
@@ -302,7 +302,7 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
     }
     let csv = write(&site, site.store.as_ref(), "csv", ExportFormat::Csv);
     let csv = std::fs::read_to_string(csv.join("labels.csv")).expect("a file");
-    assert!(csv.contains("\"\"range\"\":[16,40]"), "{csv}");
+    assert!(csv.contains("\"\"range\"\":[9,40]"), "{csv}");
 
     write(&site, site.store.as_ref(), "unused", ExportFormat::Dataset);
     let dataset = Dataset::open(&site.dataset).expect("a dataset");
@@ -314,7 +314,7 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
         .collect();
     assert_eq!(
         ranges,
-        [(None, None), (Some(0), Some(20)), (Some(16), Some(40))]
+        [(None, None), (Some(0), Some(31)), (Some(9), Some(40))]
     );
     let (store, _) = fresh_store(&site, "of-dataset.sqlite");
     assert_eq!(answers(store.as_ref()), said);
@@ -332,7 +332,7 @@ fn a_range_that_a_shorter_clip_does_not_have_is_left_out_of_the_dataset_and_coun
     let source = site.store.task_record(task).expect("a task").source;
     let mut clip = site.store.all_motions().expect("motions");
     clip.retain(|motion| motion.hash == source);
-    (clip[0].hash, clip[0].frames) = ("shorter".to_owned(), 30);
+    (clip[0].hash, clip[0].frames) = ("shorter".to_owned(), 35);
     site.store
         .replace_motions(None, clip, START)
         .expect("replaces");

@@ -4,11 +4,12 @@
  */
 
 export const MAX_TEXT_CHARS = 2000;
+export const MAX_GUIDELINE_CHARS = 10000;
 export const MAX_NAME_CHARS = 100;
 export const MAX_EVENTS = 64;
 export const MAX_BODY_BYTES = 262144;
 export const MAX_MASKS = 16;
-export const SHORTEST_RANGE = 16;
+export const SHORTEST_RANGE = 31;
 export const BUNDLE = 8;
 export const KEY_MODIFIERS: readonly string[] = [
   "Ctrl+", "Shift+",
@@ -359,6 +360,35 @@ export type Candidate = {
   /** Edit distance of its texts from their drafts, 0 to 1. */
   draft_distance: number | null, };
 
+/** A cell of the plan with what has arrived. */
+export type CaptureCell = {
+  /** Id of the source motion. */
+  motion: string,
+  /** Name of the style. */
+  style: string,
+  /** Takes that are wanted. */
+  takes: number,
+  /** Takes that arrived and are not rejected. */
+  arrived: number,
+  /** Takes that were judged unusable or dropped. */
+  rejected: number,
+  /** Takes that are still to capture. */
+  missing: number,
+  /** Whether the project has a motion of this id. */
+  known: boolean, };
+
+/** `PUT captures`: the whole plan, in place of the one before. */
+export type CapturePlan = {
+  /** Its cells, each motion with each style once. */
+  cells: Array<PlannedCapture>, };
+
+/** `GET captures`, and the answer to `PUT captures`: the plan with what has arrived of it. A take is a style pair of the motion in the style. */
+export type Captures = {
+  /** The cells in the order of the plan. */
+  cells: Array<CaptureCell>,
+  /** Style pairs of no planned cell, without rejected ones. */
+  unplanned: number, };
+
 /** An entry of `GET stream` (event `change`). */
 export type Change = {
   /** Sequence number in the log. */
@@ -422,6 +452,15 @@ export type Decisions = {
   items: Array<DecisionRow>,
   /** Value of `before` for the next page. */
   next: number | null, };
+
+/** `GET stats/edit-types`: one for each edit type that the project has a quota of. */
+export type EditTypeCount = {
+  /** Edit type. */
+  edit_type: EditType,
+  /** Pairs kept: answered `keep` and not sent back. */
+  kept: number,
+  /** Pairs wanted. */
+  wanted: number, };
 
 /** Why a queue is empty. Counts are tasks of the kind. */
 export type Empty = {
@@ -886,6 +925,15 @@ export type PictureInfo = {
   /** Size in bytes. */
   bytes: number, };
 
+/** A cell of the plan. */
+export type PlannedCapture = {
+  /** Id of the source motion; the project need not know it yet. */
+  motion: string,
+  /** Name of the style. */
+  style: string,
+  /** Takes that are wanted, 1 to 1,000. */
+  takes: number, };
+
 /** `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives practice tasks before. */
 export type Practice = {
   /** Kind. */
@@ -1143,6 +1191,8 @@ export type Settings = {
   quota: number,
   /** Pairs kept of each category, after which its other pairs are not given out; 0 for no bound. */
   category_quota: number,
+  /** Pairs wanted of each edit type, of all categories together; 0, or no entry, for no bound. Pairs that are stated to be of the type that is furthest behind are given out first; none is held back. */
+  edit_type_quota: { [key in EditType]?: number },
   /** The guide, plain text. */
   guide: string,
   /** Name of the time zone in which days begin, such as `Europe/Berlin`. */
@@ -1214,6 +1264,8 @@ export type Style = {
   name: string,
   /** What it looks like, for the people who perform it and who describe it. */
   text: string,
+  /** How it is performed, in paragraphs with empty lines between: what the body does, and what it must not do. Up to 10,000 characters. */
+  guideline?: string,
   /** The colour of its mark, `#rrggbb`. */
   colour: string | null, };
 

@@ -62,10 +62,10 @@ test("a range is told as people count frames", () => {
 
 test("a range that is too short says the length it needs, as the server does", () => {
   const whole = "or let it hold for the whole clip";
-  assert.equal(rangeProblem([4, 20], 40), null);
+  assert.equal(rangeProblem([4, 35], 40), null);
   assert.equal(
-    rangeProblem([4, 19], 40),
-    `holds for 15 frames, but a range needs 16 at least, as many as a training window; widen it, ${whole}`,
+    rangeProblem([4, 34], 40),
+    `holds for 30 frames, but a range needs 31 at least, as many as a training window; widen it, ${whole}`,
   );
   assert.equal(rangeProblem([4, 41], 40), `holds up to frame 41 of a clip of 40 frames; move its end, ${whole}`);
 });

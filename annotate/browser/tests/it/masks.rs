@@ -267,32 +267,32 @@ async fn a_mask_holds_for_a_range_and_a_joint_is_chosen() {
         .await;
     let problem = browser.text_of(".mask-problem").await;
     assert!(
-        problem.starts_with("Mask 2 holds for 11 frames, but a range needs 16 at least"),
+        problem.starts_with("Mask 2 holds for 11 frames, but a range needs 31 at least"),
         "{problem}"
     );
     browser.control(&[keys::ENTER]).await;
     browser
         .until(
             "it is refused",
-            "document.querySelector('.toast.error')?.textContent.includes('a range needs 16 at least')",
+            "document.querySelector('.toast.error')?.textContent.includes('a range needs 31 at least')",
         )
         .await;
     assert_eq!(browser.task().await, task);
 
     // Its ends move by keys and by the mouse.
     browser.tab_to("Last frame of mask 2").await;
-    browser.shift(&[keys::RIGHT]).await;
+    browser.shift(&[keys::RIGHT, keys::RIGHT]).await;
     browser.press(&[keys::RIGHT, keys::RIGHT]).await;
     browser
         .until(
             "it is long enough",
-            &format!("{LAST} === 23 && !document.querySelector('.mask-problem')"),
+            &format!("{LAST} === 33 && !document.querySelector('.mask-problem')"),
         )
         .await;
     browser
         .until(
             "the frame there is shown",
-            "document.querySelector('.stage').dataset.frame === '22'",
+            "document.querySelector('.stage').dataset.frame === '32'",
         )
         .await;
     browser.control(&["z"]).await;
@@ -303,11 +303,11 @@ async fn a_mask_holds_for_a_range_and_a_joint_is_chosen() {
         .press_with(&[keys::CONTROL, keys::SHIFT], &["z"])
         .await;
     browser
-        .until("and one forward", &format!("{LAST} === 23"))
+        .until("and one forward", &format!("{LAST} === 33"))
         .await;
     browser.drag(".lane-handle.last", 120.0).await;
     browser
-        .until("it is dragged", &format!("{LAST} > 23"))
+        .until("it is dragged", &format!("{LAST} > 33"))
         .await;
     let end = browser.js(&format!("return {LAST};")).await;
 
