@@ -31,6 +31,7 @@ mod names;
 mod novelty;
 mod pairs;
 mod query;
+mod ranges;
 mod reasons;
 mod remote;
 mod results;

@@ -1,0 +1,116 @@
+//! A mask that holds for some frames: from lines that people edit to items, edits and exports.
+
+use std::fs;
+
+use datasets_spec::Dataset;
+use datasets_spec::record::{EditRow, ItemRow, MaskRow};
+use serde_json::Value;
+
+use crate::util::{arg, stance};
+
+#[test]
+fn the_range_of_a_mask_reaches_items_edits_and_exports() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let at = |name: &str| dir.path().join(name);
+    let (corpus, dataset) = (at("corpus"), at("dataset"));
+    stance(&["corpus", "--clips", "60", "--out", arg(&corpus)]).expect_code(0);
+    stance(&["ingest", arg(&corpus), "--out", arg(&dataset)]).expect_code(0);
+    let lines = at("lines.jsonl");
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    stance(&["masks", arg(&dataset), "--drafts", arg(&lines)]).expect_code(0);
+
+    // Every mask of the test split holds for frames 5 to 45.
+    let tested: Vec<MaskRow> = Dataset::open(&dataset)
+        .and_then(|dataset| dataset.read(Some(datasets_spec::Split::Test)))
+        .expect("masks");
+    assert!(!tested.is_empty());
+    let drafts = fs::read_to_string(&lines).expect("lines");
+    let edited: Vec<String> = drafts
+        .lines()
+        .map(|line| {
+            let mut line: Value = serde_json::from_str(line).expect("JSON");
+            if tested.iter().any(|mask| line["mask"] == mask.id.as_str()) {
+                (line["start"], line["end"]) = (5.into(), 45.into());
+            }
+            line["verdict"] = "accept".into();
+            line.to_string()
+        })
+        .collect();
+    let short = edited.join("\n").replace("\"end\":45", "\"end\":30");
+    fs::write(&lines, short).expect("writes");
+    let accept = [
+        "masks",
+        arg(&dataset),
+        "--accept",
+        arg(&lines),
+        "--author",
+        "ann",
+    ];
+    let refused = stance(&accept).expect_code(1);
+    assert!(refused.stderr.contains("31 at least"), "{}", refused.stderr);
+    fs::write(&lines, edited.join("\n")).expect("writes");
+    stance(&accept).expect_code(0);
+    stance(&["verify", arg(&dataset)]).expect_code(0);
+
+    let items = at("items");
+    stance(&[
+        "items",
+        arg(&dataset),
+        "--count",
+        "all",
+        "--out",
+        arg(&items),
+    ])
+    .expect_code(0);
+    let (run, edits) = (at("nearest"), at("edits"));
+    stance(&["train", "nearest", arg(&dataset), "--out", arg(&run)]).expect_code(0);
+    stance(&[
+        "edit",
+        arg(&run),
+        "--items",
+        arg(&items),
+        "--out",
+        arg(&edits),
+    ])
+    .expect_code(0);
+    let answered = Dataset::open(&edits).expect("edits");
+    let asked: Vec<ItemRow> = answered.items().expect("items");
+    let made: Vec<EditRow> = answered.read(None).expect("edits");
+    assert_eq!((asked.len(), made.len()), (tested.len(), tested.len()));
+    let mut changed = 0;
+    for item in &asked {
+        let frames = item.edited_frames().expect("a range");
+        assert_eq!(frames.len(), 40.min(item.source_body_pose.len()));
+        let edit = made
+            .iter()
+            .find(|edit| edit.id == item.id)
+            .expect("an edit");
+        let same = |frame: usize| edit.body_pose[frame] == item.source_body_pose[frame];
+        assert!(
+            (0..item.source_body_pose.len()).all(|frame| frames.contains(&frame) || same(frame))
+        );
+        changed += frames.filter(|frame| !same(*frame)).count();
+    }
+    assert!(changed > 0, "the nearest neighbour changes what it may");
+
+    // The layout of the release has a file for what it has no place for.
+    let (exported, again) = (at("exported"), at("again"));
+    stance(&[
+        "export",
+        arg(&dataset),
+        "--to",
+        "stance",
+        "--out",
+        arg(&exported),
+    ])
+    .expect_code(0);
+    stance(&["ingest", arg(&exported), "--out", arg(&again)]).expect_code(0);
+    let masks = |folder: &std::path::Path| {
+        let mut rows: Vec<MaskRow> = Dataset::open(folder)
+            .and_then(|dataset| dataset.read(None))
+            .expect("masks");
+        rows.sort_by(|a, b| a.id.cmp(&b.id));
+        rows
+    };
+    assert_eq!(masks(&again), masks(&dataset));
+}
