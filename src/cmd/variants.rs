@@ -47,15 +47,8 @@ pub(crate) struct Args {
     /// Variants of an instruction
     #[arg(long, value_name = "N", default_value_t = MakeVariants::default().variants, value_parser = clap::value_parser!(usize))]
     variants: usize,
-    /// Standard deviation of the noise between variants, in units of the latent space
-    #[arg(
-        long,
-        value_name = "SIGMA",
-        default_value_t = 0.1,
-        conflicts_with = "relative_noise"
-    )]
-    noise: f64,
-    /// The same in standard deviations of the latent vectors of motions
+    /// Standard deviation of the noise between variants, in standard deviations of the latent vectors of motions
+    /// [default: 0.1 units of the latent space]
     #[arg(long, value_name = "SHARE")]
     relative_noise: Option<f64>,
     /// Root mean square distance in metres between joints below which variants are identical
@@ -105,10 +98,8 @@ impl Args {
         MakeVariants {
             count: self.count,
             variants: self.variants,
-            noise: match self.relative_noise {
-                Some(share) => LatentNoise::Relative(share),
-                None => LatentNoise::Absolute(self.noise),
-            },
+            noise: (self.relative_noise)
+                .map_or(MakeVariants::default().noise, LatentNoise::Relative),
             filter: self.filter(),
         }
     }
