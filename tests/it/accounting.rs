@@ -11,7 +11,7 @@ use datasets_spec::{Dataset, Fps, Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, files_with_extension, stance};
+use crate::util::{arg, corpus, files_with_extension, stance, typed};
 
 /// A failure, as a script relies on it.
 #[derive(Debug, Deserialize)]
@@ -494,15 +494,10 @@ fn a_row_too_many_or_too_few_is_read_where_that_is_asked_for() {
     let strict = ingest(&source, &out, &[], 3);
     assert_eq!((strict.ingested, strict.codes["E-BVH-FRAMES"]), (1, 2));
     // It is another plan.
-    stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&out),
-        "--lenient",
-        "--fps",
-        "native",
-    ])
+    typed(
+        "ingest {} --out {} --lenient --fps native",
+        &[&source, &out],
+    )
     .expect_code(1);
     let lenient = dir.path().join("lenient");
     ingest(&source, &lenient, &["--lenient", "--fps", "native"], 0);
@@ -547,15 +542,7 @@ fn humanml3d_features_come_out_as_they_went_in() {
     ingest(&dir.path().join("corpus"), &made, &[], 0);
     let folder = dir.path().join("HumanML3D");
     let export = |dataset: &Path, folder: &Path| {
-        stance(&[
-            "export",
-            arg(dataset),
-            "--to",
-            "humanml3d",
-            "--out",
-            arg(folder),
-        ])
-        .expect_code(0)
+        typed("export {} --to humanml3d --out {}", &[&dataset, &folder]).expect_code(0)
     };
     export(&made, &folder);
     let out = dir.path().join("dataset");

@@ -22,7 +22,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use crate::util::{arg, command, corpus, stance};
+use crate::util::{arg, command, corpus, stance, typed};
 
 #[derive(Deserialize)]
 struct Listening {
@@ -112,13 +112,7 @@ pub(crate) fn bare_task(key: String, motion: &str) -> NewTask {
 fn dataset(clips: usize) -> (tempfile::TempDir, PathBuf) {
     let dir = corpus(clips);
     let out = dir.path().join("dataset");
-    stance(&[
-        "ingest",
-        arg(&dir.path().join("corpus")),
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0);
+    typed("ingest {} --out {}", &[&dir.path().join("corpus"), &out]).expect_code(0);
     stance(&["masks", arg(&out)]).expect_code(0);
     (dir, out)
 }
@@ -279,28 +273,13 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
         .json();
     assert_eq!(written["counts"]["motions_described"], 6);
     stance(&["verify", arg(&dataset)]).expect_code(0);
-    let masks: Value = stance(&[
-        "masks",
-        arg(&dataset),
-        "--accept",
-        "/dev/null",
-        "--author",
-        "x",
-        "--json",
-    ])
-    .expect_code(0)
-    .json();
+    let masks: Value = typed("masks {} --accept /dev/null --author x --json", &[&dataset])
+        .expect_code(0)
+        .json();
     assert_eq!(masks["origins"]["human"], 12);
-    let triplets: Value = stance(&[
-        "triplets",
-        "stats",
-        arg(&dataset),
-        "--count",
-        "64",
-        "--json",
-    ])
-    .expect_code(0)
-    .json();
+    let triplets: Value = typed("triplets stats {} --count 64 --json", &[&dataset])
+        .expect_code(0)
+        .json();
     let text = triplets.to_string();
     assert!(
         text.contains("testing"),
@@ -308,15 +287,7 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
     );
     assert!(text.contains("fine-grained"), "{text}");
     let out = dataset.with_file_name("triplets");
-    stance(&[
-        "triplets",
-        arg(&dataset),
-        "--out",
-        arg(&out),
-        "--count",
-        "16",
-    ])
-    .expect_code(0);
+    typed("triplets {} --out {} --count 16", &[&dataset, &out]).expect_code(0);
 }
 
 /// Answers the next task of a kind and accepts the answer, without a server.
@@ -545,17 +516,9 @@ fn backups_are_made_on_a_schedule_and_the_last_ones_kept() {
     let other = dir.path().join("copies");
     std::fs::create_dir(&other).expect("a folder");
     std::fs::write(other.join("store-20200101T000000Z.sqlite"), "").expect("an old copy");
-    let made: Value = stance(&[
-        "annotate",
-        data,
-        "--json",
-        "backup",
-        arg(&other),
-        "--keep",
-        "1",
-    ])
-    .expect_code(0)
-    .json();
+    let made: Value = typed("annotate {} --json backup {} --keep 1", &[&data, &other])
+        .expect_code(0)
+        .json();
     assert_eq!(
         copies(&other),
         [PathBuf::from(made["backup"].as_str().expect("a path"))]
@@ -678,13 +641,7 @@ fn a_server_says_who_else_can_reach_it() {
         let host = listen.trim_end_matches('0');
         assert!(line.starts_with(&format!("http://{host}")), "{line}");
     }
-    let unknown = [
-        "annotate",
-        arg(&dataset),
-        "--trusted-proxy",
-        "proxy.example",
-    ];
-    let refused = stance(&unknown).expect_code(2);
+    let refused = typed("annotate {} --trusted-proxy proxy.example", &[&dataset]).expect_code(2);
     assert!(refused.stderr.contains("10.0.0.0/8"), "{}", refused.stderr);
     for host in ["https://a.example", "a.example:8443", ""] {
         let wrong = ["annotate", arg(&dataset), "--host", host];

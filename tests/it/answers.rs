@@ -10,7 +10,7 @@ use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
-use crate::util::{Ran, arg, files_with_extension, stance};
+use crate::util::{Ran, arg, files_with_extension, stance, typed};
 
 /// Metrics of what a system recorded while it generated; answers from elsewhere have none.
 const RECORDED: [&str; 2] = ["Fit error", "Bone drift"];
@@ -135,17 +135,9 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     }
     // As AMASS has them: z up, through double precision.
     let exported = at("exported");
-    let json: Value = stance(&[
-        "--json",
-        "export",
-        arg(&here),
-        "--to",
-        "amass",
-        "--out",
-        arg(&exported),
-    ])
-    .expect_code(0)
-    .json();
+    let json: Value = typed("--json export {} --to amass --out {}", &[&here, &exported])
+        .expect_code(0)
+        .json();
     assert_eq!(json["clips"], 8);
     import(&exported, &items, "Turned", &at("turned"), &[]).expect_code(0);
 
@@ -192,15 +184,11 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     assert_eq!(item["answers"].as_array().expect("answers").len(), 1);
     let picture = at("item.svg");
     let folder = at("elsewhere");
-    let args = [
-        "render",
-        clip[0],
-        "--dataset",
-        arg(&folder),
-        "--out",
-        arg(&picture),
-    ];
-    stance(&args).expect_code(0);
+    typed(
+        "render {} --dataset {} --out {}",
+        &[&clip[0], &folder, &picture],
+    )
+    .expect_code(0);
     let picture = fs::read_to_string(picture).expect("drawn");
     for label in ["source", "target", "Elsewhere, seed 0"] {
         assert!(picture.contains(label), "{label}");
@@ -410,29 +398,13 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
         places
     };
     assert_eq!(places(&rows(&at("again"))), places(&made));
-    let refused = stance(&[
-        "export",
-        arg(&here),
-        "--to",
-        "stance",
-        "--out",
-        arg(&at("no")),
-    ])
-    .expect_code(1);
+    let refused = typed("export {} --to stance --out {}", &[&here, &at("no")]).expect_code(1);
     assert!(
         refused.stderr.contains("bvh, amass or gltf"),
         "{}",
         refused.stderr
     );
     let items = at("items");
-    let refused = stance(&[
-        "export",
-        arg(&items),
-        "--to",
-        "bvh",
-        "--out",
-        arg(&at("no")),
-    ])
-    .expect_code(1);
+    let refused = typed("export {} --to bvh --out {}", &[&items, &at("no")]).expect_code(1);
     assert!(refused.stderr.contains("--sources"), "{}", refused.stderr);
 }

@@ -12,7 +12,7 @@ use serde_json::Value;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use crate::util::{Ran, arg, command, corpus, files_with_extension, stance};
+use crate::util::{Ran, arg, command, corpus, files_with_extension, stance, typed};
 
 /// Files by their names.
 pub(crate) type Files = BTreeMap<String, Vec<u8>>;
@@ -331,15 +331,7 @@ fn shards_and_dumps_that_are_named_like_archives_are_read_as_what_they_are() {
     let place = Place::new(corpus(4));
     place.ingest("corpus", "dataset", 0);
     let (dataset, out) = (place.path("dataset"), place.path("shards"));
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "webdataset",
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0);
+    typed("export {} --to webdataset --out {}", &[&dataset, &out]).expect_code(0);
     place.ingest("shards", "again", 0);
     let rows: Vec<MotionRow> = place.rows("again");
     assert!(rows.iter().all(|row| row.source == "webdataset"));

@@ -8,7 +8,7 @@ use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
-use crate::util::{arg, stance};
+use crate::util::{arg, typed};
 
 /// A small TMED.
 pub(crate) const SMALL_TMED: &str = "
@@ -82,16 +82,10 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     // It edits whole motions alone.
     let clip = workshop.clip();
     let (run, out) = (workshop.path("mixed"), workshop.path("part.npz"));
-    let refused = stance(&[
-        "edit",
-        arg(&run),
-        "--motion",
-        arg(&clip),
-        "--during",
-        "0:10 The person is waving.",
-        "--out",
-        arg(&out),
-    ])
+    let refused = typed(
+        "edit {} --motion {} --during {} --out {}",
+        &[&run, &clip, &"0:10 The person is waving.", &out],
+    )
     .expect_code(1);
     assert!(
         refused.stderr.contains("whole motions"),

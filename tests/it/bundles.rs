@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::evaluate::Bench;
 use crate::tables::tables;
-use crate::util::{Ran, arg, stance};
+use crate::util::{Ran, arg, stance, typed};
 
 /// Bundles edits.
 fn bundle(edits: &Path, out: &Path, more: &[&str]) -> Ran {
@@ -135,19 +135,10 @@ fn bundles_are_ranked_in_one_table_with_paired_differences() {
     );
     let items = at("items");
     let eval = |encoder: &str| {
-        stance(&[
-            "eval",
-            arg(&first),
-            arg(&second),
-            "--items",
-            arg(&items),
-            "--encoder",
-            encoder,
-            "--repeats",
-            "2",
-            "--format",
-            "markdown",
-        ])
+        typed(
+            "eval {} {} --items {} --encoder {} --repeats 2 --format markdown",
+            &[&first, &second, &items, &encoder],
+        )
     };
     let found = tables(&eval("builtin").expect_code(0).stdout);
     // The items of one task; tables of novelties follow.

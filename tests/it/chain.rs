@@ -6,7 +6,7 @@ use std::fs;
 use serde::Deserialize;
 
 use crate::tables::tables;
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, stance, typed};
 
 #[derive(Deserialize)]
 struct Score {
@@ -155,13 +155,10 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
 
     // Each stage is also a verb of its own.
     let dataset = run.join("dataset");
-    let explained = stance(&[
-        "--json",
-        "triplets",
-        arg(&dataset),
-        "--explain",
-        "train-semantic-0-3",
-    ])
+    let explained = typed(
+        "--json triplets {} --explain train-semantic-0-3",
+        &[&dataset],
+    )
     .expect_code(0);
     assert!(explained.stdout.contains("recipe_hash"));
     let edits = run.join("edits/full");
@@ -183,14 +180,10 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     }
     let strip = dir.path().join("strip.svg");
     let clip = first_clip(&dataset);
-    stance(&[
-        "render",
-        &clip,
-        "--dataset",
-        arg(&dataset),
-        "--out",
-        arg(&strip),
-    ])
+    typed(
+        "render {} --dataset {} --out {}",
+        &[&clip, &dataset, &strip],
+    )
     .expect_code(0);
     assert!(
         fs::read_to_string(&strip)
@@ -222,18 +215,16 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         refused.stderr
     );
     let edited = dir.path().join("edited.npz");
-    stance(&[
-        "edit",
-        arg(&run.join("runs/motionrefit")),
-        "--dataset",
-        arg(&dataset),
-        "--motion",
-        &clip,
-        "--text",
-        "The person is waving with their left arm.",
-        "--out",
-        arg(&edited),
-    ])
+    typed(
+        "edit {} --dataset {} --motion {} --text {} --out {}",
+        &[
+            &run.join("runs/motionrefit"),
+            &dataset,
+            &clip,
+            &"The person is waving with their left arm.",
+            &edited,
+        ],
+    )
     .expect_code(0);
     stance(&["render", arg(&edited), "--out", arg(&strip)]).expect_code(0);
 }
@@ -263,12 +254,10 @@ fn a_misspelt_setting_is_refused_by_name() {
 fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
     let dir = corpus(10);
     let dataset = dir.path().join("dataset");
-    stance(&[
-        "ingest",
-        arg(&dir.path().join("corpus")),
-        "--out",
-        arg(&dataset),
-    ])
+    typed(
+        "ingest {} --out {}",
+        &[&dir.path().join("corpus"), &dataset],
+    )
     .expect_code(0);
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let file = dir.path().join("masks.jsonl");

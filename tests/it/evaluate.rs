@@ -12,7 +12,7 @@ use serde_json::Value;
 use crate::tables::tables;
 use crate::texts::TextTable;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, corpus, stance};
+use crate::util::{Ran, arg, corpus, stance, typed};
 
 /// Settings of an evaluation encoder that is trained in a second.
 pub(crate) const SMALL_ENCODER: &str = "
@@ -46,15 +46,10 @@ impl Bench {
         let encoder = workshop.path("encoder");
         let settings = workshop.path("encoder.toml");
         fs::write(&settings, SMALL_ENCODER).expect("writes");
-        stance(&[
-            "train",
-            "tmr",
-            arg(&workshop.dataset()),
-            "--out",
-            arg(&encoder),
-            "--config",
-            arg(&settings),
-        ])
+        typed(
+            "train tmr {} --out {} --config {}",
+            &[&workshop.dataset(), &encoder, &settings],
+        )
         .expect_code(0);
         let bench = Self { workshop, encoder };
         bench.items("items", &["--count", count]);
@@ -259,14 +254,10 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         .collect();
     assert_eq!(rows, expected);
 
-    let fit: Value = stance(&[
-        "--json",
-        "eval",
-        "encoder",
-        arg(&bench.workshop.dataset()),
-        "--encoder",
-        arg(&bench.encoder),
-    ])
+    let fit: Value = typed(
+        "--json eval encoder {} --encoder {}",
+        &[&bench.workshop.dataset(), &bench.encoder],
+    )
     .expect_code(0)
     .json();
     let rows = fit.as_array().expect("rows");
@@ -278,18 +269,10 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     assert!(recalls.is_sorted() && recalls[2] <= 100.0, "{recalls:?}");
 
     let compare = |b: &Path| -> Value {
-        stance(&[
-            "--json",
-            "eval",
-            "compare",
-            arg(&first),
-            arg(b),
-            "--encoder",
-            arg(&bench.encoder),
-            "--weak-judge",
-            "--repeats",
-            "2",
-        ])
+        typed(
+            "--json eval compare {} {} --encoder {} --weak-judge --repeats 2",
+            &[&first, &b, &bench.encoder],
+        )
         .expect_code(0)
         .json()
     };
@@ -377,16 +360,9 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         ]
     );
     assert!(!bench.workshop.path("made").exists());
-    let first: Value = stance(&[
-        "--json",
-        "reproduce",
-        "--weak-judge",
-        arg(&plan),
-        "--at-once",
-        "2",
-    ])
-    .expect_code(0)
-    .json();
+    let first: Value = typed("--json reproduce --weak-judge {} --at-once 2", &[&plan])
+        .expect_code(0)
+        .json();
     let out = bench.workshop.path("made");
     // The ratio of 1 is the default: two trainings of the editor serve five points, and its table.
     let count = |folder: &str| fs::read_dir(out.join(folder)).expect("a folder").count();
@@ -535,16 +511,7 @@ fn a_plan_trains_anew_when_its_dataset_has_grown() {
         ["dataset", "corpus", "more"].map(|name| bench.workshop.path(name));
     let run = || stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]);
     let first: Value = run().expect_code(0).json();
-    let args = [
-        "--seed",
-        "9",
-        "corpus",
-        "--clips",
-        "30",
-        "--out",
-        arg(&more),
-    ];
-    stance(&args).expect_code(0);
+    typed("--seed 9 corpus --clips 30 --out {}", &[&more]).expect_code(0);
     stance(&["ingest", arg(&corpus), arg(&more), "--out", arg(&dataset)]).expect_code(0);
     stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
     let second: Value = run().expect_code(0).json();
@@ -870,18 +837,10 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     let bench = Bench::open();
     let first = bench.edits("first", &[]);
     let page = bench.workshop.path("page.html");
-    let made: Value = stance(&[
-        "--json",
-        "report",
-        arg(&first),
-        "--encoder",
-        arg(&bench.encoder),
-        "--weak-judge",
-        "--items",
-        "3",
-        "--out",
-        arg(&page),
-    ])
+    let made: Value = typed(
+        "--json report {} --encoder {} --weak-judge --items 3 --out {}",
+        &[&first, &bench.encoder, &page],
+    )
     .expect_code(0)
     .json();
     let html = fs::read_to_string(&page).expect("written");
@@ -933,18 +892,8 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     let bench = Bench::open();
     let weak = bench.workshop.path("weak");
     let dataset = bench.workshop.dataset();
-    let train = |out: &Path| {
-        let args = [
-            "train",
-            "tmr",
-            arg(&dataset),
-            "--out",
-            arg(out),
-            "--steps",
-            "1",
-        ];
-        stance(&args).expect_code(0)
-    };
+    let train =
+        |out: &Path| typed("train tmr {} --out {} --steps 1", &[&dataset, &out]).expect_code(0);
     let said = train(&weak).stdout;
     for words in [
         "text to motion: R@1",
@@ -994,16 +943,12 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
             (&false.into(), &false.into())
         );
     }
-    let compare = [
-        "--json",
-        "eval",
-        "compare",
-        arg(&edits),
-        arg(&edits),
-        "--encoder",
-        arg(&weak),
-    ];
-    let compared: Value = stance(&compare).expect_code(1).json();
+    let compared: Value = typed(
+        "--json eval compare {} {} --encoder {}",
+        &[&edits, &edits, &weak],
+    )
+    .expect_code(1)
+    .json();
     assert!(compared[0]["unranked"].is_string(), "{compared}");
 
     let ranks_nothing = |page: &Path| {
@@ -1036,15 +981,9 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     assert!(table.starts_with(sentence), "{table}");
 
     // The same edits are ranked by the encoder of the program; a folder without a report is not believed.
-    let builtin = [
-        "eval",
-        arg(&edits),
-        "--encoder",
-        "builtin",
-        "--repeats",
-        "2",
-    ];
-    let ranked = stance(&builtin).expect_code(0).stdout;
+    let ranked = typed("eval {} --encoder builtin --repeats 2", &[&edits])
+        .expect_code(0)
+        .stdout;
     // Novelties of few items have tables of their own below, which need not rank.
     let first = ranked.lines().next().expect("a table");
     assert!(
@@ -1143,19 +1082,15 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     workshop.train("coordinator", "guide", "4").expect_code(0);
     let fixed = workshop.path("fixed.toml");
     fs::write(&fixed, "fixed_pairs = true\n").expect("writes");
-    stance(&[
-        "train",
-        "motionrefit",
-        arg(&workshop.dataset()),
-        "--out",
-        arg(&workshop.path("fixed")),
-        "--config",
-        arg(&workshop.path("small.toml")),
-        "--compose",
-        arg(&fixed),
-        "--steps",
-        "4",
-    ])
+    typed(
+        "train motionrefit {} --out {} --config {} --compose {} --steps 4",
+        &[
+            &workshop.dataset(),
+            &workshop.path("fixed"),
+            &workshop.path("small.toml"),
+            &fixed,
+        ],
+    )
     .expect_code(0);
     let guide = workshop.path("guide");
     let base = bench.edits("base", &[]);
@@ -1227,15 +1162,10 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
         "the changed item is not named"
     );
     // What needs no system is scored on the items alone.
-    let scores: Value = stance(&[
-        "--json",
-        "eval",
-        "--items",
-        arg(&items),
-        "--encoder",
-        arg(&bench.encoder),
-        "--weak-judge",
-    ])
+    let scores: Value = typed(
+        "--json eval --items {} --encoder {} --weak-judge",
+        &[&items, &bench.encoder],
+    )
     .expect_code(0)
     .json();
     assert!(!of_system(&scores, "Identity").is_empty());

@@ -7,7 +7,7 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Motion, Skeleton};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, files_with_extension, stance};
+use crate::util::{arg, corpus, files_with_extension, stance, typed};
 
 const CLIPS: usize = 8;
 
@@ -168,17 +168,7 @@ fn triplets_and_items_become_dumps_of_motionfix() {
     for verb in ["triplets", "items"] {
         let (made, out) = (at(verb), at(&format!("{verb}-motionfix")));
         stance(&[verb, arg(&dataset), "--count", "6", "--out", arg(&made)]).expect_code(0);
-        let export = |out: &Path| {
-            stance(&[
-                "--json",
-                "export",
-                arg(&made),
-                "--to",
-                "motionfix",
-                "--out",
-                arg(out),
-            ])
-        };
+        let export = |out: &Path| typed("--json export {} --to motionfix --out {}", &[&made, &out]);
         let said: serde_json::Value = export(&out).expect_code(0).json();
         let count = usize::try_from(said["clips"].as_u64().expect("a count")).expect("few");
         assert!((1..=6).contains(&count), "{verb}: {count}");
@@ -212,15 +202,7 @@ fn two_releases_that_use_the_same_names_are_one_dataset() {
     let dataset = dir.path().join("dataset");
     for folder in ["old", "new"] {
         let out = dir.path().join("both").join(folder);
-        stance(&[
-            "export",
-            arg(&dataset),
-            "--to",
-            "stance",
-            "--out",
-            arg(&out),
-        ])
-        .expect_code(0);
+        typed("export {} --to stance --out {}", &[&dataset, &out]).expect_code(0);
     }
     let rows = ingested(dir.path(), "both", "again");
     assert_eq!(rows.len(), 2 * CLIPS);
@@ -242,15 +224,8 @@ fn an_export_appears_whole_or_not_at_all() {
     std::fs::write(taken.join("mine.txt"), "mine").expect("written");
     for layout in ["webdataset", "lerobot"] {
         exported(dir.path(), layout);
-        let args = [
-            "export",
-            arg(&dataset),
-            "--to",
-            layout,
-            "--out",
-            arg(&taken),
-        ];
-        let refused = stance(&args).expect_code(1);
+        let refused =
+            typed("export {} --to {} --out {}", &[&dataset, &layout, &taken]).expect_code(1);
         assert!(refused.stderr.contains("not empty"), "{}", refused.stderr);
     }
     let names: Vec<String> = std::fs::read_dir(dir.path())
@@ -313,14 +288,10 @@ fn doctor_and_stats_count_the_corpus() {
     let ran = stance(&["stats", arg(&dataset)]).expect_code(0);
     assert!(ran.stdout.starts_with("12 clips"), "{}", ran.stdout);
     let features = dir.path().join("features");
-    stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&features),
-        "--features",
-        "humanml3d",
-    ])
+    typed(
+        "ingest {} --out {} --features humanml3d",
+        &[&source, &features],
+    )
     .expect_code(0);
     let manifest = Dataset::open(&features)
         .expect("a dataset")

@@ -11,7 +11,7 @@ use datasets_spec::record::MotionRow;
 use pickle::npz::Archive;
 use serde_json::Value;
 
-use crate::util::{arg, command, corpus, files_with_extension, real_data, stance};
+use crate::util::{arg, command, corpus, files_with_extension, real_data, stance, typed};
 
 const LAYOUTS: [&str; 11] = [
     "amass",
@@ -82,16 +82,10 @@ fn a_mistaken_condition_is_a_mistake_of_usage() {
         ),
         ("split = 'train' or", "Expected: an expression"),
     ] {
-        let ran = stance(&[
-            "export",
-            arg(&dataset),
-            "--to",
-            "bvh",
-            "--where",
-            condition,
-            "--out",
-            arg(&out),
-        ])
+        let ran = typed(
+            "export {} --to bvh --where {} --out {}",
+            &[&dataset, &condition, &out],
+        )
         .expect_code(2);
         assert!(ran.stderr.contains(said), "{}", ran.stderr);
         assert!(!out.exists());
@@ -134,15 +128,7 @@ fn licences_and_captions_travel() {
         }
     }
     let out = dir.path().join("humanml3d");
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "humanml3d",
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0);
+    typed("export {} --to humanml3d --out {}", &[&dataset, &out]).expect_code(0);
     let ids = std::fs::read_to_string(out.join("ids.csv")).expect("written");
     assert_eq!(ids.matches(&license).count(), rows.len(), "{ids}");
     assert_eq!(
@@ -418,15 +404,7 @@ fn a_webdataset_export_is_read_again_packed_or_not() {
     let dir = corpus(12);
     let (dataset, rows) = dataset(dir.path(), &[]);
     let packed = dir.path().join("packed");
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "webdataset",
-        "--out",
-        arg(&packed),
-    ])
-    .expect_code(0);
+    typed("export {} --to webdataset --out {}", &[&dataset, &packed]).expect_code(0);
     assert_eq!(
         labels(&again(dir.path(), &[&packed], "second").1),
         labels(&rows)
@@ -510,18 +488,10 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     assert!(refused.stderr.contains(&said), "{}", refused.stderr);
     // So it is where any number of processes will write them.
     let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
-    let planned = stance(&[
-        "stage",
-        "plan",
-        "export",
-        arg(&dataset),
-        "--to",
-        "humanml3d",
-        "--into",
-        arg(&out),
-        "--out",
-        arg(&plan),
-    ]);
+    let planned = typed(
+        "stage plan export {} --to humanml3d --into {} --out {}",
+        &[&dataset, &out, &plan],
+    );
     let planned = planned.expect_code(0);
     assert!(planned.stderr.contains(&said), "{}", planned.stderr);
     let done = export("bvh", &dir.path().join("bvh")).expect_code(0);
@@ -569,16 +539,10 @@ fn what_a_killed_export_left_is_removed_by_the_next_one() {
     std::fs::create_dir_all(dead.join("new")).expect("made");
     std::fs::write(dead.join("LOCK"), "").expect("written");
     let items = dir.path().join("items");
-    stance(&[
-        "items",
-        arg(&dataset),
-        "--split",
-        "train",
-        "--count",
-        "4",
-        "--out",
-        arg(&items),
-    ])
+    typed(
+        "items {} --split train --count 4 --out {}",
+        &[&dataset, &items],
+    )
     .expect_code(0);
     let out = home.join("items");
     stance(&["items", "export", arg(&items), "--out", arg(&out)]).expect_code(0);

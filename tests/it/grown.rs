@@ -8,7 +8,7 @@ use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, stance, typed};
 
 /// Ingests, and holds the counts of the document against each other and against the tables.
 pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
@@ -124,15 +124,7 @@ pub(crate) fn judge(dataset: &Path, dir: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
     let lines = fs::read_to_string(&file).expect("drafts");
     fs::write(&file, lines.replace("\"todo\"", "\"accept\"")).expect("written");
-    let accept = [
-        "masks",
-        arg(dataset),
-        "--accept",
-        arg(&file),
-        "--author",
-        "ann",
-    ];
-    stance(&accept).expect_code(0);
+    typed("masks {} --accept {} --author ann", &[&dataset, &file]).expect_code(0);
     let masks = masks(dataset);
     assert!(!masks.is_empty() && masks.values().all(|mask| mask.text_origin == "human"));
     masks

@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::grown::{
     clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
 };
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, stance, typed};
 
 /// Checks that equal motions share a split. Returns how many motions outside of `train` have an equal one:
 /// a rule that does nothing would part some of them.
@@ -526,17 +526,9 @@ fn two_datasets_merge_and_lose_no_label() {
     ingest(&[&more], &b, &["--seed", "5"], 0);
     let judged_too = judge(&b, dir.path());
     let out = dir.path().join("both");
-    let merged: Value = stance(&[
-        "--json",
-        "dataset",
-        "merge",
-        arg(&a),
-        arg(&b),
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0)
-    .json();
+    let merged: Value = typed("--json dataset merge {} {} --out {}", &[&a, &b, &out])
+        .expect_code(0)
+        .json();
     verified(&out);
     let (before, after) = (clips(&a), clips(&out));
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use self::server::{Hub, TOKEN};
 use crate::archives::files_below;
-use crate::util::{Ran, arg, corpus, files_with_extension, stance};
+use crate::util::{Ran, arg, corpus, files_with_extension, stance, typed};
 
 const CLIPS: &str = "lab/clips";
 
@@ -402,14 +402,10 @@ fn what_may_not_be_passed_on_is_refused() {
         fs::write(&sidecar, text).expect("written");
     }
     let tag = "LicenseRef-AMASS-NonCommercial";
-    stance(&[
-        "ingest",
-        arg(&clips),
-        "--out",
-        arg(&restricted),
-        "--license",
-        tag,
-    ])
+    typed(
+        "ingest {} --out {} --license {}",
+        &[&clips, &restricted, &tag],
+    )
     .expect_code(0);
     let refused = hub.try_push(&restricted, "lab/other", &[]).expect_code(1);
     assert!(refused.stderr.contains(tag), "{}", refused.stderr);

@@ -11,7 +11,7 @@ use eval::metric::foot_score::{FOOT_JOINTS, foot_score};
 use eval::protocol::Floor;
 use serde::Deserialize;
 
-use crate::util::{arg, command, corpus, files_with_extension, real_data, stance};
+use crate::util::{arg, command, corpus, files_with_extension, real_data, stance, typed};
 
 /// The document of `ingest --json`, as a script relies on it.
 #[derive(Debug, Deserialize)]
@@ -329,14 +329,10 @@ fn real_motion_is_ingested_or_quarantined_with_a_reason() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let out = dir.path().join("dataset");
     let sources = [data.join("bvh"), data.join("amass_layout")];
-    let ran = stance(&[
-        "--json",
-        "ingest",
-        arg(&sources[0]),
-        arg(&sources[1]),
-        "--out",
-        arg(&out),
-    ]);
+    let ran = typed(
+        "--json ingest {} {} --out {}",
+        &[&sources[0], &sources[1], &out],
+    );
     assert!([0, 3].contains(&ran.code), "{}", ran.stderr);
     let done: Ingested = ran.json();
     assert!(done.balances(), "{done:?}");

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::formats::{put, seed_walk};
 use crate::pairs::motionfix_motion;
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, stance, typed};
 
 fn ingest(sources: &[&Path], out: &Path) -> Value {
     let mut args = vec!["--json", "ingest"];
@@ -143,26 +143,12 @@ fn exports_of_motionfix_have_keys_of_their_own() {
     let (mut count, mut sources) = (0, Vec::new());
     for seed in ["1", "2", "3"] {
         let (made, out) = (at(&format!("triplets{seed}")), at(&format!("fix{seed}")));
-        stance(&[
-            "triplets",
-            arg(&at("dataset")),
-            "--count",
-            "6",
-            "--seed",
-            seed,
-            "--out",
-            arg(&made),
-        ])
+        typed(
+            "triplets {} --count 6 --seed {} --out {}",
+            &[&at("dataset"), &seed, &made],
+        )
         .expect_code(0);
-        stance(&[
-            "export",
-            arg(&made),
-            "--to",
-            "motionfix",
-            "--out",
-            arg(&out),
-        ])
-        .expect_code(0);
+        typed("export {} --to motionfix --out {}", &[&made, &out]).expect_code(0);
         let lists = fs::read(out.join("splits.json")).expect("written");
         let lists: BTreeMap<String, Vec<String>> = serde_json::from_slice(&lists).expect("lists");
         let own: Vec<String> = lists.into_values().flatten().collect();
@@ -176,15 +162,7 @@ fn exports_of_motionfix_have_keys_of_their_own() {
     assert_eq!(motions(&at("again")).len(), 2 * count);
     // A key that was read is written again.
     let out = at("once-more");
-    stance(&[
-        "export",
-        arg(&at("again")),
-        "--to",
-        "motionfix",
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0);
+    typed("export {} --to motionfix --out {}", &[&at("again"), &out]).expect_code(0);
     let lists = fs::read(out.join("splits.json")).expect("written");
     let lists: BTreeMap<String, Vec<String>> = serde_json::from_slice(&lists).expect("lists");
     let again: BTreeSet<String> = lists.into_values().flatten().collect();
@@ -223,16 +201,7 @@ fn two_folders_of_every_exported_layout_stay_two() {
             at(&format!("corpus-{part}")),
             at(&format!("dataset-{part}")),
         );
-        stance(&[
-            "corpus",
-            "--clips",
-            "40",
-            "--seed",
-            seed,
-            "--out",
-            arg(&corpus),
-        ])
-        .expect_code(0);
+        typed("corpus --clips 40 --seed {} --out {}", &[&seed, &corpus]).expect_code(0);
         stance(&["ingest", arg(&corpus), "--out", arg(&dataset)]).expect_code(0);
         for layout in [
             "humanml3d",

@@ -9,7 +9,7 @@ use datasets_spec::record::{MarkerRow, MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{Ran, arg, corpus, files_with_extension, real_data, stance};
+use crate::util::{Ran, arg, corpus, files_with_extension, real_data, stance, typed};
 
 /// A folder of BVH files without labels, with others written by a test.
 struct Sources {
@@ -259,15 +259,10 @@ fn captions_made_from_names_are_marked_and_never_exported_without_the_mark() {
     let dataset = sources.path("out");
     let export = |layout: &str| -> Value {
         let out = sources.path(layout);
-        stance(&[
-            "--json",
-            "export",
-            arg(&dataset),
-            "--to",
-            layout,
-            "--out",
-            arg(&out),
-        ])
+        typed(
+            "--json export {} --to {} --out {}",
+            &[&dataset, &layout, &out],
+        )
         .expect_code(0)
         .json()
     };
@@ -463,14 +458,10 @@ fn markers_of_captures_have_a_licence_too() {
     )
     .expect("written");
     let out = dir.path().join("out");
-    stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&out),
-        "--allow-quarantine",
-        "100%",
-    ])
+    typed(
+        "ingest {} --out {} --allow-quarantine 100%",
+        &[&source, &out],
+    )
     .expect_code(0);
     let dataset = Dataset::open(&out).expect("opens");
     let markers: Vec<MarkerRow> = dataset.read(None).expect("rows");

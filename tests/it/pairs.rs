@@ -14,7 +14,7 @@ use serde_json::Value as Json;
 
 use crate::tables::tables;
 use crate::train::Workshop;
-use crate::util::{arg, corpus, files_with_extension, real_data, stance};
+use crate::util::{arg, corpus, files_with_extension, real_data, stance, typed};
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Json {
     let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
@@ -94,19 +94,10 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
         fs::write(&config, "batch_size = 8\nval_windows = 8\n").expect("writes");
         fs::write(&compose, "kinds = [\"style\"]\n").expect("writes");
         let run = dir.path().join("run");
-        stance(&[
-            "train",
-            "motionrefit",
-            arg(&dataset),
-            "--out",
-            arg(&run),
-            "--steps",
-            "2",
-            "--config",
-            arg(&config),
-            "--compose",
-            arg(&compose),
-        ])
+        typed(
+            "train motionrefit {} --out {} --steps 2 --config {} --compose {}",
+            &[&dataset, &run, &config, &compose],
+        )
         .expect_code(0);
     }
 }
@@ -251,15 +242,10 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let [source, dataset, items] = ["corpus", "dataset", "items"].map(|name| dir.path().join(name));
     let clips = CLIPS_PER_TAKE.to_string();
-    let said = stance(&[
-        "corpus",
-        "--clips",
-        &clips,
-        "--adjusted",
-        "2",
-        "--out",
-        arg(&source),
-    ])
+    let said = typed(
+        "corpus --clips {} --adjusted 2 --out {}",
+        &[&clips, &source],
+    )
     .expect_code(0);
     let list = source.join(corpus::PAIR_LIST);
     assert!(
@@ -449,12 +435,7 @@ fn motionfix_without_its_split_list_is_warned_of_and_recorded() {
         let shown = stance(&[verb, arg(&dataset)]).expect_code(0);
         assert!(shown.stdout.contains(remark), "{}", shown.stdout);
     }
-    let clip = stance(&[
-        "inspect",
-        arg(&dataset),
-        "--clip",
-        "motionfix/000001-source",
-    ]);
+    let clip = typed("inspect {} --clip motionfix/000001-source", &[&dataset]);
     let clip = clip.expect_code(0);
     assert!(
         clip.stdout.contains("by the name of its dump"),
@@ -653,20 +634,11 @@ fn a_coordinator_without_two_clips_to_compose_says_what_is_missing() {
     fs::write(&config, "batch_size = 8\nval_windows = 8\n").expect("writes");
     fs::write(&compose, "base = { sources = [\"bvh\"] }\n").expect("writes");
     let run = dir.path().join("run");
-    let args = [
-        "train",
-        "coordinator",
-        arg(&dataset),
-        "--out",
-        arg(&run),
-        "--steps",
-        "2",
-        "--config",
-        arg(&config),
-        "--compose",
-        arg(&compose),
-    ];
-    let refused = stance(&args).expect_code(1);
+    let refused = typed(
+        "train coordinator {} --out {} --steps 2 --config {} --compose {}",
+        &[&dataset, &run, &config, &compose],
+    )
+    .expect_code(1);
     assert!(
         refused.stderr.contains("two different clips") && refused.stderr.contains("base.sources"),
         "{}",
@@ -693,15 +665,7 @@ fn what_triplets_refuse_verify_finds() {
         let split = |row: &PairRow| row.split;
         commit_rows(&dataset, pair_rows, Some(split), &skeleton, &plan, "test").expect("committed");
         let out = dataset.with_file_name(format!("triplets{plan}"));
-        let args = [
-            "triplets",
-            arg(&dataset),
-            "--count",
-            "2",
-            "--out",
-            arg(&out),
-        ];
-        stance(&args).expect_code(1);
+        typed("triplets {} --count 2 --out {}", &[&dataset, &out]).expect_code(1);
         let found: Json = stance(&["--json", "verify", arg(&dataset)])
             .expect_code(1)
             .json();
@@ -773,17 +737,11 @@ fn what_triplets_refuse_verify_finds() {
 fn folders_of_something_else_say_what_they_are_and_who_takes_them() {
     let (dir, dataset) = labelled(48);
     let items = dir.path().join("items");
-    let args = [
-        "items",
-        arg(&dataset),
-        "--split",
-        "train",
-        "--count",
-        "2",
-        "--out",
-        arg(&items),
-    ];
-    stance(&args).expect_code(0);
+    typed(
+        "items {} --split train --count 2 --out {}",
+        &[&dataset, &items],
+    )
+    .expect_code(0);
     for verb in ["stats", "masks", "pairs"] {
         let refused = stance(&[verb, arg(&items)]).expect_code(1);
         assert!(

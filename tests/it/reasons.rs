@@ -9,7 +9,7 @@ use datasets_spec::Dataset;
 use datasets_spec::record::{MaskRow, MotionRow, QuarantineRow, SkippedRow};
 use serde_json::Value;
 
-use crate::util::{arg, corpus, files_with_extension, stance};
+use crate::util::{arg, corpus, files_with_extension, stance, typed};
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
     let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
@@ -140,15 +140,7 @@ fn ids_choose_the_clips_that_are_read() {
     assert_eq!(ids(&out), all);
     stance(&["verify", arg(&out)]).expect_code(0);
     fs::write(&list, "# nothing\n").expect("written");
-    let empty = stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&out),
-        "--ids",
-        arg(&list),
-    ])
-    .expect_code(1);
+    let empty = typed("ingest {} --out {} --ids {}", &[&source, &out, &list]).expect_code(1);
     assert!(
         empty.stderr.contains("it names no clip"),
         "{}",
@@ -164,15 +156,7 @@ fn another_list_of_splits_is_told_by_the_ids_that_it_moves() {
     fs::write(&list, "walk,train\nrun,train\njump,train\n").expect("written");
     ingest(&source, &out, &["--splits", arg(&list)], 0);
     fs::write(&list, "walk,train\nrun,test\njump,train\n").expect("written");
-    let ran = stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&out),
-        "--splits",
-        arg(&list),
-    ])
-    .expect_code(1);
+    let ran = typed("ingest {} --out {} --splits {}", &[&source, &out, &list]).expect_code(1);
     assert!(
         ran.stderr.contains("splits moves run (train, now test)"),
         "{}",
@@ -298,17 +282,9 @@ fn a_name_of_254_bytes_is_shortened_and_said() {
         "lerobot",
     ] {
         let to = dir.path().join(layout);
-        let done: Value = stance(&[
-            "--json",
-            "export",
-            arg(&out),
-            "--to",
-            layout,
-            "--out",
-            arg(&to),
-        ])
-        .expect_code(0)
-        .json();
+        let done: Value = typed("--json export {} --to {} --out {}", &[&out, &layout, &to])
+            .expect_code(0)
+            .json();
         assert_eq!(done["clips"], 4, "{layout}");
         let is_said = done["remarks"].to_string().contains("3 names are too long");
         let has_names = ["amass", "bvh", "gltf", "motionmillion"].contains(&layout);
@@ -330,16 +306,7 @@ fn a_humanml3d_export_without_captions_says_so_before_it_writes() {
     ingest(&source, &out, &["--no-made-captions"], 0);
     let export = |dataset: &Path, to: &str| {
         let to = dir.path().join(to);
-        stance(&[
-            "--json",
-            "export",
-            arg(dataset),
-            "--to",
-            "humanml3d",
-            "--out",
-            arg(&to),
-        ])
-        .expect_code(0)
+        typed("--json export {} --to humanml3d --out {}", &[&dataset, &to]).expect_code(0)
     };
     let ran = export(&out, "plain");
     let done: Value = ran.json();
@@ -376,15 +343,7 @@ fn edited_texts_without_a_verdict_are_kept() {
     let edited = lines[0]["mask"].as_str().expect("an id").to_owned();
     let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
     fs::write(&file, text).expect("written");
-    let accept = [
-        "masks",
-        arg(&out),
-        "--accept",
-        arg(&file),
-        "--author",
-        "ann",
-    ];
-    let ran = stance(&accept).expect_code(0);
+    let ran = typed("masks {} --accept {} --author ann", &[&out, &file]).expect_code(0);
     assert!(
         ran.stderr.contains("1 edited lines have no verdict yet"),
         "{}",
@@ -413,15 +372,7 @@ fn listed_ids_without_a_motion_are_a_remark() {
     let dir = corpus(8);
     let (dataset, release) = (dir.path().join("dataset"), dir.path().join("release"));
     ingest(&dir.path().join("corpus"), &dataset, &[], 0);
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "humanml3d",
-        "--out",
-        arg(&release),
-    ])
-    .expect_code(0);
+    typed("export {} --to humanml3d --out {}", &[&dataset, &release]).expect_code(0);
     let list = release.join("test.txt");
     let listed = fs::read_to_string(&list).expect("a list");
     fs::write(&list, listed + "014000\n014001\n").expect("written");
@@ -433,15 +384,7 @@ fn listed_ids_without_a_motion_are_a_remark() {
         dir.path().join("dataset"),
         dir.path().join("stance-release"),
     );
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "stance",
-        "--out",
-        arg(&release),
-    ])
-    .expect_code(0);
+    typed("export {} --to stance --out {}", &[&dataset, &release]).expect_code(0);
     let list = release.join("split/base_motion/test.txt");
     let listed = fs::read_to_string(&list).unwrap_or_default();
     fs::create_dir_all(list.parent().expect("a folder")).expect("made");

@@ -14,7 +14,7 @@ use datasets_spec::{Dataset, MotionId, Split};
 use serde_json::Value;
 
 use crate::annotate::{accept, settings};
-use crate::util::{arg, stance};
+use crate::util::{arg, stance, typed};
 
 /// Rejected pairs among the answers.
 const REJECTED: usize = 5;
@@ -32,16 +32,7 @@ impl Labelled {
             dir: tempfile::tempdir().expect("a temporary folder"),
         };
         let (source, dataset) = (made.path("corpus"), made.path("dataset"));
-        let corpus = [
-            "corpus",
-            "--clips",
-            "36",
-            "--adjusted",
-            "1",
-            "--out",
-            arg(&source),
-        ];
-        stance(&corpus).expect_code(0);
+        typed("corpus --clips 36 --adjusted 1 --out {}", &[&source]).expect_code(0);
         let pairs = source.join("pairs.csv");
         let ingest = [
             "ingest",
@@ -368,29 +359,18 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
     }
     // Labels of another motion of the same name are refused.
     let other = made.path("other");
-    stance(&[
-        "corpus",
-        "--clips",
-        "36",
-        "--adjusted",
-        "1",
-        "--seed",
-        "9",
-        "--out",
-        arg(&other),
-    ])
+    typed(
+        "corpus --clips 36 --adjusted 1 --seed 9 --out {}",
+        &[&other],
+    )
     .expect_code(0);
     made.ingest("other", "other-dataset", &[], 0);
     let (dataset, store) = (made.path("other-dataset"), made.path("other.sqlite"));
-    let import = [
-        "annotate",
-        arg(&dataset),
-        "--store",
-        arg(&store),
-        "import",
-        arg(&folder),
-    ];
-    let refused = stance(&import).expect_code(1);
+    let refused = typed(
+        "annotate {} --store {} import {}",
+        &[&dataset, &store, &folder],
+    )
+    .expect_code(1);
     assert!(
         refused.stderr.contains("its content is"),
         "{}",
@@ -516,15 +496,8 @@ fn every_answer_of_a_project_comes_back_by_way_of_the_stance_layout() {
     // Lists that say something else than the table are not passed over in silence.
     std::fs::write(to.join("mask_all.json"), "{}").expect("written");
     let (dataset, store) = (made.path("dataset"), made.path("third.sqlite"));
-    let import = [
-        "annotate",
-        arg(&dataset),
-        "--store",
-        arg(&store),
-        "import",
-        arg(&to),
-    ];
-    let refused = stance(&import).expect_code(1);
+    let refused =
+        typed("annotate {} --store {} import {}", &[&dataset, &store, &to]).expect_code(1);
     assert!(
         refused
             .stderr
@@ -760,14 +733,10 @@ fn features_and_chosen_clips_are_counted_too() {
     let made = Labelled::new();
     let dataset = made.path("features");
     let source = made.path("corpus");
-    stance(&[
-        "ingest",
-        arg(&source),
-        "--features",
-        "humanml3d",
-        "--out",
-        arg(&dataset),
-    ])
+    typed(
+        "ingest {} --features humanml3d --out {}",
+        &[&source, &dataset],
+    )
     .expect_code(0);
     let rows = made.rows::<HumanMl3dRow>("features").len();
     let export = |dataset: &Path, layout: &str, out: &str, more: &[&str]| -> Value {
@@ -796,19 +765,11 @@ fn features_and_chosen_clips_are_counted_too() {
     // Plans say it as well.
     let (plan, out) = (made.path("plan"), made.path("planned"));
     let dataset = made.path("dataset");
-    let words = [
-        "stage",
-        "plan",
-        "export",
-        arg(&dataset),
-        "--to",
-        "bvh",
-        "--into",
-        arg(&out),
-        "--out",
-        arg(&plan),
-    ];
-    stance(&words).expect_code(0);
+    typed(
+        "stage plan export {} --to bvh --into {} --out {}",
+        &[&dataset, &out, &plan],
+    )
+    .expect_code(0);
     stance(&["stage", "work", arg(&plan)]).expect_code(0);
     let done: Value = stance(&["--json", "stage", "commit", arg(&plan)])
         .expect_code(0)

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::evaluate::Bench;
 use crate::results::score;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, stance};
+use crate::util::{Ran, arg, stance, typed};
 
 /// Trains an editor or a coordinator on windows composed with the given settings.
 fn train_composed(
@@ -85,19 +85,16 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
     let clip = workshop.long_clip();
     let edit = |run: &Path, out: &str| -> (Ran, EditRow) {
         let out = workshop.path(out);
-        let ran = stance(&[
-            "--json",
-            "edit",
-            arg(run),
-            "--dataset",
-            arg(&dataset),
-            "--motion",
-            clip.id.as_str(),
-            "--text",
-            "The person is waving.",
-            "--out",
-            arg(&out),
-        ])
+        let ran = typed(
+            "--json edit {} --dataset {} --motion {} --text {} --out {}",
+            &[
+                &run,
+                &dataset,
+                &clip.id.as_str(),
+                &"The person is waving.",
+                &out,
+            ],
+        )
         .expect_code(0);
         (ran, row(&out))
     };
@@ -186,21 +183,10 @@ fn the_released_preset_composes_as_the_release_does() {
         let (dataset, run) = (workshop.dataset(), workshop.path(name));
         let composed = workshop.path(&format!("{name}.toml"));
         fs::write(&composed, compose).expect("writes");
-        stance(&[
-            "train",
-            "motionrefit",
-            arg(&dataset),
-            "--out",
-            arg(&run),
-            "--preset",
-            "official",
-            "--config",
-            arg(&toml),
-            "--compose",
-            arg(&composed),
-            "--steps",
-            "2",
-        ])
+        typed(
+            "train motionrefit {} --out {} --preset official --config {} --compose {} --steps 2",
+            &[&dataset, &run, &toml, &composed],
+        )
         .expect_code(0);
         let settings = record(&run)["config"]["compose"]["config"].clone();
         ["anchor", "range", "slerp"].map(|key| settings[key].as_str().unwrap_or("").to_owned())
@@ -224,15 +210,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     stance(&["items", arg(&dataset), "--count", "8", "--out", arg(&items)]).expect_code(0);
     let answer = |run: &Path, out: &str| -> Ran {
         let out = workshop.path(out);
-        stance(&[
-            "--json",
-            "edit",
-            arg(run),
-            "--items",
-            arg(&items),
-            "--out",
-            arg(&out),
-        ])
+        typed("--json edit {} --items {} --out {}", &[&run, &items, &out])
     };
     let lengths = |out: &str| -> Vec<(i32, i32)> {
         let folder = Dataset::open(&workshop.path(out)).expect("a table");
@@ -333,17 +311,10 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     // Words of no training instruction, and a range of half a second.
     let clip = workshop.clip();
     let out = workshop.path("said");
-    let ran = stance(&[
-        "--json",
-        "edit",
-        arg(&editor),
-        "--motion",
-        arg(&clip),
-        "--during",
-        "20:30 Levitate ultrasonically!",
-        "--out",
-        arg(&out),
-    ])
+    let ran = typed(
+        "--json edit {} --motion {} --during {} --out {}",
+        &[&editor, &clip, &"20:30 Levitate ultrasonically!", &out],
+    )
     .expect_code(0);
     let said: Value = ran.json();
     assert_eq!(said["unknown_words"], json!(["levitate", "ultrasonically"]));
@@ -371,16 +342,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
         "it says what is missing"
     );
     let poses = workshop.path("poses");
-    stance(&[
-        "train",
-        "j2s",
-        arg(&dataset),
-        "--out",
-        arg(&poses),
-        "--steps",
-        "4",
-    ])
-    .expect_code(0);
+    typed("train j2s {} --out {} --steps 4", &[&dataset, &poses]).expect_code(0);
     let args: Vec<&str> = args.into_iter().chain(["--poses", arg(&poses)]).collect();
     stance(&args).expect_code(0);
     let row = row(&fitted);

@@ -13,7 +13,7 @@ use serde::Deserialize;
 use work::{Outcome, Piece, Record};
 
 use crate::train::Workshop;
-use crate::util::{Ran, arg, command, corpus, files_with_extension, real_data, stance};
+use crate::util::{Ran, arg, command, corpus, files_with_extension, real_data, stance, typed};
 use crate::variants::{ANY as ANY_PAIR, SMALL as SMALL_GENERATOR};
 
 /// Clips of the corpus of which the training split takes two shards.
@@ -518,17 +518,12 @@ fn a_dry_run_counts_a_file_of_many_pieces_once() {
 fn a_dry_run_counts_and_writes_nothing() {
     let place = Place::new(12);
     let [source, into] = ["corpus", "dataset"].map(|name| place.at(name));
-    let args = [
-        "--json",
-        "stage",
-        "plan",
-        "ingest",
-        arg(&source),
-        "--into",
-        arg(&into),
-        "--dry-run",
-    ];
-    let planned: Planned = stance(&args).expect_code(0).json();
+    let planned: Planned = typed(
+        "--json stage plan ingest {} --into {} --dry-run",
+        &[&source, &into],
+    )
+    .expect_code(0)
+    .json();
     assert_eq!(planned.items, 12);
     assert!(planned.pieces > 0 && planned.bytes > 0);
     let sample = planned.sample.expect("a sample");
@@ -662,15 +657,11 @@ fn windows_and_triplets_in_pieces_are_those_of_one_process() {
     );
     let source = workshop.path("corpus");
     fs::remove_file(&files_with_extension(&source, "bvh")[0]).expect("removed");
-    let args = [
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&dataset),
-        "--prune",
-        "--drop-labels",
-    ];
-    stance(&args).expect_code(0);
+    typed(
+        "ingest {} --out {} --prune --drop-labels",
+        &[&source, &dataset],
+    )
+    .expect_code(0);
     let made = work(&plan, &[], 3);
     assert_eq!(
         made[0].code.as_deref(),
@@ -684,17 +675,11 @@ fn edits_in_pieces_are_those_of_one_process() {
     let workshop = Workshop::open();
     workshop.train("motionrefit", "editor", "4").expect_code(0);
     let [dataset, items, run] = ["dataset", "items", "editor"].map(|name| workshop.path(name));
-    let args = [
-        "items",
-        arg(&dataset),
-        "--out",
-        arg(&items),
-        "--split",
-        "train",
-        "--count",
-        "70",
-    ];
-    stance(&args).expect_code(0);
+    typed(
+        "items {} --out {} --split train --count 70",
+        &[&dataset, &items],
+    )
+    .expect_code(0);
     let job = ["edit", arg(&run), "--items", arg(&items), "--takes", "2"];
     let [clean, into, plan] = ["clean", "edits", "plan"].map(|name| workshop.path(name));
     let clean_hash = root_hash(&job, &clean);
@@ -874,19 +859,12 @@ fn a_dry_run_of_an_export_makes_a_few_clips() {
     stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
     for layout in ["bvh", "webdataset"] {
         let into = place.at("into");
-        let args = [
-            "--json",
-            "stage",
-            "plan",
-            "export",
-            arg(&dataset),
-            "--to",
-            layout,
-            "--into",
-            arg(&into),
-            "--dry-run",
-        ];
-        let planned: Planned = stance(&args).expect_code(0).json();
+        let planned: Planned = typed(
+            "--json stage plan export {} --to {} --into {} --dry-run",
+            &[&dataset, &layout, &into],
+        )
+        .expect_code(0)
+        .json();
         let sample = planned.sample.expect("a sample");
         assert_eq!((planned.items, sample.items), (40, 16), "{layout}");
         assert!(planned.bytes > 0 && !into.exists(), "{layout}");

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use crate::baselines::SMALL_TMED;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, stance};
+use crate::util::{Ran, arg, stance, typed};
 
 const WIDTH: usize = 26;
 
@@ -212,15 +212,7 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     let path = |name: &str| workshop.path(name);
     write_distilbert(&path("package/model"), 0.0);
     let (package, encoder) = (path("package"), path("encoder"));
-    let take = [
-        "model",
-        "encoder",
-        "--package",
-        arg(&package),
-        "--out",
-        arg(&encoder),
-    ];
-    stance(&take).expect_code(0);
+    typed("model encoder --package {} --out {}", &[&package, &encoder]).expect_code(0);
 
     let small = fs::read_to_string(path("small.toml")).expect("settings");
     let train_into = |run: &str, model: &str, settings: &str, told: &[&str]| {

@@ -10,7 +10,7 @@ use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
-use crate::util::{Ran, arg, command, corpus, stance};
+use crate::util::{Ran, arg, command, corpus, stance, typed};
 
 /// Clips of the corpus: six styles of twenty actions.
 const CLIPS: usize = 120;
@@ -167,15 +167,7 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
 
     let plot = workshop.path("losses.svg");
     let (whole, parts) = (workshop.path("whole"), workshop.path("parts"));
-    let plotted = [
-        "train",
-        "plot",
-        arg(&whole),
-        arg(&parts),
-        "--out",
-        arg(&plot),
-    ];
-    stance(&plotted).expect_code(0);
+    typed("train plot {} {} --out {}", &[&whole, &parts, &plot]).expect_code(0);
     let svg = fs::read_to_string(&plot).expect("a picture");
     assert!(svg.contains("whole validation") && svg.contains("parts training"));
 }
@@ -419,17 +411,10 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
     let other = workshop.path("other.toml");
     fs::write(&other, format!("diffusion_steps = 60\n{SMALL}")).expect("writes");
     let misfit = workshop.path("misfit");
-    stance(&[
-        "train",
-        "coordinator",
-        arg(&workshop.dataset()),
-        "--out",
-        arg(&misfit),
-        "--config",
-        arg(&other),
-        "--steps",
-        "2",
-    ])
+    typed(
+        "train coordinator {} --out {} --config {} --steps 2",
+        &[&workshop.dataset(), &misfit, &other],
+    )
     .expect_code(0);
     let mut args = base.to_vec();
     args.extend([
@@ -479,19 +464,16 @@ fn an_editor_of_the_body_joints_alone_trains_and_edits() {
     let (editor, clip) = (workshop.path("editor"), workshop.clip());
     let out = workshop.path("edit.npz");
     let edit = |coordinator: &str| {
-        stance(&[
-            "--json",
-            "edit",
-            arg(&editor),
-            "--coordinator",
-            arg(&workshop.path(coordinator)),
-            "--motion",
-            arg(&clip),
-            "--text",
-            "The person is waving.",
-            "--out",
-            arg(&out),
-        ])
+        typed(
+            "--json edit {} --coordinator {} --motion {} --text {} --out {}",
+            &[
+                &editor,
+                &workshop.path(coordinator),
+                &clip,
+                &"The person is waving.",
+                &out,
+            ],
+        )
     };
     let refused = edit("whole").expect_code(1);
     assert!(
@@ -600,19 +582,10 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     }
     let back = workshop.path("back");
     let import = |file: &Path| {
-        stance(&[
-            "model",
-            "import",
-            arg(file),
-            "--model",
-            "coordinator",
-            "--preset",
-            "tiny",
-            "--range",
-            arg(&out.join("range.json")),
-            "--out",
-            arg(&back),
-        ])
+        typed(
+            "model import {} --model coordinator --preset tiny --range {} --out {}",
+            &[&file, &out.join("range.json"), &back],
+        )
     };
     import(&out.join("coordinator.safetensors")).expect_code(0);
     let weights = |run: &Path| tensors(&run.join("checkpoint/best/coordinator.safetensors"));
@@ -702,16 +675,9 @@ fn a_device_is_tested_and_measured_without_a_dataset() {
     assert_eq!((&said["steps"], &said["windows"]), (&1.into(), &2.into()));
     assert!(said["windows_per_sec"].as_f64() > Some(0.0), "{said}");
     // Another processor backend is named by what it is.
-    let named = [
-        "device",
-        "--device",
-        "ndarray",
-        "--secs",
-        "0",
-        "--windows",
-        "1",
-    ];
-    let text = stance(&named).expect_code(0).stdout;
+    let text = typed("device --device ndarray --secs 0 --windows 1", &[])
+        .expect_code(0)
+        .stdout;
     assert!(
         text.contains("burn-ndarray") && text.contains("passed"),
         "{text}"

@@ -1,5 +1,6 @@
 //! A temporary folder and the `stance` command.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -50,6 +51,18 @@ pub(crate) fn command(args: &[&str]) -> Command {
 /// Runs the command to its end.
 pub(crate) fn stance(args: &[&str]) -> Ran {
     command(args).output().expect("stance starts").into()
+}
+
+/// Runs a command as it is typed: words between spaces, each `{}` in place of the next of the values.
+pub(crate) fn typed(line: &str, values: &[&dyn AsRef<OsStr>]) -> Ran {
+    let mut values = values.iter();
+    let words = line.split_whitespace().map(|word| match word {
+        "{}" => values.next().expect("a value for each place").as_ref(),
+        word => OsStr::new(word),
+    });
+    let ran = command(&[]).args(words).output().expect("stance starts");
+    assert!(values.next().is_none(), "a place for each value: {line}");
+    ran.into()
 }
 
 /// A path as an argument.

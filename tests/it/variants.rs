@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use crate::annotate::bare_task;
 use crate::train::Workshop;
-use crate::util::{arg, stance};
+use crate::util::{arg, stance, typed};
 
 /// Settings of a generator that is trained in a second.
 pub(crate) const SMALL: &str = "
@@ -150,15 +150,9 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     // Nor are they once all their pairs were judged unusable and left the dataset.
     let import = |store: &str| -> Value {
         let store = workshop.path(store);
-        let args = [
-            "--json",
-            "annotate",
-            arg(&paired),
-            "--store",
-            arg(&store),
-            "import",
-        ];
-        stance(&args).expect_code(0).json()
+        typed("--json annotate {} --store {} import", &[&paired, &store])
+            .expect_code(0)
+            .json()
     };
     assert_eq!(count(&import("first.sqlite"), "new_tasks"), kept);
     let file = workshop.path("first.sqlite");

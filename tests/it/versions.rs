@@ -10,7 +10,7 @@ use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
 use super::grown::{clips, masks};
-use super::util::{arg, corpus, files_with_extension, stance};
+use super::util::{arg, corpus, files_with_extension, stance, typed};
 
 /// Runs a command that is to succeed, and returns its document.
 fn json(args: &[&str]) -> Value {
@@ -38,15 +38,7 @@ fn judge(dataset: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
     let lines = fs::read_to_string(&file).expect("drafts");
     fs::write(&file, lines.replace("\"todo\"", "\"accept\"")).expect("written");
-    let accept = [
-        "masks",
-        arg(dataset),
-        "--accept",
-        arg(&file),
-        "--author",
-        "ann",
-    ];
-    stance(&accept).expect_code(0);
+    typed("masks {} --accept {} --author ann", &[&dataset, &file]).expect_code(0);
     masks(dataset)
 }
 
@@ -138,15 +130,7 @@ fn a_search_for_parquet_files_finds_current_rows_alone_whatever_was_done() {
     check("growth");
     judge(&dataset);
     check("masks of new clips");
-    stance(&[
-        "dataset",
-        "restore",
-        arg(&dataset),
-        "--to",
-        "1",
-        "--drop-labels",
-    ])
-    .expect_code(0);
+    typed("dataset restore {} --to 1 --drop-labels", &[&dataset]).expect_code(0);
     check("restore");
     days.add(2);
     ingest(&days.source, &dataset, &[]);
@@ -583,15 +567,12 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     fs::write(&list, "nobody\n").expect("written");
     let unknown = stance(&remove).expect_code(1).stderr;
     assert!(unknown.contains("nobody"), "{unknown}");
-    let all = [
-        "dataset",
-        "remove",
-        arg(&dataset),
-        "--where",
-        "n_frames > 0",
-        "--drop-labels",
-    ];
-    let refused = stance(&all).expect_code(1).stderr;
+    let refused = typed(
+        "dataset remove {} --where {} --drop-labels",
+        &[&dataset, &"n_frames > 0"],
+    )
+    .expect_code(1)
+    .stderr;
     assert!(refused.contains("every clip"), "{refused}");
     stance(&["dataset", "remove", arg(&dataset)]).expect_code(2);
 }
