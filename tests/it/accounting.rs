@@ -266,11 +266,7 @@ fn names_that_are_not_text_stay_apart_and_never_reach_the_terminal() {
         let obeyed = |c: char| c.is_control() && c != '\n' && c != '\t';
         assert!(!text.contains(obeyed), "{text:?}");
     }
-    assert!(
-        listed.stdout.contains(r"\x1b]0;title\x07.bvh"),
-        "{}",
-        listed.stdout
-    );
+    listed.expect_printed(r"\x1b]0;title\x07.bvh");
     let rows = motions(&out);
     let mut ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
     ids.sort_unstable();
@@ -297,17 +293,9 @@ fn a_folder_that_cannot_be_listed_does_not_end_the_run() {
     assert_eq!((done.ingested, done.quarantined), (1, 1), "{done:?}");
     assert_eq!(done.codes["E-IO"], 1);
     let list = stance(&["inspect", arg(&out), "--list", "quarantine"]).expect_code(0);
-    assert!(
-        list.stdout.contains("cannot list the folder"),
-        "{}",
-        list.stdout
-    );
+    list.expect_printed("cannot list the folder");
     let again = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(3);
-    assert!(
-        again.stdout.contains("already complete"),
-        "{}",
-        again.stdout
-    );
+    again.expect_printed("already complete");
     let doctor = stance(&["doctor", arg(&source)]).expect_code(0).stdout;
     assert!(doctor.contains("cannot be listed"), "{doctor}");
 }
@@ -325,17 +313,8 @@ fn a_folder_of_links_says_so() {
     }
     let out = dir.path().join("dataset");
     let ran = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(1);
-    assert!(
-        ran.stderr
-            .contains("all 2 entries are skipped: link to a folder"),
-        "{}",
-        ran.stderr
-    );
-    assert!(
-        ran.stderr.contains("name the folder it leads to"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("all 2 entries are skipped: link to a folder");
+    ran.expect_said("name the folder it leads to");
 }
 
 #[test]
@@ -369,11 +348,7 @@ fn archives_are_named_and_a_dataset_without_motions_is_a_failure() {
         assert_eq!(failure.item.as_deref(), Some(arg(&out)));
     }
     let ran = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(1);
-    assert!(
-        ran.stderr.contains("the dataset has no motion"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("the dataset has no motion");
     // One motion more, and the run succeeds.
     fs::write(source.join("walk.bvh"), bvh(&walk(30))).expect("writes");
     ingest(&source, &dir.path().join("other"), &[], 3);

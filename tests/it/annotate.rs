@@ -531,26 +531,14 @@ fn the_command_says_what_to_do_when_it_cannot() {
     let data = arg(&dataset);
     let nowhere = dataset.with_file_name("nowhere");
     let missing = stance(&["annotate", arg(&nowhere), "user", "list"]).expect_code(1);
-    assert!(
-        missing.stderr.contains("is not a dataset"),
-        "{}",
-        missing.stderr
-    );
+    missing.expect_said("is not a dataset");
     assert!(!nowhere.exists(), "no folder is made of a typing error");
     let token = stance(&["annotate", data, "user", "add", "ann"]).expect_code(0);
     assert!(token.stdout.trim().starts_with("ann_") && token.stdout.trim().len() == 68);
     let again = stance(&["annotate", data, "user", "add", "ann"]).expect_code(1);
-    assert!(
-        again.stderr.contains("choose another name"),
-        "{}",
-        again.stderr
-    );
+    again.expect_said("choose another name");
     let unknown = stance(&["annotate", data, "token", "bob"]).expect_code(1);
-    assert!(
-        unknown.stderr.contains("known are: ann"),
-        "{}",
-        unknown.stderr
-    );
+    unknown.expect_said("known are: ann");
     stance(&["annotate", data, "user", "add", "x", "--role", "king"]).expect_code(2);
     stance(&["annotate", data, "export", "--format", "csv"]).expect_code(2);
     let users: Value = stance(&["annotate", data, "--json", "user", "list"])
@@ -580,7 +568,7 @@ fn the_command_says_what_to_do_when_it_cannot() {
     let taken = Process::start(&dataset, "127.0.0.1:0");
     let address = taken.url.trim_start_matches("http://").to_owned();
     let busy = stance(&["annotate", data, "--listen", &address]).expect_code(1);
-    assert!(busy.stderr.contains("--listen"), "{}", busy.stderr);
+    busy.expect_said("--listen");
 }
 
 /// How often the server is killed; the full form of the test sets `ANNOTATE_KILLS=50`.
@@ -642,7 +630,7 @@ fn a_server_says_who_else_can_reach_it() {
         assert!(line.starts_with(&format!("http://{host}")), "{line}");
     }
     let refused = typed("annotate {} --trusted-proxy proxy.example", &[&dataset]).expect_code(2);
-    assert!(refused.stderr.contains("10.0.0.0/8"), "{}", refused.stderr);
+    refused.expect_said("10.0.0.0/8");
     for host in ["https://a.example", "a.example:8443", ""] {
         let wrong = ["annotate", arg(&dataset), "--host", host];
         let refused = stance(&wrong).expect_code(2);
@@ -1100,5 +1088,5 @@ fn styles_go_into_another_project_as_they_come_out() {
 
     std::fs::write(&file, "[[style]]\nname = \"x\"\ncolour = \"red\"\n").expect("a file");
     let refused = styles(stores[0], &[arg(&file)]).expect_code(1);
-    assert!(refused.stderr.contains("#rrggbb"), "{}", refused.stderr);
+    refused.expect_said("#rrggbb");
 }

@@ -163,11 +163,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     // Under the name of another system it is refused, not averaged.
     import(&at("answers"), &items, "Here", &at("again"), &[]).expect_code(0);
     let refused = bench.eval(&[&here, &at("again")], &more).expect_code(1);
-    assert!(
-        refused.stderr.contains("two checkpoints"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("two checkpoints");
 
     let verified: Value = stance(&["--json", "verify", arg(&at("elsewhere"))])
         .expect_code(0)
@@ -292,11 +288,7 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
 
     let out = at("imported");
     let refused = import(&at("answers"), &at("items"), "TMED", &out, &[]).expect_code(1);
-    assert!(
-        refused.stderr.contains("4 of 8 items have no answer"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("4 of 8 items have no answer");
     assert!(!out.exists(), "nothing is written");
     let allowed = ["--allow-missing"];
     let report: Value = import(&at("answers"), &at("items"), "TMED", &out, &allowed)
@@ -355,11 +347,7 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
         .json();
     assert_eq!(inspected["tables"]["quarantine"], 6);
     let scored = bench.eval(&[&out], &[]).expect_code(1);
-    assert!(
-        scored.stderr.contains("lacks 4 of 8 items"),
-        "{}",
-        scored.stderr
-    );
+    scored.expect_said("lacks 4 of 8 items");
 }
 
 #[test]
@@ -399,12 +387,8 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
     };
     assert_eq!(places(&rows(&at("again"))), places(&made));
     let refused = typed("export {} --to stance --out {}", &[&here, &at("no")]).expect_code(1);
-    assert!(
-        refused.stderr.contains("bvh, amass or gltf"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("bvh, amass or gltf");
     let items = at("items");
     let refused = typed("export {} --to bvh --out {}", &[&items, &at("no")]).expect_code(1);
-    assert!(refused.stderr.contains("--sources"), "{}", refused.stderr);
+    refused.expect_said("--sources");
 }

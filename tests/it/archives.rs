@@ -271,7 +271,7 @@ fn every_kind_of_archive_is_a_folder_of_its_name() {
         assert_eq!(place.clips(&alone, &format!("{name}/")), expected, "{name}");
         let archive = place.path(&format!("{source}/{name}"));
         let doctor = place.run(&["doctor", arg(&archive)], 0);
-        assert!(doctor.stdout.contains("amass"), "{}", doctor.stdout);
+        doctor.expect_printed("amass");
     }
 }
 
@@ -549,7 +549,7 @@ fn what_a_killed_run_unpacked_is_removed_by_the_next_one() {
         .expect("starts")
         .into();
     let ran = ran.expect_code(1);
-    assert!(ran.stderr.contains("set TMPDIR"), "{}", ran.stderr);
+    ran.expect_said("set TMPDIR");
 }
 
 #[test]
@@ -601,11 +601,8 @@ fn many_processes_read_archives_as_one_does() {
         arg(&plan),
     ];
     let ran = place.run(&planned, 1);
-    assert!(
-        ran.stderr.contains("walks.tar.gz") && ran.stderr.contains("pack it as zip"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("walks.tar.gz");
+    ran.expect_said("pack it as zip");
 }
 
 #[test]

@@ -78,7 +78,7 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     fs::write(&pairs, format!("data = \"pairs\"\n{SMALL_TMED}")).expect("writes");
     let refused = workshop.train_with("tmed", "pairs", &["--config", arg(&pairs)]);
     let refused = refused.expect_code(1);
-    assert!(refused.stderr.contains("composed"), "{}", refused.stderr);
+    refused.expect_said("composed");
     // It edits whole motions alone.
     let clip = workshop.clip();
     let (run, out) = (workshop.path("mixed"), workshop.path("part.npz"));
@@ -87,9 +87,5 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
         &[&run, &clip, &"0:10 The person is waving.", &out],
     )
     .expect_code(1);
-    assert!(
-        refused.stderr.contains("whole motions"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("whole motions");
 }

@@ -115,7 +115,7 @@ fn a_bundle_scores_as_its_folder_and_has_the_same_bytes() {
         .stdout;
     assert!(both.contains("\"Other\"") && both.contains("\"MotionReFit\""));
     let alone = bench.eval(&[&at("a.zip")], &[]).expect_code(1);
-    assert!(alone.stderr.contains("--items ITEMS"), "{}", alone.stderr);
+    alone.expect_said("--items ITEMS");
 }
 
 #[test]

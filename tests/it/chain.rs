@@ -209,11 +209,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         assert!(drawn.contains(label), "{label}");
     }
     let refused = stance(&[&draw[..], &[arg(&dataset)]].concat()).expect_code(1);
-    assert!(
-        refused.stderr.contains("has no answer to item"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("has no answer to item");
     let edited = dir.path().join("edited.npz");
     typed(
         "edit {} --dataset {} --motion {} --text {} --out {}",
@@ -247,7 +243,7 @@ fn a_misspelt_setting_is_refused_by_name() {
     )
     .expect("writes");
     let ran = stance(&["run", "--config", arg(&config)]).expect_code(1);
-    assert!(ran.stderr.contains("num_stps"), "{}", ran.stderr);
+    ran.expect_said("num_stps");
 }
 
 #[test]
@@ -280,12 +276,8 @@ fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
     assert_eq!(done["masks"], lines.lines().count() - 1);
     assert_eq!(done["origins"]["human"], 2);
     let ran = stance(&["masks", arg(&dataset)]).expect_code(1);
-    assert!(
-        ran.stderr.contains("2 masks judged by people"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("2 masks judged by people");
     fs::write(&file, "{}\n").expect("writes");
     let ran = stance(&accept).expect_code(1);
-    assert!(ran.stderr.contains("masks.jsonl:1"), "{}", ran.stderr);
+    ran.expect_said("masks.jsonl:1");
 }

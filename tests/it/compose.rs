@@ -138,11 +138,7 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     let other = at("other");
     record(&other, &["--compose", arg(&scalar)]);
     let refused = train(&other, &at("run2")).expect_code(1);
-    assert!(
-        refused.stderr.contains("another normaliser"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("another normaliser");
 
     let sheet = at("sheet.svg");
     let stats: serde_json::Value =

@@ -340,7 +340,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     ] {
         let plan = write_plan(&bench, &format!("{systems}{}", figures(key)));
         let refused = stance(&["reproduce", arg(&plan)]).expect_code(1);
-        assert!(refused.stderr.contains(word), "{}", refused.stderr);
+        refused.expect_said(word);
     }
     let tables = "[[table]]\npaper = \"1\"\npublished = true\n[[table]]\npaper = \"a4\"\nsystems = [\"ours\"]\n";
     let plan = write_plan(
@@ -534,7 +534,7 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     );
     let before = bench.workshop.root_hash();
     let ran = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).expect_code(1);
-    assert!(ran.stderr.contains("train.window = 400"), "{}", ran.stderr);
+    ran.expect_said("train.window = 400");
     let made: Value = ran.json();
     assert_eq!(
         made["failed"].as_array().expect("a list").len(),
@@ -597,7 +597,7 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
         )
     };
     let twice = stance(&["reproduce", arg(&plan("[6, 6]"))]).expect_code(1);
-    assert!(twice.stderr.contains("holds 6 twice"), "{}", twice.stderr);
+    twice.expect_said("holds 6 twice");
     let run = |seeds: &str| -> Value {
         stance(&["--json", "reproduce", "--weak-judge", arg(&plan(seeds))])
             .expect_code(0)
@@ -713,7 +713,7 @@ fn plans_of_the_program_can_be_followed() {
         let plan = ["reproduce", name, "--dataset", arg(&dataset)];
         let refused = stance(&[&plan[..], &["--dry-run"]].concat()).expect_code(1);
         let said = "asks for items of task motionfix, and split test of";
-        assert!(refused.stderr.contains(said), "{}", refused.stderr);
+        refused.expect_said(said);
     }
 }
 
@@ -884,7 +884,7 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     }
     assert!(html.contains("script-src 'sha256-") && !html.contains("https://"));
     let refused = stance(&["report", arg(&bench.encoder), "--out", arg(&page)]).expect_code(1);
-    assert!(refused.stderr.contains("encoder"), "{}", refused.stderr);
+    refused.expect_said("encoder");
 }
 
 #[test]
@@ -934,7 +934,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     let ran = eval(&[], 1);
     assert!(ran.stdout.starts_with(sentence), "{}", ran.stdout);
     assert!(!ran.stdout.contains('*') && !ran.stdout.contains("Behind the identity"));
-    assert!(ran.stderr.contains("--weak-judge"), "{}", ran.stderr);
+    ran.expect_said("--weak-judge");
     assert_eq!(eval(&["--weak-judge"], 0).stdout, ran.stdout);
     let scores: Value = eval(&["--json"], 1).json();
     for row in scores.as_array().expect("rows") {
@@ -994,11 +994,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     fs::remove_file(weak.join("report.json")).expect("removed");
     let args = ["eval", arg(&edits), "--encoder", arg(&weak)];
     let ran = stance(&args).expect_code(1);
-    assert!(
-        ran.stdout.contains("holds no report.json"),
-        "{}",
-        ran.stdout
-    );
+    ran.expect_printed("holds no report.json");
     train(&weak);
     assert!(
         weak.join("report.json").exists(),
@@ -1063,7 +1059,7 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     let others = bench.answers("editor", "others", "elsewhere", &[]);
     let refused = bench.eval(&[&zero, &others], &[]).expect_code(1);
     for text in ["different items", "zero", "elsewhere"] {
-        assert!(refused.stderr.contains(text), "{}", refused.stderr);
+        refused.expect_said(text);
     }
     // Many takes can be made at once, and are the same takes.
     let takes = bench.edits("takes", &["--takes", "2"]);
@@ -1118,11 +1114,8 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     let ours = named("editor", "ours", &[]);
     let refused = |other: &Path, what: &str| {
         let ran = bench.eval(&[&ours, other], &[]).expect_code(1);
-        assert!(
-            ran.stderr.contains(what) && ran.stderr.contains("--name"),
-            "{}",
-            ran.stderr
-        );
+        ran.expect_said(what);
+        ran.expect_said("--name");
     };
     refused(&named("fixed", "other-weights", &[]), "two checkpoints");
     refused(
@@ -1149,11 +1142,8 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
     )
     .expect("writes");
     let ran = bench.eval(&[&forged], &[]).expect_code(1);
-    assert!(
-        ran.stderr.contains(&rows[3].id) && ran.stderr.contains("stance items"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said(&rows[3].id);
+    ran.expect_said("stance items");
     let verified = stance(&["verify", arg(&forged)]).expect_code(1);
     assert!(
         [verified.stdout, verified.stderr]

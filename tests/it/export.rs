@@ -226,7 +226,7 @@ fn an_export_appears_whole_or_not_at_all() {
         exported(dir.path(), layout);
         let refused =
             typed("export {} --to {} --out {}", &[&dataset, &layout, &taken]).expect_code(1);
-        assert!(refused.stderr.contains("not empty"), "{}", refused.stderr);
+        refused.expect_said("not empty");
     }
     let names: Vec<String> = std::fs::read_dir(dir.path())
         .expect("listed")
@@ -270,7 +270,7 @@ fn verify_passes_what_ingest_wrote_and_fails_what_was_altered() {
     bytes[middle] ^= 1;
     std::fs::write(shard, bytes).expect("written");
     let ran = stance(&["verify", arg(&dataset)]).expect_code(1);
-    assert!(ran.stdout.contains("1 wrong"), "{}", ran.stdout);
+    ran.expect_printed("1 wrong");
 }
 
 #[test]
@@ -278,11 +278,8 @@ fn doctor_and_stats_count_the_corpus() {
     let dir = corpus(12);
     let source = dir.path().join("corpus");
     let ran = stance(&["doctor", arg(&source)]).expect_code(0);
-    assert!(
-        ran.stdout.contains("bvh") && ran.stdout.contains("amass"),
-        "{}",
-        ran.stdout
-    );
+    ran.expect_printed("bvh");
+    ran.expect_printed("amass");
     ingested(dir.path(), "corpus", "dataset");
     let dataset = dir.path().join("dataset");
     let ran = stance(&["stats", arg(&dataset)]).expect_code(0);

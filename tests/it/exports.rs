@@ -62,7 +62,7 @@ fn a_condition_chooses_the_clips_of_every_layout() {
         let said: Value = export(&condition, &out).expect_code(0).json();
         assert_eq!(said["clips"], expected, "{layout}");
         let none = export("style = 'nobody walks so'", &dir.path().join("none")).expect_code(1);
-        assert!(none.stderr.contains("no clip of"), "{}", none.stderr);
+        none.expect_said("no clip of");
     }
     let files = files_with_extension(&dir.path().join("bvh"), "bvh");
     assert_eq!(files.len(), expected);
@@ -87,7 +87,7 @@ fn a_mistaken_condition_is_a_mistake_of_usage() {
             &[&dataset, &condition, &out],
         )
         .expect_code(2);
-        assert!(ran.stderr.contains(said), "{}", ran.stderr);
+        ran.expect_said(said);
         assert!(!out.exists());
     }
 }
@@ -239,13 +239,7 @@ fn a_motion_of_a_file_is_drawn_by_its_name() {
     let svg = std::fs::read_to_string(&picture).expect("written");
     assert!(svg.contains("#motion"), "{svg:.300}");
     let refused = draw("dance").expect_code(1);
-    assert!(
-        refused
-            .stderr
-            .contains("no motion \"dance\"; its motions are motion"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("no motion \"dance\"; its motions are motion");
 }
 
 #[test]
@@ -485,7 +479,7 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     let file = dir.path().join("file");
     std::fs::write(&file, "").expect("written");
     let refused = export("humanml3d", &file.join("out")).expect_code(1);
-    assert!(refused.stderr.contains(&said), "{}", refused.stderr);
+    refused.expect_said(&said);
     // So it is where any number of processes will write them.
     let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
     let planned = typed(
@@ -493,7 +487,7 @@ fn captions_without_tags_are_said_before_anything_is_written() {
         &[&dataset, &out, &plan],
     );
     let planned = planned.expect_code(0);
-    assert!(planned.stderr.contains(&said), "{}", planned.stderr);
+    planned.expect_said(&said);
     let done = export("bvh", &dir.path().join("bvh")).expect_code(0);
     assert!(!done.stderr.contains("part-of-speech"), "{}", done.stderr);
 }

@@ -582,7 +582,7 @@ fn motion_x_is_ingested_with_captions_and_splits() {
     // A lone array is the same motion.
     let file = source.join(format!("{motions}/Walk_clip1.npy"));
     let ran = stance(&["inspect", arg(&file)]).expect_code(0);
-    assert!(ran.stdout.contains("motion-x"), "{}", ran.stdout);
+    ran.expect_printed("motion-x");
 }
 
 #[test]

@@ -470,11 +470,7 @@ fn equal_motions_in_two_splits_fail_verification() {
     let dataset = dir.path().join("dataset");
     ingest(&[&source], &dataset, &["--splits", arg(&list)], 0);
     let ran = stance(&["verify", arg(&dataset)]).expect_code(1);
-    assert!(
-        ran.stdout.contains("is the same motion within 0.0 mm"),
-        "{}",
-        ran.stdout
-    );
+    ran.expect_printed("is the same motion within 0.0 mm");
     stance(&["verify", arg(&dataset), "--accept-duplicates"]).expect_code(0);
 }
 

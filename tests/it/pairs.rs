@@ -214,11 +214,7 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
         ran.stderr
             .contains("line 4: no motion of the dataset has the id \"nobody\"")
     );
-    assert!(
-        ran.stderr.contains("line 5: it has 2 fields"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("line 5: it has 2 fields");
     let rows = pairs(&dataset);
     let texts: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
     assert_eq!(
@@ -248,11 +244,7 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
     )
     .expect_code(0);
     let list = source.join(corpus::PAIR_LIST);
-    assert!(
-        said.stdout.contains(&format!("--pairs {}", arg(&list))),
-        "{}",
-        said.stdout
-    );
+    said.expect_printed(&format!("--pairs {}", arg(&list)));
     let made = ingest(&source, &dataset, &["--pairs", arg(&list)], 0);
     assert_eq!(made["ingested"], CLIPS_PER_TAKE + 52);
     assert_eq!(made["tables"]["pairs"], 52);
@@ -359,11 +351,7 @@ fn recaptured_clips_follow_the_published_split_of_their_original() {
     // Without the list they are strewn over the splits, and pairs that cross are refused.
     run("strewn", &[], 0);
     let crossed = stance(&["pairs", arg(&at("strewn")), "--csv", arg(&file)]).expect_code(3);
-    assert!(
-        crossed.stderr.contains("`stance ingest --pairs`"),
-        "{}",
-        crossed.stderr
-    );
+    crossed.expect_said("`stance ingest --pairs`");
 }
 
 /// A motion of MotionFix: parameters of SMPL-H, z up, 30 frames a second.
@@ -422,26 +410,19 @@ fn motionfix_without_its_split_list_is_warned_of_and_recorded() {
     let source = dir.path().join("repackaged");
     put_motionfix(&source, "motionfix_train.pth.tar", 4);
     let said = stance(&["doctor", arg(&source)]).expect_code(0);
-    assert!(
-        said.stdout.contains("comes without splits.json") && said.stdout.contains("test pairs"),
-        "{}",
-        said.stdout
-    );
+    said.expect_printed("comes without splits.json");
+    said.expect_printed("test pairs");
     let dataset = dir.path().join("dataset");
     let done = ingest(&source, &dataset, &[], 0);
     let remark = done["remarks"][0].as_str().expect("a remark");
     assert!(remark.contains("4 pairs are in no splits.json"), "{remark}");
     for verb in ["stats", "inspect"] {
         let shown = stance(&[verb, arg(&dataset)]).expect_code(0);
-        assert!(shown.stdout.contains(remark), "{}", shown.stdout);
+        shown.expect_printed(remark);
     }
     let clip = typed("inspect {} --clip motionfix/000001-source", &[&dataset]);
     let clip = clip.expect_code(0);
-    assert!(
-        clip.stdout.contains("by the name of its dump"),
-        "{}",
-        clip.stdout
-    );
+    clip.expect_printed("by the name of its dump");
 
     fs::write(
         source.join("splits.json"),
@@ -597,11 +578,8 @@ fn the_motion_base_can_be_limited_to_kinds_of_source() {
         "targets are of any source"
     );
     let (ran, _) = record("\"humanml3d\"", "none", 1);
-    assert!(
-        ran.stderr.contains("humanml3d") && ran.stderr.contains("motions of amass, bvh"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("humanml3d");
+    ran.expect_said("motions of amass, bvh");
 }
 
 #[test]
@@ -639,11 +617,8 @@ fn a_coordinator_without_two_clips_to_compose_says_what_is_missing() {
         &[&dataset, &run, &config, &compose],
     )
     .expect_code(1);
-    assert!(
-        refused.stderr.contains("two different clips") && refused.stderr.contains("base.sources"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("two different clips");
+    refused.expect_said("base.sources");
 }
 
 #[test]
@@ -751,13 +726,9 @@ fn folders_of_something_else_say_what_they_are_and_who_takes_them() {
         );
     }
     let said = stance(&["doctor", arg(&items)]).expect_code(0);
-    assert!(said.stdout.contains("a folder of items"), "{}", said.stdout);
+    said.expect_printed("a folder of items");
     let said = stance(&["doctor", arg(&dataset)]).expect_code(0);
-    assert!(
-        said.stdout.contains("`stance ingest` has made"),
-        "{}",
-        said.stdout
-    );
+    said.expect_printed("`stance ingest` has made");
 }
 
 #[test]

@@ -416,25 +416,11 @@ fn several_datasets_are_asked_by_their_names() {
     assert_eq!(left.len(), expected);
     let query = "SELECT count(*) FROM motions";
     let unnamed = stance(&["query", arg(&dataset), arg(&part), query]).expect_code(1);
-    assert!(
-        unnamed
-            .stderr
-            .contains("each of several datasets needs a name"),
-        "{}",
-        unnamed.stderr
-    );
+    unnamed.expect_said("each of several datasets needs a name");
     let twice = stance(&["query", &all, &all, query]).expect_code(1);
-    assert!(
-        twice.stderr.contains("two datasets are named whole"),
-        "{}",
-        twice.stderr
-    );
+    twice.expect_said("two datasets are named whole");
     let unknown = stance(&["query", &all, &some, query]).expect_code(1);
-    assert!(
-        unknown.stderr.contains("whole.motions"),
-        "{}",
-        unknown.stderr
-    );
+    unknown.expect_said("whole.motions");
 }
 
 #[test]
@@ -549,7 +535,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
     let other = train("n_frames > 30", arg(&run));
     assert_ne!(other.code, 0, "another choice is another dataset");
     let none = train("n_frames > 100000", arg(&at("none"))).expect_code(1);
-    assert!(none.stderr.contains("no clip of"), "{}", none.stderr);
+    none.expect_said("no clip of");
 
     let strips = at("strips.svg");
     let chosen = "action = 'wave-right' AND split = 'test'";

@@ -121,11 +121,7 @@ fn ids_choose_the_clips_that_are_read() {
     let again = ingest(&source, &out, &["--ids", arg(&list)], 0);
     assert_eq!(again["already_complete"], true, "{again}");
     let other = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(1);
-    assert!(
-        other.stderr.contains("ids was a file and is not given now"),
-        "{}",
-        other.stderr
-    );
+    other.expect_said("ids was a file and is not given now");
     // With another choice the clips that are there and are not chosen stay.
     fs::write(&list, "run_1\n").expect("written");
     let done = ingest(&source, &out, &["--ids", arg(&list), "--new-version"], 0);
@@ -141,11 +137,7 @@ fn ids_choose_the_clips_that_are_read() {
     stance(&["verify", arg(&out)]).expect_code(0);
     fs::write(&list, "# nothing\n").expect("written");
     let empty = typed("ingest {} --out {} --ids {}", &[&source, &out, &list]).expect_code(1);
-    assert!(
-        empty.stderr.contains("it names no clip"),
-        "{}",
-        empty.stderr
-    );
+    empty.expect_said("it names no clip");
 }
 
 #[test]
@@ -157,11 +149,7 @@ fn another_list_of_splits_is_told_by_the_ids_that_it_moves() {
     ingest(&source, &out, &["--splits", arg(&list)], 0);
     fs::write(&list, "walk,train\nrun,test\njump,train\n").expect("written");
     let ran = typed("ingest {} --out {} --splits {}", &[&source, &out, &list]).expect_code(1);
-    assert!(
-        ran.stderr.contains("splits moves run (train, now test)"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("splits moves run (train, now test)");
     assert!(!ran.stderr.contains("walk"), "{}", ran.stderr);
 }
 
@@ -316,7 +304,7 @@ fn a_humanml3d_export_without_captions_says_so_before_it_writes() {
             .contains("none of the 2 clips has a caption"),
         "{done}"
     );
-    assert!(ran.stderr.contains("captions.csv"), "{}", ran.stderr);
+    ran.expect_said("captions.csv");
     let described = dir.path().join("described");
     ingest(&dir.path().join("corpus"), &described, &[], 0);
     let done: Value = export(&described, "texts").json();
@@ -344,11 +332,7 @@ fn edited_texts_without_a_verdict_are_kept() {
     let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
     fs::write(&file, text).expect("written");
     let ran = typed("masks {} --accept {} --author ann", &[&out, &file]).expect_code(0);
-    assert!(
-        ran.stderr.contains("1 edited lines have no verdict yet"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("1 edited lines have no verdict yet");
     let masks: Vec<MaskRow> = rows(&out);
     let masks: BTreeMap<&str, &MaskRow> = masks.iter().map(|row| (row.id.as_str(), row)).collect();
     let row = masks[edited.as_str()];

@@ -102,11 +102,7 @@ fn a_missing_bucket_is_a_sentence() {
         .expect("starts")
         .into();
     let ran = ran.expect_code(1);
-    assert!(
-        ran.stderr.contains("there is no bucket missing"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("there is no bucket missing");
     assert!(!ran.stderr.contains('<'), "{}", ran.stderr);
 }
 
@@ -191,9 +187,5 @@ fn a_source_at_a_url_has_the_name_that_it_is_given() {
     assert_eq!(names()["ben"], alone["bvh"]);
     // Known again by its URL alone.
     let again = ingest(&[at("ben")], 0);
-    assert!(
-        again.stdout.contains("already complete"),
-        "{}",
-        again.stdout
-    );
+    again.expect_printed("already complete");
 }

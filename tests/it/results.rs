@@ -332,7 +332,7 @@ fn what_cannot_stand_in_one_table_is_refused() {
     for ran in [bench.eval(&[&first, &again], &[]), report(&again)] {
         let ran = ran.expect_code(1);
         for text in ["two motions of item", "sampled with seed 0", "--seed"] {
-            assert!(ran.stderr.contains(text), "{}", ran.stderr);
+            ran.expect_said(text);
         }
     }
     // Half of the items are the same, and still these are two test sets.
@@ -533,7 +533,7 @@ fn latencies_stand_apart_from_times_that_windows_share() {
     assert_eq!(rows(&together), rows(&alone), "the batch changes no number");
     let format = ["--table", "a4", "--published", "--format", "markdown"];
     let ran = bench.eval(&[&together, &alone], &format).expect_code(0);
-    assert!(ran.stderr.contains("--max-batch 1"), "{}", ran.stderr);
+    ran.expect_said("--max-batch 1");
     let found = tables(&ran.stdout);
     let [latency, throughput] = &found[..] else {
         panic!("{}", ran.stdout);

@@ -371,11 +371,7 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
         &[&dataset, &store, &folder],
     )
     .expect_code(1);
-    assert!(
-        refused.stderr.contains("its content is"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("its content is");
 }
 
 #[test]
@@ -498,13 +494,7 @@ fn every_answer_of_a_project_comes_back_by_way_of_the_stance_layout() {
     let (dataset, store) = (made.path("dataset"), made.path("third.sqlite"));
     let refused =
         typed("annotate {} --store {} import {}", &[&dataset, &store, &to]).expect_code(1);
-    assert!(
-        refused
-            .stderr
-            .contains("mask_all.json was changed since the export"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("mask_all.json was changed since the export");
 }
 
 #[test]
@@ -563,7 +553,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
     };
     of(&dataset, &store, &["pack", arg(&file)]).expect_code(1);
     let refused = of(&dataset, &store, &["unpack", arg(&file)]).expect_code(1);
-    assert!(refused.stderr.contains("stays"), "{}", refused.stderr);
+    refused.expect_said("stays");
 
     // The same dataset: nothing is asked again, and nobody can log in with an old token.
     let moved: Value = of(&dataset, &fresh, &["unpack", arg(&file)])
@@ -683,7 +673,7 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
     let (dataset, out) = (made.path("dataset"), made.path("text"));
     let text = stance(&["export", arg(&dataset), "--to", "bvh", "--out", arg(&out)]).expect_code(0);
     let line = format!("left out, because the layout has no place for them: {masks} masks");
-    assert!(text.stdout.contains(&line), "{}", text.stdout);
+    text.expect_printed(&line);
 }
 
 #[test]

@@ -151,7 +151,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         stance(&args)
     };
     let refused = ask(&broken, &[]).expect_code(1);
-    assert!(refused.stderr.contains("mcm_ratio"), "{}", refused.stderr);
+    refused.expect_said("mcm_ratio");
 
     // Coordinators that were shown other windows do not fit.
     for (name, compose, reason) in [
@@ -161,7 +161,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         train_composed(&workshop, "coordinator", name, compose, &[]).expect_code(0);
         let guide = workshop.path(name);
         let refused = ask(&editor, &["--coordinator", arg(&guide)]).expect_code(1);
-        assert!(refused.stderr.contains(reason), "{}", refused.stderr);
+        refused.expect_said(reason);
     }
     let compose = "anchor = \"translation\"\nfps = 5.0\n";
     train_composed(&workshop, "coordinator", "guide", compose, &[]).expect_code(0);
@@ -302,11 +302,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
         "the items have a clip shorter than 5.4 s: {found:?}"
     );
     assert_eq!(said["num_short"], short);
-    assert!(
-        ran.stderr.contains("shorter than a window"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("shorter than a window");
 
     // Words of no training instruction, and a range of half a second.
     let clip = workshop.clip();
@@ -318,11 +314,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     .expect_code(0);
     let said: Value = ran.json();
     assert_eq!(said["unknown_words"], json!(["levitate", "ultrasonically"]));
-    assert!(
-        ran.stderr.contains("never seen levitate, ultrasonically"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("never seen levitate, ultrasonically");
 
     // The published fit needs its network, and its rows say that it was used.
     let refused = |args: &[&str]| stance(args).expect_code(1).stderr;

@@ -330,9 +330,9 @@ fn a_commit_of_an_incomplete_plan_is_refused_with_the_command_that_completes_it(
         pieces(&plan).len() - 1,
         pieces(&plan).len()
     );
-    assert!(ran.stderr.contains(&missing), "{}", ran.stderr);
+    ran.expect_said(&missing);
     let command = format!("stance stage work {}", plan.display());
-    assert!(ran.stderr.contains(&command), "{}", ran.stderr);
+    ran.expect_said(&command);
     assert!(Dataset::open(&into).is_err(), "nothing is committed");
     let found = status(&plan);
     assert_eq!((found.done, found.pieces), (1, pieces(&plan).len() as u64));
@@ -347,7 +347,7 @@ fn one_of_two_commits_wins_and_the_other_is_told() {
     work(&plan, &[], 0);
     let lock = Transaction::begin(&into, "the other run").expect("locks");
     let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(75);
-    assert!(ran.stderr.contains("the other run"), "{}", ran.stderr);
+    ran.expect_said("the other run");
     drop(lock);
     let both = [0, 1].map(|_| started(&["stage", "commit", arg(&plan)]));
     let mut codes = both.map(|mut child| child.wait().expect("a child").code());
@@ -377,7 +377,7 @@ fn a_plan_is_refused_once_its_destination_has_another_version() {
         assert_eq!(record.code.as_deref(), Some("E-PLAN-STALE"));
     }
     let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-    assert!(ran.stderr.contains("plan again"), "{}", ran.stderr);
+    ran.expect_said("plan again");
     assert_eq!(
         Dataset::open(&into).expect("opens").manifest().root_hash,
         before
@@ -424,7 +424,7 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
     );
     assert_eq!(status(&plan).failed.len(), 1);
     let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-    assert!(ran.stderr.contains("--quarantine-failed"), "{}", ran.stderr);
+    ran.expect_said("--quarantine-failed");
 
     let items = pieces(&plan)
         .into_iter()
@@ -835,7 +835,7 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
         fs::create_dir_all(&into).expect("a folder");
         fs::write(into.join("notes.txt"), "mine").expect("written");
         let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-        assert!(ran.stderr.contains(arg(&into)), "{}", ran.stderr);
+        ran.expect_said(arg(&into));
         fs::remove_dir_all(&into).expect("removed");
     }
     let done = commit(&plan, &[], 0);
@@ -906,7 +906,7 @@ fn an_export_of_chosen_clips_in_pieces_is_that_of_one_process() {
     );
     let args = ["stage", "commit", arg(&plan), "--quarantine-failed"];
     let ran = stance(&args).expect_code(1);
-    assert!(ran.stderr.contains("whole or not at all"), "{}", ran.stderr);
+    ran.expect_said("whole or not at all");
     fs::write(shard, whole).expect("written");
     work(&plan, &[], 0);
     commit(&plan, &[], 0);

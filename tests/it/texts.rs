@@ -101,11 +101,7 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
         workshop.train_with(model, "editor", &[&settings, more].concat())
     };
     let unnamed = train("motionrefit", &[]).expect_code(1);
-    assert!(
-        unnamed.stderr.contains("--text-encoder"),
-        "{}",
-        unnamed.stderr
-    );
+    unnamed.expect_said("--text-encoder");
     train("motionrefit", &["--text-encoder", arg(&table)]).expect_code(0);
     let alone = workshop.path("tmed.toml");
     fs::write(&alone, "text.encoder = \"table\"\n").expect("writes");

@@ -1,6 +1,7 @@
 //! A temporary folder and the `stance` command.
 
 use std::ffi::OsStr;
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -16,18 +17,41 @@ pub(crate) struct Ran {
 impl Ran {
     /// Panics with everything the command said unless it ended with `code`.
     pub(crate) fn expect_code(self, code: i32) -> Self {
-        assert_eq!(
-            self.code, code,
-            "expected exit code {code}\n-- stdout\n{}\n-- stderr\n{}",
-            self.stdout, self.stderr
-        );
+        assert_eq!(self.code, code, "expected exit code {code}: {self}");
         self
+    }
+
+    /// Panics with everything the command said unless this is on stderr.
+    pub(crate) fn expect_said(&self, text: &str) {
+        assert!(
+            self.stderr.contains(text),
+            "{text:?} is not on stderr: {self}"
+        );
+    }
+
+    /// Panics with everything the command said unless this is on stdout.
+    pub(crate) fn expect_printed(&self, text: &str) {
+        assert!(
+            self.stdout.contains(text),
+            "{text:?} is not on stdout: {self}"
+        );
     }
 
     /// Reads stdout as one JSON document.
     pub(crate) fn json<T: DeserializeOwned>(&self) -> T {
         serde_json::from_str(&self.stdout)
             .unwrap_or_else(|error| panic!("{error}\n-- stdout\n{}", self.stdout))
+    }
+}
+
+/// Everything the command said.
+impl fmt::Display for Ran {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "\n-- stdout\n{}\n-- stderr\n{}",
+            self.stdout, self.stderr
+        )
     }
 }
 

@@ -114,11 +114,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     assert_eq!(made(&again, &[])["root_hash"], first["root_hash"]);
     let args = ["variants", arg(&out), "--out", arg(&again)];
     let refused = stance(&args).expect_code(1);
-    assert!(
-        refused.stderr.contains("another dataset"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("another dataset");
 
     // Variants that were made elsewhere are motions named base/variant.
     let paired = workshop.path("paired");
