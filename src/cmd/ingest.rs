@@ -271,11 +271,7 @@ pub(crate) fn run(args: &RunArgs, global: &Global) -> anyhow::Result<Exit> {
     )
     .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
     let empty = without_motions(&done);
-    if global.json {
-        report::json(&Document::of(&done, empty.as_ref()))?;
-    } else {
-        report::text(&summary(&done));
-    }
+    global.say(&Document::of(&done, empty.as_ref()), &summary(&done))?;
     Ok(match empty {
         Some(failure) => {
             report::note(&failure.reason);
@@ -297,15 +293,14 @@ fn tell(args: &Args, options: &IngestOptions, global: &Global) -> anyhow::Result
     }
     let told = forecast(&args.sources, &args.out, options, &global.bars())
         .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
-    if global.json {
-        report::json(&Told {
+    global.say(
+        &Told {
             dataset: &args.out,
             dry_run: true,
             forecast: &told,
-        })?;
-    } else {
-        report::text(&foreseen(&told));
-    }
+        },
+        &foreseen(&told),
+    )?;
     Ok(match told.refusals.is_empty() {
         true => Exit::Done,
         false => Exit::Failed,

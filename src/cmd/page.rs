@@ -20,7 +20,7 @@ use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::local;
-use crate::{report, stages};
+use crate::stages;
 
 /// Write one HTML file with the tables, and a 3D viewer of all systems side by side.
 ///
@@ -73,15 +73,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let html = of_edits(&answered, &args.edits, tables, args.items, global)?.to_html();
     local::write(&args.out, html.as_bytes())?;
-    if global.json {
-        report::json(&serde_json::json!({ "out": args.out, "bytes": html.len() }))?;
-    } else {
-        report::text(&format!(
-            "{} ({} kB)",
-            args.out.display(),
-            html.len() / 1000
-        ));
-    }
+    global.say(
+        &serde_json::json!({ "out": args.out, "bytes": html.len() }),
+        &format!("{} ({} kB)", args.out.display(), html.len() / 1000),
+    )?;
     Ok(args.weak_judge.exit(unranked, Exit::Done))
 }
 

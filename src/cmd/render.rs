@@ -15,7 +15,6 @@ use tables::Condition;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::local;
-use crate::report;
 
 /// Draw clips as strips of figures, coloured from start (orange) to end (blue).
 ///
@@ -176,12 +175,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
     local::write(&args.out, &picture.encoded(args)?)?;
     let count = picture.rows.len();
-    if global.json {
-        report::json(&serde_json::json!({ "out": args.out, "clips": count }))?;
-    } else {
-        report::text(&format!("{count} clips drawn in {}", args.out.display()));
-    }
-    Ok(Exit::Done)
+    global.say(
+        &serde_json::json!({ "out": args.out, "clips": count }),
+        &format!("{count} clips drawn in {}", args.out.display()),
+    )
 }
 
 /// A folder of edits with its rows.

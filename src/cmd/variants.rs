@@ -19,7 +19,6 @@ use crate::chosen::ChosenArgs;
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
 use crate::session::{surroundings, text_encoder, with_session};
 
 /// Make candidates of fine-grained pairs: variants of one motion, paired one to one.
@@ -184,10 +183,6 @@ fn print(made: &VariantReport, global: &Global) -> anyhow::Result<Exit> {
         latent_std: made.latent_std,
         root_hash: manifest.root_hash.clone(),
     };
-    if global.json {
-        report::json(&document)?;
-        return Ok(Exit::Done);
-    }
     let mut lines = vec![format!("{} candidate pairs", document.pairs)];
     if let Some(std) = document.latent_std {
         lines.push(format!(
@@ -214,6 +209,5 @@ fn print(made: &VariantReport, global: &Global) -> anyhow::Result<Exit> {
             lines.extend(left_out.map(|(reason, count)| format!("  {reason:<24} {count:>6}")));
         }
     }
-    report::text(&lines.join("\n"));
-    Ok(Exit::Done)
+    global.say(&document, &lines.join("\n"))
 }

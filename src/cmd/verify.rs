@@ -9,7 +9,6 @@ use serde::Serialize;
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
 
 /// Check a dataset: hashes, columns, contents, and that no split leaks into another.
 ///
@@ -51,19 +50,18 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let passed = verification.passed(args.accept_duplicates)
         && comparison.as_ref().is_none_or(Comparison::passed);
-    if global.json {
-        report::json(&Document {
+    let mut page = text(&verification);
+    if let Some(comparison) = &comparison {
+        page += &compared(comparison);
+    }
+    global.say(
+        &Document {
             passed,
             verification: &verification,
             reference: comparison.as_ref(),
-        })?;
-    } else {
-        let mut page = text(&verification);
-        if let Some(comparison) = &comparison {
-            page += &compared(comparison);
-        }
-        report::text(&page);
-    }
+        },
+        &page,
+    )?;
     Ok(if passed { Exit::Done } else { Exit::Failed })
 }
 

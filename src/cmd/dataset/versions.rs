@@ -7,7 +7,6 @@ use pipeline::versions::{self, Compacted, Restored, Version};
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
 
 /// List the versions of a dataset that were not pruned, with what each changed.
 #[derive(clap::Args, Debug)]
@@ -46,12 +45,7 @@ pub(super) struct Compact {
 impl Versions {
     pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
         let versions = versions::list(&self.dataset)?;
-        if global.json {
-            report::json(&versions)?;
-        } else {
-            report::text(&versions.iter().map(line).collect::<String>());
-        }
-        Ok(Exit::Done)
+        global.say(&versions, &versions.iter().map(line).collect::<String>())
     }
 }
 
@@ -84,12 +78,7 @@ impl Restore {
     pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
         let holder = global.holder();
         let done = versions::restore(&self.dataset, self.to, self.drop_labels, &holder)?;
-        if global.json {
-            report::json(&done)?;
-        } else {
-            report::text(&restored(&done));
-        }
-        Ok(Exit::Done)
+        global.say(&done, &restored(&done))
     }
 }
 
@@ -126,12 +115,7 @@ fn restored(done: &Restored) -> String {
 impl Compact {
     pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
         let done = versions::compact(&self.dataset, &global.holder(), &global.bars())?;
-        if global.json {
-            report::json(&done)?;
-        } else {
-            report::text(&compacted(&done));
-        }
-        Ok(Exit::Done)
+        global.say(&done, &compacted(&done))
     }
 }
 
