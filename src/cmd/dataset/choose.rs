@@ -6,9 +6,10 @@ use datasets_spec::Dataset;
 use pipeline::versions::{Choice, RemoveOptions, Removed, Selected, remove, select};
 use tables::Condition;
 
-use super::versions::{listing, lost_labels};
+use super::versions::lost_labels;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::report::listing;
 
 /// Write the clips for which a condition holds to a new dataset.
 ///

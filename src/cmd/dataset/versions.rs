@@ -7,6 +7,7 @@ use pipeline::versions::{self, Compacted, Restored, Version};
 
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::report::listing;
 
 /// List the versions of a dataset that were not pruned, with what each changed.
 #[derive(clap::Args, Debug)]
@@ -156,18 +157,4 @@ pub(super) fn lost_labels(lost: &[LostLabel]) -> String {
         .collect();
     let said = "labels that people made are left behind; the version before keeps them";
     format!("{} {said}\n", lost.len()) + &listing(&lines)
-}
-
-/// The first of some lines.
-pub(super) fn listing(lines: &[String]) -> String {
-    const SHOWN: usize = 10;
-    let mut text: String = lines
-        .iter()
-        .take(SHOWN)
-        .map(|line| format!("  {line}\n"))
-        .collect();
-    if lines.len() > SHOWN {
-        text += &format!("  and {} more; --json lists all\n", lines.len() - SHOWN);
-    }
-    text
 }
