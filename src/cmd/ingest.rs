@@ -25,7 +25,7 @@ use pipeline::ingest::{
 use serde::Serialize;
 use work::Plan;
 
-use self::words::{foreseen, table_rows};
+use self::words::foreseen;
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::global::Global;
@@ -406,7 +406,7 @@ struct Document<'a> {
     skipped_reasons: &'a BTreeMap<String, u64>,
     already_complete: bool,
     resumed_shards: usize,
-    tables: BTreeMap<&'a str, u64>,
+    tables: BTreeMap<String, u64>,
     dropped_pairs: u64,
     refused_pairs: &'a [RefusedLine],
     refused_splits: &'a [RefusedLine],
@@ -432,7 +432,7 @@ impl<'a> Document<'a> {
             skipped_reasons: &done.skipped,
             already_complete: done.already_complete,
             resumed_shards: done.resumed_shards,
-            tables: table_rows(done),
+            tables: done.dataset.manifest().row_counts(),
             dropped_pairs: done.dropped_pairs,
             refused_pairs: &done.refused_pairs,
             refused_splits: &done.refused_splits,

@@ -98,7 +98,7 @@ struct Document<'a> {
     schema_version: &'a str,
     version: u64,
     skeleton: &'a str,
-    tables: BTreeMap<&'a str, u64>,
+    tables: BTreeMap<String, u64>,
     accounting: &'a Accounting,
     facts: &'a BTreeMap<String, String>,
     /// Items by task.
@@ -132,7 +132,7 @@ impl<'a> Document<'a> {
             schema_version: &manifest.schema_version,
             version: manifest.version,
             skeleton: &manifest.skeleton,
-            tables: table_rows(manifest),
+            tables: manifest.row_counts(),
             accounting: &manifest.accounting,
             facts: &manifest.facts,
             tasks: counted::<ItemRow>(dataset, "task")?,
@@ -186,14 +186,6 @@ impl<'a> Document<'a> {
         }
         text
     }
-}
-
-fn table_rows(manifest: &Manifest) -> BTreeMap<&str, u64> {
-    manifest
-        .tables
-        .keys()
-        .map(|table| (table.as_str(), manifest.rows(table, None)))
-        .collect()
 }
 
 fn manifest_text(manifest: &Manifest) -> String {
