@@ -303,6 +303,14 @@ pub struct Rejected {
     pub stage: &'static str,
 }
 
+/// A [`Rejected`] for something found while reading a file: its code, and its reason in the words of `format!`.
+#[macro_export]
+macro_rules! rejected {
+    ($code:expr, $($reason:tt)+) => {
+        $crate::Rejected::read($code, format!($($reason)+))
+    };
+}
+
 impl Rejected {
     /// Stage of parsing the file.
     pub const READ: &'static str = "read";

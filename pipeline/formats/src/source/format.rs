@@ -9,7 +9,7 @@ use datasets_spec::store::Reader;
 
 use super::files::Files;
 use super::options::ReadOptions;
-use clip::{Outcome, Rejected, SourceClip};
+use clip::{Outcome, Rejected, SourceClip, rejected};
 
 /// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
 ///
@@ -55,9 +55,10 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
     /// Reads one motion of a single file. `key` is one of [`SourceFormat::keys`], or empty.
     fn read(&self, path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
         let _ = (path, key, bytes, options);
-        Outcome::Rejected(Rejected::read(
+        Outcome::Rejected(rejected!(
             "E-INTERNAL",
-            format!("{} is a format of releases, not of files", self.name()),
+            "{} is a format of releases, not of files",
+            self.name()
         ))
     }
 
@@ -225,11 +226,9 @@ pub(super) fn check_skeleton(found: &str, options: &ReadOptions) -> Result<(), R
     let wanted = options.skeleton.name();
     match found == wanted {
         true => Ok(()),
-        false => Err(Rejected::read(
+        false => Err(rejected!(
             "E-DATASET-SKELETON",
-            format!(
-                "posed on skeleton {found}, not on {wanted}; ingest with the same --body-model"
-            ),
+            "posed on skeleton {found}, not on {wanted}; ingest with the same --body-model"
         )),
     }
 }

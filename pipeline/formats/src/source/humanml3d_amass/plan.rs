@@ -15,7 +15,7 @@ use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release};
 use crate::source::humanml3d::{self, IndexRow, Splits};
 use crate::source::options::ReadOptions;
-use clip::{Rejected, SourceClip};
+use clip::{Rejected, SourceClip, rejected};
 
 /// Part of the path of rows that were made from HumanAct12's joints, not from AMASS.
 const HUMANACT12: &str = "humanact12";
@@ -184,9 +184,10 @@ impl Release for Cuts {
         let skeleton = &options.skeleton;
         let is_mirrored = entry.mirrored_of.is_some();
         let id = entry.mirrored_of.as_ref().unwrap_or(&entry.id);
-        let crop = self.crops.get(id).ok_or_else(|| {
-            Rejected::read("E-HML-INDEX", format!("found no row {id} in the index"))
-        })?;
+        let crop = self
+            .crops
+            .get(id)
+            .ok_or_else(|| rejected!("E-HML-INDEX", "found no row {id} in the index"))?;
         let bytes = files.read(&entry.file)?;
         refuse_pointer(&bytes)?;
         let parameters = match amass::parse(&bytes)? {

@@ -16,7 +16,7 @@ use super::files::{Files, LFS_POINTER, refuse_pointer};
 use super::format::{Contents, Entry, Format, Release, SourceFormat};
 use super::options::ReadOptions;
 use super::smpl::{Parameters, column, y_up_from_z_up};
-use clip::{EditOf, Rejected, RotationSource, SourceClip};
+use clip::{EditOf, Rejected, RotationSource, SourceClip, rejected};
 use pickle::joblib;
 use pickle::{Options, Value};
 
@@ -194,9 +194,8 @@ impl MotionFixRelease {
         }
         let read = files.read(file).and_then(|bytes| {
             refuse_pointer(&bytes)?;
-            serde_json::from_slice::<Json>(&bytes).map_err(|error| {
-                Rejected::read("E-MOTIONFIX-JSON", format!("found no JSON ({error})"))
-            })
+            serde_json::from_slice::<Json>(&bytes)
+                .map_err(|error| rejected!("E-MOTIONFIX-JSON", "found no JSON ({error})"))
         });
         let content = match read {
             Ok(content) => content,
@@ -340,9 +339,7 @@ impl Release for MotionFixRelease {
         let planned = entry.key.rsplit_once('/');
         let (id, side, pair) = planned
             .and_then(|(id, side)| Some((id, side, self.pairs.get(id)?)))
-            .ok_or_else(|| {
-                Rejected::read("E-IO", format!("{} is not in the release", entry.key))
-            })?;
+            .ok_or_else(|| rejected!("E-IO", "{} is not in the release", entry.key))?;
         let parameters = match side {
             SOURCE => &pair.source,
             _ => &pair.target,
@@ -389,12 +386,10 @@ fn decode(files: &Files, file: &str) -> Result<Vec<(Value, Value)>, Rejected> {
     let dump = joblib::read_from(opened, len, &options)?;
     match dump {
         Value::Dict(entries) => Ok(entries),
-        other => Err(Rejected::read(
+        other => Err(rejected!(
             "E-MOTIONFIX-KEYS",
-            format!(
-                "found {}, expected a dictionary from ids to pairs",
-                other.describe()
-            ),
+            "found {}, expected a dictionary from ids to pairs",
+            other.describe()
         )),
     }
 }
@@ -408,12 +403,10 @@ impl Pair {
     fn of(value: &Value) -> Self {
         let side = |key: &str| {
             let motion = value.get(key).ok_or_else(|| {
-                Rejected::read(
+                rejected!(
                     "E-MOTIONFIX-KEYS",
-                    format!(
-                        "found {}, expected one with motion_source, motion_target and text",
-                        value.describe()
-                    ),
+                    "found {}, expected one with motion_source, motion_target and text",
+                    value.describe()
                 )
             })?;
             parameters(motion)

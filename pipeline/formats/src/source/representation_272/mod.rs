@@ -28,7 +28,7 @@ use super::files::{Files, refuse_pointer};
 use super::format::{Contents, Entry, Format, Recognised, Release, SourceFormat, boxed};
 use super::humanml3d::{Splits, mirrored_of, parse_list, read_captions};
 use super::options::ReadOptions;
-use clip::{Outcome, Rejected, RotationSource, SourceClip};
+use clip::{Outcome, Rejected, RotationSource, SourceClip, rejected};
 
 const MOTIONS: &str = "motion_data/";
 /// Folder of the features in MotionMillion, which may hold other features beside it.
@@ -221,25 +221,27 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
     refuse_pointer(bytes)?;
     let array = npy::read_numbers("array", bytes)?;
     let [num_frames, WIDTH] = array.shape[..] else {
-        let reason = format!(
+        return Err(rejected!(
+            "E-272-SHAPE",
             "found an array of shape {:?}, expected [frames, {WIDTH}]",
             array.shape
-        );
-        return Err(Rejected::read("E-272-SHAPE", reason));
+        ));
     };
     if num_frames < 2 {
-        let reason = format!("found {num_frames} frames, expected at least 2");
-        return Err(Rejected::read("E-TOO-SHORT", reason));
+        return Err(rejected!(
+            "E-TOO-SHORT",
+            "found {num_frames} frames, expected at least 2"
+        ));
     }
     let broken = |value: &f64| !(*value as f32).is_finite();
     if let Some(at) = array.values.iter().position(broken) {
-        let reason = format!(
+        return Err(rejected!(
+            "E-272-FINITE",
             "found {} in column {} of frame {}, expected finite numbers",
             array.values[at],
             at % WIDTH,
             at / WIDTH
-        );
-        return Err(Rejected::read("E-272-FINITE", reason));
+        ));
     }
     let (rows, _) = array.values.as_chunks::<WIDTH>();
     let features: Vec<Features> = rows

@@ -14,7 +14,7 @@ use super::split::{ClipSplits, Lists};
 use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release, check_skeleton};
 use crate::source::options::ReadOptions;
-use clip::{EditOf, Rejected, SourceClip};
+use clip::{EditOf, Rejected, SourceClip, rejected};
 use pickle::Value;
 use pickle::joblib;
 
@@ -203,9 +203,7 @@ impl Release for StanceRelease {
         let detail = self
             .details
             .get(&(entry.file.clone(), entry.key.clone()))
-            .ok_or_else(|| {
-                Rejected::read("E-IO", format!("{} is not in the release", entry.file))
-            })?;
+            .ok_or_else(|| rejected!("E-IO", "{} is not in the release", entry.file))?;
         let pickle = read_pickle(files, &entry.file)?;
         let mut clip = release_clip(detail.role.motion(&pickle)?)?;
         match (&self.labels, &detail.origin) {
@@ -240,9 +238,9 @@ impl Release for StanceRelease {
 fn read_pickle(files: &Files, file: &str) -> Result<Value, Rejected> {
     let len = files.size(file)?;
     if len > MAX_PICKLE_LEN {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-TOO-LARGE",
-            format!("found {len} bytes, expected at most {MAX_PICKLE_LEN} in a pickle"),
+            "found {len} bytes, expected at most {MAX_PICKLE_LEN} in a pickle"
         ));
     }
     let bytes = files.read(file)?;
@@ -252,12 +250,10 @@ fn read_pickle(files: &Files, file: &str) -> Result<Value, Rejected> {
 
 fn of_pair<'a>(value: &'a Value, key: &str) -> Result<&'a Value, Rejected> {
     value.get(key).ok_or_else(|| {
-        Rejected::read(
+        rejected!(
             "E-STANCE-KEYS",
-            format!(
-                "found {}, expected one with src, tgt, body_part and text",
-                value.describe()
-            ),
+            "found {}, expected one with src, tgt, body_part and text",
+            value.describe()
         )
     })
 }
@@ -461,7 +457,7 @@ impl<'a> Planner<'a> {
                 true => CODE_OF_ORIGIN,
                 false => "E-STANCE-JSON",
             };
-            let broken = |error| Rejected::read(code, format!("{file} is no such list ({error})"));
+            let broken = |error| rejected!(code, "{file} is no such list ({error})");
             parse(&bytes).map_err(broken)
         });
         match read {

@@ -13,7 +13,7 @@ use serde::Deserialize;
 use crate::sidecar::LabelCaption;
 use crate::source::format::check_skeleton;
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
-use clip::{Rejected, RotationSource, SourceClip};
+use clip::{Rejected, RotationSource, SourceClip, rejected};
 
 /// Endings of the members of a clip.
 const ARRAYS: [(&str, usize); 3] = [
@@ -251,12 +251,13 @@ fn bytes(files: &Files, place: &Place) -> Result<Vec<u8>, Rejected> {
     let Some((start, length)) = place.range else {
         return files.read(&place.file);
     };
-    let failed = |error: std::io::Error| {
-        Rejected::read("E-IO", format!("cannot read {}: {error}", place.file))
-    };
+    let failed = |error: std::io::Error| rejected!("E-IO", "cannot read {}: {error}", place.file);
     if length > MAX_MEMBER_LEN {
-        let reason = format!("found {length} bytes, expected at most {MAX_MEMBER_LEN} in a member");
-        return Err(Rejected::read("E-TOO-LARGE", reason).at(start as usize));
+        return Err(rejected!(
+            "E-TOO-LARGE",
+            "found {length} bytes, expected at most {MAX_MEMBER_LEN} in a member"
+        )
+        .at(start as usize));
     }
     let mut file = files.open_at(&place.file)?;
     file.seek(SeekFrom::Start(start)).map_err(failed)?;
@@ -270,5 +271,5 @@ fn facts(files: &Files, members: &Members) -> Result<Facts, Rejected> {
         return Ok(Facts::default());
     };
     serde_json::from_slice(&bytes(files, place)?)
-        .map_err(|error| Rejected::read(CODE, format!("{}: {error}", place.file)))
+        .map_err(|error| rejected!(CODE, "{}: {error}", place.file))
 }
