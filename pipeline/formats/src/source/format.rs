@@ -80,18 +80,10 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
         None
     }
 
-    /// The releases among the files, each found by its layout. `index` is the HumanML3D index that
-    /// the user states.
-    ///
-    /// # Errors
-    /// A file that the user states cannot be read.
-    fn find(
-        &self,
-        files: &Files,
-        index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        let _ = (files, index);
-        Ok(Vec::new())
+    /// The releases among the files, each found by its layout.
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        let _ = files;
+        Vec::new()
     }
 }
 

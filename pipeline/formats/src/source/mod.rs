@@ -85,7 +85,10 @@ pub fn find_releases(
 ) -> Result<Vec<FoundRelease>, crate::Error> {
     let mut releases = Vec::new();
     for &format in FORMATS {
-        let found = format.find(files, humanml3d_index)?;
+        let mut found = format.find(files);
+        if let Some(index) = humanml3d_index.filter(|_| format == humanml3d_amass::FORMAT) {
+            found.push(humanml3d_amass::find(files, index)?);
+        }
         releases.extend(found.into_iter().map(|release| (format, release)));
     }
     Ok(releases)

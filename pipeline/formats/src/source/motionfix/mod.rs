@@ -6,7 +6,6 @@
 //! `motion_target` (`rots`, `trans`, `joint_positions`) and `text`; SMPL-H, z up, 30 fps.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use datasets_spec::{BodyPart, Fps, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
@@ -483,12 +482,8 @@ impl SourceFormat for MotionFix {
         2.0 * 4.0 * (3 * (1 + 2 * NUM_BODY_JOINTS)) as f64 * 30.0
     }
 
-    fn find(
-        &self,
-        files: &Files,
-        _index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(find(files))
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        find(files)
     }
 }
 

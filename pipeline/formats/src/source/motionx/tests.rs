@@ -181,7 +181,7 @@ fn a_release_has_captions_splits_and_mirrored_copies() {
         ),
         ("x/test.txt", b"humanml/000003\n"),
     ]);
-    let found = FORMAT.find(&files, None).expect("a release");
+    let found = FORMAT.find(&files);
     assert_eq!(found.len(), 1);
     let contents = found[0].contents();
     let entries: Vec<(&str, Option<Split>, Option<&str>)> = contents
@@ -234,7 +234,7 @@ fn the_folders_of_motion_x_plus_plus_are_read_too() {
         ("motion/motion_generation/smplx322/animation/a.npy", &motion),
         ("text/semantic_label/animation/a.txt", b"a figure jumps\n"),
     ]);
-    let found = FORMAT.find(&files, None).expect("a release");
+    let found = FORMAT.find(&files);
     let contents = found[0].contents();
     assert_eq!(contents.entries[0].id, "animation/a");
     let clip = found[0]

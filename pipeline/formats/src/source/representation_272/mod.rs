@@ -63,12 +63,8 @@ impl SourceFormat for Representation272 {
         read_array(bytes, &options.skeleton).into()
     }
 
-    fn find(
-        &self,
-        files: &Files,
-        _index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(find(files))
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        find(files)
     }
 }
 

@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 use std::fs;
+use std::path::Path;
 use std::sync::Arc;
 
 use arrow_array::{ArrayRef, BooleanArray, Float64Array, RecordBatch, StringArray};
@@ -131,7 +132,7 @@ const PARQUET: &str = "metadata/seed_metadata_v004.parquet";
 const LABELS: &str = "metadata/seed_metadata_v002_temporal_labels.jsonl";
 
 fn one(files: &Files) -> Box<dyn Release> {
-    let mut found = FORMAT.find(files, None).expect("no index");
+    let mut found = FORMAT.find(files);
     assert_eq!(found.len(), 1);
     found.remove(0)
 }
@@ -339,7 +340,7 @@ fn a_motion_that_is_damaged_is_quarantined_by_its_own_code() {
     assert!(rejected.byte_offset.is_some());
     // Without metadata, there is no release, and files are read one by one.
     let (_dir, files) = folder(&[(WALK, bvh())]);
-    assert!(FORMAT.find(&files, None).expect("no index").is_empty());
+    assert!(FORMAT.find(&files).is_empty());
     let outcome =
         crate::source::bvh::FORMAT.read(Path::new(WALK), "", &bvh(), &ReadOptions::default());
     assert!(matches!(outcome, Outcome::Clip(_)));
