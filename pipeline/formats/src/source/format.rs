@@ -172,6 +172,16 @@ pub struct Contents {
 const EXAMPLES: usize = 3;
 
 impl Contents {
+    /// Passes over a file without a motion of its own.
+    pub(super) fn pass_over(&mut self, file: impl Into<String>, reason: impl Into<String>) {
+        self.passed_over.push((file.into(), reason.into()));
+    }
+
+    /// Rejects a file that was found broken.
+    pub(super) fn reject(&mut self, file: impl Into<String>, rejected: Rejected) {
+        self.rejected.push((file.into(), rejected));
+    }
+
     /// Remarks on ids of a published split that have no motion.
     pub(super) fn remark_on_listed(&mut self, release: &str, list: &str, missing: Vec<&str>) {
         if missing.is_empty() {

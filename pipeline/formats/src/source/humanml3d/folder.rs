@@ -70,8 +70,8 @@ impl Folder {
                 notes: note.into_iter().collect(),
             };
             if let (Some(_), Some(joints)) = (&clip.vector, &clip.joints) {
-                let reason = "joints of a clip that is read from its HumanML3D vector".to_owned();
-                folder.contents.passed_over.push((joints.clone(), reason));
+                let reason = "joints of a clip that is read from its HumanML3D vector";
+                folder.contents.pass_over(joints, reason);
             }
             let Some(file) = clip.vector.clone().or(clip.joints.clone()) else {
                 continue;
@@ -114,15 +114,15 @@ impl Folder {
             } else {
                 "captions without a motion"
             };
-            self.contents.passed_over.push((file, reason.to_owned()));
+            self.contents.pass_over(file, reason);
         }
         for file in layout.lists.into_keys() {
-            let reason = "HumanML3D list of ids, no motion".to_owned();
-            self.contents.passed_over.push((file, reason));
+            let reason = "HumanML3D list of ids, no motion";
+            self.contents.pass_over(file, reason);
         }
         if let Some((file, _)) = layout.index {
-            let reason = "HumanML3D crop list, no motion".to_owned();
-            self.contents.passed_over.push((file, reason));
+            let reason = "HumanML3D crop list, no motion";
+            self.contents.pass_over(file, reason);
         }
         self.contents.passed_over.extend(layout.others);
         self.contents.rejected.extend(layout.rejected);

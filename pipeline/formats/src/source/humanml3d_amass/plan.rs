@@ -90,9 +90,8 @@ pub fn find(files: &Files, index: &Path) -> Result<Box<dyn Release>, Error> {
             } else {
                 "row whose AMASS recording is not among the sources"
             };
-            cuts.contents
-                .passed_over
-                .push((item, format!("HumanML3D index {reason}")));
+            let reason = format!("HumanML3D index {reason}");
+            cuts.contents.pass_over(item, reason);
             continue;
         };
         used.insert(file.as_str());
@@ -100,8 +99,8 @@ pub fn find(files: &Files, index: &Path) -> Result<Box<dyn Release>, Error> {
     }
     for file in recordings.values().flatten() {
         if !used.contains(file.as_str()) {
-            let reason = "AMASS file that the HumanML3D index takes nothing from".to_owned();
-            cuts.contents.passed_over.push((file.clone(), reason));
+            let reason = "AMASS file that the HumanML3D index takes nothing from";
+            cuts.contents.pass_over(file, reason);
         }
     }
     cuts.pass_over_texts(&texts);
@@ -163,8 +162,8 @@ impl Cuts {
         for (id, file) in texts {
             let clip = humanml3d::mirrored_of(id).unwrap_or(id);
             if self.crops.contains_key(clip) {
-                let reason = "captions, read with the motion they describe".to_owned();
-                self.contents.passed_over.push(((*file).to_owned(), reason));
+                let reason = "captions, read with the motion they describe";
+                self.contents.pass_over(*file, reason);
             }
         }
     }

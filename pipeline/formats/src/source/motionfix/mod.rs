@@ -106,10 +106,9 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
     if folders.is_empty() {
         let reason = "MotionFix label file without motions, motionfix.pth.tar is missing";
         let mut release = MotionFixRelease::default();
-        release.contents.passed_over = labels
-            .into_iter()
-            .map(|file| (file.to_owned(), reason.to_owned()))
-            .collect();
+        for file in labels {
+            release.contents.pass_over(file, reason);
+        }
         return match release.contents.passed_over.is_empty() {
             true => Vec::new(),
             false => vec![Box::new(release)],
@@ -187,9 +186,8 @@ impl MotionFixRelease {
         let name = name_of(file);
         let has_parts = name.starts_with(PART_LABELS);
         if name != SPLITS && !has_parts {
-            let reason = "MotionFix label file that belongs to no motion".to_owned();
-            self.contents.passed_over.push((file.to_owned(), reason));
-            return;
+            let reason = "MotionFix label file that belongs to no motion";
+            return self.contents.pass_over(file, reason);
         }
         let read = files.read(file).and_then(|bytes| {
             refuse_pointer(&bytes)?;
@@ -198,10 +196,7 @@ impl MotionFixRelease {
         });
         let content = match read {
             Ok(content) => content,
-            Err(rejected) => {
-                self.contents.rejected.push((file.to_owned(), rejected));
-                return;
-            }
+            Err(rejected) => return self.contents.reject(file, rejected),
         };
         for (key, value) in content.as_object().into_iter().flatten() {
             if has_parts {
@@ -217,8 +212,8 @@ impl MotionFixRelease {
                 splits.extend(ids.map(|id| (id, split)));
             }
         }
-        let reason = "MotionFix label file, read with the motions".to_owned();
-        self.contents.passed_over.push((file.to_owned(), reason));
+        let reason = "MotionFix label file, read with the motions";
+        self.contents.pass_over(file, reason);
     }
 
     /// Decodes a dump and plans the motions that no earlier dump of the folder had. A pair that has the key of another
@@ -226,10 +221,7 @@ impl MotionFixRelease {
     fn take_dump(&mut self, files: &Files, file: &str, splits: &Lists) {
         let entries = match decode(files, file) {
             Ok(entries) => entries,
-            Err(rejected) => {
-                self.contents.rejected.push((file.to_owned(), rejected));
-                return;
-            }
+            Err(rejected) => return self.contents.reject(file, rejected),
         };
         let found = entries.len();
         // Keys of pairs, and by which key of the list.
@@ -266,10 +258,10 @@ impl MotionFixRelease {
         }
         if added.is_empty() {
             let reason = match found {
-                0 => "MotionFix dump without motions".to_owned(),
-                _ => "MotionFix dump whose pairs are all in another one of its folder".to_owned(),
+                0 => "MotionFix dump without motions",
+                _ => "MotionFix dump whose pairs are all in another one of its folder",
             };
-            self.contents.passed_over.push((file.to_owned(), reason));
+            self.contents.pass_over(file, reason);
         }
         for (key, id) in added {
             // Both motions of a pair share a split, even if no list states it.

@@ -135,8 +135,7 @@ impl Folder {
                 match files.read(file) {
                     Ok(bytes) => lists.push((name.parse().ok(), parse_list(&bytes))),
                     Err(rejected) => {
-                        let rejected = (file.to_owned(), rejected);
-                        folder.contents.rejected.push(rejected);
+                        folder.contents.reject(file, rejected);
                         continue;
                     }
                 }
@@ -146,8 +145,7 @@ impl Folder {
             } else {
                 continue;
             };
-            let passed_over = (file.to_owned(), reason.to_owned());
-            folder.contents.passed_over.push(passed_over);
+            folder.contents.pass_over(file, reason);
         }
         let splits = Splits::of(lists.iter());
         let listed = lists.iter().filter(|(split, _)| split.is_some());

@@ -360,10 +360,7 @@ impl<'a> Planner<'a> {
             origin::FILE_NAME
         );
         let rejected = Rejected::read(CODE_OF_ORIGIN, reason);
-        self.release
-            .contents
-            .rejected
-            .push((file.to_owned(), rejected));
+        self.release.contents.reject(file, rejected);
         false
     }
 
@@ -422,11 +419,7 @@ impl<'a> Planner<'a> {
                     lists.take_lines(split, &String::from_utf8_lossy(&bytes));
                     self.read_with_motions(file);
                 }
-                Err(rejected) => self
-                    .release
-                    .contents
-                    .rejected
-                    .push((file.to_owned(), rejected)),
+                Err(rejected) => self.release.contents.reject(file, rejected),
             },
             "json" => {
                 if let Some(value) = self.json::<Json>(file) {
@@ -466,21 +459,15 @@ impl<'a> Planner<'a> {
                 Some(value)
             }
             Err(rejected) => {
-                self.release
-                    .contents
-                    .rejected
-                    .push((file.to_owned(), rejected));
+                self.release.contents.reject(file, rejected);
                 None
             }
         }
     }
 
     fn read_with_motions(&mut self, file: &str) {
-        let reason = "list of the STANCE release, read with its motions".to_owned();
-        self.release
-            .contents
-            .passed_over
-            .push((file.to_owned(), reason));
+        let reason = "list of the STANCE release, read with its motions";
+        self.release.contents.pass_over(file, reason);
     }
 
     fn plan_motions(&mut self) {
@@ -548,11 +535,7 @@ impl<'a> Planner<'a> {
         let Some((base, style)) = stem_of(file).split_once('_') else {
             let reason = "the file name has no style, expected one such as 000009_proud.pkl";
             let rejected = Rejected::read("E-STANCE-NAME", reason);
-            self.release
-                .contents
-                .rejected
-                .push((file.to_owned(), rejected));
-            return;
+            return self.release.contents.reject(file, rejected);
         };
         let source_id = self
             .origins
@@ -601,11 +584,8 @@ impl<'a> Planner<'a> {
             self.plan(target, role, ADJUSTMENT),
         ];
         if both == [false; 2] {
-            let reason = "its motions are in other files of the release".to_owned();
-            self.release
-                .contents
-                .passed_over
-                .push((file.to_owned(), reason));
+            let reason = "its motions are in other files of the release";
+            self.release.contents.pass_over(file, reason);
         }
     }
 

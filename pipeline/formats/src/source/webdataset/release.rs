@@ -110,11 +110,8 @@ impl Shards {
             let file = members[ARRAYS[0].0].file.clone();
             for place in members.values().filter(|place| place.range.is_none()) {
                 if place.file != file {
-                    let reason = "member of a clip of a WebDataset, read with it".to_owned();
-                    shards
-                        .contents
-                        .passed_over
-                        .push((place.file.clone(), reason));
+                    let reason = "member of a clip of a WebDataset, read with it";
+                    shards.contents.pass_over(&place.file, reason);
                 }
             }
             shards.contents.entries.push(Entry {
