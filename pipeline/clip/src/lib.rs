@@ -267,6 +267,9 @@ fn parts_of(names: &[String]) -> Vec<BodyPart> {
     names.iter().filter_map(|name| name.parse().ok()).collect()
 }
 
+/// What reading a motion gives: a clip, or why there is none.
+pub type ReadClip = Result<SourceClip, Rejected>;
+
 /// Outcome of a source item.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
@@ -281,8 +284,8 @@ pub enum Outcome {
     Rejected(Rejected),
 }
 
-impl From<Result<SourceClip, Rejected>> for Outcome {
-    fn from(read: Result<SourceClip, Rejected>) -> Self {
+impl From<ReadClip> for Outcome {
+    fn from(read: ReadClip) -> Self {
         match read {
             Ok(clip) => Self::Clip(Box::new(clip)),
             Err(rejected) => Self::Rejected(rejected),

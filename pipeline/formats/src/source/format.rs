@@ -9,7 +9,7 @@ use datasets_spec::store::Reader;
 
 use super::files::Files;
 use super::options::ReadOptions;
-use clip::{Outcome, Rejected, SourceClip, rejected};
+use clip::{Outcome, ReadClip, Rejected, rejected};
 
 /// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
 ///
@@ -205,12 +205,7 @@ pub trait Release: Send + Sync {
     ///
     /// # Errors
     /// The motion cannot be used.
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected>;
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip;
 }
 
 /// The releases that a format found.

@@ -14,7 +14,7 @@ use datasets_spec::{Fps, Split};
 use crate::source::format::check_skeleton;
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
 use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
-use clip::{EditOf, Markers, Rejected, RotationSource, SourceClip, SourceMask, rejected};
+use clip::{EditOf, Markers, ReadClip, Rejected, RotationSource, SourceClip, SourceMask, rejected};
 
 /// Flags that the motion itself does not show.
 const KEPT_FLAGS: u32 =
@@ -228,12 +228,7 @@ impl Release for StoredDataset {
         &self.contents
     }
 
-    fn read(
-        &self,
-        _files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, _files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let refused = |reason: String| Rejected::read(CODE, reason);
         let shard = self.shards.get(&entry.file);
         let row: MotionRow = shard

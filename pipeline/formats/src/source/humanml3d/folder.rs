@@ -17,7 +17,7 @@ use crate::source::format::{Contents, Entry, Release, boxed};
 use crate::source::labels;
 use crate::source::options::ReadOptions;
 use clip::check::FLAG_POOR_FIT;
-use clip::{Rejected, SourceClip};
+use clip::{ReadClip, Rejected, SourceClip};
 
 /// Clips of the published set whose crop leaves at most one frame.
 const KNOWN_EMPTY: [&str; 2] = ["009707", "011059"];
@@ -134,12 +134,7 @@ impl Release for Folder {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let skeleton = &options.skeleton;
         let unknown = Clip::default();
         let clip = self.clips.get(&entry.id).unwrap_or(&unknown);

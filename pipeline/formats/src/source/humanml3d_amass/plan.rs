@@ -15,7 +15,7 @@ use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release};
 use crate::source::humanml3d::{self, IndexRow, Splits};
 use crate::source::options::ReadOptions;
-use clip::{Rejected, SourceClip, rejected};
+use clip::{ReadClip, Rejected, rejected};
 
 /// Part of the path of rows that were made from HumanAct12's joints, not from AMASS.
 const HUMANACT12: &str = "humanact12";
@@ -174,12 +174,7 @@ impl Release for Cuts {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let skeleton = &options.skeleton;
         let is_mirrored = entry.mirrored_of.is_some();
         let id = entry.mirrored_of.as_ref().unwrap_or(&entry.id);

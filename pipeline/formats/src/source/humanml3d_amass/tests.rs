@@ -16,6 +16,8 @@ use super::*;
 use crate::Error;
 use crate::source::amass::tests::clip_members;
 use crate::source::body_model::tests::subjects;
+use crate::source::files::Files;
+use crate::source::format::Release;
 use crate::source::humanml3d::IndexRow;
 use crate::source::options::ReadOptions;
 use clip::check::FLAG_FPS_DOUBTFUL;

@@ -15,7 +15,7 @@ use super::files::{Files, LFS_POINTER, refuse_pointer};
 use super::format::{Contents, Entry, Format, Release, SourceFormat};
 use super::options::ReadOptions;
 use super::smpl::{Parameters, column, y_up_from_z_up};
-use clip::{EditOf, Rejected, RotationSource, SourceClip, rejected};
+use clip::{EditOf, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 use pickle::joblib;
 use pickle::{Options, Value};
 
@@ -321,12 +321,7 @@ impl Release for MotionFixRelease {
         &self.contents
     }
 
-    fn read(
-        &self,
-        _files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, _files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let planned = entry.key.rsplit_once('/');
         let (id, side, pair) = planned
             .and_then(|(id, side)| Some((id, side, self.pairs.get(id)?)))

@@ -10,7 +10,7 @@ use crate::source::files::Files;
 use crate::source::format::{Contents, Entry, Release};
 use crate::source::humanml3d::{LISTS, parse_list, read_captions};
 use crate::source::options::ReadOptions;
-use clip::{Rejected, SourceClip};
+use clip::ReadClip;
 
 /// Folders whose files are motions, named by their paths below.
 const MOTIONS: [&str; 2] = ["smplx_322", "smplx322"];
@@ -208,12 +208,7 @@ impl Release for MotionXFolder {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let mut clip = read_array(&files.read(&entry.file)?, &options.skeleton)?;
         clip.notes.extend(self.notes.get(&entry.file).cloned());
         if let Some(text) = self.captions.get(&entry.file) {

@@ -28,7 +28,7 @@ use super::files::{Files, refuse_pointer};
 use super::format::{Contents, Entry, Format, Recognised, Release, SourceFormat, boxed};
 use super::humanml3d::{Splits, mirrored_of, parse_list, read_captions};
 use super::options::ReadOptions;
-use clip::{Outcome, Rejected, RotationSource, SourceClip, rejected};
+use clip::{Outcome, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
 const MOTIONS: &str = "motion_data/";
 /// Folder of the features in MotionMillion, which may hold other features beside it.
@@ -186,12 +186,7 @@ impl Release for Folder {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let mut clip = read_array(&files.read(&entry.file)?, &options.skeleton)?;
         clip.notes.extend(self.notes.get(&entry.id).cloned());
         if let Some(text) = self.texts.get(&entry.id) {

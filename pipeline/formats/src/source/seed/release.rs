@@ -10,7 +10,7 @@ use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release};
 use crate::source::options::ReadOptions;
 use crate::source::{bvh, escaped};
-use clip::{LabelProblem, Rejected, SourceClip};
+use clip::{LabelProblem, ReadClip, Rejected};
 
 /// How the names of the files begin, and what is in the names of temporal labels.
 const METADATA: &str = "seed_metadata";
@@ -201,12 +201,7 @@ impl Release for SeedFolder {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let bytes = files.read(&entry.file)?;
         refuse_pointer(&bytes)?;
         let mut clip = bvh::read(&mut &bytes[..], bytes.len(), options)?;

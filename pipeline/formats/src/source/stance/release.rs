@@ -14,7 +14,7 @@ use super::split::{ClipSplits, Lists};
 use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release, check_skeleton};
 use crate::source::options::ReadOptions;
-use clip::{EditOf, Rejected, SourceClip, rejected};
+use clip::{EditOf, ReadClip, Rejected, SourceClip, rejected};
 use pickle::Value;
 use pickle::joblib;
 
@@ -194,12 +194,7 @@ impl Release for StanceRelease {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let detail = self
             .details
             .get(&(entry.file.clone(), entry.key.clone()))

@@ -13,7 +13,7 @@ use serde::Deserialize;
 use crate::sidecar::LabelCaption;
 use crate::source::format::check_skeleton;
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
-use clip::{Rejected, RotationSource, SourceClip, rejected};
+use clip::{ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
 /// Endings of the members of a clip.
 const ARRAYS: [(&str, usize); 3] = [
@@ -136,12 +136,7 @@ impl Release for Shards {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let refused = |reason: String| Rejected::read(CODE, reason);
         let members = self
             .clips
