@@ -14,7 +14,8 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 use rayon::prelude::*;
 
 use super::by_clip::{ByClip, Note};
-use super::feature_files::{Lines, file, read_features};
+use super::document::file;
+use super::feature_files::{Lines, read_features};
 use crate::Error;
 use crate::clips::Clips;
 use pickle::npy;
