@@ -22,6 +22,8 @@ pub mod humanml3d_amass;
 pub mod labels;
 pub mod motionfix;
 pub mod motionx;
+#[cfg(test)]
+mod release_tests;
 pub mod representation_272;
 mod robot;
 pub mod seed;

@@ -1,5 +1,4 @@
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -11,6 +10,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::retarget::tests::assert_same_motion;
 use crate::source::bvh::dialects::RigText;
+use crate::source::release_tests::files_of;
 use crate::source::{ReadOptions, labels};
 use clip::{Outcome, Rejected};
 use testkit::walk;
@@ -110,15 +110,8 @@ const TIMELINE: &str = concat!(
 
 /// A folder of the dataset.
 fn folder(files: &[(&str, Vec<u8>)]) -> (tempfile::TempDir, Files) {
-    let dir = tempfile::tempdir().expect("a folder");
-    let mut paths = BTreeMap::new();
-    for (name, bytes) in files {
-        let path = dir.path().join(name);
-        fs::create_dir_all(path.parent().expect("a folder")).expect("writes");
-        fs::write(&path, bytes).expect("writes");
-        paths.insert((*name).to_owned(), path);
-    }
-    (dir, Files::new(paths))
+    let files = files.iter().map(|(name, bytes)| (*name, bytes.as_slice()));
+    files_of(&files.collect::<Vec<_>>())
 }
 
 fn bvh() -> Vec<u8> {

@@ -64,4 +64,4 @@ impl SourceFormat for Stance {
 }
 
 #[cfg(test)]
-pub(crate) mod tests;
+mod tests;
