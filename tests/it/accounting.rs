@@ -11,7 +11,7 @@ use datasets_spec::{Dataset, Fps, Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, files_with_extension, stance, typed};
+use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
 
 /// A failure, as a script relies on it.
 #[derive(Debug, Deserialize)]
@@ -41,11 +41,6 @@ fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Done {
         "{done:?}"
     );
     done
-}
-
-fn motions(dataset: &Path) -> Vec<MotionRow> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
 }
 
 /// A person who walks along x at half a metre per second, swinging arms and legs.
@@ -117,7 +112,7 @@ fn a_dataset_lists_its_clips_and_the_files_it_left_out() {
     };
 
     let clips: Vec<Clip> = json("clips").json();
-    let row = &motions(&out)[0];
+    let row = &rows_of::<MotionRow>(&out)[0];
     assert_eq!(clips.len(), 1);
     assert_eq!(
         (clips[0].id.as_str(), clips[0].path.as_str()),
@@ -267,7 +262,7 @@ fn names_that_are_not_text_stay_apart_and_never_reach_the_terminal() {
         assert!(!text.contains(obeyed), "{text:?}");
     }
     listed.expect_printed(r"\x1b]0;title\x07.bvh");
-    let rows = motions(&out);
+    let rows = rows_of::<MotionRow>(&out);
     let mut ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
     ids.sort_unstable();
     assert_eq!(ids, [r"a\\xff", r"a\xfe", r"a\xff", r"red\x1b[31m"]);
@@ -370,7 +365,7 @@ fn a_reference_frame_before_the_motion_is_dropped_with_a_flag() {
     )
     .expect("writes");
     ingest(&source, &out, &[], 0);
-    let row = &motions(&out)[0];
+    let row = &rows_of::<MotionRow>(&out)[0];
     assert_eq!((row.start_frame, row.end_frame), (1, 1300));
     assert_eq!(row.n_frames, 1 + (1298 * 2) / 3);
     let flags = flag_names(row.quality.flags);
@@ -389,12 +384,12 @@ fn a_reference_frame_before_the_motion_is_dropped_with_a_flag() {
     fs::write(source.join("captured.bvh"), bvh(&poses[1..])).expect("writes");
     let plain = dir.path().join("plain");
     ingest(&source, &plain, &[], 0);
-    assert_eq!(motions(&plain)[0].n_frames, row.n_frames);
+    assert_eq!(rows_of::<MotionRow>(&plain)[0].n_frames, row.n_frames);
     // Who asks to keep jumps keeps the frame.
     fs::write(source.join("captured.bvh"), bvh(&poses)).expect("writes");
     let kept = dir.path().join("kept");
     ingest(&source, &kept, &["--teleports", "keep"], 0);
-    assert_eq!(motions(&kept)[0].start_frame, 0);
+    assert_eq!(rows_of::<MotionRow>(&kept)[0].start_frame, 0);
 }
 
 #[test]
@@ -418,7 +413,7 @@ fn a_trimmed_clip_says_where_it_starts_and_its_captions_move_along() {
     )
     .expect("writes");
     ingest(&source, &out, &["--teleports", "trim"], 0);
-    let row = &motions(&out)[0];
+    let row = &rows_of::<MotionRow>(&out)[0];
     // At 20 fps, stored frame 60 is source frame 90, and the frame before it lies between 88 and 89.
     assert_eq!((row.start_frame, row.end_frame), (90, 300));
     assert_eq!(row.n_frames, 140);
@@ -476,7 +471,7 @@ fn a_row_too_many_or_too_few_is_read_where_that_is_asked_for() {
     .expect_code(1);
     let lenient = dir.path().join("lenient");
     ingest(&source, &lenient, &["--lenient", "--fps", "native"], 0);
-    let found: BTreeMap<String, (i32, bool)> = motions(&lenient)
+    let found: BTreeMap<String, (i32, bool)> = rows_of::<MotionRow>(&lenient)
         .iter()
         .map(|row| {
             let flagged = flag_names(row.quality.flags).contains(&"row-count");
@@ -524,7 +519,7 @@ fn humanml3d_features_come_out_as_they_went_in() {
     ingest(&folder, &out, &["--features", "humanml3d"], 0);
     let dataset = Dataset::open(&out).expect("a dataset");
     let rows: Vec<HumanMl3dRow> = dataset.read(None).expect("rows");
-    let frames: BTreeMap<String, i32> = motions(&out)
+    let frames: BTreeMap<String, i32> = rows_of::<MotionRow>(&out)
         .iter()
         .map(|row| (row.id.to_string(), row.n_frames))
         .collect();

@@ -22,7 +22,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use crate::util::{arg, command, corpus, stance, typed};
+use crate::util::{arg, command, corpus, rows_of, stance, typed};
 
 #[derive(Deserialize)]
 struct Listening {
@@ -1042,10 +1042,7 @@ fn two_servers_of_one_store_give_nothing_twice() {
 fn styles_go_into_another_project_as_they_come_out() {
     let (dir, dataset) = dataset(24);
     stance(&["pairs", arg(&dataset)]).expect_code(0);
-    let labels: BTreeSet<String> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read::<PairRow>(None)
-        .expect("pairs")
+    let labels: BTreeSet<String> = rows_of::<PairRow>(&dataset)
         .into_iter()
         .filter_map(|pair| pair.style)
         .collect();

@@ -10,7 +10,7 @@ use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
-use crate::util::{Ran, arg, files_with_extension, stance, typed};
+use crate::util::{Ran, arg, files_with_extension, rows_of, stance, typed};
 
 /// Metrics of what a system recorded while it generated; answers from elsewhere have none.
 const RECORDED: [&str; 2] = ["Fit error", "Bone drift"];
@@ -46,11 +46,6 @@ fn import(files: &Path, items: &Path, name: &str, out: &Path, more: &[&str]) -> 
     ];
     args.extend(more);
     stance(&args)
-}
-
-fn rows(folder: &Path) -> Vec<EditRow> {
-    let dataset = Dataset::open(folder).expect("a dataset");
-    dataset.read(None).expect("rows")
 }
 
 /// An array as `numpy.save` writes one (version 1.0 of the format).
@@ -109,7 +104,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     let bench = Bench::open();
     let at = |name: &str| bench.workshop.path(name);
     let (items, here) = (at("items"), bench.edits("here", &["--name", "Here"]));
-    let made = rows(&here);
+    let made = rows_of::<EditRow>(&here);
 
     // As a script writes them: the numbers of the store.
     write_answers(&made, &at("answers"));
@@ -127,7 +122,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
         (&report["imported"], &report["answered"]),
         (&8.into(), &8.into())
     );
-    for (row, own) in rows(&at("elsewhere")).iter().zip(&made) {
+    for (row, own) in rows_of::<EditRow>(&at("elsewhere")).iter().zip(&made) {
         assert_eq!((&row.id, &row.transl), (&own.id, &own.transl));
         assert_eq!(row.checkpoint_hash, report["checkpoint_hash"]);
         assert!(row.checkpoint_hash != own.checkpoint_hash && row.settings.contains("300"));
@@ -261,7 +256,7 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
     let at = |name: &str| bench.workshop.path(name);
     let dataset = Dataset::open(&at("items")).expect("a dataset");
     let items: Vec<ItemRow> = dataset.read(None).expect("rows");
-    let answers: Vec<EditRow> = rows(&bench.edits("here", &[]));
+    let answers: Vec<EditRow> = rows_of::<EditRow>(&bench.edits("here", &[]));
     write_answers(&answers, &at("answers"));
     let file = |number: usize, extension: &str| {
         at("answers").join(format!("{}.{extension}", answers[number].id))
@@ -355,7 +350,7 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
     let bench = Bench::open();
     let at = |name: &str| bench.workshop.path(name);
     let here = bench.edits("here", &["--name", "ours, w/o MCM", "--takes", "2"]);
-    let made = rows(&here);
+    let made = rows_of::<EditRow>(&here);
     assert_eq!(made.len(), 16);
     for (layout, extension) in [("bvh", "bvh"), ("amass", "npz"), ("gltf", "glb")] {
         let out = at(layout);
@@ -385,7 +380,7 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
         places.sort();
         places
     };
-    assert_eq!(places(&rows(&at("again"))), places(&made));
+    assert_eq!(places(&rows_of::<EditRow>(&at("again"))), places(&made));
     let refused = typed("export {} --to stance --out {}", &[&here, &at("no")]).expect_code(1);
     refused.expect_said("bvh, amass or gltf");
     let items = at("items");

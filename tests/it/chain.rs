@@ -6,7 +6,7 @@ use std::fs;
 use serde::Deserialize;
 
 use crate::tables::tables;
-use crate::util::{arg, corpus, stance, typed};
+use crate::util::{arg, corpus, rows_of, stance, typed};
 
 #[derive(Deserialize)]
 struct Score {
@@ -226,10 +226,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
 }
 
 fn first_clip(dataset: &std::path::Path) -> String {
-    let rows: Vec<datasets_spec::record::MotionRow> = datasets_spec::Dataset::open(dataset)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<datasets_spec::record::MotionRow> = rows_of(dataset);
     rows[0].id.to_string()
 }
 

@@ -8,7 +8,7 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Split};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, stance, typed};
+use crate::util::{arg, corpus, rows_of, stance, typed};
 
 /// One take of 26 actions in six styles.
 const CLIPS: usize = 156;
@@ -48,10 +48,7 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
 
     let out = dir.path().join("built");
     let dataset = Dataset::open(&out.join("dataset")).expect("a dataset");
-    let triplets: Vec<TripletRow> = Dataset::open(&out.join("triplets"))
-        .expect("recorded")
-        .read(None)
-        .expect("rows");
+    let triplets: Vec<TripletRow> = rows_of(&out.join("triplets"));
     let splits: std::collections::BTreeMap<String, Split> = dataset
         .read::<datasets_spec::record::MotionRow>(None)
         .expect("rows")

@@ -12,7 +12,7 @@ use serde_json::Value;
 use crate::tables::tables;
 use crate::texts::TextTable;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, corpus, stance, typed};
+use crate::util::{Ran, arg, corpus, rows_of, stance, typed};
 
 /// Settings of an evaluation encoder that is trained in a second.
 pub(crate) const SMALL_ENCODER: &str = "
@@ -801,10 +801,7 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     let rest = ["--out", arg(&scores), arg(&out)];
     stance(&[&eval[..], &rest[..]].concat()).expect_code(0);
 
-    let clip = Dataset::open(&root)
-        .expect("a dataset")
-        .read::<MotionRow>(None)
-        .expect("rows")
+    let clip = rows_of::<MotionRow>(&root)
         .into_iter()
         .find(|row| row.n_frames >= 40)
         .expect("a clip");

@@ -11,7 +11,7 @@ use datasets_spec::record::MotionRow;
 use pickle::npz::Archive;
 use serde_json::Value;
 
-use crate::util::{arg, command, corpus, files_with_extension, real_data, stance, typed};
+use crate::util::{arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed};
 
 const LAYOUTS: [&str; 11] = [
     "amass",
@@ -32,10 +32,7 @@ fn dataset(dir: &Path, more: &[&str]) -> (PathBuf, BTreeMap<String, MotionRow>) 
     let (source, out) = (dir.join("corpus"), dir.join("dataset"));
     let args = [&["ingest", arg(&source), "--out", arg(&out)], more].concat();
     stance(&args).expect_code(0);
-    let rows: Vec<MotionRow> = Dataset::open(&out)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<MotionRow> = rows_of(&out);
     let rows = rows.into_iter().map(|row| (row.id.to_string(), row));
     (out, rows.collect())
 }
@@ -262,10 +259,7 @@ fn stats_count_masks_of_a_clip_and_pairs_of_a_style() {
     let said: Value = stance(&["--json", "stats", arg(&dataset)])
         .expect_code(0)
         .json();
-    let masks: Vec<datasets_spec::record::MaskRow> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
+    let masks: Vec<datasets_spec::record::MaskRow> = rows_of(&dataset);
     let clips: std::collections::BTreeSet<_> = masks.iter().map(|mask| &mask.motion_id).collect();
     assert!(clips.len() > 1 && masks.len() > clips.len());
     let average = masks.len() as f64 / clips.len() as f64;

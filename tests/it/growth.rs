@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::grown::{
     clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
 };
-use crate::util::{arg, corpus, stance, typed};
+use crate::util::{arg, corpus, rows_of, stance, typed};
 
 /// Checks that equal motions share a split. Returns how many motions outside of `train` have an equal one:
 /// a rule that does nothing would part some of them.
@@ -484,10 +484,7 @@ fn what_was_skipped_is_listed_the_same_on_every_run() {
     let again = ingest(&[&source], &dataset, &[], 0);
     assert_eq!(again["already_complete"], true);
     assert_eq!(first["skipped_reasons"], again["skipped_reasons"]);
-    let rows: Vec<SkippedRow> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<SkippedRow> = rows_of(&dataset);
     assert!(
         rows.iter()
             .any(|row| row.path == "notes.txt" && !row.reason.is_empty())

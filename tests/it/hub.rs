@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use self::server::{Hub, TOKEN};
 use crate::archives::files_below;
-use crate::util::{Ran, arg, corpus, files_with_extension, stance, typed};
+use crate::util::{Ran, arg, corpus, files_with_extension, rows_of, stance, typed};
 
 const CLIPS: &str = "lab/clips";
 
@@ -455,10 +455,7 @@ fn edits_are_published_as_a_dataset() {
     let out = dir.path().join("pulled");
     let pulled: Value = hub.pull(None, "lab/edits", &out, &[]).expect_code(0).json();
     assert_eq!(pulled["what"], "edits");
-    let rows: Vec<EditRow> = Dataset::open(&out)
-        .expect("edits")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<EditRow> = rows_of(&out);
     assert_eq!(rows.len(), 1);
 }
 

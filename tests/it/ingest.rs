@@ -11,7 +11,7 @@ use eval::metric::foot_score::{FOOT_JOINTS, foot_score};
 use eval::protocol::Floor;
 use serde::Deserialize;
 
-use crate::util::{arg, command, corpus, files_with_extension, real_data, stance, typed};
+use crate::util::{arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed};
 
 /// The document of `ingest --json`, as a script relies on it.
 #[derive(Debug, Deserialize)]
@@ -284,10 +284,7 @@ fn the_ingested_corpus_keeps_its_feet_on_the_ground() {
     let dir = corpus(corpus::CLIPS_PER_TAKE);
     let out = dir.path().join("dataset");
     ingest(&dir.path().join("corpus"), &out, &[], 0);
-    let rows: Vec<MotionRow> = Dataset::open(&out)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<MotionRow> = rows_of(&out);
     let skeleton = Skeleton::smplx_neutral();
     let mut actions: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for row in &rows {
@@ -328,10 +325,7 @@ fn real_motion_is_ingested_or_quarantined_with_a_reason() {
         + files_with_extension(&sources[1], "npz").len();
     assert_eq!(done.ingested + done.quarantined, motions as u64, "{done:?}");
     // Every Bandai-Namco take is a motion of a person.
-    let rows: Vec<QuarantineRow> = Dataset::open(&out)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&out);
     assert!(
         rows.iter().all(|row| !row.path.contains("bandai_namco")),
         "{rows:?}"

@@ -9,7 +9,7 @@ use datasets_spec::record::{MarkerRow, MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{Ran, arg, corpus, files_with_extension, real_data, stance, typed};
+use crate::util::{Ran, arg, corpus, files_with_extension, real_data, rows_of, stance, typed};
 
 /// A folder of BVH files without labels, with others written by a test.
 struct Sources {
@@ -64,10 +64,7 @@ impl Sources {
 }
 
 fn rows(dataset: &Path) -> BTreeMap<String, MotionRow> {
-    let rows: Vec<MotionRow> = Dataset::open(dataset)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<MotionRow> = rows_of(dataset);
     rows.into_iter()
         .map(|row| (row.id.to_string(), row))
         .collect()

@@ -3,17 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use datasets_spec::Split;
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
-use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{arg, stance, typed};
-
-fn rows<R: Row>(dataset: &Path) -> Vec<R> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
-}
+use crate::util::{arg, rows_of, stance, typed};
 
 /// Makes the dataset of the built-in test set from a corpus of so many clips.
 fn dataset(dir: &Path, clips: &str) -> std::path::PathBuf {
@@ -43,11 +37,11 @@ struct Rules {
 
 impl Rules {
     fn of(dataset: &Path) -> Self {
-        let clips = rows::<MotionRow>(dataset).into_iter();
+        let clips = rows_of::<MotionRow>(dataset).into_iter();
         Self {
             clips: clips.map(|row| (row.id.to_string(), row)).collect(),
-            masks: rows(dataset),
-            pairs: rows(dataset),
+            masks: rows_of(dataset),
+            pairs: rows_of(dataset),
         }
     }
 
@@ -140,7 +134,7 @@ fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
         assert_eq!(done["novelty"][value], 100, "{done}");
     }
     assert!(done["targets"].as_u64() >= Some(100), "{done}");
-    let items: Vec<ItemRow> = rows(&items);
+    let items: Vec<ItemRow> = rows_of(&items);
     let rules = Rules::of(&dataset);
     for item in &items {
         assert_eq!(
@@ -153,7 +147,7 @@ fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
     // Without a wish, every novelty of the split comes, and the rules hold for it too.
     let any = dir.path().join("any");
     typed("items {} --count 400 --seed 5 --out {}", &[&dataset, &any]).expect_code(0);
-    let any: Vec<ItemRow> = rows(&any);
+    let any: Vec<ItemRow> = rows_of(&any);
     let found: BTreeSet<&str> = any
         .iter()
         .filter_map(|item| item.novelty.as_deref())
@@ -223,7 +217,7 @@ fn questions(dir: &Path, limit: &str, list: &str) -> Vec<ItemRow> {
     )
     .expect_code(0);
     typed("items {} --count all --out {}", &[&dataset, &items]).expect_code(0);
-    rows(&items)
+    rows_of(&items)
 }
 
 #[test]

@@ -14,7 +14,7 @@ use serde_json::Value as Json;
 
 use crate::tables::tables;
 use crate::train::Workshop;
-use crate::util::{arg, corpus, files_with_extension, real_data, stance, typed};
+use crate::util::{arg, corpus, files_with_extension, real_data, rows_of, stance, typed};
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Json {
     let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
@@ -22,19 +22,9 @@ fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Json {
     stance(&args).expect_code(code).json()
 }
 
-fn motions(dataset: &Path) -> Vec<MotionRow> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
-}
-
 fn splits(dataset: &Path) -> BTreeMap<MotionId, Split> {
-    let rows = motions(dataset).into_iter();
+    let rows = rows_of::<MotionRow>(dataset).into_iter();
     rows.map(|row| (row.id, row.split)).collect()
-}
-
-fn pairs(dataset: &Path) -> Vec<PairRow> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
 }
 
 fn copy_tree(from: &Path, to: &Path) {
@@ -67,7 +57,7 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
         }
         // No style is apart from its original: one split for each action and take.
         let mut of_take: BTreeMap<(String, String), BTreeSet<Split>> = BTreeMap::new();
-        for row in motions(&dataset) {
+        for row in rows_of::<MotionRow>(&dataset) {
             let stem = row.id.as_str().trim_end_matches("_poses");
             let take = stem[stem.len() - 3..].to_owned();
             let action = row.action.expect("labelled");
@@ -75,7 +65,7 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
         }
         assert_eq!(of_take.len(), clips / 6);
         assert!(of_take.values().all(|splits| splits.len() == 1));
-        for pair in pairs(&dataset) {
+        for pair in rows_of::<PairRow>(&dataset) {
             let names = [&pair.source_id, &pair.target_id].map(|id| {
                 let name = id.as_str().rsplit('/').next().expect("a name").to_owned();
                 name.trim_end_matches("_poses")[name.find('_').expect("parts")..].to_owned()
@@ -160,7 +150,7 @@ fn real_style_captures_share_the_split_of_their_take() {
     let dataset = dir.path().join("dataset");
     ingest(&data.join("bvh/bandai_namco_2"), &dataset, &[], 0);
     let mut of_take: BTreeMap<(String, String), BTreeSet<Split>> = BTreeMap::new();
-    for row in motions(&dataset) {
+    for row in rows_of::<MotionRow>(&dataset) {
         let fields: Vec<&str> = row.id.as_str().split('_').collect();
         let [_, action, _, take] = fields[..] else {
             panic!("{}", row.id)
@@ -215,7 +205,7 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
             .contains("line 4: no motion of the dataset has the id \"nobody\"")
     );
     ran.expect_said("line 5: it has 2 fields");
-    let rows = pairs(&dataset);
+    let rows = rows_of::<PairRow>(&dataset);
     let texts: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
     assert_eq!(
         texts,
@@ -256,7 +246,7 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
         (&both["pairs"], &both["alone"]),
         (&(52 + 130).into(), &0.into())
     );
-    let rows = pairs(&dataset);
+    let rows = rows_of::<PairRow>(&dataset);
     let kinds: BTreeSet<(&str, bool)> = rows
         .iter()
         .map(|row| {
@@ -280,10 +270,7 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let draw = ["items", arg(&dataset), "--split", "test", "--count", "all"];
     stance(&[&draw[..], &["--out", arg(&items)]].concat()).expect_code(0);
-    let rows: Vec<datasets_spec::record::ItemRow> = Dataset::open(&items)
-        .expect("items")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<datasets_spec::record::ItemRow> = rows_of(&items);
     for task in ["semantic", "style", "fine-grained"] {
         let count = rows.iter().filter(|row| row.task == task).count();
         assert!(count >= 5, "{count} items of {task}");
@@ -340,7 +327,7 @@ fn recaptured_clips_follow_the_published_split_of_their_original() {
     let again = run("dataset", &["--pairs", arg(&file)], 3);
     assert_eq!(again["already_complete"], true);
     assert_eq!(again["refused_pairs"], done["refused_pairs"]);
-    let rows = pairs(&at("dataset"));
+    let rows = rows_of::<PairRow>(&at("dataset"));
     let found = splits(&at("dataset"));
     for row in &rows {
         assert_eq!(found[&row.source_id], row.split);
@@ -490,10 +477,7 @@ fn a_motionfix_folder_goes_to_table_2_with_a_row_for_the_identity_editor() {
         (&drawn["items"], &drawn["targets"]),
         (&36.into(), &36.into())
     );
-    let rows: Vec<datasets_spec::record::ItemRow> = Dataset::open(&items)
-        .expect("items")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<datasets_spec::record::ItemRow> = rows_of(&items);
     assert!(rows.iter().all(|row| row.task == "motionfix"));
     assert!(
         rows.iter()
@@ -533,7 +517,7 @@ fn labelled(clips: usize) -> (tempfile::TempDir, PathBuf) {
 #[test]
 fn the_motion_base_can_be_limited_to_kinds_of_source() {
     let (dir, dataset) = labelled(60);
-    let source_of: BTreeMap<String, String> = motions(&dataset)
+    let source_of: BTreeMap<String, String> = rows_of::<MotionRow>(&dataset)
         .into_iter()
         .map(|row| (row.id.to_string(), row.source))
         .collect();
@@ -553,10 +537,7 @@ fn the_motion_base_can_be_limited_to_kinds_of_source() {
         (ran, out)
     };
     let (_, limited) = record("\"bvh\"", "limited", 0);
-    let rows: Vec<TripletRow> = Dataset::open(&limited)
-        .expect("triplets")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<TripletRow> = rows_of(&limited);
     let mut kinds = BTreeSet::new();
     for row in &rows {
         let from_base = match row.kind.as_str() {
@@ -589,7 +570,7 @@ fn a_coordinator_without_two_clips_to_compose_says_what_is_missing() {
     let dataset = dir.path().join("dataset");
     ingest(&source, &dataset, &[], 0);
     // One BVH clip of the training split is left, and pairs are made of the other kind.
-    let rows = motions(&dataset);
+    let rows = rows_of::<MotionRow>(&dataset);
     let is_kept = |row: &&MotionRow| row.source == "bvh" && row.split == Split::Train;
     let kept = rows
         .iter()

@@ -5,11 +5,10 @@ use std::fs::{self, File};
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Dataset;
 use datasets_spec::record::{MaskRow, MotionRow, QuarantineRow, SkippedRow};
 use serde_json::Value;
 
-use crate::util::{arg, corpus, files_with_extension, stance, typed};
+use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
     let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
@@ -24,13 +23,8 @@ fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
     done
 }
 
-fn rows<R: datasets_spec::table::Row>(dataset: &Path) -> Vec<R> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
-}
-
 fn ids(dataset: &Path) -> BTreeSet<String> {
-    let rows: Vec<MotionRow> = rows(dataset);
+    let rows: Vec<MotionRow> = rows_of(dataset);
     rows.into_iter().map(|row| row.id.to_string()).collect()
 }
 
@@ -64,7 +58,7 @@ fn a_quote_that_is_not_closed_is_named_by_its_line() {
             && problems.contains("the 2 lines behind it"),
         "{problems}"
     );
-    let rows: Vec<MotionRow> = rows(&out);
+    let rows: Vec<MotionRow> = rows_of(&out);
     for row in rows {
         let texts: Vec<&str> = row
             .captions
@@ -114,7 +108,7 @@ fn ids_choose_the_clips_that_are_read() {
     }
     let chosen = ["walk_1", "walk_2", "sit"].map(str::to_owned);
     assert_eq!(ids(&out), chosen.clone().into());
-    let skipped: Vec<SkippedRow> = rows(&out);
+    let skipped: Vec<SkippedRow> = rows_of(&out);
     let skipped: BTreeSet<&str> = skipped.iter().map(|row| row.path.as_str()).collect();
     assert_eq!(skipped, BTreeSet::from(["run_1.npz", "run_2.npz"]));
     // The dataset knows its choice.
@@ -233,7 +227,7 @@ fn ten_hours_are_refused_by_the_header() {
     );
     let out = dir.path().join("dataset");
     ingest(&source, &out, &[], 3);
-    let quarantine: Vec<QuarantineRow> = rows(&out);
+    let quarantine: Vec<QuarantineRow> = rows_of(&out);
     let [row] = &quarantine[..] else {
         panic!("{quarantine:?}");
     };
@@ -333,7 +327,7 @@ fn edited_texts_without_a_verdict_are_kept() {
     fs::write(&file, text).expect("written");
     let ran = typed("masks {} --accept {} --author ann", &[&out, &file]).expect_code(0);
     ran.expect_said("1 edited lines have no verdict yet");
-    let masks: Vec<MaskRow> = rows(&out);
+    let masks: Vec<MaskRow> = rows_of(&out);
     let masks: BTreeMap<&str, &MaskRow> = masks.iter().map(|row| (row.id.as_str(), row)).collect();
     let row = masks[edited.as_str()];
     assert_eq!(row.text, "The person is thinking about it.");

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::evaluate::Bench;
 use crate::results::score;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, stance, typed};
+use crate::util::{Ran, arg, rows_of, stance, typed};
 
 /// Trains an editor or a coordinator on windows composed with the given settings.
 fn train_composed(
@@ -62,10 +62,7 @@ fn copy_with(run: &Path, copy: &Path, change: impl FnOnce(&mut Value)) {
 }
 
 fn row(folder: &Path) -> EditRow {
-    let rows: Vec<EditRow> = Dataset::open(folder)
-        .expect("a table")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<EditRow> = rows_of(folder);
     rows.into_iter().next().expect("an edit")
 }
 
@@ -230,10 +227,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     let said: Value = answer(&editor, "edits").expect_code(0).json();
     assert_eq!(said["num_short"], 0);
     // Splits keep the takes of an action together, so that some actions of the test are new.
-    let asked: Vec<ItemRow> = Dataset::open(&items)
-        .expect("items")
-        .read(None)
-        .expect("rows");
+    let asked: Vec<ItemRow> = rows_of(&items);
     for word in said["unknown_words"].as_array().expect("a list") {
         let word = word.as_str().expect("a word");
         assert!(

@@ -12,8 +12,11 @@ use datasets_spec::table::read_rows;
 use serde::Deserialize;
 use work::{Outcome, Piece, Record};
 
+use crate::archives::files_below;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, command, corpus, files_with_extension, real_data, stance, typed};
+use crate::util::{
+    Ran, arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed,
+};
 use crate::variants::{ANY as ANY_PAIR, SMALL as SMALL_GENERATOR};
 
 /// Clips of the corpus of which the training split takes two shards.
@@ -440,10 +443,7 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
         counts.ingested + counts.quarantined + counts.skipped
     );
     assert_eq!(done.tables["motions"], counts.ingested);
-    let rows: Vec<QuarantineRow> = Dataset::open(&into)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&into);
     assert!(rows.iter().all(|row| row.reason == reason));
 
     // Most files of the piece are not to blame: the next run reads them.
@@ -508,7 +508,7 @@ fn a_dry_run_counts_a_file_of_many_pieces_once() {
     fs::write(source.join("stance.toml"), "license = \"CC0-1.0\"\n").expect("written");
     let made = planned(&["ingest", arg(&source)], &into, &plan);
     assert!(made.pieces > 1);
-    let sizes = contents(&source)
+    let sizes = files_below(&source)
         .into_values()
         .map(|bytes| bytes.len() as u64);
     assert_eq!(made.bytes, sizes.sum::<u64>());
@@ -579,10 +579,7 @@ fn a_piece_whose_process_is_killed_fails_alone() {
         BTreeMap::from([("E-CRASH".to_owned(), largest.items)])
     );
     assert_eq!(done.tables["motions"], CLIPS as u64 - largest.items);
-    let rows: Vec<QuarantineRow> = Dataset::open(&into)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&into);
     assert!(rows.iter().all(|row| row.reason.contains("signal 9")));
 }
 
@@ -638,10 +635,7 @@ fn windows_and_triplets_in_pieces_are_those_of_one_process() {
     );
     let done = commit(&plan, &["--quarantine-failed"], 3);
     assert_eq!((done.failed, done.tables["windows"]), (1, 4096));
-    let rows: Vec<QuarantineRow> = Dataset::open(&into)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&into);
     let found: Vec<(&str, &str)> = rows
         .iter()
         .map(|row| (row.path.as_str(), row.code.as_str()))
@@ -717,24 +711,6 @@ fn variants_in_pieces_are_those_of_one_process() {
     assert_eq!(pieces(&plan).len(), 2, "32 instructions are a batch");
 }
 
-/// Every file below a folder with its bytes.
-fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(next) = folders.pop() {
-        for entry in fs::read_dir(&next).expect("a folder") {
-            let path = entry.expect("an entry").path();
-            if path.is_dir() {
-                folders.push(path);
-                continue;
-            }
-            let name = path.strip_prefix(folder).expect("below").to_owned();
-            found.insert(name, fs::read(&path).expect("a file"));
-        }
-    }
-    found
-}
-
 /// Finds the hidden folder that holds the pieces of an export. It lies beside the export.
 fn pieces_beside(into: &Path) -> Option<PathBuf> {
     let name = into.file_name().expect("a name").to_string_lossy();
@@ -775,7 +751,7 @@ fn exports_in_pieces_are_those_of_one_process() {
         assert!(!into.exists(), "{layout}: an export appears whole");
         let done = commit(&plan, &[], 0);
         assert_eq!(done.tables["clips"], CLIPS as u64, "{layout}");
-        assert!(contents(&into) == contents(&clean), "{layout}");
+        assert!(files_below(&into) == files_below(&clean), "{layout}");
         let again = commit(&plan, &[], 0);
         assert!(again.already_committed && again.root_hash == done.root_hash);
         // A late worker finds that nothing is left to do, and leaves nothing behind.
@@ -798,7 +774,7 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
     let job = ["export", arg(&dataset), "--to", "humanml3d"];
     let [clean, into, plan] = ["clean", "into", "plan"].map(|name| place.at(name));
     stance(&[&job[..], &["--out", arg(&clean)]].concat()).expect_code(0);
-    let clean = contents(&clean);
+    let clean = files_below(&clean);
     planned(&job, &into, &plan);
 
     // Whether the kill comes before, in or after a piece, the result must be the same.
@@ -839,7 +815,7 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
         fs::remove_dir_all(&into).expect("removed");
     }
     let done = commit(&plan, &[], 0);
-    assert!(contents(&into) == clean);
+    assert!(files_below(&into) == clean);
     assert_eq!(pieces_beside(&into), None);
 
     // One that was killed after it published is found to be done.
@@ -849,7 +825,7 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
     assert!(again.already_committed && again.root_hash == done.root_hash);
     assert!(status(&plan).committed);
     assert_eq!(pieces_beside(&into), None);
-    assert!(contents(&into) == clean);
+    assert!(files_below(&into) == clean);
 }
 
 #[test]
@@ -910,5 +886,5 @@ fn an_export_of_chosen_clips_in_pieces_is_that_of_one_process() {
     fs::write(shard, whole).expect("written");
     work(&plan, &[], 0);
     commit(&plan, &[], 0);
-    assert!(contents(&into) == contents(&clean));
+    assert!(files_below(&into) == files_below(&clean));
 }

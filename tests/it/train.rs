@@ -10,7 +10,7 @@ use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
-use crate::util::{Ran, arg, command, corpus, stance, typed};
+use crate::util::{Ran, arg, command, corpus, rows_of, stance, typed};
 
 /// Clips of the corpus: six styles of twenty actions.
 const CLIPS: usize = 120;
@@ -57,10 +57,7 @@ impl Workshop {
 
     /// A clip of at least five seconds.
     pub(crate) fn long_clip(&self) -> MotionRow {
-        let rows: Vec<MotionRow> = Dataset::open(&self.dataset())
-            .expect("a dataset")
-            .read(None)
-            .expect("rows");
+        let rows: Vec<MotionRow> = rows_of(&self.dataset());
         let long = rows.into_iter().find(|row| row.n_frames >= 100);
         long.expect("a clip of five seconds")
     }

@@ -5,6 +5,8 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use datasets_spec::Dataset;
+use datasets_spec::table::Row;
 use serde::de::DeserializeOwned;
 
 /// What a command printed and how it ended.
@@ -114,6 +116,12 @@ pub(crate) fn real_data(test: &str) -> Option<PathBuf> {
         );
     }
     folder
+}
+
+/// The rows of a table of a dataset.
+pub(crate) fn rows_of<R: Row>(dataset: &Path) -> Vec<R> {
+    let dataset = Dataset::open(dataset).expect("a dataset");
+    dataset.read(None).expect("rows")
 }
 
 /// All files with an extension under a folder, sorted.

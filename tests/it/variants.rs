@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use crate::annotate::bare_task;
 use crate::train::Workshop;
-use crate::util::{arg, stance, typed};
+use crate::util::{arg, rows_of, stance, typed};
 
 /// Settings of a generator that is trained in a second.
 pub(crate) const SMALL: &str = "
@@ -170,10 +170,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let done = store.import(None, judged.collect(), 0).expect("imports");
     assert_eq!(done.filled as u64, kept);
     stance(&["annotate", arg(&paired), "--store", arg(&file), "export"]).expect_code(0);
-    let left: Vec<PairRow> = Dataset::open(&paired)
-        .expect("a dataset")
-        .read(None)
-        .expect("pairs");
+    let left: Vec<PairRow> = rows_of(&paired);
     assert_eq!(left.len(), 0);
     let counts = &import("second.sqlite")["counts"];
     assert!(counts["new_tasks"].is_null(), "{counts}");

@@ -5,12 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, SkippedRow};
-use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
 use super::grown::{clips, masks};
-use super::util::{arg, corpus, files_with_extension, stance, typed};
+use super::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
 
 /// Runs a command that is to succeed, and returns its document.
 fn json(args: &[&str]) -> Value {
@@ -25,10 +24,6 @@ fn ingest(source: &Path, dataset: &Path, more: &[&str]) -> Value {
 
 fn opened(dataset: &Path) -> Dataset {
     Dataset::open(dataset).expect("a dataset")
-}
-
-fn rows<R: Row>(dataset: &Path) -> Vec<R> {
-    opened(dataset).read(None).expect("rows")
 }
 
 /// Accepts every automatic mask in the name of a person.
@@ -358,7 +353,7 @@ fn many_growths_become_few_files_with_the_same_rows_in_the_same_order() {
     ];
     stance(&record).expect_code(0);
     let by_split = |dataset: &Path| {
-        let mut motions: Vec<MotionRow> = rows(dataset);
+        let mut motions: Vec<MotionRow> = rows_of(dataset);
         motions.sort_by_key(|row| row.split);
         motions
     };
@@ -425,7 +420,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     ingest(&days.source, &dataset, &[]);
     stance(&["pairs", arg(&dataset)]).expect_code(0);
     let judged = judge(&dataset);
-    let pairs: Vec<PairRow> = rows(&dataset);
+    let pairs: Vec<PairRow> = rows_of(&dataset);
     let part = days.dir.path().join("part");
     let select = |condition: &str, out: &Path| {
         let args = [
@@ -459,7 +454,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     let whole =
         |pair: &&PairRow| belongs(pair.source_id.as_str()) && belongs(pair.target_id.as_str());
     assert_eq!(
-        rows::<PairRow>(&part).len(),
+        rows_of::<PairRow>(&part).len(),
         pairs.iter().filter(whole).count()
     );
     only_current_rows_are_found(&part, "select");
@@ -468,7 +463,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     assert!(manifest.accounting.balances());
     assert_eq!(
         manifest.accounting.skipped,
-        rows::<SkippedRow>(&part).len() as u64
+        rows_of::<SkippedRow>(&part).len() as u64
     );
     let origin = &manifest.facts["selected"];
     assert!(
@@ -584,7 +579,7 @@ fn datasets_of_two_rates_cannot_be_merged_and_a_mixture_does_not_pass() {
     );
     assert!(!out.exists());
     // A dataset that an earlier build merged of two rates.
-    let others: Vec<MotionRow> = rows(&b);
+    let others: Vec<MotionRow> = rows_of(&b);
     rewrite(&a, |row| {
         if let Some(other) = others.first().filter(|other| other.id == row.id) {
             let split = row.split;
@@ -641,7 +636,7 @@ fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
     let out = days.dir.path().join("both");
     let merged = json(&["dataset", "merge", arg(&a), arg(&b), "--out", arg(&out)]);
     let mut by_file: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
-    for row in rows::<MotionRow>(&out) {
+    for row in rows_of::<MotionRow>(&out) {
         by_file
             .entry(row.source_hash)
             .or_default()
