@@ -1,4 +1,5 @@
-//! Inter-annotator agreement: raw agreement, Krippendorff's alpha, Gwet's AC1, the Jaccard index of joint sets and alpha with the MASI distance, with bootstrap intervals.
+//! Inter-annotator agreement: raw agreement, Krippendorff's alpha, Gwet's AC1 and alpha with the MASI distance of joint sets, with
+//! bootstrap intervals.
 //!
 //! The bootstrap resamples whole items, so an interval estimates the variation over items, not over
 //! people. A figure needs at least [`MIN_ITEMS`] items.
@@ -12,7 +13,7 @@ use datasets_spec::quantile::quantile;
 use datasets_spec::{JointSet, Seed};
 use rand::RngExt;
 
-use crate::answer::jaccard;
+use crate::mask::jaccard;
 use crate::wire::{Estimate, PartAgreement};
 
 /// Minimum number of items of a figure.
@@ -179,21 +180,6 @@ pub fn figures(part: &str, items: &[Item], labels: usize) -> PartAgreement {
         krippendorff_alpha: estimate(&shared, nominal_alpha),
         gwet_ac1: estimate(&shared, |items| ac1(items, labels)),
     }
-}
-
-/// Mean Jaccard index of the pairs of answers to each item.
-pub fn mean_jaccard(items: &[&Vec<JointSet>]) -> Option<f64> {
-    let means: Vec<f64> = items
-        .iter()
-        .filter_map(|item| {
-            let mut values = Vec::new();
-            for (index, a) in item.iter().enumerate() {
-                values.extend(item[index + 1..].iter().map(|b| jaccard(*a, *b)));
-            }
-            mean(&values)
-        })
-        .collect();
-    mean(&means)
 }
 
 /// MASI distance: `1 - J * M`, with the Jaccard index `J` and the monotonicity weight `M` (1 for equal sets,
@@ -410,7 +396,6 @@ mod tests {
         let items = [vec![set(&[1]), set(&[1])], vec![set(&[2]), set(&[2])]];
         let all: Vec<&Vec<JointSet>> = items.iter().collect();
         near(masi_alpha(&all), 1.0);
-        near(mean_jaccard(&all), 1.0);
         let mixed = [
             vec![set(&[1]), set(&[1, 2])],
             vec![set(&[2]), set(&[2])],

@@ -1,17 +1,21 @@
 //! Answers: validation, the joints they select, and the distance between two answers.
 
-use datasets_spec::{BlendMask, BodyPart, JointSet};
+use datasets_spec::{BodyPart, JointSet};
 
 use crate::Error;
+use crate::mask::{
+    Cells, check_choices, check_names, check_ranges, jaccard, jaccard_in_time, joints,
+};
 use crate::wire::{
     Answer, Code, CountReason, EditType, Extent, MAX_MASKS, MAX_NAME_CHARS, MAX_TEXT_CHARS,
     MaskAnswer, Problem, Settings, Style, TaskKind, Verdict,
 };
 
-/// Checks a draft: fields may be missing, but each present field must be valid.
+/// Checks a draft: fields may be missing, but each present field must be valid. The range of a mask may be too short: it is
+/// so while its ends are moved.
 ///
 /// # Errors
-/// The answer has another kind than the task, names an unknown part, or is too long.
+/// The answer has another kind than the task, names an unknown part or joint, or is too long.
 pub fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
     if answer.kind() != kind {
         return Err(Error::invalid(
@@ -32,6 +36,8 @@ pub fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
             }
             for mask in masks {
                 check_parts(&mask.parts)?;
+                check_names(&mask.joints)
+                    .map_err(|problem| Error::invalid("answer.masks.joints", problem))?;
                 check_text("answer.masks.text", &mask.text)?;
             }
             check_text("answer.note", note)
@@ -138,9 +144,11 @@ pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
 }
 
 fn says_mask(ours: &MaskAnswer, imported: &MaskAnswer) -> bool {
+    let is_of_parts = imported.soft && imported.joints.is_empty();
     ours.parts == imported.parts
         && same_text(&ours.text, &imported.text)
-        && (imported.soft || !ours.soft)
+        && (is_of_parts || ours.mask() == imported.mask())
+        && is_given(ours.range.as_ref(), imported.range.as_ref())
 }
 
 fn is_given<T: PartialEq>(ours: Option<&T>, imported: Option<&T>) -> bool {
@@ -155,11 +163,17 @@ fn same_text(ours: &str, imported: &str) -> bool {
     ours.trim() == imported.trim()
 }
 
-/// Checks a submitted answer.
+/// Checks a submitted answer about a clip with `frames` frames.
 ///
 /// # Errors
-/// As [`check_draft`]; or a field is missing, or the number of masks is out of range and no reason is given.
-pub fn check_submission(answer: &Answer, kind: TaskKind, settings: &Settings) -> Result<(), Error> {
+/// As [`check_draft`]; or a field is missing, a mask has no hard joint or a choice for a joint that changes nothing, its range
+/// leaves the clip or is too short, or the number of masks is out of range and no reason is given.
+pub fn check_submission(
+    answer: &Answer,
+    kind: TaskKind,
+    settings: &Settings,
+    frames: i64,
+) -> Result<(), Error> {
     check_draft(answer, kind)?;
     match answer {
         Answer::MaskText {
@@ -167,7 +181,8 @@ pub fn check_submission(answer: &Answer, kind: TaskKind, settings: &Settings) ->
             count_reason,
             ..
         } => {
-            check_masks(masks)?;
+            check_masks(masks, frames)?;
+            check_ranges(answer, frames)?;
             check_mask_count(masks.len(), *count_reason, settings)
         }
         Answer::Pair {
@@ -187,8 +202,8 @@ pub fn check_submission(answer: &Answer, kind: TaskKind, settings: &Settings) ->
     }
 }
 
-/// Each mask has a part and a text, and no two are the same.
-fn check_masks(masks: &[MaskAnswer]) -> Result<(), Error> {
+/// Each mask has a part, a hard joint and a text, and no two are the same.
+fn check_masks(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
     for (index, mask) in masks.iter().enumerate() {
         if mask.parts.is_empty() {
             return Err(Error::invalid(
@@ -199,9 +214,13 @@ fn check_masks(masks: &[MaskAnswer]) -> Result<(), Error> {
                 ),
             ));
         }
+        check_choices(&mask.parts, mask.soft, &mask.joints).map_err(|problem| {
+            let field = format!("answer.masks.{index}.joints");
+            Error::invalid(&field, format!("mask {}: {problem}", index + 1))
+        })?;
         text_needed(&format!("answer.masks.{index}.text"), &mask.text)?;
         let same = masks[..index].iter().position(|other| {
-            joints(&other.parts) == joints(&mask.parts) && normal(&other.text) == normal(&mask.text)
+            other.is_like(mask, frames) && normal(&other.text) == normal(&mask.text)
         });
         if let Some(other) = same {
             return Err(Error::invalid(
@@ -379,26 +398,6 @@ pub fn sentence(text: &str) -> String {
     format!("The person is {}.", bare.trim_end_matches('.'))
 }
 
-/// The known parts among the names.
-pub fn known_parts(names: &[String]) -> Vec<BodyPart> {
-    names.iter().filter_map(|name| name.parse().ok()).collect()
-}
-
-/// The mask of some parts, with or without its soft ring.
-pub fn mask_of(parts: &[String], soft: bool) -> BlendMask {
-    let mask = BlendMask::of_parts(&known_parts(parts));
-    if soft {
-        return mask;
-    }
-    BlendMask::new(mask.hard(), JointSet::EMPTY).unwrap_or(BlendMask::EMPTY)
-}
-
-/// Hard joints of some parts. Masks are compared by them, so that LEFT_ARM with RIGHT_ARM equals
-/// BOTH_ARMS.
-pub fn joints(parts: &[String]) -> JointSet {
-    BlendMask::of_parts(&known_parts(parts)).hard()
-}
-
 impl Answer {
     /// The kind of task it answers.
     pub fn kind(&self) -> TaskKind {
@@ -443,12 +442,12 @@ impl Answer {
         }
     }
 
-    /// Union of the joints of all masks.
+    /// Union of the hard joints of all masks.
     pub fn joints(&self) -> JointSet {
         match self {
             Self::MaskText { masks, .. } => masks
                 .iter()
-                .fold(JointSet::EMPTY, |set, mask| set.union(joints(&mask.parts))),
+                .fold(JointSet::EMPTY, |set, mask| set.union(mask.mask().hard())),
             Self::Pair { parts, .. } | Self::Style { parts, .. } => joints(parts),
         }
     }
@@ -464,6 +463,19 @@ impl Answer {
                 parts.iter().map(String::as_str).collect()
             }
         }
+    }
+
+    /// What its masks take of a clip with `frames` frames.
+    pub(crate) fn cells(&self, frames: i64) -> Vec<Cells> {
+        match self {
+            Self::MaskText { masks, .. } => masks.iter().map(|mask| mask.cells(frames)).collect(),
+            Self::Pair { .. } | Self::Style { .. } => Vec::new(),
+        }
+    }
+
+    /// Whether a mask of it holds for a range of frames.
+    pub fn has_range(&self) -> bool {
+        matches!(self, Self::MaskText { masks, .. } if masks.iter().any(|mask| mask.range.is_some()))
     }
 
     /// The note.
@@ -494,31 +506,20 @@ impl Answer {
     }
 }
 
-/// Jaccard index of two joint sets; 1 for two empty sets.
-pub fn jaccard(a: JointSet, b: JointSet) -> f64 {
-    let union = a.union(b).len();
-    if union == 0 {
-        return 1.0;
-    }
-    a.intersection(b).len() as f64 / union as f64
-}
-
-/// Distance of two answers, 0 to 1. Masks: mean Jaccard distance of each mask to the nearest mask of the other
-/// answer, in both directions. Pairs: 1 for different verdicts, else by parts and label.
-pub fn distance(a: &Answer, b: &Answer) -> f64 {
+/// Distance of two answers about a clip with `frames` frames, 0 to 1. Masks: mean Jaccard distance of each mask to the nearest
+/// mask of the other answer, in both directions, over pairs of a joint and a frame. Pairs: 1 for different verdicts, else by
+/// parts and label.
+pub fn distance(a: &Answer, b: &Answer, frames: i64) -> f64 {
     match (a, b) {
-        (Answer::MaskText { masks: a, .. }, Answer::MaskText { masks: b, .. }) => {
-            let sets = |masks: &[MaskAnswer]| -> Vec<JointSet> {
-                masks.iter().map(|mask| joints(&mask.parts)).collect()
-            };
-            let (a, b) = (sets(a), sets(b));
-            let one_way = |from: &[JointSet], to: &[JointSet]| -> f64 {
+        (Answer::MaskText { .. }, Answer::MaskText { .. }) => {
+            let (a, b) = (a.cells(frames), b.cells(frames));
+            let one_way = |from: &[Cells], to: &[Cells]| -> f64 {
                 if from.is_empty() {
                     return f64::from(u8::from(!to.is_empty()));
                 }
-                let nearest = |set: &JointSet| {
+                let nearest = |mask: &Cells| {
                     to.iter()
-                        .map(|other| 1.0 - jaccard(*set, *other))
+                        .map(|other| 1.0 - jaccard_in_time(&[*mask], &[*other]))
                         .fold(1.0, f64::min)
                 };
                 from.iter().map(nearest).sum::<f64>() / from.len() as f64
@@ -539,12 +540,12 @@ pub fn distance(a: &Answer, b: &Answer) -> f64 {
     }
 }
 
-/// Largest distance between two of the answers, or `None` for fewer than two.
-pub fn spread(answers: &[Answer]) -> Option<f64> {
+/// Largest distance between two of the answers about a clip with `frames` frames, or `None` for fewer than two.
+pub fn spread(answers: &[Answer], frames: i64) -> Option<f64> {
     let mut most = None;
     for (index, a) in answers.iter().enumerate() {
         for b in &answers[index + 1..] {
-            let apart = distance(a, b);
+            let apart = distance(a, b, frames);
             most = Some(most.map_or(apart, |most: f64| most.max(apart)));
         }
     }
@@ -573,6 +574,10 @@ pub fn text_distance(a: &str, b: &str) -> f64 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::wire::{JointChoice, JointWeight};
+
+    /// Frames of the clip.
+    const FRAMES: i64 = 40;
 
     pub(crate) fn masks(list: &[(&[&str], &str)]) -> Answer {
         Answer::MaskText {
@@ -581,6 +586,8 @@ pub(crate) mod tests {
                 .map(|(parts, text)| MaskAnswer {
                     parts: parts.iter().map(|&part| part.to_owned()).collect(),
                     soft: true,
+                    joints: Vec::new(),
+                    range: None,
                     text: (*text).to_owned(),
                     suggestion: None,
                 })
@@ -611,7 +618,7 @@ pub(crate) mod tests {
     }
 
     fn code(answer: &Answer) -> Option<Code> {
-        match check_submission(answer, answer.kind(), &Settings::default()) {
+        match check_submission(answer, answer.kind(), &Settings::default(), FRAMES) {
             Ok(()) => None,
             Err(error) => Some(error.problem().code),
         }
@@ -656,6 +663,67 @@ pub(crate) mod tests {
             code(&masks(&[arm, (&["HEAD"], "a\u{0}b")])),
             Some(Code::Invalid)
         );
+    }
+
+    /// An answer of two masks of the left arm with the same text, changed.
+    fn two_arms(change: impl FnOnce(&mut [MaskAnswer])) -> Answer {
+        let arm: (&[&str], &str) = (&["LEFT_ARM"], "waving");
+        let mut answer = masks(&[arm, arm]);
+        if let Answer::MaskText { masks, .. } = &mut answer {
+            change(masks);
+        }
+        answer
+    }
+
+    #[test]
+    fn masks_of_other_frames_or_joints_are_no_doubles() {
+        let collar = JointChoice {
+            joint: "left_collar".to_owned(),
+            weight: JointWeight::Hard,
+        };
+        let later = two_arms(|masks| masks[1].range = Some([20, 40]));
+        assert_eq!(code(&later), None);
+        assert_eq!(
+            code(&two_arms(|masks| masks[1].joints = vec![collar.clone()])),
+            None
+        );
+        let (both, whole) = ([0, 20], [0, 40]);
+        for doubled in [
+            two_arms(|masks| masks.iter_mut().for_each(|mask| mask.range = Some(both))),
+            two_arms(|masks| masks[1].range = Some(whole)),
+            two_arms(|masks| {
+                masks
+                    .iter_mut()
+                    .for_each(|mask| mask.joints = vec![collar.clone()])
+            }),
+        ] {
+            assert_eq!(code(&doubled), Some(Code::Invalid));
+        }
+        // The later mask takes half of what the nearest one takes; the other three have an equal.
+        let apart = distance(&later, &two_arms(|_| ()), FRAMES);
+        assert!((apart - 0.125).abs() < 1e-12, "{apart}");
+    }
+
+    #[test]
+    fn an_imported_answer_says_the_same_where_its_layout_has_no_place() {
+        let ours = two_arms(|masks| {
+            masks[0].range = Some([0, 20]);
+            masks[1].soft = false;
+        });
+        assert!(says(&ours, &two_arms(|_| ())));
+        assert!(!says(&two_arms(|_| ()), &ours));
+        assert!(!says(
+            &ours,
+            &two_arms(|masks| masks[0].range = Some([0, 21]))
+        ));
+        // A ring that is off, and one whose joint is chosen away, are the same.
+        let chosen = two_arms(|masks| {
+            masks[1].joints = vec![JointChoice {
+                joint: "left_collar".to_owned(),
+                weight: JointWeight::None,
+            }];
+        });
+        assert!(says(&ours, &chosen) && says(&chosen, &two_arms(|masks| masks[1].soft = false)));
     }
 
     #[test]
@@ -715,25 +783,27 @@ pub(crate) mod tests {
             masks(&[(&["LEFT_ARM", "RIGHT_ARM"], "a")]),
             masks(&[(&["BOTH_ARMS"], "b")]),
         );
-        assert!(distance(&one, &two).abs() < 1e-12);
+        assert!(distance(&one, &two, FRAMES).abs() < 1e-12);
     }
 
     #[test]
     fn distances_by_hand() {
         let arm = masks(&[(&["LEFT_ARM"], "a")]);
         let legs = masks(&[(&["BOTH_LEGS"], "a")]);
-        assert!((distance(&arm, &legs) - 1.0).abs() < 1e-12);
+        assert!((distance(&arm, &legs, FRAMES) - 1.0).abs() < 1e-12);
         // One of two masks has a counterpart; the one mask of the other side has one.
         let both = masks(&[(&["LEFT_ARM"], "a"), (&["BOTH_LEGS"], "b")]);
-        assert!((distance(&arm, &both) - 0.25).abs() < 1e-12);
+        assert!((distance(&arm, &both, FRAMES) - 0.25).abs() < 1e-12);
         // Half of the joints of both arms.
         let arms = masks(&[(&["BOTH_ARMS"], "a")]);
-        assert!((distance(&arm, &arms) - 0.5).abs() < 1e-12);
-        assert!((distance(&masks(&[]), &arm) - 1.0).abs() < 1e-12);
-        assert!((distance(&pair(Verdict::Keep), &pair(Verdict::Unclear)) - 1.0).abs() < 1e-12);
-        assert!(distance(&pair(Verdict::Unclear), &pair(Verdict::Unclear)).abs() < 1e-12);
-        assert_eq!(spread(std::slice::from_ref(&arm)), None);
-        assert_eq!(spread(&[arm.clone(), arm, legs]), Some(1.0));
+        assert!((distance(&arm, &arms, FRAMES) - 0.5).abs() < 1e-12);
+        assert!((distance(&masks(&[]), &arm, FRAMES) - 1.0).abs() < 1e-12);
+        assert!(
+            (distance(&pair(Verdict::Keep), &pair(Verdict::Unclear), FRAMES) - 1.0).abs() < 1e-12
+        );
+        assert!(distance(&pair(Verdict::Unclear), &pair(Verdict::Unclear), FRAMES).abs() < 1e-12);
+        assert_eq!(spread(std::slice::from_ref(&arm), FRAMES), None);
+        assert_eq!(spread(&[arm.clone(), arm, legs], FRAMES), Some(1.0));
     }
 
     #[test]

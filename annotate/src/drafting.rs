@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use datasets_spec::BodyPart;
 
 use crate::Error;
-use crate::answer::known_parts;
+use crate::mask::known_parts;
 use crate::model::Model;
 use crate::motions::MotionLibrary;
 use crate::store::{Millis, Store, TaskRecord};

@@ -54,6 +54,7 @@ pub mod http;
 mod jobs;
 mod lines;
 mod lock;
+mod mask;
 pub mod model;
 pub mod motions;
 mod quality;

@@ -9,6 +9,9 @@ use datasets_spec::record::MaskRow;
 use datasets_spec::{BlendMask, BodyPart, JointSet, MASK_DEF_VERSION, MotionId, Split};
 use serde::{Deserialize, Serialize};
 
+use crate::mask::{check_choices, check_range, choices, mask_of, mask_of_joints};
+use crate::wire::JointChoice;
+
 /// Decision of a person about a draft.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -33,6 +36,15 @@ pub struct Judgement {
     pub motion: String,
     /// Body parts, in the release's spelling.
     pub parts: Vec<String>,
+    /// Joints whose weight differs from the one that the parts give them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joints: Vec<JointChoice>,
+    /// First frame that the mask holds for; missing for the whole clip.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<i32>,
+    /// The frame after the last one that the mask holds for; missing for the whole clip.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub end: Option<i32>,
     /// What the masked part does, as an instruction.
     pub text: String,
     /// The decision.
@@ -40,12 +52,46 @@ pub struct Judgement {
 }
 
 impl Judgement {
+    /// The line of a mask that nobody has edited.
+    fn of(mask: &MaskRow) -> Result<Self, datasets_spec::Error> {
+        let joints = mask_of_joints(&mask.hard_joints, &mask.soft_joints)?;
+        Ok(Self {
+            mask: mask.id.clone(),
+            motion: mask.motion_id.to_string(),
+            parts: mask.parts.clone(),
+            joints: choices(&mask.parts, true, joints),
+            start: mask.start,
+            end: mask.end,
+            text: mask.text.clone(),
+            verdict: if mask.text_origin == "human" {
+                Verdict::Accept
+            } else {
+                Verdict::Todo
+            },
+        })
+    }
+
     /// Whether it says other things than its draft, or something where there is none.
-    fn is_edited(&self, draft: Option<&MaskRow>) -> bool {
-        match draft {
-            Some(draft) => self.text.trim() != draft.text.trim() || self.parts != draft.parts,
-            None => !self.text.trim().is_empty(),
-        }
+    fn is_edited(&self, draft: Option<&MaskRow>) -> Result<bool, datasets_spec::Error> {
+        let Some(draft) = draft else {
+            return Ok(!self.text.trim().is_empty());
+        };
+        let drafted = Self::of(draft)?;
+        Ok(self.text.trim() != drafted.text.trim()
+            || self.parts != drafted.parts
+            || self.joints != drafted.joints
+            || (self.start, self.end) != (drafted.start, drafted.end))
+    }
+
+    /// The frames that its mask holds for, of a clip with `frames` frames.
+    fn range(&self, frames: i32) -> Result<Option<[i32; 2]>, String> {
+        let range = match (self.start, self.end) {
+            (None, None) => return Ok(None),
+            (Some(start), Some(end)) => [start, end],
+            _ => return Err("give both start and end, or neither for the whole clip".to_owned()),
+        };
+        check_range(range, frames.into()).map_err(|problem| format!("the mask {problem}"))?;
+        Ok(Some(range))
     }
 }
 
@@ -59,21 +105,11 @@ pub struct Finding {
 }
 
 /// The drafts of a dataset as lines to judge, in the order of the table.
-pub fn drafts(masks: &[MaskRow]) -> Vec<Judgement> {
-    masks
-        .iter()
-        .map(|mask| Judgement {
-            mask: mask.id.clone(),
-            motion: mask.motion_id.to_string(),
-            parts: mask.parts.clone(),
-            text: mask.text.clone(),
-            verdict: if mask.text_origin == "human" {
-                Verdict::Accept
-            } else {
-                Verdict::Todo
-            },
-        })
-        .collect()
+///
+/// # Errors
+/// A mask has an unknown joint, or one that is both hard and soft.
+pub fn drafts(masks: &[MaskRow]) -> Result<Vec<Judgement>, datasets_spec::Error> {
+    masks.iter().map(Judgement::of).collect()
 }
 
 /// Writes one JSON object per line.
@@ -104,7 +140,7 @@ const DRAFT: &str = "draft";
 /// Reads edited lines and returns the new masks of the dataset: pending drafts stay as they were edited, accepted
 /// lines become masks of `author`, rejected drafts are removed. Empty lines are skipped.
 ///
-/// `masks` are the dataset's present masks and `motions` its motions with their splits.
+/// `masks` are the dataset's present masks and `motions` its motions with their splits and numbers of frames.
 ///
 /// # Errors
 /// The problems of all refused lines; then no line is accepted.
@@ -112,7 +148,7 @@ pub fn accept(
     lines: &str,
     author: &str,
     masks: &[MaskRow],
-    motions: &BTreeMap<MotionId, Split>,
+    motions: &BTreeMap<MotionId, (Split, i32)>,
 ) -> Result<Taken, Vec<Finding>> {
     let drafts: BTreeMap<&str, &MaskRow> = masks.iter().map(|m| (m.id.as_str(), m)).collect();
     let mut findings = Vec::new();
@@ -161,7 +197,7 @@ fn judge(
     line: &str,
     author: &str,
     drafts: &BTreeMap<&str, &MaskRow>,
-    motions: &BTreeMap<MotionId, Split>,
+    motions: &BTreeMap<MotionId, (Split, i32)>,
 ) -> Result<Option<(String, Option<MaskRow>)>, String> {
     let judgement: Judgement = serde_json::from_str(line).map_err(|error| error.to_string())?;
     let draft = match judgement.mask.as_str() {
@@ -171,7 +207,7 @@ fn judge(
         })?),
     };
     let motion_id = MotionId::parse(&judgement.motion).map_err(|error| error.to_string())?;
-    let split = *motions
+    let (split, frames) = *motions
         .get(&motion_id)
         .ok_or_else(|| format!("motion {motion_id} is not in the dataset"))?;
     if let Some(draft) = draft
@@ -185,41 +221,32 @@ fn judge(
     match judgement.verdict {
         Verdict::Reject if draft.is_none() => return Ok(None),
         Verdict::Reject => return Ok(Some((judgement.mask, None))),
-        // Its draft is as it was, or there is nothing in it yet.
-        Verdict::Todo if !judgement.is_edited(draft) => {
-            return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
-        }
         Verdict::Todo | Verdict::Accept => {}
     }
-    let parts: Vec<BodyPart> = judgement
-        .parts
-        .iter()
-        .map(|part| {
-            part.parse()
-                .map_err(|error: datasets_spec::Error| error.to_string())
-        })
-        .collect::<Result<_, _>>()?;
-    let mask = BlendMask::of_parts(&parts);
-    if mask.is_empty() {
-        return Err("a mask that is accepted or edited needs at least one body part".to_owned());
+    let edited = judgement.is_edited(draft);
+    if judgement.verdict == Verdict::Todo && !edited.map_err(|error| error.to_string())? {
+        // Its draft is as it was, or there is nothing in it yet.
+        return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
     }
-    let text = judgement.text.trim();
-    if text.is_empty() {
-        return Err("a mask that is accepted or edited needs a text".to_owned());
-    }
-    let names: Vec<String> = parts.iter().map(|part| part.name().to_owned()).collect();
+    let range = judgement.range(frames)?;
+    let (names, mask) = parts_and_mask(&judgement)?;
     let row = MaskRow {
-        id: match draft {
-            Some(draft) => draft.id.clone(),
-            None => format!("{motion_id}#{}", names.join("+")),
+        id: match (draft, range) {
+            (Some(draft), _) => draft.id.clone(),
+            (None, None) => format!("{motion_id}#{}", names.join("+")),
+            (None, Some([start, end])) => {
+                format!("{motion_id}#{}@{start}-{end}", names.join("+"))
+            }
         },
         motion_id,
         split,
         parts: names,
         hard_joints: JointSet::names(mask.hard()),
         soft_joints: JointSet::names(mask.soft()),
+        start: range.map(|[start, _]| start),
+        end: range.map(|[_, end]| end),
         mask_def_version: MASK_DEF_VERSION,
-        text: text.to_owned(),
+        text: judgement.text.trim().to_owned(),
         text_origin: match judgement.verdict {
             Verdict::Todo => DRAFT.to_owned(),
             _ => "human".to_owned(),
@@ -236,9 +263,32 @@ fn judge(
     Ok(Some((row.id.clone(), Some(row))))
 }
 
+/// The parts of an accepted or edited line, and its mask. Such a line has a text.
+fn parts_and_mask(judgement: &Judgement) -> Result<(Vec<String>, BlendMask), String> {
+    let mut names = Vec::new();
+    for part in &judgement.parts {
+        let part: BodyPart = part
+            .parse()
+            .map_err(|error: datasets_spec::Error| error.to_string())?;
+        names.push(part.name().to_owned());
+    }
+    let mask = mask_of(&names, true, &judgement.joints);
+    if mask.hard().is_empty() {
+        return Err(
+            "a mask that is accepted or edited needs a body part with a hard joint".to_owned(),
+        );
+    }
+    check_choices(&names, true, &judgement.joints)?;
+    if judgement.text.trim().is_empty() {
+        return Err("a mask that is accepted or edited needs a text".to_owned());
+    }
+    Ok((names, mask))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::JointWeight;
 
     fn automatic(motion: &str, part: BodyPart) -> MaskRow {
         MaskRow {
@@ -248,6 +298,8 @@ mod tests {
             parts: vec![part.name().to_owned()],
             hard_joints: part.mask().hard().names(),
             soft_joints: part.mask().soft().names(),
+            start: None,
+            end: None,
             mask_def_version: MASK_DEF_VERSION,
             text: "The person is waving with their left arm.".to_owned(),
             text_origin: "automatic".to_owned(),
@@ -256,14 +308,14 @@ mod tests {
         }
     }
 
-    fn dataset() -> (Vec<MaskRow>, BTreeMap<MotionId, Split>) {
+    fn dataset() -> (Vec<MaskRow>, BTreeMap<MotionId, (Split, i32)>) {
         let masks = vec![
             automatic("a", BodyPart::LeftArm),
             automatic("a", BodyPart::LowerBody),
             automatic("b", BodyPart::UpperBody),
         ];
         let motions = ["a", "b", "c"]
-            .map(|id| (MotionId::parse(id).expect("valid"), Split::Train))
+            .map(|id| (MotionId::parse(id).expect("valid"), (Split::Train, 40)))
             .into();
         (masks, motions)
     }
@@ -271,7 +323,7 @@ mod tests {
     #[test]
     fn lines_not_looked_at_change_nothing() {
         let (masks, motions) = dataset();
-        let lines = to_json_lines(&drafts(&masks)).expect("json");
+        let lines = to_json_lines(&drafts(&masks).expect("joints")).expect("json");
         let untouched = Taken {
             masks: masks.clone(),
             open_edits: 0,
@@ -286,7 +338,7 @@ mod tests {
     #[test]
     fn verdicts_do_what_they_say() {
         let (masks, motions) = dataset();
-        let mut lines = drafts(&masks);
+        let mut lines = drafts(&masks).expect("joints");
         lines[0].verdict = Verdict::Accept;
         lines[0].text = " The person is saluting with their right arm. ".to_owned();
         lines[0].parts = vec!["RIGHT_ARM".to_owned()];
@@ -295,6 +347,9 @@ mod tests {
             mask: String::new(),
             motion: "c".to_owned(),
             parts: vec!["UPPER_BODY".to_owned(), "HEAD".to_owned()],
+            joints: Vec::new(),
+            start: None,
+            end: None,
             text: "The person is looking around.".to_owned(),
             verdict: Verdict::Accept,
         });
@@ -315,6 +370,65 @@ mod tests {
         assert_eq!(rows[1], masks[2]);
         assert_eq!(rows[2].id, "c#UPPER_BODY+HEAD");
         assert!(rows[2].hard_joints.contains(&"head".to_owned()));
+    }
+
+    #[test]
+    fn ranges_and_joints_are_lines_too() {
+        let (masks, motions) = dataset();
+        let take = |masks: &[MaskRow], lines: &[Judgement]| -> Vec<MaskRow> {
+            let text = to_json_lines(lines).expect("json");
+            let taken = accept(&text, "ann", masks, &motions).expect("all lines are fine");
+            taken.masks
+        };
+        let mut lines = drafts(&masks).expect("joints");
+        (lines[0].start, lines[0].end) = (Some(4), Some(36));
+        let collar = JointChoice {
+            joint: "left_collar".to_owned(),
+            weight: JointWeight::None,
+        };
+        lines[0].joints.push(collar.clone());
+        lines[0].verdict = Verdict::Accept;
+        let mut later = lines[0].clone();
+        later.mask = String::new();
+        (later.start, later.end) = (Some(9), Some(40));
+        lines.push(later);
+        let rows = take(&masks, &lines);
+        assert_eq!(rows[0].soft_joints, Vec::<String>::new());
+        let ranges: Vec<(&str, Option<i32>, Option<i32>)> = rows
+            .iter()
+            .take(2)
+            .map(|row| (row.id.as_str(), row.start, row.end))
+            .collect();
+        assert_eq!(
+            ranges,
+            [
+                ("a#LEFT_ARM", Some(4), Some(36)),
+                ("a#LEFT_ARM@9-40", Some(9), Some(40))
+            ]
+        );
+        // They come out as they went in.
+        let again = drafts(&rows).expect("joints");
+        assert_eq!(again[0].joints, [collar]);
+        assert_eq!(take(&rows, &again), rows);
+
+        let refused = |change: fn(&mut Judgement)| {
+            let mut line = again[0].clone();
+            change(&mut line);
+            let text = to_json_lines(&[line]).expect("json");
+            let findings = accept(&text, "ann", &rows, &motions).expect_err("a bad line");
+            findings[0].problem.clone()
+        };
+        for (problem, part) in [
+            (refused(|line| line.end = None), "both start and end"),
+            (refused(|line| line.end = Some(19)), "needs 31 at least"),
+            (refused(|line| line.end = Some(41)), "a clip of 40 frames"),
+            (
+                refused(|line| line.parts = vec!["HEAD".to_owned()]),
+                "left_collar is none in the mask",
+            ),
+        ] {
+            assert!(problem.contains(part), "{problem}");
+        }
     }
 
     #[test]

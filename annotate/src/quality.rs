@@ -1,6 +1,6 @@
 //! Quality of the answers: agreement, distance from drafts, times.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, TryLockError};
 
 use datasets_spec::{JointSet, quantile};
@@ -8,9 +8,10 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::agreement::{self, Item, MIN_ITEMS, estimate};
-use crate::answer::{completion, joints, text_distance};
+use crate::answer::{completion, text_distance};
 use crate::body::{NUM_RELEASE_PARTS, RELEASE_PARTS};
 use crate::lock::lock;
+use crate::mask::{Cells, jaccard_in_time};
 use crate::store::{Label, Millis, Store};
 use crate::wire::{Agreement, Answer, Estimate, PartAgreement, RevisionState, TaskKind, Verdict};
 
@@ -85,6 +86,8 @@ struct Said {
     /// Whether a mask contains all hard joints of each part of the release: BOTH_ARMS marks each arm.
     covers: Vec<bool>,
     joints: JointSet,
+    /// Joints and frames that its masks take.
+    cells: Vec<Cells>,
 }
 
 /// The answers to a task.
@@ -119,8 +122,10 @@ struct Counted {
     agreed_by_time: Vec<(i64, f64)>,
     /// Whether each answer to a shared task covers a part, by the place of the part in [`RELEASE_PARTS`].
     parts: [Vec<Item>; NUM_RELEASE_PARTS],
-    /// Joints of the answers to each shared task.
+    /// Joints of the answers to each shared task, whatever their frames: those of different clips cannot be compared.
     sets: Vec<Vec<JointSet>>,
+    /// Mean Jaccard index of the answers to each shared task, over pairs of a joint and a frame.
+    jaccards: Vec<f64>,
     verdicts: Vec<Item>,
     /// Whether a reviewer accepted each answer unchanged.
     decided: Vec<bool>,
@@ -146,6 +151,7 @@ impl Gathered {
         for tasks in changed.chunks(BATCH) {
             let labels = store.labels_to(tasks.to_vec())?;
             let drafts = drafts_of(store, &labels)?;
+            let frames = frames_of(store, &labels)?;
             for task in tasks {
                 self.tasks.remove(task);
             }
@@ -155,7 +161,10 @@ impl Gathered {
                     OfTask {
                         kind: task[0].kind,
                         gold: task[0].gold,
-                        said: task.iter().map(|label| said(label, &drafts)).collect(),
+                        said: task
+                            .iter()
+                            .map(|label| said(label, &drafts, &frames))
+                            .collect(),
                     },
                 );
             }
@@ -246,18 +255,21 @@ impl Counted {
                     .collect(),
             );
         }
-        let all: Vec<JointSet> = task.said.iter().map(|said| said.joints).collect();
         for (index, said) in task.said.iter().enumerate() {
-            let others = all
+            let others = task
+                .said
                 .iter()
                 .enumerate()
                 .filter(|(other, _)| *other != index)
-                .map(|(_, set)| crate::answer::jaccard(all[index], *set))
+                .map(|(_, other)| jaccard_in_time(&said.cells, &other.cells))
                 .collect();
             add(said.author, others);
         }
-        self.sets.push(all);
-        mean(&each)
+        let agreed = mean(&each);
+        self.jaccards.extend(agreed);
+        self.sets
+            .push(task.said.iter().map(|said| said.joints).collect());
+        agreed
     }
 
     fn agreement(&mut self) -> Agreement {
@@ -269,7 +281,9 @@ impl Counted {
         let secs = median_secs(&mut self.with_draft).zip(median_secs(&mut self.without_draft));
         Agreement {
             parts: self.agreement_by_part(),
-            jaccard: estimate(&self.sets, agreement::mean_jaccard),
+            jaccard: estimate(&self.jaccards, |items| {
+                mean(&items.iter().map(|&&value| value).collect::<Vec<_>>())
+            }),
             alpha_masi: estimate(&self.sets, agreement::masi_alpha),
             verdicts: (!self.verdicts.is_empty())
                 .then(|| agreement::figures("verdict", &self.verdicts, Verdict::ALL.len())),
@@ -347,12 +361,26 @@ fn drafts_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<i64, String>, E
         .collect())
 }
 
-fn said(label: &Label, drafts: &BTreeMap<i64, String>) -> Said {
+/// Frames of the clips of answers with a range, by their hash. Where no mask has a range, the frames do not matter.
+fn frames_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<String, i64>, Error> {
+    let ranged: BTreeSet<String> = labels
+        .iter()
+        .filter(|label| label.revision.answer.has_range())
+        .map(|label| label.source.clone())
+        .collect();
+    let motions = store.motions(ranged.into_iter().collect())?;
+    Ok(motions
+        .into_iter()
+        .map(|motion| (motion.hash, motion.frames))
+        .collect())
+}
+
+fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String, i64>) -> Said {
     let revision = &label.revision;
     let verdict = revision.answer.verdict();
     let covers = match &revision.answer {
         Answer::MaskText { masks, .. } => {
-            let sets: Vec<JointSet> = masks.iter().map(|mask| joints(&mask.parts)).collect();
+            let sets: Vec<JointSet> = masks.iter().map(|mask| mask.mask().hard()).collect();
             RELEASE_PARTS
                 .iter()
                 .map(|part| {
@@ -380,6 +408,9 @@ fn said(label: &Label, drafts: &BTreeMap<i64, String>) -> Said {
             .position(|known| Some(*known) == verdict),
         covers,
         joints: revision.answer.joints(),
+        cells: revision
+            .answer
+            .cells(frames.get(&label.source).copied().unwrap_or(1)),
     }
 }
 

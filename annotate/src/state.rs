@@ -52,6 +52,8 @@ names! {
         Assigned = "assigned",
         /// The number of answers that a task wants was changed.
         Retargeted = "retargeted",
+        /// The capture plan was changed.
+        CapturesPlanned = "captures_planned",
         /// A picture of the guide was stored or deleted.
         GuidePicture = "guide_picture",
         /// A reviewer judged a paraphrase, which programs up to version 0.1 proposed.

@@ -112,6 +112,30 @@ pub enum Error {
         /// The hash of the numbers.
         found: String,
     },
+    /// A range of frames is empty, half said, or leaves its motion.
+    #[error(
+        "frames {} to {} of a motion of {len} frames are no range; give a first frame and one past the last, or neither",
+        start.map_or("?".to_owned(), |frame| frame.to_string()),
+        end.map_or("?".to_owned(), |frame| frame.to_string())
+    )]
+    FrameRange {
+        /// First frame.
+        start: Option<i32>,
+        /// One past the last frame.
+        end: Option<i32>,
+        /// Frames of the motion.
+        len: usize,
+    },
+    /// A mask holds for fewer frames than a training window spans.
+    #[error(
+        "a mask holds for {frames} frames, and a training window spans {shortest}; make its range that long"
+    )]
+    ShortRange {
+        /// Frames of the range.
+        frames: usize,
+        /// Frames that it needs.
+        shortest: usize,
+    },
     /// A test item was changed after it was named.
     #[error("item {stated} holds the content of {found}; draw the items again: stance items")]
     ItemId {

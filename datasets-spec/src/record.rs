@@ -2,6 +2,7 @@
 //! compares them with `datasets-spec/docs/tables.md`.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
@@ -102,6 +103,10 @@ table! {
         pub hard_joints: Vec<String> [""],
         /// Joints interpolated
         pub soft_joints: Vec<String> [""],
+        /// First frame of the motion that the mask holds for; missing where it holds for the whole motion
+        pub start: Option<i32> ["frame", newer],
+        /// One past the last frame that the mask holds for; missing where it holds for the whole motion
+        pub end: Option<i32> ["frame", newer],
         /// Version of the body-part membership
         pub mask_def_version: u32 [""],
         /// What the masked part does, as an instruction
@@ -114,6 +119,9 @@ table! {
         pub accepted_by: Option<String> ["", newer],
     }
 }
+
+/// Values of [`PairRow::edit_type`].
+pub const EDIT_TYPES: [&str; 6] = ["amplitude", "speed", "force", "spatial", "timing", "other"];
 
 table! {
     /// A captured or generated pair: a motion and its edit.
@@ -223,6 +231,10 @@ table! {
         pub hard_joints: Vec<String> [""],
         /// Joints interpolated
         pub soft_joints: Vec<String> [""],
+        /// First frame of both motions that the edit may change; missing where it may change all
+        pub edit_start: Option<i32> ["frame", newer],
+        /// One past the last frame that the edit may change; missing where it may change all
+        pub edit_end: Option<i32> ["frame", newer],
         /// Weight of the target on soft joints
         pub alpha: f32 [""],
         /// Seed of the stream
@@ -354,6 +366,10 @@ table! {
         pub hard_joints: Vec<String> [""],
         /// Joints interpolated; empty where nothing was blended
         pub soft_joints: Vec<String> [""],
+        /// First frame of the source that the question is about; missing where it is about all
+        pub edit_start: Option<i32> ["frame", newer],
+        /// One past the last frame that the question is about; missing where it is about all
+        pub edit_end: Option<i32> ["frame", newer],
         /// Weight of the target on the interpolated joints
         pub alpha: f32 [""],
         /// What the question was made of: mask or pair, and its id
@@ -625,6 +641,43 @@ impl TripletRow {
     }
 }
 
+/// The frames from a first one to one past a last one, of a motion of so many. Both are missing for all frames.
+///
+/// # Errors
+/// One of both is missing, the range is empty, or it leaves the motion.
+pub fn frames_of(start: Option<i32>, end: Option<i32>, len: usize) -> Result<Range<usize>, Error> {
+    let (first, last) = match (start, end) {
+        (None, None) => return Ok(0..len),
+        (Some(first), Some(end)) => (usize::try_from(first), usize::try_from(end)),
+        _ => return Err(Error::FrameRange { start, end, len }),
+    };
+    match (first, last) {
+        (Ok(first), Ok(end)) if first < end && end <= len => Ok(first..end),
+        _ => Err(Error::FrameRange { start, end, len }),
+    }
+}
+
+impl MaskRow {
+    /// Frames of the shortest range that a mask may hold for: those that a training window of the paper spans, 16 frames
+    /// of 10 fps (Sec. 5.1), at the stored 20 fps.
+    pub const SHORTEST: i32 = 31;
+
+    /// The frames of its motion, of so many, that the mask holds for.
+    ///
+    /// # Errors
+    /// As [`frames_of`], or the range is shorter than [`MaskRow::SHORTEST`].
+    pub fn frames(&self, len: usize) -> Result<Range<usize>, Error> {
+        let frames = frames_of(self.start, self.end, len)?;
+        if self.start.is_some() && frames.len() < Self::SHORTEST as usize {
+            return Err(Error::ShortRange {
+                frames: frames.len(),
+                shortest: Self::SHORTEST as usize,
+            });
+        }
+        Ok(frames)
+    }
+}
+
 /// Digits of an item's id.
 const ITEM_ID_DIGITS: usize = 32;
 
@@ -642,6 +695,8 @@ impl ItemRow {
             parts: Vec::new(),
             hard_joints: Vec::new(),
             soft_joints: Vec::new(),
+            edit_start: None,
+            edit_end: None,
             alpha: 0.0,
             origin: String::new(),
             novelty: None,
@@ -687,6 +742,25 @@ impl ItemRow {
             &self.target_global_orient,
             &self.target_body_pose,
         )
+    }
+
+    /// The frames of the source that the question is about.
+    ///
+    /// # Errors
+    /// As [`frames_of`], or it is about some frames and its target has another length.
+    pub fn edited_frames(&self) -> Result<Range<usize>, Error> {
+        let len = usize::try_from(self.source_frames).unwrap_or(0);
+        if self.edit_start.is_some() && ![0, self.source_frames].contains(&self.target_frames) {
+            return Err(Error::Column {
+                table: Self::TABLE,
+                column: "edit_start".to_owned(),
+                problem: format!(
+                    "is said of item {}, whose target is not as long as its source; leave it empty",
+                    self.id
+                ),
+            });
+        }
+        frames_of(self.edit_start, self.edit_end, len)
     }
 
     /// Joints that the edit changes: those the target took, or else those of the named parts that are
@@ -781,6 +855,10 @@ impl ItemRow {
         }
         part(&self.alpha.to_le_bytes());
         part(&self.fps.to_le_bytes());
+        // Nothing is hashed for a question about all frames, so that those of earlier formats keep their ids.
+        for frame in [self.edit_start, self.edit_end].into_iter().flatten() {
+            part(&frame.to_le_bytes());
+        }
         fn bytes<const D: usize>(frames: &[[f32; D]]) -> Vec<u8> {
             let numbers = frames.as_flattened().iter();
             numbers.flat_map(|value| value.to_le_bytes()).collect()
@@ -824,6 +902,7 @@ impl ItemRow {
             });
         }
         self.source()?;
+        self.edited_frames()?;
         if self.target_frames > 0 {
             self.target()?;
         }

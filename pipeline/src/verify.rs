@@ -103,8 +103,8 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
 #[derive(Default)]
 struct Contents {
     met: Vec<Met>,
-    /// Splits of motions.
-    motions: BTreeMap<MotionId, Split>,
+    /// Splits of motions, and their numbers of frames.
+    motions: BTreeMap<MotionId, (Split, i32)>,
     named: Vec<read::Named>,
     /// Splits of masks and pairs, by table and id.
     labels: BTreeMap<(&'static str, String), Split>,
@@ -142,7 +142,8 @@ impl Contents {
         }
         for met in read.met {
             let Origin { id, split, .. } = &met.origin;
-            if met.fps.is_some() && self.motions.insert(id.clone(), *split).is_some() {
+            let stored = (*split, met.frames);
+            if met.fps.is_some() && self.motions.insert(id.clone(), stored).is_some() {
                 twice(id.to_string(), "motions");
             }
             self.met.push(met);

@@ -93,8 +93,8 @@ pub(crate) struct Args {
     #[arg(long)]
     drop_labels: bool,
     /// Pairs to add: lines of styled clip, original clip, style and text, and as you like kind (style or
-    /// fine-grained) and body parts. A styled clip gets the split of its original, unless a published list
-    /// says otherwise
+    /// fine-grained), body parts and edit type. A styled clip gets the split of its original, unless a
+    /// published list says otherwise
     #[arg(long, value_name = "CSV")]
     pairs: Option<PathBuf>,
     /// Splits of your own: lines of id or pattern, and split. They win over published and drawn ones

@@ -66,7 +66,7 @@ struct Document {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(file) = &args.drafts {
         let dataset = args.chosen.open(&args.dataset)?;
-        let lines = annotate::drafts(&dataset.read::<MaskRow>(None)?);
+        let lines = annotate::drafts(&dataset.read::<MaskRow>(None)?)?;
         local::write(file, annotate::to_json_lines(&lines)?.as_bytes())?;
         report::note(&format!(
             "{} drafts; set `verdict` to accept or reject, then: stance masks {} --accept {} --author NAME",
@@ -105,10 +105,10 @@ fn accept(args: &Args, file: &PathBuf, global: &Global) -> anyhow::Result<Datase
     let lines =
         std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
     let dataset = Dataset::open(&args.dataset)?;
-    let motions: BTreeMap<MotionId, Split> = dataset
+    let motions: BTreeMap<MotionId, (Split, i32)> = dataset
         .read::<MotionRow>(None)?
         .into_iter()
-        .map(|row| (row.id, row.split))
+        .map(|row| (row.id, (row.split, row.n_frames)))
         .collect();
     let masks: Vec<MaskRow> = dataset.read(None)?;
     let taken = match annotate::accept(&lines, author, &masks, &motions) {

@@ -29,7 +29,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "STYLE", num_args = 1.., default_values_t = PairConfig::default().neutral)]
     neutral: Vec<String>,
     /// Add the pairs of this list in place of making them from labels: lines of styled clip, original
-    /// clip, style and text, and as you like kind (style or fine-grained) and body parts
+    /// clip, style and text, and as you like kind (style or fine-grained), body parts and edit type
     #[arg(long, value_name = "FILE", conflicts_with_all = ["neutral", "per_motion", "condition"])]
     csv: Option<PathBuf>,
     /// Most pairs made of one styled motion

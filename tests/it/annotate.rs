@@ -99,6 +99,7 @@ pub(crate) fn bare_task(key: String, motion: &str) -> NewTask {
         category: None,
         hint: None,
         style: None,
+        edit_type: None,
         priority: 1,
         gold: None,
         extra: None,
@@ -167,6 +168,8 @@ fn masks(text: &str) -> Answer {
     let mask = |part: &str| MaskAnswer {
         parts: vec![part.to_owned()],
         soft: true,
+        joints: Vec::new(),
+        range: None,
         text: format!("The person is {text} with their {}.", part.to_lowercase()),
         suggestion: None,
     };
@@ -1065,7 +1068,8 @@ fn styles_go_into_another_project_as_they_come_out() {
     assert!(labels.is_subset(&names), "{labels:?} of {names:?}");
 
     let file = dir.path().join("styles.toml");
-    let told = "[[style]]\nname = \"old\"\ntext = \"\"\"Short steps,\nbent back.\"\"\"\ncolour = \"#8f6b00\"\n\n\
+    let told = "[[style]]\nname = \"old\"\ntext = \"\"\"Short steps,\nbent back.\"\"\"\ncolour = \"#8f6b00\"\n\
+                guideline = \"\"\"Bend the knees.\n\nDo not limp.\"\"\"\n\n\
                 [[style]]\nname = \"limping\"\n";
     std::fs::write(&file, told).expect("a file");
     let taken: Value = styles(stores[0], &[arg(&file), "--json"])
@@ -1074,6 +1078,10 @@ fn styles_go_into_another_project_as_they_come_out() {
     assert_eq!((&taken["new"], &taken["changed"]), (&json!(1), &json!(1)));
     let out = styles(stores[0], &[]).expect_code(0).stdout;
     assert!(out.contains("#8f6b00"), "{out}");
+    let listed: Vec<Value> = styles(stores[0], &["--json"]).expect_code(0).json();
+    let old = listed.iter().find(|style| style["name"] == "old");
+    let old = old.expect("the style of the file");
+    assert_eq!(old["guideline"], "Bend the knees.\n\nDo not limp.");
     std::fs::write(&file, &out).expect("a file");
     styles(stores[1], &[arg(&file)]).expect_code(0);
     let [one, two] = stores.map(|store| -> Vec<Value> {
@@ -1086,4 +1094,64 @@ fn styles_go_into_another_project_as_they_come_out() {
     std::fs::write(&file, "[[style]]\nname = \"x\"\ncolour = \"red\"\n").expect("a file");
     let refused = styles(stores[0], &[arg(&file)]).expect_code(1);
     refused.expect_said("#rrggbb");
+}
+
+/// What is still to capture shrinks as style pairs come into the dataset.
+#[test]
+fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_import() {
+    let (dir, dataset) = dataset(24);
+    Person::new(&dataset, "root", "admin");
+    let import = || {
+        stance(&["annotate", arg(&dataset), "import"]).expect_code(0);
+    };
+    import();
+    stance(&["pairs", arg(&dataset)]).expect_code(0);
+    let pairs: Vec<PairRow> = Dataset::open(&dataset)
+        .expect("a dataset")
+        .read(None)
+        .expect("pairs");
+    let first = pairs.iter().find(|pair| pair.kind == "style");
+    let first = first.expect("the corpus has style pairs");
+    let (motion, style) = (&first.source_id, first.style.as_deref().expect("a style"));
+    let is_alike =
+        |pair: &&PairRow| pair.source_id == *motion && pair.style.as_deref() == Some(style);
+    let alike = pairs.iter().filter(is_alike).count();
+    let styled = pairs.iter().filter(|pair| pair.kind == "style").count();
+
+    let captures = |words: &[&str]| {
+        let words = [&["annotate", arg(&dataset), "captures"], words].concat();
+        stance(&words)
+    };
+    let file = dir.path().join("plan.csv");
+    let plan = format!(
+        "motion,style,takes\n{motion},{style},{}\nnot-yet,{style},1\n",
+        alike + 1
+    );
+    std::fs::write(&file, &plan).expect("a file");
+    let taken: Value = captures(&[arg(&file), "--json"]).expect_code(0).json();
+    assert_eq!(taken, json!({ "cells": 2, "unknown_motions": 1 }));
+    assert_eq!(captures(&[]).expect_code(0).stdout, plan);
+
+    let missing = |takes: usize| {
+        format!(
+            "motion,style,takes,note\n{motion},{style},{takes},\nnot-yet,{style},1,the project has no motion of this id\n"
+        )
+    };
+    let out = || captures(&["--missing"]).expect_code(0).stdout;
+    assert_eq!(out(), missing(alike + 1));
+    import();
+    assert_eq!(out(), missing(1));
+    let listed: Value = captures(&["--missing", "--json"]).expect_code(0).json();
+    assert_eq!(listed["cells"][0]["arrived"], alike);
+    assert_eq!(listed["unplanned"], styled - alike);
+
+    let sheet = dir.path().join("sheet.html");
+    captures(&["--sheet", arg(&sheet)]).expect_code(0);
+    let page = std::fs::read_to_string(&sheet).expect("a page");
+    assert!(page.contains("<strong>not-yet</strong>, 1 take"), "{page}");
+
+    std::fs::write(&file, format!("{motion},{style},none\n")).expect("a file");
+    let refused = captures(&[arg(&file)]).expect_code(1);
+    refused.expect_said("line 1");
+    assert_eq!(captures(&[]).expect_code(0).stdout, plan);
 }

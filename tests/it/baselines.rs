@@ -79,13 +79,14 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     let refused = workshop.train_with("tmed", "pairs", &["--config", arg(&pairs)]);
     let refused = refused.expect_code(1);
     refused.expect_said("composed");
-    // It edits whole motions alone.
+    // It follows one instruction, of some frames or of all.
     let clip = workshop.clip();
     let (run, out) = (workshop.path("mixed"), workshop.path("part.npz"));
+    let (wave, bow) = ("0:10 The person is waving.", "10:20 The person is bowing.");
     let refused = typed(
-        "edit {} --motion {} --during {} --out {}",
-        &[&run, &clip, &"0:10 The person is waving.", &out],
+        "edit {} --motion {} --during {} --during {} --out {}",
+        &[&run, &clip, &wave, &bow, &out],
     )
     .expect_code(1);
-    refused.expect_said("whole motions");
+    refused.expect_said("one instruction");
 }

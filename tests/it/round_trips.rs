@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 
 use annotate::store::{Store, open_sqlite};
 use annotate::transfer::AnnotationRow;
-use annotate::wire::{Answer, EditType, Extent, MaskAnswer, Role, TaskKind, Verdict};
+use annotate::wire::{
+    Answer, EditType, Extent, JointChoice, JointWeight, MaskAnswer, Role, TaskKind, Verdict,
+};
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{HumanMl3dRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_rows};
@@ -167,6 +169,8 @@ fn masks(number: usize) -> Answer {
     let mask = |names: &[&str], soft| MaskAnswer {
         parts: parts(names),
         soft,
+        joints: Vec::new(),
+        range: None,
         text: format!(
             "moving {number} times with {}",
             names.join(" and ").to_lowercase()
@@ -306,6 +310,55 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
         let read = |folder: &Path| std::fs::read(folder.join(name)).expect("written");
         assert!(read(&out) == read(&made.path("stance")), "{name}");
     }
+}
+
+#[test]
+fn a_range_and_a_chosen_joint_survive_an_export_into_a_fresh_project() {
+    let made = Labelled::new();
+    let store = open_sqlite(&made.path("store.sqlite")).expect("a store");
+    let users = store.users().expect("users");
+    let id = |name: &str| {
+        let user = users.iter().find(|user| user.name == name);
+        user.expect("a user").id
+    };
+    let mut answer = masks(99);
+    if let Answer::MaskText { masks, .. } = &mut answer {
+        masks[0].range = Some([2, 33]);
+        masks[1].joints = vec![JointChoice {
+            joint: "left_hip".to_owned(),
+            weight: JointWeight::Soft,
+        }];
+    }
+    let people = (id("ann"), id("eve"));
+    accept(store.as_ref(), people, TaskKind::MaskText, answer);
+    drop(store);
+
+    // By way of the tables of an export, with everything else.
+    let first = made.answers("dataset", "store.sqlite");
+    let ranged: Vec<&AnnotationRow> = first.iter().filter(|row| row.start.is_some()).collect();
+    assert_eq!(ranged.len(), 1);
+    assert_eq!((ranged[0].start, ranged[0].end), (Some(2), Some(33)));
+    let chosen = |row: &&AnnotationRow| row.soft_joints.contains(&"left_hip".to_owned());
+    assert_eq!(first.iter().filter(chosen).count(), 1);
+    made.annotate("fresh.sqlite", &["import"]);
+    let tables = made.path("store.sqlite-answers");
+    made.annotate("fresh.sqlite", &["import", arg(&tables)]);
+    assert_eq!(made.answers("dataset", "fresh.sqlite"), first);
+
+    // By way of the tables of the dataset, its masks.
+    made.annotate("store.sqlite", &["export"]);
+    made.annotate("of-dataset.sqlite", &["import"]);
+    let of_masks = |rows: Vec<AnnotationRow>| -> Vec<String> {
+        let masks = rows.into_iter().filter(|row| row.kind == "mask_text");
+        let line = |row: AnnotationRow| {
+            let (hard, soft) = (row.hard_joints, row.soft_joints);
+            let frames = (row.start, row.end);
+            format!("{} {hard:?} {soft:?} {frames:?} {}", row.task, row.text)
+        };
+        masks.map(line).collect()
+    };
+    let again = made.answers("dataset", "of-dataset.sqlite");
+    assert_eq!(of_masks(again), of_masks(first));
 }
 
 #[test]

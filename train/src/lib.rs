@@ -64,7 +64,6 @@ pub mod data;
 pub mod ddim;
 pub mod device;
 pub mod diffusion;
-mod during;
 pub mod edit;
 mod error;
 pub mod exchange;

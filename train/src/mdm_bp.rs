@@ -238,9 +238,6 @@ impl<'a> Item<'a> {
         let [instruction] = request.instructions else {
             return Err(refused(request, "MDM-BP follows one instruction at a time"));
         };
-        if instruction.frames != (0..request.motion.len()) {
-            return Err(refused(request, "MDM-BP edits all frames of a motion only"));
-        }
         let poses = covering(request.motion, Fps::STORE);
         let source =
             SourceFeatures::new(poses, skeleton).map_err(|error| refused(request, error))?;

@@ -1,9 +1,12 @@
 //! Editing systems: an item in, a motion out. Verbs that edit know a system by [`EditSystem`] alone.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::io::Write;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use compose::{keep_outside, leaves_frames};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::store::{ByPath, Store};
@@ -13,7 +16,6 @@ use serde::{Deserialize, Serialize};
 use work::commit_edits;
 
 use crate::checkpoint::Slot;
-use crate::during::{keep_outside, leaves_frames};
 use crate::sample::{EditTimes, FitMethod, TimedInstruction};
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
@@ -332,7 +334,10 @@ pub fn edit_items(
                 id: item.id.clone(),
                 source,
             })?;
-            let instruction = whole(&item.instruction, &source);
+            let instruction = TimedInstruction {
+                frames: item.edited_frames()?,
+                text: item.instruction.clone(),
+            };
             Ok((source, [instruction]))
         })
         .collect::<Result<_, Error>>()?;
@@ -355,10 +360,32 @@ pub fn edit_items(
     let edited = system.edit(&requests, seed, session)?;
     let rows = items
         .iter()
+        .zip(&requests)
         .zip(&edited.motions)
-        .map(|(item, (motion, misfit))| system.identity().row(item, motion, *misfit, seed))
-        .collect();
+        .map(|((item, request), (motion, misfit))| {
+            let motion = kept_outside(request, motion)?;
+            Ok(system.identity().row(item, &motion, *misfit, seed))
+        })
+        .collect::<Result<_, Error>>()?;
     Ok((rows, edited.times))
+}
+
+fn ranges_of(instructions: &[TimedInstruction]) -> Vec<Range<usize>> {
+    let asked = instructions.iter();
+    asked.map(|asked| asked.frames.clone()).collect()
+}
+
+/// What a system made of a request, with the frames that no instruction is about as they were.
+fn kept_outside<'a>(request: &EditRequest<'_>, made: &'a Motion) -> Result<Cow<'a, Motion>, Error> {
+    let ranges = ranges_of(request.instructions);
+    if !leaves_frames(request.motion.len(), &ranges) {
+        return Ok(Cow::Borrowed(made));
+    }
+    let kept = keep_outside(request.motion, made, &ranges);
+    kept.map(Cow::Owned).map_err(|source| Error::Motion {
+        id: request.id.to_owned(),
+        source,
+    })
 }
 
 /// An edited motion.
@@ -388,8 +415,8 @@ pub fn edit_motion(
     seed: Seed,
     session: &Session<'_>,
 ) -> Result<Edited, Error> {
-    let leaves_frames = leaves_frames(motion.len(), instructions);
-    let fps = if leaves_frames {
+    let ranges = ranges_of(instructions);
+    let fps = if leaves_frames(motion.len(), &ranges) {
         motion.fps()
     } else if system.fps() > Fps::STORE {
         system.fps()
@@ -404,19 +431,13 @@ pub fn edit_motion(
         joints: JointSet::EMPTY,
         frames: None,
     };
-    let mut edited = system.edit(&[request], seed, session)?;
-    let (mut made, misfit) = edited
+    let mut edited = system.edit(std::slice::from_ref(&request), seed, session)?;
+    let (made, misfit) = edited
         .motions
         .pop()
         .expect("a system returns a motion for each request");
-    if leaves_frames {
-        made = keep_outside(motion, &made, instructions).map_err(|source| Error::Motion {
-            id: id.to_owned(),
-            source,
-        })?;
-    }
     Ok(Edited {
-        motion: made,
+        motion: kept_outside(&request, &made)?.into_owned(),
         misfit,
         times: edited.times,
     })

@@ -4,7 +4,8 @@ use std::process::Stdio;
 use std::time::Instant;
 
 use fantoccini::actions::{
-    InputSource, KeyAction, KeyActions, MOUSE_BUTTON_LEFT, PointerAction, TouchActions,
+    InputSource, KeyAction, KeyActions, MOUSE_BUTTON_LEFT, MouseActions, PointerAction,
+    TouchActions,
 };
 use fantoccini::wd::Capabilities;
 use fantoccini::{Client, ClientBuilder};
@@ -278,20 +279,13 @@ impl Browser {
 
     /// Touches the middle of the first matching element, which must be on the screen, with a finger.
     pub async fn tap(&self, selector: &str) {
-        let at = self
-            .js_with(
-                "const box = document.querySelector(arguments[0]).getBoundingClientRect();
-                 return [box.left + box.width / 2, box.top + box.height / 2];",
-                vec![json!(selector)],
-            )
-            .await;
-        let at = |axis: usize| at[axis].as_f64().expect("a place");
+        let [x, y] = self.middle(selector).await;
         let button = MOUSE_BUTTON_LEFT;
         let touch = TouchActions::new("finger".to_owned())
             .then(PointerAction::MoveTo {
                 duration: None,
-                x: at(0),
-                y: at(1),
+                x,
+                y,
             })
             .then(PointerAction::Down { button })
             .then(PointerAction::Up { button });
@@ -299,6 +293,40 @@ impl Browser {
             .perform_actions(touch)
             .await
             .expect("the screen is touched");
+    }
+
+    /// Drags the middle of the first matching element, which must be on the screen, to the right with the mouse, by a
+    /// number of pixels.
+    pub async fn drag(&self, selector: &str, by: f64) {
+        let [x, y] = self.middle(selector).await;
+        let button = MOUSE_BUTTON_LEFT;
+        let to = |x: f64| PointerAction::MoveTo {
+            duration: None,
+            x,
+            y,
+        };
+        let mouse = MouseActions::new("mouse".to_owned())
+            .then(to(x))
+            .then(PointerAction::Down { button })
+            .then(to(x + by / 2.0))
+            .then(to(x + by))
+            .then(PointerAction::Up { button });
+        self.client
+            .perform_actions(mouse)
+            .await
+            .expect("the mouse is moved");
+    }
+
+    /// The middle of the first matching element on the screen, in pixels.
+    async fn middle(&self, selector: &str) -> [f64; 2] {
+        let at = self
+            .js_with(
+                "const box = document.querySelector(arguments[0]).getBoundingClientRect();
+                 return [box.left + box.width / 2, box.top + box.height / 2];",
+                vec![json!(selector)],
+            )
+            .await;
+        [0, 1].map(|axis: usize| at[axis].as_f64().expect("a place"))
     }
 
     /// Logs in with the token in the URL, like the printed address, and opens a page.

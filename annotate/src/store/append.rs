@@ -207,7 +207,8 @@ impl Taking {
         answer::check_draft(&answer, self.task.kind)?;
         self.check_suggestions(tx, &answer)?;
         if event.kind == EventKind::Submit {
-            answer::check_submission(&answer, self.task.kind, &self.settings)?;
+            let frames = project::frames(tx, &self.task.source)?;
+            answer::check_submission(&answer, self.task.kind, &self.settings, frames)?;
         }
         let held = rows::lease_of(tx, self.task.id, self.user)?.filter(|held| {
             held.purpose == Purpose::Annotate && held.lease.epoch == event.lease_epoch
@@ -308,16 +309,17 @@ impl Taking {
         let Written { event, answer, .. } = written;
         let mut answers = handed_in(tx, self.task.id, self.user)?;
         answers.push(answer.clone());
+        let frames = project::frames(tx, &self.task.source)?;
         let score = self
             .task
             .gold
             .as_ref()
-            .map(|gold| 1.0 - answer::distance(gold, &answer));
+            .map(|gold| 1.0 - answer::distance(gold, &answer, frames));
         let body = Body::Submitted {
             answer,
             rev: written.rev + 1,
             secs: working(event.secs),
-            distance: answer::spread(&answers),
+            distance: answer::spread(&answers, frames),
             request: written.request,
         };
         let feedback = self

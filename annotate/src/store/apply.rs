@@ -3,8 +3,8 @@
 use super::db::{Tx, params};
 use super::entry::{Body, Entry, LoggedTask, Place, json};
 use super::projections::{
-    NewLease, accept_imported, end_lease_of, end_leases, is_kept_pair, part_list, put_lease,
-    refresh, set_state, settle_clip, words,
+    NewLease, accept_imported, end_lease_of, end_leases, is_kept_pair, kept_type, part_list,
+    put_lease, refresh, set_state, settle_clip, words,
 };
 use super::records::{Credit, Millis};
 use super::rows::state;
@@ -118,9 +118,9 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
     tx.execute(
         "INSERT INTO task (id, key, kind, source, target, split, bundle, bundle_index, category, hint, style,
            priority, shuffle, wanted, gold, extra, state, submitted, leases, epoch, claimable, came_back, changed,
-           counted, distance, touched, practice)
+           counted, distance, touched, practice, stated_type, kept_type)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, 0, 0, 0, ?18, 0, 0, ?19,
-           NULL, 0, ?20)",
+           NULL, 0, ?20, ?21, ?22)",
         params![
             id,
             &task.key,
@@ -141,7 +141,9 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
             state.as_str(),
             claimable,
             task.accepted.as_ref().is_some_and(is_kept_pair),
-            task.practice
+            task.practice,
+            task.edit_type.map(EditType::as_str),
+            task.accepted.as_ref().and_then(kept_type)
         ],
     )?;
     if let Some(answer) = &task.accepted {
@@ -239,6 +241,7 @@ impl Change<'_> {
             Body::Imported { .. }
             | Body::RoleChanged { .. }
             | Body::SettingsChanged { .. }
+            | Body::CapturesPlanned { .. }
             | Body::GuidePicture { .. }
             | Body::ParaphraseJudged { .. }
             | Body::Exported { .. } => Ok(()),
@@ -502,9 +505,11 @@ impl Change<'_> {
             params![self.task, author],
         )?;
         tx.execute(
-            "INSERT INTO accepted (task, author, reviewer, answer, merged, keeps, at, seq, basis, words, parts)
+            "INSERT INTO accepted (task, author, reviewer, answer, merged, keeps, at, seq, basis, words, parts,
+                   edit_type)
                  SELECT task, author, CAST(?3 AS BIGINT), answer, 0, CASE WHEN verdict = 'keep' THEN 1 ELSE 0 END,
-                   CAST(?4 AS BIGINT), CAST(?5 AS BIGINT), ?6, words, parts
+                   CAST(?4 AS BIGINT), CAST(?5 AS BIGINT), ?6, words, parts,
+                   CASE WHEN verdict = 'keep' THEN edit_type ELSE NULL END
                  FROM revision WHERE task = ?1 AND author = ?2",
             params![
                 self.task,
@@ -533,8 +538,9 @@ impl Change<'_> {
             params![self.task],
         )?;
         tx.execute(
-            "INSERT INTO accepted (task, author, reviewer, answer, merged, keeps, at, seq, basis, words, parts)
-                 VALUES (?1, ?2, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, ?9)",
+            "INSERT INTO accepted (task, author, reviewer, answer, merged, keeps, at, seq, basis, words, parts,
+                   edit_type)
+                 VALUES (?1, ?2, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
             params![
                 self.task,
                 self.actor,
@@ -544,7 +550,8 @@ impl Change<'_> {
                 self.seq,
                 basis(None, own),
                 words(answer),
-                part_list(answer)
+                part_list(answer),
+                kept_type(answer)
             ],
         )?;
         end_leases(tx, self.task)?;

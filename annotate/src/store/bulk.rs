@@ -195,7 +195,8 @@ fn accepted(
 ) -> Result<Planned, Error> {
     let answers = rules::waiting_answers(tx, one.task.id)?;
     let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
-    if answer::spread(&all).is_some_and(|distance| distance > 0.0) {
+    let frames = project::frames(tx, &one.task.source)?;
+    if answer::spread(&all, frames).is_some_and(|distance| distance > 0.0) {
         return Ok(Err("answers_differ"));
     }
     let Some(first) = answers.first() else {

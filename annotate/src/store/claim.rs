@@ -14,7 +14,7 @@ use super::{apply, rows};
 use super::{practice, project};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
-use crate::wire::{Code, Empty, RevisionState, Settings, TaskKind, TaskState};
+use crate::wire::{Code, EditType, Empty, RevisionState, Settings, TaskKind, TaskState};
 
 /// SQL condition: user `?2` can get task `t` as new work. Whoever has a returned answer can, once it is no longer
 /// kept for them alone.
@@ -149,7 +149,7 @@ pub(super) fn claim(
     }
     let (first, bundle, room) = loop {
         let room = room(tx, kind, &settings)?;
-        if let Some((first, bundle)) = candidate(tx, user, kind, room.as_ref())? {
+        if let Some((first, bundle)) = candidate(tx, user, kind, room.as_ref(), &settings)? {
             break (first, bundle, room);
         }
         if expired == 0 {
@@ -305,32 +305,86 @@ fn room(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Option<R
     Ok(Some(room))
 }
 
-/// The next task of a user with its bundle: a new one, else a postponed one. With a quota, of the category that has
-/// the fewest pairs; of a category whose quota is reached, only pairs that count already and want another answer.
+/// The conditions under which tasks are looked for, one after the other, each with its category: that which has the
+/// fewest pairs first. Of a category whose quota is reached, only pairs that count already and want another answer.
+fn category_limits(room: Option<&Room>) -> Vec<(&'static str, Option<&String>)> {
+    let Some(room) = room else {
+        return vec![("", None)];
+    };
+    let mut categories: Vec<_> = room.iter().collect();
+    categories.sort_by_key(|(name, category)| (category.room == 0, category.counted, *name));
+    categories
+        .into_iter()
+        .map(|(name, category)| {
+            let limit = match (name, category.room > 0) {
+                (Some(_), true) => "AND t.category = ?3",
+                (Some(_), false) => "AND t.category = ?3 AND t.counted = 1",
+                (None, true) => "AND t.category IS NULL",
+                (None, false) => "AND t.category IS NULL AND t.counted = 1",
+            };
+            (limit, name.as_ref())
+        })
+        .collect()
+}
+
+/// The conditions under which pairs are looked for within a category: those that are stated to be of the edit type
+/// whose quota is furthest behind first, then all but those of a type of which there is enough, and these last. None is
+/// held back. Without quotas, one condition that holds for all.
+fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Vec<String>, Error> {
+    let quotas: Vec<(EditType, i64)> = settings
+        .edit_type_quota
+        .iter()
+        .map(|(edit_type, wanted)| (*edit_type, i64::from(*wanted)))
+        .filter(|(_, wanted)| *wanted > 0)
+        .collect();
+    if kind != TaskKind::Pair || quotas.is_empty() {
+        return Ok(vec![String::new()]);
+    }
+    // A pair that somebody is at work on counts as what it is stated to be.
+    let sql = "SELECT COALESCE(kept_type, stated_type), COUNT(*) FROM task WHERE kind = 'pair' AND counted = 1
+         GROUP BY COALESCE(kept_type, stated_type)";
+    let mut counted: BTreeMap<Option<String>, i64> = BTreeMap::new();
+    for row in tx.query(sql, &[])? {
+        counted.insert(row.opt_text(0)?, row.int(1)?);
+    }
+    let counted = |edit_type: EditType| {
+        let name = Some(edit_type.as_str().to_owned());
+        counted.get(&name).copied().unwrap_or(0)
+    };
+    let (mut behind, full): (Vec<_>, Vec<_>) = quotas
+        .into_iter()
+        .map(|(edit_type, wanted)| (edit_type, counted(edit_type), wanted))
+        .partition(|(_, counted, wanted)| counted < wanted);
+    // By the share of the quota that is filled.
+    behind.sort_by(|(_, a, of_a), (_, b, of_b)| (a * of_b).cmp(&(b * of_a)));
+    let mut limits: Vec<String> = behind
+        .iter()
+        .map(|(edit_type, ..)| format!("AND t.stated_type = '{edit_type}'"))
+        .collect();
+    if !full.is_empty() {
+        let names: Vec<String> = full
+            .iter()
+            .map(|(edit_type, ..)| format!("'{edit_type}'"))
+            .collect();
+        limits.push(format!(
+            "AND (t.stated_type IS NULL OR t.stated_type NOT IN ({}))",
+            names.join(", ")
+        ));
+    }
+    limits.push(String::new());
+    Ok(limits)
+}
+
+/// The next task of a user with its bundle: a new one, else a postponed one. With quotas, in the order of
+/// [`category_limits`], and within a category of [`type_limits`].
 fn candidate(
     tx: &mut dyn Tx,
     user: i64,
     kind: TaskKind,
     room: Option<&Room>,
+    settings: &Settings,
 ) -> Result<Option<(i64, Option<i64>)>, Error> {
-    let mut limits: Vec<(&str, Option<&String>)> = Vec::new();
-    match room {
-        None => limits.push(("", None)),
-        Some(room) => {
-            let mut categories: Vec<_> = room.iter().collect();
-            categories
-                .sort_by_key(|(name, category)| (category.room == 0, category.counted, *name));
-            limits.extend(categories.into_iter().map(|(name, category)| {
-                let limit = match (name, category.room > 0) {
-                    (Some(_), true) => "AND t.category = ?3",
-                    (Some(_), false) => "AND t.category = ?3 AND t.counted = 1",
-                    (None, true) => "AND t.category IS NULL",
-                    (None, false) => "AND t.category IS NULL AND t.counted = 1",
-                };
-                (limit, name.as_ref())
-            }));
-        }
-    }
+    let (categories, types) = (category_limits(room), type_limits(tx, kind, settings)?);
     let fresh = |limit: &str| {
         format!(
             "SELECT t.id, t.bundle FROM task t WHERE t.kind = ?1 AND {FOR_ME} {limit}
@@ -347,11 +401,14 @@ fn candidate(
     };
     let sorts: [&dyn Fn(&str) -> String; 2] = [&fresh, &postponed];
     for sql in sorts {
-        for (limit, category) in &limits {
-            let mut values = vec![Value::from(kind.as_str()), Value::from(user)];
-            values.extend(category.map(Value::from));
-            if let Some(row) = tx.one(&sql(limit), &values)? {
-                return Ok(Some((row.int(0)?, row.opt_int(1)?)));
+        for (of_category, category) in &categories {
+            for of_type in &types {
+                let mut values = vec![Value::from(kind.as_str()), Value::from(user)];
+                values.extend(category.map(Value::from));
+                let sql = sql(&format!("{of_category} {of_type}"));
+                if let Some(row) = tx.one(&sql, &values)? {
+                    return Ok(Some((row.int(0)?, row.opt_int(1)?)));
+                }
             }
         }
     }

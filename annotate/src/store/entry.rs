@@ -7,7 +7,9 @@ use super::db::Row;
 use super::records::{Credit, Millis};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
-use crate::wire::{Answer, Role, Settings, SkipReason, SuggestionUse, TaskKind};
+use crate::wire::{
+    Answer, EditType, PlannedCapture, Role, Settings, SkipReason, SuggestionUse, TaskKind,
+};
 
 /// Version of the entries' bodies.
 pub(super) const VERSION: i64 = 1;
@@ -24,6 +26,9 @@ pub(crate) struct LoggedTask {
     pub(crate) category: Option<String>,
     pub(crate) hint: Option<String>,
     pub(crate) style: Option<String>,
+    /// Edit type that the source states.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) edit_type: Option<EditType>,
     pub(crate) priority: i64,
     pub(crate) shuffle: i64,
     pub(crate) wanted: u32,
@@ -223,6 +228,9 @@ pub(crate) enum Body {
         /// `None`: the reviewer took the judgement back.
         accepted: Option<bool>,
     },
+    CapturesPlanned {
+        cells: Vec<PlannedCapture>,
+    },
     /// A picture of the guide was stored; without a hash, it was deleted.
     GuidePicture {
         name: String,
@@ -256,6 +264,7 @@ impl Body {
             Self::Exported { .. } => LogKind::Exported,
             Self::Assigned { .. } => LogKind::Assigned,
             Self::Retargeted { .. } => LogKind::Retargeted,
+            Self::CapturesPlanned { .. } => LogKind::CapturesPlanned,
             Self::GuidePicture { .. } => LogKind::GuidePicture,
             Self::ParaphraseJudged { .. } => LogKind::ParaphraseJudged,
         }
@@ -344,4 +353,16 @@ pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry), Error> {
         body,
     };
     Ok((seq, entry))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_task_without_a_stated_edit_type_is_written_as_before_there_were_any() {
+        let stored = r#"{"event":"imported","task":{"key":"pair:1","kind":"pair","source":"a","target":"b","split":"train","bundle":7,"bundle_index":0,"category":null,"hint":"higher","style":null,"priority":0,"shuffle":3,"wanted":1,"gold":null,"extra":null,"accepted":null,"credit":null}}"#;
+        let body: Body = serde_json::from_str(stored).expect("an entry");
+        assert_eq!(json(&body).expect("JSON"), stored);
+    }
 }

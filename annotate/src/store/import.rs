@@ -148,6 +148,7 @@ fn put_task(
                 category: task.category.clone(),
                 hint: task.hint.clone(),
                 style: task.style.clone(),
+                edit_type: task.edit_type,
                 priority: task.priority,
                 shuffle: percent(&["shuffle", &task.key]).into(),
                 wanted,
@@ -285,6 +286,8 @@ pub(super) fn copy_known(
         category: task.category,
         hint: task.hint,
         style: task.style,
+        // The known answer says it.
+        edit_type: None,
         priority: 0,
         gold: Some(row.json(0)?),
         extra: None,

@@ -71,6 +71,8 @@ CREATE INDEX paraphrase_state ON paraphrase (state, id);",
      CREATE UNIQUE INDEX motion_id ON motion (id) WHERE current = 1;",
     // 7: no model is asked for paraphrases. What people decided about theirs stays in the log.
     "DROP TABLE paraphrase",
+    // 8: edit types of pairs, for their quotas.
+    "",
 ];
 
 /// Version of the tables of this program.

@@ -6,7 +6,7 @@
 //!
 //! [`Store`] lists the operations. They are implemented in `claim` (who gets which task), `leases`, `append` (drafts,
 //! submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with `filter`,
-//! `bulk` (actions on many tasks), `home`, `mine`, `import` and `people`; `read` holds queries, `apply` writes the
+//! `bulk` (actions on many tasks), `home`, `mine`, `captures` (the capture plan), `import` and `people`; `read` holds queries, `apply` writes the
 //! projections, `project` the tables beside the log, `db` abstracts from the database.
 
 mod append;
@@ -14,6 +14,7 @@ mod apply;
 mod backup;
 mod browse;
 mod bulk;
+mod captures;
 mod claim;
 pub(crate) mod db;
 mod derived;

@@ -294,6 +294,12 @@ pub(super) fn motions(tx: &mut dyn Tx, hashes: &[String]) -> Result<Vec<MotionRe
     Ok(motions)
 }
 
+/// Frames of a motion; 1 for one that the store does not know, of which no range of frames can be chosen.
+pub(super) fn frames(tx: &mut dyn Tx, hash: &str) -> Result<i64, Error> {
+    let row = tx.one("SELECT frames FROM motion WHERE hash = ?1", params![hash])?;
+    row.map_or(Ok(1), |row| row.int(0))
+}
+
 pub(super) fn all_motions(tx: &mut dyn Tx) -> Result<Vec<MotionRecord>, Error> {
     let sql = format!("SELECT {MOTION_COLUMNS} FROM motion WHERE current = 1 ORDER BY id");
     tx.query(&sql, &[])?.iter().map(read_motion).collect()

@@ -5,7 +5,7 @@ use super::entry::{Entry, json};
 use super::records::{Credit, Millis};
 use crate::Error;
 use crate::state::Purpose;
-use crate::wire::{Answer, TaskState, Verdict};
+use crate::wire::{Answer, EditType, TaskState, Verdict};
 
 /// Column `accepted.basis` of an imported answer; behind a colon follows how it was accepted elsewhere.
 pub(super) const IMPORTED: &str = "import";
@@ -21,6 +21,18 @@ pub(super) fn is_kept_pair(answer: &Answer) -> bool {
     )
 }
 
+/// Edit type that an answer keeps a pair as, if it says it.
+pub(super) fn kept_type(answer: &Answer) -> Option<&'static str> {
+    match answer {
+        Answer::Pair {
+            verdict: Verdict::Keep,
+            edit_type,
+            ..
+        } => edit_type.map(EditType::as_str),
+        _ => None,
+    }
+}
+
 pub(super) fn accept_imported(
     tx: &mut dyn Tx,
     seq: i64,
@@ -30,8 +42,9 @@ pub(super) fn accept_imported(
     credit: Option<&Credit>,
 ) -> Result<(), Error> {
     tx.execute(
-        "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, at, seq, basis, words, parts)
-         VALUES (?1, ?2, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
+        "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, at, seq, basis, words, parts,
+           edit_type)
+         VALUES (?1, ?2, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)",
         params![
             task,
             entry.actor.unwrap_or(0),
@@ -46,7 +59,8 @@ pub(super) fn accept_imported(
                 None => IMPORTED.to_owned(),
             },
             words(answer),
-            part_list(answer)
+            part_list(answer),
+            kept_type(answer)
         ],
     )?;
     Ok(())
@@ -135,7 +149,8 @@ pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<
 }
 
 /// Derives whether a pair counts toward the quota of its category: an accepted answer keeps it; or, before a decision,
-/// a submitted answer keeps it, or somebody is at work on it. A claim can so leave room for those who are at work.
+/// a submitted answer keeps it, or somebody is at work on it. A claim can so leave room for those who are at work. A
+/// kept pair has the edit type of the answer that keeps it.
 fn count(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
     tx.execute(
         "UPDATE task SET counted = CASE
@@ -143,7 +158,12 @@ fn count(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
              WHEN state = 'accepted' THEN COALESCE((SELECT a.keeps FROM accepted a WHERE a.task = ?1), 0)
              WHEN EXISTS (SELECT 1 FROM revision r WHERE r.task = ?1 AND r.state = 'submitted' AND r.verdict = 'keep')
                OR EXISTS (SELECT 1 FROM lease l WHERE l.task = ?1 AND l.purpose <> 'review') THEN 1
-             ELSE 0 END
+             ELSE 0 END,
+           kept_type = CASE
+             WHEN gold IS NOT NULL OR state = 'dropped' THEN NULL
+             WHEN state = 'accepted' THEN (SELECT a.edit_type FROM accepted a WHERE a.task = ?1)
+             ELSE (SELECT r.edit_type FROM revision r WHERE r.task = ?1 AND r.state = 'submitted' AND r.verdict = 'keep'
+                   ORDER BY r.author LIMIT 1) END
          WHERE id = ?1 AND kind = 'pair'",
         params![task],
     )?;

@@ -30,12 +30,17 @@ CREATE TABLE task (
   changed BIGINT NOT NULL,
   -- Whether the pair counts toward the quota of its category: it is kept, or somebody is at work on it.
   counted BIGINT NOT NULL,
+  -- Edit type that the source states.
+  stated_type TEXT,
+  -- Edit type that the pair is kept as, in its accepted answer or, before a decision, in a submitted one.
+  kept_type TEXT,
   distance DOUBLE PRECISION,
   touched BIGINT NOT NULL
 );
 CREATE INDEX task_claim ON task (kind, priority DESC, id) WHERE claimable = 1;
 CREATE INDEX task_category ON task (kind, category, priority DESC, id) WHERE claimable = 1;
-CREATE INDEX task_counted ON task (kind, category) WHERE counted = 1;
+CREATE INDEX task_stated ON task (kind, stated_type, priority DESC, id) WHERE claimable = 1 AND stated_type IS NOT NULL;
+CREATE INDEX task_counted ON task (kind, category, kept_type, stated_type) WHERE counted = 1;
 CREATE INDEX task_changed ON task (id) WHERE changed = 1;
 CREATE INDEX task_state ON task (kind, state);
 CREATE INDEX task_review ON task (state, id);
@@ -92,7 +97,8 @@ CREATE TABLE review (
 );
 CREATE INDEX review_task ON review (task, seq);
 
--- The accepted answer. `credit` is the author that an import named; `keeps` is 1 for a pair that is usable.
+-- The accepted answer. `credit` is the author that an import named; `keeps` is 1 for a pair that is usable, which
+-- has the edit type.
 CREATE TABLE accepted (
   task BIGINT PRIMARY KEY,
   author BIGINT NOT NULL,
@@ -101,6 +107,7 @@ CREATE TABLE accepted (
   merged BIGINT NOT NULL,
   credit TEXT,
   keeps BIGINT NOT NULL,
+  edit_type TEXT,
   at BIGINT NOT NULL,
   seq BIGINT NOT NULL,
   basis TEXT NOT NULL,

@@ -422,10 +422,8 @@ pub(super) fn rejects(tx: &mut dyn Tx, keys: &KeyRange) -> Result<Vec<Reject>, E
 
 pub(super) fn kept(tx: &mut dyn Tx) -> Result<Vec<(Option<String>, String, i64)>, Error> {
     tx.query(
-        "SELECT t.category, r.edit_type, COUNT(DISTINCT t.id) FROM revision r JOIN task t ON t.id = r.task
-         WHERE t.kind = 'pair' AND t.gold IS NULL AND r.verdict = 'keep' AND r.edit_type IS NOT NULL
-           AND r.state IN ('submitted', 'accepted') AND t.state <> 'dropped'
-         GROUP BY t.category, r.edit_type ORDER BY t.category, r.edit_type",
+        "SELECT category, kept_type, COUNT(*) FROM task WHERE kind = 'pair' AND counted = 1 AND kept_type IS NOT NULL
+         GROUP BY category, kept_type ORDER BY category, kept_type",
         &[],
     )?
     .iter()

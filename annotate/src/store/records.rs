@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::state::LogKind;
 use crate::wire::{
-    Answer, Empty, Feedback, Lease, ReviewEmpty, Revision, RevisionState, Role, Standing,
+    Answer, EditType, Empty, Feedback, Lease, ReviewEmpty, Revision, RevisionState, Role, Standing,
     Suggestion, SuggestionSource, TaskKind, TaskState, User, Verdict,
 };
 
@@ -66,6 +66,8 @@ pub struct NewTask {
     pub hint: Option<String>,
     /// Style label of the source.
     pub style: Option<String>,
+    /// Edit type that the source states, for the quotas.
+    pub edit_type: Option<EditType>,
     /// Tasks of higher priority are given first.
     pub priority: i64,
     /// The known answer of a gold task.

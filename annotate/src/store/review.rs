@@ -211,7 +211,7 @@ pub(super) fn review(
     let comment = deciding.comment()?;
     deciding.check_lease(tx)?;
     let authors = deciding.authors(tx)?;
-    let body = deciding.body(comment, authors, request)?;
+    let body = deciding.body(tx, comment, authors, request)?;
     deciding.take_style(tx, &body)?;
     deciding.log(tx, body, key)
 }
@@ -295,7 +295,13 @@ impl Deciding<'_> {
     }
 
     /// The body of the log entry.
-    fn body(&self, comment: String, authors: Vec<i64>, request: String) -> Result<Body, Error> {
+    fn body(
+        &self,
+        tx: &mut dyn Tx,
+        comment: String,
+        authors: Vec<i64>,
+        request: String,
+    ) -> Result<Body, Error> {
         let secs = working(self.review.secs);
         Ok(match self.review.decision {
             Decision::Accept => match authors.as_slice() {
@@ -318,7 +324,8 @@ impl Deciding<'_> {
                 let answer = self.review.answer.clone();
                 let answer = answer
                     .ok_or_else(|| Error::invalid("answer", "the merged answer is missing"))?;
-                answer::check_submission(&answer, self.task.kind, &self.settings)?;
+                let frames = project::frames(tx, &self.task.source)?;
+                answer::check_submission(&answer, self.task.kind, &self.settings, frames)?;
                 Body::Merged {
                     answer,
                     comment,

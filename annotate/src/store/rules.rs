@@ -41,9 +41,15 @@ fn is_sampled(seed: u32, task: &TaskRecord, percent: u32) -> bool {
     (task.shuffle + i64::from(seed)) % WHOLE < i64::from(percent)
 }
 
-/// Applies a rule to a task with its answers in the order they were handed in. A style that the project does not have
-/// is left to reviewers.
-fn fit(rule: &Rule, settings: &Settings, task: &TaskRecord, answers: &[Revision]) -> Fit {
+/// Applies a rule to a task with its answers in the order they were handed in, about a clip with `frames` frames. A style that
+/// the project does not have is left to reviewers.
+fn fit(
+    rule: &Rule,
+    settings: &Settings,
+    task: &TaskRecord,
+    answers: &[Revision],
+    frames: i64,
+) -> Fit {
     let (Some(first), false) = (answers.first(), task.gold.is_some()) else {
         return Fit::No;
     };
@@ -67,7 +73,7 @@ fn fit(rule: &Rule, settings: &Settings, task: &TaskRecord, answers: &[Revision]
         return Fit::No;
     };
     let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
-    if answer::spread(&all).is_some_and(|distance| distance > rule.max_distance) {
+    if answer::spread(&all, frames).is_some_and(|distance| distance > rule.max_distance) {
         return Fit::No;
     }
     let new_style = |answer: &Answer| answer.new_style(settings).is_some();
@@ -98,8 +104,9 @@ fn decide(
     now: Millis,
 ) -> Result<Option<String>, Error> {
     let answers = waiting_answers(tx, task.id)?;
+    let frames = project::frames(tx, &task.source)?;
     for rule in settings.rules.iter().filter(|rule| rule.enabled) {
-        match fit(rule, settings, task, &answers) {
+        match fit(rule, settings, task, &answers, frames) {
             Fit::No => {}
             // The first rule that fits decides, so that a later one does not accept what this one left to reviewers.
             Fit::Review => return Ok(None),
@@ -203,8 +210,9 @@ pub(super) fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>, Error> {
         after = last.id;
         for task in &tasks {
             let answers = waiting_answers(tx, task.id)?;
+            let frames = project::frames(tx, &task.source)?;
             for state in &mut states {
-                match fit(&state.rule, &settings, task, &answers) {
+                match fit(&state.rule, &settings, task, &answers, frames) {
                     Fit::No => {}
                     Fit::Review => state.left_to_review += 1,
                     Fit::Accept(_) => state.would_accept += 1,

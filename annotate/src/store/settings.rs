@@ -2,10 +2,14 @@
 
 use super::pictures;
 use crate::Error;
-use crate::wire::{MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style};
+use crate::wire::{
+    MAX_GUIDELINE_CHARS, MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style,
+};
 
 /// Maximum number of phrases in a list, and of pictures in a guide.
 const MAX_NAMES: usize = 200;
+/// Maximum quota of an edit type.
+const MAX_QUOTA: u32 = 10_000_000;
 /// Maximum number of styles: datasets of a hundred are published.
 const MAX_STYLES: usize = 2_000;
 
@@ -61,6 +65,16 @@ fn check_numbers(settings: &Settings) -> Result<(), Error> {
                 format!("{value} is out of range; use {least} to {most}"),
             ));
         }
+    }
+    if let Some((edit_type, wanted)) = settings
+        .edit_type_quota
+        .iter()
+        .find(|(_, wanted)| **wanted > MAX_QUOTA)
+    {
+        return Err(Error::invalid(
+            "edit_type_quota",
+            format!("{wanted} pairs of {edit_type} are out of range; use 0 to {MAX_QUOTA}"),
+        ));
     }
     if settings.min_masks > settings.max_masks || settings.max_masks > crate::wire::MAX_MASKS {
         return Err(Error::invalid(
@@ -120,6 +134,11 @@ fn check_styles(styles: &[Style]) -> Result<(), Error> {
         if style.text.chars().count() > MAX_TEXT_CHARS {
             return refuse(format!(
                 "the text of {name:?} has more than {MAX_TEXT_CHARS} characters"
+            ));
+        }
+        if style.guideline.chars().count() > MAX_GUIDELINE_CHARS {
+            return refuse(format!(
+                "the guideline of {name:?} has more than {MAX_GUIDELINE_CHARS} characters"
             ));
         }
         let is_colour = |text: &String| {
@@ -211,6 +230,7 @@ fn check_rules(rules: &[Rule]) -> Result<(), Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::EditType;
 
     #[test]
     fn settings_are_bounded() {
@@ -223,6 +243,7 @@ mod tests {
             check(&styles(vec![Style {
                 name: "old".to_owned(),
                 text: "Short steps.".to_owned(),
+                guideline: "Bend the knees.\n\nDo not limp.".to_owned(),
                 colour: Some("#8f6B00".to_owned()),
             }]))
             .is_ok()
@@ -244,10 +265,18 @@ mod tests {
                 min_masks: 5,
                 ..Settings::default()
             },
+            Settings {
+                edit_type_quota: [(EditType::Speed, MAX_QUOTA + 1)].into(),
+                ..Settings::default()
+            },
             styles(vec![Style::default()]),
             styles(vec![Style::named("old"), Style::named("old")]),
             styles(vec![Style {
                 colour: Some("red".to_owned()),
+                ..Style::named("old")
+            }]),
+            styles(vec![Style {
+                guideline: "x".repeat(MAX_GUIDELINE_CHARS + 1),
                 ..Style::named("old")
             }]),
             Settings {

@@ -6,7 +6,7 @@ use std::path::Path;
 use datasets_spec::table::read_rows;
 use datasets_spec::{BodyPart, MASK_DEF_VERSION};
 
-use super::import::{CANDIDATE, PAIR, Taken, credit, has_ring, task};
+use super::import::{CANDIDATE, PAIR, Taken, credit, entered_mask, task};
 use super::tables::AnnotationRow;
 use crate::Error;
 use crate::store::{Millis, MotionRecord, NewTask, Store};
@@ -68,7 +68,9 @@ fn annotation_task(
         .map_err(|error| error.to_string())?;
     rows.iter().try_for_each(check_masks)?;
     let answer = answer(rows, kind)?;
-    crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
+    crate::answer::check_draft(&answer, kind)
+        .and_then(|()| crate::mask::check_ranges(&answer, source.frames))
+        .map_err(|error| error.to_string())?;
     new.accepted = Some(answer);
     new.credit = credit(
         &first.author,
@@ -109,13 +111,12 @@ fn answer(rows: &[AnnotationRow], kind: TaskKind) -> Result<Answer, String> {
             masks: rows
                 .iter()
                 .filter(|row| row.count > 0)
-                .map(|row| MaskAnswer {
-                    parts: row.parts.clone(),
-                    soft: !row.soft_joints.is_empty() || !has_ring(&row.parts),
-                    text: row.text.clone(),
-                    suggestion: None,
+                .map(|row| {
+                    let joints = (&row.hard_joints[..], &row.soft_joints[..]);
+                    entered_mask(&row.parts, joints, (row.start, row.end), &row.text)
                 })
-                .collect(),
+                .collect::<Result<Vec<MaskAnswer>, _>>()
+                .map_err(|error| error.to_string())?,
             count_reason: known(first.count_reason.as_ref(), CountReason::parse)?,
             note: first.note.clone(),
         },

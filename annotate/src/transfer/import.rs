@@ -11,6 +11,7 @@ use tables::Condition;
 
 use crate::Error;
 use crate::answer::completion;
+use crate::mask::{entered, mask_of_joints};
 use crate::store::{Credit, Imported, Millis, MotionRecord, NewSuggestion, NewTask, Store};
 use crate::wire::{Answer, BUNDLE, EditType, MaskAnswer, SuggestionSource, TaskKind, Verdict};
 
@@ -76,6 +77,7 @@ pub(super) fn task(key: String, kind: TaskKind, motion: &MotionRecord) -> NewTas
         category: motion.action.clone(),
         hint: None,
         style: None,
+        edit_type: None,
         priority: 0,
         gold: None,
         extra: None,
@@ -303,7 +305,8 @@ fn mask_tasks(
     let mut tasks = Vec::new();
     for clip in chosen.iter().filter(|clip| !clip.mirrored) {
         let id = clip.record.id.as_str();
-        let new = mask_task(&clip.record, masks.get(id).map_or(&[][..], Vec::as_slice));
+        let rows = masks.get(id).map_or(&[][..], Vec::as_slice);
+        let new = mask_task(&clip.record, rows, taken)?;
         if new.accepted.is_none() && (are_variants || variants.contains(id)) {
             taken.count("variants", 1);
         } else {
@@ -319,7 +322,7 @@ fn tasks_of_pairs<'a>(
     by_id: &BTreeMap<&str, &Clip>,
     taken: &mut Taken,
 ) -> (BTreeMap<String, Vec<NewTask>>, Vec<NewTask>) {
-    let mut missing = 0;
+    let (mut missing, mut unknown_types) = (0, 0);
     let (mut fine, mut styles) = (BTreeMap::<String, Vec<NewTask>>::new(), Vec::new());
     for pair in pairs {
         let (Some(source), Some(target)) = (
@@ -340,6 +343,8 @@ fn tasks_of_pairs<'a>(
         let mut new = task(pair_key(pair), kind, &source.record);
         new.target = Some(target.record.hash.clone());
         new.style.clone_from(&pair.style);
+        new.edit_type = pair.edit_type.as_deref().and_then(EditType::parse);
+        unknown_types += i64::from(pair.edit_type.is_some() && new.edit_type.is_none());
         if pair.source == PAIR_SOURCE {
             new.accepted = Some(accepted_pair(pair, kind));
             new.credit = credit("", false, pair.accepted_by.as_deref());
@@ -358,6 +363,14 @@ fn tasks_of_pairs<'a>(
         taken.count("pairs_without_motion", missing);
         taken.messages.push(format!(
             "{missing} pairs name a missing or repeated motion and get no task"
+        ));
+    }
+    if unknown_types > 0 {
+        let known: Vec<&str> = EditType::ALL.iter().map(|kind| kind.as_str()).collect();
+        taken.count("unknown_edit_types", unknown_types);
+        taken.messages.push(format!(
+            "{unknown_types} pairs have an edit type that is not one of {}; they are taken without it",
+            known.join(", ")
         ));
     }
     (fine, styles)
@@ -407,7 +420,7 @@ pub fn from_labels(
     for (id, rows) in &masks {
         match by_id.get(id) {
             Some(clip) => {
-                let new = mask_task(&clip.record, rows);
+                let new = mask_task(&clip.record, rows, &mut taken)?;
                 // As in the tasks of a dataset: a mirrored copy says nothing that its original does not.
                 if new.accepted.is_some() || !clip.mirrored {
                     tasks.push(new);
@@ -484,31 +497,54 @@ fn replace_changed(
     Ok(())
 }
 
-fn mask_task(motion: &MotionRecord, rows: &[MaskRow]) -> NewTask {
+fn mask_task(motion: &MotionRecord, rows: &[MaskRow], taken: &mut Taken) -> Result<NewTask, Error> {
     let mut new = task(mask_key(&motion.id), TaskKind::MaskText, motion);
     let (people, drafts): (Vec<&MaskRow>, Vec<&MaskRow>) =
         rows.iter().partition(|row| row.text_origin == "human");
     if !people.is_empty() {
+        let masks = people.iter().map(|row| {
+            let joints = (&row.hard_joints[..], &row.soft_joints[..]);
+            let range = (row.start, row.end);
+            entered_mask(&row.parts, joints, range, completion(&row.text))
+        });
         new.accepted = Some(Answer::MaskText {
-            masks: people
-                .iter()
-                .map(|row| MaskAnswer {
-                    parts: row.parts.clone(),
-                    soft: !row.soft_joints.is_empty() || !has_ring(&row.parts),
-                    text: completion(&row.text).to_owned(),
-                    suggestion: None,
-                })
-                .collect(),
+            masks: masks.collect::<Result<_, _>>()?,
             count_reason: None,
             note: String::new(),
         });
         new.credit = credit(&people[0].author, false, people[0].accepted_by.as_deref());
     }
+    // Suggestions are parts and a text.
+    let ranged = drafts.iter().filter(|row| row.start.is_some()).count();
+    if ranged > 0 {
+        taken.count("drafts_of_a_range", ranged as i64);
+    }
     new.suggestions = drafts
         .into_iter()
         .map(|row| suggestion(row.parts.clone(), &row.text, &row.author))
         .collect();
-    new
+    Ok(new)
+}
+
+/// The mask of a row of a table: its joints, hard and soft, and the ends of its range.
+///
+/// # Errors
+/// A joint is unknown, or is both hard and soft.
+pub(super) fn entered_mask(
+    parts: &[String],
+    (hard, soft): (&[String], &[String]),
+    (start, end): (Option<i32>, Option<i32>),
+    text: &str,
+) -> Result<MaskAnswer, datasets_spec::Error> {
+    let (soft, joints) = entered(parts, mask_of_joints(hard, soft)?);
+    Ok(MaskAnswer {
+        parts: parts.to_vec(),
+        soft,
+        joints,
+        range: start.zip(end).map(|(start, end)| [start, end]),
+        text: text.to_owned(),
+        suggestion: None,
+    })
 }
 
 /// What a file says of an answer, if it says anything. Authors who are no pseudonyms of this program are not carried
@@ -527,11 +563,6 @@ pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> O
         merged,
         accepted_by: accepted_by.map(str::to_owned),
     })
-}
-
-/// Whether the parts have a soft ring.
-pub(super) fn has_ring(parts: &[String]) -> bool {
-    !crate::answer::mask_of(parts, true).soft().is_empty()
 }
 
 fn suggestion(parts: Vec<String>, text: &str, model: &str) -> NewSuggestion {

@@ -259,6 +259,8 @@ impl MotionReader {
             self.masks.push(MaskAnswer {
                 parts,
                 soft: true,
+                joints: Vec::new(),
+                range: None,
                 text,
                 suggestion: None,
             });

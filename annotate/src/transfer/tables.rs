@@ -34,6 +34,10 @@ table! {
         pub hard_joints: Vec<String> [""],
         /// Joints interpolated
         pub soft_joints: Vec<String> [""],
+        /// First frame that the mask holds for; missing for the whole clip
+        pub start: Option<i32> ["frame", newer],
+        /// The frame after the last one that the mask holds for; missing for the whole clip
+        pub end: Option<i32> ["frame", newer],
         /// Version of the body-part membership
         pub mask_def_version: u32 [""],
         /// The description or instruction

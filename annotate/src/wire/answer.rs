@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::names::{CountReason, EditType, Extent, RevisionState, SuggestionSource, Verdict};
+use super::names::{
+    CountReason, EditType, Extent, JointWeight, RevisionState, SuggestionSource, Verdict,
+};
 
 /// One mask of an answer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -14,11 +16,28 @@ pub struct MaskAnswer {
     /// Whether the soft ring is blended.
     #[serde(default = "yes")]
     pub soft: bool,
+    /// Joints whose weight differs from the one that the parts and `soft` give them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joints: Vec<JointChoice>,
+    /// First frame that the mask holds for, and the one after the last; the whole clip if missing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range: Option<[i32; 2]>,
     /// What the parts do.
     pub text: String,
     /// The suggestion the text started from, if any.
     #[serde(default)]
     pub suggestion: Option<i64>,
+}
+
+/// The weight that a person chose for a joint of a mask.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct JointChoice {
+    /// Name of one of the 22 body joints.
+    pub joint: String,
+    /// Its weight.
+    pub weight: JointWeight,
 }
 
 pub(super) fn yes() -> bool {

@@ -5,6 +5,7 @@
 
 mod answer;
 mod browse;
+mod captures;
 mod home;
 mod jobs;
 mod log;
@@ -19,11 +20,12 @@ mod task;
 #[cfg(test)]
 mod typescript;
 
-pub use answer::{Answer, MaskAnswer, Revision, Suggestion};
+pub use answer::{Answer, JointChoice, MaskAnswer, Revision, Suggestion};
 pub use browse::{
     AnswerBrief, BulkDone, BulkRequest, DecisionRow, Decisions, Holder, SkipBrief, TaskFile,
     TaskFilter, TaskPage, TaskRow,
 };
+pub use captures::{CaptureCell, CapturePlan, Captures, PlannedCapture};
 pub use home::{Home, QueueInfo, ReturnedTask, Shelf, ShelfItem};
 pub use jobs::{ExportRequest, Job};
 pub use log::{Audit, AuditEntry, Change, Guide, GuidePicture, KindGuide, PictureInfo};
@@ -31,8 +33,8 @@ pub use mine::{MyAnswer, MyAnswers};
 pub(crate) use names::names;
 pub use names::{
     Action, BulkAction, Code, CountReason, Decision, EditType, EventKind, ExportFormat, Extent,
-    ImportFormat, ReviewQueue, RevisionState, Role, RuleKind, SkipFilter, SkipReason, Standing,
-    SuggestionSource, SuggestionUse, TaskKind, TaskSort, TaskState, TextForm, Verdict,
+    ImportFormat, JointWeight, ReviewQueue, RevisionState, Role, RuleKind, SkipFilter, SkipReason,
+    Standing, SuggestionSource, SuggestionUse, TaskKind, TaskSort, TaskState, TextForm, Verdict,
 };
 pub use people::{
     Limits, Login, Me, NewToken, NewUser, NewUserLink, NewUsers, Prefs, Project, Settings, Style,
@@ -44,7 +46,8 @@ pub use review::{
 };
 pub use rules::{ApplyRules, Rule, RuleState, RuleUndone, RulesApplied};
 pub use stats::{
-    Agreement, DayWork, Estimate, Funnel, Outlook, PartAgreement, Person, QuotaRow, Week,
+    Agreement, DayWork, EditTypeCount, Estimate, Funnel, Outlook, PartAgreement, Person, QuotaRow,
+    Week,
 };
 pub use task::{
     BlendRequest, Bundle, BundleItem, Empty, EventBatch, EventResult, EventResults, Feedback,
@@ -54,12 +57,16 @@ pub use task::{
 
 /// Maximum characters of a text.
 pub const MAX_TEXT_CHARS: usize = 2_000;
+/// Maximum characters of the guideline of a style.
+pub const MAX_GUIDELINE_CHARS: usize = 10_000;
 /// Maximum characters of the name of a style, a phrase or the project.
 pub const MAX_NAME_CHARS: usize = 100;
 /// Maximum events of a batch.
 pub const MAX_EVENTS: usize = 64;
 /// Maximum bytes of a request body, except imports.
 pub const MAX_BODY_BYTES: usize = 256 * 1024;
+/// Maximum bytes of the settings, which hold the guidelines of all styles, and of a capture plan.
+pub const MAX_SETTINGS_BYTES: usize = 8 * 1024 * 1024;
 /// Maximum bytes of the body of an import.
 pub const MAX_IMPORT_BYTES: usize = 64 * 1024 * 1024;
 /// Maximum bytes of a picture of the guide.

@@ -79,6 +79,18 @@ names! {
 }
 
 names! {
+    /// How a mask takes a joint of the other motion.
+    pub enum JointWeight {
+        /// Whole.
+        Hard = "hard",
+        /// Interpolated, as the soft ring.
+        Soft = "soft",
+        /// Not at all.
+        None = "none",
+    }
+}
+
+names! {
     /// State of an answer.
     pub enum RevisionState {
         /// Unfinished; not counted.
@@ -425,6 +437,10 @@ names! {
         PracticeCompare = "practice_compare",
         /// Open the task browser.
         ScreenTasks = "screen_tasks",
+        /// Let a mask hold from the begin to the end of the loop.
+        RangeSet = "range_set",
+        /// Let a mask hold for the whole clip.
+        RangeClear = "range_clear",
     }
 }
 

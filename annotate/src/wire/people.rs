@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::log::KindGuide;
-use super::names::{Action, Role, TaskKind, TextForm};
+use super::names::{Action, EditType, Role, TaskKind, TextForm};
 use super::rules::Rule;
 
 /// `POST session`.
@@ -109,6 +109,10 @@ pub struct Style {
     /// What it looks like, for the people who perform it and who describe it.
     #[serde(default)]
     pub text: String,
+    /// How it is performed, in paragraphs with empty lines between: what the body does, and what it must not do. Up to
+    /// 10,000 characters.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub guideline: String,
     /// The colour of its mark, `#rrggbb`.
     #[serde(default)]
     pub colour: Option<String>,
@@ -181,6 +185,10 @@ pub struct Settings {
     pub quota: u32,
     /// Pairs kept of each category, after which its other pairs are not given out; 0 for no bound.
     pub category_quota: u32,
+    /// Pairs wanted of each edit type, of all categories together; 0, or no entry, for no bound. Pairs that are stated
+    /// to be of the type that is furthest behind are given out first; none is held back.
+    #[serde(default)]
+    pub edit_type_quota: BTreeMap<EditType, u32>,
     /// The guide, plain text.
     pub guide: String,
     /// Name of the time zone in which days begin, such as `Europe/Berlin`.
@@ -385,6 +393,7 @@ impl Default for Settings {
             ]),
             quota: 0,
             category_quota: 0,
+            edit_type_quota: BTreeMap::new(),
             guide: include_str!("../guide/all.txt").to_owned(),
             time_zone: "UTC".to_owned(),
             guides: [

@@ -77,7 +77,7 @@ pub struct Person {
     pub gold_items: i64,
     /// Mean score on gold tasks, 0 to 1.
     pub gold_score: Option<f64>,
-    /// Agreement with others (mean Jaccard of joint sets).
+    /// Agreement with others (mean Jaccard index of the joints and frames of masks).
     pub agreement: Option<Estimate>,
     /// Time of the last log entry.
     pub last_seen: Option<i64>,
@@ -90,7 +90,7 @@ pub struct Person {
 pub struct Agreement {
     /// One for each of the release's parts, and `overall` of their decisions together.
     pub parts: Vec<PartAgreement>,
-    /// Mean Jaccard index of joint sets.
+    /// Mean Jaccard index of the joints and frames of masks.
     pub jaccard: Option<Estimate>,
     /// Krippendorff's alpha of masks with the MASI distance.
     pub alpha_masi: Option<Estimate>,
@@ -138,6 +138,19 @@ pub struct QuotaRow {
     pub wanted: i64,
     /// Pairs of the category that are given out at most, of all edit types together; 0 for no bound.
     pub category_wanted: i64,
+}
+
+/// `GET stats/edit-types`: one for each edit type that the project has a quota of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct EditTypeCount {
+    /// Edit type.
+    pub edit_type: EditType,
+    /// Pairs kept: answered `keep` and not sent back.
+    pub kept: i64,
+    /// Pairs wanted.
+    pub wanted: i64,
 }
 
 /// `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::answer::{Answer, Revision, Suggestion, yes};
+use super::answer::{Answer, JointChoice, Revision, Suggestion, yes};
 use super::names::{
     EventKind, RevisionState, SkipReason, SuggestionUse, TaskKind, TaskState, Verdict,
 };
@@ -342,6 +342,9 @@ pub struct BlendRequest {
     /// Whether the soft ring is blended.
     #[serde(default = "yes")]
     pub soft: bool,
+    /// Joints whose weight differs from the one that the parts and `soft` give them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joints: Vec<JointChoice>,
     /// Weight of `tgt` on the soft ring, 0 to 1.
     pub alpha: f64,
 }

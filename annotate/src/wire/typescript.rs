@@ -7,6 +7,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
 
+use datasets_spec::record::MaskRow;
 use ts_rs::{Config, TS};
 
 /// First lines of the file.
@@ -106,16 +107,17 @@ macro_rules! declarations {
 declarations! {
     structs:
         Agreement Answer AnswerBrief ApplyRules Audit AuditEntry BlendRequest BulkDone BulkRequest Bundle BundleItem
-        Candidate Change DayWork DecisionRow Decisions Empty Estimate EventBatch EventResult EventResults
-        ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home Job KindGuide Lease
+        Candidate CaptureCell CapturePlan Captures Change DayWork DecisionRow Decisions EditTypeCount Empty Estimate
+        EventBatch EventResult EventResults ExportRequest Feedback Funnel Guide GuidePicture HeldLease Holder Home
+        Job JointChoice KindGuide Lease
         Limits Login MaskAnswer Me MotionInfo MyAnswer MyAnswers NewEvent NewReview NewToken NewUser NewUserLink
-        NewUsers Next NextRequest Outlook PartAgreement PartInfo Person PictureInfo Practice
+        NewUsers Next NextRequest Outlook PartAgreement PartInfo Person PictureInfo PlannedCapture Practice
         Prefs Problem Project QueueInfo QuotaRow ReturnedTask ReviewDone ReviewEmpty ReviewNext ReviewRequest
         ReviewView Revision Rule RuleState RuleUndone RulesApplied Settings Shelf ShelfItem SkeletonInfo SkipBrief
         Style SuggestRequest Suggestion Task TaskFile TaskFilter TaskPage TaskRow TaskView TokenInfo TokenShown User
         UserChange Week;
     enums:
-        Action BulkAction Code CountReason Decision EditType EventKind ExportFormat Extent ImportFormat
+        Action BulkAction Code CountReason Decision EditType EventKind ExportFormat Extent ImportFormat JointWeight
         ReviewQueue RevisionState Role RuleKind SkipFilter SkipReason Standing SuggestionSource
         SuggestionUse TaskKind TaskSort TaskState TextForm Verdict;
 }
@@ -140,12 +142,15 @@ fn public_names() -> BTreeSet<String> {
 fn generated() -> String {
     let config = Config::new().with_large_int("number");
     let mut text = HEAD.to_owned();
-    let constants: [(&str, usize); 6] = [
+    let shortest = usize::try_from(MaskRow::SHORTEST).expect("a number of frames");
+    let constants: [(&str, usize); 8] = [
         ("MAX_TEXT_CHARS", super::MAX_TEXT_CHARS),
+        ("MAX_GUIDELINE_CHARS", super::MAX_GUIDELINE_CHARS),
         ("MAX_NAME_CHARS", super::MAX_NAME_CHARS),
         ("MAX_EVENTS", super::MAX_EVENTS),
         ("MAX_BODY_BYTES", super::MAX_BODY_BYTES),
         ("MAX_MASKS", super::MAX_MASKS),
+        ("SHORTEST_RANGE", shortest),
         ("BUNDLE", super::BUNDLE),
     ];
     text.push('\n');

@@ -417,6 +417,21 @@ fn motions_are_sent_as_they_are_documented() {
         moved.iter().all(|joint| allowed.contains(joint)),
         "only the masked arm moves: {moved:?}"
     );
+    // A joint of the ring can be chosen away.
+    let with = |change: serde_json::Value| {
+        let mut request =
+            json!({ "src": hash, "tgt": partners[0].hash, "parts": ["LEFT_ARM"], "alpha": 0.5 });
+        let fields = change.as_object().expect("fields").clone();
+        request.as_object_mut().expect("fields").extend(fields);
+        ann.post("blend", &request)
+    };
+    let collar = json!({ "joint": "left_collar", "weight": "none" });
+    assert_eq!(
+        with(json!({ "joints": [collar] })).floats(),
+        with(json!({ "soft": false })).floats()
+    );
+    let tail = json!({ "joint": "tail", "weight": "none" });
+    assert_eq!(code(&with(json!({ "joints": [tail] }))), Code::Invalid);
     assert_eq!(code(&blend(&["LEFT_ARM"], 1.5)), Code::Invalid);
     assert_eq!(code(&blend(&["TAIL"], 0.5)), Code::Invalid);
     assert_eq!(code(&ann.get("motions/none/joints")), Code::NotFound);

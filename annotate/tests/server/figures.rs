@@ -200,6 +200,8 @@ fn describe(task: &TaskDetail, number: u64, own: bool) -> Answer {
         said.push(MaskAnswer {
             parts: draft.parts.clone(),
             soft: true,
+            joints: Vec::new(),
+            range: None,
             text: text.trim_end_matches('.').to_owned(),
             suggestion: Some(draft.id),
         });
@@ -212,6 +214,8 @@ fn describe(task: &TaskDetail, number: u64, own: bool) -> Answer {
             said.push(MaskAnswer {
                 parts: vec![(*part).to_owned()],
                 soft: true,
+                joints: Vec::new(),
+                range: None,
                 text: (*text).to_owned(),
                 suggestion: None,
             });

@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use annotate::store::{Claimed, NewTask, ReviewClaimed, Store, TokenUse, Who, open_sqlite};
 use annotate::wire::{
-    Answer, Code, Decision, EventKind, EventResult, NewEvent, NewReview, ReviewQueue,
-    RevisionState, Role, Settings, SkipReason, TaskKind, TaskState, Verdict,
+    Answer, Code, Decision, EventKind, EventResult, JointChoice, JointWeight, MaskAnswer, NewEvent,
+    NewReview, ReviewQueue, RevisionState, Role, Settings, SkipReason, TaskKind, TaskState,
+    Verdict,
 };
 use datasets_spec::Seed;
 use rand::RngExt;
@@ -516,6 +517,102 @@ fn two_answers_that_differ_come_first_in_the_queue_of_disagreement() {
         assert!(record.distance.expect("a distance") > 0.0);
         site.whole();
     });
+}
+
+/// An answer whose first mask, the left arm, holds for a range.
+fn in_range(range: [i32; 2]) -> Answer {
+    let mut answer = masks("waving");
+    if let Answer::MaskText { masks, .. } = &mut answer {
+        masks[0].range = Some(range);
+    }
+    answer
+}
+
+#[test]
+fn ranges_and_joints_are_checked_and_kept() {
+    on_each("ranges", |store| {
+        let site = fixture(store, mask_tasks(1));
+        let task = site.claim(site.ann, START).expect("a task");
+        let epoch = site.epoch(site.ann, task);
+        let send = |kind, rev, answer: Answer| {
+            site.send(site.ann, task, event(kind, epoch, rev, Some(answer)), START)
+        };
+        let with_joint = |joint: &str, weight| {
+            let mut answer = in_range([4, 36]);
+            if let Answer::MaskText { masks, .. } = &mut answer {
+                masks[0].joints = vec![JointChoice {
+                    joint: joint.to_owned(),
+                    weight,
+                }];
+            }
+            answer
+        };
+        for (answer, field, words) in [
+            (in_range([4, 34]), "range", "a range needs 31 at least"),
+            (in_range([20, 41]), "range", "of a clip of 40 frames"),
+            (in_range([30, 4]), "range", "a later end"),
+            (
+                with_joint("left_elbow", JointWeight::Hard),
+                "joints",
+                "is hard in the mask of the parts already",
+            ),
+        ] {
+            let refused = send(EventKind::Submit, 0, answer);
+            let problem = refused.problem.expect("a problem");
+            assert_eq!(problem.code, Code::Invalid);
+            assert_eq!(problem.field, Some(format!("answer.masks.0.{field}")));
+            assert!(problem.detail.starts_with("mask 1"), "{}", problem.detail);
+            assert!(problem.detail.contains(words), "{}", problem.detail);
+        }
+        let unknown = send(EventKind::Draft, 0, with_joint("tail", JointWeight::Hard));
+        assert_eq!(problem(&unknown), Code::Invalid);
+        // An end on its way through a short range is a draft like any other.
+        assert_eq!(send(EventKind::Draft, 0, in_range([4, 5])).status, 200);
+        let answer = with_joint("left_collar", JointWeight::None);
+        assert_eq!(send(EventKind::Submit, 1, answer.clone()).status, 200);
+        let (waiting, lease) = site.review(START);
+        assert_eq!(
+            site.decide(waiting, lease, Decision::Accept, START),
+            Ok(TaskState::Accepted)
+        );
+        let accepted = site.store.accepted(&all_keys()).expect("answers");
+        assert_eq!(accepted[0].answer, answer);
+        site.whole();
+    });
+}
+
+#[test]
+fn a_merged_answer_has_ranges_of_the_clip_too() {
+    on_each("merged_ranges", |store| {
+        let site = fixture(store, mask_tasks(1));
+        site.answer(site.ann, "waving", START);
+        let (task, lease_epoch) = site.review(START);
+        let merge = |range| {
+            let review = NewReview {
+                idem_key: key(),
+                task,
+                lease_epoch,
+                decision: Decision::Merge,
+                author: None,
+                answer: Some(in_range(range)),
+                comment: String::new(),
+                secs: 0.0,
+            };
+            site.store.review(site.eve.id, review, START)
+        };
+        let refused = merge([9, 41]).expect_err("it leaves the clip");
+        assert_eq!(refused.problem().code, Code::Invalid);
+        assert_eq!(merge([9, 40]).expect("merges").state, TaskState::Accepted);
+        site.whole();
+    });
+}
+
+#[test]
+fn a_mask_of_a_store_of_an_earlier_version_has_the_bytes_that_it_had() {
+    let earlier = r#"{"parts":["LEFT_ARM"],"soft":true,"text":"waving","suggestion":null}"#;
+    let mask: MaskAnswer = serde_json::from_str(earlier).expect("a mask");
+    assert!(mask.range.is_none() && mask.joints.is_empty());
+    assert_eq!(serde_json::to_string(&mask).expect("JSON"), earlier);
 }
 
 #[test]

@@ -31,7 +31,7 @@ fn names(person: &Client) -> Vec<String> {
 }
 
 /// Adds style pairs of these labels to the dataset of a site, and imports them as the server does at its start.
-fn label(site: &Site, labels: &[&str]) {
+pub(crate) fn label(site: &Site, labels: &[&str]) {
     let mut pairs: Vec<PairRow> = Dataset::open(&site.dataset)
         .expect("a dataset")
         .read(None)
@@ -181,4 +181,34 @@ fn settings_of_older_stores_have_names_alone() {
         ..Style::named("old")
     };
     assert_eq!(read.styles, [Style::named("proud"), old]);
+}
+
+#[test]
+fn guidelines_reach_annotators_and_may_be_long() {
+    let site = Site::new();
+    let people = [("ann", Role::Annotator), ("boss", Role::Admin)];
+    let [ann, boss] = people.map(|(name, role)| site.person(name, role));
+    let mut settings: Settings = boss.get("settings").ok();
+    settings.styles.extend((0..40).map(|number| Style {
+        guideline: "Bend the knees, and keep them bent.\n\nDo not limp.".repeat(150),
+        ..Style::named(&format!("style {number}"))
+    }));
+    let body = serde_json::to_vec(&settings).expect("JSON");
+    assert!(body.len() > annotate::wire::MAX_BODY_BYTES);
+    let saved: Settings = boss.call("PUT", "settings", Some(&body)).ok();
+    assert_eq!(saved, settings);
+    let me: Me = ann.get("me").ok();
+    assert_eq!(me.project.styles, settings.styles);
+    settings.styles[0].guideline = "x".repeat(annotate::wire::MAX_GUIDELINE_CHARS + 1);
+    let body = serde_json::to_vec(&settings).expect("JSON");
+    let refused = boss.call("PUT", "settings", Some(&body)).problem();
+    assert!(refused.detail.contains("guideline"), "{}", refused.detail);
+}
+
+#[test]
+fn a_style_without_a_guideline_is_written_as_before_there_were_any() {
+    let stored = r##"{"name":"old","text":"Short steps.","colour":"#8f6b00"}"##;
+    let style: Style = serde_json::from_str(stored).expect("a style");
+    assert_eq!(style.guideline, "");
+    assert_eq!(serde_json::to_string(&style).expect("JSON"), stored);
 }

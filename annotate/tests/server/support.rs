@@ -87,6 +87,8 @@ pub(crate) fn dataset(root: &Path) {
         parts: vec!["LEFT_ARM".to_owned()],
         hard_joints: arm.hard().names(),
         soft_joints: arm.soft().names(),
+        start: None,
+        end: None,
         mask_def_version: MASK_DEF_VERSION,
         text: "The person is waving with their left arm.".to_owned(),
         text_origin: "automatic".to_owned(),
@@ -440,6 +442,8 @@ pub(crate) fn masks(text: &str) -> Answer {
     let mask = |part: &str, text: String| MaskAnswer {
         parts: vec![part.to_owned()],
         soft: true,
+        joints: Vec::new(),
+        range: None,
         text,
         suggestion: None,
     };
@@ -506,6 +510,7 @@ pub(crate) fn bare_task(number: usize, kind: TaskKind) -> NewTask {
         category: None,
         hint: None,
         style: None,
+        edit_type: None,
         priority: 0,
         gold: None,
         extra: None,

@@ -248,6 +248,105 @@ fn parquet_comes_back_as_it_went() {
     assert!(store.verify().expect("checks").is_empty());
 }
 
+/// Masks that hold for ranges, with joints that a person chose, in the order of their ids in the dataset.
+fn ranged() -> Answer {
+    let answer = json!({ "kind": "mask_text", "masks": [
+        { "parts": ["BOTH_LEGS"], "joints": [{ "joint": "left_hip", "weight": "soft" }], "text": "walking" },
+        { "parts": ["LEFT_ARM"], "range": [0, 31], "text": "waving" },
+        {
+            "parts": ["LEFT_ARM"], "range": [9, 40], "text": "pointing", "joints": [
+                { "joint": "left_collar", "weight": "hard" }, { "joint": "left_wrist", "weight": "none" },
+            ],
+        },
+    ] });
+    serde_json::from_value(answer).expect("an answer")
+}
+
+#[test]
+fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
+    let site = Site::new();
+    let (ann, eve) = (
+        site.person("ann", Role::Annotator),
+        site.person("eve", Role::Reviewer),
+    );
+    ann.answer(TaskKind::MaskText, ranged());
+    assert_eq!(accept_all(&eve), 1);
+    let said = answers(site.store.as_ref());
+    let first = write(&site, site.store.as_ref(), "first", ExportFormat::Parquet);
+    let rows = annotation_rows(&first);
+    let frames = |row: &AnnotationRow| (row.start, row.end);
+    assert_eq!(frames(&rows[0]), (None, None));
+    assert_eq!(rows[0].soft_joints, ["left_hip"]);
+    assert_eq!(frames(&rows[2]), (Some(9), Some(40)));
+    assert_eq!(
+        rows[2].hard_joints,
+        ["left_collar", "left_shoulder", "left_elbow"]
+    );
+    assert!(rows[2].soft_joints.is_empty());
+
+    // The lists of a release count them; the table beside them has them.
+    let lists = site.folder.path().join("lists");
+    let stance = selection(ExportFormat::Stance);
+    let done =
+        export(site.store.as_ref(), &site.dataset, &lists, &stance, "test").expect("exports");
+    assert_eq!(done.counts["masks_of_a_range"], 2);
+    assert_eq!(done.counts["masks_of_own_joints"], 2);
+    assert!(!done.counts.contains_key("masks_without_ring"));
+    for folder in [&first, &lists] {
+        let name = folder.file_name().expect("a name").to_string_lossy();
+        let (store, motions) = empty_store(&site, &format!("{name}.sqlite"));
+        let table = folder.join("annotations.parquet");
+        from_annotations(store.as_ref(), &motions, &table, None, START).expect("takes");
+        assert_eq!(answers(store.as_ref()), said);
+        assert!(store.verify().expect("checks").is_empty());
+    }
+    let csv = write(&site, site.store.as_ref(), "csv", ExportFormat::Csv);
+    let csv = std::fs::read_to_string(csv.join("labels.csv")).expect("a file");
+    assert!(csv.contains("\"\"range\"\":[9,40]"), "{csv}");
+
+    write(&site, site.store.as_ref(), "unused", ExportFormat::Dataset);
+    let dataset = Dataset::open(&site.dataset).expect("a dataset");
+    let masks: Vec<MaskRow> = dataset.read(None).expect("masks");
+    let ranges: Vec<(Option<i32>, Option<i32>)> = masks
+        .iter()
+        .filter(|row| row.text_origin == "human")
+        .map(|row| (row.start, row.end))
+        .collect();
+    assert_eq!(
+        ranges,
+        [(None, None), (Some(0), Some(31)), (Some(9), Some(40))]
+    );
+    let (store, _) = fresh_store(&site, "of-dataset.sqlite");
+    assert_eq!(answers(store.as_ref()), said);
+}
+
+#[test]
+fn a_range_that_a_shorter_clip_does_not_have_is_left_out_of_the_dataset_and_counted() {
+    let site = Site::new();
+    let (ann, eve) = (
+        site.person("ann", Role::Annotator),
+        site.person("eve", Role::Reviewer),
+    );
+    let task = ann.answer(TaskKind::MaskText, ranged());
+    assert_eq!(accept_all(&eve), 1);
+    let source = site.store.task_record(task).expect("a task").source;
+    let mut clip = site.store.all_motions().expect("motions");
+    clip.retain(|motion| motion.hash == source);
+    (clip[0].hash, clip[0].frames) = ("shorter".to_owned(), 35);
+    site.store
+        .replace_motions(None, clip, START)
+        .expect("replaces");
+    let done = export(
+        site.store.as_ref(),
+        &site.dataset,
+        site.folder.path(),
+        &selection(ExportFormat::Dataset),
+        "test",
+    )
+    .expect("exports");
+    assert_eq!(done.counts["masks_past_the_clip"], 1);
+}
+
 #[test]
 fn the_release_layout_comes_back_as_it_went() {
     let site = annotated();

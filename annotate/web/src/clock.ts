@@ -104,6 +104,12 @@ export class Clock {
     this.set({ loopOut: frame, loopIn: loopIn < frame ? loopIn : 0 });
   }
 
+  /** Loops between two frames, both included. */
+  setLoop(loopIn: number, loopOut: number): void {
+    const last = this.state.frames - 1;
+    this.set({ loopIn: Math.min(loopIn, last), loopOut: Math.min(loopOut, last) });
+  }
+
   clearLoop(): void {
     this.set({ loopIn: 0, loopOut: this.state.frames - 1 });
   }

@@ -1,7 +1,8 @@
 /** Compares a practice answer with the known one, as the server scores it. */
 
+import { maskWords } from "./masks";
 import type { Parts } from "./parts";
-import type { Answer } from "./wire";
+import type { Answer, MaskAnswer } from "./wire";
 
 /** `open` is not scored: words may differ. */
 export type Mark = "same" | "differs" | "open";
@@ -56,10 +57,12 @@ type Masks = Extract<Answer, { kind: "mask_text" }>;
 
 function compareMasks(parts: Parts, mine: Masks, known: Masks): Compared[] {
   const left = [...mine.masks];
-  const words = (mask: Masks["masks"][number]): string => `${parts.phrases(mask.parts)}: ${mask.text || NOTHING}`;
-  // Masks of equal joints first, so that none of them is taken by a similar one.
+  const words = (mask: MaskAnswer): string => `${maskWords(parts, mask)}: ${mask.text || NOTHING}`;
+  const scored = ({ parts: names, soft, joints, range }: MaskAnswer): string =>
+    JSON.stringify([parts.joints(names, soft, joints).hard, range ?? null]);
+  // Masks of equal joints and frames first, so that none of them is taken by a similar one.
   const partners = known.masks.map((mask) => {
-    const at = left.findIndex((own) => jointsOf(parts, own.parts) === jointsOf(parts, mask.parts));
+    const at = left.findIndex((own) => scored(own) === scored(mask));
     return at < 0 ? null : (left.splice(at, 1)[0] ?? null);
   });
   const rows = known.masks.map((mask, index): Compared => {
@@ -84,10 +87,5 @@ export function summary(rows: readonly Compared[]): string {
 
 /** Joints that one of the answers marks and the other does not. */
 export function differingJoints(parts: Parts, mine: Answer, known: Answer): number {
-  return jointsOf(parts, partsOf(mine)) ^ jointsOf(parts, partsOf(known));
-}
-
-/** All parts of an answer. */
-export function partsOf(answer: Answer): string[] {
-  return answer.kind === "mask_text" ? [...new Set(answer.masks.flatMap((mask) => mask.parts))] : answer.parts;
+  return parts.jointsOf(mine).hard ^ parts.jointsOf(known).hard;
 }

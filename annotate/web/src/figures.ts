@@ -1,6 +1,6 @@
 /** Figures in words, and work by day. Days and weeks are those of the project's time zone. */
 
-import type { DayWork, Outlook, Week } from "./wire";
+import type { DayWork, EditTypeCount, Outlook, Week } from "./wire";
 import { KIND_WORDS } from "./words";
 
 const DAY_MS = 24 * 60 * 60 * 1000;
@@ -128,4 +128,18 @@ function duration(days: number): string {
   if (days < 1) return "less than a day";
   const whole = Math.ceil(days);
   return whole < 60 ? count(whole, "day", "days") : `${Math.round(whole / 7)} weeks`;
+}
+
+/**
+ * What is still wanted of the edit types that have a quota, the one furthest behind first, and of which there is enough.
+ * Empty without quotas.
+ */
+export function quotaWords(counts: readonly EditTypeCount[]): string {
+  const share = ({ kept, wanted }: EditTypeCount): number => kept / wanted;
+  const words = ({ edit_type, kept, wanted }: EditTypeCount): string => `${edit_type} (${kept} of ${wanted})`;
+  const list = (some: readonly EditTypeCount[]): string => [...some].sort((a, b) => share(a) - share(b)).map(words).join(", ");
+  const behind = counts.filter(({ kept, wanted }) => kept < wanted);
+  const full = counts.filter(({ kept, wanted }) => kept >= wanted);
+  const sentences = [behind.length > 0 && `Still wanted: ${list(behind)}.`, full.length > 0 && `Enough: ${list(full)}.`];
+  return sentences.filter((sentence) => sentence !== false).join(" ");
 }

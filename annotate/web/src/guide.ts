@@ -2,7 +2,7 @@
 
 import { fill, h, type Child } from "./dom";
 import type { Guide, GuidePicture, Style, TaskKind, TextForm } from "./wire";
-import { KIND_WORDS } from "./words";
+import { KIND_WORDS, paragraphs } from "./words";
 
 const FORM_WORDS: Readonly<Record<TextForm, string>> = {
   completion: "A description completes “The person is …”: “waving with the left arm”.",
@@ -81,16 +81,24 @@ export function kindGuide(guide: Guide, kind: TaskKind, styles: readonly Style[]
   ];
 }
 
-/** The styles of the project with what each looks like; those without a text follow in one line. */
+/** The styles of the project with what is said of each; those of which nothing is said follow in one line. */
 function styleList(styles: readonly Style[]): HTMLElement[] {
-  const [told, bare] = [styles.filter((style) => style.text !== ""), styles.filter((style) => style.text === "")];
+  const isTold = ({ text, guideline }: Style): boolean => text !== "" || (guideline ?? "") !== "";
+  const [told, bare] = [styles.filter(isTold), styles.filter((style) => !isTold(style))];
   const names = bare.map((style) => style.name).join(", ");
   return [
     ...(told.length > 0
-      ? [h("dl", { class: "styles" }, ...told.flatMap((style) => [h("dt", {}, colourMark(style.colour), style.name), h("dd", {}, style.text)]))]
+      ? [h("dl", { class: "styles" }, ...told.flatMap((style) => [h("dt", {}, colourMark(style.colour), style.name), h("dd", {}, style.text, guidelineOf(style))]))]
       : []),
     ...(names ? [h("p", {}, told.length > 0 ? `Further styles: ${names}.` : `Styles to choose from: ${names}.`)] : []),
   ];
+}
+
+/** How a style is performed, folded until somebody opens it. */
+function guidelineOf({ name, guideline }: Style): HTMLElement | null {
+  if (!guideline) return null;
+  const texts = paragraphs(guideline).map((text) => h("p", {}, text));
+  return h("details", { class: "guideline" }, h("summary", {}, `How “${name}” is performed`), ...texts);
 }
 
 function colourMark(colour: string | null): HTMLElement | null {

@@ -75,6 +75,8 @@ const ACTIONS = [
   ["preview", "Blend preview", "mask", ["KeyB"]],
   ["preview_partner", "Blend with another motion", "mask", ["Shift+KeyB"]],
   ["accept_heat", "Take the suggested parts", "mask", ["KeyH"]],
+  ["range_set", "Mask holds from In to Out", "mask", ["KeyA"]],
+  ["range_clear", "Mask holds for the whole clip", "mask", ["Shift+KeyA"]],
 
   ["unnatural", "Unnatural", "pair", ["KeyX"]],
   ["unclear", "Unclear", "pair", ["KeyU"]],

@@ -2,7 +2,8 @@
  * Warnings about descriptions that are probably wrong. They never block, because an unusual text can be right.
  */
 
-import { MAX_TEXT_CHARS } from "./wire";
+import { maskKey } from "./masks";
+import { MAX_TEXT_CHARS, type MaskAnswer } from "./wire";
 
 export type LintCode = "side" | "limb" | "empty" | "long" | "same_text" | "same_mask" | "draft_unchanged";
 
@@ -101,16 +102,13 @@ export function lintText(text: string, parts: readonly string[]): Lint[] {
   return found;
 }
 
-export interface LintCard {
-  parts: readonly string[];
-  text: string;
+export interface LintCard extends Pick<MaskAnswer, "parts" | "joints" | "range" | "text"> {
   /** The draft that was shown for this card, if any. */
   draft?: string | null;
 }
 
 /** Warnings about all cards of a task, by card. */
 export function lintCards(cards: readonly LintCard[]): Lint[][] {
-  const key = (parts: readonly string[]): string => [...parts].sort().join("+");
   return cards.map((card, index) => {
     const found = lintText(card.text, card.parts);
     const earlier = cards.slice(0, index);
@@ -118,7 +116,7 @@ export function lintCards(cards: readonly LintCard[]): Lint[][] {
     if (text !== "" && earlier.some((other) => other.text.trim().toLowerCase() === text)) {
       found.push({ code: "same_text", message: "Another card has the same description." });
     }
-    if (card.parts.length > 0 && earlier.some((other) => key(other.parts) === key(card.parts))) {
+    if (card.parts.length > 0 && earlier.some((other) => maskKey(other) === maskKey(card))) {
       found.push({ code: "same_mask", message: "Another card has the same mask." });
     }
     if (card.draft && card.draft.trim() === card.text.trim() && text !== "") {

@@ -1,13 +1,14 @@
 /** Compares and merges versions of an answer. */
 
+import { maskKey, maskWords } from "./masks";
 import type { Parts } from "./parts";
 import { bits } from "./stage/body";
-import type { Answer, Candidate } from "./wire";
+import type { Answer, Candidate, MaskAnswer } from "./wire";
 
 /** An answer in words, for comparison. */
 export function describe(parts: Parts, answer: Answer): string[] {
   if (answer.kind === "mask_text") {
-    const lines = answer.masks.map((mask) => `${parts.phrases(mask.parts)}${mask.soft ? "" : " (no ring)"}: ${mask.text || "—"}`);
+    const lines = answer.masks.map((mask) => `${maskWords(parts, mask)}: ${mask.text || "—"}`);
     if (answer.count_reason) lines.push(`reason: ${answer.count_reason.replaceAll("_", " ")}`);
     if (answer.note) lines.push(`note: ${answer.note}`);
     return lines.length > 0 ? lines : ["no masks"];
@@ -33,8 +34,9 @@ export function differing(candidates: readonly Candidate[]): number {
 /** Concatenates both versions: the masks of both, or both texts. */
 export function both<A extends Answer>(mine: A, theirs: A): A {
   if (mine.kind === "mask_text" && theirs.kind === "mask_text") {
-    const known = new Set(mine.masks.map((mask) => JSON.stringify([mask.parts, mask.text.trim()])));
-    const added = theirs.masks.filter((mask) => !known.has(JSON.stringify([mask.parts, mask.text.trim()])));
+    const keyOf = (mask: MaskAnswer): string => `${maskKey(mask)} ${mask.text.trim()}`;
+    const known = new Set(mine.masks.map(keyOf));
+    const added = theirs.masks.filter((mask) => !known.has(keyOf(mask)));
     return { ...mine, masks: [...mine.masks, ...added] };
   }
   if (mine.kind !== "mask_text" && theirs.kind !== "mask_text") {

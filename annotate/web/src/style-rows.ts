@@ -1,7 +1,7 @@
 /** Rows in which an admin edits the styles of a project. */
 
 import { fill, h } from "./dom";
-import { MAX_NAME_CHARS, MAX_TEXT_CHARS, type Style } from "./wire";
+import { MAX_GUIDELINE_CHARS, MAX_NAME_CHARS, MAX_TEXT_CHARS, type Style } from "./wire";
 
 /** Shown by the picker of a style without a colour. */
 const NO_COLOUR = "#808080";
@@ -34,28 +34,31 @@ export class StyleRows {
   private add(style: Style, focus: boolean): void {
     const called = style.name || "the new style";
     const name = h("input", { attrs: { type: "text", maxlength: MAX_NAME_CHARS, "aria-label": "Name of the style", placeholder: "Name" } });
-    const text = h("textarea", {
-      attrs: { rows: 1, maxlength: MAX_TEXT_CHARS, "aria-label": `What ${called} looks like`, placeholder: "What it looks like" },
-    });
+    const text = textField(style.text, 1, MAX_TEXT_CHARS, `What ${called} looks like`, "What it looks like");
+    const guideline = textField(
+      style.guideline ?? "",
+      2,
+      MAX_GUIDELINE_CHARS,
+      `How ${called} is performed`,
+      "How it is performed: what the body does, and what it must not do. An empty line ends a paragraph.",
+    );
     const coloured = h("input", { attrs: { type: "checkbox", "aria-label": `${called} has a colour` } });
     const colour = h("input", { attrs: { type: "color", "aria-label": `Colour of ${called}` } });
     name.value = style.name;
-    text.value = style.text;
     coloured.checked = style.colour !== null;
     colour.value = style.colour ?? NO_COLOUR;
     colour.addEventListener("input", () => (coloured.checked = true));
     const drop = h("button", { attrs: { type: "button", "aria-label": `Remove ${called}` } }, "Remove");
-    const row = h("div", { class: "style-row" }, name, coloured, colour, text, drop);
+    const row = h("div", { class: "style-row" }, name, coloured, colour, text.element, drop, guideline.element);
     const own = {
       row,
-      // A text that nobody touched stays as it is: the field of a browser changes line ends.
       read: (): Style => ({
         name: name.value.trim(),
-        text: text.value === text.defaultValue ? style.text : text.value.trim(),
+        text: text.read(),
+        guideline: guideline.read(),
         colour: coloured.checked ? colour.value : null,
       }),
     };
-    text.defaultValue = text.value;
     drop.addEventListener("click", () => {
       this.rows = this.rows.filter((other) => other !== own);
       row.remove();
@@ -64,4 +67,12 @@ export class StyleRows {
     this.list.append(row);
     if (focus) name.focus();
   }
+}
+
+/** A field of a longer text. One that nobody touched is read as it was: the field of a browser changes line ends. */
+function textField(text: string, rows: number, maxlength: number, label: string, placeholder: string): { element: HTMLTextAreaElement; read(): string } {
+  const element = h("textarea", { attrs: { rows, maxlength, "aria-label": label, placeholder } });
+  element.value = text;
+  element.defaultValue = element.value;
+  return { element, read: () => (element.value === element.defaultValue ? text : element.value.trim()) };
 }

@@ -123,6 +123,11 @@ export class Viewer {
     this.update(this.clock.now);
   }
 
+  /** Puts an element below the strips. */
+  addBelow(element: HTMLElement): void {
+    this.stripColumn.append(element);
+  }
+
   /** Shows other clips and plays them from the first frame. */
   load(clips: Clip[], layout: Layout): void {
     this.clips = clips;

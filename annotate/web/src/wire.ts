@@ -4,10 +4,12 @@
  */
 
 export const MAX_TEXT_CHARS = 2000;
+export const MAX_GUIDELINE_CHARS = 10000;
 export const MAX_NAME_CHARS = 100;
 export const MAX_EVENTS = 64;
 export const MAX_BODY_BYTES = 262144;
 export const MAX_MASKS = 16;
+export const SHORTEST_RANGE = 31;
 export const BUNDLE = 8;
 export const KEY_MODIFIERS: readonly string[] = [
   "Ctrl+", "Shift+",
@@ -25,7 +27,7 @@ export const KEY_CODES: readonly string[] = [
 ];
 
 /** Actions that can be bound to keys. */
-export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin" | "screen_mine" | "guide_beside" | "practice_next" | "practice_again" | "practice_compare" | "screen_tasks";
+export type Action = "play_pause" | "step_back" | "step_forward" | "go_start" | "go_end" | "loop_in" | "loop_out" | "loop_clear" | "slower" | "faster" | "part_1" | "part_2" | "part_3" | "part_4" | "part_5" | "soft_ring" | "mask_new" | "card_next" | "card_previous" | "preview" | "preview_partner" | "accept_heat" | "unnatural" | "unclear" | "identical" | "side_by_side" | "swap" | "largest_difference" | "text" | "stage" | "submit" | "undo" | "redo" | "skip" | "postpone" | "review_accept" | "review_return" | "review_merge" | "key_sheet" | "camera_front" | "camera_side" | "camera_top" | "camera_follow" | "mask_delete" | "draft_use" | "edit_type" | "template" | "style" | "extent" | "align" | "bundle_next" | "bundle_previous" | "candidate_1" | "candidate_2" | "candidate_3" | "candidate_4" | "review_drop" | "next_region" | "part_6" | "part_7" | "part_8" | "part_9" | "part_10" | "align_roots" | "screen_home" | "screen_mask" | "screen_pair" | "screen_style" | "screen_shelf" | "screen_guide" | "screen_review" | "screen_dashboard" | "screen_admin" | "screen_mine" | "guide_beside" | "practice_next" | "practice_again" | "practice_compare" | "screen_tasks" | "range_set" | "range_clear";
 export const ACTIONS: readonly Action[] = [
   "play_pause", "step_back", "step_forward", "go_start", "go_end", "loop_in", "loop_out", "loop_clear",
   "slower", "faster", "part_1", "part_2", "part_3", "part_4", "part_5", "soft_ring", "mask_new", "card_next",
@@ -37,7 +39,7 @@ export const ACTIONS: readonly Action[] = [
   "next_region", "part_6", "part_7", "part_8", "part_9", "part_10", "align_roots", "screen_home",
   "screen_mask", "screen_pair", "screen_style", "screen_shelf", "screen_guide", "screen_review",
   "screen_dashboard", "screen_admin", "screen_mine", "guide_beside", "practice_next", "practice_again",
-  "practice_compare", "screen_tasks",
+  "practice_compare", "screen_tasks", "range_set", "range_clear",
 ];
 
 /** What a bulk action does with each task. */
@@ -95,6 +97,12 @@ export const EXTENTS: readonly Extent[] = [
 export type ImportFormat = "dataset" | "stance" | "annotations";
 export const IMPORT_FORMATS: readonly ImportFormat[] = [
   "dataset", "stance", "annotations",
+];
+
+/** How a mask takes a joint of the other motion. */
+export type JointWeight = "hard" | "soft" | "none";
+export const JOINT_WEIGHTS: readonly JointWeight[] = [
+  "hard", "soft", "none",
 ];
 
 /** Review queues. */
@@ -186,7 +194,7 @@ export const VERDICTS: readonly Verdict[] = [
 export type Agreement = {
   /** One for each of the release's parts, and `overall` of their decisions together. */
   parts: Array<PartAgreement>,
-  /** Mean Jaccard index of joint sets. */
+  /** Mean Jaccard index of the joints and frames of masks. */
   jaccard: Estimate | null,
   /** Krippendorff's alpha of masks with the MASI distance. */
   alpha_masi: Estimate | null,
@@ -294,6 +302,8 @@ export type BlendRequest = {
   parts: Array<string>,
   /** Whether the soft ring is blended. */
   soft: boolean,
+  /** Joints whose weight differs from the one that the parts and `soft` give them. */
+  joints?: Array<JointChoice>,
   /** Weight of `tgt` on the soft ring, 0 to 1. */
   alpha: number, };
 
@@ -349,6 +359,35 @@ export type Candidate = {
   joints: Array<number>,
   /** Edit distance of its texts from their drafts, 0 to 1. */
   draft_distance: number | null, };
+
+/** A cell of the plan with what has arrived. */
+export type CaptureCell = {
+  /** Id of the source motion. */
+  motion: string,
+  /** Name of the style. */
+  style: string,
+  /** Takes that are wanted. */
+  takes: number,
+  /** Takes that arrived and are not rejected. */
+  arrived: number,
+  /** Takes that were judged unusable or dropped. */
+  rejected: number,
+  /** Takes that are still to capture. */
+  missing: number,
+  /** Whether the project has a motion of this id. */
+  known: boolean, };
+
+/** `PUT captures`: the whole plan, in place of the one before. */
+export type CapturePlan = {
+  /** Its cells, each motion with each style once. */
+  cells: Array<PlannedCapture>, };
+
+/** `GET captures`, and the answer to `PUT captures`: the plan with what has arrived of it. A take is a style pair of the motion in the style. */
+export type Captures = {
+  /** The cells in the order of the plan. */
+  cells: Array<CaptureCell>,
+  /** Style pairs of no planned cell, without rejected ones. */
+  unplanned: number, };
 
 /** An entry of `GET stream` (event `change`). */
 export type Change = {
@@ -413,6 +452,15 @@ export type Decisions = {
   items: Array<DecisionRow>,
   /** Value of `before` for the next page. */
   next: number | null, };
+
+/** `GET stats/edit-types`: one for each edit type that the project has a quota of. */
+export type EditTypeCount = {
+  /** Edit type. */
+  edit_type: EditType,
+  /** Pairs kept: answered `keep` and not sent back. */
+  kept: number,
+  /** Pairs wanted. */
+  wanted: number, };
 
 /** Why a queue is empty. Counts are tasks of the kind. */
 export type Empty = {
@@ -584,6 +632,13 @@ export type Job = {
   /** When its server last reported on it. */
   heartbeat: number, };
 
+/** The weight that a person chose for a joint of a mask. */
+export type JointChoice = {
+  /** Name of one of the 22 body joints. */
+  joint: string,
+  /** Its weight. */
+  weight: JointWeight, };
+
 /** Guidelines of a kind of task. `GET`/`PUT guide/{kind}`. */
 export type KindGuide = {
   /** Plain text. */
@@ -630,6 +685,10 @@ export type MaskAnswer = {
   parts: Array<string>,
   /** Whether the soft ring is blended. */
   soft: boolean,
+  /** Joints whose weight differs from the one that the parts and `soft` give them. */
+  joints?: Array<JointChoice>,
+  /** First frame that the mask holds for, and the one after the last; the whole clip if missing. */
+  range?: [number, number] | null,
   /** What the parts do. */
   text: string,
   /** The suggestion the text started from, if any. */
@@ -852,7 +911,7 @@ export type Person = {
   gold_items: number,
   /** Mean score on gold tasks, 0 to 1. */
   gold_score: number | null,
-  /** Agreement with others (mean Jaccard of joint sets). */
+  /** Agreement with others (mean Jaccard index of the joints and frames of masks). */
   agreement: Estimate | null,
   /** Time of the last log entry. */
   last_seen: number | null, };
@@ -865,6 +924,15 @@ export type PictureInfo = {
   mime: string,
   /** Size in bytes. */
   bytes: number, };
+
+/** A cell of the plan. */
+export type PlannedCapture = {
+  /** Id of the source motion; the project need not know it yet. */
+  motion: string,
+  /** Name of the style. */
+  style: string,
+  /** Takes that are wanted, 1 to 1,000. */
+  takes: number, };
 
 /** `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives practice tasks before. */
 export type Practice = {
@@ -1123,6 +1191,8 @@ export type Settings = {
   quota: number,
   /** Pairs kept of each category, after which its other pairs are not given out; 0 for no bound. */
   category_quota: number,
+  /** Pairs wanted of each edit type, of all categories together; 0, or no entry, for no bound. Pairs that are stated to be of the type that is furthest behind are given out first; none is held back. */
+  edit_type_quota: { [key in EditType]?: number },
   /** The guide, plain text. */
   guide: string,
   /** Name of the time zone in which days begin, such as `Europe/Berlin`. */
@@ -1194,6 +1264,8 @@ export type Style = {
   name: string,
   /** What it looks like, for the people who perform it and who describe it. */
   text: string,
+  /** How it is performed, in paragraphs with empty lines between: what the body does, and what it must not do. Up to 10,000 characters. */
+  guideline?: string,
   /** The colour of its mark, `#rrggbb`. */
   colour: string | null, };
 

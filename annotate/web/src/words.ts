@@ -126,3 +126,11 @@ export function apartWords(distance: number): string {
   const share = distance < 0.005 ? "less than 1 %" : `${Math.round(distance * 100)} %`;
   return `are ${share} apart; what differs glows`;
 }
+
+/** The paragraphs of a text, which empty lines part. */
+export function paragraphs(text: string): string[] {
+  return text
+    .split(/\r?\n[ \t]*\r?\n/)
+    .map((paragraph) => paragraph.trim())
+    .filter((paragraph) => paragraph !== "");
+}

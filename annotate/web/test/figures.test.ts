@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { dateOf, datesTo, hours, knownZone, outlookWords, periodStart, summarise, workedWeeks } from "../src/figures";
+import { dateOf, datesTo, hours, knownZone, outlookWords, periodStart, quotaWords, summarise, workedWeeks } from "../src/figures";
 import type { DayWork, Outlook, Week } from "../src/wire";
 
 const HOUR = 3_600_000;
@@ -84,4 +84,15 @@ test("the time that is left is told with its pace, or why it is not known", () =
   assert.match(words({ days_left: null, ends: null }), /Nobody answered in the last seven days/);
   assert.equal(words({ answers_left: 0, reviews_left: 0 }), "Fine-grained pairs: all answers are in.");
   assert.match(words({ answers_left: 0, reviews_left: 9, reviews_per_day: 0 }), /9 tasks wait for a reviewer; nobody decided/);
+});
+
+test("quotas of edit types are told with what is furthest behind first, and what there is enough of", () => {
+  assert.equal(quotaWords([]), "");
+  const counts = [
+    { edit_type: "speed" as const, kept: 30, wanted: 40 },
+    { edit_type: "force" as const, kept: 12, wanted: 40 },
+    { edit_type: "timing" as const, kept: 9, wanted: 8 },
+  ];
+  assert.equal(quotaWords(counts), "Still wanted: force (12 of 40), speed (30 of 40). Enough: timing (9 of 8).");
+  assert.equal(quotaWords(counts.slice(2)), "Enough: timing (9 of 8).");
 });

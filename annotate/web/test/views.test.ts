@@ -7,7 +7,7 @@ import { OrbitCamera } from "../src/stage/camera";
 import { LIMBS, PARENTS, PLAIN, aligned, bits, colourOf, headingAt, pointAt, toneOf, type Track } from "../src/stage/body";
 import { heatColour, spans } from "../src/strips";
 import type { Candidate, PartInfo, Task, TaskState } from "../src/wire";
-import { apartWords, becameOf, factsOf, type MaskTextAnswer } from "../src/words";
+import { apartWords, becameOf, factsOf, paragraphs, type MaskTextAnswer } from "../src/words";
 
 const part = (name: string, hard: number[], soft: number[], release = true): PartInfo => ({
   name,
@@ -188,4 +188,9 @@ test("answers that choose the same are not called 0 % apart", () => {
   assert.equal(apartWords(0), "choose the same; compare their texts");
   assert.equal(apartWords(0.004), "are less than 1 % apart; what differs glows");
   assert.equal(apartWords(0.125), "are 13 % apart; what differs glows");
+});
+
+test("empty lines part the paragraphs of a guideline", () => {
+  assert.deepEqual(paragraphs("Bend the knees,\nand keep them bent.\r\n \r\n\r\nDo not limp.\n"), ["Bend the knees,\nand keep them bent.", "Do not limp."]);
+  assert.deepEqual(paragraphs(" \n\n"), []);
 });

@@ -22,7 +22,7 @@ pub use values::{Caption, PartCaption, Quality};
 
 /// Version of the table schemas. The major number changes when an old reader would misread a
 /// column; columns may be added within a major version, and readers ignore those they do not know.
-pub const SCHEMA_VERSION: &str = "1.9.0";
+pub const SCHEMA_VERSION: &str = "1.10.0";
 
 /// One column of a table.
 #[derive(Clone, Debug, PartialEq)]

@@ -130,10 +130,10 @@ impl SourceClip {
             .max(1.0)
     }
 
-    /// Narrows source frames, captions and features to a part of the motion, and leaves the motion as
+    /// Narrows source frames, captions, masks and features to a part of the motion, and leaves the motion as
     /// it is. `kept` counts frames of `step` frames of [`SourceClip::motion`] each.
     ///
-    /// Captions with a time move along; one that speaks only of frames that are cut off becomes a
+    /// Captions with a time and masks with a range move along; one that is only about frames that are cut off becomes a
     /// note.
     pub fn narrow(&mut self, kept: &Range<usize>, step: f64) {
         let Some(last) = kept.clone().next_back() else {
@@ -159,6 +159,9 @@ impl SourceClip {
             true
         });
         self.notes.extend(cut_off);
+        let first = kept.start as f64 * step;
+        let len = (kept.len() as f64 * step).round() as usize;
+        self.move_masks(len, |frame| frame - first);
         let stride = step * self.stride();
         let frames = self.source_frames.clone();
         let end = frames.start + (last as f64 * stride).ceil() as usize + 1;
@@ -166,6 +169,30 @@ impl SourceClip {
         self.source_frames = start.min(frames.end)..end.min(frames.end);
         let carried = self.features.take().filter(|_| step == 1.0);
         self.features = carried.and_then(|features| Some(features.get(kept.clone())?.to_vec()));
+    }
+
+    /// Moves masks that hold for a range of frames to the frames of a changed motion, which has `len` of them: `place`
+    /// gives the place of a frame there. A mask of which too little is left is dropped and becomes a note.
+    pub fn move_masks(&mut self, len: usize, place: impl Fn(f64) -> f64) {
+        let end_of_motion = i32::try_from(len).unwrap_or(i32::MAX);
+        let moved = |frame: &mut i32| {
+            *frame = (place(f64::from(*frame)).round() as i32).clamp(0, end_of_motion);
+            *frame
+        };
+        let mut cut_off = Vec::new();
+        self.masks.retain_mut(|mask| {
+            let row = mask.made.as_mut();
+            let range = row.and_then(|row| row.start.as_mut().zip(row.end.as_mut()));
+            let is_left = range.is_none_or(|(start, end)| {
+                let (start, end) = (moved(start), moved(end));
+                end - start >= MaskRow::SHORTEST
+            });
+            if !is_left {
+                cut_off.push(format!("a mask holds for frames cut off: {}", mask.text));
+            }
+            is_left
+        });
+        self.notes.extend(cut_off);
     }
 }
 

@@ -1,7 +1,8 @@
 //! Seeded draws: subsets, orders and crops.
 
-use datasets_spec::{Rng, Seed};
-use rand::RngExt;
+use std::ops::{Range, RangeInclusive};
+
+use datasets_spec::Seed;
 
 /// Rounds of the Feistel network below; four make it pseudorandom (Luby and Rackoff 1988).
 const FEISTEL_ROUNDS: u64 = 4;
@@ -95,24 +96,22 @@ impl Crop {
         }
     }
 
-    /// The middle of the longer motion, as SINC crops.
-    pub(super) fn centred(source_frames: usize, target_frames: usize) -> Self {
+    /// Crops the longer motion where `place` says, of the first frames that it may choose from. A target that is cropped
+    /// keeps the frames `held`, or as many of them as the source has.
+    pub(super) fn around(
+        source_frames: usize,
+        target_frames: usize,
+        held: &Range<usize>,
+        mut place: impl FnMut(RangeInclusive<usize>) -> usize,
+    ) -> Self {
         let num_frames = source_frames.min(target_frames);
-        Self {
-            source_start: (source_frames - num_frames) / 2,
-            target_start: (target_frames - num_frames) / 2,
-            num_frames,
-        }
-    }
-
-    /// Draws the position of the shorter motion in the longer.
-    pub(super) fn draw(source_frames: usize, target_frames: usize, rng: &mut Rng) -> Self {
-        let num_frames = source_frames.min(target_frames);
-        let offset = rng.random_range(0..=source_frames.max(target_frames) - num_frames);
         let (source_start, target_start) = if source_frames > target_frames {
-            (offset, 0)
+            (place(0..=source_frames - num_frames), 0)
+        } else if num_frames < held.len() {
+            (0, place(held.start..=held.end - num_frames))
         } else {
-            (0, offset)
+            let last = held.start.min(target_frames - num_frames);
+            (0, place(held.end.saturating_sub(num_frames)..=last))
         };
         Self {
             source_start,
@@ -125,6 +124,7 @@ impl Crop {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use rand::RngExt;
 
     use super::*;
 
@@ -138,11 +138,19 @@ mod tests {
         }
 
         #[test]
-        fn a_crop_lies_in_both_motions(a in 1..300usize, b in 1..300usize, seed in any::<u64>()) {
-            let crop = Crop::draw(a, b, &mut Seed(seed).rng(&["crop"]));
+        fn a_crop_lies_in_both_motions_and_keeps_what_is_held(
+            a in 1..300usize, b in 1..300usize, seed in any::<u64>(), bounds in any::<[prop::sample::Index; 2]>(),
+        ) {
+            let [first, last] = bounds.map(|at| at.index(b));
+            let held = first.min(last)..first.max(last) + 1;
+            let mut rng = Seed(seed).rng(&["crop"]);
+            let crop = Crop::around(a, b, &held, |allowed| rng.random_range(allowed));
             prop_assert_eq!(crop.num_frames, a.min(b));
             prop_assert!(crop.source_start + crop.num_frames <= a);
-            prop_assert!(crop.target_start + crop.num_frames <= b);
+            let taken = crop.target_start..crop.target_start + crop.num_frames;
+            prop_assert!(taken.end <= b);
+            let shared = taken.start.max(held.start)..taken.end.min(held.end);
+            prop_assert_eq!(shared.len(), held.len().min(crop.num_frames));
         }
     }
 

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::library::{Clip, Subject};
 use super::novelty::{Asked, Novelty, Shown};
-use super::triplet::{Place, Triplet};
+use super::triplet::{Place, Triplet, within};
 use super::{ComposeConfig, Error, ItemTask, Library, blend_motion};
 
 /// Preferred length of an item in windows: the paper edits clips of several segments, and the
@@ -409,6 +409,7 @@ impl Drawer<'_> {
         row.donor_ids = triplet.donor_ids.iter().map(MotionId::to_string).collect();
         row.hard_joints = triplet.mask.hard().names();
         row.soft_joints = triplet.mask.soft().names();
+        [row.edit_start, row.edit_end] = triplet.edit_bounds();
         row.alpha = triplet.alpha as f32;
         row.recipe_hash.clone_from(&self.recipe_hash);
         row.set_motions(&triplet.original, Some(&triplet.edited), other.as_ref());
@@ -488,7 +489,14 @@ impl Drawer<'_> {
                 original.expect("as long as the take or longer")
             }
         };
-        blend_motion(&under, &over, item.mask, item.alpha, self.config.slerp).map(Some)
+        let blended = blend_motion(&under, &over, item.mask, item.alpha, self.config.slerp)?;
+        let edited = &item.edited_frames;
+        within(
+            &under,
+            blended,
+            &(edited.start.min(frames)..edited.end.min(frames)),
+        )
+        .map(Some)
     }
 }
 
@@ -541,6 +549,28 @@ mod tests {
         };
         let all = draw_items(&library, &all, &Shown::default(), Seed(3)).expect("enough clips");
         assert_eq!(all, items[..num_masks]);
+    }
+
+    #[test]
+    fn an_item_of_a_mask_with_a_range_says_which_frames_it_is_about() {
+        let (motions, mut masks) = fixture::rows(Split::Test, CLIPS);
+        masks.retain(|mask| mask.motion_id.as_str() == "clip8");
+        (masks[0].start, masks[0].end) = (Some(50), Some(90));
+        let skeleton = Skeleton::smplx_neutral();
+        let library = Library::new(Split::Test, &motions, &masks, &[], &skeleton);
+        let library = Arc::new(library.expect("valid rows"));
+        let items = draw_items(&library, &of_count(3), &Shown::default(), Seed(3));
+        for item in &items.expect("enough clips") {
+            item.check().expect("named by its content");
+            let (source, target) = (item.source().expect("valid"), item.target().expect("valid"));
+            let edited = item.edited_frames().expect("a range");
+            assert_eq!((edited.len(), source.len()), (40, target.len()));
+            let same = |frame: usize| source.body_pose()[frame] == target.body_pose()[frame];
+            assert!((0..source.len()).all(|frame| same(frame) != edited.contains(&frame)));
+            let mut whole = item.clone();
+            (whole.edit_start, whole.edit_end) = (None, None);
+            assert_ne!(whole.content_id(), item.id);
+        }
     }
 
     #[test]

@@ -15,6 +15,7 @@ mod caption;
 mod config;
 mod coordinator;
 mod draw;
+mod during;
 mod error;
 mod instruction;
 mod items;
@@ -38,6 +39,7 @@ pub use config::{
     SlerpRule,
 };
 pub use coordinator::CoordinatorBatch;
+pub use during::{keep_outside, leaves_frames};
 pub use error::Error;
 pub use instruction::{Phrases, instruction, style_instruction};
 pub use items::{ItemConfig, ItemCount, digest_of_ids, draw_items};

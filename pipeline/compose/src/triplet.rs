@@ -1,10 +1,13 @@
 //! Whole-clip triplets: recorded items of a stream.
 
+use std::ops::Range;
+
 use datasets_spec::record::TripletRow;
 use datasets_spec::{BlendMask, Fps, JointSet, Motion, MotionId, Seed, Split};
 
 use super::library::{Pairing, Subject};
 use super::{Alignment, ComposeConfig, Error, Library, Stream, blend_motion};
+use crate::during::{keep_outside, leaves_frames};
 
 /// An original motion, an instruction, and the edited motion it leads to. Both motions have the
 /// same length and rate; outside the mask their local rotations are the same to the last bit.
@@ -35,6 +38,8 @@ pub struct Triplet {
     pub alignment: &'static str,
     /// Joints that the edit takes from the target.
     pub mask: BlendMask,
+    /// Frames of both motions that the edit may change; the others are the original's.
+    pub edited_frames: Range<usize>,
     /// Weight of the target on soft joints.
     pub alpha: f64,
     /// Seed of the stream.
@@ -140,7 +145,8 @@ impl Stream {
         };
         let mask = BlendMask::new(triplet.mask.hard(), JointSet::EMPTY).expect("nothing is soft");
         let taken = self.taken(triplet)?;
-        blend_motion(&under, &taken, mask, 0.0, self.config.slerp)
+        let blended = blend_motion(&under, &taken, mask, 0.0, self.config.slerp)?;
+        within(&under, blended, &triplet.edited_frames)
     }
 
     fn stretch(&self, id: &MotionId, start: usize, triplet: &Triplet) -> Result<Motion, Error> {
@@ -151,6 +157,19 @@ impl Stream {
     fn triplet_id(&self, epoch: u64, item: u64) -> String {
         let kind = self.kind(epoch, item).as_str();
         format!("{}-{kind}-{epoch}-{item}", self.library.split())
+    }
+}
+
+/// An edit of some frames alone: the others are those of the original, and both meet as [`keep_outside`] says.
+pub(super) fn within(
+    original: &Motion,
+    edited: Motion,
+    frames: &Range<usize>,
+) -> Result<Motion, Error> {
+    let frames = std::slice::from_ref(frames);
+    match leaves_frames(original.len(), frames) {
+        true => Ok(keep_outside(original, &edited, frames)?),
+        false => Ok(edited),
     }
 }
 
@@ -184,13 +203,17 @@ impl Library {
         let (crop, donor) = (pairing.crop, pairing.donor);
         let id_of = |clip: usize| self.clip(clip).id.clone();
         let target = self.target_of(pairing.subject);
+        let edited_frames = match pairing.subject {
+            Subject::Annotation(_) => self.edited_of(pairing),
+            Subject::Pair(_) => 0..donor.num_frames,
+        };
         let (source_id, starts, original, edited, donors) = match (pairing.subject, pairing.partner)
         {
             (Subject::Annotation(_), partner) => {
                 let source = partner.expect("a semantic edit has a source");
                 let original = cut(source, crop.source_start, crop.num_frames)?;
                 let taken = cut(target, crop.target_start, crop.num_frames)?;
-                let edited = blend(&original, &taken)?;
+                let edited = within(&original, blend(&original, &taken)?, &edited_frames)?;
                 let starts = (crop.source_start, crop.target_start);
                 (id_of(source), starts, original, edited, Vec::new())
             }
@@ -229,6 +252,7 @@ impl Library {
                 Alignment::None.as_str()
             },
             mask,
+            edited_frames,
             alpha: pairing.alpha,
             seed: place.seed,
             epoch: place.epoch,
@@ -245,12 +269,24 @@ impl Triplet {
         self.original.fps()
     }
 
+    /// First edited frame and one past the last, as tables state them; none where all may change.
+    ///
+    /// # Panics
+    /// As [`Triplet::to_row`].
+    pub(super) fn edit_bounds(&self) -> [Option<i32>; 2] {
+        let Range { start, end } = self.edited_frames;
+        let is_part = (start, end) != (0, self.original.len());
+        let bound = |frame: usize| i32::try_from(frame).expect("fewer than 2 billion frames");
+        [start, end].map(|frame| is_part.then(|| bound(frame)))
+    }
+
     /// The row of table `triplets`.
     ///
     /// # Panics
     /// If the motions have more frames than the table can count, 2 billion.
     pub fn to_row(&self) -> TripletRow {
         let frames = |count: usize| i32::try_from(count).expect("fewer than 2 billion frames");
+        let [edit_start, edit_end] = self.edit_bounds();
         TripletRow {
             id: self.id.clone(),
             split: self.split,
@@ -265,6 +301,8 @@ impl Triplet {
             alignment: self.alignment.to_owned(),
             hard_joints: self.mask.hard().names(),
             soft_joints: self.mask.soft().names(),
+            edit_start,
+            edit_end,
             alpha: self.alpha as f32,
             seed: self.seed.0,
             epoch: self.epoch,
@@ -473,6 +511,122 @@ mod tests {
                 matches!(stream.explain(id), Err(Error::TripletId { .. })),
                 "{id:?}"
             );
+        }
+    }
+
+    /// The stream of one annotated clip of 135 frames whose mask holds for frames 50 to 90.
+    fn ranged(config: ComposeConfig) -> (Stream, Motion) {
+        let (motions, mut masks) = fixture::rows(Split::Train, CLIPS);
+        let mask = masks
+            .iter_mut()
+            .find(|mask| mask.motion_id.as_str() == "clip8");
+        let mask = mask.expect("every second clip has one");
+        (mask.start, mask.end) = (Some(50), Some(90));
+        let masks = [mask.clone()];
+        let target = motions[8].motion().expect("valid");
+        let skeleton = Skeleton::smplx_neutral();
+        let library = Library::new(Split::Train, &motions, &masks, &[], &skeleton);
+        let library = library.expect("valid rows");
+        let normalizer = library.fit_normalizer(&config).expect("long enough");
+        let stream = Stream::new(Arc::new(library), config, Seed(5), &normalizer);
+        (stream.expect("a stream"), target)
+    }
+
+    #[test]
+    fn a_mask_with_a_range_edits_the_frames_of_its_range_alone() {
+        for fixed_pairs in [false, true] {
+            let (stream, target) = ranged(ComposeConfig {
+                fixed_pairs,
+                ..ComposeConfig::default()
+            });
+            let mut lengths = std::collections::BTreeSet::new();
+            for epoch in 0..40 {
+                let triplet = stream.clip(epoch, 0).expect("in memory");
+                let (frames, start) = (triplet.original.len(), triplet.target_start);
+                lengths.insert(frames);
+                let edited = triplet.edited_frames.clone();
+                // A partner of fewer frames than the range has gives an edit of all of them.
+                assert_eq!(edited.len(), frames.min(40));
+                assert!(start + edited.start >= 50 && start + edited.end <= 90);
+                let row = triplet.to_row();
+                let bounds = (row.edit_start, row.edit_end);
+                let is_part = frames > edited.len();
+                assert_eq!(bounds.0.is_some() && bounds.1.is_some(), is_part);
+                let taken = target.crop(start..start + frames).expect("inside");
+                let pose = |motion: &Motion, frame: usize| {
+                    let joints = 0..22;
+                    joints
+                        .map(|joint| motion.axis_angle(frame, joint))
+                        .collect::<Vec<_>>()
+                };
+                for frame in (0..frames).filter(|frame| !edited.contains(frame)) {
+                    assert_eq!(pose(&triplet.edited, frame), pose(&triplet.original, frame));
+                    let transl = [&triplet.edited, &triplet.original].map(|m| m.transl()[frame]);
+                    assert_eq!(transl[0], transl[1]);
+                }
+                // The middle of the range is the target's.
+                let middle = edited.start + edited.len() / 2;
+                for joint in triplet.mask.hard().iter().map(|joint| joint.index()) {
+                    let [found, wanted] = [&triplet.edited, &taken].map(|motion| {
+                        kinematics::rotation::from_axis_angle(
+                            glam::Vec3::from_array(motion.axis_angle(middle, joint)).as_dvec3(),
+                        )
+                    });
+                    let apart = kinematics::rotation::angle_between(found, wanted);
+                    assert!(joint == 0 || apart < 1e-5, "joint {joint}: {apart}");
+                }
+            }
+            assert!(fixed_pairs || lengths.iter().any(|frames| *frames > 40));
+        }
+    }
+
+    #[test]
+    fn windows_of_a_mask_with_a_range_lie_in_it() {
+        for fixed_pairs in [false, true] {
+            let (stream, _) = ranged(ComposeConfig {
+                fixed_pairs,
+                ..ComposeConfig::default()
+            });
+            // 40 frames hold one window of 31.
+            assert_eq!(stream.epoch_len(), 1);
+            let mut batch = crate::WindowBatch::default();
+            for epoch in 0..20 {
+                stream.fill(epoch, 0, 1, &mut batch).expect("in memory");
+                // It starts at one of the first ten frames of the range.
+                assert!(
+                    (0.0..0.25).contains(&batch.progress[0]),
+                    "{}",
+                    batch.progress[0]
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn ranges_that_are_none_are_refused_by_name() {
+        let skeleton = Skeleton::smplx_neutral();
+        let (motions, masks) = fixture::rows(Split::Train, CLIPS);
+        let with = |start, end| {
+            let mut mask = masks[4].clone();
+            (mask.start, mask.end) = (start, end);
+            let library = Library::new(Split::Train, &motions, &[mask], &[], &skeleton);
+            library.map(|_| ()).map_err(|error| match error {
+                Error::Mask { source, .. } => source.to_string(),
+                other => panic!("{other}"),
+            })
+        };
+        assert_eq!(with(Some(0), Some(31)), Ok(()));
+        assert_eq!(with(Some(104), Some(135)), Ok(()));
+        for (start, end, reason) in [
+            (Some(0), Some(30), "spans 31"),
+            (Some(0), Some(136), "135 frames"),
+            (Some(-1), Some(40), "-1 to 40"),
+            (Some(60), Some(20), "60 to 20"),
+            (Some(60), None, "60 to ?"),
+            (None, Some(60), "? to 60"),
+        ] {
+            let refused = with(start, end).expect_err("no range");
+            assert!(refused.contains(reason), "{refused}");
         }
     }
 

@@ -81,6 +81,8 @@ pub(super) fn clip_rows(
     }
     let target = options.fps.unwrap_or(clip.motion.fps());
     let (motion, quality) = stored(&mut clip, target, options)?;
+    let rates = target.get() / clip.motion.fps().get();
+    clip.move_masks(motion.len(), |frame| frame * rates);
     let entry = item.entry;
     let features = match options.humanml3d_features {
         true => {
@@ -315,6 +317,8 @@ pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> Mask
         parts: part_names(&mask.parts),
         hard_joints: blend.hard().names(),
         soft_joints: blend.soft().names(),
+        start: None,
+        end: None,
         mask_def_version: MASK_DEF_VERSION,
         text: mask.text,
         text_origin: "imported".to_owned(),

@@ -24,6 +24,7 @@ pub(super) struct Met {
     /// Rate of the motion in 1/s, and its sketch; none for captures.
     pub(super) fps: Option<f32>,
     pub(super) sketch: Option<Sketch>,
+    pub(super) frames: i32,
 }
 
 /// A row that names a motion.
@@ -32,17 +33,28 @@ pub(super) struct Named {
     row: String,
     motion: String,
     split: Split,
+    /// Frames that the motion must have.
+    frames: i32,
 }
 
 impl Named {
-    pub(super) fn check(&self, motions: &BTreeMap<MotionId, Split>) -> Option<Finding> {
+    /// `motions` are splits and numbers of frames.
+    pub(super) fn check(&self, motions: &BTreeMap<MotionId, (Split, i32)>) -> Option<Finding> {
         let item = format!("{} of {}", self.row, self.table);
         let found = MotionId::parse(&self.motion)
             .ok()
             .and_then(|id| motions.get(&id));
         match found {
-            Some(split) if *split == self.split => None,
-            Some(split) => Some(Finding {
+            Some((_, frames)) if *frames < self.frames => Some(Finding {
+                check: Check::References,
+                item,
+                problem: format!(
+                    "ends at frame {} of {}, which has {frames} frames",
+                    self.frames, self.motion
+                ),
+            }),
+            Some((split, _)) if *split == self.split => None,
+            Some((split, _)) => Some(Finding {
                 check: Check::Splits,
                 item,
                 problem: format!(
@@ -64,6 +76,8 @@ struct Label<'a> {
     id: &'a str,
     split: Split,
     motions: Vec<&'a MotionId>,
+    /// Frames that they must have.
+    frames: i32,
     /// Whether the composer accepts it.
     usable: Result<(), compose::Error>,
 }
@@ -97,12 +111,14 @@ impl Read {
                 id: &row.id,
                 split: row.split,
                 motions: vec![&row.motion_id],
+                frames: row.end.unwrap_or(0),
                 usable: check_mask(row),
             }),
             PairRow::TABLE => read.labels_of(&path, file, |row: &PairRow| Label {
                 id: &row.id,
                 split: row.split,
                 motions: vec![&row.source_id, &row.target_id],
+                frames: 0,
                 usable: check_pair(row),
             }),
             HumanMl3dRow::TABLE => read.features(&path, file),
@@ -145,6 +161,7 @@ impl Read {
                 row,
                 motion,
                 split,
+                frames: 0,
             });
         }
         Ok(())
@@ -158,6 +175,7 @@ impl Read {
                 row: row.id.to_string(),
                 motion: row.id.to_string(),
                 split: row.split,
+                frames: 0,
             });
             self.recipes.entry(row.recipe).or_insert(row.id);
         }
@@ -177,6 +195,7 @@ impl Read {
                 },
                 fps: None,
                 sketch: None,
+                frames: 0,
             });
         }
         Ok(())
@@ -194,6 +213,7 @@ impl Read {
                 id,
                 split,
                 motions,
+                frames,
                 usable,
             } = label(row);
             let item = format!("{id} of {}", R::TABLE);
@@ -212,6 +232,7 @@ impl Read {
                 row: id.to_owned(),
                 motion: motion.to_string(),
                 split,
+                frames,
             }));
         }
         Ok(())
@@ -325,6 +346,7 @@ impl Read {
                 },
                 fps: Some(row.fps),
                 sketch,
+                frames: row.n_frames,
             });
         }
         Ok(())

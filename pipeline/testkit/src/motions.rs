@@ -52,6 +52,8 @@ pub fn mask_row(motion: &str, split: Split, part: BodyPart) -> MaskRow {
         parts: vec![part.name().to_owned()],
         hard_joints: part.mask().hard().names(),
         soft_joints: part.mask().soft().names(),
+        start: None,
+        end: None,
         mask_def_version: MASK_DEF_VERSION,
         text: format!("The person is waving with their {part}."),
         text_origin: "human".to_owned(),

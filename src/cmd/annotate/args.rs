@@ -122,13 +122,30 @@ pub(super) enum Action {
         #[command(subcommand)]
         action: Option<RulesAction>,
     },
-    /// Print the styles as TOML; or add those of such a file, and take over its texts and colours
+    /// Print the styles as TOML; or add those of such a file, and take over its texts, guidelines and colours
     ///
-    /// A table [[style]] for each, with `name`, and where they are known `text` (what it looks like) and `colour` (#rrggbb).
+    /// A table [[style]] for each, with `name`, and where they are known `text` (what it looks like), `guideline` (how
+    /// it is performed, in paragraphs) and `colour` (#rrggbb).
     /// An import of style pairs adds their labels by itself. This command removes no style; the admin page can.
     Styles {
         /// File to read
         file: Option<PathBuf>,
+    },
+    /// Print the capture plan as CSV, source motions by styles; or take that of a file in its place
+    ///
+    /// Lines `motion,style,takes`: the id of a source motion, the name of a style, and how many takes are wanted (1 if
+    /// left out). A take is a style pair of the dataset whose source is that motion and whose style is that style; a
+    /// rejected one does not count.
+    Captures {
+        /// File to read
+        #[arg(conflicts_with_all = ["missing", "sheet"])]
+        file: Option<PathBuf>,
+        /// Print only what is still to capture
+        #[arg(long, conflicts_with = "sheet")]
+        missing: bool,
+        /// Write a page for performers: how each style is performed, and what is still to capture in it
+        #[arg(long, value_name = "FILE", value_parser = crate::local::path())]
+        sheet: Option<PathBuf>,
     },
     /// Do one thing to all tasks of a filter; without --yes only count them
     Bulk(Box<BulkArgs>),

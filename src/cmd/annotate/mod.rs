@@ -1,6 +1,7 @@
 //! `stance annotate`
 
 mod args;
+mod captures;
 mod drafts;
 mod export;
 mod import;
@@ -8,6 +9,7 @@ mod pack;
 mod rules;
 mod serve;
 mod shared;
+mod sheet;
 mod store;
 mod styles;
 mod tasks;
@@ -20,6 +22,7 @@ use datasets_spec::Dataset;
 
 use self::args::Action;
 pub(crate) use self::args::Args;
+use self::captures::captures;
 use self::drafts::ask_drafts;
 use self::export::export;
 use self::import::import;
@@ -66,6 +69,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         Action::Rules { action } => rules(store, action.as_ref(), global),
         Action::Styles { file } => styles(store, file.as_deref(), global),
+        Action::Captures {
+            file,
+            missing,
+            sheet,
+        } => captures(store, file.as_deref(), *missing, sheet.as_deref(), global),
         Action::Bulk(bulk) => run_bulk(store, bulk, global),
         Action::Drafts { kind, limit } => {
             let kind = kind.as_deref().and_then(TaskKind::parse);

@@ -1,4 +1,4 @@
-//! The styles of a project, as a file of names, texts and colours.
+//! The styles of a project, as a file of names, texts, guidelines and colours.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ struct StyleFile {
     style: Vec<Style>,
 }
 
-/// Adds the styles of a file and takes over its texts and colours, or prints those of the project.
+/// Adds the styles of a file and takes over what it says of each, or prints those of the project.
 pub(super) fn styles(store: &Store, file: Option<&Path>, global: &Global) -> anyhow::Result<Exit> {
     let mut project = store.settings()?;
     let Some(file) = file else {

@@ -194,18 +194,9 @@ impl TmedSystem {
         let [asked] = instructions else {
             return Err(Error::Item {
                 id: id.to_owned(),
-                problem: "asks for several edits of parts; TMED edits whole motions by one \
-                          instruction"
-                    .to_owned(),
+                problem: "asks for several edits; TMED follows one instruction".to_owned(),
             });
         };
-        if asked.frames != (0..motion.len()) {
-            return Err(Error::Item {
-                id: id.to_owned(),
-                problem: "asks for an edit of some frames alone; TMED edits whole motions"
-                    .to_owned(),
-            });
-        }
         let own = self.record.train.fps;
         let mut source = features_of_motion(motion, own, usize::MAX, &self.skeleton)
             .map_err(motion_error(id))?;

@@ -2,6 +2,7 @@
 //! server. Started by `annotate/browser/run`.
 
 mod access;
+mod captures;
 mod dashboard;
 mod drafts;
 mod first_day;

@@ -245,6 +245,127 @@ async fn the_blend_preview_changes_only_masked_joints() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_mask_holds_for_a_range_and_a_joint_is_chosen() {
+    const LAST: &str = "Number(document.querySelector('.lane-handle.last').ariaValueNow)";
+    const RANGE: &str =
+        "document.querySelector('.mask-card.selected .card-title [data-range]')?.textContent";
+    const HIP: &str = ".mask-card.selected [data-joint=left_hip]";
+    let desk = Desk::open("app/mask").await;
+    let browser = &desk.browser;
+    let task = browser.task().await;
+    describe_two_masks(browser).await;
+
+    // From In to Out: 11 frames are too few, and cannot be handed in.
+    browser.press(&[keys::ESCAPE, keys::HOME, "["]).await;
+    browser.shift(&["."]).await;
+    browser.press(&["]", "a"]).await;
+    browser
+        .until(
+            "the range is said",
+            &format!("{RANGE}?.startsWith('frames 1 to 11,')"),
+        )
+        .await;
+    let problem = browser.text_of(".mask-problem").await;
+    assert!(
+        problem.starts_with("Mask 2 holds for 11 frames, but a range needs 31 at least"),
+        "{problem}"
+    );
+    browser.control(&[keys::ENTER]).await;
+    browser
+        .until(
+            "it is refused",
+            "document.querySelector('.toast.error')?.textContent.includes('a range needs 31 at least')",
+        )
+        .await;
+    assert_eq!(browser.task().await, task);
+
+    // Its ends move by keys and by the mouse.
+    browser.tab_to("Last frame of mask 2").await;
+    browser.shift(&[keys::RIGHT, keys::RIGHT]).await;
+    browser.press(&[keys::RIGHT, keys::RIGHT]).await;
+    browser
+        .until(
+            "it is long enough",
+            &format!("{LAST} === 33 && !document.querySelector('.mask-problem')"),
+        )
+        .await;
+    browser
+        .until(
+            "the frame there is shown",
+            "document.querySelector('.stage').dataset.frame === '32'",
+        )
+        .await;
+    browser.control(&["z"]).await;
+    browser
+        .until("that is one step back", &format!("{LAST} === 11"))
+        .await;
+    browser
+        .press_with(&[keys::CONTROL, keys::SHIFT], &["z"])
+        .await;
+    browser
+        .until("and one forward", &format!("{LAST} === 33"))
+        .await;
+    browser.drag(".lane-handle.last", 120.0).await;
+    browser
+        .until("it is dragged", &format!("{LAST} > 33"))
+        .await;
+    let end = browser.js(&format!("return {LAST};")).await;
+
+    // A joint of the part is soft.
+    browser
+        .js(&format!(
+            "document.querySelector('.mask-card.selected .joints summary').click(); \
+             document.querySelector('{HIP}').click();"
+        ))
+        .await;
+    let is_soft = format!("document.querySelector('{HIP}')?.dataset.weight === 'soft'");
+    browser.until("it is soft", &is_soft).await;
+    browser.saved().await;
+    browser.client().refresh().await.expect("the page reloads");
+    browser.task().await;
+    browser.press(&[keys::DOWN]).await;
+    browser
+        .until(
+            "the range is still there",
+            &format!("{RANGE}?.startsWith('frames 1 to {end},')"),
+        )
+        .await;
+    browser.until("so is the joint", &is_soft).await;
+    browser
+        .until(
+            "it is the loop",
+            &format!("document.querySelector('.viewer').dataset.loop === '0-' + ({end} - 1)"),
+        )
+        .await;
+
+    browser.control(&[keys::ENTER]).await;
+    browser.next_task(task).await;
+    let masks = mine(browser, task).await["answer"]["masks"].clone();
+    assert_eq!(masks[0].get("range"), None, "the other mask has none");
+    assert_eq!(masks[1]["range"], json!([0, end]));
+    assert_eq!(
+        masks[1]["joints"],
+        json!([{ "joint": "left_hip", "weight": "soft" }])
+    );
+    browser.open(&desk.server.page("app/mine")).await;
+    browser
+        .until(
+            "my answer says it in words",
+            &format!(
+                "document.querySelector('.answer-details')?.textContent.includes('lower body (soft left hip, frames 1 to {end})')"
+            ),
+        )
+        .await;
+    browser
+        .until(
+            "and on the timeline",
+            "document.querySelectorAll('.lane-bar').length === 1 && !document.querySelector('.lane-handle')",
+        )
+        .await;
+    desk.browser.quit().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn too_few_masks_need_a_reason() {
     let desk = Desk::open("app/mask").await;
     let browser = &desk.browser;

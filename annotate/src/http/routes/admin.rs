@@ -1,9 +1,11 @@
-//! Settings, users and tokens.
+//! Settings, the capture plan, users and tokens.
 
 use crate::Error;
 use crate::http::app::{Context, Reply, json};
 use crate::store::{IssuedToken, TokenUse};
-use crate::wire::{NewToken, NewUser, NewUserLink, NewUsers, Settings, TokenShown, UserChange};
+use crate::wire::{
+    CapturePlan, NewToken, NewUser, NewUserLink, NewUsers, Settings, TokenShown, UserChange,
+};
 
 /// Days a new user's token is valid.
 const TOKEN_DAYS: u32 = 90;
@@ -17,6 +19,13 @@ pub(super) fn put_settings(cx: &Context) -> Result<Reply, Error> {
     let settings: Settings = cx.body()?;
     cx.app.store.put_settings(cx.who()?.id, settings, cx.now)?;
     json(&cx.app.store.settings()?)
+}
+
+pub(super) fn put_captures(cx: &Context) -> Result<Reply, Error> {
+    let plan: CapturePlan = cx.body()?;
+    let store = &cx.app.store;
+    store.plan_captures(cx.who()?.id, plan.cells, cx.now)?;
+    json(&store.captures()?)
 }
 
 pub(super) fn users(cx: &Context) -> Result<Reply, Error> {

@@ -8,7 +8,7 @@ use crate::http::app::{App, Context, Reply, json};
 use crate::quality::Figures;
 use crate::state::LogKind;
 use crate::store::AuditFilter;
-use crate::wire::{EditType, Funnel, Person, QuotaRow, TaskKind, Week};
+use crate::wire::{EditType, EditTypeCount, Funnel, Person, QuotaRow, TaskKind, Week};
 
 /// Weeks the dashboard shows.
 const WEEKS: i64 = 12;
@@ -113,6 +113,33 @@ pub(super) fn quota(cx: &Context) -> Result<Reply, Error> {
         })
         .collect();
     json(&rows)
+}
+
+pub(super) fn edit_types(cx: &Context) -> Result<Reply, Error> {
+    let quotas = cx.app.store.settings()?.edit_type_quota;
+    // Annotators ask with every pair; most projects have no such quota.
+    let kept = match quotas.is_empty() {
+        true => Vec::new(),
+        false => cx.app.store.kept()?,
+    };
+    let counts: Vec<EditTypeCount> = quotas
+        .into_iter()
+        .filter(|(_, wanted)| *wanted > 0)
+        .map(|(edit_type, wanted)| EditTypeCount {
+            edit_type,
+            kept: kept
+                .iter()
+                .filter(|(_, name, _)| name == edit_type.as_str())
+                .map(|(.., count)| count)
+                .sum(),
+            wanted: wanted.into(),
+        })
+        .collect();
+    json(&counts)
+}
+
+pub(super) fn captures(cx: &Context) -> Result<Reply, Error> {
+    json(&cx.app.store.captures()?)
 }
 
 /// Days that `stats/days` shows if the query names none, today among them.

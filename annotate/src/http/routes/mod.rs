@@ -14,7 +14,7 @@ mod session;
 mod tasks;
 
 use super::app::{Access, Handler, Route};
-use crate::wire::{MAX_BODY_BYTES, MAX_IMPORT_BYTES, MAX_PICTURE_BYTES, Role};
+use crate::wire::{MAX_BODY_BYTES, MAX_IMPORT_BYTES, MAX_PICTURE_BYTES, MAX_SETTINGS_BYTES, Role};
 
 const PUBLIC: Access = Access::Public;
 const ANNOTATOR: Access = Access::Role(Role::Annotator);
@@ -85,10 +85,11 @@ pub static ROUTES: &[Route] = routes! {
     GET "/api/v1/stats/people" REVIEWER dashboard::people;
     GET "/api/v1/stats/agreement" REVIEWER dashboard::agreement;
     GET "/api/v1/stats/quota" REVIEWER dashboard::quota;
+    GET "/api/v1/stats/edit-types" ANNOTATOR dashboard::edit_types;
     GET "/api/v1/stats/days" REVIEWER dashboard::days;
     GET "/api/v1/stats/outlook" REVIEWER dashboard::outlook;
+    GET "/api/v1/captures" REVIEWER dashboard::captures;
     GET "/api/v1/settings" ADMIN admin::settings;
-    PUT "/api/v1/settings" ADMIN admin::put_settings;
     GET "/api/v1/users" ADMIN admin::users;
     POST "/api/v1/users" ADMIN admin::add_user;
     POST "/api/v1/users/bulk" ADMIN admin::add_users;
@@ -109,6 +110,20 @@ pub static ROUTES: &[Route] = routes! {
     GET "/app/" PUBLIC health::asset;
     GET "/app/{*rest}" PUBLIC health::asset;
     GET "/assets/{*name}" PUBLIC health::asset;
+    @also Route {
+        method: "PUT",
+        path: "/api/v1/settings",
+        access: ADMIN,
+        max_body: MAX_SETTINGS_BYTES,
+        handler: Handler::Work(admin::put_settings),
+    };
+    @also Route {
+        method: "PUT",
+        path: "/api/v1/captures",
+        access: ADMIN,
+        max_body: MAX_SETTINGS_BYTES,
+        handler: Handler::Work(admin::put_captures),
+    };
     @also Route {
         method: "PUT",
         path: "/api/v1/guide/pictures/{name}",

@@ -6,8 +6,8 @@ use axum::response::Response;
 
 use super::tasks::motion_info;
 use crate::Error;
-use crate::answer::{self, mask_of};
 use crate::http::app::{Context, Reply, json, set};
+use crate::mask::{check_names, known_parts, mask_of};
 use crate::motions::row_bytes;
 use crate::wire::{BlendRequest, Code, MotionInfo};
 
@@ -84,14 +84,14 @@ pub(super) fn blend(cx: &Context) -> Result<Reply, Error> {
             "the weight of the soft ring must be 0 to 1",
         ));
     }
-    if answer::known_parts(&request.parts).len() != request.parts.len() || request.parts.is_empty()
-    {
+    if known_parts(&request.parts).len() != request.parts.len() || request.parts.is_empty() {
         return Err(Error::invalid(
             "parts",
             "name the parts to take from the other motion",
         ));
     }
-    let mask = mask_of(&request.parts, request.soft);
+    check_names(&request.joints).map_err(|problem| Error::invalid("joints", problem))?;
+    let mask = mask_of(&request.parts, request.soft, &request.joints);
     let bytes = cx
         .app
         .motions

@@ -35,12 +35,17 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
         .collect();
     let candidates = candidates_of(cx, detail.candidates)?;
     let suggestions = offered(&cx.app, &detail.task, cx.app.store.suggestions_of(id)?)?;
+    let task = task_of(&cx.app, detail.task, None)?;
+    let frames = task
+        .motions
+        .first()
+        .map_or(1, |motion| motion.frames as i64);
     json(&ReviewNext {
         review: Some(ReviewView {
-            task: task_of(&cx.app, detail.task, None)?,
+            task,
             lease: detail.lease,
             candidates,
-            distance: answer::spread(&answers),
+            distance: answer::spread(&answers, frames),
             comments: detail.comments,
             suggestions,
             clip_changed,

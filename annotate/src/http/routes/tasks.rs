@@ -3,6 +3,7 @@
 use crate::Error;
 use crate::answer;
 use crate::http::app::{App, Context, Reply, json};
+use crate::mask::known_parts;
 use crate::model::MAX_REQUESTS_PER_MINUTE;
 use crate::store::{AuditFilter, Claimed, MotionRecord, TaskDetail, TaskRecord};
 use crate::wire::{
@@ -194,7 +195,7 @@ pub(super) fn suggest(cx: &Context) -> Result<Reply, Error> {
             "given a draft: its drafts are withheld",
         ));
     }
-    let parts = answer::known_parts(&request.parts);
+    let parts = known_parts(&request.parts);
     if parts.is_empty() || parts.len() != request.parts.len() {
         return Err(Error::invalid(
             "parts",

@@ -1,4 +1,4 @@
-//! Operations on settings and preferences, and on people with their tokens and sessions.
+//! Operations on settings, the capture plan and preferences, and on people with their tokens and sessions.
 
 use std::sync::MutexGuard;
 
@@ -7,8 +7,8 @@ use crate::Error;
 use crate::lock::lock;
 use crate::store::db::{Tx, params};
 use crate::store::records::{IssuedToken, Millis, TokenUse, Who};
-use crate::store::{import, people, project};
-use crate::wire::{Prefs, Role, Settings, TokenInfo, User};
+use crate::store::{captures, import, people, project};
+use crate::wire::{PlannedCapture, Prefs, Role, Settings, TokenInfo, User};
 
 impl Store {
     fn known(&self) -> MutexGuard<'_, people::Known> {
@@ -42,6 +42,19 @@ impl Store {
         self.write(move |tx| project::put_settings(tx, Some(actor), settings, now))?;
         while !self.write(move |tx| import::retarget(tx, actor, now))? {}
         Ok(())
+    }
+
+    /// Replaces the capture plan. Its styles join those of the project.
+    ///
+    /// # Errors
+    /// `invalid`; or the store fails.
+    pub fn plan_captures(
+        &self,
+        actor: i64,
+        cells: Vec<PlannedCapture>,
+        now: Millis,
+    ) -> Result<(), Error> {
+        self.write(move |tx| captures::put_plan(tx, actor, cells, now))
     }
 
     /// A user's preferences.

@@ -6,8 +6,10 @@ use crate::store::records::{
     AcceptedAnswer, AuditFilter, KeyRange, Label, Millis, PersonCounts, Reject, ShelfFilter,
     TaskRecord, WeekCounts,
 };
-use crate::store::{home, read, work};
-use crate::wire::{Audit, AuditEntry, DayWork, HeldLease, Home, Outlook, TaskKind, TaskState};
+use crate::store::{captures, home, read, work};
+use crate::wire::{
+    Audit, AuditEntry, Captures, DayWork, HeldLease, Home, Outlook, TaskKind, TaskState,
+};
 
 impl Store {
     /// Work by person, day and kind between two times. Days begin in the project's time zone.
@@ -140,6 +142,14 @@ impl Store {
     /// The store fails.
     pub fn kept(&self) -> Result<Vec<(Option<String>, String, i64)>, Error> {
         self.read(read::kept)
+    }
+
+    /// The capture plan with what has arrived of it; empty without a plan.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub fn captures(&self) -> Result<Captures, Error> {
+        self.read(captures::captures)
     }
 
     /// All leases.

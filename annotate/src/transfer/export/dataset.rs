@@ -9,7 +9,8 @@ use datasets_spec::{Dataset, JointSet, MASK_DEF_VERSION, MotionId, Split};
 
 use super::exporter::{Exported, Exporter};
 use crate::Error;
-use crate::answer::{mask_of, sentence};
+use crate::answer::sentence;
+use crate::mask::check_range;
 use crate::transfer::import::{PAIR_SOURCE, pair_id};
 use crate::wire::{Answer, Extent, TaskKind, Verdict};
 
@@ -30,15 +31,15 @@ impl Exporter<'_> {
         let mut answered: BTreeSet<String> = BTreeSet::new();
         self.each_accepted::<Error>(|exporter, accepted| {
             let (motion, target) = exporter.ids(&accepted.task)?;
-            let key = &accepted.task.key;
             let split: Split = accepted.task.split.parse()?;
             let author = exporter.author(&accepted);
+            let frames = exporter.frames(&accepted.task)?;
             let (answer, done) = (&accepted.answer, &mut exporter.done);
             count_losses(answer, done);
             let accepted_by = Some(accepted.accepted_by.clone());
             if accepted.task.kind == TaskKind::MaskText {
                 answered.insert(motion.clone());
-                for row in mask_rows(&motion, split, &author, answer, done)? {
+                for row in mask_rows(&motion, split, &author, answer, frames, done)? {
                     masks.push(MaskRow {
                         accepted_by: accepted_by.clone(),
                         ..row
@@ -47,7 +48,7 @@ impl Exporter<'_> {
                 return Ok(());
             }
             done.count("pairs_judged", 1);
-            let id = pair_id(key).to_owned();
+            let id = pair_id(&accepted.task.key).to_owned();
             // A store of an earlier version may have two tasks for one candidate: the later decision counts.
             if judged.get(&id).is_none_or(|(seq, _)| *seq < accepted.seq) {
                 let row = pair_row(&id, &motion, target, split, answer)?;
@@ -127,9 +128,7 @@ fn count_losses(answer: &Answer, done: &mut Exported) {
         ("left_out_extents", has_extent),
         ("left_out_rejected_pairs", answer.is_reject()),
     ] {
-        if is_lost {
-            done.count(what, 1);
-        }
+        done.lose(what, usize::from(is_lost));
     }
 }
 
@@ -138,6 +137,7 @@ fn mask_rows(
     split: Split,
     author: &str,
     answer: &Answer,
+    frames: i64,
     done: &mut Exported,
 ) -> Result<Vec<MaskRow>, Error> {
     let Answer::MaskText { masks, .. } = answer else {
@@ -145,7 +145,15 @@ fn mask_rows(
     };
     let mut rows: Vec<MaskRow> = Vec::new();
     for mask in masks {
-        let joints = mask_of(&mask.parts, mask.soft);
+        let joints = mask.mask();
+        if mask
+            .range
+            .is_some_and(|range| check_range(range, frames).is_err())
+        {
+            // The clip was ingested anew since, and is shorter now.
+            done.count("masks_past_the_clip", 1);
+            continue;
+        }
         if joints.is_empty() || mask.text.trim().is_empty() {
             // A release may have a mask without a text, but the composer needs one.
             done.count("masks_without_text", 1);
@@ -167,6 +175,8 @@ fn mask_rows(
             parts: mask.parts.clone(),
             hard_joints: JointSet::names(joints.hard()),
             soft_joints: JointSet::names(joints.soft()),
+            start: mask.range.map(|[start, _]| start),
+            end: mask.range.map(|[_, end]| end),
             mask_def_version: MASK_DEF_VERSION,
             text: sentence(&mask.text),
             text_origin: "human".to_owned(),

@@ -43,6 +43,13 @@ impl Exported {
     pub(super) fn count(&mut self, what: &str, count: usize) {
         *self.counts.entry(what.to_owned()).or_default() += count as i64;
     }
+
+    /// Counts omitted items. Of what is nowhere omitted, there is no count.
+    pub(super) fn lose(&mut self, what: &str, count: usize) {
+        if count > 0 {
+            self.count(what, count);
+        }
+    }
 }
 
 /// File that says where an export is from.
@@ -149,6 +156,11 @@ impl<'a> Exporter<'a> {
             None => None,
         };
         Ok((source, target))
+    }
+
+    /// Frames of the first motion of a task.
+    pub(super) fn frames(&self, task: &TaskRecord) -> Result<i64, Error> {
+        Ok(self.motion(&task.source, &task.split)?.frames)
     }
 
     /// Visits the tasks in the order of their keys, a batch at a time, so that memory does not grow with their

@@ -13,7 +13,7 @@ use super::exporter::{Exporter, write_file};
 use crate::Error;
 use crate::transfer::import::pair_id;
 use crate::transfer::release;
-use crate::wire::{Answer, Verdict};
+use crate::wire::{Answer, MaskAnswer, Verdict};
 
 /// The table beside the files of the layout.
 const TABLE: &str = "annotations.parquet";
@@ -95,7 +95,6 @@ impl Exporter<'_> {
         marks_file: &mut impl SerializeMap<Error = serde_json::Error>,
         pairs_file: &mut impl SerializeSeq<Error = serde_json::Error>,
     ) -> Result<(), JsonError> {
-        let (mut hard_only, mut rejected, mut extents) = (0, 0, 0);
         for what in ["motions", "pairs"] {
             self.done.count(what, 0);
         }
@@ -105,7 +104,9 @@ impl Exporter<'_> {
             let (id, accepted_by) = (pair_id(&accepted.task.key), &accepted.accepted_by);
             let pair = match accepted.answer {
                 Answer::MaskText { masks, .. } => {
-                    hard_only += masks.iter().filter(|mask| !mask.soft).count();
+                    for (name, count) in lost_of(&masks) {
+                        exporter.done.lose(name, count);
+                    }
                     let (masks, texts) = release::entries(&masks, accepted.task.extra.as_ref());
                     masks_file.serialize_entry(&motion, &masks)?;
                     texts_file.serialize_entry(&motion, &texts)?;
@@ -132,7 +133,7 @@ impl Exporter<'_> {
                     extent,
                     ..
                 } => {
-                    extents += usize::from(extent.is_some());
+                    exporter.done.lose("extents", usize::from(extent.is_some()));
                     let style = style.unwrap_or_default();
                     json!({
                         "id": id, "kind": "style", "name": format!("{motion}_{style}"), "src": motion, "tgt": target,
@@ -141,7 +142,7 @@ impl Exporter<'_> {
                     })
                 }
                 Answer::Pair { .. } | Answer::Style { .. } => {
-                    rejected += 1;
+                    exporter.done.lose("rejected_pairs", 1);
                     return Ok(());
                 }
             };
@@ -149,13 +150,8 @@ impl Exporter<'_> {
             exporter.done.count("pairs", 1);
             Ok(())
         })?;
-        for (count, name, what) in [
-            (hard_only, "masks_without_ring", "masks have no soft ring"),
-            (rejected, "rejected_pairs", "pairs are judged not usable"),
-            (extents, "extents", "style pairs have an extent"),
-        ] {
-            if count > 0 {
-                self.done.count(name, count);
+        for (name, what) in LOST {
+            if let Some(count) = self.done.counts.get(name) {
                 self.done.messages.push(format!(
                     "{count} {what}, for which the layout has no place: {TABLE} alone says so"
                 ));
@@ -163,4 +159,27 @@ impl Exporter<'_> {
         }
         Ok(())
     }
+}
+
+/// What the JSON files have no place for, by the names of its counts.
+const LOST: [(&str, &str); 5] = [
+    ("masks_without_ring", "masks have no soft ring"),
+    (
+        "masks_of_own_joints",
+        "masks have joints that a person chose one by one",
+    ),
+    ("masks_of_a_range", "masks hold for a range of frames"),
+    ("rejected_pairs", "pairs are judged not usable"),
+    ("extents", "style pairs have an extent"),
+];
+
+/// Counts of masks of which the files have no place for something.
+fn lost_of(masks: &[MaskAnswer]) -> [(&'static str, usize); 3] {
+    let count =
+        |is_lost: fn(&MaskAnswer) -> bool| masks.iter().filter(|mask| is_lost(mask)).count();
+    [
+        ("masks_without_ring", count(|mask| !mask.soft)),
+        ("masks_of_own_joints", count(|mask| !mask.joints.is_empty())),
+        ("masks_of_a_range", count(|mask| mask.range.is_some())),
+    ]
 }

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::exporter::{BATCH, Exporter, write_file};
 use crate::Error;
-use crate::answer::mask_of;
+use crate::mask::mask_of;
 use crate::quality::{Figures, draft_distance};
 use crate::store::{AcceptedAnswer, KeyRange};
 use crate::transfer::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
@@ -88,6 +88,8 @@ impl Exporter<'_> {
             parts: Vec::new(),
             hard_joints: Vec::new(),
             soft_joints: Vec::new(),
+            start: None,
+            end: None,
             mask_def_version: MASK_DEF_VERSION,
             text: String::new(),
             edit_type: None,
@@ -234,11 +236,13 @@ fn put_answer(
                 put(base.clone())?;
             }
             for (number, mask) in masks.into_iter().enumerate() {
-                let joints = mask_of(&mask.parts, mask.soft);
+                let joints = mask.mask();
                 put(AnnotationRow {
                     number: number as u32,
                     hard_joints: JointSet::names(joints.hard()),
                     soft_joints: JointSet::names(joints.soft()),
+                    start: mask.range.map(|[start, _]| start),
+                    end: mask.range.map(|[_, end]| end),
                     parts: mask.parts,
                     text: mask.text,
                     ..base.clone()
@@ -254,8 +258,8 @@ fn put_answer(
             ..
         } => put(AnnotationRow {
             verdict: Some(verdict.to_string()),
-            hard_joints: JointSet::names(mask_of(&parts, true).hard()),
-            soft_joints: JointSet::names(mask_of(&parts, true).soft()),
+            hard_joints: JointSet::names(mask_of(&parts, true, &[]).hard()),
+            soft_joints: JointSet::names(mask_of(&parts, true, &[]).soft()),
             parts,
             edit_type: edit_type.map(|kind| kind.to_string()),
             text,
@@ -272,8 +276,8 @@ fn put_answer(
             ..
         } => put(AnnotationRow {
             verdict: Some(verdict.to_string()),
-            hard_joints: JointSet::names(mask_of(&parts, true).hard()),
-            soft_joints: JointSet::names(mask_of(&parts, true).soft()),
+            hard_joints: JointSet::names(mask_of(&parts, true, &[]).hard()),
+            soft_joints: JointSet::names(mask_of(&parts, true, &[]).soft()),
             parts,
             style,
             extent: extent.map(|extent| extent.to_string()),

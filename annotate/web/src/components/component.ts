@@ -2,7 +2,8 @@
 
 import { LitElement, html, nothing, type TemplateResult } from "lit";
 import type { Lint } from "../lints";
-import type { Suggestion } from "../wire";
+import type { Style, Suggestion } from "../wire";
+import { paragraphs } from "../words";
 
 /**
  * A component that draws into the page itself, without a shadow root, so that the page's style sheet, keys and
@@ -52,6 +53,15 @@ export function action(label: string, hint: string, run: () => void, className =
 export function swatch(colour: string | null): TemplateResult | typeof nothing {
   if (!colour) return nothing;
   return html`<svg class="swatch" viewBox="0 0 1 1" aria-hidden="true"><rect width="1" height="1" fill=${colour}></rect></svg>`;
+}
+
+/** How a style is performed, folded until somebody opens it. */
+export function guidelinePanel({ name, guideline }: Style): TemplateResult | typeof nothing {
+  if (!guideline) return nothing;
+  return html`<details class="guideline" data-guideline=${name}>
+    <summary>How “${name}” is performed</summary>
+    ${paragraphs(guideline).map((text) => html`<p>${text}</p>`)}
+  </details>`;
 }
 
 /** A button of a choice, such as a body part; `mark` stands before its label. */

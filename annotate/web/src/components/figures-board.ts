@@ -10,7 +10,9 @@ import {
   TASK_KINDS,
   TASK_STATES,
   type Agreement,
+  type Captures,
   type DayWork,
+  type EditTypeCount,
   type Funnel,
   type HeldLease,
   type Outlook,
@@ -20,6 +22,7 @@ import {
   type Week,
 } from "../wire";
 import { KIND_NAMES, KIND_WORDS, PURPOSE_WORDS, SHORT_KIND } from "../words";
+import { CapturesBoard } from "./captures-board";
 import { agreementByWeek, agreementChart, dayBars, daySpan, measureWords, mostOf, stateBar, throughput } from "./charts";
 import { Component, define, figureTable, pageLink, switcher } from "./component";
 
@@ -34,6 +37,8 @@ interface Figures {
   people: Person[];
   agreement: Agreement;
   quota: QuotaRow[];
+  types: EditTypeCount[];
+  captures: Captures;
   outlook: Outlook[];
   leases: HeldLease[];
   days: DayWork[];
@@ -45,6 +50,7 @@ export class FiguresBoard extends Component {
   private figures: Figures | null = null;
   private days: number;
   private measure: Measure = "hours";
+  private readonly captures = new CapturesBoard();
   /** Number of the last request, so that a slow one does not replace a newer one. */
   private asked = 0;
 
@@ -59,17 +65,20 @@ export class FiguresBoard extends Component {
     const { api } = this.app;
     const turn = ++this.asked;
     const at = Date.now();
-    const [funnel, people, agreement, quota, outlook, leases, days] = await Promise.all([
+    const [funnel, people, agreement, quota, types, captures, outlook, leases, days] = await Promise.all([
       api.get<Funnel>("stats/funnel"),
       api.get<Person[]>("stats/people"),
       api.get<Agreement>("stats/agreement"),
       api.get<QuotaRow[]>("stats/quota"),
+      api.get<EditTypeCount[]>("stats/edit-types"),
+      api.get<Captures>("captures"),
       api.get<Outlook[]>("stats/outlook"),
       api.get<HeldLease[]>("leases"),
       api.get<DayWork[]>(`stats/days?from=${periodStart(this.days, at)}`),
     ]);
     if (turn !== this.asked) return;
-    this.figures = { funnel, people, agreement, quota, outlook, leases, days, at };
+    this.figures = { funnel, people, agreement, quota, types, captures, outlook, leases, days, at };
+    this.captures.show(captures);
     this.requestUpdate();
   }
 
@@ -95,8 +104,9 @@ export class FiguresBoard extends Component {
       <section class="card" data-figures="agreement">${agreementByWeek(weeks, this.zone)}${agreementChart(rows)}${agreementFacts(figures.agreement)}</section>
       <section class="card wide">${agreementTable(rows)}</section>
       <section class="card wide">${peopleTable(figures.people)}</section>
-      <section class="card" data-figures="quota">${quotaTable(figures.quota)}</section>
+      <section class="card" data-figures="quota">${quotaTable(figures.quota)}${typeTable(figures.types)}</section>
       <section class="card">${this.leases(figures.leases)}</section>
+      ${figures.captures.cells.length > 0 ? html`<section class="card wide" data-figures="captures">${this.captures}</section>` : nothing}
     `;
   }
 
@@ -296,12 +306,24 @@ function agreementTable(rows: readonly PartAgreement[]): TemplateResult {
   );
 }
 
+/** How much of a quota there is; 0 is no quota. */
+function quotaCell(kept: number, wanted: number): unknown {
+  if (wanted === 0) return kept;
+  return kept < wanted ? `${kept} / ${wanted}` : html`<span class="full">${kept} / ${wanted} ✓</span>`;
+}
+
+/** The quotas of edit types, of all categories together. */
+function typeTable(types: readonly EditTypeCount[]): TemplateResult | typeof nothing {
+  if (types.length === 0) return nothing;
+  return figureTable(
+    "Pairs kept, of those wanted, by edit type",
+    ["Edit type", "Kept", "Missing", "Beyond the quota"],
+    types.map(({ edit_type, kept, wanted }) => [edit_type, quotaCell(kept, wanted), Math.max(0, wanted - kept), Math.max(0, kept - wanted)]),
+  );
+}
+
 function quotaTable(rows: QuotaRow[]): TemplateResult {
   const categories = [...new Set(rows.map((row) => row.category))].sort();
-  const cell = (kept: number, wanted: number): unknown => {
-    if (wanted === 0) return kept;
-    return kept < wanted ? `${kept} / ${wanted}` : html`<span class="full">${kept} / ${wanted} ✓</span>`;
-  };
   return figureTable(
     "Pairs kept, of those wanted, by category and edit type",
     ["Category", ...EDIT_TYPES, "all"],
@@ -312,9 +334,9 @@ function quotaTable(rows: QuotaRow[]): TemplateResult {
         category || "none given",
         ...EDIT_TYPES.map((type) => {
           const row = own.find((other) => other.edit_type === type);
-          return cell(row?.kept ?? 0, row?.wanted ?? own[0]?.wanted ?? 0);
+          return quotaCell(row?.kept ?? 0, row?.wanted ?? own[0]?.wanted ?? 0);
         }),
-        cell(all, own[0]?.category_wanted ?? 0),
+        quotaCell(all, own[0]?.category_wanted ?? 0),
       ];
     }),
     "No pair is kept yet.",

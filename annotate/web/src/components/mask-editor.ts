@@ -6,7 +6,9 @@ import { reason } from "../api";
 import type { App } from "../app";
 import { h } from "../dom";
 import { PART_ACTIONS, type ActionId } from "../keys";
+import { toneClass, type RangeLanes } from "../lanes";
 import { lintCards } from "../lints";
+import { jointPhrase, rangeProblem, rangeWords } from "../masks";
 import { shortName } from "../motions";
 import type { Strip } from "../strips";
 import { askReason } from "../ui";
@@ -35,6 +37,7 @@ export interface MaskEditorHost {
 export interface MaskStage {
   viewer: Viewer;
   strip: Strip;
+  lanes: RangeLanes;
   motion: MotionInfo;
   clip: Clip;
 }
@@ -102,6 +105,12 @@ export class MaskEditor extends Component {
       case "soft_ring":
         this.edit({ soft: !this.card.soft });
         return true;
+      case "range_set":
+        this.setRange();
+        return true;
+      case "range_clear":
+        this.edit({ range: null });
+        return true;
       case "mask_new":
         this.insert(this.emptyMask());
         return true;
@@ -146,6 +155,14 @@ export class MaskEditor extends Component {
       const what = (this.answer.masks[index]?.parts.length ?? 0) === 0 ? "has no body part" : "has no description";
       this.app.toasts.show(`Mask ${index + 1} ${what}.`, { id: "incomplete", kind: "error" });
       if (what === "has no description") this.focusText();
+      return null;
+    }
+    for (const mask of masks) {
+      const problem = this.problemOf(mask);
+      if (problem === null) continue;
+      const index = this.answer.masks.indexOf(mask);
+      this.select(index);
+      this.app.toasts.show(`Mask ${index + 1} ${problem}.`, { id: "incomplete", kind: "error" });
       return null;
     }
     let complete: MaskTextAnswer = { ...this.answer, masks: masks.map((mask) => ({ ...mask, text: mask.text.trim() })) };
@@ -202,9 +219,36 @@ export class MaskEditor extends Component {
     this.requestUpdate();
   }
 
-  private edit(change: Partial<MaskAnswer>): void {
-    this.commit(this.answer.masks.map((mask, index) => (index === this.selected ? { ...mask, ...change } : mask)));
+  private edit(change: Partial<MaskAnswer>, kind: string | null = null): void {
+    const edited = (mask: MaskAnswer): MaskAnswer => this.app.parts.tidy({ ...mask, ...change });
+    this.commit(this.answer.masks.map((mask, index) => (index === this.selected ? edited(mask) : mask)), kind);
     this.refreshBlend();
+  }
+
+  /** The card holds from the begin of the loop to its end. */
+  private setRange(): void {
+    const { loopIn, loopOut, frames } = this.stage.viewer.clock.now;
+    if (loopIn === 0 && loopOut === frames - 1) {
+      const keys = `${this.app.keys.hint("loop_in")} and ${this.app.keys.hint("loop_out")}`;
+      this.app.toasts.show(`In and Out are the ends of the clip; set them first (${keys}).`, { id: "range" });
+      return;
+    }
+    this.edit({ range: [loopIn, loopOut + 1] });
+  }
+
+  /** An end of the card's range was moved: the frame there is shown, and the loop is the range. */
+  private moveRange(range: [number, number], frame: number): void {
+    this.edit({ range }, `range-${this.selected}`);
+    const { clock } = this.stage.viewer;
+    clock.setLoop(range[0], range[1] - 1);
+    clock.seek(frame);
+  }
+
+  /** What the server would refuse a mask of parts and a text for, after its name; `null` if nothing. */
+  private problemOf(mask: MaskAnswer): string | null {
+    const { hard } = this.app.parts.joints(mask.parts, mask.soft, mask.joints);
+    if (mask.parts.length > 0 && hard === 0) return "has no hard joint; make one hard, or delete the mask";
+    return mask.range ? rangeProblem(mask.range, this.stage.motion.frames) : null;
   }
 
   private typed(index: number, text: string): void {
@@ -234,7 +278,12 @@ export class MaskEditor extends Component {
 
   private select(index: number): void {
     if (index !== this.selected) {
+      const { clock } = this.stage.viewer;
+      const before = this.card.range;
       this.selected = index;
+      const { range } = this.card;
+      if (range) clock.setLoop(range[0], range[1] - 1);
+      else if (before) clock.clearLoop();
       this.host.seal();
     }
     this.requestUpdate();
@@ -376,13 +425,14 @@ export class MaskEditor extends Component {
     const { preview } = this;
     const partner = preview?.partners[preview.index];
     if (!preview || !partner || this.card.parts.length === 0) return;
-    const { parts, soft } = this.card;
+    const { parts, soft, joints = [] } = this.card;
     try {
       const data = await this.app.api.floats("POST", "blend", {
         src: partner.hash,
         tgt: this.stage.motion.hash,
         parts,
         soft,
+        joints,
         alpha: preview.alpha,
       });
       if (this.preview !== preview || preview.partners[preview.index] !== partner) return;
@@ -390,7 +440,7 @@ export class MaskEditor extends Component {
       this.stage.viewer.replaceClips([
         {
           track: { frames, points: 28, fps: partner.fps, data },
-          paint: this.app.parts.paint(parts, soft),
+          paint: this.app.parts.paint(parts, soft, 0, joints),
           label: `Blend: ${this.app.parts.phrases(parts)} of this motion on ${shortName(partner.id)}`,
         },
       ]);
@@ -399,8 +449,9 @@ export class MaskEditor extends Component {
     }
   }
 
-  private paint(parts = this.card.parts, soft = this.card.soft): void {
-    const paint = this.app.parts.paint(parts, soft);
+  private paint(parts = this.card.parts): void {
+    const { soft, joints } = this.card;
+    const paint = this.app.parts.paint(parts, soft, 0, joints);
     this.stage.clip.paint = paint;
     this.stage.viewer.setPaint(0, paint);
   }
@@ -409,6 +460,10 @@ export class MaskEditor extends Component {
     this.paint();
     const suggested = new Set(this.open.flatMap((suggestion) => suggestion.parts));
     this.stage.strip.mark(suggested, new Set(this.card.parts));
+    this.stage.lanes.show(this.answer.masks, this.selected, {
+      move: (range, frame) => this.moveRange(range, frame),
+      done: () => this.host.seal(),
+    });
   }
 
   protected override render(): TemplateResult {
@@ -460,7 +515,7 @@ export class MaskEditor extends Component {
           max="1"
           step="0.05"
           .value=${live(String(preview.alpha))}
-          ?disabled=${!this.card.soft}
+          ?disabled=${this.app.parts.joints(this.card.parts, this.card.soft, this.card.joints).soft === 0}
           @input=${(event: Event) => this.setAlpha(Number((event.target as HTMLInputElement).value))}
         />
         <output>${preview.alpha.toFixed(2)}</output>
@@ -475,13 +530,14 @@ export class MaskEditor extends Component {
   private cardOf(mask: MaskAnswer, index: number): TemplateResult {
     const { app } = this;
     const selected = index === this.selected;
-    const same = app.parts.sameAs(mask.parts);
+    const same = mask.joints ? null : app.parts.sameAs(mask.parts);
     return html`<section class=${`mask-card${selected ? " selected" : ""}`} aria-label=${`Mask ${index + 1}`}>
       <div class="card-head">
         <button type="button" class="card-title" aria-expanded=${String(selected)} @click=${() => this.select(index)}>
-          <span class="card-number">${index + 1}</span>
+          <span class=${`card-number${mask.range ? ` ${toneClass(index)}` : ""}`}>${index + 1}</span>
           <span>${app.parts.phrases(mask.parts)}</span>
           ${same ? html`<span class="note">= ${app.parts.phrase(same)}</span>` : nothing}
+          ${mask.range ? html`<span class="note" data-range>${rangeWords(mask.range, this.stage.motion.fps)}</span>` : nothing}
         </button>
         ${selected ? action("Delete", app.keys.hint("mask_delete"), () => this.removeMask(index)) : nothing}
       </div>
@@ -493,6 +549,8 @@ export class MaskEditor extends Component {
     const { keys } = this.app;
     return html`
       ${this.partPicker(mask)}
+      ${this.rangeRow(mask, index)}
+      ${this.jointPicker(mask)}
       ${this.draft(mask)}
       <div class="text-label">${keyHint(keys.hint("text"))}Description</div>
       <textarea
@@ -534,7 +592,7 @@ export class MaskEditor extends Component {
     const { app } = this;
     const button = (name: string, phrase: string, hint: string): TemplateResult => {
       // Pointing at a part previews its joints on the stage.
-      const look = (): void => this.paint(app.parts.toggle(mask.parts, name), mask.soft);
+      const look = (): void => this.paint(app.parts.toggle(mask.parts, name));
       const back = (): void => this.paint();
       return html`<span class="look" @pointerenter=${look} @focusin=${look} @pointerleave=${back} @focusout=${back}
         >${choice(name, phrase, hint, mask.parts.includes(name), () => this.togglePart(name))}</span
@@ -554,6 +612,43 @@ export class MaskEditor extends Component {
     </div>`;
   }
 
+  /** The frames that the mask holds for. */
+  private rangeRow(mask: MaskAnswer, index: number): TemplateResult {
+    const { keys } = this.app;
+    const problem = this.problemOf(mask);
+    return html`<div class="row range-row">
+        ${action("From In to Out", keys.hint("range_set"), () => this.perform("range_set"))}
+        ${mask.range
+          ? action("Whole clip", keys.hint("range_clear"), () => this.perform("range_clear"))
+          : html`<span class="note">Holds for the whole clip.</span>`}
+      </div>
+      ${problem === null ? nothing : html`<p class="mask-problem" role="alert">Mask ${index + 1} ${problem}.</p>`}`;
+  }
+
+  /** The joints of the body, each with how the mask takes it: a click takes it the next way. */
+  private jointPicker(mask: MaskAnswer): TemplateResult {
+    const { parts } = this.app;
+    const count = mask.joints?.length ?? 0;
+    const joint = (name: string, at: number): TemplateResult => {
+      const weight = parts.weightOf(mask, at);
+      const chosen = mask.joints?.some((own) => own.joint === name) ?? false;
+      return html`<button
+        type="button"
+        class=${`joint ${weight}${chosen ? " chosen" : ""}`}
+        data-joint=${name}
+        data-weight=${weight}
+        @click=${() => this.edit({ joints: parts.nextChoices(mask, at) })}
+      >
+        ${jointPhrase(name)} <span class="note">${weight}</span>
+      </button>`;
+    };
+    return html`<details class="joints">
+      <summary>Joints: ${count === 0 ? "as the parts say" : `${count} ${count === 1 ? "differs" : "differ"} from the parts`}</summary>
+      <div class="joint-list" role="group" aria-label="How the mask takes each joint">${parts.bodyJoints.map(joint)}</div>
+      ${count === 0 ? nothing : action("As the parts say", "", () => this.edit({ joints: [] }))}
+    </details>`;
+  }
+
   private draft(mask: MaskAnswer): TemplateResult | typeof nothing {
     if (mask.text.trim() !== "") return nothing;
     const may = this.host.askDraft !== null && mask.parts.length > 0;
@@ -570,8 +665,7 @@ export class MaskEditor extends Component {
     const drafts = new Map(this.suggestions.map((suggestion) => [suggestion.id, suggestion.text]));
     return lintCards(
       this.answer.masks.map((mask) => ({
-        parts: mask.parts,
-        text: mask.text,
+        ...mask,
         draft: mask.suggestion === null ? null : (drafts.get(mask.suggestion) ?? null),
       })),
     );

@@ -19,7 +19,7 @@ import {
   type Verdict,
 } from "../wire";
 import type { PairAnswer, StyleAnswer } from "../words";
-import { Component, action, choice, define, draftBox, keyHint, lintList, swatch } from "./component";
+import { Component, action, choice, define, draftBox, guidelinePanel, keyHint, lintList, swatch } from "./component";
 
 export type TwoAnswer = PairAnswer | StyleAnswer;
 
@@ -30,6 +30,8 @@ export interface PairEditorHost {
   seal(): void;
   suggestionUsed(id: number, used: SuggestionUse): void;
   askDraft: ((parts: string[]) => Promise<Suggestion>) | null;
+  /** Style that the source states, if it does. */
+  sourceStyle: string | null;
   /** Submits a verdict that needs no other fields. */
   reject(verdict: Verdict): void;
   /** Highlights parts on the stage. */
@@ -247,6 +249,7 @@ export class PairEditor extends Component {
         ${REJECTS.map(([verdict, id, label]) => action(label, keys.hint(id), () => this.host.reject(verdict), `verdict ${verdict}`))}
       </div>
       <div class="choices">${this.choices()}</div>
+      ${this.guidelines()}
       ${this.draftOrQuestion()}
       <div class="text-label">${keyHint(keys.hint("text"))}Instruction</div>
       <textarea
@@ -321,6 +324,13 @@ export class PairEditor extends Component {
       <datalist id="styles-of-project">${styles.map((style) => html`<option value=${style.name}></option>`)}</datalist>
       ${styleNote(known, chosen)}
     `;
+  }
+
+  /** Guidelines of the style that the source states, and of the chosen one. */
+  private guidelines(): (TemplateResult | typeof nothing)[] {
+    const chosen = this.answer.kind === "style" ? this.answer.style : null;
+    const names = [...new Set([this.host.sourceStyle, chosen])];
+    return names.flatMap((name) => this.styles.filter((style) => style.name === name)).map(guidelinePanel);
   }
 
   private draftOrQuestion(): TemplateResult | typeof nothing {

@@ -32,6 +32,8 @@ export interface ReviewStage {
   paint(candidate: Candidate | undefined, glow: number): void;
   /** Highlights only these parts, for example while answers are merged. */
   paintParts(parts: readonly string[], glow?: number): void;
+  /** Highlights what an answer takes, and shows the frames of its masks. */
+  paintAnswer(answer: Answer): void;
   /** Present for masks. */
   mask: MaskStage | null;
 }
@@ -54,7 +56,8 @@ export class ReviewPanel extends Component {
     private readonly app: App,
     private readonly review: ReviewView,
     private readonly stage: ReviewStage,
-    private readonly tabs: HTMLElement,
+    /** What stands above the task: the tabs of reviewing. */
+    private readonly head: HTMLElement,
     /** Opens the next task. */
     private readonly next: () => void,
   ) {
@@ -226,6 +229,7 @@ export class ReviewPanel extends Component {
         this.app,
         {
           ...host,
+          sourceStyle: this.review.task.style,
           reject: (verdict) => void this.decide("merge", { answer: { ...editor.current, verdict } }),
           repaint: (parts) => this.stage.paintParts(parts),
         },
@@ -259,7 +263,7 @@ export class ReviewPanel extends Component {
     const apart = distance === null ? "One answer." : `Answers ${apartWords(distance)}.`;
     return html`
       <div class="panel-scroll">
-        ${this.tabs}
+        ${this.head}
         <p class="rule">${KIND_WORDS[task.kind]}, task ${task.id}. ${apart}</p>
         ${captions.map((caption) => html`<p class="note">Caption: ${caption}</p>`)}
         ${facts.length === 0 ? nothing : html`<ul class="facts">${facts.map((fact) => html`<li>${fact}</li>`)}</ul>`}

@@ -7,7 +7,7 @@ import { differing } from "../merge";
 import { jointList } from "../stage/body";
 import { storyOf } from "../story";
 import { until, when } from "../ui";
-import type { Answer, AuditEntry, Candidate, DecisionRow, TaskFile } from "../wire";
+import type { AuditEntry, Candidate, DecisionRow, TaskFile } from "../wire";
 import { ANSWER_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, apartWords, factsOf } from "../words";
 import { answerCards } from "./answer-cards";
 import { Component, define, pageLink } from "./component";
@@ -71,13 +71,8 @@ export class TaskRecord extends Component {
     const revision = { task: task.id, author: 0, rev: 0, state: "accepted" as const, answer: accepted, at, secs: 0 };
     const merged = this.file.decisions.some(({ decision }) => decision === "merged");
     const name = merged ? "Merged by the reviewer" : "Imported answer";
-    return [{ revision, author_name: name, joints: this.jointsOf(accepted), draft_distance: null }, ...answers];
-  }
-
-  private jointsOf(answer: Answer): number[] {
-    const masks = answer.kind === "mask_text" ? answer.masks : [{ parts: answer.parts, soft: false }];
-    const all = masks.map((mask) => this.app.parts.joints(mask.parts, mask.soft));
-    return jointList(all.reduce((set, { hard, soft }) => set | hard | soft, 0));
+    const joints = jointList(this.app.parts.jointsOf(accepted).hard);
+    return [{ revision, author_name: name, joints, draft_distance: null }, ...answers];
   }
 
   private run(action: () => Promise<void>): void {

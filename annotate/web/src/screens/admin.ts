@@ -6,14 +6,25 @@ import { NewcomersForm } from "../components/newcomers-form";
 import { fill, h, type Child } from "../dom";
 import { StyleRows } from "../style-rows";
 import { ask, button, field, select, table, when } from "../ui";
-import type { Audit, ExportFormat, ImportFormat, Job, Role, Settings, TokenInfo, TokenShown, User } from "../wire";
+import {
+  EDIT_TYPES,
+  type Audit,
+  type ExportFormat,
+  type ImportFormat,
+  type Job,
+  type Role,
+  type Settings,
+  type TokenInfo,
+  type TokenShown,
+  type User,
+} from "../wire";
 
 /** Polling interval of a running job. */
 const POLL_MS = 500;
 const ROLES: readonly Role[] = ["annotator", "reviewer", "admin"];
 
 export async function openAdmin(app: App): Promise<Screen> {
-  const people = h("div", { class: "stack" }, await peopleSection(app), modelSection(app));
+  const people = h("div", { class: "stack" }, await peopleSection(app), modelSection(app), capturesSection(app));
   const sections = [exportsSection(app), people, await settingsSection(app), auditSection(app)];
   const heading = h("h1", { attrs: { tabindex: -1 } }, "Administration");
   const element = h("div", { class: "page wide" }, heading, h("div", { class: "dashboard" }, ...sections));
@@ -216,6 +227,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   let settings = await app.api.get<Settings>("settings");
   const name = h("input", { attrs: { type: "text" } });
   const numbers = new Map(NUMBERS.map(([key]) => [key, h("input", { attrs: { type: "number", min: 0 } })]));
+  const types = EDIT_TYPES.map((type) => [type, h("input", { attrs: { type: "number", min: 0 } })] as const);
   const styles = new StyleRows();
   const templates = h("textarea", { attrs: { rows: 4 } });
   const maskTemplates = h("textarea", { attrs: { rows: 4 } });
@@ -225,6 +237,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   const show = (): void => {
     name.value = settings.name;
     for (const [key, input] of numbers) input.value = String(settings[key]);
+    for (const [type, input] of types) input.value = String(settings.edit_type_quota[type] ?? 0);
     styles.show(settings.styles);
     templates.value = settings.templates.join("\n");
     maskTemplates.value = settings.mask_templates.join("\n");
@@ -240,6 +253,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     h("h2", {}, "Settings"),
     field("Project", name),
     h("div", { class: "numbers" }, ...NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))),
+    h("div", { class: "numbers" }, ...types.map(([type, input]) => field(`Pairs wanted of edit type “${type}” (0: any)`, input))),
     field("Time zone in which days begin, such as Europe/Berlin", zone),
     styles.element,
     field("Phrases to begin descriptions of masks with, one a line; they complete “The person is …”", maskTemplates),
@@ -260,6 +274,8 @@ async function settingsSection(app: App): Promise<HTMLElement> {
         time_zone: zone.value.trim(),
       };
       for (const [key, input] of numbers) changed[key] = Number(input.value);
+      const quotas = types.map(([type, input]) => [type, Number(input.value)] as const);
+      changed.edit_type_quota = Object.fromEntries(quotas.filter(([, wanted]) => wanted !== 0));
       settings = await app.api.json<Settings>("PUT", "settings", changed);
       show();
       app.toasts.show("Settings are saved.");
@@ -267,9 +283,31 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   );
 }
 
+function command(text: string): HTMLElement {
+  return h("pre", {}, h("code", {}, text));
+}
+
+/** The capture plan, which is a file. */
+function capturesSection(app: App): HTMLElement {
+  return h(
+    "section",
+    { class: "card" },
+    h("h2", {}, "Captures"),
+    h(
+      "p",
+      {},
+      "Which motions are captured in which styles is planned in a CSV file with lines motion,style,takes. ",
+      app.link("dashboard", "The dashboard"),
+      " shows what is still to capture.",
+    ),
+    command("stance annotate DATASET captures plan.csv"),
+    h("p", {}, "A page for performers, with the guideline of each style and what is still to capture in it:"),
+    command("stance annotate DATASET captures --sheet sheet.html"),
+  );
+}
+
 /** What a language model does in bulk, which is started on the command line. */
 function modelSection(app: App): HTMLElement {
-  const command = (text: string): HTMLElement => h("pre", {}, h("code", {}, text));
   return h(
     "section",
     { class: "card" },

@@ -1,7 +1,7 @@
 /** What is learned from a practice task: the own answer beside the known one. */
 
 import type { App, Screen } from "../app";
-import { MARK_WORDS, compare, differingJoints, partsOf, summary, type Compared } from "../compare";
+import { MARK_WORDS, compare, differingJoints, summary, type Compared } from "../compare";
 import { h, setAttr } from "../dom";
 import type { ActionId } from "../keys";
 import { TaskSession } from "../session";
@@ -40,7 +40,7 @@ export async function openFeedback(app: App, argument: string): Promise<Screen> 
     shown = name;
     for (const button of buttons) setAttr(button, "aria-pressed", button.dataset.shown === name ? "true" : "false");
     if (name === "differs") stage.paintParts([], glow);
-    else stage.paintParts(partsOf(name === "yours" ? mine.answer : known));
+    else stage.paintAnswer(name === "yours" ? mine.answer : known);
   };
   const next = (): void => app.go(ROUTE_OF[task.kind]);
   const again = async (): Promise<void> => {

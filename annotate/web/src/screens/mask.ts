@@ -4,6 +4,7 @@ import type { App, Screen } from "../app";
 import { BLANK_MASKS, MaskEditor } from "../components/mask-editor";
 import { h } from "../dom";
 import type { ActionId } from "../keys";
+import { RangeLanes } from "../lanes";
 import { shortName } from "../motions";
 import { TaskSession } from "../session";
 import { PLAIN } from "../stage/body";
@@ -62,6 +63,8 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   const strip = heatStrip(app, viewer);
   showHeat(app, strip, heat, motion.fps);
   viewer.setStrips([strip]);
+  const lanes = new RangeLanes(motion.frames, motion.fps);
+  viewer.addBelow(lanes.element);
   const clip: Clip = { track, paint: PLAIN, label: shortName(motion.id) };
   viewer.load([clip], "single");
 
@@ -69,7 +72,7 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   const session = await TaskSession.open<MaskTextAnswer>(app, view, BLANK_MASKS, (answer) => editor?.setAnswer(answer));
   editor = new MaskEditor(
     app,
-    { viewer, strip, motion, clip },
+    { viewer, strip, lanes, motion, clip },
     view.suggestions,
     {
       change: (answer, kind) => session.change(answer, kind),

@@ -2,7 +2,6 @@
 
 import { reason } from "../api";
 import type { App, Screen } from "../app";
-import { partsOf } from "../compare";
 import { fill, h, setAttr, type Child } from "../dom";
 import type { ActionId } from "../keys";
 import { describe } from "../merge";
@@ -153,7 +152,7 @@ class MyAnswersScreen implements Screen {
     this.shown = shown;
     shown.viewer.element.dataset.region = "stage";
     this.element.firstElementChild?.replaceWith(shown.viewer.element);
-    shown.stage.paintParts(partsOf(item.mine.answer));
+    shown.stage.paintAnswer(item.mine.answer);
     setAttr(this.element, "data-task", String(item.task.id));
   }
 
@@ -198,7 +197,7 @@ class MyAnswersScreen implements Screen {
       ...lines.map((line, index) => {
         const mask = answer.masks[index];
         if (!mask) return h("li", {}, line);
-        const show = (): void => this.shown?.stage.paintParts(mask.parts);
+        const show = (): void => this.shown?.stage.paintAnswer({ ...answer, masks: [mask] });
         return h("li", {}, line, " ", h("button", { class: "phrase", attrs: { type: "button", "aria-label": `Show ${parts.phrases(mask.parts)} on the body` }, on: { click: show } }, "show"));
       }),
     );

@@ -1,8 +1,10 @@
 /** What a task says about itself above its editor: that it came back, that its clip changed, that it is practice. */
 
+import { reason } from "../api";
 import type { App } from "../app";
 import { h } from "../dom";
-import type { TaskView } from "../wire";
+import { quotaWords } from "../figures";
+import type { EditTypeCount, TaskKind, TaskView } from "../wire";
 import { practiceNote } from "./practice";
 
 export async function notesOf(app: App, view: TaskView): Promise<HTMLElement[]> {
@@ -17,4 +19,14 @@ export async function notesOf(app: App, view: TaskView): Promise<HTMLElement[]> 
     );
   }
   return notes;
+}
+
+/** What is still wanted of each edit type; nothing if the project has no quota of them, or for another kind of task. */
+export async function quotaNote(app: App, kind: TaskKind): Promise<HTMLElement | null> {
+  if (kind !== "pair") return null;
+  const words = await app.api
+    .get<EditTypeCount[]>("stats/edit-types")
+    .then(quotaWords)
+    .catch((error: unknown) => `The quotas of edit types were not loaded: ${reason(error)}`);
+  return words === "" ? null : h("p", { class: "note", data: { quotas: "" } }, words);
 }

@@ -16,7 +16,7 @@ import { emptyScreen } from "./empty";
 import { ROUTE_OF } from "./home";
 import { openTask } from "./mask";
 import { afterAnswer, finisher } from "./finish";
-import { notesOf } from "./notes";
+import { notesOf, quotaNote } from "./notes";
 import { practiceFirst } from "./practice";
 import { skipping } from "./skip";
 
@@ -169,7 +169,7 @@ export class PairView {
 async function pairScreen(app: App, view: TaskView): Promise<Screen> {
   const { task } = view;
   const route = ROUTE_OF[task.kind];
-  const [pair, notes] = await Promise.all([PairView.open(app, task), notesOf(app, view)]);
+  const [pair, notes, quotas] = await Promise.all([PairView.open(app, task), notesOf(app, view), quotaNote(app, task.kind)]);
   let editor: PairEditor | null = null;
   const session = await TaskSession.open<TwoAnswer>(app, view, blankTwo(task), (answer) => editor?.setAnswer(answer));
 
@@ -203,6 +203,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
       suggestionUsed: (id, used) => void session.suggestionUsed(id, used),
       askDraft:
         app.me.model && !view.blind ? (parts) => app.api.post<Suggestion>(`tasks/${task.id}/suggest`, { parts }) : null,
+      sourceStyle: task.style,
       reject,
       repaint: (parts) => pair.paint(parts),
     },
@@ -290,6 +291,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
         app.guideButton(),
       ),
       facts.length > 0 && h("ul", { class: "facts" }, ...facts.map((fact) => h("li", {}, fact))),
+      quotas,
       pairEditor,
     ),
     h(

@@ -5,6 +5,7 @@ import { ReviewPanel } from "../components/review-panel";
 import { h } from "../dom";
 import type { Scope } from "../keys";
 import type { ReviewNext, ReviewQueue, ReviewView } from "../wire";
+import { quotaNote } from "./notes";
 import { QUEUES, reviewTabs } from "./review-tabs";
 import { showTask } from "./shown";
 
@@ -41,8 +42,9 @@ export async function openReview(app: App, argument: string): Promise<Screen> {
 async function reviewScreen(app: App, queue: ReviewQueue | null, review: ReviewView): Promise<Screen> {
   const { task } = review;
   const next = queue === null ? `task/${task.id}` : `review/${queue}`;
-  const { viewer, stage, perform } = await showTask(app, task, false);
-  const panel = new ReviewPanel(app, review, stage, reviewTabs(app, queue === null ? "" : `review/${queue}`), () => app.go(next));
+  const [{ viewer, stage, perform }, quotas] = await Promise.all([showTask(app, task, false), quotaNote(app, task.kind)]);
+  const head = h("div", {}, reviewTabs(app, queue === null ? "" : `review/${queue}`), quotas);
+  const panel = new ReviewPanel(app, review, stage, head, () => app.go(next));
   viewer.element.dataset.region = "stage";
   return {
     element: h("div", { class: "work review", data: { task: String(task.id) } }, viewer.element, panel),

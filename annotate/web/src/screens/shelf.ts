@@ -41,8 +41,9 @@ export async function openShelf(app: App): Promise<Screen> {
     for (const other of list.querySelectorAll("button")) setAttr(other, "aria-pressed", other === button ? "true" : "false");
     const tracks = await Promise.all(item.task.motions.map((motion) => app.motions.track(motion)));
     const { answer } = item;
-    const parts = answer.kind === "mask_text" ? (answer.masks[0]?.parts ?? []) : answer.parts;
-    const paint = app.parts.paint(parts, true);
+    const mask = answer.kind === "mask_text" ? answer.masks[0] : null;
+    const parts = answer.kind === "mask_text" ? (mask?.parts ?? []) : answer.parts;
+    const paint = app.parts.paint(parts, mask?.soft ?? true, 0, mask?.joints);
     const clips = tracks.map((track, index) => ({ track, paint, label: shortName(item.task.motions[index]?.id ?? "") }));
     viewer.load(clips, clips.length > 1 ? "side_by_side" : "single");
   };

@@ -3,10 +3,11 @@
 import type { App } from "../app";
 import type { ReviewStage } from "../components/review-panel";
 import type { ActionId } from "../keys";
+import { RangeLanes } from "../lanes";
 import { shortName } from "../motions";
 import { PLAIN, bits } from "../stage/body";
 import type { Clip, Viewer } from "../viewer";
-import type { Task } from "../wire";
+import type { Answer, Task } from "../wire";
 import { heatStrip, showHeat } from "./mask";
 import { PairView } from "./pair";
 
@@ -30,15 +31,26 @@ async function maskStage(app: App, task: Task): Promise<Shown> {
   const strip = heatStrip(app, viewer);
   showHeat(app, strip, values, motion.fps);
   viewer.setStrips([strip]);
+  const lanes = new RangeLanes(motion.frames, motion.fps);
+  viewer.addBelow(lanes.element);
+  const show = (answer: Answer | undefined): void => lanes.show(answer?.kind === "mask_text" ? answer.masks : []);
   const clip: Clip = { track, paint: PLAIN, label: shortName(motion.id) };
   viewer.load([clip], "single");
   return {
     viewer,
     perform: (action, ten) => viewer.perform(action, ten),
     stage: {
-      mask: { viewer, strip, motion, clip },
-      paint: (candidate, glow) => viewer.setPaint(0, { hard: bits(candidate?.joints ?? []), soft: 0, masked: true, glow }),
+      mask: { viewer, strip, lanes, motion, clip },
+      paint: (candidate, glow) => {
+        viewer.setPaint(0, { hard: bits(candidate?.joints ?? []), soft: 0, masked: true, glow });
+        show(candidate?.revision.answer);
+      },
       paintParts: (parts, glow = 0) => viewer.setPaint(0, app.parts.paint(parts, true, glow)),
+      paintAnswer: (answer) => {
+        const joints = app.parts.jointsOf(answer);
+        viewer.setPaint(0, joints.hard === 0 ? PLAIN : { ...joints, masked: true, glow: 0 });
+        show(answer);
+      },
     },
   };
 }
@@ -56,6 +68,7 @@ async function pairStage(app: App, task: Task, pairKeys: boolean): Promise<Shown
         pair.paint(answer && answer.kind !== "mask_text" ? answer.parts : [], glow);
       },
       paintParts: (parts, glow = 0) => pair.paint(parts, glow),
+      paintAnswer: (answer) => pair.paint(answer.kind === "mask_text" ? [] : answer.parts),
     },
   };
 }

@@ -110,6 +110,8 @@ struct Annotation {
     id: String,
     /// Index of the clip.
     clip: usize,
+    /// Frames of the clip that it holds for.
+    frames: Range<usize>,
     mask: BlendMask,
     /// Names of the parts the mask is made of.
     parts: Arc<[String]>,

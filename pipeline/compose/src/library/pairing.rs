@@ -1,12 +1,13 @@
 //! Who is edited and who may be blended with whom.
 
 use std::collections::BTreeSet;
+use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 
 use datasets_spec::{BlendMask, BodyPart, Rng, Seed};
 use rand::RngExt;
 
-use super::{Clip, Library, Pair};
+use super::{Annotation, Clip, Library, Pair};
 use crate::config::EditKind;
 use crate::draw::{Crop, subset};
 use crate::sinc::whole_parts;
@@ -133,8 +134,24 @@ impl Library {
 
     /// Frames that windows can be taken from.
     pub(crate) fn frames_of(&self, subject: Subject) -> usize {
+        let held = self.held_of(subject).len();
         let clips = self.clips_of(subject).into_iter();
-        clips.map(|clip| self.clips[clip].len()).min().unwrap_or(0)
+        clips.fold(held, |least, clip| least.min(self.clips[clip].len()))
+    }
+
+    /// Frames of the motion after the edit that the instruction is about.
+    pub(crate) fn held_of(&self, subject: Subject) -> Range<usize> {
+        match subject {
+            Subject::Annotation(annotation) => self.annotations[annotation].frames.clone(),
+            Subject::Pair(pair) => 0..self.clips[self.pairs[pair].target].len(),
+        }
+    }
+
+    /// The frames of a semantic edit's crop that the instruction is about.
+    pub(crate) fn edited_of(&self, pairing: &Pairing) -> Range<usize> {
+        let (held, crop) = (self.held_of(pairing.subject), pairing.crop);
+        let in_crop = |frame: usize| frame.saturating_sub(crop.target_start).min(crop.num_frames);
+        in_crop(held.start)..in_crop(held.end)
     }
 
     /// The joints of the partner that are replaced.
@@ -212,14 +229,20 @@ impl Library {
         rng: &mut Rng,
     ) -> Pairing {
         let frames_of = |clip: usize| self.len_of(clip);
-        let mut draw_crop = |first: usize, second: usize| match config.fixed_pairs {
-            true => Crop::centred(first, second),
-            false => Crop::draw(first, second, rng),
+        let place = |allowed: RangeInclusive<usize>, rng: &mut Rng| match config.fixed_pairs {
+            // The middle, as SINC crops.
+            true => (allowed.start() + allowed.end()) / 2,
+            false => rng.random_range(allowed),
+        };
+        let crop_of = |first: usize, second: usize, held: &Range<usize>, rng: &mut Rng| {
+            Crop::around(first, second, held, |allowed| place(allowed, rng))
         };
         match subject {
             Subject::Annotation(annotation) => {
-                let target = self.annotations[annotation].clip;
-                let crop = draw_crop(frames_of(partner), frames_of(target));
+                let Annotation {
+                    clip, ref frames, ..
+                } = self.annotations[annotation];
+                let crop = crop_of(frames_of(partner), frames_of(clip), frames, rng);
                 Pairing {
                     subject,
                     partner: Some(partner),
@@ -238,14 +261,13 @@ impl Library {
                     is_motionfix,
                     ..
                 } = self.pairs[pair];
-                let mut crop = draw_crop(frames_of(source), frames_of(target));
+                let target_frames = frames_of(target);
+                let mut crop = crop_of(frames_of(source), target_frames, &(0..target_frames), rng);
                 let plain = rng.random::<f64>() < config.undonored_ratio_of(is_motionfix);
                 let half = halves[rng.random_range(0..halves.len())];
                 // A whole-clip triplet lasts as long as the shortest of the three.
-                let mut donor = match config.fixed_pairs {
-                    true => Crop::centred(frames_of(partner), crop.num_frames),
-                    false => Crop::draw(frames_of(partner), crop.num_frames, rng),
-                };
+                let whole = 0..crop.num_frames;
+                let mut donor = crop_of(frames_of(partner), crop.num_frames, &whole, rng);
                 let alpha = config.alpha.draw(rng);
                 let wording = rng.random();
                 if plain {

@@ -105,9 +105,11 @@ impl<'a> LibraryRows<'a> {
         for row in rows {
             self.check_split("masks", &row.id, row.split)?;
             let clip = self.clip("mask", &row.id, &row.motion_id)?;
+            let frames = row.frames(self.clips[clip].len());
             self.annotations.push(Annotation {
                 id: row.id.clone(),
                 clip,
+                frames: frames.map_err(|source| unusable(row, source))?,
                 mask: blend_of_mask(row)?,
                 parts: self.lists.get(row.parts.as_slice()),
                 instruction: self.texts.get(row.text.as_str()),
@@ -233,12 +235,21 @@ pub fn check_pair(row: &PairRow) -> Result<(), Error> {
     meaning_of_pair(row).map(|_| ())
 }
 
-/// Checks the row of a mask, except for the motion it names.
+/// Checks the row of a mask, except for the motion it names and that its range ends within it.
 ///
 /// # Errors
-/// A joint is unknown or twice in the mask, the mask is empty, or the text is empty.
+/// A joint is unknown or twice in the mask, the mask or its text is empty, or its range is none or too short.
 pub fn check_mask(row: &MaskRow) -> Result<(), Error> {
+    let frames = row.frames(usize::MAX);
+    frames.map_err(|source| unusable(row, source))?;
     blend_of_mask(row).map(|_| ())
+}
+
+fn unusable(row: &MaskRow, source: datasets_spec::Error) -> Error {
+    Error::Mask {
+        mask: row.id.clone(),
+        source,
+    }
 }
 
 /// The kind, instruction and parts of a pair.
@@ -288,13 +299,10 @@ fn halves_of(parts: &[BodyPart]) -> Vec<BodyPart> {
 
 /// The blend mask of a row; its text must not be empty.
 fn blend_of_mask(row: &MaskRow) -> Result<BlendMask, Error> {
-    let unusable = |source| Error::Mask {
-        mask: row.id.clone(),
-        source,
-    };
-    let hard = JointSet::try_from(row.hard_joints.clone()).map_err(unusable)?;
-    let soft = JointSet::try_from(row.soft_joints.clone()).map_err(unusable)?;
-    let mask = BlendMask::new(hard, soft).map_err(unusable)?;
+    let joints = |names: &[String]| JointSet::try_from(names.to_vec());
+    let mask = joints(&row.hard_joints)
+        .and_then(|hard| BlendMask::new(hard, joints(&row.soft_joints)?))
+        .map_err(|source| unusable(row, source))?;
     if mask.is_empty() {
         return Err(Error::EmptyMask {
             mask: row.id.clone(),

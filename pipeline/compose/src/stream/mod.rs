@@ -133,8 +133,10 @@ impl Stream {
                 let mut rng = seed.rng(&["fixed pair", library.subject_id(subject)]);
                 library.draw_pairing(&base, subject, &config, &mut rng)
             });
-            let num_frames =
-                fixed.map_or_else(|| library.frames_of(subject), |fixed| fixed.crop.num_frames);
+            let num_frames = match &fixed {
+                None => library.frames_of(subject),
+                Some(fixed) => library.edited_of(fixed).len(),
+            };
             first_items.push(num_items);
             num_items += ((num_frames - span) / advance + 1) as u64;
             targets.push(Target::new(
@@ -441,20 +443,22 @@ impl Stream {
             };
             WindowPlace { clip, start: at }
         };
-        let crop = pairing.crop;
+        let (crop, held) = (pairing.crop, library.held_of(target.subject));
+        // Windows of a mask lie in the frames that it holds for.
+        let first = library.edited_of(&pairing).start;
         let (windows, under, shown) = match target.subject {
             Subject::Annotation(_) => {
                 let clip = library.target_of(target.subject);
                 let source = pairing.partner.expect("a semantic edit has a source");
-                let under = partner_at(&mut rng, source, crop.source_start);
+                let under = partner_at(&mut rng, source, crop.source_start + first);
                 let at = match target.fixed {
-                    Some(_) => crop.target_start + start,
-                    None => start,
+                    Some(_) => crop.target_start + first + start,
+                    None => held.start + start,
                 };
                 (
                     [None, Some(WindowPlace { clip, start: at })],
                     Some(under),
-                    (at, clip),
+                    at,
                 )
             }
             Subject::Pair(_) => {
@@ -473,7 +477,7 @@ impl Stream {
                     clip: target,
                     start: at,
                 };
-                ([Some(before), Some(after)], under, (at, target))
+                ([Some(before), Some(after)], under, at)
             }
         };
         DrawnWindow {
@@ -481,7 +485,7 @@ impl Stream {
             under,
             plan: target.side_of(&pairing).0.map(|side| &*side.plan),
             alpha: pairing.alpha,
-            progress: shown.0 as f64 / library.len_of(shown.1) as f64,
+            progress: (shown - held.start) as f64 / held.len() as f64,
             instruction: target.wording(&pairing),
             is_mirrored: self.draws_mirrored(&mut rng),
         }

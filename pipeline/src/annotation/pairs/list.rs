@@ -1,12 +1,12 @@
 //! A list of pairs by the user: a CSV file with the columns styled clip, original clip, style,
-//! instruction, kind and body parts.
+//! instruction, kind, body parts and edit type.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use compose::{EditKind, style_instruction};
 use csv::StringRecord;
-use datasets_spec::record::PairRow;
+use datasets_spec::record::{EDIT_TYPES, PairRow};
 use datasets_spec::{BodyPart, MotionId, Split};
 use formats::csv_lines;
 use serde::{Deserialize, Serialize};
@@ -38,6 +38,9 @@ struct Line {
     /// Names of body parts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     parts: Vec<String>,
+    /// One of [`EDIT_TYPES`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    edit_type: Option<String>,
 }
 
 /// The kind of a line that states none.
@@ -87,10 +90,10 @@ impl PairList {
         Ok(Self::parse(&bytes))
     }
 
-    /// Parses a list in UTF-8, with or without a header line (`styled,original,style,text,kind,parts`). Fields
-    /// may be quoted; those from the text on may be left out. The kind is `style` (the default) or
+    /// Parses a list in UTF-8, with or without a header line (`styled,original,style,text,kind,parts,edit_type`).
+    /// Fields may be quoted; those from the text on may be left out. The kind is `style` (the default) or
     /// `fine-grained`, whose lines need a text and no style; the parts are names of body parts with `;`
-    /// between them.
+    /// between them; the edit type of a fine-grained pair is one of [`EDIT_TYPES`].
     pub fn parse(bytes: &[u8]) -> Self {
         let mut list = Self {
             hash: blake3::hash(bytes).to_hex().to_string(),
@@ -170,10 +173,10 @@ impl Line {
                 "a field goes on over the end of the line; close its quotation mark".into(),
             );
         }
-        if !(3..=6).contains(&fields.len()) {
+        if !(3..=7).contains(&fields.len()) {
             return Err(format!(
-                "it has {} fields, expected styled clip, original clip, style, text, kind and parts, the \
-                 last three of which may be left out (quote a text with commas)",
+                "it has {} fields, expected styled clip, original clip, style, text, kind, parts and edit type, \
+                 the last four of which may be left out (quote a text with commas)",
                 fields.len()
             ));
         }
@@ -200,6 +203,7 @@ impl Line {
             },
             kind,
             parts: parse_parts(field(5))?,
+            edit_type: parse_edit_type(field(6), kind)?,
         })
     }
 
@@ -239,7 +243,7 @@ impl Line {
             style: (!self.style.is_empty()).then(|| self.style.clone()),
             parts: self.parts.clone(),
             instruction: self.instruction.clone(),
-            edit_type: None,
+            edit_type: self.edit_type.clone(),
             accepted_by: None,
         })
     }
@@ -256,6 +260,25 @@ fn parse_kind(word: &str) -> Result<EditKind, String> {
         format!(
             "its kind is {word:?}, expected {} (quote a text with commas)",
             ALLOWED.map(EditKind::as_str).join(" or ")
+        )
+    })
+}
+
+/// The edit type that a line states, if it states one.
+fn parse_edit_type(word: &str, kind: EditKind) -> Result<Option<String>, String> {
+    if word.is_empty() {
+        return Ok(None);
+    }
+    if kind != EditKind::FineGrained {
+        return Err(format!(
+            "its edit type is {word:?}, which only a fine-grained pair has"
+        ));
+    }
+    let known = EDIT_TYPES.into_iter().find(|known| *known == word);
+    known.map(|known| Some(known.to_owned())).ok_or_else(|| {
+        format!(
+            "its edit type is {word:?}, expected one of {}",
+            EDIT_TYPES.join(", ")
         )
     })
 }
@@ -375,9 +398,9 @@ mod tests {
     }
 
     #[test]
-    fn a_line_may_state_a_kind_and_parts() {
-        let text = "styled,original,style,text,kind,parts\n\
-            mine/000009_old,000009,,Lean forward more.,fine-grained,TORSO; HEAD\n\
+    fn a_line_may_state_a_kind_and_parts_and_an_edit_type() {
+        let text = "styled,original,style,text,kind,parts,edit_type\n\
+            mine/000009_old,000009,,Lean forward more.,fine-grained,TORSO; HEAD,amplitude\n\
             \"mine/walk, slowly\",000011,slow,,style\n";
         let made = PairList::parse(text.as_bytes()).pairs(&motions(), &[]);
         assert_eq!(made.refused, []);
@@ -391,6 +414,8 @@ mod tests {
         );
         assert_eq!(adjusted.parts, ["TORSO", "HEAD"]);
         assert_eq!(adjusted.instruction, "Lean forward more.");
+        let types = [adjusted, slow].map(|row| row.edit_type.as_deref());
+        assert_eq!(types, [Some("amplitude"), None]);
         assert_eq!(
             (slow.kind.as_str(), slow.style.as_deref()),
             ("style", Some("slow"))
@@ -412,7 +437,12 @@ mod tests {
             ("a,b,,,fine-grained", "names no text"),
             ("a,b,,Lean.", "names no style"),
             ("a,b,,Lean.,fine-grained,TAIL", "\"TAIL\""),
-            ("a,b,,Lean.,fine-grained,HEAD,x", "it has 7 fields"),
+            (
+                "a,b,,Lean.,fine-grained,HEAD,x",
+                "expected one of amplitude",
+            ),
+            ("a,b,old,x,style,,speed", "only a fine-grained pair"),
+            ("a,b,,Lean.,fine-grained,HEAD,speed,x", "it has 8 fields"),
         ] {
             let list = PairList::parse(line.as_bytes());
             assert_eq!((list.lines.len(), list.refused.len()), (0, 1), "{line}");
@@ -426,7 +456,9 @@ mod tests {
         let list = PairList::parse(b"a,b,old,x");
         let stored = serde_json::to_string(&list).expect("plain text");
         assert!(
-            !stored.contains("kind") && !stored.contains("parts"),
+            !["kind", "parts", "edit_type"]
+                .iter()
+                .any(|name| stored.contains(name)),
             "{stored}"
         );
         let read: PairList = serde_json::from_str(&stored).expect("its own form");

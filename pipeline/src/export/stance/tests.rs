@@ -143,6 +143,8 @@ fn motions_that_humanml3d_does_not_know_keep_their_ids_and_pairs() {
         parts: vec!["LEFT_ARM".to_owned(), "HEAD".to_owned()],
         hard_joints: Vec::new(),
         soft_joints: Vec::new(),
+        start: None,
+        end: None,
         mask_def_version: datasets_spec::MASK_DEF_VERSION,
         text: "nodding".to_owned(),
         text_origin: "human".to_owned(),

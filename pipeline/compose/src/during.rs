@@ -7,22 +7,17 @@ use glam::DQuat;
 use kinematics::resample::interpolate;
 use kinematics::rotation::slerp;
 
-use crate::sample::TimedInstruction;
-
 /// Seconds at each end of an edited range over which the edit is blended with the original.
 const BLEND_SECS: f64 = 0.4;
 
-/// Whether the instructions leave frames of a motion as they are.
-pub(crate) fn leaves_frames(num_frames: usize, instructions: &[TimedInstruction]) -> bool {
-    edited_runs(instructions) != std::slice::from_ref(&(0..num_frames))
+/// Whether edits of some ranges leave frames of a motion as they are.
+pub fn leaves_frames(num_frames: usize, edited: &[Range<usize>]) -> bool {
+    edited_runs(edited) != std::slice::from_ref(&(0..num_frames))
 }
 
-/// Runs of frames that have an instruction. Ranges that touch or overlap form one run.
-fn edited_runs(instructions: &[TimedInstruction]) -> Vec<Range<usize>> {
-    let mut ranges: Vec<Range<usize>> = instructions
-        .iter()
-        .map(|asked| asked.frames.clone())
-        .collect();
+/// Runs of edited frames. Ranges that touch or overlap form one run.
+fn edited_runs(edited: &[Range<usize>]) -> Vec<Range<usize>> {
+    let mut ranges = edited.to_vec();
     ranges.sort_by_key(|range| range.start);
     let mut runs: Vec<Range<usize>> = Vec::new();
     for range in ranges {
@@ -47,16 +42,16 @@ fn edited_runs(instructions: &[TimedInstruction]) -> Vec<Range<usize>> {
 ///
 /// # Panics
 /// If the motions differ in length, or a range ends after them.
-pub(crate) fn keep_outside(
+pub fn keep_outside(
     original: &Motion,
     edited: &Motion,
-    instructions: &[TimedInstruction],
+    ranges: &[Range<usize>],
 ) -> Result<Motion, datasets_spec::Error> {
     assert_eq!(original.len(), edited.len(), "an edit of the same rate");
     let mut transl = original.transl().to_vec();
     let mut global_orient = original.global_orient().to_vec();
     let mut body_pose = original.body_pose().to_vec();
-    for run in edited_runs(instructions) {
+    for run in edited_runs(ranges) {
         let poses = joined(original, edited, run.clone());
         let part = Motion::from_poses(original.fps(), &poses)?;
         transl[run.clone()].copy_from_slice(part.transl());
@@ -140,14 +135,6 @@ mod tests {
 
     const FRAMES: usize = 60;
 
-    fn asked(ranges: &[Range<usize>]) -> Vec<TimedInstruction> {
-        let asked = ranges.iter().map(|frames| TimedInstruction {
-            frames: frames.clone(),
-            text: "Wave.".to_owned(),
-        });
-        asked.collect()
-    }
-
     fn motion(pose: impl Fn(f64) -> Pose) -> Motion {
         let poses: Vec<Pose> = (0..FRAMES).map(|frame| pose(frame as f64)).collect();
         Motion::from_poses(Fps::STORE, &poses).expect("finite")
@@ -173,17 +160,17 @@ mod tests {
 
     #[test]
     fn touching_ranges_are_one_run_and_a_whole_motion_leaves_nothing() {
-        let asked = asked(&[20..30, 40..60, 30..35, 0..10]);
-        assert_eq!(edited_runs(&asked), [0..10, 20..35, 40..60]);
-        assert!(leaves_frames(60, &asked));
-        assert!(!leaves_frames(60, &self::asked(&[0..20, 20..60])));
+        let ranges = [20..30, 40..60, 30..35, 0..10];
+        assert_eq!(edited_runs(&ranges), [0..10, 20..35, 40..60]);
+        assert!(leaves_frames(60, &ranges));
+        assert!(!leaves_frames(60, &[0..20, 20..60]));
     }
 
     #[test]
     fn frames_outside_are_copied_and_a_run_meets_them() {
         let (original, edited) = (motion(walk), motion(turning_walk));
         let ranges = [10..40, 50..55];
-        let found = keep_outside(&original, &edited, &asked(&ranges)).expect("finite");
+        let found = keep_outside(&original, &edited, &ranges).expect("finite");
         for frame in 0..FRAMES {
             let outside = ranges.iter().all(|range| !range.contains(&frame));
             let same = found.transl()[frame] == original.transl()[frame]
@@ -216,12 +203,11 @@ mod tests {
     #[test]
     fn at_an_end_of_the_motion_an_edit_is_free() {
         let (original, edited) = (motion(walk), motion(turning_walk));
-        let found =
-            keep_outside(&original, &edited, &asked(&[30..45, 45..FRAMES])).expect("finite");
+        let found = keep_outside(&original, &edited, &[30..45, 45..FRAMES]).expect("finite");
         // Nothing follows: the last frame has turned for 30 frames since frame 29.
         let last = found.pose(FRAMES - 1);
         assert!(angle_between(last.rotations[0], DQuat::from_rotation_y(0.6)) < 1e-6);
-        let found = keep_outside(&original, &edited, &asked(&[0..15, 15..30])).expect("finite");
+        let found = keep_outside(&original, &edited, &[0..15, 15..30]).expect("finite");
         let first = found.pose(0);
         let up = from_axis_angle(DVec3::Z);
         assert!(angle_between(first.rotations[16], up) < 1e-6);

@@ -1,0 +1,352 @@
+//! The masks of an answer: their joints, the frames that they hold for, and what is wrong with them.
+
+use datasets_spec::record::MaskRow;
+use datasets_spec::{BlendMask, BodyPart, Joint, JointSet};
+
+use crate::Error;
+use crate::wire::{Answer, JointChoice, JointWeight, MaskAnswer};
+
+/// The known parts among the names.
+pub(crate) fn known_parts(names: &[String]) -> Vec<BodyPart> {
+    names.iter().filter_map(|name| name.parse().ok()).collect()
+}
+
+/// The mask of some parts, with or without its soft ring, changed by the choices for single joints.
+pub(crate) fn mask_of(parts: &[String], soft: bool, choices: &[JointChoice]) -> BlendMask {
+    let own = BlendMask::of_parts(&known_parts(parts));
+    let ring = if soft { own.soft() } else { JointSet::EMPTY };
+    let chosen = |weight: Option<JointWeight>| -> JointSet {
+        choices
+            .iter()
+            .filter(|choice| weight.is_none_or(|weight| choice.weight == weight))
+            .filter_map(|choice| choice.joint.parse::<Joint>().ok())
+            .collect()
+    };
+    let with = |set: JointSet, weight| {
+        let others = set.difference(chosen(None));
+        others.union(chosen(Some(weight)))
+    };
+    let (hard, soft) = (
+        with(own.hard(), JointWeight::Hard),
+        with(ring, JointWeight::Soft),
+    );
+    BlendMask::new(hard, soft.difference(hard)).unwrap_or(BlendMask::EMPTY)
+}
+
+/// Hard joints of some parts. Masks are compared by them, so that LEFT_ARM with RIGHT_ARM equals
+/// BOTH_ARMS.
+pub(crate) fn joints(parts: &[String]) -> JointSet {
+    mask_of(parts, true, &[]).hard()
+}
+
+fn weight(mask: BlendMask, joint: Joint) -> JointWeight {
+    if mask.hard().contains(joint.index()) {
+        JointWeight::Hard
+    } else if mask.soft().contains(joint.index()) {
+        JointWeight::Soft
+    } else {
+        JointWeight::None
+    }
+}
+
+/// The choices for single joints with which some parts give a mask.
+pub(crate) fn choices(parts: &[String], soft: bool, mask: BlendMask) -> Vec<JointChoice> {
+    let own = mask_of(parts, soft, &[]);
+    JointSet::ALL
+        .iter()
+        .filter(|joint| weight(own, *joint) != weight(mask, *joint))
+        .map(|joint| JointChoice {
+            joint: joint.name().to_owned(),
+            weight: weight(mask, joint),
+        })
+        .collect()
+}
+
+/// The mask of the joints of a row.
+///
+/// # Errors
+/// A joint is unknown, or is both hard and soft.
+pub(crate) fn mask_of_joints(
+    hard: &[String],
+    soft: &[String],
+) -> Result<BlendMask, datasets_spec::Error> {
+    BlendMask::new(
+        JointSet::try_from(hard.to_vec())?,
+        JointSet::try_from(soft.to_vec())?,
+    )
+}
+
+/// The soft ring and the choices with which some parts give a mask, with as few choices as possible.
+pub(crate) fn entered(parts: &[String], mask: BlendMask) -> (bool, Vec<JointChoice>) {
+    let (ring, none) = (choices(parts, true, mask), choices(parts, false, mask));
+    if none.len() < ring.len() {
+        (false, none)
+    } else {
+        (true, ring)
+    }
+}
+
+/// Checks that choices name body joints, each once.
+///
+/// # Errors
+/// What is wrong, and what to do.
+pub(crate) fn check_names(choices: &[JointChoice]) -> Result<(), String> {
+    for (index, JointChoice { joint, .. }) in choices.iter().enumerate() {
+        joint.parse::<Joint>().map_err(|error| error.to_string())?;
+        if choices[..index].iter().any(|other| other.joint == *joint) {
+            return Err(format!(
+                "joint {joint} is chosen twice; keep one of its weights"
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Checks that each choice changes the mask of the parts, and that a hard joint is left.
+///
+/// # Errors
+/// As [`check_names`].
+pub(crate) fn check_choices(
+    parts: &[String],
+    soft: bool,
+    choices: &[JointChoice],
+) -> Result<(), String> {
+    check_names(choices)?;
+    let needed = self::choices(parts, soft, mask_of(parts, soft, choices));
+    if let Some(idle) = choices.iter().find(|choice| !needed.contains(choice)) {
+        return Err(format!(
+            "joint {} is {} in the mask of the parts already; take the choice for it back",
+            idle.joint, idle.weight
+        ));
+    }
+    if mask_of(parts, soft, choices).hard().is_empty() {
+        return Err("no joint is hard; make one hard, or delete the mask".to_owned());
+    }
+    Ok(())
+}
+
+/// Checks the frames that a mask holds for, of a clip with `frames` frames.
+///
+/// # Errors
+/// What is wrong, and what to do, as the words after the name of the mask.
+pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), String> {
+    const WHOLE: &str = "or let it hold for the whole clip";
+    let length = i64::from(end) - i64::from(start);
+    if start < 0 || length <= 0 {
+        return Err(format!(
+            "holds from frame {start} to before frame {end}; choose a first frame from 0 on and a later end, {WHOLE}"
+        ));
+    }
+    if i64::from(end) > frames {
+        return Err(format!(
+            "holds up to frame {end} of a clip of {frames} frames; move its end, {WHOLE}"
+        ));
+    }
+    if length < i64::from(MaskRow::SHORTEST) {
+        return Err(format!(
+            "holds for {length} frames, but a range needs {} at least, as many as a training window; widen it, {WHOLE}",
+            MaskRow::SHORTEST
+        ));
+    }
+    Ok(())
+}
+
+/// Checks the ranges of the masks of an answer, about a clip with `frames` frames.
+///
+/// # Errors
+/// The first range that does not fit.
+pub(crate) fn check_ranges(answer: &Answer, frames: i64) -> Result<(), Error> {
+    let Answer::MaskText { masks, .. } = answer else {
+        return Ok(());
+    };
+    for (index, mask) in masks.iter().enumerate() {
+        let problem = mask
+            .range
+            .and_then(|range| check_range(range, frames).err());
+        if let Some(problem) = problem {
+            let field = format!("answer.masks.{index}.range");
+            return Err(Error::invalid(
+                &field,
+                format!("mask {} {problem}", index + 1),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Joints that a mask takes whole, and the frames that it takes them in: the first, and the one after the last.
+pub(crate) type Cells = (JointSet, [i64; 2]);
+
+impl MaskAnswer {
+    /// Its joints.
+    pub fn mask(&self) -> BlendMask {
+        mask_of(&self.parts, self.soft, &self.joints)
+    }
+
+    /// The frames that it holds for, of a clip with `frames` frames.
+    fn frames(&self, frames: i64) -> [i64; 2] {
+        self.range.map_or([0, frames], |range| range.map(i64::from))
+    }
+
+    /// What it takes of a clip with `frames` frames.
+    pub(crate) fn cells(&self, frames: i64) -> Cells {
+        (self.mask().hard(), self.frames(frames))
+    }
+
+    /// Whether it takes the same joints in the same frames as another one, the soft ring as a whole aside.
+    pub(crate) fn is_like(&self, other: &Self, frames: i64) -> bool {
+        let joints = |mask: &Self| mask_of(&mask.parts, true, &mask.joints);
+        joints(self) == joints(other) && self.frames(frames) == other.frames(frames)
+    }
+}
+
+/// Jaccard index of two joint sets; 1 for two empty sets.
+pub(crate) fn jaccard(a: JointSet, b: JointSet) -> f64 {
+    let union = a.union(b).len();
+    if union == 0 {
+        return 1.0;
+    }
+    a.intersection(b).len() as f64 / union as f64
+}
+
+/// Jaccard index of the pairs of a joint and a frame that two lists of masks take; 1 if neither takes any.
+pub(crate) fn jaccard_in_time(a: &[Cells], b: &[Cells]) -> f64 {
+    let mut edges: Vec<i64> = a.iter().chain(b).flat_map(|(_, range)| *range).collect();
+    edges.sort_unstable();
+    edges.dedup();
+    let at = |masks: &[Cells], frame: i64| {
+        masks
+            .iter()
+            .filter(|(_, [start, end])| (*start..*end).contains(&frame))
+            .fold(JointSet::EMPTY, |set, (joints, _)| set.union(*joints))
+    };
+    let (mut common, mut all) = (0.0, 0.0);
+    // Between two edges the joints do not change.
+    for span in edges.windows(2) {
+        let (a, b) = (at(a, span[0]), at(b, span[0]));
+        let frames = (span[1] - span[0]) as f64;
+        common += a.intersection(b).len() as f64 * frames;
+        all += a.union(b).len() as f64 * frames;
+    }
+    if all > 0.0 { common / all } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parts(names: &[&str]) -> Vec<String> {
+        names.iter().map(|name| (*name).to_owned()).collect()
+    }
+
+    fn choice(joint: &str, weight: JointWeight) -> JointChoice {
+        JointChoice {
+            joint: joint.to_owned(),
+            weight,
+        }
+    }
+
+    #[test]
+    fn choices_change_the_mask_of_the_parts_and_are_found_again() {
+        let arm = parts(&["LEFT_ARM"]);
+        let chosen = [
+            choice("left_collar", JointWeight::Hard),
+            choice("left_wrist", JointWeight::None),
+            choice("neck", JointWeight::Soft),
+        ];
+        let mask = mask_of(&arm, true, &chosen);
+        assert_eq!(
+            mask.hard().names(),
+            ["left_collar", "left_shoulder", "left_elbow"]
+        );
+        assert_eq!(mask.soft().names(), ["neck"]);
+        let row = mask_of_joints(&mask.hard().names(), &mask.soft().names()).expect("joints");
+        let (soft, found) = entered(&arm, row);
+        assert_eq!(mask_of(&arm, soft, &found), mask);
+        for (soft, choices) in [(true, 0), (false, 0), (true, 1)] {
+            let chosen = &[choice("left_knee", JointWeight::Soft)][..choices];
+            let found = entered(&arm, mask_of(&arm, soft, chosen));
+            assert_eq!(found, (soft, chosen.to_vec()));
+        }
+        // Legs have no ring of their own: they get one joint by joint.
+        let leg = mask_of(
+            &parts(&["LEFT_LEG"]),
+            true,
+            &[choice("left_hip", JointWeight::Soft)],
+        );
+        assert_eq!(leg.soft().names(), ["left_hip"]);
+    }
+
+    #[test]
+    fn choices_that_say_nothing_are_refused() {
+        let check = |chosen: &[JointChoice]| check_choices(&parts(&["HEAD"]), true, chosen);
+        assert_eq!(check(&[choice("neck", JointWeight::None)]), Ok(()));
+        for (chosen, problem) in [
+            (vec![choice("tail", JointWeight::Hard)], "unknown joint"),
+            (
+                vec![choice("left_index1", JointWeight::Hard)],
+                "unknown joint",
+            ),
+            (
+                vec![
+                    choice("neck", JointWeight::Hard),
+                    choice("neck", JointWeight::None),
+                ],
+                "chosen twice",
+            ),
+            (
+                vec![choice("neck", JointWeight::Soft)],
+                "is soft in the mask of the parts already",
+            ),
+            (vec![choice("head", JointWeight::None)], "no joint is hard"),
+        ] {
+            let found = check(&chosen).expect_err("a problem");
+            assert!(found.contains(problem), "{found}");
+        }
+    }
+
+    #[test]
+    fn a_range_lies_in_the_clip_and_is_as_long_as_a_window() {
+        let least = MaskRow::SHORTEST;
+        for range in [[0, least], [9, 40], [0, 40]] {
+            assert_eq!(check_range(range, 40), Ok(()), "{range:?}");
+        }
+        for (range, problem) in [
+            ([-1, 30], "a first frame from 0 on"),
+            ([20, 20], "a later end"),
+            ([20, 41], "holds up to frame 41 of a clip of 40 frames"),
+            (
+                [4, 3 + least],
+                "holds for 30 frames, but a range needs 31 at least",
+            ),
+        ] {
+            let found = check_range(range, 40).expect_err("a problem");
+            assert!(found.contains(problem), "{found}");
+        }
+    }
+
+    #[test]
+    fn masks_in_time_by_hand() {
+        let arm = joints(&parts(&["LEFT_ARM"]));
+        let arms = joints(&parts(&["BOTH_ARMS"]));
+        for (a, b, expected) in [
+            (vec![], vec![], 1.0),
+            (vec![(arm, [0, 40])], vec![], 0.0),
+            (vec![(arm, [0, 40])], vec![(arm, [0, 40])], 1.0),
+            // Half of the frames, and half of the joints.
+            (vec![(arm, [0, 40])], vec![(arm, [20, 40])], 0.5),
+            (vec![(arm, [0, 40])], vec![(arms, [0, 40])], 0.5),
+            (vec![(arm, [0, 20])], vec![(arm, [20, 40])], 0.0),
+            // Overlapping masks count each joint and frame once.
+            (
+                vec![(arm, [0, 30]), (arm, [10, 40])],
+                vec![(arm, [0, 40])],
+                1.0,
+            ),
+        ] {
+            let found = jaccard_in_time(&a, &b);
+            assert!((found - expected).abs() < 1e-12, "{a:?} {b:?}: {found}");
+        }
+        assert!((jaccard(arm, arms) - 0.5).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,50 @@
+/** Masks of an answer: the frames that they hold for, what they are in words, and what is wrong with them. */
+
+import type { Parts } from "./parts";
+import { SHORTEST_RANGE, type JointWeight, type MaskAnswer } from "./wire";
+
+/** The first frame, and the one after the last. */
+export type Span = readonly [number, number];
+
+/** How a joint is said to be taken: "hard left collar", "no left wrist". */
+const WEIGHT_WORDS: Readonly<Record<JointWeight, string>> = { hard: "hard", soft: "soft", none: "no" };
+
+/** The name of a joint as people say it: "left collar". */
+export const jointPhrase = (joint: string): string => joint.replaceAll("_", " ");
+
+/** A range as people count frames, from 1: "frames 41 to 70", with its length in seconds where the rate is known. */
+export function rangeWords([start, end]: Span, fps: number | null = null): string {
+  const secs = fps === null ? "" : `, ${((end - start) / fps).toFixed(1)} s`;
+  return `frames ${start + 1} to ${end}${secs}`;
+}
+
+/** What is wrong with a range in a clip of so many frames, in the server's words after the name of the mask; else `null`. */
+export function rangeProblem([start, end]: Span, frames: number): string | null {
+  const whole = "or let it hold for the whole clip";
+  if (end > frames) return `holds up to frame ${end} of a clip of ${frames} frames; move its end, ${whole}`;
+  if (end - start < SHORTEST_RANGE) {
+    return `holds for ${end - start} frames, but a range needs ${SHORTEST_RANGE} at least, as many as a training window; widen it, ${whole}`;
+  }
+  return null;
+}
+
+/** A range with one end moved, as far as the other end and the clip allow. */
+export function movedEnd([start, end]: Span, edge: 0 | 1, to: number, frames: number): [number, number] {
+  if (edge === 0) return [Math.min(Math.max(to, 0), end - 1), end];
+  return [start, Math.min(Math.max(to, start + 1), frames)];
+}
+
+/** A mask in words: its parts, what differs from them, and its frames. */
+export function maskWords(parts: Parts, mask: MaskAnswer): string {
+  const more = [
+    ...(mask.soft ? [] : ["no ring"]),
+    ...(mask.joints ?? []).map(({ joint, weight }) => `${WEIGHT_WORDS[weight]} ${jointPhrase(joint)}`),
+    ...(mask.range ? [rangeWords(mask.range)] : []),
+  ];
+  return parts.phrases(mask.parts) + (more.length > 0 ? ` (${more.join(", ")})` : "");
+}
+
+/** Equal for masks of equal parts, choices and frames. */
+export function maskKey({ parts, joints = [], range = null }: Pick<MaskAnswer, "parts" | "joints" | "range">): string {
+  return JSON.stringify([[...parts].sort(), joints, range]);
+}
