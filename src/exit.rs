@@ -2,6 +2,8 @@
 
 use std::error::Error as StdError;
 
+use crate::failure::Failure;
+
 /// How a command ended. A command line that cannot be parsed exits with 2 before any command runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Exit {
@@ -22,78 +24,17 @@ pub(crate) enum Exit {
 impl Exit {
     /// The code of a command that ended with an error.
     pub(crate) fn of_error(error: &anyhow::Error) -> Self {
-        let locked = error.chain().any(|cause| {
-            use datasets_spec::Error::{Locked, Overtaken};
-            matches!(wrapped(cause), Some(Locked { .. } | Overtaken { .. }))
-        });
-        let asked = error.chain().any(|cause| {
-            matches!(
-                cause.downcast_ref::<pipeline::Error>(),
-                Some(pipeline::Error::AskedSource { .. })
-            )
-        });
-        let stopped = error.chain().any(|cause| {
-            matches!(
-                cause.downcast_ref::<train::Error>(),
-                Some(train::Error::Stopped { .. })
-            )
-        });
-        if locked {
-            Self::Locked
-        } else if stopped {
-            Self::Interrupted
-        } else if asked {
-            Self::Usage
-        } else {
-            Self::Failed
+        let is_stop = |cause: &(dyn StdError + 'static)| {
+            matches!(cause.downcast_ref(), Some(train::Error::Stopped { .. }))
+        };
+        match Failure::of_error(error).code {
+            "E-LOCKED" | "E-OVERTAKEN" => Self::Locked,
+            _ if error.chain().any(is_stop) => Self::Interrupted,
+            "E-SOURCE-NAME" => Self::Usage,
+            _ => Self::Failed,
         }
     }
-}
 
-/// The error of a dataset that another one is. The wrappers of other crates are transparent, so that a chain leaves out
-/// what they wrap.
-fn wrapped<'a>(cause: &'a (dyn StdError + 'static)) -> Option<&'a datasets_spec::Error> {
-    fn of_work(error: &work::Error) -> Option<&datasets_spec::Error> {
-        match error {
-            work::Error::Spec(error) => Some(error),
-            _ => None,
-        }
-    }
-    fn of_compose(error: &compose::Error) -> Option<&datasets_spec::Error> {
-        match error {
-            compose::Error::Spec(error) => Some(error),
-            compose::Error::Work(error) => of_work(error),
-            _ => None,
-        }
-    }
-    if let Some(error) = cause.downcast_ref() {
-        return Some(error);
-    }
-    if let Some(error) = cause.downcast_ref() {
-        return of_work(error);
-    }
-    if let Some(error) = cause.downcast_ref() {
-        return of_compose(error);
-    }
-    match cause.downcast_ref() {
-        Some(pipeline::Error::Spec(error)) => return Some(error),
-        Some(pipeline::Error::Work(error)) => return of_work(error),
-        Some(pipeline::Error::Compose(error)) => return of_compose(error),
-        _ => {}
-    }
-    match cause.downcast_ref() {
-        Some(train::Error::Spec(error)) => return Some(error),
-        Some(train::Error::Work(error)) => return of_work(error),
-        Some(train::Error::Compose(error)) => return of_compose(error),
-        _ => {}
-    }
-    match cause.downcast_ref() {
-        Some(eval::Error::Spec(error)) => Some(error),
-        _ => None,
-    }
-}
-
-impl Exit {
     /// The number.
     pub(crate) fn code(self) -> u8 {
         match self {

@@ -45,29 +45,15 @@ impl Failure {
 
 /// Code and item of an error, if its type tells them.
 fn known(cause: &(dyn Error + 'static)) -> Option<Code> {
-    if let Some(error) = cause.downcast_ref::<pipeline::Error>() {
-        return error.code();
+    macro_rules! code_of {
+        ($($error:ty),*) => {$(
+            if let Some(error) = cause.downcast_ref::<$error>() {
+                return error.code();
+            }
+        )*};
     }
-    if let Some(error) = cause.downcast_ref::<work::Error>() {
-        return error.code();
-    }
-    if let Some(error) = cause.downcast_ref::<compose::Error>() {
-        return error.code();
-    }
-    if let Some(error) = cause.downcast_ref::<formats::Error>() {
-        return error.code();
-    }
-    if let Some(error) = cause.downcast_ref::<datasets_spec::Error>() {
-        return error.code();
-    }
-    if let Some(error) = cause.downcast_ref::<train::Error>() {
-        return error.code();
-    }
-    if let Some(error) = cause.downcast_ref::<eval::Error>() {
-        return error.code();
-    }
-    if let Some(error) = cause.downcast_ref::<remote_store::hub::Error>() {
-        return error.code();
-    }
+    code_of!(pipeline::Error, work::Error, compose::Error, formats::Error);
+    code_of!(datasets_spec::Error, train::Error, eval::Error);
+    code_of!(remote_store::hub::Error);
     cause.is::<std::io::Error>().then_some(("E-IO", None))
 }

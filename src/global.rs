@@ -2,10 +2,13 @@
 
 use compose::FrameCache;
 use datasets_spec::Seed;
+use serde::Serialize;
 use train::config::Preset;
 use work::Context;
 
+use crate::exit::Exit;
 use crate::progress::Bars;
+use crate::report;
 
 /// Options every verb takes.
 #[derive(Clone, Debug, clap::Args)]
@@ -75,6 +78,15 @@ impl Global {
             progress: &self.bars(),
             holder: &self.holder(),
         })
+    }
+
+    /// Prints a result: one document for programs with `--json`, else text for people.
+    pub(crate) fn say<T: Serialize>(&self, document: &T, text: &str) -> anyhow::Result<Exit> {
+        match self.json {
+            true => report::json(document)?,
+            false => report::text(text),
+        }
+        Ok(Exit::Done)
     }
 
     pub(crate) fn bars(&self) -> Bars {

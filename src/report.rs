@@ -30,20 +30,23 @@ pub(crate) fn failure(failure: &Failure) {
     text(&document);
 }
 
-/// Appends a list under a title, if there is anything in it. Of a long one only the begin is shown.
+/// Appends a list under a title, if there is anything in it.
 pub(crate) fn append_list(text: &mut String, title: &str, lines: &[String]) {
+    if !lines.is_empty() {
+        *text += &format!("{title}\n{}", listing(lines));
+    }
+}
+
+/// Lines with two spaces before each. Of many only the first are shown.
+pub(crate) fn listing(lines: &[String]) -> String {
     /// Lines that are shown; `--json` has all.
     const SHOWN: usize = 10;
-    if lines.is_empty() {
-        return;
-    }
-    *text += &format!("{title}\n");
-    for line in lines.iter().take(SHOWN) {
-        *text += &format!("  {line}\n");
-    }
+    let shown = lines.iter().take(SHOWN);
+    let mut text: String = shown.map(|line| format!("  {line}\n")).collect();
     if lines.len() > SHOWN {
-        *text += &format!("  and {} more; --json lists all\n", lines.len() - SHOWN);
+        text += &format!("  and {} more; --json lists all\n", lines.len() - SHOWN);
     }
+    text
 }
 
 /// Writes what the buffer of stdout still holds.

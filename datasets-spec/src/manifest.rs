@@ -170,6 +170,12 @@ impl Manifest {
         serde_json::to_string(&laid_out).expect("texts serialise")
     }
 
+    /// Rows of each table.
+    pub fn row_counts(&self) -> BTreeMap<String, u64> {
+        let rows = |table: &String| (table.clone(), self.rows(table, None));
+        self.tables.keys().map(rows).collect()
+    }
+
     /// Rows of a table, by split if one is given.
     pub fn rows(&self, table: &str, split: Option<Split>) -> u64 {
         self.tables

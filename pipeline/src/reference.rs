@@ -175,7 +175,7 @@ fn compare_table<R: Row + Sync + Send>(
 }
 
 /// The features of a motion, or why it has none.
-fn features_of(row: &MotionRow, body: &Skeleton) -> Result<Vec<Features>, String> {
+pub(crate) fn features_of(row: &MotionRow, body: &Skeleton) -> Result<Vec<Features>, String> {
     let text = |error: &dyn std::fmt::Display| error.to_string();
     let motion = row.motion().map_err(|error| text(&error))?;
     let motion = Resample::Exact

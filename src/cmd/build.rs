@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::{report, settings, stages};
+use crate::{settings, stages};
 
 /// Build a dataset by one file of settings: motions, masks, pairs, splits, triplets.
 ///
@@ -146,11 +146,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         recorded: recorded.manifest().rows(TripletRow::TABLE, None),
         root_hash: manifest.root_hash.clone(),
     };
-    if global.json {
-        report::json(&document)?;
-    } else {
-        report::text(&summary(&document));
-    }
+    global.say(&document, &summary(&document))?;
     Ok(if ingested.accounting.quarantined > 0 {
         Exit::Quarantined
     } else {

@@ -9,7 +9,6 @@ use corpus::{
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
 
 /// Write the built-in procedural motion corpus as source files.
 ///
@@ -53,31 +52,25 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         write_corpus
     };
     let summary = write(&args.out, &options, &global.bars())?;
-    if global.json {
-        report::json(&summary)?;
-    } else {
-        let out = args.out.display();
-        let (adjusted, pairs) = match summary.adjusted {
-            0 => (String::new(), String::new()),
-            count => (
-                format!(" and {count} adjusted"),
-                format!(" --pairs {}", args.out.join(PAIR_LIST).display()),
-            ),
-        };
-        report::text(&format!(
+    let out = args.out.display();
+    let (adjusted, pairs) = match summary.adjusted {
+        0 => (String::new(), String::new()),
+        count => (
+            format!(" and {count} adjusted"),
+            format!(" --pairs {}", args.out.join(PAIR_LIST).display()),
+        ),
+    };
+    global.say(
+        &summary,
+        &format!(
             "{} clips{adjusted} in {out}\nnext: stance ingest {out}{pairs} --out DATASET",
             summary.clips
-        ));
-    }
-    Ok(Exit::Done)
+        ),
+    )
 }
 
 fn limits(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let summary = write_limits(&args.out, global.seed(), &global.bars())?;
-    if global.json {
-        report::json(&summary)?;
-        return Ok(Exit::Done);
-    }
     let mut lines = vec![format!("{} clips in {}", summary.clips, args.out.display())];
     for limit in Limit::ALL {
         let folder = args.out.join(limit.name());
@@ -91,6 +84,5 @@ fn limits(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         "{}/{SEEN_PAIR_LIST} asks for the same in words of training",
         args.out.join(Limit::Wording.name()).display()
     ));
-    report::text(&lines.join("\n"));
-    Ok(Exit::Done)
+    global.say(&summary, &lines.join("\n"))
 }

@@ -14,7 +14,6 @@ use serde::Serialize;
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
 
 /// Versions of a dataset, and datasets made of others.
 ///
@@ -96,12 +95,7 @@ fn merged(args: &Merge, global: &Global) -> anyhow::Result<Exit> {
             args.second.display()
         )
     })?;
-    if global.json {
-        report::json(&done)?;
-    } else {
-        report::text(&summary(&done));
-    }
-    Ok(Exit::Done)
+    global.say(&done, &summary(&done))
 }
 
 fn summary(done: &Merged) -> String {
@@ -141,21 +135,18 @@ fn pruned(args: &Prune, global: &Global) -> anyhow::Result<Exit> {
     datasets_spec::Dataset::open_unverified(&args.dataset)?;
     let transaction = Transaction::begin(&args.dataset, &global.holder())?;
     let done = transaction.prune(args.keep.get(), args.dry_run)?;
-    if global.json {
-        report::json(&Document {
-            versions: done.versions,
-            files: done.files,
-            bytes: done.bytes,
-            dry_run: args.dry_run,
-        })?;
-    } else {
-        let removed = if args.dry_run { "to remove" } else { "removed" };
-        report::text(&format!(
-            "{} versions and {} files {removed}, {:.1} MB\n",
-            done.versions.len(),
-            done.files,
-            done.bytes as f64 / 1e6
-        ));
-    }
-    Ok(Exit::Done)
+    let removed = if args.dry_run { "to remove" } else { "removed" };
+    let text = format!(
+        "{} versions and {} files {removed}, {:.1} MB\n",
+        done.versions.len(),
+        done.files,
+        done.bytes as f64 / 1e6
+    );
+    let document = Document {
+        versions: done.versions,
+        files: done.files,
+        bytes: done.bytes,
+        dry_run: args.dry_run,
+    };
+    global.say(&document, &text)
 }

@@ -9,7 +9,6 @@ use train::throughput::of_training;
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
 
 /// Test a device, and measure how fast it trains the editor of preset official.
 ///
@@ -49,8 +48,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Products::Tf32 => "TF32: factors of 11 bits",
         Products::Bf16 => "bf16: factors of 8 bits",
     };
-    if global.json {
-        report::json(&serde_json::json!({
+    global.say(
+        &serde_json::json!({
             "device": name,
             "description": description,
             "products": products,
@@ -59,9 +58,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             "steps": measured.steps,
             "secs": measured.secs,
             "windows_per_sec": measured.windows_per_sec(),
-        }))?;
-    } else {
-        report::text(&format!(
+        }),
+        &format!(
             "device     {name}: {description}\n\
              self-test  passed; products in {products}\n\
              training   preset official, {} steps of {} windows in {:.1} s: {:.1} windows a second",
@@ -69,7 +67,6 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             measured.rows,
             measured.secs,
             measured.windows_per_sec(),
-        ));
-    }
-    Ok(Exit::Done)
+        ),
+    )
 }

@@ -8,7 +8,6 @@ use pipeline::doctor::examine;
 use crate::cmd::ingest::read_markers;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
 
 /// Report what folders hold before any work, what is missing, and what it will cost.
 ///
@@ -43,10 +42,5 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         &options,
         &global.bars(),
     )?;
-    if global.json {
-        report::json(&diagnosis)?;
-    } else {
-        report::text(&diagnosis.to_string());
-    }
-    Ok(Exit::Done)
+    global.say(&diagnosis, &diagnosis.to_string())
 }

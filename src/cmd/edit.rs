@@ -236,18 +236,15 @@ fn answer(args: &Args, items: &Path, global: &Global) -> anyhow::Result<Exit> {
         global,
     )?;
     let rows = done.manifest().rows(EditRow::TABLE, None);
-    if global.json {
-        report::json(&serde_json::json!({
-            "edits": rows,
-            "root_hash": done.manifest().root_hash,
-            "num_short": remarks.num_short,
-            "unknown_words": remarks.unknown_words,
-            "times": times,
-        }))?;
-        return Ok(Exit::Done);
-    }
-    report::text(&format!("{rows} rows in {}", out.display()));
-    if args.profile {
+    let document = serde_json::json!({
+        "edits": rows,
+        "root_hash": done.manifest().root_hash,
+        "num_short": remarks.num_short,
+        "unknown_words": remarks.unknown_words,
+        "times": times,
+    });
+    global.say(&document, &format!("{rows} rows in {}", out.display()))?;
+    if args.profile && !global.json {
         report::text(&match times {
             Some(times) => profile(&times),
             None => "the edits were there already; edit into another folder to time it".to_owned(),
@@ -345,25 +342,22 @@ fn remarks(system: &dyn EditSystem, motion: &Motion, layers: &[Vec<TimedInstruct
 
 /// Prints the result.
 fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyhow::Result<Exit> {
-    if global.json {
-        report::json(&serde_json::json!({
-            "out": args.out,
-            "frames": edited.motion.len(),
-            "fps": edited.motion.fps(),
-            "num_short": remarks.num_short,
-            "unknown_words": remarks.unknown_words,
-            "fit_error_m": edited.misfit.fit_error_m,
-            "bone_drift_m": edited.misfit.bone_drift_m,
-            "times": edited.times,
-        }))?;
-        return Ok(Exit::Done);
-    }
+    let document = serde_json::json!({
+        "out": args.out,
+        "frames": edited.motion.len(),
+        "fps": edited.motion.fps(),
+        "num_short": remarks.num_short,
+        "unknown_words": remarks.unknown_words,
+        "fit_error_m": edited.misfit.fit_error_m,
+        "bone_drift_m": edited.misfit.bone_drift_m,
+        "times": edited.times,
+    });
     let places: Vec<String> = args
         .out
         .iter()
         .map(|out| out.display().to_string())
         .collect();
-    report::text(&format!(
+    let text = format!(
         "{} frames at {}, fitted to {:.1} cm{}",
         edited.motion.len(),
         edited.motion.fps(),
@@ -373,8 +367,9 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
         } else {
             format!("; in {}", places.join(", "))
         }
-    ));
-    if args.profile {
+    );
+    global.say(&document, &text)?;
+    if args.profile && !global.json {
         report::text(&profile(&edited.times));
     }
     Ok(Exit::Done)
@@ -576,27 +571,25 @@ impl Interactive<'_> {
         Ok(true)
     }
 
-    fn say(&self, history: &EditHistory) -> anyhow::Result<()> {
+    fn say(&self, history: &EditHistory) -> anyhow::Result<Exit> {
         let current = history.current()?;
-        if self.global.json {
-            return report::json(&serde_json::json!({
-                "history": self.path,
-                "motion": history.id(),
-                "edits": history
-                    .edits()
-                    .iter()
-                    .map(|edit| serde_json::json!({
-                        "instructions": edit.instructions,
-                        "seed": edit.seed,
-                        "guidance": edit.guidance,
-                        "fit_error_m": edit.misfit.fit_error_m,
-                    }))
-                    .collect::<Vec<_>>(),
-                "undone": history.num_undone(),
-                "frames": current.len(),
-                "out": self.args.out,
-            }));
-        }
+        let document = serde_json::json!({
+            "history": self.path,
+            "motion": history.id(),
+            "edits": history
+                .edits()
+                .iter()
+                .map(|edit| serde_json::json!({
+                    "instructions": edit.instructions,
+                    "seed": edit.seed,
+                    "guidance": edit.guidance,
+                    "fit_error_m": edit.misfit.fit_error_m,
+                }))
+                .collect::<Vec<_>>(),
+            "undone": history.num_undone(),
+            "frames": current.len(),
+            "out": self.args.out,
+        });
         let mut lines = vec![format!(
             "{}: {} frames, {} edits, {} taken back; in {}",
             history.id(),
@@ -616,8 +609,7 @@ impl Interactive<'_> {
                 ));
             }
         }
-        report::text(&lines.join("\n"));
-        Ok(())
+        self.global.say(&document, &lines.join("\n"))
     }
 }
 

@@ -171,18 +171,17 @@ fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
         true => Some(answers.commit(&args.out, &items, &skeleton, &global.holder())?),
         false => None,
     };
-    if global.json {
-        report::json(&Document {
+    global.say(
+        &Document {
             system: &args.name,
             out: written.as_ref().map(|_| args.out.as_path()),
             root_hash: written
                 .as_ref()
                 .map(|made| made.manifest().root_hash.as_str()),
             report,
-        })?;
-    } else {
-        report::text(&text(args, report, written.is_some()));
-    }
+        },
+        &text(args, report, written.is_some()),
+    )?;
     for warning in &report.warnings {
         report::note(&format!("warning: {warning}"));
     }
@@ -223,24 +222,22 @@ fn bundle(args: &BundleArgs, global: &Global) -> anyhow::Result<Exit> {
     let zip = bundle.to_zip()?;
     replace_file(&args.out, &zip)
         .with_context(|| format!("cannot write {}", args.out.display()))?;
-    if global.json {
-        report::json(&serde_json::json!({
+    global.say(
+        &serde_json::json!({
             "out": args.out,
             "bytes": zip.len(),
             "answers": bundle.rows.len(),
             "bundle": bundle.facts,
-        }))?;
-    } else {
-        report::text(&format!(
+        }),
+        &format!(
             "{} answers of {} to the items {}, in {} ({} kB)",
             bundle.rows.len(),
             bundle.facts.system,
             bundle.facts.item_hash,
             args.out.display(),
             zip.len() / 1000
-        ));
-    }
-    Ok(Exit::Done)
+        ),
+    )
 }
 
 /// The JSON object of `--settings`, in one form however it was written.

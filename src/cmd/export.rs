@@ -186,32 +186,28 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     } else {
         export(&Clips::all(&dataset), layout, &args.out, &bars)?
     };
-    if global.json {
-        let made = done.left_out.get("made_captions").copied().unwrap_or(0);
-        report::json(&serde_json::json!({
-            "out": args.out,
-            "layout": layout.as_str(),
-            "clips": done.clips,
-            "left_out": done.left_out,
-            "beside": done.beside,
-            "left_by_others": done.left_by_others,
-            "made_captions_left_out": made,
-            "remarks": remarks,
-        }))?;
-    } else {
-        let what = match layout {
-            Layout::MotionFix => "triplets",
-            _ => "clips",
-        };
-        let mut lines = vec![format!(
-            "{} {what} written as {layout} to {}",
-            done.clips,
-            args.out.display()
-        )];
-        lines.extend(said(&done));
-        report::text(&lines.join("\n"));
-    }
-    Ok(Exit::Done)
+    let what = match layout {
+        Layout::MotionFix => "triplets",
+        _ => "clips",
+    };
+    let mut lines = vec![format!(
+        "{} {what} written as {layout} to {}",
+        done.clips,
+        args.out.display()
+    )];
+    lines.extend(said(&done));
+    let made = done.left_out.get("made_captions").copied().unwrap_or(0);
+    let document = serde_json::json!({
+        "out": args.out,
+        "layout": layout.as_str(),
+        "clips": done.clips,
+        "left_out": done.left_out,
+        "beside": done.beside,
+        "left_by_others": done.left_by_others,
+        "made_captions_left_out": made,
+        "remarks": remarks,
+    });
+    global.say(&document, &lines.join("\n"))
 }
 
 /// What the evaluators of HumanML3D's layout would read in place of tags.

@@ -25,7 +25,7 @@ use pipeline::ingest::{
 use serde::Serialize;
 use work::Plan;
 
-use self::words::{foreseen, table_rows};
+use self::words::foreseen;
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::global::Global;
@@ -271,11 +271,7 @@ pub(crate) fn run(args: &RunArgs, global: &Global) -> anyhow::Result<Exit> {
     )
     .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
     let empty = without_motions(&done);
-    if global.json {
-        report::json(&Document::of(&done, empty.as_ref()))?;
-    } else {
-        report::text(&summary(&done));
-    }
+    global.say(&Document::of(&done, empty.as_ref()), &summary(&done))?;
     Ok(match empty {
         Some(failure) => {
             report::note(&failure.reason);
@@ -297,15 +293,14 @@ fn tell(args: &Args, options: &IngestOptions, global: &Global) -> anyhow::Result
     }
     let told = forecast(&args.sources, &args.out, options, &global.bars())
         .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
-    if global.json {
-        report::json(&Told {
+    global.say(
+        &Told {
             dataset: &args.out,
             dry_run: true,
             forecast: &told,
-        })?;
-    } else {
-        report::text(&foreseen(&told));
-    }
+        },
+        &foreseen(&told),
+    )?;
     Ok(match told.refusals.is_empty() {
         true => Exit::Done,
         false => Exit::Failed,
@@ -411,7 +406,7 @@ struct Document<'a> {
     skipped_reasons: &'a BTreeMap<String, u64>,
     already_complete: bool,
     resumed_shards: usize,
-    tables: BTreeMap<&'a str, u64>,
+    tables: BTreeMap<String, u64>,
     dropped_pairs: u64,
     refused_pairs: &'a [RefusedLine],
     refused_splits: &'a [RefusedLine],
@@ -437,7 +432,7 @@ impl<'a> Document<'a> {
             skipped_reasons: &done.skipped,
             already_complete: done.already_complete,
             resumed_shards: done.resumed_shards,
-            tables: table_rows(done),
+            tables: done.dataset.manifest().row_counts(),
             dropped_pairs: done.dropped_pairs,
             refused_pairs: &done.refused_pairs,
             refused_splits: &done.refused_splits,

@@ -24,7 +24,6 @@ use crate::cmd::render::{holds_items, open_for_clips};
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::global::Global;
-use crate::report;
 
 /// Print the contents of a dataset, a clip of it, a shard, a manifest or a motion file.
 ///
@@ -52,9 +51,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         if holds_items(&dataset) {
             let item = stored_item(&dataset, id)?;
             let edits: Vec<EditRow> = dataset.read(None)?;
-            return show(&Question::of(&item, &edits), Question::text, global);
+            let question = Question::of(&item, &edits);
+            return global.say(&question, &question.text());
         }
-        return show(&Clip::of(&stored_clip(&dataset, id)?), Clip::text, global);
+        let clip = Clip::of(&stored_clip(&dataset, id)?);
+        return global.say(&clip, &clip.text());
     }
     // A URL is that of a file if its name has an extension and there is such an object.
     let is_folder = if is_url(path) {
@@ -64,39 +65,30 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     if is_folder {
         let dataset = Dataset::open_unverified(path)?;
-        return show(&Document::of(&dataset)?, Document::text, global);
+        let document = Document::of(&dataset)?;
+        return global.say(&document, &document.text());
     }
     match path.extension().and_then(|extension| extension.to_str()) {
-        Some("parquet") => show(&describe(path)?, shard_text, global),
+        Some("parquet") => {
+            let shard = describe(path)?;
+            global.say(&shard, &shard_text(&shard))
+        }
         Some("json") => {
             let read = ByPath.read(path);
             let text = read.with_context(|| format!("cannot read {}", path.display()))?;
             let manifest: Manifest = serde_json::from_slice(&text)
                 .with_context(|| format!("{} is no manifest", path.display()))?;
-            show(&manifest, manifest_text, global)
+            global.say(&manifest, &manifest_text(&manifest))
         }
         _ => {
             let file = foreign(path)?;
-            show(&file, Foreign::text, global)?;
+            global.say(&file, &file.text())?;
             Ok(match file.failure {
                 Some(_) => Exit::Quarantined,
                 None => Exit::Done,
             })
         }
     }
-}
-
-fn show<T: Serialize>(
-    document: &T,
-    text: impl Fn(&T) -> String,
-    global: &Global,
-) -> anyhow::Result<Exit> {
-    if global.json {
-        report::json(document)?;
-    } else {
-        report::text(&text(document));
-    }
-    Ok(Exit::Done)
 }
 
 /// A dataset.
@@ -106,7 +98,7 @@ struct Document<'a> {
     schema_version: &'a str,
     version: u64,
     skeleton: &'a str,
-    tables: BTreeMap<&'a str, u64>,
+    tables: BTreeMap<String, u64>,
     accounting: &'a Accounting,
     facts: &'a BTreeMap<String, String>,
     /// Items by task.
@@ -140,7 +132,7 @@ impl<'a> Document<'a> {
             schema_version: &manifest.schema_version,
             version: manifest.version,
             skeleton: &manifest.skeleton,
-            tables: table_rows(manifest),
+            tables: manifest.row_counts(),
             accounting: &manifest.accounting,
             facts: &manifest.facts,
             tasks: counted::<ItemRow>(dataset, "task")?,
@@ -194,14 +186,6 @@ impl<'a> Document<'a> {
         }
         text
     }
-}
-
-fn table_rows(manifest: &Manifest) -> BTreeMap<&str, u64> {
-    manifest
-        .tables
-        .keys()
-        .map(|table| (table.as_str(), manifest.rows(table, None)))
-        .collect()
 }
 
 fn manifest_text(manifest: &Manifest) -> String {

@@ -13,8 +13,8 @@ use crate::chosen::ChosenArgs;
 use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::stages;
 use crate::test_set::{self, BUILTIN_1, TestSet};
-use crate::{report, stages};
 
 /// Draw the test questions: a motion, an instruction, and what it should become.
 ///
@@ -124,8 +124,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             .entry(row.novelty.as_deref().unwrap_or("not known"))
             .or_default() += 1;
     }
-    if global.json {
-        report::json(&serde_json::json!({
+    global.say(
+        &serde_json::json!({
             "items": rows.len(),
             "targets": targets,
             "sources": sources,
@@ -133,17 +133,15 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             "novelty": novelty,
             "digest": digest,
             "root_hash": drawn.manifest().root_hash,
-        }))?;
-    } else {
-        report::text(&format!(
+        }),
+        &format!(
             "{} items ({targets} targets, {sources} sources, {instructions} instructions) in {}\n\
              by what training has shown: {}\ndigest {digest}",
             rows.len(),
             out.display(),
             in_words(&novelty)
-        ));
-    }
-    Ok(Exit::Done)
+        ),
+    )
 }
 
 fn in_words(counts: &BTreeMap<&str, usize>) -> String {
@@ -157,18 +155,16 @@ fn export(args: &ExportArgs, global: &Global) -> anyhow::Result<Exit> {
     let skeleton = folder.skeleton()?;
     let bars = global.bars();
     let motions = export_items(&items, &skeleton, &args.out, args.targets, &bars)?;
-    if global.json {
-        report::json(&serde_json::json!({
+    global.say(
+        &serde_json::json!({
             "out": args.out,
             "items": items.len(),
             "motions": motions,
-        }))?;
-    } else {
-        report::text(&format!(
+        }),
+        &format!(
             "{} items ({motions} motions) in {}",
             items.len(),
             args.out.display()
-        ));
-    }
-    Ok(Exit::Done)
+        ),
+    )
 }

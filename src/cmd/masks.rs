@@ -93,8 +93,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             })?
         }
     };
-    print(&dataset, global)?;
-    Ok(Exit::Done)
+    print(&dataset, global)
 }
 
 fn accept(args: &Args, file: &PathBuf, global: &Global) -> anyhow::Result<Dataset> {
@@ -147,7 +146,7 @@ fn accept(args: &Args, file: &PathBuf, global: &Global) -> anyhow::Result<Datase
     )?)
 }
 
-fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<()> {
+fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
     let rows: Vec<MaskRow> = dataset.read(None)?;
     let mut document = Document {
         masks: dataset.manifest().rows(MaskRow::TABLE, None),
@@ -159,15 +158,11 @@ fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<()> {
         *document.origins.entry(row.text_origin).or_default() += 1;
         *document.parts.entry(row.parts.join("+")).or_default() += 1;
     }
-    if global.json {
-        return report::json(&document);
-    }
     let mut text = format!("{} masks\n", document.masks);
     for (title, counts) in [("text", &document.origins), ("part", &document.parts)] {
         for (label, count) in counts {
             text += &format!("  {title} {label:<20} {count:>6}\n");
         }
     }
-    report::text(&text);
-    Ok(())
+    global.say(&document, &text)
 }

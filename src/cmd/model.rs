@@ -25,7 +25,6 @@ use crate::cmd::triplets::ComposeArgs;
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::global::{Global, PresetArg};
-use crate::report;
 use crate::session::{hub_cache, text_encoder};
 
 /// Import and export networks of the released program, and prepare text encoders.
@@ -250,16 +249,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             vec![args.out.clone()]
         }
     };
-    if global.json {
-        report::json(&serde_json::json!({ "files": files }))?;
-    } else {
-        let lines: Vec<String> = files
-            .iter()
-            .map(|file| file.display().to_string())
-            .collect();
-        report::text(&lines.join("\n"));
-    }
-    Ok(Exit::Done)
+    let lines: Vec<String> = files
+        .iter()
+        .map(|file| file.display().to_string())
+        .collect();
+    global.say(&serde_json::json!({ "files": files }), &lines.join("\n"))
 }
 
 /// The `--json` document of `texts`.
@@ -271,12 +265,8 @@ struct TextList {
 fn list_texts(args: &TextsArgs, global: &Global) -> anyhow::Result<Exit> {
     let dataset = Dataset::open(&args.dataset)?;
     let texts = train::stage::texts::texts(&dataset, &args.compose.config()?)?;
-    if global.json {
-        report::json(&TextList { texts })?;
-    } else {
-        report::text(&texts.join("\n"));
-    }
-    Ok(Exit::Done)
+    let text = texts.join("\n");
+    global.say(&TextList { texts }, &text)
 }
 
 fn make_table(args: &TableArgs) -> anyhow::Result<()> {

@@ -20,7 +20,7 @@ use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::local;
-use crate::{report, stages};
+use crate::stages;
 
 /// Write one HTML file with the tables, and a 3D viewer of all systems side by side.
 ///
@@ -39,9 +39,6 @@ pub(crate) struct Args {
     /// Items in the viewer, spread over the table
     #[arg(long, default_value_t = 12)]
     items: usize,
-    /// Title of the page
-    #[arg(long, default_value = "Edited motions")]
-    title: String,
     #[command(flatten)]
     weak_judge: WeakJudgeArgs,
     #[command(flatten)]
@@ -74,25 +71,16 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
         None => Vec::new(),
     };
-    let page = Report {
-        title: args.title.clone(),
-        ..of_edits(&answered, &args.edits, tables, args.items, global)?
-    };
-    let html = page.to_html();
+    let html = of_edits(&answered, &args.edits, tables, args.items, global)?.to_html();
     local::write(&args.out, html.as_bytes())?;
-    if global.json {
-        report::json(&serde_json::json!({ "out": args.out, "bytes": html.len() }))?;
-    } else {
-        report::text(&format!(
-            "{} ({} kB)",
-            args.out.display(),
-            html.len() / 1000
-        ));
-    }
+    global.say(
+        &serde_json::json!({ "out": args.out, "bytes": html.len() }),
+        &format!("{} ({} kB)", args.out.display(), html.len() / 1000),
+    )?;
     Ok(args.weak_judge.exit(unranked, Exit::Done))
 }
 
-/// A page without a title about edits, which lie in `folders`; `shown` items are in the viewer, spread over the
+/// A page about edits, which lie in `folders`; `shown` items are in the viewer, spread over the
 /// table.
 pub(crate) fn of_edits(
     answered: &Answered,
@@ -130,7 +118,7 @@ pub(crate) fn of_edits(
         .map(|(system, settings)| (*system, settings))
         .collect();
     Ok(Report {
-        title: String::new(),
+        title: "Edited motions".to_owned(),
         subtitle: format!("{} items edited by {}", items.len(), systems.join(", ")),
         opening: opening(answered, &unknown)?,
         cards: cards(answered, systems.len()),

@@ -98,23 +98,19 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             ));
         }
     }
-    if global.json {
-        report::json(&document)?;
-    } else {
-        let left_out = match &args.csv {
-            Some(_) => format!("{} lines gave none", document.refused.len()),
-            None => format!(
-                "{} styled motions have no counterpart in their split",
-                document.alone
-            ),
-        };
-        let mut lines = vec![format!("{} pairs; {left_out}", document.pairs)];
-        let splits = document.splits.iter();
-        lines.extend(splits.map(|(split, count)| format!("  {split:<12} {count:>6}")));
-        let styles = document.styles.iter();
-        lines.extend(styles.map(|(style, count)| format!("  {style:<12} {count:>6}")));
-        report::text(&lines.join("\n"));
-    }
+    let left_out = match &args.csv {
+        Some(_) => format!("{} lines gave none", document.refused.len()),
+        None => format!(
+            "{} styled motions have no counterpart in their split",
+            document.alone
+        ),
+    };
+    let mut lines = vec![format!("{} pairs; {left_out}", document.pairs)];
+    let splits = document.splits.iter();
+    lines.extend(splits.map(|(split, count)| format!("  {split:<12} {count:>6}")));
+    let styles = document.styles.iter();
+    lines.extend(styles.map(|(style, count)| format!("  {style:<12} {count:>6}")));
+    global.say(&document, &lines.join("\n"))?;
     Ok(if document.refused.is_empty() {
         Exit::Done
     } else {

@@ -65,10 +65,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Some(out) => {
             local::write(out, &answer.parquet()?)?;
             let rows = answer.len();
-            match global.json {
-                true => report::json(&serde_json::json!({ "rows": rows, "out": out }))?,
-                false => report::text(&format!("{rows} rows in {}", out.display())),
-            }
+            let document = serde_json::json!({ "rows": rows, "out": out });
+            global.say(&document, &format!("{rows} rows in {}", out.display()))?;
         }
         None if args.csv => report::text(&csv(&answer)),
         None if global.json => report::json(&objects(&answer))?,

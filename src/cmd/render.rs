@@ -7,7 +7,7 @@ use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, JointSet, Motion, Skeleton};
 use eval::draw::raster;
-use eval::draw::strip::{Row, Style, View, sheet, strip};
+use eval::draw::strip::{Row, Style, sheet, strip};
 use pipeline::clips::Clips;
 use pipeline::open::{clip_of_file, stored_clip, stored_item};
 use tables::Condition;
@@ -15,7 +15,6 @@ use tables::Condition;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::local;
-use crate::report;
 
 /// Draw clips as strips of figures, coloured from start (orange) to end (blue).
 ///
@@ -43,21 +42,9 @@ pub(crate) struct Args {
     /// Figures in a row
     #[arg(long, default_value_t = Style::default().num_figures)]
     figures: usize,
-    /// Width in pixels
-    #[arg(long, default_value_t = Style::default().width)]
-    width: f64,
     /// Pixels of a png or gif to each of the drawing
     #[arg(long, default_value_t = 2.0, value_parser = parse_zoom)]
     zoom: f32,
-    /// Direction of the camera
-    #[arg(long, value_enum, default_value_t = ViewArg::ThreeQuarter)]
-    view: ViewArg,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum ViewArg {
-    ThreeQuarter,
-    Side,
 }
 
 fn parse_zoom(text: &str) -> Result<f32, String> {
@@ -188,12 +175,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
     local::write(&args.out, &picture.encoded(args)?)?;
     let count = picture.rows.len();
-    if global.json {
-        report::json(&serde_json::json!({ "out": args.out, "clips": count }))?;
-    } else {
-        report::text(&format!("{count} clips drawn in {}", args.out.display()));
-    }
-    Ok(Exit::Done)
+    global.say(
+        &serde_json::json!({ "out": args.out, "clips": count }),
+        &format!("{count} clips drawn in {}", args.out.display()),
+    )
 }
 
 /// A folder of edits with its rows.
@@ -264,12 +249,8 @@ impl Picture {
     /// The file, of the format that its extension says.
     fn encoded(&self, args: &Args) -> anyhow::Result<Vec<u8>> {
         let style = Style {
-            width: args.width,
             num_figures: args.figures,
-            view: match args.view {
-                ViewArg::ThreeQuarter => View::ThreeQuarter,
-                ViewArg::Side => View::Side,
-            },
+            ..Style::default()
         };
         let extension = args.out.extension();
         Ok(match extension.and_then(|extension| extension.to_str()) {

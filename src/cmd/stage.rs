@@ -252,10 +252,6 @@ fn say(
         sample: sample.map(|Sample { items, secs }| SampleOf { items, secs }),
         estimated_hours: hours,
     };
-    if global.json {
-        report::json(&planned)?;
-        return Ok(Exit::Done);
-    }
     let mut text = format!(
         "{} pieces of {}: {items} items, {:.1} MB to read, into {}\n",
         planned.pieces,
@@ -276,8 +272,7 @@ fn say(
              then: stance stage commit {folder}\n"
         );
     }
-    report::text(&text);
-    Ok(Exit::Done)
+    global.say(&planned, &text)
 }
 
 fn work(args: &WorkArgs, global: &Global, itself: Itself<'_>) -> anyhow::Result<Exit> {
@@ -453,40 +448,36 @@ fn commit(args: &CommitArgs, global: &Global) -> anyhow::Result<Exit> {
         .accounting
         .as_ref()
         .map_or(0, |counts| counts.quarantined);
-    if global.json {
-        report::json(&done)?;
-    } else {
-        let mut text = String::new();
-        if done.already_committed {
-            text += "the plan was committed before; nothing was done\n";
-        }
-        if let Some(counts) = &done.accounting {
-            text += &format!(
-                "{} sources: {} ingested, {} quarantined, {} skipped\n",
-                counts.sources, counts.ingested, counts.quarantined, counts.skipped
-            );
-            for (code, count) in &counts.codes {
-                text += &format!("  {code:<20} {count:>6}\n");
-            }
-        }
-        if done.failed > 0 {
-            text += &format!("{} of {} pieces failed\n", done.failed, done.pieces);
-        }
-        for (table, rows) in &done.tables {
-            text += &format!("{table:<12} {rows:>8} rows\n");
-        }
-        if let Ok(export) = Exported::deserialize(&done.notes) {
-            for line in cmd::export::said(&export) {
-                text += &format!("{line}\n");
-            }
-        }
-        text += &format!(
-            "{} with root hash {}\n",
-            done.destination.display(),
-            done.root_hash
-        );
-        report::text(&text);
+    let mut text = String::new();
+    if done.already_committed {
+        text += "the plan was committed before; nothing was done\n";
     }
+    if let Some(counts) = &done.accounting {
+        text += &format!(
+            "{} sources: {} ingested, {} quarantined, {} skipped\n",
+            counts.sources, counts.ingested, counts.quarantined, counts.skipped
+        );
+        for (code, count) in &counts.codes {
+            text += &format!("  {code:<20} {count:>6}\n");
+        }
+    }
+    if done.failed > 0 {
+        text += &format!("{} of {} pieces failed\n", done.failed, done.pieces);
+    }
+    for (table, rows) in &done.tables {
+        text += &format!("{table:<12} {rows:>8} rows\n");
+    }
+    if let Ok(export) = Exported::deserialize(&done.notes) {
+        for line in cmd::export::said(&export) {
+            text += &format!("{line}\n");
+        }
+    }
+    text += &format!(
+        "{} with root hash {}\n",
+        done.destination.display(),
+        done.root_hash
+    );
+    global.say(&done, &text)?;
     Ok(match (done.already_committed, quarantined + done.failed) {
         (true, _) | (false, 0) => Exit::Done,
         (false, _) => Exit::Quarantined,
@@ -496,10 +487,6 @@ fn commit(args: &CommitArgs, global: &Global) -> anyhow::Result<Exit> {
 fn status(args: &StatusArgs, global: &Global) -> anyhow::Result<Exit> {
     let plan = Plan::open(&args.plan)?;
     let status = work::status(&plan)?;
-    if global.json {
-        report::json(&status)?;
-        return Ok(Exit::Done);
-    }
     let mut text = format!(
         "{} pieces: {} done, {} missing, {} failed{}\n",
         status.pieces,
@@ -527,6 +514,5 @@ fn status(args: &StatusArgs, global: &Global) -> anyhow::Result<Exit> {
         let more = status.missing.len() - SHOWN;
         text += &format!("and {more} more missing; --json lists all\n");
     }
-    report::text(&text);
-    Ok(Exit::Done)
+    global.say(&status, &text)
 }

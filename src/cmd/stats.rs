@@ -8,7 +8,6 @@ use pipeline::stats::statistics;
 use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
 
 /// Count a dataset: clips, hours, captions, masks, pairs, findings, fit errors.
 ///
@@ -26,10 +25,5 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         &open_metadata(&args.dataset)?,
         args.chosen.condition.as_ref(),
     )?;
-    if global.json {
-        report::json(&statistics)?;
-    } else {
-        report::text(&statistics.to_string());
-    }
-    Ok(Exit::Done)
+    global.say(&statistics, &statistics.to_string())
 }

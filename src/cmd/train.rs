@@ -20,7 +20,7 @@ use crate::evaluators::report_on_encoder;
 use crate::exit::Exit;
 use crate::global::{Global, PresetArg};
 use crate::session::{text_encoder, with_session};
-use crate::{report, settings};
+use crate::settings;
 
 /// Train a model on a dataset, continue its run, or plot its losses.
 ///
@@ -182,11 +182,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         done.summary += &format!("\n{}", found.lines().join("\n"));
         done.document["judge"] = serde_json::to_value(&found)?;
     }
-    if global.json {
-        report::json(&done.document)?;
-    } else {
-        report::text(&done.summary);
-    }
+    global.say(&done.document, &done.summary)?;
     Ok(if done.is_complete {
         Exit::Done
     } else {
@@ -222,14 +218,8 @@ fn draw(args: &PlotArgs, global: &Global) -> anyhow::Result<Exit> {
         ..Plot::default()
     });
     write_picture(&args.out, &svg, 2.0)?;
-    if global.json {
-        report::json(&serde_json::json!({ "out": args.out, "runs": args.runs }))?;
-    } else {
-        report::text(&format!(
-            "{} runs drawn in {}",
-            args.runs.len(),
-            args.out.display()
-        ));
-    }
-    Ok(Exit::Done)
+    global.say(
+        &serde_json::json!({ "out": args.out, "runs": args.runs }),
+        &format!("{} runs drawn in {}", args.runs.len(), args.out.display()),
+    )
 }

@@ -146,12 +146,7 @@ fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
         render::write_picture(path, &sheet, 1.0)?;
         report::note(&format!("sheet in {}", path.display()));
     }
-    if global.json {
-        report::json(&counted)?;
-    } else {
-        report::text(&table(&counted));
-    }
-    Ok(Exit::Done)
+    global.say(&counted, &table(&counted))
 }
 
 /// Twelve triplets below each other: the original, what the edit takes from, the edit with a hard
@@ -305,12 +300,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             edited_hash: triplet.edited.content_hash(),
             id: triplet.id,
         };
-        if global.json {
-            report::json(&explained)?;
-        } else {
-            report::text(&toml::to_string(&explained)?);
-        }
-        return Ok(Exit::Done);
+        return global.say(&explained, &toml::to_string(&explained)?);
     }
     let out = args.out.as_deref().context("--out is missing")?;
     let settings = args.recorded(config, global);
@@ -318,10 +308,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let recorded = global.stage(|context| recording::record(root, out, &settings, context))?;
     let manifest = recorded.manifest();
     let rows = manifest.rows(table, None);
-    if global.json {
-        report::json(&serde_json::json!({ table: rows, "root_hash": manifest.root_hash }))?;
-    } else {
-        report::text(&format!("{rows} {table} in {}", out.display()));
-    }
-    Ok(Exit::Done)
+    global.say(
+        &serde_json::json!({ table: rows, "root_hash": manifest.root_hash }),
+        &format!("{rows} {table} in {}", out.display()),
+    )
 }

@@ -19,7 +19,6 @@ use crate::chosen::ChosenArgs;
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
 use crate::session::{surroundings, text_encoder, with_session};
 
 /// Make candidates of fine-grained pairs: variants of one motion, paired one to one.
@@ -47,15 +46,8 @@ pub(crate) struct Args {
     /// Variants of an instruction
     #[arg(long, value_name = "N", default_value_t = MakeVariants::default().variants, value_parser = clap::value_parser!(usize))]
     variants: usize,
-    /// Standard deviation of the noise between variants, in units of the latent space
-    #[arg(
-        long,
-        value_name = "SIGMA",
-        default_value_t = 0.1,
-        conflicts_with = "relative_noise"
-    )]
-    noise: f64,
-    /// The same in standard deviations of the latent vectors of motions
+    /// Standard deviation of the noise between variants, in standard deviations of the latent vectors of motions
+    /// [default: 0.1 units of the latent space]
     #[arg(long, value_name = "SHARE")]
     relative_noise: Option<f64>,
     /// Root mean square distance in metres between joints below which variants are identical
@@ -105,10 +97,8 @@ impl Args {
         MakeVariants {
             count: self.count,
             variants: self.variants,
-            noise: match self.relative_noise {
-                Some(share) => LatentNoise::Relative(share),
-                None => LatentNoise::Absolute(self.noise),
-            },
+            noise: (self.relative_noise)
+                .map_or(MakeVariants::default().noise, LatentNoise::Relative),
             filter: self.filter(),
         }
     }
@@ -193,10 +183,6 @@ fn print(made: &VariantReport, global: &Global) -> anyhow::Result<Exit> {
         latent_std: made.latent_std,
         root_hash: manifest.root_hash.clone(),
     };
-    if global.json {
-        report::json(&document)?;
-        return Ok(Exit::Done);
-    }
     let mut lines = vec![format!("{} candidate pairs", document.pairs)];
     if let Some(std) = document.latent_std {
         lines.push(format!(
@@ -223,6 +209,5 @@ fn print(made: &VariantReport, global: &Global) -> anyhow::Result<Exit> {
             lines.extend(left_out.map(|(reason, count)| format!("  {reason:<24} {count:>6}")));
         }
     }
-    report::text(&lines.join("\n"));
-    Ok(Exit::Done)
+    global.say(&document, &lines.join("\n"))
 }

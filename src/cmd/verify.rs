@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
+use crate::report::listing;
 
 /// Check a dataset: hashes, columns, contents, and that no split leaks into another.
 ///
@@ -51,19 +51,18 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
     let passed = verification.passed(args.accept_duplicates)
         && comparison.as_ref().is_none_or(Comparison::passed);
-    if global.json {
-        report::json(&Document {
+    let mut page = text(&verification);
+    if let Some(comparison) = &comparison {
+        page += &compared(comparison);
+    }
+    global.say(
+        &Document {
             passed,
             verification: &verification,
             reference: comparison.as_ref(),
-        })?;
-    } else {
-        let mut page = text(&verification);
-        if let Some(comparison) = &comparison {
-            page += &compared(comparison);
-        }
-        report::text(&page);
-    }
+        },
+        &page,
+    )?;
     Ok(if passed { Exit::Done } else { Exit::Failed })
 }
 
@@ -73,10 +72,11 @@ fn text(verification: &Verification) -> String {
         verification.files, verification.rows
     );
     for check in Check::ALL {
-        let found: Vec<&Finding> = verification
+        let found: Vec<String> = verification
             .findings
             .iter()
             .filter(|finding| finding.check == check)
+            .map(line)
             .collect();
         let verdict = match found.len() {
             0 => "ok".to_owned(),
@@ -86,7 +86,7 @@ fn text(verification: &Verification) -> String {
         text += &listing(&found);
     }
     if !verification.duplicates.is_empty() {
-        let duplicates: Vec<&Finding> = verification.duplicates.iter().collect();
+        let duplicates: Vec<String> = verification.duplicates.iter().map(line).collect();
         text += &format!(
             "{} motions are the same as one of another split; give them one split (ingest --splits), or pass \
              --accept-duplicates where the splits are published\n",
@@ -146,14 +146,6 @@ fn compared(comparison: &Comparison) -> String {
     text
 }
 
-fn listing(findings: &[&Finding]) -> String {
-    const SHOWN: usize = 10;
-    let mut text = String::new();
-    for Finding { item, problem, .. } in findings.iter().take(SHOWN) {
-        text += &format!("  {item}: {problem}\n");
-    }
-    if findings.len() > SHOWN {
-        text += &format!("  and {} more; --json lists all\n", findings.len() - SHOWN);
-    }
-    text
+fn line(finding: &Finding) -> String {
+    format!("{}: {}", finding.item, finding.problem)
 }

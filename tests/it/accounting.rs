@@ -11,7 +11,7 @@ use datasets_spec::{Dataset, Fps, Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, files_with_extension, stance};
+use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
 
 /// A failure, as a script relies on it.
 #[derive(Debug, Deserialize)]
@@ -41,11 +41,6 @@ fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Done {
         "{done:?}"
     );
     done
-}
-
-fn motions(dataset: &Path) -> Vec<MotionRow> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
 }
 
 /// A person who walks along x at half a metre per second, swinging arms and legs.
@@ -117,7 +112,7 @@ fn a_dataset_lists_its_clips_and_the_files_it_left_out() {
     };
 
     let clips: Vec<Clip> = json("clips").json();
-    let row = &motions(&out)[0];
+    let row = &rows_of::<MotionRow>(&out)[0];
     assert_eq!(clips.len(), 1);
     assert_eq!(
         (clips[0].id.as_str(), clips[0].path.as_str()),
@@ -266,12 +261,8 @@ fn names_that_are_not_text_stay_apart_and_never_reach_the_terminal() {
         let obeyed = |c: char| c.is_control() && c != '\n' && c != '\t';
         assert!(!text.contains(obeyed), "{text:?}");
     }
-    assert!(
-        listed.stdout.contains(r"\x1b]0;title\x07.bvh"),
-        "{}",
-        listed.stdout
-    );
-    let rows = motions(&out);
+    listed.expect_printed(r"\x1b]0;title\x07.bvh");
+    let rows = rows_of::<MotionRow>(&out);
     let mut ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
     ids.sort_unstable();
     assert_eq!(ids, [r"a\\xff", r"a\xfe", r"a\xff", r"red\x1b[31m"]);
@@ -297,17 +288,9 @@ fn a_folder_that_cannot_be_listed_does_not_end_the_run() {
     assert_eq!((done.ingested, done.quarantined), (1, 1), "{done:?}");
     assert_eq!(done.codes["E-IO"], 1);
     let list = stance(&["inspect", arg(&out), "--list", "quarantine"]).expect_code(0);
-    assert!(
-        list.stdout.contains("cannot list the folder"),
-        "{}",
-        list.stdout
-    );
+    list.expect_printed("cannot list the folder");
     let again = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(3);
-    assert!(
-        again.stdout.contains("already complete"),
-        "{}",
-        again.stdout
-    );
+    again.expect_printed("already complete");
     let doctor = stance(&["doctor", arg(&source)]).expect_code(0).stdout;
     assert!(doctor.contains("cannot be listed"), "{doctor}");
 }
@@ -325,17 +308,8 @@ fn a_folder_of_links_says_so() {
     }
     let out = dir.path().join("dataset");
     let ran = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(1);
-    assert!(
-        ran.stderr
-            .contains("all 2 entries are skipped: link to a folder"),
-        "{}",
-        ran.stderr
-    );
-    assert!(
-        ran.stderr.contains("name the folder it leads to"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("all 2 entries are skipped: link to a folder");
+    ran.expect_said("name the folder it leads to");
 }
 
 #[test]
@@ -369,11 +343,7 @@ fn archives_are_named_and_a_dataset_without_motions_is_a_failure() {
         assert_eq!(failure.item.as_deref(), Some(arg(&out)));
     }
     let ran = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(1);
-    assert!(
-        ran.stderr.contains("the dataset has no motion"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("the dataset has no motion");
     // One motion more, and the run succeeds.
     fs::write(source.join("walk.bvh"), bvh(&walk(30))).expect("writes");
     ingest(&source, &dir.path().join("other"), &[], 3);
@@ -395,7 +365,7 @@ fn a_reference_frame_before_the_motion_is_dropped_with_a_flag() {
     )
     .expect("writes");
     ingest(&source, &out, &[], 0);
-    let row = &motions(&out)[0];
+    let row = &rows_of::<MotionRow>(&out)[0];
     assert_eq!((row.start_frame, row.end_frame), (1, 1300));
     assert_eq!(row.n_frames, 1 + (1298 * 2) / 3);
     let flags = flag_names(row.quality.flags);
@@ -414,12 +384,12 @@ fn a_reference_frame_before_the_motion_is_dropped_with_a_flag() {
     fs::write(source.join("captured.bvh"), bvh(&poses[1..])).expect("writes");
     let plain = dir.path().join("plain");
     ingest(&source, &plain, &[], 0);
-    assert_eq!(motions(&plain)[0].n_frames, row.n_frames);
+    assert_eq!(rows_of::<MotionRow>(&plain)[0].n_frames, row.n_frames);
     // Who asks to keep jumps keeps the frame.
     fs::write(source.join("captured.bvh"), bvh(&poses)).expect("writes");
     let kept = dir.path().join("kept");
     ingest(&source, &kept, &["--teleports", "keep"], 0);
-    assert_eq!(motions(&kept)[0].start_frame, 0);
+    assert_eq!(rows_of::<MotionRow>(&kept)[0].start_frame, 0);
 }
 
 #[test]
@@ -443,7 +413,7 @@ fn a_trimmed_clip_says_where_it_starts_and_its_captions_move_along() {
     )
     .expect("writes");
     ingest(&source, &out, &["--teleports", "trim"], 0);
-    let row = &motions(&out)[0];
+    let row = &rows_of::<MotionRow>(&out)[0];
     // At 20 fps, stored frame 60 is source frame 90, and the frame before it lies between 88 and 89.
     assert_eq!((row.start_frame, row.end_frame), (90, 300));
     assert_eq!(row.n_frames, 140);
@@ -494,19 +464,14 @@ fn a_row_too_many_or_too_few_is_read_where_that_is_asked_for() {
     let strict = ingest(&source, &out, &[], 3);
     assert_eq!((strict.ingested, strict.codes["E-BVH-FRAMES"]), (1, 2));
     // It is another plan.
-    stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&out),
-        "--lenient",
-        "--fps",
-        "native",
-    ])
+    typed(
+        "ingest {} --out {} --lenient --fps native",
+        &[&source, &out],
+    )
     .expect_code(1);
     let lenient = dir.path().join("lenient");
     ingest(&source, &lenient, &["--lenient", "--fps", "native"], 0);
-    let found: BTreeMap<String, (i32, bool)> = motions(&lenient)
+    let found: BTreeMap<String, (i32, bool)> = rows_of::<MotionRow>(&lenient)
         .iter()
         .map(|row| {
             let flagged = flag_names(row.quality.flags).contains(&"row-count");
@@ -547,22 +512,14 @@ fn humanml3d_features_come_out_as_they_went_in() {
     ingest(&dir.path().join("corpus"), &made, &[], 0);
     let folder = dir.path().join("HumanML3D");
     let export = |dataset: &Path, folder: &Path| {
-        stance(&[
-            "export",
-            arg(dataset),
-            "--to",
-            "humanml3d",
-            "--out",
-            arg(folder),
-        ])
-        .expect_code(0)
+        typed("export {} --to humanml3d --out {}", &[&dataset, &folder]).expect_code(0)
     };
     export(&made, &folder);
     let out = dir.path().join("dataset");
     ingest(&folder, &out, &["--features", "humanml3d"], 0);
     let dataset = Dataset::open(&out).expect("a dataset");
     let rows: Vec<HumanMl3dRow> = dataset.read(None).expect("rows");
-    let frames: BTreeMap<String, i32> = motions(&out)
+    let frames: BTreeMap<String, i32> = rows_of::<MotionRow>(&out)
         .iter()
         .map(|row| (row.id.to_string(), row.n_frames))
         .collect();

@@ -22,7 +22,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use crate::util::{arg, command, corpus, stance};
+use crate::util::{arg, command, corpus, rows_of, stance, typed};
 
 #[derive(Deserialize)]
 struct Listening {
@@ -113,13 +113,7 @@ pub(crate) fn bare_task(key: String, motion: &str) -> NewTask {
 fn dataset(clips: usize) -> (tempfile::TempDir, PathBuf) {
     let dir = corpus(clips);
     let out = dir.path().join("dataset");
-    stance(&[
-        "ingest",
-        arg(&dir.path().join("corpus")),
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0);
+    typed("ingest {} --out {}", &[&dir.path().join("corpus"), &out]).expect_code(0);
     stance(&["masks", arg(&out)]).expect_code(0);
     (dir, out)
 }
@@ -282,28 +276,13 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
         .json();
     assert_eq!(written["counts"]["motions_described"], 6);
     stance(&["verify", arg(&dataset)]).expect_code(0);
-    let masks: Value = stance(&[
-        "masks",
-        arg(&dataset),
-        "--accept",
-        "/dev/null",
-        "--author",
-        "x",
-        "--json",
-    ])
-    .expect_code(0)
-    .json();
+    let masks: Value = typed("masks {} --accept /dev/null --author x --json", &[&dataset])
+        .expect_code(0)
+        .json();
     assert_eq!(masks["origins"]["human"], 12);
-    let triplets: Value = stance(&[
-        "triplets",
-        "stats",
-        arg(&dataset),
-        "--count",
-        "64",
-        "--json",
-    ])
-    .expect_code(0)
-    .json();
+    let triplets: Value = typed("triplets stats {} --count 64 --json", &[&dataset])
+        .expect_code(0)
+        .json();
     let text = triplets.to_string();
     assert!(
         text.contains("testing"),
@@ -311,15 +290,7 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
     );
     assert!(text.contains("fine-grained"), "{text}");
     let out = dataset.with_file_name("triplets");
-    stance(&[
-        "triplets",
-        arg(&dataset),
-        "--out",
-        arg(&out),
-        "--count",
-        "16",
-    ])
-    .expect_code(0);
+    typed("triplets {} --out {} --count 16", &[&dataset, &out]).expect_code(0);
 }
 
 /// Answers the next task of a kind and accepts the answer, without a server.
@@ -548,17 +519,9 @@ fn backups_are_made_on_a_schedule_and_the_last_ones_kept() {
     let other = dir.path().join("copies");
     std::fs::create_dir(&other).expect("a folder");
     std::fs::write(other.join("store-20200101T000000Z.sqlite"), "").expect("an old copy");
-    let made: Value = stance(&[
-        "annotate",
-        data,
-        "--json",
-        "backup",
-        arg(&other),
-        "--keep",
-        "1",
-    ])
-    .expect_code(0)
-    .json();
+    let made: Value = typed("annotate {} --json backup {} --keep 1", &[&data, &other])
+        .expect_code(0)
+        .json();
     assert_eq!(
         copies(&other),
         [PathBuf::from(made["backup"].as_str().expect("a path"))]
@@ -571,26 +534,14 @@ fn the_command_says_what_to_do_when_it_cannot() {
     let data = arg(&dataset);
     let nowhere = dataset.with_file_name("nowhere");
     let missing = stance(&["annotate", arg(&nowhere), "user", "list"]).expect_code(1);
-    assert!(
-        missing.stderr.contains("is not a dataset"),
-        "{}",
-        missing.stderr
-    );
+    missing.expect_said("is not a dataset");
     assert!(!nowhere.exists(), "no folder is made of a typing error");
     let token = stance(&["annotate", data, "user", "add", "ann"]).expect_code(0);
     assert!(token.stdout.trim().starts_with("ann_") && token.stdout.trim().len() == 68);
     let again = stance(&["annotate", data, "user", "add", "ann"]).expect_code(1);
-    assert!(
-        again.stderr.contains("choose another name"),
-        "{}",
-        again.stderr
-    );
+    again.expect_said("choose another name");
     let unknown = stance(&["annotate", data, "token", "bob"]).expect_code(1);
-    assert!(
-        unknown.stderr.contains("known are: ann"),
-        "{}",
-        unknown.stderr
-    );
+    unknown.expect_said("known are: ann");
     stance(&["annotate", data, "user", "add", "x", "--role", "king"]).expect_code(2);
     stance(&["annotate", data, "export", "--format", "csv"]).expect_code(2);
     let users: Value = stance(&["annotate", data, "--json", "user", "list"])
@@ -620,7 +571,7 @@ fn the_command_says_what_to_do_when_it_cannot() {
     let taken = Process::start(&dataset, "127.0.0.1:0");
     let address = taken.url.trim_start_matches("http://").to_owned();
     let busy = stance(&["annotate", data, "--listen", &address]).expect_code(1);
-    assert!(busy.stderr.contains("--listen"), "{}", busy.stderr);
+    busy.expect_said("--listen");
 }
 
 /// How often the server is killed; the full form of the test sets `ANNOTATE_KILLS=50`.
@@ -681,14 +632,8 @@ fn a_server_says_who_else_can_reach_it() {
         let host = listen.trim_end_matches('0');
         assert!(line.starts_with(&format!("http://{host}")), "{line}");
     }
-    let unknown = [
-        "annotate",
-        arg(&dataset),
-        "--trusted-proxy",
-        "proxy.example",
-    ];
-    let refused = stance(&unknown).expect_code(2);
-    assert!(refused.stderr.contains("10.0.0.0/8"), "{}", refused.stderr);
+    let refused = typed("annotate {} --trusted-proxy proxy.example", &[&dataset]).expect_code(2);
+    refused.expect_said("10.0.0.0/8");
     for host in ["https://a.example", "a.example:8443", ""] {
         let wrong = ["annotate", arg(&dataset), "--host", host];
         let refused = stance(&wrong).expect_code(2);
@@ -1100,10 +1045,7 @@ fn two_servers_of_one_store_give_nothing_twice() {
 fn styles_go_into_another_project_as_they_come_out() {
     let (dir, dataset) = dataset(24);
     stance(&["pairs", arg(&dataset)]).expect_code(0);
-    let labels: BTreeSet<String> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read::<PairRow>(None)
-        .expect("pairs")
+    let labels: BTreeSet<String> = rows_of::<PairRow>(&dataset)
         .into_iter()
         .filter_map(|pair| pair.style)
         .collect();
@@ -1151,7 +1093,7 @@ fn styles_go_into_another_project_as_they_come_out() {
 
     std::fs::write(&file, "[[style]]\nname = \"x\"\ncolour = \"red\"\n").expect("a file");
     let refused = styles(stores[0], &[arg(&file)]).expect_code(1);
-    assert!(refused.stderr.contains("#rrggbb"), "{}", refused.stderr);
+    refused.expect_said("#rrggbb");
 }
 
 /// What is still to capture shrinks as style pairs come into the dataset.
@@ -1210,6 +1152,6 @@ fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_i
 
     std::fs::write(&file, format!("{motion},{style},none\n")).expect("a file");
     let refused = captures(&[arg(&file)]).expect_code(1);
-    assert!(refused.stderr.contains("line 1"), "{}", refused.stderr);
+    refused.expect_said("line 1");
     assert_eq!(captures(&[]).expect_code(0).stdout, plan);
 }

@@ -10,7 +10,7 @@ use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
-use crate::util::{Ran, arg, files_with_extension, stance};
+use crate::util::{Ran, arg, files_with_extension, rows_of, stance, typed};
 
 /// Metrics of what a system recorded while it generated; answers from elsewhere have none.
 const RECORDED: [&str; 2] = ["Fit error", "Bone drift"];
@@ -46,11 +46,6 @@ fn import(files: &Path, items: &Path, name: &str, out: &Path, more: &[&str]) -> 
     ];
     args.extend(more);
     stance(&args)
-}
-
-fn rows(folder: &Path) -> Vec<EditRow> {
-    let dataset = Dataset::open(folder).expect("a dataset");
-    dataset.read(None).expect("rows")
 }
 
 /// An array as `numpy.save` writes one (version 1.0 of the format).
@@ -109,7 +104,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     let bench = Bench::open();
     let at = |name: &str| bench.workshop.path(name);
     let (items, here) = (at("items"), bench.edits("here", &["--name", "Here"]));
-    let made = rows(&here);
+    let made = rows_of::<EditRow>(&here);
 
     // As a script writes them: the numbers of the store.
     write_answers(&made, &at("answers"));
@@ -127,7 +122,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
         (&report["imported"], &report["answered"]),
         (&8.into(), &8.into())
     );
-    for (row, own) in rows(&at("elsewhere")).iter().zip(&made) {
+    for (row, own) in rows_of::<EditRow>(&at("elsewhere")).iter().zip(&made) {
         assert_eq!((&row.id, &row.transl), (&own.id, &own.transl));
         assert_eq!(row.checkpoint_hash, report["checkpoint_hash"]);
         assert!(row.checkpoint_hash != own.checkpoint_hash && row.settings.contains("300"));
@@ -135,17 +130,9 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     }
     // As AMASS has them: z up, through double precision.
     let exported = at("exported");
-    let json: Value = stance(&[
-        "--json",
-        "export",
-        arg(&here),
-        "--to",
-        "amass",
-        "--out",
-        arg(&exported),
-    ])
-    .expect_code(0)
-    .json();
+    let json: Value = typed("--json export {} --to amass --out {}", &[&here, &exported])
+        .expect_code(0)
+        .json();
     assert_eq!(json["clips"], 8);
     import(&exported, &items, "Turned", &at("turned"), &[]).expect_code(0);
 
@@ -171,11 +158,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     // Under the name of another system it is refused, not averaged.
     import(&at("answers"), &items, "Here", &at("again"), &[]).expect_code(0);
     let refused = bench.eval(&[&here, &at("again")], &more).expect_code(1);
-    assert!(
-        refused.stderr.contains("two checkpoints"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("two checkpoints");
 
     let verified: Value = stance(&["--json", "verify", arg(&at("elsewhere"))])
         .expect_code(0)
@@ -192,15 +175,11 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     assert_eq!(item["answers"].as_array().expect("answers").len(), 1);
     let picture = at("item.svg");
     let folder = at("elsewhere");
-    let args = [
-        "render",
-        clip[0],
-        "--dataset",
-        arg(&folder),
-        "--out",
-        arg(&picture),
-    ];
-    stance(&args).expect_code(0);
+    typed(
+        "render {} --dataset {} --out {}",
+        &[&clip[0], &folder, &picture],
+    )
+    .expect_code(0);
     let picture = fs::read_to_string(picture).expect("drawn");
     for label in ["source", "target", "Elsewhere, seed 0"] {
         assert!(picture.contains(label), "{label}");
@@ -277,7 +256,7 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
     let at = |name: &str| bench.workshop.path(name);
     let dataset = Dataset::open(&at("items")).expect("a dataset");
     let items: Vec<ItemRow> = dataset.read(None).expect("rows");
-    let answers: Vec<EditRow> = rows(&bench.edits("here", &[]));
+    let answers: Vec<EditRow> = rows_of::<EditRow>(&bench.edits("here", &[]));
     write_answers(&answers, &at("answers"));
     let file = |number: usize, extension: &str| {
         at("answers").join(format!("{}.{extension}", answers[number].id))
@@ -304,11 +283,7 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
 
     let out = at("imported");
     let refused = import(&at("answers"), &at("items"), "TMED", &out, &[]).expect_code(1);
-    assert!(
-        refused.stderr.contains("4 of 8 items have no answer"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("4 of 8 items have no answer");
     assert!(!out.exists(), "nothing is written");
     let allowed = ["--allow-missing"];
     let report: Value = import(&at("answers"), &at("items"), "TMED", &out, &allowed)
@@ -367,11 +342,7 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
         .json();
     assert_eq!(inspected["tables"]["quarantine"], 6);
     let scored = bench.eval(&[&out], &[]).expect_code(1);
-    assert!(
-        scored.stderr.contains("lacks 4 of 8 items"),
-        "{}",
-        scored.stderr
-    );
+    scored.expect_said("lacks 4 of 8 items");
 }
 
 #[test]
@@ -379,7 +350,7 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
     let bench = Bench::open();
     let at = |name: &str| bench.workshop.path(name);
     let here = bench.edits("here", &["--name", "ours, w/o MCM", "--takes", "2"]);
-    let made = rows(&here);
+    let made = rows_of::<EditRow>(&here);
     assert_eq!(made.len(), 16);
     for (layout, extension) in [("bvh", "bvh"), ("amass", "npz"), ("gltf", "glb")] {
         let out = at(layout);
@@ -409,30 +380,10 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
         places.sort();
         places
     };
-    assert_eq!(places(&rows(&at("again"))), places(&made));
-    let refused = stance(&[
-        "export",
-        arg(&here),
-        "--to",
-        "stance",
-        "--out",
-        arg(&at("no")),
-    ])
-    .expect_code(1);
-    assert!(
-        refused.stderr.contains("bvh, amass or gltf"),
-        "{}",
-        refused.stderr
-    );
+    assert_eq!(places(&rows_of::<EditRow>(&at("again"))), places(&made));
+    let refused = typed("export {} --to stance --out {}", &[&here, &at("no")]).expect_code(1);
+    refused.expect_said("bvh, amass or gltf");
     let items = at("items");
-    let refused = stance(&[
-        "export",
-        arg(&items),
-        "--to",
-        "bvh",
-        "--out",
-        arg(&at("no")),
-    ])
-    .expect_code(1);
-    assert!(refused.stderr.contains("--sources"), "{}", refused.stderr);
+    let refused = typed("export {} --to bvh --out {}", &[&items, &at("no")]).expect_code(1);
+    refused.expect_said("--sources");
 }

@@ -12,7 +12,7 @@ use serde_json::Value;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use crate::util::{Ran, arg, command, corpus, files_with_extension, stance};
+use crate::util::{Ran, arg, command, corpus, files_with_extension, stance, typed};
 
 /// Files by their names.
 pub(crate) type Files = BTreeMap<String, Vec<u8>>;
@@ -271,7 +271,7 @@ fn every_kind_of_archive_is_a_folder_of_its_name() {
         assert_eq!(place.clips(&alone, &format!("{name}/")), expected, "{name}");
         let archive = place.path(&format!("{source}/{name}"));
         let doctor = place.run(&["doctor", arg(&archive)], 0);
-        assert!(doctor.stdout.contains("amass"), "{}", doctor.stdout);
+        doctor.expect_printed("amass");
     }
 }
 
@@ -331,15 +331,7 @@ fn shards_and_dumps_that_are_named_like_archives_are_read_as_what_they_are() {
     let place = Place::new(corpus(4));
     place.ingest("corpus", "dataset", 0);
     let (dataset, out) = (place.path("dataset"), place.path("shards"));
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "webdataset",
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0);
+    typed("export {} --to webdataset --out {}", &[&dataset, &out]).expect_code(0);
     place.ingest("shards", "again", 0);
     let rows: Vec<MotionRow> = place.rows("again");
     assert!(rows.iter().all(|row| row.source == "webdataset"));
@@ -557,7 +549,7 @@ fn what_a_killed_run_unpacked_is_removed_by_the_next_one() {
         .expect("starts")
         .into();
     let ran = ran.expect_code(1);
-    assert!(ran.stderr.contains("set TMPDIR"), "{}", ran.stderr);
+    ran.expect_said("set TMPDIR");
 }
 
 #[test]
@@ -609,11 +601,8 @@ fn many_processes_read_archives_as_one_does() {
         arg(&plan),
     ];
     let ran = place.run(&planned, 1);
-    assert!(
-        ran.stderr.contains("walks.tar.gz") && ran.stderr.contains("pack it as zip"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("walks.tar.gz");
+    ran.expect_said("pack it as zip");
 }
 
 #[test]

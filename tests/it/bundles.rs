@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::evaluate::Bench;
 use crate::tables::tables;
-use crate::util::{Ran, arg, stance};
+use crate::util::{Ran, arg, stance, typed};
 
 /// Bundles edits.
 fn bundle(edits: &Path, out: &Path, more: &[&str]) -> Ran {
@@ -115,7 +115,7 @@ fn a_bundle_scores_as_its_folder_and_has_the_same_bytes() {
         .stdout;
     assert!(both.contains("\"Other\"") && both.contains("\"MotionReFit\""));
     let alone = bench.eval(&[&at("a.zip")], &[]).expect_code(1);
-    assert!(alone.stderr.contains("--items ITEMS"), "{}", alone.stderr);
+    alone.expect_said("--items ITEMS");
 }
 
 #[test]
@@ -135,19 +135,10 @@ fn bundles_are_ranked_in_one_table_with_paired_differences() {
     );
     let items = at("items");
     let eval = |encoder: &str| {
-        stance(&[
-            "eval",
-            arg(&first),
-            arg(&second),
-            "--items",
-            arg(&items),
-            "--encoder",
-            encoder,
-            "--repeats",
-            "2",
-            "--format",
-            "markdown",
-        ])
+        typed(
+            "eval {} {} --items {} --encoder {} --repeats 2 --format markdown",
+            &[&first, &second, &items, &encoder],
+        )
     };
     let found = tables(&eval("builtin").expect_code(0).stdout);
     // The items of one task; tables of novelties follow.

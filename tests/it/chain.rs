@@ -6,7 +6,7 @@ use std::fs;
 use serde::Deserialize;
 
 use crate::tables::tables;
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, rows_of, stance, typed};
 
 #[derive(Deserialize)]
 struct Score {
@@ -155,13 +155,10 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
 
     // Each stage is also a verb of its own.
     let dataset = run.join("dataset");
-    let explained = stance(&[
-        "--json",
-        "triplets",
-        arg(&dataset),
-        "--explain",
-        "train-semantic-0-3",
-    ])
+    let explained = typed(
+        "--json triplets {} --explain train-semantic-0-3",
+        &[&dataset],
+    )
     .expect_code(0);
     assert!(explained.stdout.contains("recipe_hash"));
     let edits = run.join("edits/full");
@@ -183,14 +180,10 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     }
     let strip = dir.path().join("strip.svg");
     let clip = first_clip(&dataset);
-    stance(&[
-        "render",
-        &clip,
-        "--dataset",
-        arg(&dataset),
-        "--out",
-        arg(&strip),
-    ])
+    typed(
+        "render {} --dataset {} --out {}",
+        &[&clip, &dataset, &strip],
+    )
     .expect_code(0);
     assert!(
         fs::read_to_string(&strip)
@@ -216,33 +209,24 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         assert!(drawn.contains(label), "{label}");
     }
     let refused = stance(&[&draw[..], &[arg(&dataset)]].concat()).expect_code(1);
-    assert!(
-        refused.stderr.contains("has no answer to item"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("has no answer to item");
     let edited = dir.path().join("edited.npz");
-    stance(&[
-        "edit",
-        arg(&run.join("runs/motionrefit")),
-        "--dataset",
-        arg(&dataset),
-        "--motion",
-        &clip,
-        "--text",
-        "The person is waving with their left arm.",
-        "--out",
-        arg(&edited),
-    ])
+    typed(
+        "edit {} --dataset {} --motion {} --text {} --out {}",
+        &[
+            &run.join("runs/motionrefit"),
+            &dataset,
+            &clip,
+            &"The person is waving with their left arm.",
+            &edited,
+        ],
+    )
     .expect_code(0);
     stance(&["render", arg(&edited), "--out", arg(&strip)]).expect_code(0);
 }
 
 fn first_clip(dataset: &std::path::Path) -> String {
-    let rows: Vec<datasets_spec::record::MotionRow> = datasets_spec::Dataset::open(dataset)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<datasets_spec::record::MotionRow> = rows_of(dataset);
     rows[0].id.to_string()
 }
 
@@ -256,19 +240,17 @@ fn a_misspelt_setting_is_refused_by_name() {
     )
     .expect("writes");
     let ran = stance(&["run", "--config", arg(&config)]).expect_code(1);
-    assert!(ran.stderr.contains("num_stps"), "{}", ran.stderr);
+    ran.expect_said("num_stps");
 }
 
 #[test]
 fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
     let dir = corpus(10);
     let dataset = dir.path().join("dataset");
-    stance(&[
-        "ingest",
-        arg(&dir.path().join("corpus")),
-        "--out",
-        arg(&dataset),
-    ])
+    typed(
+        "ingest {} --out {}",
+        &[&dir.path().join("corpus"), &dataset],
+    )
     .expect_code(0);
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let file = dir.path().join("masks.jsonl");
@@ -291,12 +273,8 @@ fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
     assert_eq!(done["masks"], lines.lines().count() - 1);
     assert_eq!(done["origins"]["human"], 2);
     let ran = stance(&["masks", arg(&dataset)]).expect_code(1);
-    assert!(
-        ran.stderr.contains("2 masks judged by people"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("2 masks judged by people");
     fs::write(&file, "{}\n").expect("writes");
     let ran = stance(&accept).expect_code(1);
-    assert!(ran.stderr.contains("masks.jsonl:1"), "{}", ran.stderr);
+    ran.expect_said("masks.jsonl:1");
 }

@@ -8,7 +8,7 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Split};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, rows_of, stance, typed};
 
 /// One take of 26 actions in six styles.
 const CLIPS: usize = 156;
@@ -48,10 +48,7 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
 
     let out = dir.path().join("built");
     let dataset = Dataset::open(&out.join("dataset")).expect("a dataset");
-    let triplets: Vec<TripletRow> = Dataset::open(&out.join("triplets"))
-        .expect("recorded")
-        .read(None)
-        .expect("rows");
+    let triplets: Vec<TripletRow> = rows_of(&out.join("triplets"));
     let splits: std::collections::BTreeMap<String, Split> = dataset
         .read::<datasets_spec::record::MotionRow>(None)
         .expect("rows")
@@ -125,19 +122,10 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     let config = at("train.toml");
     fs::write(&config, "batch_size = 16\n").expect("writes");
     let train = |windows: &std::path::Path, run: &std::path::Path| {
-        stance(&[
-            "train",
-            "motionrefit",
-            arg(&dataset),
-            "--out",
-            arg(run),
-            "--steps",
-            "3",
-            "--config",
-            arg(&config),
-            "--windows",
-            arg(windows),
-        ])
+        typed(
+            "train motionrefit {} --out {} --steps 3 --config {} --windows {}",
+            &[&dataset, &run, &config, &windows],
+        )
     };
     train(&windows, &run).expect_code(0);
 
@@ -147,22 +135,13 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     let other = at("other");
     record(&other, &["--compose", arg(&scalar)]);
     let refused = train(&other, &at("run2")).expect_code(1);
-    assert!(
-        refused.stderr.contains("another normaliser"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("another normaliser");
 
     let sheet = at("sheet.svg");
-    let args = [
-        "--json",
-        "triplets",
-        "stats",
-        arg(&dataset),
-        "--sheet",
-        arg(&sheet),
-    ];
-    let stats: serde_json::Value = stance(&args).expect_code(0).json();
+    let stats: serde_json::Value =
+        typed("--json triplets stats {} --sheet {}", &[&dataset, &sheet])
+            .expect_code(0)
+            .json();
     assert!(
         stats["distinct_pairs"]["semantic"]
             .as_u64()

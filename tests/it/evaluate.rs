@@ -12,7 +12,7 @@ use serde_json::Value;
 use crate::tables::tables;
 use crate::texts::TextTable;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, corpus, stance};
+use crate::util::{Ran, arg, corpus, rows_of, stance, typed};
 
 /// Settings of an evaluation encoder that is trained in a second.
 pub(crate) const SMALL_ENCODER: &str = "
@@ -46,15 +46,10 @@ impl Bench {
         let encoder = workshop.path("encoder");
         let settings = workshop.path("encoder.toml");
         fs::write(&settings, SMALL_ENCODER).expect("writes");
-        stance(&[
-            "train",
-            "tmr",
-            arg(&workshop.dataset()),
-            "--out",
-            arg(&encoder),
-            "--config",
-            arg(&settings),
-        ])
+        typed(
+            "train tmr {} --out {} --config {}",
+            &[&workshop.dataset(), &encoder, &settings],
+        )
         .expect_code(0);
         let bench = Self { workshop, encoder };
         bench.items("items", &["--count", count]);
@@ -259,14 +254,10 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         .collect();
     assert_eq!(rows, expected);
 
-    let fit: Value = stance(&[
-        "--json",
-        "eval",
-        "encoder",
-        arg(&bench.workshop.dataset()),
-        "--encoder",
-        arg(&bench.encoder),
-    ])
+    let fit: Value = typed(
+        "--json eval encoder {} --encoder {}",
+        &[&bench.workshop.dataset(), &bench.encoder],
+    )
     .expect_code(0)
     .json();
     let rows = fit.as_array().expect("rows");
@@ -278,18 +269,10 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     assert!(recalls.is_sorted() && recalls[2] <= 100.0, "{recalls:?}");
 
     let compare = |b: &Path| -> Value {
-        stance(&[
-            "--json",
-            "eval",
-            "compare",
-            arg(&first),
-            arg(b),
-            "--encoder",
-            arg(&bench.encoder),
-            "--weak-judge",
-            "--repeats",
-            "2",
-        ])
+        typed(
+            "--json eval compare {} {} --encoder {} --weak-judge --repeats 2",
+            &[&first, &b, &bench.encoder],
+        )
         .expect_code(0)
         .json()
     };
@@ -357,7 +340,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     ] {
         let plan = write_plan(&bench, &format!("{systems}{}", figures(key)));
         let refused = stance(&["reproduce", arg(&plan)]).expect_code(1);
-        assert!(refused.stderr.contains(word), "{}", refused.stderr);
+        refused.expect_said(word);
     }
     let tables = "[[table]]\npaper = \"1\"\npublished = true\n[[table]]\npaper = \"a4\"\nsystems = [\"ours\"]\n";
     let plan = write_plan(
@@ -377,16 +360,9 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         ]
     );
     assert!(!bench.workshop.path("made").exists());
-    let first: Value = stance(&[
-        "--json",
-        "reproduce",
-        "--weak-judge",
-        arg(&plan),
-        "--at-once",
-        "2",
-    ])
-    .expect_code(0)
-    .json();
+    let first: Value = typed("--json reproduce --weak-judge {} --at-once 2", &[&plan])
+        .expect_code(0)
+        .json();
     let out = bench.workshop.path("made");
     // The ratio of 1 is the default: two trainings of the editor serve five points, and its table.
     let count = |folder: &str| fs::read_dir(out.join(folder)).expect("a folder").count();
@@ -535,16 +511,7 @@ fn a_plan_trains_anew_when_its_dataset_has_grown() {
         ["dataset", "corpus", "more"].map(|name| bench.workshop.path(name));
     let run = || stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]);
     let first: Value = run().expect_code(0).json();
-    let args = [
-        "--seed",
-        "9",
-        "corpus",
-        "--clips",
-        "30",
-        "--out",
-        arg(&more),
-    ];
-    stance(&args).expect_code(0);
+    typed("--seed 9 corpus --clips 30 --out {}", &[&more]).expect_code(0);
     stance(&["ingest", arg(&corpus), arg(&more), "--out", arg(&dataset)]).expect_code(0);
     stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
     let second: Value = run().expect_code(0).json();
@@ -567,7 +534,7 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     );
     let before = bench.workshop.root_hash();
     let ran = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).expect_code(1);
-    assert!(ran.stderr.contains("train.window = 400"), "{}", ran.stderr);
+    ran.expect_said("train.window = 400");
     let made: Value = ran.json();
     assert_eq!(
         made["failed"].as_array().expect("a list").len(),
@@ -630,7 +597,7 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
         )
     };
     let twice = stance(&["reproduce", arg(&plan("[6, 6]"))]).expect_code(1);
-    assert!(twice.stderr.contains("holds 6 twice"), "{}", twice.stderr);
+    twice.expect_said("holds 6 twice");
     let run = |seeds: &str| -> Value {
         stance(&["--json", "reproduce", "--weak-judge", arg(&plan(seeds))])
             .expect_code(0)
@@ -746,7 +713,7 @@ fn plans_of_the_program_can_be_followed() {
         let plan = ["reproduce", name, "--dataset", arg(&dataset)];
         let refused = stance(&[&plan[..], &["--dry-run"]].concat()).expect_code(1);
         let said = "asks for items of task motionfix, and split test of";
-        assert!(refused.stderr.contains(said), "{}", refused.stderr);
+        refused.expect_said(said);
     }
 }
 
@@ -834,10 +801,7 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     let rest = ["--out", arg(&scores), arg(&out)];
     stance(&[&eval[..], &rest[..]].concat()).expect_code(0);
 
-    let clip = Dataset::open(&root)
-        .expect("a dataset")
-        .read::<MotionRow>(None)
-        .expect("rows")
+    let clip = rows_of::<MotionRow>(&root)
         .into_iter()
         .find(|row| row.n_frames >= 40)
         .expect("a clip");
@@ -870,18 +834,10 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     let bench = Bench::open();
     let first = bench.edits("first", &[]);
     let page = bench.workshop.path("page.html");
-    let made: Value = stance(&[
-        "--json",
-        "report",
-        arg(&first),
-        "--encoder",
-        arg(&bench.encoder),
-        "--weak-judge",
-        "--items",
-        "3",
-        "--out",
-        arg(&page),
-    ])
+    let made: Value = typed(
+        "--json report {} --encoder {} --weak-judge --items 3 --out {}",
+        &[&first, &bench.encoder, &page],
+    )
     .expect_code(0)
     .json();
     let html = fs::read_to_string(&page).expect("written");
@@ -925,7 +881,7 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     }
     assert!(html.contains("script-src 'sha256-") && !html.contains("https://"));
     let refused = stance(&["report", arg(&bench.encoder), "--out", arg(&page)]).expect_code(1);
-    assert!(refused.stderr.contains("encoder"), "{}", refused.stderr);
+    refused.expect_said("encoder");
 }
 
 #[test]
@@ -933,18 +889,8 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     let bench = Bench::open();
     let weak = bench.workshop.path("weak");
     let dataset = bench.workshop.dataset();
-    let train = |out: &Path| {
-        let args = [
-            "train",
-            "tmr",
-            arg(&dataset),
-            "--out",
-            arg(out),
-            "--steps",
-            "1",
-        ];
-        stance(&args).expect_code(0)
-    };
+    let train =
+        |out: &Path| typed("train tmr {} --out {} --steps 1", &[&dataset, &out]).expect_code(0);
     let said = train(&weak).stdout;
     for words in [
         "text to motion: R@1",
@@ -985,7 +931,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     let ran = eval(&[], 1);
     assert!(ran.stdout.starts_with(sentence), "{}", ran.stdout);
     assert!(!ran.stdout.contains('*') && !ran.stdout.contains("Behind the identity"));
-    assert!(ran.stderr.contains("--weak-judge"), "{}", ran.stderr);
+    ran.expect_said("--weak-judge");
     assert_eq!(eval(&["--weak-judge"], 0).stdout, ran.stdout);
     let scores: Value = eval(&["--json"], 1).json();
     for row in scores.as_array().expect("rows") {
@@ -994,16 +940,12 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
             (&false.into(), &false.into())
         );
     }
-    let compare = [
-        "--json",
-        "eval",
-        "compare",
-        arg(&edits),
-        arg(&edits),
-        "--encoder",
-        arg(&weak),
-    ];
-    let compared: Value = stance(&compare).expect_code(1).json();
+    let compared: Value = typed(
+        "--json eval compare {} {} --encoder {}",
+        &[&edits, &edits, &weak],
+    )
+    .expect_code(1)
+    .json();
     assert!(compared[0]["unranked"].is_string(), "{compared}");
 
     let ranks_nothing = |page: &Path| {
@@ -1036,15 +978,9 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     assert!(table.starts_with(sentence), "{table}");
 
     // The same edits are ranked by the encoder of the program; a folder without a report is not believed.
-    let builtin = [
-        "eval",
-        arg(&edits),
-        "--encoder",
-        "builtin",
-        "--repeats",
-        "2",
-    ];
-    let ranked = stance(&builtin).expect_code(0).stdout;
+    let ranked = typed("eval {} --encoder builtin --repeats 2", &[&edits])
+        .expect_code(0)
+        .stdout;
     // Novelties of few items have tables of their own below, which need not rank.
     let first = ranked.lines().next().expect("a table");
     assert!(
@@ -1055,11 +991,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     fs::remove_file(weak.join("report.json")).expect("removed");
     let args = ["eval", arg(&edits), "--encoder", arg(&weak)];
     let ran = stance(&args).expect_code(1);
-    assert!(
-        ran.stdout.contains("holds no report.json"),
-        "{}",
-        ran.stdout
-    );
+    ran.expect_printed("holds no report.json");
     train(&weak);
     assert!(
         weak.join("report.json").exists(),
@@ -1124,7 +1056,7 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     let others = bench.answers("editor", "others", "elsewhere", &[]);
     let refused = bench.eval(&[&zero, &others], &[]).expect_code(1);
     for text in ["different items", "zero", "elsewhere"] {
-        assert!(refused.stderr.contains(text), "{}", refused.stderr);
+        refused.expect_said(text);
     }
     // Many takes can be made at once, and are the same takes.
     let takes = bench.edits("takes", &["--takes", "2"]);
@@ -1143,19 +1075,15 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     workshop.train("coordinator", "guide", "4").expect_code(0);
     let fixed = workshop.path("fixed.toml");
     fs::write(&fixed, "fixed_pairs = true\n").expect("writes");
-    stance(&[
-        "train",
-        "motionrefit",
-        arg(&workshop.dataset()),
-        "--out",
-        arg(&workshop.path("fixed")),
-        "--config",
-        arg(&workshop.path("small.toml")),
-        "--compose",
-        arg(&fixed),
-        "--steps",
-        "4",
-    ])
+    typed(
+        "train motionrefit {} --out {} --config {} --compose {} --steps 4",
+        &[
+            &workshop.dataset(),
+            &workshop.path("fixed"),
+            &workshop.path("small.toml"),
+            &fixed,
+        ],
+    )
     .expect_code(0);
     let guide = workshop.path("guide");
     let base = bench.edits("base", &[]);
@@ -1183,11 +1111,8 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     let ours = named("editor", "ours", &[]);
     let refused = |other: &Path, what: &str| {
         let ran = bench.eval(&[&ours, other], &[]).expect_code(1);
-        assert!(
-            ran.stderr.contains(what) && ran.stderr.contains("--name"),
-            "{}",
-            ran.stderr
-        );
+        ran.expect_said(what);
+        ran.expect_said("--name");
     };
     refused(&named("fixed", "other-weights", &[]), "two checkpoints");
     refused(
@@ -1214,11 +1139,8 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
     )
     .expect("writes");
     let ran = bench.eval(&[&forged], &[]).expect_code(1);
-    assert!(
-        ran.stderr.contains(&rows[3].id) && ran.stderr.contains("stance items"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said(&rows[3].id);
+    ran.expect_said("stance items");
     let verified = stance(&["verify", arg(&forged)]).expect_code(1);
     assert!(
         [verified.stdout, verified.stderr]
@@ -1227,15 +1149,10 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
         "the changed item is not named"
     );
     // What needs no system is scored on the items alone.
-    let scores: Value = stance(&[
-        "--json",
-        "eval",
-        "--items",
-        arg(&items),
-        "--encoder",
-        arg(&bench.encoder),
-        "--weak-judge",
-    ])
+    let scores: Value = typed(
+        "--json eval --items {} --encoder {} --weak-judge",
+        &[&items, &bench.encoder],
+    )
     .expect_code(0)
     .json();
     assert!(!of_system(&scores, "Identity").is_empty());

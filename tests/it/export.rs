@@ -7,7 +7,7 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Motion, Skeleton};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, files_with_extension, stance};
+use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
 
 const CLIPS: usize = 8;
 
@@ -18,10 +18,7 @@ fn ingested(dir: &Path, source: &str, out: &str) -> BTreeMap<String, MotionRow> 
 fn ingested_at(dir: &Path, source: &str, out: &str, fps: &str) -> BTreeMap<String, MotionRow> {
     let (source, out) = (dir.join(source), dir.join(out));
     stance(&["ingest", arg(&source), "--out", arg(&out), "--fps", fps]).expect_code(0);
-    let rows: Vec<MotionRow> = Dataset::open(&out)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<MotionRow> = rows_of(&out);
     rows.into_iter()
         .map(|row| (row.id.as_str().to_owned(), row))
         .collect()
@@ -168,17 +165,7 @@ fn triplets_and_items_become_dumps_of_motionfix() {
     for verb in ["triplets", "items"] {
         let (made, out) = (at(verb), at(&format!("{verb}-motionfix")));
         stance(&[verb, arg(&dataset), "--count", "6", "--out", arg(&made)]).expect_code(0);
-        let export = |out: &Path| {
-            stance(&[
-                "--json",
-                "export",
-                arg(&made),
-                "--to",
-                "motionfix",
-                "--out",
-                arg(out),
-            ])
-        };
+        let export = |out: &Path| typed("--json export {} --to motionfix --out {}", &[&made, &out]);
         let said: serde_json::Value = export(&out).expect_code(0).json();
         let count = usize::try_from(said["clips"].as_u64().expect("a count")).expect("few");
         assert!((1..=6).contains(&count), "{verb}: {count}");
@@ -212,15 +199,7 @@ fn two_releases_that_use_the_same_names_are_one_dataset() {
     let dataset = dir.path().join("dataset");
     for folder in ["old", "new"] {
         let out = dir.path().join("both").join(folder);
-        stance(&[
-            "export",
-            arg(&dataset),
-            "--to",
-            "stance",
-            "--out",
-            arg(&out),
-        ])
-        .expect_code(0);
+        typed("export {} --to stance --out {}", &[&dataset, &out]).expect_code(0);
     }
     let rows = ingested(dir.path(), "both", "again");
     assert_eq!(rows.len(), 2 * CLIPS);
@@ -242,16 +221,9 @@ fn an_export_appears_whole_or_not_at_all() {
     std::fs::write(taken.join("mine.txt"), "mine").expect("written");
     for layout in ["webdataset", "lerobot"] {
         exported(dir.path(), layout);
-        let args = [
-            "export",
-            arg(&dataset),
-            "--to",
-            layout,
-            "--out",
-            arg(&taken),
-        ];
-        let refused = stance(&args).expect_code(1);
-        assert!(refused.stderr.contains("not empty"), "{}", refused.stderr);
+        let refused =
+            typed("export {} --to {} --out {}", &[&dataset, &layout, &taken]).expect_code(1);
+        refused.expect_said("not empty");
     }
     let names: Vec<String> = std::fs::read_dir(dir.path())
         .expect("listed")
@@ -295,7 +267,7 @@ fn verify_passes_what_ingest_wrote_and_fails_what_was_altered() {
     bytes[middle] ^= 1;
     std::fs::write(shard, bytes).expect("written");
     let ran = stance(&["verify", arg(&dataset)]).expect_code(1);
-    assert!(ran.stdout.contains("1 wrong"), "{}", ran.stdout);
+    ran.expect_printed("1 wrong");
 }
 
 #[test]
@@ -303,24 +275,17 @@ fn doctor_and_stats_count_the_corpus() {
     let dir = corpus(12);
     let source = dir.path().join("corpus");
     let ran = stance(&["doctor", arg(&source)]).expect_code(0);
-    assert!(
-        ran.stdout.contains("bvh") && ran.stdout.contains("amass"),
-        "{}",
-        ran.stdout
-    );
+    ran.expect_printed("bvh");
+    ran.expect_printed("amass");
     ingested(dir.path(), "corpus", "dataset");
     let dataset = dir.path().join("dataset");
     let ran = stance(&["stats", arg(&dataset)]).expect_code(0);
     assert!(ran.stdout.starts_with("12 clips"), "{}", ran.stdout);
     let features = dir.path().join("features");
-    stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&features),
-        "--features",
-        "humanml3d",
-    ])
+    typed(
+        "ingest {} --out {} --features humanml3d",
+        &[&source, &features],
+    )
     .expect_code(0);
     let manifest = Dataset::open(&features)
         .expect("a dataset")

@@ -11,7 +11,7 @@ use datasets_spec::record::MotionRow;
 use pickle::npz::Archive;
 use serde_json::Value;
 
-use crate::util::{arg, command, corpus, files_with_extension, real_data, stance};
+use crate::util::{arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed};
 
 const LAYOUTS: [&str; 11] = [
     "amass",
@@ -32,10 +32,7 @@ fn dataset(dir: &Path, more: &[&str]) -> (PathBuf, BTreeMap<String, MotionRow>) 
     let (source, out) = (dir.join("corpus"), dir.join("dataset"));
     let args = [&["ingest", arg(&source), "--out", arg(&out)], more].concat();
     stance(&args).expect_code(0);
-    let rows: Vec<MotionRow> = Dataset::open(&out)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<MotionRow> = rows_of(&out);
     let rows = rows.into_iter().map(|row| (row.id.to_string(), row));
     (out, rows.collect())
 }
@@ -62,7 +59,7 @@ fn a_condition_chooses_the_clips_of_every_layout() {
         let said: Value = export(&condition, &out).expect_code(0).json();
         assert_eq!(said["clips"], expected, "{layout}");
         let none = export("style = 'nobody walks so'", &dir.path().join("none")).expect_code(1);
-        assert!(none.stderr.contains("no clip of"), "{}", none.stderr);
+        none.expect_said("no clip of");
     }
     let files = files_with_extension(&dir.path().join("bvh"), "bvh");
     assert_eq!(files.len(), expected);
@@ -82,18 +79,12 @@ fn a_mistaken_condition_is_a_mistake_of_usage() {
         ),
         ("split = 'train' or", "Expected: an expression"),
     ] {
-        let ran = stance(&[
-            "export",
-            arg(&dataset),
-            "--to",
-            "bvh",
-            "--where",
-            condition,
-            "--out",
-            arg(&out),
-        ])
+        let ran = typed(
+            "export {} --to bvh --where {} --out {}",
+            &[&dataset, &condition, &out],
+        )
         .expect_code(2);
-        assert!(ran.stderr.contains(said), "{}", ran.stderr);
+        ran.expect_said(said);
         assert!(!out.exists());
     }
 }
@@ -134,15 +125,7 @@ fn licences_and_captions_travel() {
         }
     }
     let out = dir.path().join("humanml3d");
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "humanml3d",
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0);
+    typed("export {} --to humanml3d --out {}", &[&dataset, &out]).expect_code(0);
     let ids = std::fs::read_to_string(out.join("ids.csv")).expect("written");
     assert_eq!(ids.matches(&license).count(), rows.len(), "{ids}");
     assert_eq!(
@@ -253,13 +236,7 @@ fn a_motion_of_a_file_is_drawn_by_its_name() {
     let svg = std::fs::read_to_string(&picture).expect("written");
     assert!(svg.contains("#motion"), "{svg:.300}");
     let refused = draw("dance").expect_code(1);
-    assert!(
-        refused
-            .stderr
-            .contains("no motion \"dance\"; its motions are motion"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("no motion \"dance\"; its motions are motion");
 }
 
 #[test]
@@ -282,10 +259,7 @@ fn stats_count_masks_of_a_clip_and_pairs_of_a_style() {
     let said: Value = stance(&["--json", "stats", arg(&dataset)])
         .expect_code(0)
         .json();
-    let masks: Vec<datasets_spec::record::MaskRow> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
+    let masks: Vec<datasets_spec::record::MaskRow> = rows_of(&dataset);
     let clips: std::collections::BTreeSet<_> = masks.iter().map(|mask| &mask.motion_id).collect();
     assert!(clips.len() > 1 && masks.len() > clips.len());
     let average = masks.len() as f64 / clips.len() as f64;
@@ -418,15 +392,7 @@ fn a_webdataset_export_is_read_again_packed_or_not() {
     let dir = corpus(12);
     let (dataset, rows) = dataset(dir.path(), &[]);
     let packed = dir.path().join("packed");
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "webdataset",
-        "--out",
-        arg(&packed),
-    ])
-    .expect_code(0);
+    typed("export {} --to webdataset --out {}", &[&dataset, &packed]).expect_code(0);
     assert_eq!(
         labels(&again(dir.path(), &[&packed], "second").1),
         labels(&rows)
@@ -507,23 +473,15 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     let file = dir.path().join("file");
     std::fs::write(&file, "").expect("written");
     let refused = export("humanml3d", &file.join("out")).expect_code(1);
-    assert!(refused.stderr.contains(&said), "{}", refused.stderr);
+    refused.expect_said(&said);
     // So it is where any number of processes will write them.
     let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
-    let planned = stance(&[
-        "stage",
-        "plan",
-        "export",
-        arg(&dataset),
-        "--to",
-        "humanml3d",
-        "--into",
-        arg(&out),
-        "--out",
-        arg(&plan),
-    ]);
+    let planned = typed(
+        "stage plan export {} --to humanml3d --into {} --out {}",
+        &[&dataset, &out, &plan],
+    );
     let planned = planned.expect_code(0);
-    assert!(planned.stderr.contains(&said), "{}", planned.stderr);
+    planned.expect_said(&said);
     let done = export("bvh", &dir.path().join("bvh")).expect_code(0);
     assert!(!done.stderr.contains("part-of-speech"), "{}", done.stderr);
 }
@@ -569,16 +527,10 @@ fn what_a_killed_export_left_is_removed_by_the_next_one() {
     std::fs::create_dir_all(dead.join("new")).expect("made");
     std::fs::write(dead.join("LOCK"), "").expect("written");
     let items = dir.path().join("items");
-    stance(&[
-        "items",
-        arg(&dataset),
-        "--split",
-        "train",
-        "--count",
-        "4",
-        "--out",
-        arg(&items),
-    ])
+    typed(
+        "items {} --split train --count 4 --out {}",
+        &[&dataset, &items],
+    )
     .expect_code(0);
     let out = home.join("items");
     stance(&["items", "export", arg(&items), "--out", arg(&out)]).expect_code(0);

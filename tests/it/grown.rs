@@ -8,7 +8,7 @@ use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, rows_of, stance, typed};
 
 /// Ingests, and holds the counts of the document against each other and against the tables.
 pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
@@ -42,8 +42,7 @@ pub(crate) fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
 
 /// All clips.
 pub(crate) fn motions(dataset: &Path) -> Vec<MotionRow> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
+    rows_of(dataset)
 }
 
 /// Split and content of every clip.
@@ -55,8 +54,7 @@ pub(crate) fn clips(dataset: &Path) -> BTreeMap<String, (Split, String)> {
 
 /// The masks by their ids.
 pub(crate) fn masks(dataset: &Path) -> BTreeMap<String, MaskRow> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    let rows: Vec<MaskRow> = dataset.read(None).expect("rows");
+    let rows: Vec<MaskRow> = rows_of(dataset);
     rows.into_iter().map(|row| (row.id.clone(), row)).collect()
 }
 
@@ -124,15 +122,7 @@ pub(crate) fn judge(dataset: &Path, dir: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
     let lines = fs::read_to_string(&file).expect("drafts");
     fs::write(&file, lines.replace("\"todo\"", "\"accept\"")).expect("written");
-    let accept = [
-        "masks",
-        arg(dataset),
-        "--accept",
-        arg(&file),
-        "--author",
-        "ann",
-    ];
-    stance(&accept).expect_code(0);
+    typed("masks {} --accept {} --author ann", &[&dataset, &file]).expect_code(0);
     let masks = masks(dataset);
     assert!(!masks.is_empty() && masks.values().all(|mask| mask.text_origin == "human"));
     masks

@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::grown::{
     clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
 };
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, rows_of, stance, typed};
 
 /// Checks that equal motions share a split. Returns how many motions outside of `train` have an equal one:
 /// a rule that does nothing would part some of them.
@@ -470,11 +470,7 @@ fn equal_motions_in_two_splits_fail_verification() {
     let dataset = dir.path().join("dataset");
     ingest(&[&source], &dataset, &["--splits", arg(&list)], 0);
     let ran = stance(&["verify", arg(&dataset)]).expect_code(1);
-    assert!(
-        ran.stdout.contains("is the same motion within 0.0 mm"),
-        "{}",
-        ran.stdout
-    );
+    ran.expect_printed("is the same motion within 0.0 mm");
     stance(&["verify", arg(&dataset), "--accept-duplicates"]).expect_code(0);
 }
 
@@ -488,10 +484,7 @@ fn what_was_skipped_is_listed_the_same_on_every_run() {
     let again = ingest(&[&source], &dataset, &[], 0);
     assert_eq!(again["already_complete"], true);
     assert_eq!(first["skipped_reasons"], again["skipped_reasons"]);
-    let rows: Vec<SkippedRow> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<SkippedRow> = rows_of(&dataset);
     assert!(
         rows.iter()
             .any(|row| row.path == "notes.txt" && !row.reason.is_empty())
@@ -526,17 +519,9 @@ fn two_datasets_merge_and_lose_no_label() {
     ingest(&[&more], &b, &["--seed", "5"], 0);
     let judged_too = judge(&b, dir.path());
     let out = dir.path().join("both");
-    let merged: Value = stance(&[
-        "--json",
-        "dataset",
-        "merge",
-        arg(&a),
-        arg(&b),
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0)
-    .json();
+    let merged: Value = typed("--json dataset merge {} {} --out {}", &[&a, &b, &out])
+        .expect_code(0)
+        .json();
     verified(&out);
     let (before, after) = (clips(&a), clips(&out));
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));

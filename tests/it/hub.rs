@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use self::server::{Hub, TOKEN};
 use crate::archives::files_below;
-use crate::util::{Ran, arg, corpus, files_with_extension, stance};
+use crate::util::{Ran, arg, corpus, files_with_extension, rows_of, stance, typed};
 
 const CLIPS: &str = "lab/clips";
 
@@ -206,11 +206,7 @@ fn only_what_changed_is_committed_and_nothing_is_deleted_silently() {
     let refused = hub
         .try_push(&dataset, CLIPS, &["--delete", "README.md"])
         .expect_code(1);
-    assert!(
-        refused.stderr.contains("it is published"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("it is published");
     hub.try_push(&dataset, CLIPS, &["--delete", "other"])
         .expect_code(1);
     let third = hub.push(
@@ -239,11 +235,7 @@ fn only_what_changed_is_committed_and_nothing_is_deleted_silently() {
     let refused = hub
         .try_push(&older, CLIPS, &["--license", "MIT"])
         .expect_code(1);
-    assert!(
-        refused.stderr.contains("--delete meta/manifest-2.json"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("--delete meta/manifest-2.json");
 }
 
 fn quarantined() -> QuarantineRow {
@@ -269,11 +261,7 @@ fn a_push_that_broke_off_goes_on_where_it_stopped() {
     // The first two objects, of one part each.
     hub.state().puts_left = Some(2);
     let broken = hub.try_push(&run, "lab/editor", &license).expect_code(1);
-    assert!(
-        broken.stderr.contains("run the same command again"),
-        "{}",
-        broken.stderr
-    );
+    broken.expect_said("run the same command again");
     assert_eq!(broken.json::<Value>()["code"], "E-HUB");
     assert_eq!(hub.state().paths("models/lab/editor"), [".gitattributes"]);
     let before = hub.state().take_calls("PUT");
@@ -305,15 +293,15 @@ fn tokens_and_names_are_checked() {
         "", "editor", "a/b/c", "a/", "a/b.git", "a/b--c", "a/b c", "a/-b",
     ] {
         let refused = hub.try_push(&run, name, &[]).expect_code(2);
-        assert!(refused.stderr.contains("OWNER/NAME"), "{}", refused.stderr);
+        refused.expect_said("OWNER/NAME");
     }
     let args = ["hub", "push", arg(&run), "lab/editor", "--license", "MIT"];
     let missing = hub.run(None, &args).expect_code(1);
-    assert!(missing.stderr.contains("HF_TOKEN"), "{}", missing.stderr);
+    missing.expect_said("HF_TOKEN");
     assert!(hub.state().calls.is_empty());
 
     let wrong = hub.run(Some("hf_secret_but_wrong"), &args).expect_code(1);
-    assert!(wrong.stderr.contains("refuses"), "{}", wrong.stderr);
+    wrong.expect_said("refuses");
     assert!(!wrong.stderr.contains("secret"), "{}", wrong.stderr);
     assert!(hub.state().paths("models/lab/editor").is_empty());
 
@@ -326,11 +314,7 @@ fn tokens_and_names_are_checked() {
     fs::remove_file(hub.token_file()).expect("removed");
     let hidden = hub.pull(None, "lab/editor", &dir.path().join("other"), &[]);
     let hidden = hidden.expect_code(1);
-    assert!(
-        hidden.stderr.contains("the hub has no"),
-        "{}",
-        hidden.stderr
-    );
+    hidden.expect_said("the hub has no");
 }
 
 #[test]
@@ -343,7 +327,7 @@ fn wrong_bytes_are_refused_and_cut_downloads_go_on() {
     hub.state().is_tampered = true;
     let out = dir.path().join("pulled");
     let refused = hub.pull(None, "lab/editor", &out, &[]).expect_code(1);
-    assert!(refused.stderr.contains("is damaged"), "{}", refused.stderr);
+    refused.expect_said("is damaged");
     assert!(!out.exists());
 
     hub.state().is_tampered = false;
@@ -351,7 +335,7 @@ fn wrong_bytes_are_refused_and_cut_downloads_go_on() {
     let other = hub
         .pull(None, "lab/editor", &out, &["--revision", "v9"])
         .expect_code(1);
-    assert!(other.stderr.contains("v9"), "{}", other.stderr);
+    other.expect_said("v9");
     let pulled: Value = hub
         .pull(None, "lab/editor", &out, &[])
         .expect_code(0)
@@ -386,7 +370,7 @@ fn what_may_not_be_passed_on_is_refused() {
     let unstated = dir.path().join("unstated");
     commit_rows(&unstated, &[quarantined()], None, &skeleton, "plan", "test").expect("committed");
     let refused = hub.try_push(&unstated, CLIPS, &[]).expect_code(1);
-    assert!(refused.stderr.contains("--license"), "{}", refused.stderr);
+    refused.expect_said("--license");
     hub.push(&unstated, CLIPS, &["--license", "CC-BY-4.0"]);
     let card = hub.card("datasets/lab/clips");
     assert!(card.contains("license:\n- cc-by-4.0\n"), "{card}");
@@ -402,17 +386,13 @@ fn what_may_not_be_passed_on_is_refused() {
         fs::write(&sidecar, text).expect("written");
     }
     let tag = "LicenseRef-AMASS-NonCommercial";
-    stance(&[
-        "ingest",
-        arg(&clips),
-        "--out",
-        arg(&restricted),
-        "--license",
-        tag,
-    ])
+    typed(
+        "ingest {} --out {} --license {}",
+        &[&clips, &restricted, &tag],
+    )
     .expect_code(0);
     let refused = hub.try_push(&restricted, "lab/other", &[]).expect_code(1);
-    assert!(refused.stderr.contains(tag), "{}", refused.stderr);
+    refused.expect_said(tag);
     hub.push(&restricted, "lab/other", &["--license", tag]);
 
     // A run is under what its data is under.
@@ -420,17 +400,13 @@ fn what_may_not_be_passed_on_is_refused() {
     let data = Dataset::open(&restricted).expect("a dataset");
     run_folder(&run, &data.content_hash(&[MotionRow::TABLE]));
     let refused = hub.try_push(&run, "lab/editor", &[]).expect_code(1);
-    assert!(refused.stderr.contains("--dataset"), "{}", refused.stderr);
+    refused.expect_said("--dataset");
     let of = |dataset: &Path| {
         let args = ["--dataset", arg(dataset), "--license", tag];
         hub.try_push(&run, "lab/editor", &args)
     };
     let refused = of(&unstated).expect_code(1);
-    assert!(
-        refused.stderr.contains("other tables"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("other tables");
     of(&restricted).expect_code(0);
     let card = hub.card("models/lab/editor");
     assert!(
@@ -479,10 +455,7 @@ fn edits_are_published_as_a_dataset() {
     let out = dir.path().join("pulled");
     let pulled: Value = hub.pull(None, "lab/edits", &out, &[]).expect_code(0).json();
     assert_eq!(pulled["what"], "edits");
-    let rows: Vec<EditRow> = Dataset::open(&out)
-        .expect("edits")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<EditRow> = rows_of(&out);
     assert_eq!(rows.len(), 1);
 }
 
@@ -493,36 +466,22 @@ fn folders_and_repos_of_others_are_refused() {
     let nothing = dir.path().join("nothing");
     fs::create_dir(&nothing).expect("made");
     let refused = hub.try_push(&nothing, "lab/nothing", &[]).expect_code(1);
-    assert!(
-        refused
-            .stderr
-            .contains("expected a dataset, edits, or a run"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("expected a dataset, edits, or a run");
     // Repos of other programs, and names that lead out of the folder.
     hub.state().write("models/lab/foreign", "weights.bin", b"1");
     let out = dir.path().join("foreign");
     let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
-    assert!(refused.stderr.contains("config.json"), "{}", refused.stderr);
+    refused.expect_said("config.json");
     hub.state()
         .write("models/lab/foreign", "config.json", b"{}");
     let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
-    assert!(
-        refused.stderr.contains("another program"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("another program");
     hub.state().write("models/lab/foreign", "a/../../b", b"1");
     let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
-    assert!(
-        refused.stderr.contains("cannot be written here"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("cannot be written here");
     assert!(!out.exists());
     // One name of two kinds.
     hub.state().write("datasets/lab/foreign", "a", b"1");
     let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
-    assert!(refused.stderr.contains("--type"), "{}", refused.stderr);
+    refused.expect_said("--type");
 }

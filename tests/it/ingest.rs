@@ -11,7 +11,7 @@ use eval::metric::foot_score::{FOOT_JOINTS, foot_score};
 use eval::protocol::Floor;
 use serde::Deserialize;
 
-use crate::util::{arg, command, corpus, files_with_extension, real_data, stance};
+use crate::util::{arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed};
 
 /// The document of `ingest --json`, as a script relies on it.
 #[derive(Debug, Deserialize)]
@@ -88,11 +88,7 @@ fn a_finished_run_repeated_changes_nothing_and_another_plan_is_refused() {
     assert!(again.already_complete);
     assert_eq!(again.root_hash, first.root_hash);
     let other = stance(&["ingest", arg(&source), "--out", arg(&out), "--fps", "30"]).expect_code(1);
-    assert!(
-        other.stderr.contains("fps was 20 and is now 30"),
-        "{}",
-        other.stderr
-    );
+    other.expect_said("fps was 20 and is now 30");
 }
 
 /// Bytes of one good AMASS archive and one good BVH of the corpus.
@@ -186,13 +182,9 @@ fn nothing_to_read_is_an_error_that_says_so() {
     fs::create_dir(&empty).expect("a folder");
     let out = dir.path().join("dataset");
     let ran = stance(&["ingest", arg(&empty), "--out", arg(&out)]).expect_code(1);
-    assert!(ran.stderr.contains("no files under"), "{}", ran.stderr);
+    ran.expect_said("no files under");
     let ran = stance(&["ingest", arg(&missing), "--out", arg(&out)]).expect_code(1);
-    assert!(
-        ran.stderr.contains("no such file or folder"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("no such file or folder");
     assert!(!out.exists(), "a refused run leaves nothing");
 }
 
@@ -214,7 +206,7 @@ fn a_write_that_fails_leaves_no_dataset_and_the_next_run_completes_it() {
         .expect("bash starts")
         .into();
     let ran = ran.expect_code(1);
-    assert!(ran.stderr.contains("cannot write"), "{}", ran.stderr);
+    ran.expect_said("cannot write");
     assert!(Dataset::open(&out).is_err(), "nothing was committed");
 
     let done = ingest(&source, &out, &[], 0);
@@ -230,7 +222,7 @@ fn a_locked_dataset_is_left_alone() {
     let lock = Transaction::begin(&out, "the other run").expect("locks");
     let source = dir.path().join("corpus");
     let ran = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(75);
-    assert!(ran.stderr.contains("the other run"), "{}", ran.stderr);
+    ran.expect_said("the other run");
     drop(lock);
     ingest(&source, &out, &[], 0);
 }
@@ -284,11 +276,7 @@ fn inspect_counts_what_ingest_wrote() {
     bytes[middle] ^= 1;
     fs::write(shard, bytes).expect("writes");
     let ran = stance(&["masks", arg(&out)]).expect_code(1);
-    assert!(
-        ran.stderr.contains("does not match its manifest"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("does not match its manifest");
 }
 
 #[test]
@@ -296,10 +284,7 @@ fn the_ingested_corpus_keeps_its_feet_on_the_ground() {
     let dir = corpus(corpus::CLIPS_PER_TAKE);
     let out = dir.path().join("dataset");
     ingest(&dir.path().join("corpus"), &out, &[], 0);
-    let rows: Vec<MotionRow> = Dataset::open(&out)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<MotionRow> = rows_of(&out);
     let skeleton = Skeleton::smplx_neutral();
     let mut actions: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for row in &rows {
@@ -329,14 +314,10 @@ fn real_motion_is_ingested_or_quarantined_with_a_reason() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let out = dir.path().join("dataset");
     let sources = [data.join("bvh"), data.join("amass_layout")];
-    let ran = stance(&[
-        "--json",
-        "ingest",
-        arg(&sources[0]),
-        arg(&sources[1]),
-        "--out",
-        arg(&out),
-    ]);
+    let ran = typed(
+        "--json ingest {} {} --out {}",
+        &[&sources[0], &sources[1], &out],
+    );
     assert!([0, 3].contains(&ran.code), "{}", ran.stderr);
     let done: Ingested = ran.json();
     assert!(done.balances(), "{done:?}");
@@ -344,10 +325,7 @@ fn real_motion_is_ingested_or_quarantined_with_a_reason() {
         + files_with_extension(&sources[1], "npz").len();
     assert_eq!(done.ingested + done.quarantined, motions as u64, "{done:?}");
     // Every Bandai-Namco take is a motion of a person.
-    let rows: Vec<QuarantineRow> = Dataset::open(&out)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&out);
     assert!(
         rows.iter().all(|row| !row.path.contains("bandai_namco")),
         "{rows:?}"

@@ -4,14 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::Split;
 use datasets_spec::record::{MotionRow, PairRow};
-use datasets_spec::{Dataset, Split};
 use pickle::Value as Pickled;
 use serde_json::{Value, json};
 
 use crate::formats::{put, seed_walk};
 use crate::pairs::motionfix_motion;
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, rows_of, stance, typed};
 
 fn ingest(sources: &[&Path], out: &Path) -> Value {
     let mut args = vec!["--json", "ingest"];
@@ -28,15 +28,10 @@ fn ingest(sources: &[&Path], out: &Path) -> Value {
     done
 }
 
-fn motions(dataset: &Path) -> Vec<MotionRow> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
-}
-
 /// Split of every motion by its content. Equal motions share one.
 fn splits(dataset: &Path) -> BTreeMap<String, Split> {
     let mut splits = BTreeMap::new();
-    for row in motions(dataset) {
+    for row in rows_of::<MotionRow>(dataset) {
         let before = splits.insert(row.content_hash, row.split);
         assert!(
             before.is_none_or(|before| before == row.split),
@@ -96,7 +91,7 @@ fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
         ingest(&[source], &several);
     }
     for dataset in [&one, &several] {
-        let rows = motions(dataset);
+        let rows = rows_of::<MotionRow>(dataset);
         assert_eq!(rows.len(), 2 * (40 + 20 + 40 + 5), "{dataset:?}");
         let of_split = |split: Split| rows.iter().filter(|row| row.split == split).count();
         assert_eq!(
@@ -105,10 +100,7 @@ fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
             "{dataset:?}"
         );
         assert_eq!(splits(dataset).len(), 2 * 100);
-        let pairs: Vec<PairRow> = Dataset::open(dataset)
-            .expect("a dataset")
-            .read(None)
-            .expect("rows");
+        let pairs: Vec<PairRow> = rows_of(dataset);
         assert_eq!(pairs.len(), 105);
         let by_id: BTreeMap<&str, &MotionRow> =
             rows.iter().map(|row| (row.id.as_str(), row)).collect();
@@ -124,7 +116,7 @@ fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
     fs::rename(at("e/motionfix.pth.tar"), at("e/motionfix_test.pth.tar")).expect("renamed");
     put_pairs(&at("e"), 400, 2);
     let done = ingest(&[&at("e")], &at("both"));
-    assert_eq!(motions(&at("both")).len(), 10);
+    assert_eq!(rows_of::<MotionRow>(&at("both")).len(), 10);
     assert!(
         done["remarks"]
             .to_string()
@@ -143,26 +135,12 @@ fn exports_of_motionfix_have_keys_of_their_own() {
     let (mut count, mut sources) = (0, Vec::new());
     for seed in ["1", "2", "3"] {
         let (made, out) = (at(&format!("triplets{seed}")), at(&format!("fix{seed}")));
-        stance(&[
-            "triplets",
-            arg(&at("dataset")),
-            "--count",
-            "6",
-            "--seed",
-            seed,
-            "--out",
-            arg(&made),
-        ])
+        typed(
+            "triplets {} --count 6 --seed {} --out {}",
+            &[&at("dataset"), &seed, &made],
+        )
         .expect_code(0);
-        stance(&[
-            "export",
-            arg(&made),
-            "--to",
-            "motionfix",
-            "--out",
-            arg(&out),
-        ])
-        .expect_code(0);
+        typed("export {} --to motionfix --out {}", &[&made, &out]).expect_code(0);
         let lists = fs::read(out.join("splits.json")).expect("written");
         let lists: BTreeMap<String, Vec<String>> = serde_json::from_slice(&lists).expect("lists");
         let own: Vec<String> = lists.into_values().flatten().collect();
@@ -173,18 +151,10 @@ fn exports_of_motionfix_have_keys_of_their_own() {
     assert_eq!(keys.len(), count);
     let sources: Vec<&Path> = sources.iter().map(PathBuf::as_path).collect();
     ingest(&sources, &at("again"));
-    assert_eq!(motions(&at("again")).len(), 2 * count);
+    assert_eq!(rows_of::<MotionRow>(&at("again")).len(), 2 * count);
     // A key that was read is written again.
     let out = at("once-more");
-    stance(&[
-        "export",
-        arg(&at("again")),
-        "--to",
-        "motionfix",
-        "--out",
-        arg(&out),
-    ])
-    .expect_code(0);
+    typed("export {} --to motionfix --out {}", &[&at("again"), &out]).expect_code(0);
     let lists = fs::read(out.join("splits.json")).expect("written");
     let lists: BTreeMap<String, Vec<String>> = serde_json::from_slice(&lists).expect("lists");
     let again: BTreeSet<String> = lists.into_values().flatten().collect();
@@ -223,16 +193,7 @@ fn two_folders_of_every_exported_layout_stay_two() {
             at(&format!("corpus-{part}")),
             at(&format!("dataset-{part}")),
         );
-        stance(&[
-            "corpus",
-            "--clips",
-            "40",
-            "--seed",
-            seed,
-            "--out",
-            arg(&corpus),
-        ])
-        .expect_code(0);
+        typed("corpus --clips 40 --seed {} --out {}", &[&seed, &corpus]).expect_code(0);
         stance(&["ingest", arg(&corpus), "--out", arg(&dataset)]).expect_code(0);
         for layout in [
             "humanml3d",
@@ -324,7 +285,7 @@ fn two_folders_of_motionx_stay_two() {
         }
     }
     two_folders(dir.path(), "motionx");
-    for row in motions(&dir.path().join("motionx-one")) {
+    for row in rows_of::<MotionRow>(&dir.path().join("motionx-one")) {
         let is_first = row.source_path.starts_with("motionx-a/");
         assert_eq!(row.captions.is_empty(), !is_first, "{}", row.source_path);
     }

@@ -9,7 +9,7 @@ use datasets_spec::record::{MarkerRow, MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{Ran, arg, corpus, files_with_extension, real_data, stance};
+use crate::util::{Ran, arg, corpus, files_with_extension, real_data, rows_of, stance, typed};
 
 /// A folder of BVH files without labels, with others written by a test.
 struct Sources {
@@ -64,10 +64,7 @@ impl Sources {
 }
 
 fn rows(dataset: &Path) -> BTreeMap<String, MotionRow> {
-    let rows: Vec<MotionRow> = Dataset::open(dataset)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<MotionRow> = rows_of(dataset);
     rows.into_iter()
         .map(|row| (row.id.to_string(), row))
         .collect()
@@ -223,12 +220,8 @@ fn a_bad_label_costs_the_label_and_not_the_motion() {
     assert_eq!(problems(&again), found);
     let (source, out) = (sources.path("in"), sources.path("text"));
     let text = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(0);
-    assert!(
-        text.stdout.contains("4 labels could not be used"),
-        "{}",
-        text.stdout
-    );
-    assert!(text.stdout.contains("ghost"), "{}", text.stdout);
+    text.expect_printed("4 labels could not be used");
+    text.expect_printed("ghost");
 }
 
 #[test]
@@ -259,15 +252,10 @@ fn captions_made_from_names_are_marked_and_never_exported_without_the_mark() {
     let dataset = sources.path("out");
     let export = |layout: &str| -> Value {
         let out = sources.path(layout);
-        stance(&[
-            "--json",
-            "export",
-            arg(&dataset),
-            "--to",
-            layout,
-            "--out",
-            arg(&out),
-        ])
+        typed(
+            "--json export {} --to {} --out {}",
+            &[&dataset, &layout, &out],
+        )
         .expect_code(0)
         .json()
     };
@@ -463,14 +451,10 @@ fn markers_of_captures_have_a_licence_too() {
     )
     .expect("written");
     let out = dir.path().join("out");
-    stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&out),
-        "--allow-quarantine",
-        "100%",
-    ])
+    typed(
+        "ingest {} --out {} --allow-quarantine 100%",
+        &[&source, &out],
+    )
     .expect_code(0);
     let dataset = Dataset::open(&out).expect("opens");
     let markers: Vec<MarkerRow> = dataset.read(None).expect("rows");
@@ -560,7 +544,7 @@ fn rates_are_bounded_and_those_that_single_precision_rounds_pass_verify() {
 
     for rate in ["1e9", "1001", "0.01"] {
         let ran = sources.run("none", &["--fps", rate]).expect_code(2);
-        assert!(ran.stderr.contains("choose 1 to 1000"), "{}", ran.stderr);
+        ran.expect_said("choose 1 to 1000");
         assert!(!sources.path("none").exists());
     }
 }

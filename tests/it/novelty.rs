@@ -3,41 +3,25 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use datasets_spec::Split;
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
-use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{arg, stance};
-
-fn rows<R: Row>(dataset: &Path) -> Vec<R> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
-}
+use crate::util::{arg, rows_of, stance, typed};
 
 /// Makes the dataset of the built-in test set from a corpus of so many clips.
 fn dataset(dir: &Path, clips: &str) -> std::path::PathBuf {
     let (corpus, dataset) = (dir.join("corpus"), dir.join("dataset"));
-    stance(&[
-        "corpus",
-        "--clips",
-        clips,
-        "--adjusted",
-        "2",
-        "--held-out",
-        "--out",
-        arg(&corpus),
-    ])
+    typed(
+        "corpus --clips {} --adjusted 2 --held-out --out {}",
+        &[&clips, &corpus],
+    )
     .expect_code(0);
     let pairs = corpus.join("pairs.csv");
-    stance(&[
-        "ingest",
-        arg(&corpus),
-        "--pairs",
-        arg(&pairs),
-        "--out",
-        arg(&dataset),
-    ])
+    typed(
+        "ingest {} --pairs {} --out {}",
+        &[&corpus, &pairs, &dataset],
+    )
     .expect_code(0);
     stance(&["masks", arg(&dataset)]).expect_code(0);
     stance(&["pairs", arg(&dataset)]).expect_code(0);
@@ -53,11 +37,11 @@ struct Rules {
 
 impl Rules {
     fn of(dataset: &Path) -> Self {
-        let clips = rows::<MotionRow>(dataset).into_iter();
+        let clips = rows_of::<MotionRow>(dataset).into_iter();
         Self {
             clips: clips.map(|row| (row.id.to_string(), row)).collect(),
-            masks: rows(dataset),
-            pairs: rows(dataset),
+            masks: rows_of(dataset),
+            pairs: rows_of(dataset),
         }
     }
 
@@ -139,22 +123,18 @@ fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
     let dir = tempfile::tempdir().expect("a folder");
     let dataset = dataset(dir.path(), "780");
     let items = dir.path().join("items");
-    let draw = [
-        "--json",
-        "items",
-        arg(&dataset),
-        "--set",
-        "builtin-1",
-        "--out",
-        arg(&items),
-    ];
-    let done: Value = stance(&draw).expect_code(0).json();
+    let done: Value = typed(
+        "--json items {} --set builtin-1 --out {}",
+        &[&dataset, &items],
+    )
+    .expect_code(0)
+    .json();
     assert_eq!(done["items"], 300, "{done}");
     for value in ["retake", "combination", "action"] {
         assert_eq!(done["novelty"][value], 100, "{done}");
     }
     assert!(done["targets"].as_u64() >= Some(100), "{done}");
-    let items: Vec<ItemRow> = rows(&items);
+    let items: Vec<ItemRow> = rows_of(&items);
     let rules = Rules::of(&dataset);
     for item in &items {
         assert_eq!(
@@ -166,18 +146,8 @@ fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
     }
     // Without a wish, every novelty of the split comes, and the rules hold for it too.
     let any = dir.path().join("any");
-    stance(&[
-        "items",
-        arg(&dataset),
-        "--count",
-        "400",
-        "--seed",
-        "5",
-        "--out",
-        arg(&any),
-    ])
-    .expect_code(0);
-    let any: Vec<ItemRow> = rows(&any);
+    typed("items {} --count 400 --seed 5 --out {}", &[&dataset, &any]).expect_code(0);
+    let any: Vec<ItemRow> = rows_of(&any);
     let found: BTreeSet<&str> = any
         .iter()
         .filter_map(|item| item.novelty.as_deref())
@@ -201,30 +171,16 @@ fn a_dataset_that_is_not_that_of_a_test_set_is_refused() {
     let dir = tempfile::tempdir().expect("a folder");
     let dataset = dataset(dir.path(), "330");
     let items = dir.path().join("items");
-    let draw = [
-        "items",
-        arg(&dataset),
-        "--set",
-        "builtin-1",
-        "--out",
-        arg(&items),
-    ];
-    let said = stance(&draw).expect_code(1).stderr;
+    let said = typed("items {} --set builtin-1 --out {}", &[&dataset, &items])
+        .expect_code(1)
+        .stderr;
     assert!(
         said.contains("--clips 780 --adjusted 2 --held-out"),
         "{said}"
     );
     assert!(!items.exists());
-    let other = [
-        "items",
-        arg(&dataset),
-        "--set",
-        "builtin-2",
-        "--out",
-        arg(&items),
-    ];
     assert!(
-        stance(&other)
+        typed("items {} --set builtin-2 --out {}", &[&dataset, &items])
             .expect_code(2)
             .stderr
             .contains("there is builtin-1")
@@ -237,27 +193,15 @@ fn clips_without_labels_have_no_novelty() {
     let dataset = dataset(dir.path(), "330");
     // All that training shows is gone, so nothing is known of what it shows.
     let alone = dir.path().join("alone");
-    let select = [
-        "dataset",
-        "select",
-        arg(&dataset),
-        "--where",
-        "split != 'train'",
-        "--out",
-        arg(&alone),
-    ];
-    stance(&select).expect_code(0);
+    typed(
+        "dataset select {} --where {} --out {}",
+        &[&dataset, &"split != 'train'", &alone],
+    )
+    .expect_code(0);
     let items = dir.path().join("items");
-    let draw = [
-        "--json",
-        "items",
-        arg(&alone),
-        "--count",
-        "12",
-        "--out",
-        arg(&items),
-    ];
-    let done: Value = stance(&draw).expect_code(0).json();
+    let done: Value = typed("--json items {} --count 12 --out {}", &[&alone, &items])
+        .expect_code(0)
+        .json();
     assert_eq!(done["novelty"]["not known"], 12, "{done}");
 }
 
@@ -267,25 +211,13 @@ fn questions(dir: &Path, limit: &str, list: &str) -> Vec<ItemRow> {
     let pairs = sources.join(list);
     let [dataset, items] =
         ["dataset", "items"].map(|kind| dir.join(format!("{kind}-{list}-{limit}")));
-    stance(&[
-        "ingest",
-        arg(&sources),
-        "--pairs",
-        arg(&pairs),
-        "--out",
-        arg(&dataset),
-    ])
+    typed(
+        "ingest {} --pairs {} --out {}",
+        &[&sources, &pairs, &dataset],
+    )
     .expect_code(0);
-    stance(&[
-        "items",
-        arg(&dataset),
-        "--count",
-        "all",
-        "--out",
-        arg(&items),
-    ])
-    .expect_code(0);
-    rows(&items)
+    typed("items {} --count all --out {}", &[&dataset, &items]).expect_code(0);
+    rows_of(&items)
 }
 
 #[test]

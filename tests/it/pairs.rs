@@ -14,7 +14,7 @@ use serde_json::Value as Json;
 
 use crate::tables::tables;
 use crate::train::Workshop;
-use crate::util::{arg, corpus, files_with_extension, real_data, stance};
+use crate::util::{arg, corpus, files_with_extension, real_data, rows_of, stance, typed};
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Json {
     let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
@@ -22,19 +22,9 @@ fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Json {
     stance(&args).expect_code(code).json()
 }
 
-fn motions(dataset: &Path) -> Vec<MotionRow> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
-}
-
 fn splits(dataset: &Path) -> BTreeMap<MotionId, Split> {
-    let rows = motions(dataset).into_iter();
+    let rows = rows_of::<MotionRow>(dataset).into_iter();
     rows.map(|row| (row.id, row.split)).collect()
-}
-
-fn pairs(dataset: &Path) -> Vec<PairRow> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
 }
 
 fn copy_tree(from: &Path, to: &Path) {
@@ -67,7 +57,7 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
         }
         // No style is apart from its original: one split for each action and take.
         let mut of_take: BTreeMap<(String, String), BTreeSet<Split>> = BTreeMap::new();
-        for row in motions(&dataset) {
+        for row in rows_of::<MotionRow>(&dataset) {
             let stem = row.id.as_str().trim_end_matches("_poses");
             let take = stem[stem.len() - 3..].to_owned();
             let action = row.action.expect("labelled");
@@ -75,7 +65,7 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
         }
         assert_eq!(of_take.len(), clips / 6);
         assert!(of_take.values().all(|splits| splits.len() == 1));
-        for pair in pairs(&dataset) {
+        for pair in rows_of::<PairRow>(&dataset) {
             let names = [&pair.source_id, &pair.target_id].map(|id| {
                 let name = id.as_str().rsplit('/').next().expect("a name").to_owned();
                 name.trim_end_matches("_poses")[name.find('_').expect("parts")..].to_owned()
@@ -94,19 +84,10 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
         fs::write(&config, "batch_size = 8\nval_windows = 8\n").expect("writes");
         fs::write(&compose, "kinds = [\"style\"]\n").expect("writes");
         let run = dir.path().join("run");
-        stance(&[
-            "train",
-            "motionrefit",
-            arg(&dataset),
-            "--out",
-            arg(&run),
-            "--steps",
-            "2",
-            "--config",
-            arg(&config),
-            "--compose",
-            arg(&compose),
-        ])
+        typed(
+            "train motionrefit {} --out {} --steps 2 --config {} --compose {}",
+            &[&dataset, &run, &config, &compose],
+        )
         .expect_code(0);
     }
 }
@@ -169,7 +150,7 @@ fn real_style_captures_share_the_split_of_their_take() {
     let dataset = dir.path().join("dataset");
     ingest(&data.join("bvh/bandai_namco_2"), &dataset, &[], 0);
     let mut of_take: BTreeMap<(String, String), BTreeSet<Split>> = BTreeMap::new();
-    for row in motions(&dataset) {
+    for row in rows_of::<MotionRow>(&dataset) {
         let fields: Vec<&str> = row.id.as_str().split('_').collect();
         let [_, action, _, take] = fields[..] else {
             panic!("{}", row.id)
@@ -223,12 +204,8 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
         ran.stderr
             .contains("line 4: no motion of the dataset has the id \"nobody\"")
     );
-    assert!(
-        ran.stderr.contains("line 5: it has 2 fields"),
-        "{}",
-        ran.stderr
-    );
-    let rows = pairs(&dataset);
+    ran.expect_said("line 5: it has 2 fields");
+    let rows = rows_of::<PairRow>(&dataset);
     let texts: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
     assert_eq!(
         texts,
@@ -251,22 +228,13 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let [source, dataset, items] = ["corpus", "dataset", "items"].map(|name| dir.path().join(name));
     let clips = CLIPS_PER_TAKE.to_string();
-    let said = stance(&[
-        "corpus",
-        "--clips",
-        &clips,
-        "--adjusted",
-        "2",
-        "--out",
-        arg(&source),
-    ])
+    let said = typed(
+        "corpus --clips {} --adjusted 2 --out {}",
+        &[&clips, &source],
+    )
     .expect_code(0);
     let list = source.join(corpus::PAIR_LIST);
-    assert!(
-        said.stdout.contains(&format!("--pairs {}", arg(&list))),
-        "{}",
-        said.stdout
-    );
+    said.expect_printed(&format!("--pairs {}", arg(&list)));
     let made = ingest(&source, &dataset, &["--pairs", arg(&list)], 0);
     assert_eq!(made["ingested"], CLIPS_PER_TAKE + 52);
     assert_eq!(made["tables"]["pairs"], 52);
@@ -278,7 +246,7 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
         (&both["pairs"], &both["alone"]),
         (&(52 + 130).into(), &0.into())
     );
-    let rows = pairs(&dataset);
+    let rows = rows_of::<PairRow>(&dataset);
     let kinds: BTreeSet<(&str, bool)> = rows
         .iter()
         .map(|row| {
@@ -302,10 +270,7 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let draw = ["items", arg(&dataset), "--split", "test", "--count", "all"];
     stance(&[&draw[..], &["--out", arg(&items)]].concat()).expect_code(0);
-    let rows: Vec<datasets_spec::record::ItemRow> = Dataset::open(&items)
-        .expect("items")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<datasets_spec::record::ItemRow> = rows_of(&items);
     for task in ["semantic", "style", "fine-grained"] {
         let count = rows.iter().filter(|row| row.task == task).count();
         assert!(count >= 5, "{count} items of {task}");
@@ -362,7 +327,7 @@ fn recaptured_clips_follow_the_published_split_of_their_original() {
     let again = run("dataset", &["--pairs", arg(&file)], 3);
     assert_eq!(again["already_complete"], true);
     assert_eq!(again["refused_pairs"], done["refused_pairs"]);
-    let rows = pairs(&at("dataset"));
+    let rows = rows_of::<PairRow>(&at("dataset"));
     let found = splits(&at("dataset"));
     for row in &rows {
         assert_eq!(found[&row.source_id], row.split);
@@ -373,11 +338,7 @@ fn recaptured_clips_follow_the_published_split_of_their_original() {
     // Without the list they are strewn over the splits, and pairs that cross are refused.
     run("strewn", &[], 0);
     let crossed = stance(&["pairs", arg(&at("strewn")), "--csv", arg(&file)]).expect_code(3);
-    assert!(
-        crossed.stderr.contains("`stance ingest --pairs`"),
-        "{}",
-        crossed.stderr
-    );
+    crossed.expect_said("`stance ingest --pairs`");
 }
 
 /// A motion of MotionFix: parameters of SMPL-H, z up, 30 frames a second.
@@ -436,31 +397,19 @@ fn motionfix_without_its_split_list_is_warned_of_and_recorded() {
     let source = dir.path().join("repackaged");
     put_motionfix(&source, "motionfix_train.pth.tar", 4);
     let said = stance(&["doctor", arg(&source)]).expect_code(0);
-    assert!(
-        said.stdout.contains("comes without splits.json") && said.stdout.contains("test pairs"),
-        "{}",
-        said.stdout
-    );
+    said.expect_printed("comes without splits.json");
+    said.expect_printed("test pairs");
     let dataset = dir.path().join("dataset");
     let done = ingest(&source, &dataset, &[], 0);
     let remark = done["remarks"][0].as_str().expect("a remark");
     assert!(remark.contains("4 pairs are in no splits.json"), "{remark}");
     for verb in ["stats", "inspect"] {
         let shown = stance(&[verb, arg(&dataset)]).expect_code(0);
-        assert!(shown.stdout.contains(remark), "{}", shown.stdout);
+        shown.expect_printed(remark);
     }
-    let clip = stance(&[
-        "inspect",
-        arg(&dataset),
-        "--clip",
-        "motionfix/000001-source",
-    ]);
+    let clip = typed("inspect {} --clip motionfix/000001-source", &[&dataset]);
     let clip = clip.expect_code(0);
-    assert!(
-        clip.stdout.contains("by the name of its dump"),
-        "{}",
-        clip.stdout
-    );
+    clip.expect_printed("by the name of its dump");
 
     fs::write(
         source.join("splits.json"),
@@ -528,10 +477,7 @@ fn a_motionfix_folder_goes_to_table_2_with_a_row_for_the_identity_editor() {
         (&drawn["items"], &drawn["targets"]),
         (&36.into(), &36.into())
     );
-    let rows: Vec<datasets_spec::record::ItemRow> = Dataset::open(&items)
-        .expect("items")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<datasets_spec::record::ItemRow> = rows_of(&items);
     assert!(rows.iter().all(|row| row.task == "motionfix"));
     assert!(
         rows.iter()
@@ -571,7 +517,7 @@ fn labelled(clips: usize) -> (tempfile::TempDir, PathBuf) {
 #[test]
 fn the_motion_base_can_be_limited_to_kinds_of_source() {
     let (dir, dataset) = labelled(60);
-    let source_of: BTreeMap<String, String> = motions(&dataset)
+    let source_of: BTreeMap<String, String> = rows_of::<MotionRow>(&dataset)
         .into_iter()
         .map(|row| (row.id.to_string(), row.source))
         .collect();
@@ -591,10 +537,7 @@ fn the_motion_base_can_be_limited_to_kinds_of_source() {
         (ran, out)
     };
     let (_, limited) = record("\"bvh\"", "limited", 0);
-    let rows: Vec<TripletRow> = Dataset::open(&limited)
-        .expect("triplets")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<TripletRow> = rows_of(&limited);
     let mut kinds = BTreeSet::new();
     for row in &rows {
         let from_base = match row.kind.as_str() {
@@ -616,11 +559,8 @@ fn the_motion_base_can_be_limited_to_kinds_of_source() {
         "targets are of any source"
     );
     let (ran, _) = record("\"humanml3d\"", "none", 1);
-    assert!(
-        ran.stderr.contains("humanml3d") && ran.stderr.contains("motions of amass, bvh"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("humanml3d");
+    ran.expect_said("motions of amass, bvh");
 }
 
 #[test]
@@ -630,7 +570,7 @@ fn a_coordinator_without_two_clips_to_compose_says_what_is_missing() {
     let dataset = dir.path().join("dataset");
     ingest(&source, &dataset, &[], 0);
     // One BVH clip of the training split is left, and pairs are made of the other kind.
-    let rows = motions(&dataset);
+    let rows = rows_of::<MotionRow>(&dataset);
     let is_kept = |row: &&MotionRow| row.source == "bvh" && row.split == Split::Train;
     let kept = rows
         .iter()
@@ -653,25 +593,13 @@ fn a_coordinator_without_two_clips_to_compose_says_what_is_missing() {
     fs::write(&config, "batch_size = 8\nval_windows = 8\n").expect("writes");
     fs::write(&compose, "base = { sources = [\"bvh\"] }\n").expect("writes");
     let run = dir.path().join("run");
-    let args = [
-        "train",
-        "coordinator",
-        arg(&dataset),
-        "--out",
-        arg(&run),
-        "--steps",
-        "2",
-        "--config",
-        arg(&config),
-        "--compose",
-        arg(&compose),
-    ];
-    let refused = stance(&args).expect_code(1);
-    assert!(
-        refused.stderr.contains("two different clips") && refused.stderr.contains("base.sources"),
-        "{}",
-        refused.stderr
-    );
+    let refused = typed(
+        "train coordinator {} --out {} --steps 2 --config {} --compose {}",
+        &[&dataset, &run, &config, &compose],
+    )
+    .expect_code(1);
+    refused.expect_said("two different clips");
+    refused.expect_said("base.sources");
 }
 
 #[test]
@@ -693,15 +621,7 @@ fn what_triplets_refuse_verify_finds() {
         let split = |row: &PairRow| row.split;
         commit_rows(&dataset, pair_rows, Some(split), &skeleton, &plan, "test").expect("committed");
         let out = dataset.with_file_name(format!("triplets{plan}"));
-        let args = [
-            "triplets",
-            arg(&dataset),
-            "--count",
-            "2",
-            "--out",
-            arg(&out),
-        ];
-        stance(&args).expect_code(1);
+        typed("triplets {} --count 2 --out {}", &[&dataset, &out]).expect_code(1);
         let found: Json = stance(&["--json", "verify", arg(&dataset)])
             .expect_code(1)
             .json();
@@ -773,17 +693,11 @@ fn what_triplets_refuse_verify_finds() {
 fn folders_of_something_else_say_what_they_are_and_who_takes_them() {
     let (dir, dataset) = labelled(48);
     let items = dir.path().join("items");
-    let args = [
-        "items",
-        arg(&dataset),
-        "--split",
-        "train",
-        "--count",
-        "2",
-        "--out",
-        arg(&items),
-    ];
-    stance(&args).expect_code(0);
+    typed(
+        "items {} --split train --count 2 --out {}",
+        &[&dataset, &items],
+    )
+    .expect_code(0);
     for verb in ["stats", "masks", "pairs"] {
         let refused = stance(&[verb, arg(&items)]).expect_code(1);
         assert!(
@@ -793,13 +707,9 @@ fn folders_of_something_else_say_what_they_are_and_who_takes_them() {
         );
     }
     let said = stance(&["doctor", arg(&items)]).expect_code(0);
-    assert!(said.stdout.contains("a folder of items"), "{}", said.stdout);
+    said.expect_printed("a folder of items");
     let said = stance(&["doctor", arg(&dataset)]).expect_code(0);
-    assert!(
-        said.stdout.contains("`stance ingest` has made"),
-        "{}",
-        said.stdout
-    );
+    said.expect_printed("`stance ingest` has made");
 }
 
 #[test]

@@ -11,7 +11,7 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use serde_json::{Value, json};
 use tables::{Condition, Tables};
 
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, stance, typed};
 
 /// A dataset of the corpus with masks and pairs, and its clips.
 fn made(dir: &Path) -> (PathBuf, Vec<MotionRow>) {
@@ -333,14 +333,10 @@ fn a_query_answers_as_a_table_json_csv_and_parquet() {
     let dir = corpus(8);
     let (dataset, clips) = made(dir.path());
     let folder = arg(&dataset);
-    let counted: Vec<Value> = stance(&[
-        "--json",
-        "query",
-        folder,
-        "SELECT split, count(*) AS clips, sum(seconds)/3600 AS hours FROM motions GROUP BY split ORDER BY split",
-    ])
-    .expect_code(0)
-    .json();
+    let query = "SELECT split, count(*) AS clips, sum(seconds)/3600 AS hours FROM motions GROUP BY split ORDER BY split";
+    let counted: Vec<Value> = stance(&["--json", "query", folder, query])
+        .expect_code(0)
+        .json();
     let total: u64 = counted.iter().filter_map(|row| row["clips"].as_u64()).sum();
     assert_eq!(total, clips.len() as u64);
     let hours: f64 = counted.iter().filter_map(|row| row["hours"].as_f64()).sum();
@@ -399,29 +395,20 @@ fn several_datasets_are_asked_by_their_names() {
     let (dataset, clips) = made(dir.path());
     let part = dir.path().join("part");
     let chosen = "split = 'train'";
-    stance(&[
-        "dataset",
-        "select",
-        arg(&dataset),
-        "--where",
-        chosen,
-        "--out",
-        arg(&part),
-    ])
+    typed(
+        "dataset select {} --where {} --out {}",
+        &[&dataset, &chosen, &part],
+    )
     .expect_code(0);
     let (all, some) = (
         format!("whole={}", arg(&dataset)),
         format!("some={}", arg(&part)),
     );
-    let left: Vec<Value> = stance(&[
-        "--json",
-        "query",
-        &all,
-        &some,
-        "SELECT whole.motions.id FROM whole.motions WHERE id NOT IN (SELECT id FROM some.motions)",
-    ])
-    .expect_code(0)
-    .json();
+    let query =
+        "SELECT whole.motions.id FROM whole.motions WHERE id NOT IN (SELECT id FROM some.motions)";
+    let left: Vec<Value> = stance(&["--json", "query", &all, &some, query])
+        .expect_code(0)
+        .json();
     let expected = clips
         .iter()
         .filter(|row| row.split.as_str() != "train")
@@ -429,25 +416,11 @@ fn several_datasets_are_asked_by_their_names() {
     assert_eq!(left.len(), expected);
     let query = "SELECT count(*) FROM motions";
     let unnamed = stance(&["query", arg(&dataset), arg(&part), query]).expect_code(1);
-    assert!(
-        unnamed
-            .stderr
-            .contains("each of several datasets needs a name"),
-        "{}",
-        unnamed.stderr
-    );
+    unnamed.expect_said("each of several datasets needs a name");
     let twice = stance(&["query", &all, &all, query]).expect_code(1);
-    assert!(
-        twice.stderr.contains("two datasets are named whole"),
-        "{}",
-        twice.stderr
-    );
+    twice.expect_said("two datasets are named whole");
     let unknown = stance(&["query", &all, &some, query]).expect_code(1);
-    assert!(
-        unknown.stderr.contains("whole.motions"),
-        "{}",
-        unknown.stderr
-    );
+    unknown.expect_said("whole.motions");
 }
 
 #[test]
@@ -464,13 +437,10 @@ fn every_verb_takes_some_clips_of_a_dataset() {
     };
     // Masks: those of other clips stay.
     let before = count("SELECT count(*) AS n FROM masks");
-    stance(&[
-        "masks",
-        folder,
-        "--add",
-        "--where",
-        "NOT has_mask AND action = 'punch'",
-    ])
+    typed(
+        "masks {} --add --where {}",
+        &[&folder, &"NOT has_mask AND action = 'punch'"],
+    )
     .expect_code(0);
     let after = count("SELECT count(*) AS n FROM masks");
     let new = "SELECT count(*) AS n FROM masks JOIN motions m ON m.id = masks.motion_id WHERE m.action = 'punch' \
@@ -506,51 +476,36 @@ fn every_verb_takes_some_clips_of_a_dataset() {
 
     let long = "split = 'train' AND action <> 'walk'";
     let triplets = at("triplets");
-    stance(&[
-        "triplets",
-        folder,
-        "--count",
-        "12",
-        "--where",
-        long,
-        "--out",
-        arg(&triplets),
-    ])
+    typed(
+        "triplets {} --count 12 --where {} --out {}",
+        &[&folder, &long, &triplets],
+    )
     .expect_code(0);
     let held = format!("SELECT id FROM d.motions WHERE {long}");
     let query = format!(
         "SELECT count(*) AS n FROM t.triplets WHERE source_id NOT IN ({held}) OR target_id NOT IN ({held})"
     );
-    let others: Vec<Value> = stance(&[
-        "--json",
-        "query",
-        &format!("d={folder}"),
-        &format!("t={}", arg(&triplets)),
-        &query,
-    ])
+    let others: Vec<Value> = typed(
+        "--json query {} {} {}",
+        &[
+            &format!("d={folder}"),
+            &format!("t={}", arg(&triplets)),
+            &query,
+        ],
+    )
     .expect_code(0)
     .json();
     assert_eq!(others[0]["n"], json!(0));
     let items = at("items");
-    let draw = [
-        "items",
-        folder,
-        "--split",
-        "train",
-        "--count",
-        "6",
-        "--where",
-        long,
-        "--out",
-        arg(&items),
-    ];
-    stance(&draw).expect_code(0);
-    let rows: Vec<Value> = stance(&[
-        "--json",
-        "query",
-        arg(&items),
-        "SELECT source_id, target_id FROM items",
-    ])
+    typed(
+        "items {} --split train --count 6 --where {} --out {}",
+        &[&folder, &long, &items],
+    )
+    .expect_code(0);
+    let rows: Vec<Value> = typed(
+        "--json query {} {}",
+        &[&items, &"SELECT source_id, target_id FROM items"],
+    )
     .expect_code(0)
     .json();
     let fulfils = |id: &Value| {
@@ -569,10 +524,10 @@ fn every_verb_takes_some_clips_of_a_dataset() {
 
     // A training knows what it was trained on.
     let train = |condition: &str, run: &str| {
-        let args = [
-            "--json", "train", "nearest", folder, "--where", condition, "--out", run,
-        ];
-        stance(&args)
+        typed(
+            "--json train nearest {} --where {} --out {}",
+            &[&folder, &condition, &run],
+        )
     };
     let run = at("run");
     train("n_frames > 20", arg(&run)).expect_code(0);
@@ -580,20 +535,14 @@ fn every_verb_takes_some_clips_of_a_dataset() {
     let other = train("n_frames > 30", arg(&run));
     assert_ne!(other.code, 0, "another choice is another dataset");
     let none = train("n_frames > 100000", arg(&at("none"))).expect_code(1);
-    assert!(none.stderr.contains("no clip of"), "{}", none.stderr);
+    none.expect_said("no clip of");
 
     let strips = at("strips.svg");
     let chosen = "action = 'wave-right' AND split = 'test'";
-    let drawn: Value = stance(&[
-        "--json",
-        "render",
-        "--dataset",
-        folder,
-        "--where",
-        chosen,
-        "--out",
-        arg(&strips),
-    ])
+    let drawn: Value = typed(
+        "--json render --dataset {} --where {} --out {}",
+        &[&folder, &chosen, &strips],
+    )
     .expect_code(0)
     .json();
     assert_eq!(

@@ -5,11 +5,10 @@ use std::fs::{self, File};
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Dataset;
 use datasets_spec::record::{MaskRow, MotionRow, QuarantineRow, SkippedRow};
 use serde_json::Value;
 
-use crate::util::{arg, corpus, files_with_extension, stance};
+use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
     let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
@@ -24,13 +23,8 @@ fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
     done
 }
 
-fn rows<R: datasets_spec::table::Row>(dataset: &Path) -> Vec<R> {
-    let dataset = Dataset::open(dataset).expect("a dataset");
-    dataset.read(None).expect("rows")
-}
-
 fn ids(dataset: &Path) -> BTreeSet<String> {
-    let rows: Vec<MotionRow> = rows(dataset);
+    let rows: Vec<MotionRow> = rows_of(dataset);
     rows.into_iter().map(|row| row.id.to_string()).collect()
 }
 
@@ -64,7 +58,7 @@ fn a_quote_that_is_not_closed_is_named_by_its_line() {
             && problems.contains("the 2 lines behind it"),
         "{problems}"
     );
-    let rows: Vec<MotionRow> = rows(&out);
+    let rows: Vec<MotionRow> = rows_of(&out);
     for row in rows {
         let texts: Vec<&str> = row
             .captions
@@ -114,18 +108,14 @@ fn ids_choose_the_clips_that_are_read() {
     }
     let chosen = ["walk_1", "walk_2", "sit"].map(str::to_owned);
     assert_eq!(ids(&out), chosen.clone().into());
-    let skipped: Vec<SkippedRow> = rows(&out);
+    let skipped: Vec<SkippedRow> = rows_of(&out);
     let skipped: BTreeSet<&str> = skipped.iter().map(|row| row.path.as_str()).collect();
     assert_eq!(skipped, BTreeSet::from(["run_1.npz", "run_2.npz"]));
     // The dataset knows its choice.
     let again = ingest(&source, &out, &["--ids", arg(&list)], 0);
     assert_eq!(again["already_complete"], true, "{again}");
     let other = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(1);
-    assert!(
-        other.stderr.contains("ids was a file and is not given now"),
-        "{}",
-        other.stderr
-    );
+    other.expect_said("ids was a file and is not given now");
     // With another choice the clips that are there and are not chosen stay.
     fs::write(&list, "run_1\n").expect("written");
     let done = ingest(&source, &out, &["--ids", arg(&list), "--new-version"], 0);
@@ -140,20 +130,8 @@ fn ids_choose_the_clips_that_are_read() {
     assert_eq!(ids(&out), all);
     stance(&["verify", arg(&out)]).expect_code(0);
     fs::write(&list, "# nothing\n").expect("written");
-    let empty = stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&out),
-        "--ids",
-        arg(&list),
-    ])
-    .expect_code(1);
-    assert!(
-        empty.stderr.contains("it names no clip"),
-        "{}",
-        empty.stderr
-    );
+    let empty = typed("ingest {} --out {} --ids {}", &[&source, &out, &list]).expect_code(1);
+    empty.expect_said("it names no clip");
 }
 
 #[test]
@@ -164,20 +142,8 @@ fn another_list_of_splits_is_told_by_the_ids_that_it_moves() {
     fs::write(&list, "walk,train\nrun,train\njump,train\n").expect("written");
     ingest(&source, &out, &["--splits", arg(&list)], 0);
     fs::write(&list, "walk,train\nrun,test\njump,train\n").expect("written");
-    let ran = stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&out),
-        "--splits",
-        arg(&list),
-    ])
-    .expect_code(1);
-    assert!(
-        ran.stderr.contains("splits moves run (train, now test)"),
-        "{}",
-        ran.stderr
-    );
+    let ran = typed("ingest {} --out {} --splits {}", &[&source, &out, &list]).expect_code(1);
+    ran.expect_said("splits moves run (train, now test)");
     assert!(!ran.stderr.contains("walk"), "{}", ran.stderr);
 }
 
@@ -261,7 +227,7 @@ fn ten_hours_are_refused_by_the_header() {
     );
     let out = dir.path().join("dataset");
     ingest(&source, &out, &[], 3);
-    let quarantine: Vec<QuarantineRow> = rows(&out);
+    let quarantine: Vec<QuarantineRow> = rows_of(&out);
     let [row] = &quarantine[..] else {
         panic!("{quarantine:?}");
     };
@@ -298,17 +264,9 @@ fn a_name_of_254_bytes_is_shortened_and_said() {
         "lerobot",
     ] {
         let to = dir.path().join(layout);
-        let done: Value = stance(&[
-            "--json",
-            "export",
-            arg(&out),
-            "--to",
-            layout,
-            "--out",
-            arg(&to),
-        ])
-        .expect_code(0)
-        .json();
+        let done: Value = typed("--json export {} --to {} --out {}", &[&out, &layout, &to])
+            .expect_code(0)
+            .json();
         assert_eq!(done["clips"], 4, "{layout}");
         let is_said = done["remarks"].to_string().contains("3 names are too long");
         let has_names = ["amass", "bvh", "gltf", "motionmillion"].contains(&layout);
@@ -330,16 +288,7 @@ fn a_humanml3d_export_without_captions_says_so_before_it_writes() {
     ingest(&source, &out, &["--no-made-captions"], 0);
     let export = |dataset: &Path, to: &str| {
         let to = dir.path().join(to);
-        stance(&[
-            "--json",
-            "export",
-            arg(dataset),
-            "--to",
-            "humanml3d",
-            "--out",
-            arg(&to),
-        ])
-        .expect_code(0)
+        typed("--json export {} --to humanml3d --out {}", &[&dataset, &to]).expect_code(0)
     };
     let ran = export(&out, "plain");
     let done: Value = ran.json();
@@ -349,7 +298,7 @@ fn a_humanml3d_export_without_captions_says_so_before_it_writes() {
             .contains("none of the 2 clips has a caption"),
         "{done}"
     );
-    assert!(ran.stderr.contains("captions.csv"), "{}", ran.stderr);
+    ran.expect_said("captions.csv");
     let described = dir.path().join("described");
     ingest(&dir.path().join("corpus"), &described, &[], 0);
     let done: Value = export(&described, "texts").json();
@@ -376,21 +325,9 @@ fn edited_texts_without_a_verdict_are_kept() {
     let edited = lines[0]["mask"].as_str().expect("an id").to_owned();
     let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
     fs::write(&file, text).expect("written");
-    let accept = [
-        "masks",
-        arg(&out),
-        "--accept",
-        arg(&file),
-        "--author",
-        "ann",
-    ];
-    let ran = stance(&accept).expect_code(0);
-    assert!(
-        ran.stderr.contains("1 edited lines have no verdict yet"),
-        "{}",
-        ran.stderr
-    );
-    let masks: Vec<MaskRow> = rows(&out);
+    let ran = typed("masks {} --accept {} --author ann", &[&out, &file]).expect_code(0);
+    ran.expect_said("1 edited lines have no verdict yet");
+    let masks: Vec<MaskRow> = rows_of(&out);
     let masks: BTreeMap<&str, &MaskRow> = masks.iter().map(|row| (row.id.as_str(), row)).collect();
     let row = masks[edited.as_str()];
     assert_eq!(row.text, "The person is thinking about it.");
@@ -413,15 +350,7 @@ fn listed_ids_without_a_motion_are_a_remark() {
     let dir = corpus(8);
     let (dataset, release) = (dir.path().join("dataset"), dir.path().join("release"));
     ingest(&dir.path().join("corpus"), &dataset, &[], 0);
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "humanml3d",
-        "--out",
-        arg(&release),
-    ])
-    .expect_code(0);
+    typed("export {} --to humanml3d --out {}", &[&dataset, &release]).expect_code(0);
     let list = release.join("test.txt");
     let listed = fs::read_to_string(&list).expect("a list");
     fs::write(&list, listed + "014000\n014001\n").expect("written");
@@ -433,15 +362,7 @@ fn listed_ids_without_a_motion_are_a_remark() {
         dir.path().join("dataset"),
         dir.path().join("stance-release"),
     );
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "stance",
-        "--out",
-        arg(&release),
-    ])
-    .expect_code(0);
+    typed("export {} --to stance --out {}", &[&dataset, &release]).expect_code(0);
     let list = release.join("split/base_motion/test.txt");
     let listed = fs::read_to_string(&list).unwrap_or_default();
     fs::create_dir_all(list.parent().expect("a folder")).expect("made");

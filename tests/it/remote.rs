@@ -6,11 +6,10 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::Arc;
 
-use datasets_spec::Dataset;
 use datasets_spec::record::MotionRow;
 
 use crate::archives::{files_below, packed};
-use crate::util::{Ran, arg, command, corpus, stance};
+use crate::util::{Ran, arg, command, corpus, rows_of, stance};
 
 /// Files by path.
 type Files = BTreeMap<String, Vec<u8>>;
@@ -102,11 +101,7 @@ fn a_missing_bucket_is_a_sentence() {
         .expect("starts")
         .into();
     let ran = ran.expect_code(1);
-    assert!(
-        ran.stderr.contains("there is no bucket missing"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("there is no bucket missing");
     assert!(!ran.stderr.contains('<'), "{}", ran.stderr);
 }
 
@@ -128,10 +123,7 @@ fn archives_at_urls_are_read() {
             .expect("starts")
             .into();
         ran.expect_code(0);
-        let rows: Vec<MotionRow> = Dataset::open(&out)
-            .expect("a dataset")
-            .read(None)
-            .expect("rows");
+        let rows: Vec<MotionRow> = rows_of(&out);
         let clips = rows.into_iter().map(|row| {
             let id = row.id.to_string();
             let id = id.strip_prefix(prefix).unwrap_or_else(|| panic!("{id}"));
@@ -170,10 +162,7 @@ fn a_source_at_a_url_has_the_name_that_it_is_given() {
     let at = |folder: &str| format!("{server}/{folder}/bvh/all.zip");
     let named = |name: &str, folder: &str| format!("{name}={}", at(folder));
     let names = || -> BTreeMap<String, usize> {
-        let rows: Vec<MotionRow> = Dataset::open(&out)
-            .expect("a dataset")
-            .read(None)
-            .expect("rows");
+        let rows: Vec<MotionRow> = rows_of(&out);
         let mut names = BTreeMap::new();
         for row in rows {
             *names.entry(row.source_name).or_default() += 1;
@@ -191,9 +180,5 @@ fn a_source_at_a_url_has_the_name_that_it_is_given() {
     assert_eq!(names()["ben"], alone["bvh"]);
     // Known again by its URL alone.
     let again = ingest(&[at("ben")], 0);
-    assert!(
-        again.stdout.contains("already complete"),
-        "{}",
-        again.stdout
-    );
+    again.expect_printed("already complete");
 }

@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use crate::evaluate::Bench;
 use crate::tables::{printed, tables};
-use crate::util::{arg, stance};
+use crate::util::{arg, stance, typed};
 
 /// The items the bench answers.
 fn items_of(bench: &Bench) -> Vec<ItemRow> {
@@ -332,21 +332,16 @@ fn what_cannot_stand_in_one_table_is_refused() {
     for ran in [bench.eval(&[&first, &again], &[]), report(&again)] {
         let ran = ran.expect_code(1);
         for text in ["two motions of item", "sampled with seed 0", "--seed"] {
-            assert!(ran.stderr.contains(text), "{}", ran.stderr);
+            ran.expect_said(text);
         }
     }
     // Half of the items are the same, and still these are two test sets.
     bench.items("few", &["--count", "4"]);
     let few = bench.answers("editor", "few", "answers", &["--name", "other"]);
-    let compared = stance(&[
-        "eval",
-        "compare",
-        arg(&first),
-        arg(&few),
-        "--encoder",
-        arg(&bench.encoder),
-        "--weak-judge",
-    ]);
+    let compared = typed(
+        "eval compare {} {} --encoder {} --weak-judge",
+        &[&first, &few, &bench.encoder],
+    );
     for ran in [bench.eval(&[&first, &few], &[]), report(&few), compared] {
         let ran = ran.expect_code(1);
         for text in [
@@ -470,18 +465,10 @@ fn pairs_of_motionfix_fill_its_tables() {
             "{laid_out:?}"
         );
     }
-    let alone = stance(&[
-        "eval",
-        "--items",
-        arg(&items),
-        "--table",
-        "2",
-        "--format",
-        "markdown",
-        "--encoder",
-        arg(&bench.encoder),
-        "--weak-judge",
-    ])
+    let alone = typed(
+        "eval --items {} --table 2 --format markdown --encoder {} --weak-judge",
+        &[&items, &bench.encoder],
+    )
     .expect_code(0);
     assert_eq!(tables(&alone.stdout)[0].names(), names[..2]);
 
@@ -546,7 +533,7 @@ fn latencies_stand_apart_from_times_that_windows_share() {
     assert_eq!(rows(&together), rows(&alone), "the batch changes no number");
     let format = ["--table", "a4", "--published", "--format", "markdown"];
     let ran = bench.eval(&[&together, &alone], &format).expect_code(0);
-    assert!(ran.stderr.contains("--max-batch 1"), "{}", ran.stderr);
+    ran.expect_said("--max-batch 1");
     let found = tables(&ran.stdout);
     let [latency, throughput] = &found[..] else {
         panic!("{}", ran.stdout);

@@ -16,7 +16,7 @@ use datasets_spec::{Dataset, MotionId, Split};
 use serde_json::Value;
 
 use crate::annotate::{accept, settings};
-use crate::util::{arg, stance};
+use crate::util::{arg, stance, typed};
 
 /// Rejected pairs among the answers.
 const REJECTED: usize = 5;
@@ -34,16 +34,7 @@ impl Labelled {
             dir: tempfile::tempdir().expect("a temporary folder"),
         };
         let (source, dataset) = (made.path("corpus"), made.path("dataset"));
-        let corpus = [
-            "corpus",
-            "--clips",
-            "36",
-            "--adjusted",
-            "1",
-            "--out",
-            arg(&source),
-        ];
-        stance(&corpus).expect_code(0);
+        typed("corpus --clips 36 --adjusted 1 --out {}", &[&source]).expect_code(0);
         let pairs = source.join("pairs.csv");
         let ingest = [
             "ingest",
@@ -421,34 +412,19 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
     }
     // Labels of another motion of the same name are refused.
     let other = made.path("other");
-    stance(&[
-        "corpus",
-        "--clips",
-        "36",
-        "--adjusted",
-        "1",
-        "--seed",
-        "9",
-        "--out",
-        arg(&other),
-    ])
+    typed(
+        "corpus --clips 36 --adjusted 1 --seed 9 --out {}",
+        &[&other],
+    )
     .expect_code(0);
     made.ingest("other", "other-dataset", &[], 0);
     let (dataset, store) = (made.path("other-dataset"), made.path("other.sqlite"));
-    let import = [
-        "annotate",
-        arg(&dataset),
-        "--store",
-        arg(&store),
-        "import",
-        arg(&folder),
-    ];
-    let refused = stance(&import).expect_code(1);
-    assert!(
-        refused.stderr.contains("its content is"),
-        "{}",
-        refused.stderr
-    );
+    let refused = typed(
+        "annotate {} --store {} import {}",
+        &[&dataset, &store, &folder],
+    )
+    .expect_code(1);
+    refused.expect_said("its content is");
 }
 
 #[test]
@@ -569,22 +545,9 @@ fn every_answer_of_a_project_comes_back_by_way_of_the_stance_layout() {
     // Lists that say something else than the table are not passed over in silence.
     std::fs::write(to.join("mask_all.json"), "{}").expect("written");
     let (dataset, store) = (made.path("dataset"), made.path("third.sqlite"));
-    let import = [
-        "annotate",
-        arg(&dataset),
-        "--store",
-        arg(&store),
-        "import",
-        arg(&to),
-    ];
-    let refused = stance(&import).expect_code(1);
-    assert!(
-        refused
-            .stderr
-            .contains("mask_all.json was changed since the export"),
-        "{}",
-        refused.stderr
-    );
+    let refused =
+        typed("annotate {} --store {} import {}", &[&dataset, &store, &to]).expect_code(1);
+    refused.expect_said("mask_all.json was changed since the export");
 }
 
 #[test]
@@ -643,7 +606,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
     };
     of(&dataset, &store, &["pack", arg(&file)]).expect_code(1);
     let refused = of(&dataset, &store, &["unpack", arg(&file)]).expect_code(1);
-    assert!(refused.stderr.contains("stays"), "{}", refused.stderr);
+    refused.expect_said("stays");
 
     // The same dataset: nothing is asked again, and nobody can log in with an old token.
     let moved: Value = of(&dataset, &fresh, &["unpack", arg(&file)])
@@ -763,7 +726,7 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
     let (dataset, out) = (made.path("dataset"), made.path("text"));
     let text = stance(&["export", arg(&dataset), "--to", "bvh", "--out", arg(&out)]).expect_code(0);
     let line = format!("left out, because the layout has no place for them: {masks} masks");
-    assert!(text.stdout.contains(&line), "{}", text.stdout);
+    text.expect_printed(&line);
 }
 
 #[test]
@@ -813,14 +776,10 @@ fn features_and_chosen_clips_are_counted_too() {
     let made = Labelled::new();
     let dataset = made.path("features");
     let source = made.path("corpus");
-    stance(&[
-        "ingest",
-        arg(&source),
-        "--features",
-        "humanml3d",
-        "--out",
-        arg(&dataset),
-    ])
+    typed(
+        "ingest {} --features humanml3d --out {}",
+        &[&source, &dataset],
+    )
     .expect_code(0);
     let rows = made.rows::<HumanMl3dRow>("features").len();
     let export = |dataset: &Path, layout: &str, out: &str, more: &[&str]| -> Value {
@@ -849,19 +808,11 @@ fn features_and_chosen_clips_are_counted_too() {
     // Plans say it as well.
     let (plan, out) = (made.path("plan"), made.path("planned"));
     let dataset = made.path("dataset");
-    let words = [
-        "stage",
-        "plan",
-        "export",
-        arg(&dataset),
-        "--to",
-        "bvh",
-        "--into",
-        arg(&out),
-        "--out",
-        arg(&plan),
-    ];
-    stance(&words).expect_code(0);
+    typed(
+        "stage plan export {} --to bvh --into {} --out {}",
+        &[&dataset, &out, &plan],
+    )
+    .expect_code(0);
     stance(&["stage", "work", arg(&plan)]).expect_code(0);
     let done: Value = stance(&["--json", "stage", "commit", arg(&plan)])
         .expect_code(0)

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::evaluate::Bench;
 use crate::results::score;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, stance};
+use crate::util::{Ran, arg, rows_of, stance, typed};
 
 /// Trains an editor or a coordinator on windows composed with the given settings.
 fn train_composed(
@@ -62,10 +62,7 @@ fn copy_with(run: &Path, copy: &Path, change: impl FnOnce(&mut Value)) {
 }
 
 fn row(folder: &Path) -> EditRow {
-    let rows: Vec<EditRow> = Dataset::open(folder)
-        .expect("a table")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<EditRow> = rows_of(folder);
     rows.into_iter().next().expect("an edit")
 }
 
@@ -85,19 +82,16 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
     let clip = workshop.long_clip();
     let edit = |run: &Path, out: &str| -> (Ran, EditRow) {
         let out = workshop.path(out);
-        let ran = stance(&[
-            "--json",
-            "edit",
-            arg(run),
-            "--dataset",
-            arg(&dataset),
-            "--motion",
-            clip.id.as_str(),
-            "--text",
-            "The person is waving.",
-            "--out",
-            arg(&out),
-        ])
+        let ran = typed(
+            "--json edit {} --dataset {} --motion {} --text {} --out {}",
+            &[
+                &run,
+                &dataset,
+                &clip.id.as_str(),
+                &"The person is waving.",
+                &out,
+            ],
+        )
         .expect_code(0);
         (ran, row(&out))
     };
@@ -154,7 +148,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         stance(&args)
     };
     let refused = ask(&broken, &[]).expect_code(1);
-    assert!(refused.stderr.contains("mcm_ratio"), "{}", refused.stderr);
+    refused.expect_said("mcm_ratio");
 
     // Coordinators that were shown other windows do not fit.
     for (name, compose, reason) in [
@@ -164,7 +158,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         train_composed(&workshop, "coordinator", name, compose, &[]).expect_code(0);
         let guide = workshop.path(name);
         let refused = ask(&editor, &["--coordinator", arg(&guide)]).expect_code(1);
-        assert!(refused.stderr.contains(reason), "{}", refused.stderr);
+        refused.expect_said(reason);
     }
     let compose = "anchor = \"translation\"\nfps = 5.0\n";
     train_composed(&workshop, "coordinator", "guide", compose, &[]).expect_code(0);
@@ -186,21 +180,10 @@ fn the_released_preset_composes_as_the_release_does() {
         let (dataset, run) = (workshop.dataset(), workshop.path(name));
         let composed = workshop.path(&format!("{name}.toml"));
         fs::write(&composed, compose).expect("writes");
-        stance(&[
-            "train",
-            "motionrefit",
-            arg(&dataset),
-            "--out",
-            arg(&run),
-            "--preset",
-            "official",
-            "--config",
-            arg(&toml),
-            "--compose",
-            arg(&composed),
-            "--steps",
-            "2",
-        ])
+        typed(
+            "train motionrefit {} --out {} --preset official --config {} --compose {} --steps 2",
+            &[&dataset, &run, &toml, &composed],
+        )
         .expect_code(0);
         let settings = record(&run)["config"]["compose"]["config"].clone();
         ["anchor", "range", "slerp"].map(|key| settings[key].as_str().unwrap_or("").to_owned())
@@ -224,15 +207,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     stance(&["items", arg(&dataset), "--count", "8", "--out", arg(&items)]).expect_code(0);
     let answer = |run: &Path, out: &str| -> Ran {
         let out = workshop.path(out);
-        stance(&[
-            "--json",
-            "edit",
-            arg(run),
-            "--items",
-            arg(&items),
-            "--out",
-            arg(&out),
-        ])
+        typed("--json edit {} --items {} --out {}", &[&run, &items, &out])
     };
     let lengths = |out: &str| -> Vec<(i32, i32)> {
         let folder = Dataset::open(&workshop.path(out)).expect("a table");
@@ -252,10 +227,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     let said: Value = answer(&editor, "edits").expect_code(0).json();
     assert_eq!(said["num_short"], 0);
     // Splits keep the takes of an action together, so that some actions of the test are new.
-    let asked: Vec<ItemRow> = Dataset::open(&items)
-        .expect("items")
-        .read(None)
-        .expect("rows");
+    let asked: Vec<ItemRow> = rows_of(&items);
     for word in said["unknown_words"].as_array().expect("a list") {
         let word = word.as_str().expect("a word");
         assert!(
@@ -324,34 +296,19 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
         "the items have a clip shorter than 5.4 s: {found:?}"
     );
     assert_eq!(said["num_short"], short);
-    assert!(
-        ran.stderr.contains("shorter than a window"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("shorter than a window");
 
     // Words of no training instruction, and a range of half a second.
     let clip = workshop.clip();
     let out = workshop.path("said");
-    let ran = stance(&[
-        "--json",
-        "edit",
-        arg(&editor),
-        "--motion",
-        arg(&clip),
-        "--during",
-        "20:30 Levitate ultrasonically!",
-        "--out",
-        arg(&out),
-    ])
+    let ran = typed(
+        "--json edit {} --motion {} --during {} --out {}",
+        &[&editor, &clip, &"20:30 Levitate ultrasonically!", &out],
+    )
     .expect_code(0);
     let said: Value = ran.json();
     assert_eq!(said["unknown_words"], json!(["levitate", "ultrasonically"]));
-    assert!(
-        ran.stderr.contains("never seen levitate, ultrasonically"),
-        "{}",
-        ran.stderr
-    );
+    ran.expect_said("never seen levitate, ultrasonically");
 
     // The published fit needs its network, and its rows say that it was used.
     let refused = |args: &[&str]| stance(args).expect_code(1).stderr;
@@ -371,16 +328,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
         "it says what is missing"
     );
     let poses = workshop.path("poses");
-    stance(&[
-        "train",
-        "j2s",
-        arg(&dataset),
-        "--out",
-        arg(&poses),
-        "--steps",
-        "4",
-    ])
-    .expect_code(0);
+    typed("train j2s {} --out {} --steps 4", &[&dataset, &poses]).expect_code(0);
     let args: Vec<&str> = args.into_iter().chain(["--poses", arg(&poses)]).collect();
     stance(&args).expect_code(0);
     let row = row(&fitted);

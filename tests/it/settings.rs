@@ -79,7 +79,7 @@ fn the_line_of_a_training_names_its_folder() {
     for folder in ["one", "other"] {
         let ran = workshop.train("motionrefit", folder, "3").expect_code(0);
         let line = format!("train motionrefit in {folder}  3 steps");
-        assert!(ran.stderr.contains(&line), "{}", ran.stderr);
+        ran.expect_said(&line);
     }
 }
 

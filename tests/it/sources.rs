@@ -4,12 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Dataset;
 use datasets_spec::record::{MotionRow, SkippedRow};
 use serde_json::{Value, json};
 
 use crate::grown::{clips, files, halves, ingest, judge, masks, motions, move_files, verified};
-use crate::util::{arg, command, corpus, stance};
+use crate::util::{arg, command, corpus, rows_of, stance};
 
 /// Runs `ingest` with sources as a user writes them, and returns its document.
 fn grow(sources: &[String], out: &Path, more: &[&str], code: i32) -> Value {
@@ -647,10 +646,7 @@ fn a_folder_named_like_another_source_is_asked_about() {
     let fresh = dir.path().join("fresh");
     ingest(&[&source], &fresh, &[], 0);
     ingest(&[&more], &fresh, &[], 0);
-    let rows: Vec<SkippedRow> = Dataset::open(&fresh)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<SkippedRow> = rows_of(&fresh);
     assert!(rows.iter().all(|row| !row.source_name.is_empty()));
     assert_eq!(clips(&fresh).len(), 12);
     assert!(clips(&fresh).keys().any(|id| id.starts_with("more-2/")));

@@ -9,7 +9,7 @@ use datasets_spec::record::MotionRow;
 use serde_json::{Value, json};
 
 use crate::grown::{files, ingest, motions, move_files};
-use crate::util::{arg, corpus, files_with_extension, stance};
+use crate::util::{arg, corpus, files_with_extension, stance, typed};
 
 /// The splits of all clips with one label.
 fn splits(
@@ -113,14 +113,8 @@ fn clips_of_an_action_share_a_drawn_split() {
     ingest(&[&source], &dataset, &["--split-by", "action"], 0);
     is_kept_together(&splits(&dataset, |row| row.action.clone()));
     stance(&["verify", arg(&dataset)]).expect_code(0);
-    let refused = [
-        "ingest",
-        arg(&source),
-        "--split-by",
-        "day",
-        "--out",
-        arg(&dataset),
-    ];
-    let said = stance(&refused).expect_code(2).stderr;
+    let said = typed("ingest {} --split-by day --out {}", &[&source, &dataset])
+        .expect_code(2)
+        .stderr;
     assert!(said.contains("clip, subject, action"), "{said}");
 }

@@ -12,8 +12,11 @@ use datasets_spec::table::read_rows;
 use serde::Deserialize;
 use work::{Outcome, Piece, Record};
 
+use crate::archives::files_below;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, command, corpus, files_with_extension, real_data, stance};
+use crate::util::{
+    Ran, arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed,
+};
 use crate::variants::{ANY as ANY_PAIR, SMALL as SMALL_GENERATOR};
 
 /// Clips of the corpus of which the training split takes two shards.
@@ -330,9 +333,9 @@ fn a_commit_of_an_incomplete_plan_is_refused_with_the_command_that_completes_it(
         pieces(&plan).len() - 1,
         pieces(&plan).len()
     );
-    assert!(ran.stderr.contains(&missing), "{}", ran.stderr);
+    ran.expect_said(&missing);
     let command = format!("stance stage work {}", plan.display());
-    assert!(ran.stderr.contains(&command), "{}", ran.stderr);
+    ran.expect_said(&command);
     assert!(Dataset::open(&into).is_err(), "nothing is committed");
     let found = status(&plan);
     assert_eq!((found.done, found.pieces), (1, pieces(&plan).len() as u64));
@@ -347,7 +350,7 @@ fn one_of_two_commits_wins_and_the_other_is_told() {
     work(&plan, &[], 0);
     let lock = Transaction::begin(&into, "the other run").expect("locks");
     let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(75);
-    assert!(ran.stderr.contains("the other run"), "{}", ran.stderr);
+    ran.expect_said("the other run");
     drop(lock);
     let both = [0, 1].map(|_| started(&["stage", "commit", arg(&plan)]));
     let mut codes = both.map(|mut child| child.wait().expect("a child").code());
@@ -377,7 +380,7 @@ fn a_plan_is_refused_once_its_destination_has_another_version() {
         assert_eq!(record.code.as_deref(), Some("E-PLAN-STALE"));
     }
     let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-    assert!(ran.stderr.contains("plan again"), "{}", ran.stderr);
+    ran.expect_said("plan again");
     assert_eq!(
         Dataset::open(&into).expect("opens").manifest().root_hash,
         before
@@ -424,7 +427,7 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
     );
     assert_eq!(status(&plan).failed.len(), 1);
     let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-    assert!(ran.stderr.contains("--quarantine-failed"), "{}", ran.stderr);
+    ran.expect_said("--quarantine-failed");
 
     let items = pieces(&plan)
         .into_iter()
@@ -440,10 +443,7 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
         counts.ingested + counts.quarantined + counts.skipped
     );
     assert_eq!(done.tables["motions"], counts.ingested);
-    let rows: Vec<QuarantineRow> = Dataset::open(&into)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&into);
     assert!(rows.iter().all(|row| row.reason == reason));
 
     // Most files of the piece are not to blame: the next run reads them.
@@ -508,7 +508,7 @@ fn a_dry_run_counts_a_file_of_many_pieces_once() {
     fs::write(source.join("stance.toml"), "license = \"CC0-1.0\"\n").expect("written");
     let made = planned(&["ingest", arg(&source)], &into, &plan);
     assert!(made.pieces > 1);
-    let sizes = contents(&source)
+    let sizes = files_below(&source)
         .into_values()
         .map(|bytes| bytes.len() as u64);
     assert_eq!(made.bytes, sizes.sum::<u64>());
@@ -518,17 +518,12 @@ fn a_dry_run_counts_a_file_of_many_pieces_once() {
 fn a_dry_run_counts_and_writes_nothing() {
     let place = Place::new(12);
     let [source, into] = ["corpus", "dataset"].map(|name| place.at(name));
-    let args = [
-        "--json",
-        "stage",
-        "plan",
-        "ingest",
-        arg(&source),
-        "--into",
-        arg(&into),
-        "--dry-run",
-    ];
-    let planned: Planned = stance(&args).expect_code(0).json();
+    let planned: Planned = typed(
+        "--json stage plan ingest {} --into {} --dry-run",
+        &[&source, &into],
+    )
+    .expect_code(0)
+    .json();
     assert_eq!(planned.items, 12);
     assert!(planned.pieces > 0 && planned.bytes > 0);
     let sample = planned.sample.expect("a sample");
@@ -584,10 +579,7 @@ fn a_piece_whose_process_is_killed_fails_alone() {
         BTreeMap::from([("E-CRASH".to_owned(), largest.items)])
     );
     assert_eq!(done.tables["motions"], CLIPS as u64 - largest.items);
-    let rows: Vec<QuarantineRow> = Dataset::open(&into)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&into);
     assert!(rows.iter().all(|row| row.reason.contains("signal 9")));
 }
 
@@ -643,10 +635,7 @@ fn windows_and_triplets_in_pieces_are_those_of_one_process() {
     );
     let done = commit(&plan, &["--quarantine-failed"], 3);
     assert_eq!((done.failed, done.tables["windows"]), (1, 4096));
-    let rows: Vec<QuarantineRow> = Dataset::open(&into)
-        .expect("opens")
-        .read(None)
-        .expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&into);
     let found: Vec<(&str, &str)> = rows
         .iter()
         .map(|row| (row.path.as_str(), row.code.as_str()))
@@ -662,15 +651,11 @@ fn windows_and_triplets_in_pieces_are_those_of_one_process() {
     );
     let source = workshop.path("corpus");
     fs::remove_file(&files_with_extension(&source, "bvh")[0]).expect("removed");
-    let args = [
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&dataset),
-        "--prune",
-        "--drop-labels",
-    ];
-    stance(&args).expect_code(0);
+    typed(
+        "ingest {} --out {} --prune --drop-labels",
+        &[&source, &dataset],
+    )
+    .expect_code(0);
     let made = work(&plan, &[], 3);
     assert_eq!(
         made[0].code.as_deref(),
@@ -684,17 +669,11 @@ fn edits_in_pieces_are_those_of_one_process() {
     let workshop = Workshop::open();
     workshop.train("motionrefit", "editor", "4").expect_code(0);
     let [dataset, items, run] = ["dataset", "items", "editor"].map(|name| workshop.path(name));
-    let args = [
-        "items",
-        arg(&dataset),
-        "--out",
-        arg(&items),
-        "--split",
-        "train",
-        "--count",
-        "70",
-    ];
-    stance(&args).expect_code(0);
+    typed(
+        "items {} --out {} --split train --count 70",
+        &[&dataset, &items],
+    )
+    .expect_code(0);
     let job = ["edit", arg(&run), "--items", arg(&items), "--takes", "2"];
     let [clean, into, plan] = ["clean", "edits", "plan"].map(|name| workshop.path(name));
     let clean_hash = root_hash(&job, &clean);
@@ -730,24 +709,6 @@ fn variants_in_pieces_are_those_of_one_process() {
     let clean_hash = root_hash(&job, &clean);
     assert_eq!(root_hash_in_pieces(&job, &into, &plan), clean_hash);
     assert_eq!(pieces(&plan).len(), 2, "32 instructions are a batch");
-}
-
-/// Every file below a folder with its bytes.
-fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(next) = folders.pop() {
-        for entry in fs::read_dir(&next).expect("a folder") {
-            let path = entry.expect("an entry").path();
-            if path.is_dir() {
-                folders.push(path);
-                continue;
-            }
-            let name = path.strip_prefix(folder).expect("below").to_owned();
-            found.insert(name, fs::read(&path).expect("a file"));
-        }
-    }
-    found
 }
 
 /// Finds the hidden folder that holds the pieces of an export. It lies beside the export.
@@ -790,7 +751,7 @@ fn exports_in_pieces_are_those_of_one_process() {
         assert!(!into.exists(), "{layout}: an export appears whole");
         let done = commit(&plan, &[], 0);
         assert_eq!(done.tables["clips"], CLIPS as u64, "{layout}");
-        assert!(contents(&into) == contents(&clean), "{layout}");
+        assert!(files_below(&into) == files_below(&clean), "{layout}");
         let again = commit(&plan, &[], 0);
         assert!(again.already_committed && again.root_hash == done.root_hash);
         // A late worker finds that nothing is left to do, and leaves nothing behind.
@@ -813,7 +774,7 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
     let job = ["export", arg(&dataset), "--to", "humanml3d"];
     let [clean, into, plan] = ["clean", "into", "plan"].map(|name| place.at(name));
     stance(&[&job[..], &["--out", arg(&clean)]].concat()).expect_code(0);
-    let clean = contents(&clean);
+    let clean = files_below(&clean);
     planned(&job, &into, &plan);
 
     // Whether the kill comes before, in or after a piece, the result must be the same.
@@ -850,11 +811,11 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
         fs::create_dir_all(&into).expect("a folder");
         fs::write(into.join("notes.txt"), "mine").expect("written");
         let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-        assert!(ran.stderr.contains(arg(&into)), "{}", ran.stderr);
+        ran.expect_said(arg(&into));
         fs::remove_dir_all(&into).expect("removed");
     }
     let done = commit(&plan, &[], 0);
-    assert!(contents(&into) == clean);
+    assert!(files_below(&into) == clean);
     assert_eq!(pieces_beside(&into), None);
 
     // One that was killed after it published is found to be done.
@@ -864,7 +825,7 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
     assert!(again.already_committed && again.root_hash == done.root_hash);
     assert!(status(&plan).committed);
     assert_eq!(pieces_beside(&into), None);
-    assert!(contents(&into) == clean);
+    assert!(files_below(&into) == clean);
 }
 
 #[test]
@@ -874,19 +835,12 @@ fn a_dry_run_of_an_export_makes_a_few_clips() {
     stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
     for layout in ["bvh", "webdataset"] {
         let into = place.at("into");
-        let args = [
-            "--json",
-            "stage",
-            "plan",
-            "export",
-            arg(&dataset),
-            "--to",
-            layout,
-            "--into",
-            arg(&into),
-            "--dry-run",
-        ];
-        let planned: Planned = stance(&args).expect_code(0).json();
+        let planned: Planned = typed(
+            "--json stage plan export {} --to {} --into {} --dry-run",
+            &[&dataset, &layout, &into],
+        )
+        .expect_code(0)
+        .json();
         let sample = planned.sample.expect("a sample");
         assert_eq!((planned.items, sample.items), (40, 16), "{layout}");
         assert!(planned.bytes > 0 && !into.exists(), "{layout}");
@@ -928,9 +882,9 @@ fn an_export_of_chosen_clips_in_pieces_is_that_of_one_process() {
     );
     let args = ["stage", "commit", arg(&plan), "--quarantine-failed"];
     let ran = stance(&args).expect_code(1);
-    assert!(ran.stderr.contains("whole or not at all"), "{}", ran.stderr);
+    ran.expect_said("whole or not at all");
     fs::write(shard, whole).expect("written");
     work(&plan, &[], 0);
     commit(&plan, &[], 0);
-    assert!(contents(&into) == contents(&clean));
+    assert!(files_below(&into) == files_below(&clean));
 }

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use crate::baselines::SMALL_TMED;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, stance};
+use crate::util::{Ran, arg, stance, typed};
 
 const WIDTH: usize = 26;
 
@@ -101,11 +101,7 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
         workshop.train_with(model, "editor", &[&settings, more].concat())
     };
     let unnamed = train("motionrefit", &[]).expect_code(1);
-    assert!(
-        unnamed.stderr.contains("--text-encoder"),
-        "{}",
-        unnamed.stderr
-    );
+    unnamed.expect_said("--text-encoder");
     train("motionrefit", &["--text-encoder", arg(&table)]).expect_code(0);
     let alone = workshop.path("tmed.toml");
     fs::write(&alone, "text.encoder = \"table\"\n").expect("writes");
@@ -212,15 +208,7 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     let path = |name: &str| workshop.path(name);
     write_distilbert(&path("package/model"), 0.0);
     let (package, encoder) = (path("package"), path("encoder"));
-    let take = [
-        "model",
-        "encoder",
-        "--package",
-        arg(&package),
-        "--out",
-        arg(&encoder),
-    ];
-    stance(&take).expect_code(0);
+    typed("model encoder --package {} --out {}", &[&package, &encoder]).expect_code(0);
 
     let small = fs::read_to_string(path("small.toml")).expect("settings");
     let train_into = |run: &str, model: &str, settings: &str, told: &[&str]| {

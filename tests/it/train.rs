@@ -10,7 +10,7 @@ use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
-use crate::util::{Ran, arg, command, corpus, stance};
+use crate::util::{Ran, arg, command, corpus, rows_of, stance, typed};
 
 /// Clips of the corpus: six styles of twenty actions.
 const CLIPS: usize = 120;
@@ -57,10 +57,7 @@ impl Workshop {
 
     /// A clip of at least five seconds.
     pub(crate) fn long_clip(&self) -> MotionRow {
-        let rows: Vec<MotionRow> = Dataset::open(&self.dataset())
-            .expect("a dataset")
-            .read(None)
-            .expect("rows");
+        let rows: Vec<MotionRow> = rows_of(&self.dataset());
         let long = rows.into_iter().find(|row| row.n_frames >= 100);
         long.expect("a clip of five seconds")
     }
@@ -167,15 +164,7 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
 
     let plot = workshop.path("losses.svg");
     let (whole, parts) = (workshop.path("whole"), workshop.path("parts"));
-    let plotted = [
-        "train",
-        "plot",
-        arg(&whole),
-        arg(&parts),
-        "--out",
-        arg(&plot),
-    ];
-    stance(&plotted).expect_code(0);
+    typed("train plot {} {} --out {}", &[&whole, &parts, &plot]).expect_code(0);
     let svg = fs::read_to_string(&plot).expect("a picture");
     assert!(svg.contains("whole validation") && svg.contains("parts training"));
 }
@@ -304,7 +293,7 @@ fn every_kind_of_run_is_extended_and_begins_with_anothers_weights() {
     for model in ["motionrefit", "coordinator", "tmr"] {
         workshop.train(model, model, "4").expect_code(0);
         let refused = workshop.train(model, model, "6").expect_code(1);
-        assert!(refused.stderr.contains("--extend"), "{}", refused.stderr);
+        refused.expect_said("--extend");
         let settings = workshop.settings(model);
         let longer = ["--config", arg(&settings), "--steps", "6"];
         let extend = [&longer[..], &["--extend"]].concat();
@@ -394,7 +383,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
 
     let refused = |args: &[&str], reason: &str, code| {
         let ran = stance(args).expect_code(code);
-        assert!(ran.stderr.contains(reason), "{}", ran.stderr);
+        ran.expect_said(reason);
     };
     let base = ["edit", arg(&editor), "--motion", arg(&clip)];
     let out = workshop.path("none.bvh");
@@ -419,17 +408,10 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
     let other = workshop.path("other.toml");
     fs::write(&other, format!("diffusion_steps = 60\n{SMALL}")).expect("writes");
     let misfit = workshop.path("misfit");
-    stance(&[
-        "train",
-        "coordinator",
-        arg(&workshop.dataset()),
-        "--out",
-        arg(&misfit),
-        "--config",
-        arg(&other),
-        "--steps",
-        "2",
-    ])
+    typed(
+        "train coordinator {} --out {} --config {} --steps 2",
+        &[&workshop.dataset(), &misfit, &other],
+    )
     .expect_code(0);
     let mut args = base.to_vec();
     args.extend([
@@ -479,26 +461,19 @@ fn an_editor_of_the_body_joints_alone_trains_and_edits() {
     let (editor, clip) = (workshop.path("editor"), workshop.clip());
     let out = workshop.path("edit.npz");
     let edit = |coordinator: &str| {
-        stance(&[
-            "--json",
-            "edit",
-            arg(&editor),
-            "--coordinator",
-            arg(&workshop.path(coordinator)),
-            "--motion",
-            arg(&clip),
-            "--text",
-            "The person is waving.",
-            "--out",
-            arg(&out),
-        ])
+        typed(
+            "--json edit {} --coordinator {} --motion {} --text {} --out {}",
+            &[
+                &editor,
+                &workshop.path(coordinator),
+                &clip,
+                &"The person is waving.",
+                &out,
+            ],
+        )
     };
     let refused = edit("whole").expect_code(1);
-    assert!(
-        refused.stderr.contains("other keypoints"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("other keypoints");
     let made: Value = edit("guide").expect_code(0).json();
     assert!(made["fit_error_m"].as_f64().expect("metres").is_finite());
     assert!(fs::read(&out).expect("written").starts_with(b"PK"));
@@ -508,7 +483,7 @@ fn an_editor_of_the_body_joints_alone_trains_and_edits() {
     let refused = workshop
         .train_with("motionrefit", "odd", &odd)
         .expect_code(1);
-    assert!(refused.stderr.contains("keypoints"), "{}", refused.stderr);
+    refused.expect_said("keypoints");
 }
 
 #[test]
@@ -560,7 +535,7 @@ fn a_history_goes_on_and_back() {
     assert_eq!(counts(edit(&["--redo"], "")), (3, 0));
     assert!(before == fs::read(&history).expect("a history"));
     let unknown = edit(&[], ":sing\n").expect_code(1);
-    assert!(unknown.stderr.contains(":undo"), "{}", unknown.stderr);
+    unknown.expect_said(":undo");
 }
 
 /// The tensors of a safetensors file by name.
@@ -600,19 +575,10 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     }
     let back = workshop.path("back");
     let import = |file: &Path| {
-        stance(&[
-            "model",
-            "import",
-            arg(file),
-            "--model",
-            "coordinator",
-            "--preset",
-            "tiny",
-            "--range",
-            arg(&out.join("range.json")),
-            "--out",
-            arg(&back),
-        ])
+        typed(
+            "model import {} --model coordinator --preset tiny --range {} --out {}",
+            &[&file, &out.join("range.json"), &back],
+        )
     };
     import(&out.join("coordinator.safetensors")).expect_code(0);
     let weights = |run: &Path| tensors(&run.join("checkpoint/best/coordinator.safetensors"));
@@ -620,7 +586,7 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     let broken = workshop.path("broken.pth");
     fs::write(&broken, b"PK\x03\x04 no archive").expect("writes");
     let refused = import(&broken).expect_code(1);
-    assert!(refused.stderr.contains("broken.pth"), "{}", refused.stderr);
+    refused.expect_said("broken.pth");
 }
 
 /// Losses of a run, as its metrics file has them.
@@ -702,16 +668,9 @@ fn a_device_is_tested_and_measured_without_a_dataset() {
     assert_eq!((&said["steps"], &said["windows"]), (&1.into(), &2.into()));
     assert!(said["windows_per_sec"].as_f64() > Some(0.0), "{said}");
     // Another processor backend is named by what it is.
-    let named = [
-        "device",
-        "--device",
-        "ndarray",
-        "--secs",
-        "0",
-        "--windows",
-        "1",
-    ];
-    let text = stance(&named).expect_code(0).stdout;
+    let text = typed("device --device ndarray --secs 0 --windows 1", &[])
+        .expect_code(0)
+        .stdout;
     assert!(
         text.contains("burn-ndarray") && text.contains("passed"),
         "{text}"

@@ -1,8 +1,12 @@
 //! A temporary folder and the `stance` command.
 
+use std::ffi::OsStr;
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use datasets_spec::Dataset;
+use datasets_spec::table::Row;
 use serde::de::DeserializeOwned;
 
 /// What a command printed and how it ended.
@@ -15,18 +19,41 @@ pub(crate) struct Ran {
 impl Ran {
     /// Panics with everything the command said unless it ended with `code`.
     pub(crate) fn expect_code(self, code: i32) -> Self {
-        assert_eq!(
-            self.code, code,
-            "expected exit code {code}\n-- stdout\n{}\n-- stderr\n{}",
-            self.stdout, self.stderr
-        );
+        assert_eq!(self.code, code, "expected exit code {code}: {self}");
         self
+    }
+
+    /// Panics with everything the command said unless this is on stderr.
+    pub(crate) fn expect_said(&self, text: &str) {
+        assert!(
+            self.stderr.contains(text),
+            "{text:?} is not on stderr: {self}"
+        );
+    }
+
+    /// Panics with everything the command said unless this is on stdout.
+    pub(crate) fn expect_printed(&self, text: &str) {
+        assert!(
+            self.stdout.contains(text),
+            "{text:?} is not on stdout: {self}"
+        );
     }
 
     /// Reads stdout as one JSON document.
     pub(crate) fn json<T: DeserializeOwned>(&self) -> T {
         serde_json::from_str(&self.stdout)
             .unwrap_or_else(|error| panic!("{error}\n-- stdout\n{}", self.stdout))
+    }
+}
+
+/// Everything the command said.
+impl fmt::Display for Ran {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "\n-- stdout\n{}\n-- stderr\n{}",
+            self.stdout, self.stderr
+        )
     }
 }
 
@@ -50,6 +77,18 @@ pub(crate) fn command(args: &[&str]) -> Command {
 /// Runs the command to its end.
 pub(crate) fn stance(args: &[&str]) -> Ran {
     command(args).output().expect("stance starts").into()
+}
+
+/// Runs a command as it is typed: words between spaces, each `{}` in place of the next of the values.
+pub(crate) fn typed(line: &str, values: &[&dyn AsRef<OsStr>]) -> Ran {
+    let mut values = values.iter();
+    let words = line.split_whitespace().map(|word| match word {
+        "{}" => values.next().expect("a value for each place").as_ref(),
+        word => OsStr::new(word),
+    });
+    let ran = command(&[]).args(words).output().expect("stance starts");
+    assert!(values.next().is_none(), "a place for each value: {line}");
+    ran.into()
 }
 
 /// A path as an argument.
@@ -77,6 +116,12 @@ pub(crate) fn real_data(test: &str) -> Option<PathBuf> {
         );
     }
     folder
+}
+
+/// The rows of a table of a dataset.
+pub(crate) fn rows_of<R: Row>(dataset: &Path) -> Vec<R> {
+    let dataset = Dataset::open(dataset).expect("a dataset");
+    dataset.read(None).expect("rows")
 }
 
 /// All files with an extension under a folder, sorted.

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use crate::annotate::bare_task;
 use crate::train::Workshop;
-use crate::util::{arg, stance};
+use crate::util::{arg, rows_of, stance, typed};
 
 /// Settings of a generator that is trained in a second.
 pub(crate) const SMALL: &str = "
@@ -114,11 +114,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     assert_eq!(made(&again, &[])["root_hash"], first["root_hash"]);
     let args = ["variants", arg(&out), "--out", arg(&again)];
     let refused = stance(&args).expect_code(1);
-    assert!(
-        refused.stderr.contains("another dataset"),
-        "{}",
-        refused.stderr
-    );
+    refused.expect_said("another dataset");
 
     // Variants that were made elsewhere are motions named base/variant.
     let paired = workshop.path("paired");
@@ -150,15 +146,9 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     // Nor are they once all their pairs were judged unusable and left the dataset.
     let import = |store: &str| -> Value {
         let store = workshop.path(store);
-        let args = [
-            "--json",
-            "annotate",
-            arg(&paired),
-            "--store",
-            arg(&store),
-            "import",
-        ];
-        stance(&args).expect_code(0).json()
+        typed("--json annotate {} --store {} import", &[&paired, &store])
+            .expect_code(0)
+            .json()
     };
     assert_eq!(count(&import("first.sqlite"), "new_tasks"), kept);
     let file = workshop.path("first.sqlite");
@@ -180,10 +170,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let done = store.import(None, judged.collect(), 0).expect("imports");
     assert_eq!(done.filled as u64, kept);
     stance(&["annotate", arg(&paired), "--store", arg(&file), "export"]).expect_code(0);
-    let left: Vec<PairRow> = Dataset::open(&paired)
-        .expect("a dataset")
-        .read(None)
-        .expect("pairs");
+    let left: Vec<PairRow> = rows_of(&paired);
     assert_eq!(left.len(), 0);
     let counts = &import("second.sqlite")["counts"];
     assert!(counts["new_tasks"].is_null(), "{counts}");

@@ -5,12 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, SkippedRow};
-use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
 use super::grown::{clips, masks};
-use super::util::{arg, corpus, files_with_extension, stance};
+use super::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
 
 /// Runs a command that is to succeed, and returns its document.
 fn json(args: &[&str]) -> Value {
@@ -27,10 +26,6 @@ fn opened(dataset: &Path) -> Dataset {
     Dataset::open(dataset).expect("a dataset")
 }
 
-fn rows<R: Row>(dataset: &Path) -> Vec<R> {
-    opened(dataset).read(None).expect("rows")
-}
-
 /// Accepts every automatic mask in the name of a person.
 fn judge(dataset: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset), "--add"]).expect_code(0);
@@ -38,15 +33,7 @@ fn judge(dataset: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
     let lines = fs::read_to_string(&file).expect("drafts");
     fs::write(&file, lines.replace("\"todo\"", "\"accept\"")).expect("written");
-    let accept = [
-        "masks",
-        arg(dataset),
-        "--accept",
-        arg(&file),
-        "--author",
-        "ann",
-    ];
-    stance(&accept).expect_code(0);
+    typed("masks {} --accept {} --author ann", &[&dataset, &file]).expect_code(0);
     masks(dataset)
 }
 
@@ -138,15 +125,7 @@ fn a_search_for_parquet_files_finds_current_rows_alone_whatever_was_done() {
     check("growth");
     judge(&dataset);
     check("masks of new clips");
-    stance(&[
-        "dataset",
-        "restore",
-        arg(&dataset),
-        "--to",
-        "1",
-        "--drop-labels",
-    ])
-    .expect_code(0);
+    typed("dataset restore {} --to 1 --drop-labels", &[&dataset]).expect_code(0);
     check("restore");
     days.add(2);
     ingest(&days.source, &dataset, &[]);
@@ -291,11 +270,7 @@ fn versions_are_listed_with_what_each_changed() {
         "{text}"
     );
     let missing = stance(&["dataset", "restore", arg(&dataset), "--to", "9"]).expect_code(1);
-    assert!(
-        missing.stderr.contains("no version 9; there are 1, 2, 3"),
-        "{}",
-        missing.stderr
-    );
+    missing.expect_said("no version 9; there are 1, 2, 3");
 }
 
 #[test]
@@ -378,7 +353,7 @@ fn many_growths_become_few_files_with_the_same_rows_in_the_same_order() {
     ];
     stance(&record).expect_code(0);
     let by_split = |dataset: &Path| {
-        let mut motions: Vec<MotionRow> = rows(dataset);
+        let mut motions: Vec<MotionRow> = rows_of(dataset);
         motions.sort_by_key(|row| row.split);
         motions
     };
@@ -445,7 +420,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     ingest(&days.source, &dataset, &[]);
     stance(&["pairs", arg(&dataset)]).expect_code(0);
     let judged = judge(&dataset);
-    let pairs: Vec<PairRow> = rows(&dataset);
+    let pairs: Vec<PairRow> = rows_of(&dataset);
     let part = days.dir.path().join("part");
     let select = |condition: &str, out: &Path| {
         let args = [
@@ -479,7 +454,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     let whole =
         |pair: &&PairRow| belongs(pair.source_id.as_str()) && belongs(pair.target_id.as_str());
     assert_eq!(
-        rows::<PairRow>(&part).len(),
+        rows_of::<PairRow>(&part).len(),
         pairs.iter().filter(whole).count()
     );
     only_current_rows_are_found(&part, "select");
@@ -488,7 +463,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     assert!(manifest.accounting.balances());
     assert_eq!(
         manifest.accounting.skipped,
-        rows::<SkippedRow>(&part).len() as u64
+        rows_of::<SkippedRow>(&part).len() as u64
     );
     let origin = &manifest.facts["selected"];
     assert!(
@@ -510,14 +485,10 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
         assert!(parted.contains(&Value::from(pair.id.as_str())), "{done}");
     }
     let none = select("n_frames > 1000000", &days.dir.path().join("none")).expect_code(1);
-    assert!(none.stderr.contains("no clip of"), "{}", none.stderr);
+    none.expect_said("no clip of");
     assert!(!days.dir.path().join("none").exists());
     let taken = select("n_frames > 1", &part).expect_code(1);
-    assert!(
-        taken.stderr.contains("is a dataset already"),
-        "{}",
-        taken.stderr
-    );
+    taken.expect_said("is a dataset already");
 }
 
 #[test]
@@ -583,15 +554,12 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     fs::write(&list, "nobody\n").expect("written");
     let unknown = stance(&remove).expect_code(1).stderr;
     assert!(unknown.contains("nobody"), "{unknown}");
-    let all = [
-        "dataset",
-        "remove",
-        arg(&dataset),
-        "--where",
-        "n_frames > 0",
-        "--drop-labels",
-    ];
-    let refused = stance(&all).expect_code(1).stderr;
+    let refused = typed(
+        "dataset remove {} --where {} --drop-labels",
+        &[&dataset, &"n_frames > 0"],
+    )
+    .expect_code(1)
+    .stderr;
     assert!(refused.contains("every clip"), "{refused}");
     stance(&["dataset", "remove", arg(&dataset)]).expect_code(2);
 }
@@ -611,7 +579,7 @@ fn datasets_of_two_rates_cannot_be_merged_and_a_mixture_does_not_pass() {
     );
     assert!(!out.exists());
     // A dataset that an earlier build merged of two rates.
-    let others: Vec<MotionRow> = rows(&b);
+    let others: Vec<MotionRow> = rows_of(&b);
     rewrite(&a, |row| {
         if let Some(other) = others.first().filter(|other| other.id == row.id) {
             let split = row.split;
@@ -668,7 +636,7 @@ fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
     let out = days.dir.path().join("both");
     let merged = json(&["dataset", "merge", arg(&a), arg(&b), "--out", arg(&out)]);
     let mut by_file: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
-    for row in rows::<MotionRow>(&out) {
+    for row in rows_of::<MotionRow>(&out) {
         by_file
             .entry(row.source_hash)
             .or_default()

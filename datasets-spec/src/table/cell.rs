@@ -88,7 +88,9 @@ impl Cell for String {
     }
 
     fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
-        Ok(Arc::new(texts(values)?))
+        let values: Vec<&Self> = values.collect();
+        check_text_length(&values)?;
+        Ok(Arc::new(StringArray::from_iter_values(values)))
     }
 
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
@@ -162,13 +164,6 @@ fn parse_each<T>(
 
 fn item(data_type: DataType) -> Arc<Field> {
     Arc::new(Field::new("item", data_type, false))
-}
-
-/// A column of texts.
-fn texts<T: AsRef<str>>(values: impl IntoIterator<Item = T>) -> Result<StringArray, String> {
-    let values: Vec<T> = values.into_iter().collect();
-    check_text_length(&values)?;
-    Ok(StringArray::from_iter_values(values))
 }
 
 /// Arrow's offsets of texts are 32 bits wide too.
@@ -265,177 +260,98 @@ impl<const D: usize> Cell for Vec<[f32; D]> {
     }
 }
 
-impl Cell for Vec<String> {
-    fn data_type() -> DataType {
-        DataType::List(item(DataType::Utf8))
-    }
+/// A list of cells.
+macro_rules! list_cell {
+    ($ty:ty) => {
+        impl Cell for Vec<$ty> {
+            fn data_type() -> DataType {
+                DataType::List(item(<$ty as Cell>::data_type()))
+            }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
-        let mut lengths = Vec::new();
-        let mut flat: Vec<&str> = Vec::new();
-        for row in values {
-            lengths.push(row.len());
-            flat.extend(row.iter().map(String::as_str));
+            fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
+                let rows: Vec<&Self> = values.collect();
+                let lengths: Vec<usize> = rows.iter().map(|row| row.len()).collect();
+                Ok(Arc::new(ListArray::new(
+                    item(<$ty as Cell>::data_type()),
+                    offsets(&lengths)?,
+                    <$ty as Cell>::encode(&mut rows.into_iter().flatten())?,
+                    None,
+                )))
+            }
+
+            fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+                let list = array.as_list::<i32>();
+                // The values of a sliced list are those of the whole one.
+                let (first, end) = (list.offsets()[0], list.offsets()[list.len()]);
+                let items = list.values().slice(first as usize, (end - first) as usize);
+                let mut items = <$ty as Cell>::decode(items.as_ref())?.into_iter();
+                decode_lists(list, |start, end| {
+                    Ok(items.by_ref().take(end - start).collect())
+                })
+            }
         }
-        Ok(Arc::new(ListArray::new(
-            item(DataType::Utf8),
-            offsets(&lengths)?,
-            Arc::new(texts(flat)?),
-            None,
-        )))
-    }
-
-    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
-        let list = array.as_list::<i32>();
-        let texts = list.values().as_string::<i32>();
-        decode_lists(list, |start, end| {
-            Ok((start..end).map(|i| texts.value(i).to_owned()).collect())
-        })
-    }
+    };
 }
 
-/// Builds a list-of-struct column from the lengths of its rows and its fields.
-fn struct_lists(
-    lengths: &[usize],
-    fields: Fields,
-    columns: Vec<ArrayRef>,
-) -> Result<ArrayRef, String> {
-    let items = StructArray::new(fields, columns, None);
-    Ok(Arc::new(ListArray::new(
-        item(items.data_type().clone()),
-        offsets(lengths)?,
-        Arc::new(items),
-        None,
-    )))
+list_cell!(String);
+list_cell!(Caption);
+list_cell!(PartCaption);
+
+/// A struct whose fields are cells of the same names.
+macro_rules! struct_cell {
+    ($ty:ty { $($field:ident: $cell:ty),+ }) => {
+        impl Cell for $ty {
+            fn data_type() -> DataType {
+                let fields = vec![$(field::<$cell>(stringify!($field))),+];
+                DataType::Struct(Fields::from(fields))
+            }
+
+            fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
+                let all: Vec<&Self> = values.collect();
+                Ok(Arc::new(StructArray::from(vec![$((
+                    field::<$cell>(stringify!($field)),
+                    <$cell as Cell>::encode(&mut all.iter().map(|value| &value.$field))?,
+                )),+])))
+            }
+
+            fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+                let items = array.as_struct();
+                $(let mut $field = decode_field::<$cell>(items, stringify!($field))?;)+
+                Ok((0..items.len())
+                    .map_while(|_| Some(Self { $($field: $field.next()?),+ }))
+                    .collect())
+            }
+        }
+    };
 }
 
-fn caption_fields() -> Fields {
-    Fields::from(vec![
-        Field::new("text", DataType::Utf8, false),
-        Field::new("tokens", DataType::Utf8, false),
-        Field::new("from_s", DataType::Float32, false),
-        Field::new("to_s", DataType::Float32, false),
-    ])
+struct_cell!(Caption {
+    text: String,
+    tokens: String,
+    from_s: f32,
+    to_s: f32
+});
+struct_cell!(PartCaption {
+    part: String,
+    text: String
+});
+struct_cell!(Quality {
+    flags: u32,
+    max_speed: f32,
+    foot_skate: f32
+});
+
+fn field<T: Cell>(name: &str) -> Arc<Field> {
+    Arc::new(Field::new(name, T::data_type(), T::NULLABLE))
 }
 
-impl Cell for Vec<Caption> {
-    fn data_type() -> DataType {
-        DataType::List(item(DataType::Struct(caption_fields())))
-    }
-
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
-        let rows: Vec<&Self> = values.collect();
-        let lengths: Vec<usize> = rows.iter().map(|row| row.len()).collect();
-        let all: Vec<&Caption> = rows.into_iter().flatten().collect();
-        let columns: Vec<ArrayRef> = vec![
-            Arc::new(texts(all.iter().map(|c| &c.text))?),
-            Arc::new(texts(all.iter().map(|c| &c.tokens))?),
-            Arc::new(Float32Array::from_iter_values(all.iter().map(|c| c.from_s))),
-            Arc::new(Float32Array::from_iter_values(all.iter().map(|c| c.to_s))),
-        ];
-        struct_lists(&lengths, caption_fields(), columns)
-    }
-
-    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
-        let list = array.as_list::<i32>();
-        let items = list.values().as_struct();
-        let text = items.column(0).as_string::<i32>();
-        let tokens = items.column(1).as_string::<i32>();
-        let from_s = items.column(2).as_primitive::<Float32Type>();
-        let to_s = items.column(3).as_primitive::<Float32Type>();
-        decode_lists(list, |start, end| {
-            Ok((start..end)
-                .map(|i| Caption {
-                    text: text.value(i).to_owned(),
-                    tokens: tokens.value(i).to_owned(),
-                    from_s: from_s.value(i),
-                    to_s: to_s.value(i),
-                })
-                .collect())
-        })
-    }
-}
-
-fn part_caption_fields() -> Fields {
-    Fields::from(vec![
-        Field::new("part", DataType::Utf8, false),
-        Field::new("text", DataType::Utf8, false),
-    ])
-}
-
-impl Cell for Vec<PartCaption> {
-    fn data_type() -> DataType {
-        DataType::List(item(DataType::Struct(part_caption_fields())))
-    }
-
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
-        let rows: Vec<&Self> = values.collect();
-        let lengths: Vec<usize> = rows.iter().map(|row| row.len()).collect();
-        let all: Vec<&PartCaption> = rows.into_iter().flatten().collect();
-        let columns: Vec<ArrayRef> = vec![
-            Arc::new(texts(all.iter().map(|c| &c.part))?),
-            Arc::new(texts(all.iter().map(|c| &c.text))?),
-        ];
-        struct_lists(&lengths, part_caption_fields(), columns)
-    }
-
-    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
-        let list = array.as_list::<i32>();
-        let items = list.values().as_struct();
-        let part = items.column(0).as_string::<i32>();
-        let text = items.column(1).as_string::<i32>();
-        decode_lists(list, |start, end| {
-            Ok((start..end)
-                .map(|i| PartCaption {
-                    part: part.value(i).to_owned(),
-                    text: text.value(i).to_owned(),
-                })
-                .collect())
-        })
-    }
-}
-
-fn quality_fields() -> Fields {
-    Fields::from(vec![
-        Field::new("flags", DataType::UInt32, false),
-        Field::new("max_speed", DataType::Float32, false),
-        Field::new("foot_skate", DataType::Float32, false),
-    ])
-}
-
-impl Cell for Quality {
-    fn data_type() -> DataType {
-        DataType::Struct(quality_fields())
-    }
-
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
-        let all: Vec<&Self> = values.collect();
-        let columns: Vec<ArrayRef> = vec![
-            Arc::new(PrimitiveArray::<UInt32Type>::from_iter_values(
-                all.iter().map(|q| q.flags),
-            )),
-            Arc::new(Float32Array::from_iter_values(
-                all.iter().map(|q| q.max_speed),
-            )),
-            Arc::new(Float32Array::from_iter_values(
-                all.iter().map(|q| q.foot_skate),
-            )),
-        ];
-        Ok(Arc::new(StructArray::new(quality_fields(), columns, None)))
-    }
-
-    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
-        let items = array.as_struct();
-        let flags = items.column(0).as_primitive::<UInt32Type>();
-        let max_speed = items.column(1).as_primitive::<Float32Type>();
-        let foot_skate = items.column(2).as_primitive::<Float32Type>();
-        Ok((0..items.len())
-            .map(|i| Self {
-                flags: flags.value(i),
-                max_speed: max_speed.value(i),
-                foot_skate: foot_skate.value(i),
-            })
-            .collect())
+fn decode_field<T: Cell>(
+    items: &StructArray,
+    name: &str,
+) -> Result<std::vec::IntoIter<T>, (usize, String)> {
+    match items.column_by_name(name) {
+        Some(column) => Ok(T::decode(column.as_ref())?.into_iter()),
+        None => Err((0, format!("has no field `{name}`"))),
     }
 }
 

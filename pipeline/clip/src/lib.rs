@@ -294,6 +294,9 @@ fn parts_of(names: &[String]) -> Vec<BodyPart> {
     names.iter().filter_map(|name| name.parse().ok()).collect()
 }
 
+/// What reading a motion gives: a clip, or why there is none.
+pub type ReadClip = Result<SourceClip, Rejected>;
+
 /// Outcome of a source item.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
@@ -308,8 +311,8 @@ pub enum Outcome {
     Rejected(Rejected),
 }
 
-impl From<Result<SourceClip, Rejected>> for Outcome {
-    fn from(read: Result<SourceClip, Rejected>) -> Self {
+impl From<ReadClip> for Outcome {
+    fn from(read: ReadClip) -> Self {
         match read {
             Ok(clip) => Self::Clip(Box::new(clip)),
             Err(rejected) => Self::Rejected(rejected),
@@ -328,6 +331,14 @@ pub struct Rejected {
     pub byte_offset: Option<u64>,
     /// What was being done: [`Rejected::READ`], [`Rejected::RETARGET`] or [`Rejected::CHECK`].
     pub stage: &'static str,
+}
+
+/// A [`Rejected`] for something found while reading a file: its code, and its reason in the words of `format!`.
+#[macro_export]
+macro_rules! rejected {
+    ($code:expr, $($reason:tt)+) => {
+        $crate::Rejected::read($code, format!($($reason)+))
+    };
 }
 
 impl Rejected {

@@ -15,7 +15,7 @@ use parquet::arrow::arrow_reader::{
     ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder,
 };
 
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// Limit on the nesting of lists: frames of joints of axes nest three deep.
 pub const MAX_DEPTH: usize = 4;
@@ -46,9 +46,9 @@ pub fn read<T>(
 }
 
 fn broken(len: usize, error: &dyn std::fmt::Display) -> Rejected {
-    Rejected::read(
+    rejected!(
         "E-TABLE-FORMAT",
-        format!("found no Parquet file that can be read in {len} bytes ({error})"),
+        "found no Parquet file that can be read in {len} bytes ({error})"
     )
 }
 
@@ -90,12 +90,10 @@ impl ForeignTable {
             }
         }
         if unpacked > max_unpacked {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-TABLE-LIMIT",
-                format!(
-                    "its columns unpack from {len} to {unpacked} bytes, expected at most \
+                "its columns unpack from {len} to {unpacked} bytes, expected at most \
                      {max_unpacked}; write several files"
-                ),
             ));
         }
         let schema = self.metadata.parquet_schema();

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use clip::Rejected;
+use clip::{Rejected, rejected};
 use datasets_spec::{Fps, Skeleton};
 use formats::source::smpl::column;
 use formats::source::{amass, humanml3d};
@@ -98,12 +98,10 @@ fn npz(bytes: &[u8], options: &AnswerOptions) -> Result<Recorded, Rejected> {
         let array = archive.numbers(key)?;
         let found = array.shape.get(1..).unwrap_or_default();
         if found.is_empty() || found.iter().product::<usize>() != width {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-SMPL-SHAPE",
-                format!(
-                    "found {key} of shape {:?}, expected frames by {width} numbers",
-                    array.shape
-                ),
+                "found {key} of shape {:?}, expected frames by {width} numbers",
+                array.shape
             ));
         }
         Ok(array.values)
@@ -206,13 +204,11 @@ fn of_value(value: &Value) -> Result<Recorded, Rejected> {
             ..recorded
         });
     } else {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-ANSWER-KEYS",
-            format!(
-                "found {}, expected one with pose, with rots and trans, or with transl, \
+            "found {}, expected one with pose, with rots and trans, or with transl, \
                  global_orient and body_pose",
-                value.describe()
-            ),
+            value.describe()
         ));
     };
     Ok(Recorded {

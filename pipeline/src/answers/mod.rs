@@ -12,7 +12,7 @@ mod table;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use clip::Rejected;
+use clip::{Rejected, rejected};
 use datasets_spec::dataset::Commit;
 use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
@@ -244,7 +244,7 @@ impl Reader<'_> {
         let bytes = match ByPath.read(path) {
             Ok(bytes) => bytes,
             Err(error) => {
-                let rejected = Rejected::read("E-IO", format!("cannot be read: {error}"));
+                let rejected = rejected!("E-IO", "cannot be read: {error}");
                 return whole_file(rejected, String::new());
             }
         };

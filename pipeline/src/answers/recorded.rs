@@ -1,6 +1,6 @@
 //! A motion of a foreign file, and its conversion to the frame of an item.
 
-use clip::{MAX_FPS, MIN_FPS, Rejected};
+use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 use datasets_spec::record::ItemRow;
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use features::floor;
@@ -46,15 +46,13 @@ impl Recorded {
         body: &[[f64; BODY_POSE_WIDTH]],
     ) -> Result<Self, Rejected> {
         if transl.len() != root.len() || root.len() != body.len() {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-SMPL-SHAPE",
-                format!(
-                    "found {} translations, {} root orientations and {} body poses, expected as \
+                "found {} translations, {} root orientations and {} body poses, expected as \
                      many of each",
-                    transl.len(),
-                    root.len(),
-                    body.len()
-                ),
+                transl.len(),
+                root.len(),
+                body.len()
             ));
         }
         let vectors = root.iter().zip(body).map(|(root, body)| {
@@ -103,9 +101,10 @@ impl Recorded {
         let fps = self.rate(options)?;
         let target = Fps::new(item.fps.into()).map_err(|error| bad(&error))?;
         if self.transl.len() < 2 {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-TOO-SHORT",
-                format!("found {} frames, expected at least 2", self.transl.len()),
+                "found {} frames, expected at least 2",
+                self.transl.len()
             ));
         }
         let narrow = |frame: &[f64; 3]| frame.map(|value| value as f32);
@@ -176,10 +175,7 @@ impl Recorded {
             )
         })?;
         let wrong = |reason: &dyn std::fmt::Display| {
-            Rejected::read(
-                "E-ANSWER-FPS",
-                format!("found a rate of {stated}: {reason}"),
-            )
+            rejected!("E-ANSWER-FPS", "found a rate of {stated}: {reason}")
         };
         if !(MIN_FPS..=MAX_FPS).contains(&stated) {
             return Err(wrong(&format!("expected one of {MIN_FPS} to {MAX_FPS}")));

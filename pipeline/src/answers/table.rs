@@ -7,7 +7,7 @@ use arrow_array::cast::AsArray;
 use arrow_array::types::{Int64Type, UInt64Type};
 use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::DataType;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 use formats::foreign_table::{self, ForeignTable, MAX_DEPTH, is_list, list, numbers, text};
 use kinematics::motion::BODY_POSE_WIDTH;
 
@@ -47,14 +47,12 @@ fn decode(table: &ForeignTable) -> Result<Vec<TableAnswer>, Rejected> {
     let id_column = ID_COLUMNS.into_iter().find(|name| names.contains(name));
     let missing = MOTION_COLUMNS.iter().any(|name| !names.contains(name));
     let (Some(id_column), false) = (id_column, missing) else {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-TABLE-COLUMNS",
-            format!(
-                "found columns {}, expected {} and {}",
-                names.join(", "),
-                ID_COLUMNS.join(" or "),
-                MOTION_COLUMNS.join(", ")
-            ),
+            "found columns {}, expected {} and {}",
+            names.join(", "),
+            ID_COLUMNS.join(" or "),
+            MOTION_COLUMNS.join(", ")
         ));
     };
     let wanted = MOTION_COLUMNS
@@ -75,9 +73,9 @@ fn answer(batch: &RecordBatch, row: usize, id_column: &str) -> Result<TableAnswe
     let column = |name: &str| batch.column_by_name(name);
     let id = column(id_column).map(|values| text(values, row));
     let id = id.unwrap_or(Ok(None)).map_err(|found| {
-        Rejected::read(
+        rejected!(
             "E-TABLE-COLUMNS",
-            format!("column {id_column} holds {found}, expected text"),
+            "column {id_column} holds {found}, expected text"
         )
     })?;
     let one = |name: &str| -> Result<Option<f64>, Rejected> {
@@ -131,7 +129,7 @@ fn whole(values: &ArrayRef, row: usize) -> Option<u64> {
 }
 
 fn bad_column(name: &str, row: usize, problem: &str) -> Rejected {
-    Rejected::read("E-TABLE-VALUE", format!("row {row}, {name}: {problem}"))
+    rejected!("E-TABLE-VALUE", "row {row}, {name}: {problem}")
 }
 
 /// The frames of `D` numbers that a row has: nested lists of them, or all numbers in one list.
@@ -149,9 +147,9 @@ fn frames<const D: usize>(
     }
     let Some((list, range)) = list(values, row) else {
         let found = values.data_type();
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-TABLE-COLUMNS",
-            format!("column {name} holds {found}, expected a list of frames"),
+            "column {name} holds {found}, expected a list of frames"
         ));
     };
     let mut found = Vec::new();

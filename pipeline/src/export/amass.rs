@@ -15,7 +15,6 @@ pub(super) fn file_stem(id: &str, taken: &mut BTreeSet<String>) -> String {
 #[cfg(test)]
 mod tests {
     use std::fs;
-    use std::path::{Path, PathBuf};
 
     use datasets_spec::record::MotionRow;
     use datasets_spec::{Dataset, Motion, NoProgress, Skeleton};
@@ -24,21 +23,8 @@ mod tests {
     use testkit::walk;
 
     use crate::clips::Clips;
+    use crate::export::humanml3d::tests::ingested;
     use crate::export::{Layout, export};
-    use crate::ingest::{IngestOptions, ingest};
-
-    fn ingested(source: &Path, out: &Path) -> Dataset {
-        let sources = [PathBuf::from(source)];
-        ingest(
-            &sources,
-            out,
-            &IngestOptions::default(),
-            "test",
-            &NoProgress,
-        )
-        .expect("plain files")
-        .dataset
-    }
 
     fn rotation(axis_angle: [f32; 3]) -> DQuat {
         from_axis_angle(DVec3::from_array(axis_angle.map(f64::from)))

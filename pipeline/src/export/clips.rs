@@ -1,7 +1,6 @@
 //! Exports with one file per clip.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::Path;
 
 use datasets_spec::record::MotionRow;
@@ -11,6 +10,7 @@ use rayon::prelude::*;
 
 use super::amass::file_stem;
 use super::by_clip::{ByClip, Note};
+use super::document::file;
 use super::humanml3d::ids;
 use super::paths::{safe_stem, unique};
 use crate::Error;
@@ -86,14 +86,10 @@ impl ByClip for Files {
     ) -> Result<Vec<Note>, Error> {
         let written = rows.into_par_iter().map(|row| {
             let stem = self.stems.get(row.id.as_str()).cloned().unwrap_or_default();
-            let path = folder.join(format!("{stem}.{}", self.extension));
-            if let Some(parent) = path.parent() {
-                fs::create_dir_all(parent)
-                    .map_err(datasets_spec::Error::io("create folder", parent))?;
-            }
+            let name = format!("{stem}.{}", self.extension);
             let bytes = (self.encode)(&row, &self.skeleton)?
-                .map_err(datasets_spec::Error::io("encode", &path))?;
-            fs::write(&path, bytes).map_err(datasets_spec::Error::io("write", &path))?;
+                .map_err(datasets_spec::Error::io("encode", folder.join(&name)))?;
+            file(folder, &name, &bytes)?;
             write_sidecar(folder, &stem, row)?;
             progress.advance(1);
             Ok(None)
@@ -108,7 +104,6 @@ impl ByClip for Files {
 
 /// Writes what is said of a clip beside its file.
 fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error> {
-    let path = folder.join(format!("{stem}{}", Sidecar::SUFFIX));
     let captions = row.captions_by_origin();
     let said = Sidecar {
         captions: captions
@@ -125,5 +120,5 @@ fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error>
         license: row.license,
     };
     let text = serde_json::to_vec_pretty(&said).unwrap_or_default();
-    Ok(fs::write(&path, text).map_err(datasets_spec::Error::io("write", &path))?)
+    file(folder, &format!("{stem}{}", Sidecar::SUFFIX), &text)
 }

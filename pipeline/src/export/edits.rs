@@ -1,7 +1,6 @@
 //! Edits of systems and their items, with one file each.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::Path;
 
 use datasets_spec::record::{EditRow, ItemRow};
@@ -9,7 +8,7 @@ use datasets_spec::{Dataset, Motion, Progress, Skeleton};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::document::write_json;
+use super::document::{file, write_json};
 use super::paths::{safe_path, unique};
 use super::{Layout, amass, item_stem};
 use crate::Error;
@@ -99,22 +98,22 @@ pub fn export_edits(
     progress.begin("export", Some(named.len() as u64));
     let said: Vec<Said<'_>> = named
         .into_par_iter()
-        .map(|(file, mut clip)| {
-            let path = folder.path().join(&file);
+        .map(|(name, mut clip)| {
             if layout == Layout::Amass {
                 clip.motion = formats::write::amass::at_rate_of_recordings(&clip.motion)?;
                 clip.said.fps = clip.motion.fps().get() as f32;
                 clip.said.frames = clip.motion.len();
             }
-            if let Some(parent) = path.parent() {
-                fs::create_dir_all(parent)
-                    .map_err(datasets_spec::Error::io("create folder", parent))?;
-            }
-            let bytes = encode(&clip.motion, &skeleton)
-                .map_err(datasets_spec::Error::io("encode", &path))?;
-            fs::write(&path, bytes).map_err(datasets_spec::Error::io("write", &path))?;
+            let bytes = encode(&clip.motion, &skeleton).map_err(datasets_spec::Error::io(
+                "encode",
+                folder.path().join(&name),
+            ))?;
+            file(folder.path(), &name, &bytes)?;
             progress.advance(1);
-            Ok(Said { file, ..clip.said })
+            Ok(Said {
+                file: name,
+                ..clip.said
+            })
         })
         .collect::<Result<_, Error>>()?;
     write_json(folder.path(), LIST, &said)?;

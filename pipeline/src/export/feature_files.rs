@@ -41,12 +41,3 @@ pub(super) fn read_features<const WIDTH: usize>(path: &Path) -> Result<Vec<[f32;
         .map(|frame| frame.map(|value| value as f32))
         .collect())
 }
-
-/// Writes a file of the folder `root`, and the folders above it.
-pub(super) fn file(root: &Path, name: &str, bytes: &[u8]) -> Result<(), Error> {
-    let path = root.join(name);
-    if let Some(parent) = path.parent() {
-        fs::create_dir_all(parent).map_err(datasets_spec::Error::io("create folder", parent))?;
-    }
-    Ok(fs::write(&path, bytes).map_err(datasets_spec::Error::io("write", &path))?)
-}

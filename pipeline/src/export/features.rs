@@ -12,7 +12,8 @@ use pickle::npy;
 use rayon::prelude::*;
 
 use super::by_clip::{ByClip, Note};
-use super::feature_files::{Lines, file, read_features};
+use super::document::file;
+use super::feature_files::{Lines, read_features};
 use super::humanml3d::{caption_line, ids, names};
 use super::paths::{safe_stem, unique};
 use crate::Error;

@@ -6,17 +6,19 @@ use std::path::Path;
 
 use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
 use datasets_spec::table::{Caption, Row, ShardReader};
-use datasets_spec::{Dataset, Fps, Progress, Resample, Skeleton, Split};
-use features::humanml3d::{Features, RECIPE, features_of_joints, joints_of_motion, recover_joints};
+use datasets_spec::{Dataset, Fps, Progress, Skeleton, Split};
+use features::humanml3d::{Features, RECIPE, recover_joints};
 use features::{Statistics, smpl_body};
 use formats::source::humanml3d::is_id;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use rayon::prelude::*;
 
 use super::by_clip::{ByClip, Note};
-use super::feature_files::{Lines, file, read_features};
+use super::document::file;
+use super::feature_files::{Lines, read_features};
 use crate::Error;
 use crate::clips::Clips;
+use crate::reference::features_of;
 use pickle::npy;
 
 /// A HumanML3D folder.
@@ -148,16 +150,6 @@ impl ByClip for HumanMl3dFolder {
     }
 }
 
-/// The features of a clip, or why it has none.
-fn features_of(row: &MotionRow, skeleton: &Skeleton) -> Result<Vec<Features>, String> {
-    let text = |error: &dyn std::fmt::Display| error.to_string();
-    let motion = row.motion().map_err(|error| text(&error))?;
-    let motion = Resample::Exact
-        .apply(&motion, Fps::STORE)
-        .map_err(|error| text(&error))?;
-    features_of_joints(&joints_of_motion(&motion, skeleton)).map_err(|error| text(&error))
-}
-
 /// The features that the dataset holds beside its motions.
 struct Stored {
     shards: Vec<ShardReader>,
@@ -268,10 +260,12 @@ fn words(text: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::path::PathBuf;
 
-    use features::humanml3d::{UNIFORM_BONES, process_joints};
+    use features::humanml3d::{
+        UNIFORM_BONES, features_of_joints, joints_of_motion, process_joints,
+    };
     use glam::DVec3;
     use testkit::walk;
 
@@ -281,7 +275,7 @@ mod tests {
     use datasets_spec::{Dataset, Motion, NoProgress};
     use pickle::npy::read_numbers;
 
-    fn ingested(source: &Path, out: &Path) -> Dataset {
+    pub(crate) fn ingested(source: &Path, out: &Path) -> Dataset {
         let sources = [PathBuf::from(source)];
         ingest(
             &sources,

@@ -8,7 +8,7 @@ use datasets_spec::{Motion, Progress, Skeleton};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::document::write_json;
+use super::document::{file, write_json};
 use crate::Error;
 use work::NewFolder;
 
@@ -84,13 +84,14 @@ pub fn export_items(
         .par_iter()
         .map(|item| {
             let put = |side: &str, motion: &Motion| -> Result<File, Error> {
-                let file = format!("{side}/{}.npz", item_stem(&item.id));
-                let path = folder.path().join(&file);
-                let bytes = formats::write::amass::encode_with_keypoints(motion, skeleton)
-                    .map_err(datasets_spec::Error::io("encode", &path))?;
-                fs::write(&path, bytes).map_err(datasets_spec::Error::io("write", &path))?;
+                let name = format!("{side}/{}.npz", item_stem(&item.id));
+                let bytes =
+                    formats::write::amass::encode_with_keypoints(motion, skeleton).map_err(
+                        datasets_spec::Error::io("encode", folder.path().join(&name)),
+                    )?;
+                file(folder.path(), &name, &bytes)?;
                 let frames = motion.len();
-                Ok(File { file, frames })
+                Ok(File { file: name, frames })
             };
             let source = put(SOURCES, &item.source()?)?;
             let target = match with_targets && item.target_frames > 0 {

@@ -31,6 +31,7 @@ use serde_json::json;
 
 use self::statistics::{STATE_WIDTH, Statistics};
 use super::Exported;
+use super::document::write_json;
 use crate::Error;
 use crate::clips::Clips;
 
@@ -234,9 +235,13 @@ impl<'a> Writer<'a> {
         ];
         let path = self.folder.join("meta/tasks.parquet");
         write_parquet(&path, tasks, tasks_index())?;
-        self.write_json("meta/info.json", &self.info(splits))?;
+        write_json(self.folder, "meta/info.json", &self.info(splits))?;
         let statistics = self.statistics.as_ref().map(Statistics::json);
-        self.write_json("meta/stats.json", &statistics.unwrap_or_default())
+        write_json(
+            self.folder,
+            "meta/stats.json",
+            &statistics.unwrap_or_default(),
+        )
     }
 
     fn info(&self, splits: &BTreeMap<&str, String>) -> serde_json::Value {
@@ -268,12 +273,6 @@ impl<'a> Writer<'a> {
                 "task_index": scalar("int64"),
             },
         })
-    }
-
-    fn write_json(&self, name: &str, value: &serde_json::Value) -> Result<(), Error> {
-        let path = self.folder.join(name);
-        let text = format!("{value:#}\n");
-        Ok(fs::write(&path, text).map_err(datasets_spec::Error::io("write", &path))?)
     }
 }
 

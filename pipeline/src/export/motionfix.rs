@@ -7,7 +7,7 @@
 //! `ids.csv` says what each key is.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ use formats::write::motionfix::Parameters;
 use pickle::{DictWriter, Value};
 use rayon::prelude::*;
 
-use super::document::write_json;
+use super::document::{file, write_json};
 use super::left_out::{Exported, PAIRS, put};
 use crate::Error;
 use crate::clips::Clips;
@@ -424,9 +424,8 @@ impl<'a> Writer<'a> {
         }
         let count = self.splits.values().map(Vec::len).sum::<usize>();
         write_json(&self.folder, "splits.json", &self.splits)?;
-        let path = self.folder.join("ids.csv");
         let lines = self.ids.into_inner().unwrap_or_default();
-        fs::write(&path, lines).map_err(datasets_spec::Error::io("write", &path))?;
+        file(&self.folder, "ids.csv", &lines)?;
         Ok(count as u64)
     }
 }

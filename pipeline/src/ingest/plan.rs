@@ -6,7 +6,7 @@ use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use clip::Rejected;
+use clip::{Rejected, rejected};
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
 use datasets_spec::{MotionId, Progress, Split};
@@ -258,7 +258,7 @@ impl Plan {
         };
         let rejected = Rejected {
             byte_offset: source.damaged_at,
-            ..Rejected::read(code, format!("cannot read the file: {reason}"))
+            ..rejected!(code, "cannot read the file: {reason}")
         };
         Some(self.rejected_row(file, "", rejected))
     }
@@ -610,9 +610,9 @@ const MAX_FILE_LEN: u64 = 4 << 30;
 pub(super) fn bounded_length(files: &Files, relative: &str) -> Result<usize, Rejected> {
     let length = files.size(relative)?;
     if length > MAX_FILE_LEN {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-TOO-LARGE",
-            format!("found {length} bytes, expected at most {MAX_FILE_LEN} in one motion file"),
+            "found {length} bytes, expected at most {MAX_FILE_LEN} in one motion file"
         ));
     }
     Ok(usize::try_from(length).unwrap_or(usize::MAX))

@@ -6,7 +6,6 @@
 
 mod choose;
 mod compact;
-mod counts;
 mod labels;
 mod remove;
 mod restore;
@@ -22,7 +21,6 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use serde::Serialize;
 
-use self::counts::rows_of;
 use crate::Error;
 
 pub use self::choose::{Choice, taken_out};
@@ -91,7 +89,7 @@ impl Version {
             version: manifest.version,
             current: manifest.version == newest,
             clips: manifest.rows(MotionRow::TABLE, None),
-            tables: rows_of(manifest),
+            tables: manifest.row_counts(),
             files: files.clone().count() as u64,
             bytes: files.map(|file| file.bytes).sum(),
             changed: changed.collect(),

@@ -12,7 +12,6 @@ use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
 
 use super::choose::{Choice, REMOVED, accounting, left_out};
-use super::counts::rows_of;
 use super::labels::{Labels, check_lost, is_mask_of_people, is_pair_of_people, lost};
 use super::select::{composed, json};
 use crate::Error;
@@ -95,7 +94,7 @@ pub fn remove_in(
         dropped,
         left_tables: composed(&dataset),
         dry_run: options.dry_run,
-        tables: rows_of(manifest),
+        tables: manifest.row_counts(),
         root_hash: manifest.root_hash.clone(),
     };
     if options.dry_run {
@@ -138,7 +137,7 @@ pub fn remove_in(
         fresh: true,
         ..Commit::default()
     })?;
-    report.tables = rows_of(done.manifest());
+    report.tables = done.manifest().row_counts();
     report.root_hash.clone_from(&done.manifest().root_hash);
     Ok(report)
 }

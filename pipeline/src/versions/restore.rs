@@ -9,7 +9,6 @@ use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
 
-use super::counts::rows_of;
 use super::labels::{KeptLabel, Labels, check_lost, is_mask_of_people, is_pair_of_people, lost};
 use crate::Error;
 use crate::ingest::LostLabel;
@@ -121,7 +120,7 @@ pub fn restore_in(
         version: manifest.version,
         is_current,
         clips: manifest.rows(MotionRow::TABLE, None),
-        tables: rows_of(manifest),
+        tables: manifest.row_counts(),
         kept,
         lost,
         left_tables,

@@ -15,7 +15,6 @@ use serde::{Deserialize, Serialize};
 use tables::Condition;
 
 use super::choose::{Choice, NOT_SELECTED, accounting, left_out};
-use super::counts::rows_of;
 use super::labels::Labels;
 use super::rows::ClipIndex;
 use crate::Error;
@@ -118,7 +117,7 @@ pub fn select(
     report.clips = done.manifest().rows(MotionRow::TABLE, None);
     report.left = num_left;
     report.left_captures = captures;
-    report.tables = rows_of(done.manifest());
+    report.tables = done.manifest().row_counts();
     report.left_tables = left_tables;
     report.root_hash.clone_from(&done.manifest().root_hash);
     Ok(report)

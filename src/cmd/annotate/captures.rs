@@ -9,7 +9,7 @@ use anyhow::{Context, bail};
 use formats::csv_lines;
 use serde_json::json;
 
-use super::shared::{now, say};
+use super::shared::now;
 use super::sheet::{notes, write_sheet};
 use super::users::operator;
 use crate::exit::Exit;
@@ -41,7 +41,7 @@ pub(super) fn captures(
     } else {
         plan_lines(&captures.cells)
     };
-    say(global, &serde_json::to_value(&captures)?, &text)
+    global.say(&captures, &text)
 }
 
 fn take_plan(store: &Store, file: &Path, global: &Global) -> anyhow::Result<Exit> {
@@ -57,7 +57,7 @@ fn take_plan(store: &Store, file: &Path, global: &Global) -> anyhow::Result<Exit
         ));
     }
     let document = json!({ "cells": captures.cells.len(), "unknown_motions": unknown });
-    say(global, &document, &summary(&captures))
+    global.say(&document, &summary(&captures))
 }
 
 /// The cells of a plan.

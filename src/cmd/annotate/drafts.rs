@@ -9,7 +9,7 @@ use anyhow::{Context, bail};
 use datasets_spec::Progress as _;
 
 use super::args::Args;
-use super::shared::{now, say};
+use super::shared::now;
 use crate::exit::Exit;
 use crate::global::Global;
 
@@ -74,7 +74,7 @@ fn say_drafted(done: &Drafted, global: &Global) -> anyhow::Result<Exit> {
             done.failures
         ));
     }
-    say(global, &serde_json::to_value(done)?, &lines.join("\n"))?;
+    global.say(done, &lines.join("\n"))?;
     Ok(if done.failures > 0 {
         Exit::Failed
     } else {

@@ -6,7 +6,7 @@ use annotate::store::Store;
 use annotate::transfer::{self, Selection};
 
 use super::args::Args;
-use super::shared::{now, say};
+use super::shared::now;
 use crate::exit::Exit;
 use crate::global::Global;
 
@@ -29,5 +29,5 @@ pub(super) fn export(
     if !done.files.is_empty() {
         lines.push(format!("{} in {}", done.files.join(", "), folder.display()));
     }
-    say(global, &serde_json::to_value(&done)?, &lines.join("\n"))
+    global.say(&done, &lines.join("\n"))
 }

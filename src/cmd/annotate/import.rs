@@ -10,7 +10,7 @@ use datasets_spec::{Dataset, Progress as _};
 use formats::source::stance::exported_labels;
 
 use super::args::Args;
-use super::shared::{now, say};
+use super::shared::now;
 use crate::exit::Exit;
 use crate::global::Global;
 
@@ -46,7 +46,7 @@ pub(super) fn import(
             taken
         }
     };
-    say(global, &serde_json::to_value(&taken)?, &taken_text(&taken))
+    global.say(&taken, &taken_text(&taken))
 }
 
 pub(super) fn import_dataset(args: &Args, store: &Store, global: &Global) -> anyhow::Result<Taken> {

@@ -10,7 +10,6 @@ use serde_json::json;
 
 use super::args::Args;
 use super::import::import_dataset;
-use super::shared::say;
 use super::store::{Place, place};
 use crate::exit::Exit;
 use crate::global::Global;
@@ -25,7 +24,7 @@ pub(super) fn pack(store: &Store, file: &Path, global: &Global) -> anyhow::Resul
         "packed into {}, without tokens; take it elsewhere with `stance annotate DATASET unpack`",
         file.display()
     );
-    say(global, &json!({ "packed": file }), &text)
+    global.say(&json!({ "packed": file }), &text)
 }
 
 /// Makes a packed project that of a dataset.
@@ -85,5 +84,5 @@ pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Resul
     let document = json!({
         "store": to, "people": people, "changed": changed, "import": taken,
     });
-    say(global, &document, &lines.join("\n"))
+    global.say(&document, &lines.join("\n"))
 }

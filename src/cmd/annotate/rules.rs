@@ -4,7 +4,7 @@ use annotate::store::Store;
 use annotate::wire::{RuleUndone, RulesApplied};
 
 use super::args::RulesAction;
-use super::shared::{now, say};
+use super::shared::now;
 use super::users::operator;
 use crate::exit::Exit;
 use crate::global::Global;
@@ -31,7 +31,7 @@ pub(super) fn rules(
                     state.left_to_review
                 )
             }));
-            say(global, &serde_json::to_value(&states)?, &lines.join("\n"))
+            global.say(&states, &lines.join("\n"))
         }
         Some(RulesAction::Apply) => {
             let mut all = RulesApplied::default();
@@ -50,7 +50,7 @@ pub(super) fn rules(
                     .iter()
                     .map(|(name, count)| format!("  accepted by {name:<24} {count:>8}")),
             );
-            say(global, &serde_json::to_value(&all)?, &lines.join("\n"))
+            global.say(&all, &lines.join("\n"))
         }
         Some(RulesAction::Undo { name }) => {
             let admin = operator(store)?;
@@ -66,7 +66,7 @@ pub(super) fn rules(
                 "rule {name} is disabled; {} of its acceptances were taken back and wait for review",
                 all.reopened
             );
-            say(global, &serde_json::to_value(&all)?, &text)
+            global.say(&all, &text)
         }
     }
 }

@@ -8,7 +8,6 @@ use annotate::wire::{CaptureCell, Captures, Style};
 use eval::draw::escaped;
 use serde_json::json;
 
-use super::shared::say;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::local;
@@ -41,11 +40,9 @@ pub(super) fn write_sheet(
         .collect();
     let page = page(&settings.name, &settings.styles, &captures.cells, &captions);
     local::write(path, page.as_bytes())?;
-    say(
-        global,
-        &json!({ "sheet": path, "bytes": page.len() }),
-        &format!("{} ({} kB)", path.display(), page.len() / 1000),
-    )
+    let document = json!({ "sheet": path, "bytes": page.len() });
+    let text = format!("{} ({} kB)", path.display(), page.len() / 1000);
+    global.say(&document, &text)
 }
 
 /// Captions of motions by id.

@@ -7,7 +7,7 @@ use annotate::store::{self, Store};
 use anyhow::Context;
 
 use super::args::{Args, STORE};
-use super::shared::{now, say};
+use super::shared::now;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
@@ -95,8 +95,7 @@ pub(super) fn back_up(
         store.backup(file)?;
         file.to_owned()
     };
-    say(
-        global,
+    global.say(
         &serde_json::json!({ "backup": copy }),
         &format!("copied to {}", copy.display()),
     )
@@ -110,21 +109,19 @@ pub(super) fn rebuild(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     } else {
         format!("made again: {}", changed.join(", "))
     };
-    say(global, &serde_json::json!({ "changed": changed }), &text)
+    global.say(&serde_json::json!({ "changed": changed }), &text)
 }
 
 /// Checks the log and all tables.
 pub(super) fn check(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     let findings = store.verify()?;
     if findings.is_empty() {
-        say(
-            global,
+        global.say(
             &serde_json::json!({ "findings": findings }),
             "the store is whole",
         )
     } else {
-        say(
-            global,
+        global.say(
             &serde_json::json!({ "findings": findings }),
             &findings.join("\n"),
         )?;

@@ -6,7 +6,7 @@ use annotate::store::Store;
 use annotate::wire::Style;
 use serde::{Deserialize, Serialize};
 
-use super::shared::{now, say};
+use super::shared::now;
 use super::users::operator;
 use crate::exit::Exit;
 use crate::global::Global;
@@ -26,11 +26,7 @@ pub(super) fn styles(store: &Store, file: Option<&Path>, global: &Global) -> any
         let list = StyleFile {
             style: project.styles,
         };
-        return say(
-            global,
-            &serde_json::to_value(&list.style)?,
-            toml::to_string(&list)?.trim_end(),
-        );
+        return global.say(&list.style, toml::to_string(&list)?.trim_end());
     };
     let told: StyleFile = settings::read(file)?;
     let (mut new, mut changed) = (0, 0);
@@ -54,8 +50,7 @@ pub(super) fn styles(store: &Store, file: Option<&Path>, global: &Global) -> any
     if new + changed > 0 {
         store.put_settings(operator(store)?.id, project, now())?;
     }
-    say(
-        global,
+    global.say(
         &serde_json::json!({ "styles": all, "new": new, "changed": changed }),
         &format!("{all} styles: {new} new, {changed} changed"),
     )

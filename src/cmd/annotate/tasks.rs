@@ -5,7 +5,7 @@ use annotate::wire::{BulkAction, BulkDone, BulkRequest, TaskFilter, TaskKind, Ta
 use anyhow::Context;
 
 use super::args::BulkArgs;
-use super::shared::{now, say};
+use super::shared::now;
 use super::users::{find, operator};
 use crate::exit::Exit;
 use crate::global::Global;
@@ -31,7 +31,7 @@ pub(super) fn changed_clips(
         .iter()
         .map(|task| format!("{:>8} {:<10} {}", task.id, task.state.as_str(), task.key))
         .collect();
-    say(global, &rows.into(), &lines.join("\n"))
+    global.say(&rows, &lines.join("\n"))
 }
 
 pub(super) fn run_bulk(store: &Store, args: &BulkArgs, global: &Global) -> anyhow::Result<Exit> {
@@ -89,5 +89,5 @@ pub(super) fn run_bulk(store: &Store, args: &BulkArgs, global: &Global) -> anyho
     if !args.yes {
         report::note("nothing was changed; add --yes to act");
     }
-    say(global, &serde_json::to_value(&done)?, &lines.join("\n"))
+    global.say(&done, &lines.join("\n"))
 }

@@ -6,7 +6,7 @@ use anyhow::Context;
 use serde::Serialize;
 
 use super::args::UserAction;
-use super::shared::{now, say};
+use super::shared::now;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
@@ -71,7 +71,7 @@ pub(super) fn user(store: &Store, action: &UserAction, global: &Global) -> anyho
                 .map(|added| format!("{},{},{}", added.user.name, added.user.role, added.link))
                 .collect();
             report::note("a link logs its user in until it ends; the links are shown this once");
-            say(global, &serde_json::to_value(&added)?, &lines.join("\n"))
+            global.say(&added, &lines.join("\n"))
         }
         UserAction::List => {
             let users = store.users()?;
@@ -82,7 +82,7 @@ pub(super) fn user(store: &Store, action: &UserAction, global: &Global) -> anyho
                     format!("{:<24} {}{state}", user.name, user.role)
                 })
                 .collect();
-            say(global, &serde_json::to_value(&users)?, &lines.join("\n"))
+            global.say(&users, &lines.join("\n"))
         }
         UserAction::Role { name, role: text } => {
             let user = find(store, name)?;
@@ -111,7 +111,7 @@ pub(super) fn user(store: &Store, action: &UserAction, global: &Global) -> anyho
 fn changed(user: User, global: &Global) -> anyhow::Result<Exit> {
     let state = if user.active { "" } else { ", disabled" };
     let text = format!("{}: {}{state}", user.name, user.role);
-    say(global, &serde_json::to_value(&user)?, &text)
+    global.say(&user, &text)
 }
 
 /// The admin that the command line acts as.

@@ -6,10 +6,10 @@ use datasets_spec::Dataset;
 use pipeline::versions::{Choice, RemoveOptions, Removed, Selected, remove, select};
 use tables::Condition;
 
-use super::versions::{listing, lost_labels};
+use super::versions::lost_labels;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
+use crate::report::listing;
 
 /// Write the clips for which a condition holds to a new dataset.
 ///
@@ -60,12 +60,7 @@ impl Select {
         Dataset::open_unverified(&self.dataset)?;
         let (holder, bars) = (global.holder(), global.bars());
         let done = select(&self.dataset, &self.condition, &self.out, &holder, &bars)?;
-        if global.json {
-            report::json(&done)?;
-        } else {
-            report::text(&selected(&done));
-        }
-        Ok(Exit::Done)
+        global.say(&done, &selected(&done))
     }
 }
 
@@ -114,12 +109,7 @@ impl Remove {
             dry_run: self.dry_run,
         };
         let done = remove(&self.dataset, &choice, options, &global.holder())?;
-        if global.json {
-            report::json(&done)?;
-        } else {
-            report::text(&removed(&done));
-        }
-        Ok(Exit::Done)
+        global.say(&done, &removed(&done))
     }
 }
 

@@ -7,7 +7,7 @@ use pipeline::versions::{self, Compacted, Restored, Version};
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
+use crate::report::listing;
 
 /// List the versions of a dataset that were not pruned, with what each changed.
 #[derive(clap::Args, Debug)]
@@ -46,12 +46,7 @@ pub(super) struct Compact {
 impl Versions {
     pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
         let versions = versions::list(&self.dataset)?;
-        if global.json {
-            report::json(&versions)?;
-        } else {
-            report::text(&versions.iter().map(line).collect::<String>());
-        }
-        Ok(Exit::Done)
+        global.say(&versions, &versions.iter().map(line).collect::<String>())
     }
 }
 
@@ -84,12 +79,7 @@ impl Restore {
     pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
         let holder = global.holder();
         let done = versions::restore(&self.dataset, self.to, self.drop_labels, &holder)?;
-        if global.json {
-            report::json(&done)?;
-        } else {
-            report::text(&restored(&done));
-        }
-        Ok(Exit::Done)
+        global.say(&done, &restored(&done))
     }
 }
 
@@ -126,12 +116,7 @@ fn restored(done: &Restored) -> String {
 impl Compact {
     pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
         let done = versions::compact(&self.dataset, &global.holder(), &global.bars())?;
-        if global.json {
-            report::json(&done)?;
-        } else {
-            report::text(&compacted(&done));
-        }
-        Ok(Exit::Done)
+        global.say(&done, &compacted(&done))
     }
 }
 
@@ -172,18 +157,4 @@ pub(super) fn lost_labels(lost: &[LostLabel]) -> String {
         .collect();
     let said = "labels that people made are left behind; the version before keeps them";
     format!("{} {said}\n", lost.len()) + &listing(&lines)
-}
-
-/// The first of some lines.
-pub(super) fn listing(lines: &[String]) -> String {
-    const SHOWN: usize = 10;
-    let mut text: String = lines
-        .iter()
-        .take(SHOWN)
-        .map(|line| format!("  {line}\n"))
-        .collect();
-    if lines.len() > SHOWN {
-        text += &format!("  and {} more; --json lists all\n", lines.len() - SHOWN);
-    }
-    text
 }

@@ -159,12 +159,7 @@ fn push_folder(args: &PushArgs, global: &Global) -> anyhow::Result<Exit> {
         dry_run: args.dry_run,
         done: &done,
     };
-    if global.json {
-        report::json(&document)?;
-    } else {
-        report::text(&pushed_text(&document));
-    }
-    Ok(Exit::Done)
+    global.say(&document, &pushed_text(&document))
 }
 
 fn pushed_text(document: &PushDocument<'_>) -> String {
@@ -224,8 +219,12 @@ fn pull_repo(args: &PullArgs, global: &Global) -> anyhow::Result<Exit> {
         }
     };
     let pulled = staged.publish()?;
-    if global.json {
-        report::json(&serde_json::json!({
+    let passed_over = match pulled.passed_over.len() {
+        0 => String::new(),
+        count => format!("; {count} files of older versions passed over"),
+    };
+    global.say(
+        &serde_json::json!({
             "repo": args.repo,
             "type": kind,
             "what": what,
@@ -235,19 +234,13 @@ fn pull_repo(args: &PullArgs, global: &Global) -> anyhow::Result<Exit> {
             "files": pulled.files,
             "bytes": pulled.bytes,
             "passed_over": pulled.passed_over,
-        }))?;
-    } else {
-        let passed_over = match pulled.passed_over.len() {
-            0 => String::new(),
-            count => format!("; {count} files of older versions passed over"),
-        };
-        report::text(&format!(
+        }),
+        &format!(
             "{what} of {repo} at {:.12} in {}: {} files, {:.1} MB{passed_over}",
             pulled.commit,
             args.out.display(),
             pulled.files,
             pulled.bytes as f64 / 1e6
-        ));
-    }
-    Ok(Exit::Done)
+        ),
+    )
 }

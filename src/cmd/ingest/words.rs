@@ -1,10 +1,10 @@
 //! What is told of an ingestion, before and after it.
 
-use std::collections::BTreeMap;
-
 use clip::LabelProblem;
 use pipeline::annotation::pairs::RefusedLine;
 use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestReport};
+
+use crate::report::append_list;
 
 /// What is said of clips that stay although their files are gone, or give them no more.
 const MISSING: &str = "missing, kept; --prune removes them";
@@ -81,7 +81,7 @@ pub(crate) fn summary(done: &IngestReport) -> String {
     for (code, count) in &accounting.codes {
         text += &quarantined(done, code, *count);
     }
-    for (table, rows) in table_rows(done) {
+    for (table, rows) in done.dataset.manifest().row_counts() {
         text += &format!("{table:<12} {rows:>8} rows\n");
     }
     if done.dropped_pairs > 0 {
@@ -141,31 +141,11 @@ fn refused(what: &str, lines: &[RefusedLine]) -> String {
 
 /// Labels that could not be used; nothing for none.
 fn problems(problems: &[LabelProblem]) -> String {
-    const SHOWN: usize = 10;
-    if problems.is_empty() {
-        return String::new();
-    }
-    let mut text = format!(
-        "{} labels could not be used; their motions were ingested without them\n",
-        problems.len()
-    );
-    for problem in problems.iter().take(SHOWN) {
-        text += &format!("  {problem}\n");
-    }
-    let more = problems.len().saturating_sub(SHOWN);
-    if more > 0 {
-        text += &format!("  and {more} more; --json lists all\n");
-    }
+    let said = "labels could not be used; their motions were ingested without them";
+    let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
+    let mut text = String::new();
+    append_list(&mut text, &format!("{} {said}", lines.len()), &lines);
     text
-}
-
-/// Rows of each table.
-pub(super) fn table_rows(done: &IngestReport) -> BTreeMap<&str, u64> {
-    let manifest = done.dataset.manifest();
-    let tables = manifest.tables.keys();
-    tables
-        .map(|table| (table.as_str(), manifest.rows(table, None)))
-        .collect()
 }
 
 /// Clips that are alike.

@@ -8,7 +8,6 @@ use tables::Tables;
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
 
 /// The rows to list.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -102,18 +101,14 @@ fn print<T: Serialize>(
     global: &Global,
     cells: impl Fn(&T) -> Vec<String>,
 ) -> anyhow::Result<Exit> {
-    if global.json {
-        report::json(&rows)?;
-        return Ok(Exit::Done);
-    }
-    let rows: Vec<Vec<String>> = rows.iter().map(cells).collect();
-    let num_columns = rows.first().map_or(0, Vec::len);
+    let lines: Vec<Vec<String>> = rows.iter().map(cells).collect();
+    let num_columns = lines.first().map_or(0, Vec::len);
     let widths: Vec<usize> = (0..num_columns)
-        .map(|column| rows.iter().map(|row| row[column].chars().count()).max())
+        .map(|column| lines.iter().map(|row| row[column].chars().count()).max())
         .map(Option::unwrap_or_default)
         .collect();
     let mut text = String::new();
-    for row in &rows {
+    for row in &lines {
         let mut line = String::new();
         for (cell, width) in row.iter().zip(&widths) {
             line += &format!("{cell:<width$}  ");
@@ -121,6 +116,5 @@ fn print<T: Serialize>(
         text += line.trim_end();
         text.push('\n');
     }
-    report::text(&text);
-    Ok(Exit::Done)
+    global.say(&rows, &text)
 }

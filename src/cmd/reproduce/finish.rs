@@ -99,13 +99,8 @@ pub(super) fn finish(
         &serde_json::to_vec_pretty(&document)?,
     )?;
     write(&out.join("record.jsonl"), &record.into_bytes())?;
-    match global.json {
-        true => report::json(&document)?,
-        false => {
-            texts.push(document.page.display().to_string());
-            report::text(&texts.join("\n"));
-        }
-    }
+    texts.push(document.page.display().to_string());
+    global.say(&document, &texts.join("\n"))?;
     let Failed(failed) = done.failed;
     if failed.is_empty() {
         return Ok(weak_judge.exit(unranked, Exit::Done));

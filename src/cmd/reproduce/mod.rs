@@ -95,11 +95,7 @@ const PLANS: &[(&str, &str)] = plans![
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let Some(path) = args.plan.as_deref().filter(|_| !args.list) else {
         let names: Vec<&str> = PLANS.iter().map(|(name, _)| *name).collect();
-        match global.json {
-            true => report::json(&names)?,
-            false => report::text(&names.join("\n")),
-        }
-        return Ok(Exit::Done);
+        return global.say(&names, &names.join("\n"));
     };
     args.trainings.choose()?;
     let plan = read(args, path)?;
@@ -108,8 +104,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let figures = plan.figure_specs(global).map_err(at)?;
     plan.check_tasks()?;
     if args.dry_run {
-        list(&systems, &figures, global)?;
-        return Ok(Exit::Done);
+        return list(&systems, &figures, global);
     }
     let Some(work) = Work::begin(&plan, global)? else {
         return Ok(stopped());
@@ -185,7 +180,7 @@ fn read(args: &Args, path: &Path) -> anyhow::Result<Plan> {
     }
 }
 
-fn list(systems: &[Trained], figures: &[FigureSpecs<'_>], global: &Global) -> anyhow::Result<()> {
+fn list(systems: &[Trained], figures: &[FigureSpecs<'_>], global: &Global) -> anyhow::Result<Exit> {
     let trainings = |trained: &Trained| match trained.specs.len() {
         1 => String::new(),
         count => format!(" ({count} trainings)"),
@@ -202,11 +197,7 @@ fn list(systems: &[Trained], figures: &[FigureSpecs<'_>], global: &Global) -> an
                 .map(|(point, trained)| format!("{name}: {}{}", point.name(), trainings(trained))),
         );
     }
-    match global.json {
-        true => report::json(&lines)?,
-        false => report::text(&lines.join("\n")),
-    }
-    Ok(())
+    global.say(&lines, &lines.join("\n"))
 }
 
 fn command(args: &Args, path: &Path, global: &Global) -> String {

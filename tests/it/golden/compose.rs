@@ -23,6 +23,39 @@ fn poses(golden: &Golden, pose: &str, transl: &str) -> Vec<Pose> {
         .collect()
 }
 
+/// The recorded body.
+fn recorded_body(golden: &Golden) -> Skeleton {
+    let rest = golden.get("in.rest_joints").points();
+    let rest: [DVec3; NUM_JOINTS] = rest.try_into().expect("55 rest joints");
+    Skeleton::new("recorded", rest)
+}
+
+/// Which keypoints a case of the recorded fits knows, and the keypoints of its frames.
+fn recorded_keypoints(golden: &Golden, case: &str) -> (Vec<usize>, Vec<[DVec3; NUM_KEYPOINTS]>) {
+    let shift = golden.get("in.pelvis_shift").points()[0];
+    let slots: Vec<usize> = golden
+        .get(&format!("in.{case}.indices"))
+        .integers()
+        .into_iter()
+        .map(|joint| {
+            let is_it = |&known: &usize| known as i64 == joint;
+            KEYPOINT_JOINTS.iter().position(is_it).expect("a keypoint")
+        })
+        .collect();
+    let joints = golden.get(&format!("in.{case}.joints")).points();
+    let frames = joints
+        .chunks_exact(slots.len())
+        .map(|points| {
+            let mut frame = [DVec3::ZERO; NUM_KEYPOINTS];
+            for (&slot, &point) in slots.iter().zip(points) {
+                frame[slot] = point + shift;
+            }
+            frame
+        })
+        .collect();
+    (slots, frames)
+}
+
 #[test]
 fn golden_blend() {
     let golden = Golden::load("blend");
@@ -59,13 +92,7 @@ fn golden_blend() {
 #[test]
 fn golden_fit_by_adam_goes_the_recorded_way() {
     let golden = Golden::load("j2s_adam_fit");
-    let rest: [DVec3; NUM_JOINTS] = golden
-        .get("in.rest_joints")
-        .points()
-        .try_into()
-        .expect("55 rest joints");
-    let skeleton = Skeleton::new("recorded", rest);
-    let shift = golden.get("in.pelvis_shift").points()[0];
+    let skeleton = recorded_body(&golden);
     let start: Vec<Parameters> = golden
         .get("in.init_pose")
         .rows(3 * NUM_BODY_JOINTS)
@@ -75,21 +102,8 @@ fn golden_fit_by_adam_goes_the_recorded_way() {
         ("official24", AdamFit::official()),
         ("paper28", AdamFit::paper()),
     ] {
-        let indices = golden.get(&format!("in.{case}.indices")).integers();
-        let joints = golden.get(&format!("in.{case}.joints")).points();
-        let frames: Vec<[DVec3; NUM_KEYPOINTS]> = joints
-            .chunks_exact(indices.len())
-            .map(|points| {
-                let mut frame = [DVec3::ZERO; NUM_KEYPOINTS];
-                for (&joint, &point) in indices.iter().zip(points) {
-                    let is_it = |&known: &usize| known as i64 == joint;
-                    let slot = KEYPOINT_JOINTS.iter().position(is_it).expect("a keypoint");
-                    assert!(fit.counts[slot]);
-                    frame[slot] = point + shift;
-                }
-                frame
-            })
-            .collect();
+        let (slots, frames) = recorded_keypoints(&golden, case);
+        assert!(slots.iter().all(|&slot| fit.counts[slot]));
         let fitted = fit.fit(&skeleton, &frames, &start);
         let recorded = golden
             .get(&format!("out.{case}.loss_history"))
@@ -114,38 +128,14 @@ fn golden_fit_by_adam_goes_the_recorded_way() {
 #[test]
 fn golden_fit_is_no_worse_than_the_reference() {
     let golden = Golden::load("j2s_adam_fit");
-    let rest: [DVec3; NUM_JOINTS] = golden
-        .get("in.rest_joints")
-        .points()
-        .try_into()
-        .expect("55 rest joints");
-    let skeleton = Skeleton::new("recorded", rest);
-    let shift = golden.get("in.pelvis_shift").points()[0];
+    let skeleton = recorded_body(&golden);
     for case in ["official24", "paper28"] {
-        let indices = golden.get(&format!("in.{case}.indices")).integers();
-        let joints = golden.get(&format!("in.{case}.joints")).points();
-        let slots: Vec<usize> = indices
-            .iter()
-            .map(|&joint| {
-                let is_it = |&known: &usize| known as i64 == joint;
-                KEYPOINT_JOINTS.iter().position(is_it).expect("a keypoint")
-            })
-            .collect();
+        let (slots, frames) = recorded_keypoints(&golden, case);
         let mut options = FitOptions::default();
         options.weights.fill(0.0);
         for &slot in &slots {
             options.weights[slot] = 1.0;
         }
-        let frames: Vec<[DVec3; NUM_KEYPOINTS]> = joints
-            .chunks_exact(slots.len())
-            .map(|points| {
-                let mut frame = [DVec3::ZERO; NUM_KEYPOINTS];
-                for (&slot, &point) in slots.iter().zip(points) {
-                    frame[slot] = point + shift;
-                }
-                frame
-            })
-            .collect();
         let fitted = fit_motion(&skeleton, &frames, Fps::STORE, &options).expect("finite");
         let mut squares = Vec::new();
         for (pose, frame) in fitted.motion.poses().into_iter().zip(&frames) {

@@ -10,7 +10,7 @@ use super::solve::Solvable;
 use crate::source::ReadOptions;
 use crate::source::unit::{Unit, misfit, suspected};
 use clip::check::FLAG_GAPS_FILLED;
-use clip::{Markers, Rejected, RotationSource, SourceClip};
+use clip::{Markers, Rejected, RotationSource, SourceClip, rejected};
 
 /// Code of captures whose markers give no motion.
 const CODE: &str = "E-MARKERS";
@@ -86,8 +86,7 @@ impl Capture {
         let place = match key {
             "" => 0,
             key => keys.iter().position(|other| other == key).ok_or_else(|| {
-                let reason = format!("found no subject {key} among {}", keys.join(", "));
-                Rejected::read(CODE, reason)
+                rejected!(CODE, "found no subject {key} among {}", keys.join(", "))
             })?,
         };
         let mut subject = subjects.people.swap_remove(place);

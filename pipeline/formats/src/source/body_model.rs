@@ -9,7 +9,7 @@ use glam::DVec3;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS, PARENTS};
 
 use crate::Error;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 use pickle::npy::{self, Array};
 use pickle::npz::Archive;
 
@@ -97,12 +97,10 @@ impl BodyModel {
         let mut archive = Archive::open(file)?;
         let template = Template::read(&mut archive)?;
         if !archive.has("shapedirs") {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-BODY-KEYS",
-                format!(
-                    "found keys {}, expected shapedirs, which tell the bodies of subjects apart",
-                    archive.keys().join(", ")
-                ),
+                "found keys {}, expected shapedirs, which tell the bodies of subjects apart",
+                archive.keys().join(", ")
             ));
         }
         let bytes = archive.member_within("shapedirs", MAX_SHAPES_LEN)?;
@@ -296,9 +294,9 @@ fn read_joints(path: &Path) -> Result<Result<Vec<DVec3>, Rejected>, Error> {
         .len();
     Ok(match extension.as_str() {
         "npz" => regress(file),
-        "npy" if len > MAX_ARRAY_LEN => Err(Rejected::read(
+        "npy" if len > MAX_ARRAY_LEN => Err(rejected!(
             "E-TOO-LARGE",
-            format!("found {len} bytes, expected the [55, 3] joints of a body"),
+            "found {len} bytes, expected the [55, 3] joints of a body"
         )),
         "npy" => {
             let bytes = fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
@@ -312,9 +310,9 @@ fn read_joints(path: &Path) -> Result<Result<Vec<DVec3>, Rejected>, Error> {
             "pickled objects are code and are never executed; take the npz of the model, or save \
              J_regressor, v_template and kintree_table as plain arrays with numpy.savez",
         )),
-        _ => Err(Rejected::read(
+        _ => Err(rejected!(
             "E-BODY-FORMAT",
-            format!("found a {extension} file, expected .npz (a model) or .npy (its joints)"),
+            "found a {extension} file, expected .npz (a model) or .npy (its joints)"
         )),
     })
 }
@@ -336,12 +334,10 @@ impl Template {
     fn read(archive: &mut Archive<File>) -> Result<Self, Rejected> {
         for key in ["J_regressor", "v_template", "kintree_table"] {
             if !archive.has(key) {
-                return Err(Rejected::read(
+                return Err(rejected!(
                     "E-BODY-KEYS",
-                    format!(
-                        "found keys {}, expected J_regressor, v_template and kintree_table",
-                        archive.keys().join(", ")
-                    ),
+                    "found keys {}, expected J_regressor, v_template and kintree_table",
+                    archive.keys().join(", ")
                 ));
             }
         }
@@ -355,12 +351,10 @@ impl Template {
             return Err(bad_shape("J_regressor", &regressor, "[joints, vertices]"));
         };
         if num_vertices != vertices.len() || num_vertices == 0 {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-BODY-SHAPE",
-                format!(
-                    "found J_regressor for {num_vertices} vertices, expected {} as v_template has",
-                    vertices.len()
-                ),
+                "found J_regressor for {num_vertices} vertices, expected {} as v_template has",
+                vertices.len()
             ));
         }
         check_tree(&tree, num_joints)?;
@@ -403,11 +397,9 @@ fn check_tree(tree: &Array, num_joints: usize) -> Result<(), Rejected> {
         let parent = (0..num_joints)
             .find(|&parent| smplx_index(parent, num_joints) as i64 == i64::from(expected));
         if parent.is_none_or(|parent| found != parent as f64) {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-BODY-TREE",
-                format!(
-                    "found {found} as parent of joint {joint}, expected {parent:?} as in SMPL-X"
-                ),
+                "found {found} as parent of joint {joint}, expected {parent:?} as in SMPL-X"
             ));
         }
     }
@@ -417,12 +409,10 @@ fn check_tree(tree: &Array, num_joints: usize) -> Result<(), Rejected> {
 fn known_count(num_joints: usize) -> Result<(), Rejected> {
     match num_joints {
         NUM_JOINTS | NUM_SMPLH_JOINTS => Ok(()),
-        _ => Err(Rejected::read(
+        _ => Err(rejected!(
             "E-BODY-SHAPE",
-            format!(
-                "found {num_joints} joints, expected {NUM_JOINTS} (SMPL-X) or {NUM_SMPLH_JOINTS} \
+            "found {num_joints} joints, expected {NUM_JOINTS} (SMPL-X) or {NUM_SMPLH_JOINTS} \
                  (SMPL-H); SMPL has neither hands nor face"
-            ),
         )),
     }
 }
@@ -447,22 +437,19 @@ fn complete(joints: Vec<DVec3>) -> Result<[DVec3; NUM_JOINTS], Rejected> {
 fn plausible(joints: [DVec3; NUM_JOINTS]) -> Result<[DVec3; NUM_JOINTS], Rejected> {
     let height = joints[HEAD].y - joints[0].y;
     if let Some(joint) = joints.iter().position(|joint| !joint.is_finite()) {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-NOT-FINITE",
-            format!(
-                "found {} for joint {joint}, expected numbers",
-                joints[joint]
-            ),
+            "found {} for joint {joint}, expected numbers",
+            joints[joint]
         ));
     }
     if !HEAD_ABOVE_PELVIS_M.contains(&height) || joints[LEFT_HIP].x <= joints[RIGHT_HIP].x {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-BODY-POSE",
-            format!(
-                "found the head {height} above the pelvis and the hips at x = {} and {}, expected \
+            "found the head {height} above the pelvis and the hips at x = {} and {}, expected \
                  an upright body in metres whose left is at +x",
-                joints[LEFT_HIP].x, joints[RIGHT_HIP].x
-            ),
+            joints[LEFT_HIP].x,
+            joints[RIGHT_HIP].x
         ));
     }
     Ok(joints)
@@ -480,12 +467,10 @@ fn points(name: &str, array: &Array) -> Result<Vec<DVec3>, Rejected> {
 }
 
 fn bad_shape(name: &str, array: &Array, expected: &str) -> Rejected {
-    Rejected::read(
+    rejected!(
         "E-BODY-SHAPE",
-        format!(
-            "found {name} of shape {:?}, expected {expected}",
-            array.shape
-        ),
+        "found {name} of shape {:?}, expected {expected}",
+        array.shape
     )
 }
 

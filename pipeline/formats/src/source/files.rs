@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use datasets_spec::store::{ByPath, Reader, Store, is_url};
 
 use super::archive::Archives;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// The files under the sources, by relative path with forward slashes.
 #[derive(Clone, Debug)]
@@ -72,7 +72,7 @@ impl Files {
     pub fn size(&self, relative: &str) -> Result<u64, Rejected> {
         let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
         let size = self.store.size(path);
-        size.map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+        size.map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
     }
 
     /// Size in bytes of a file that lies beside a source; none if it cannot be told.
@@ -109,7 +109,7 @@ impl Files {
         let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
         self.store
             .read(path)
-            .map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+            .map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
     }
 
     /// Opens a file to be read from its beginning.
@@ -120,7 +120,7 @@ impl Files {
         let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
         self.store
             .open(path)
-            .map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+            .map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
     }
 
     /// Opens a file to be read at any place.
@@ -130,7 +130,7 @@ impl Files {
     pub fn open_at(&self, relative: &str) -> Result<Reader, Rejected> {
         let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
         let opened = self.store.open_at(path).map(Reader::new);
-        opened.map_err(|error| Rejected::read("E-IO", format!("cannot read {relative}: {error}")))
+        opened.map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
     }
 
     /// Whether there can be a file at a path. At a URL, where every look costs a request, its folder is listed
@@ -159,10 +159,7 @@ impl Files {
             Ok(bytes) => Ok(Some(bytes)),
             Err(error) => match error.kind() {
                 NotFound | NotADirectory | IsADirectory | InvalidFilename => Ok(None),
-                _ => Err(Rejected::read(
-                    "E-IO",
-                    format!("cannot read {}: {error}", path.display()),
-                )),
+                _ => Err(rejected!("E-IO", "cannot read {}: {error}", path.display())),
             },
         }
     }
@@ -182,7 +179,7 @@ impl Files {
 }
 
 fn missing(relative: &str) -> Rejected {
-    Rejected::read("E-IO", format!("there is no file {relative} in the source"))
+    rejected!("E-IO", "there is no file {relative} in the source")
 }
 
 /// First words of a Git LFS pointer, which replaces a large file that was not downloaded.
@@ -217,12 +214,10 @@ pub fn refuse_pointer(bytes: &[u8]) -> Result<(), Rejected> {
     if !is_pointer(bytes) {
         return Ok(());
     }
-    Err(Rejected::read(
+    Err(rejected!(
         "E-LFS-POINTER",
-        format!(
-            "{} bytes of Git LFS pointer stand in for the file; run `git lfs pull`",
-            bytes.len()
-        ),
+        "{} bytes of Git LFS pointer stand in for the file; run `git lfs pull`",
+        bytes.len()
     )
     .at(0))
 }

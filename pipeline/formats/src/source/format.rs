@@ -9,7 +9,7 @@ use datasets_spec::store::Reader;
 
 use super::files::Files;
 use super::options::ReadOptions;
-use clip::{Outcome, Rejected, SourceClip};
+use clip::{Outcome, ReadClip, Rejected, rejected};
 
 /// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
 ///
@@ -55,9 +55,10 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
     /// Reads one motion of a single file. `key` is one of [`SourceFormat::keys`], or empty.
     fn read(&self, path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
         let _ = (path, key, bytes, options);
-        Outcome::Rejected(Rejected::read(
+        Outcome::Rejected(rejected!(
             "E-INTERNAL",
-            format!("{} is a format of releases, not of files", self.name()),
+            "{} is a format of releases, not of files",
+            self.name()
         ))
     }
 
@@ -79,18 +80,10 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
         None
     }
 
-    /// The releases among the files, each found by its layout. `index` is the HumanML3D index that
-    /// the user states.
-    ///
-    /// # Errors
-    /// A file that the user states cannot be read.
-    fn find(
-        &self,
-        files: &Files,
-        index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        let _ = (files, index);
-        Ok(Vec::new())
+    /// The releases among the files, each found by its layout.
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        let _ = files;
+        Vec::new()
     }
 }
 
@@ -179,6 +172,16 @@ pub struct Contents {
 const EXAMPLES: usize = 3;
 
 impl Contents {
+    /// Passes over a file without a motion of its own.
+    pub(super) fn pass_over(&mut self, file: impl Into<String>, reason: impl Into<String>) {
+        self.passed_over.push((file.into(), reason.into()));
+    }
+
+    /// Rejects a file that was found broken.
+    pub(super) fn reject(&mut self, file: impl Into<String>, rejected: Rejected) {
+        self.rejected.push((file.into(), rejected));
+    }
+
     /// Remarks on ids of a published split that have no motion.
     pub(super) fn remark_on_listed(&mut self, release: &str, list: &str, missing: Vec<&str>) {
         if missing.is_empty() {
@@ -202,12 +205,7 @@ pub trait Release: Send + Sync {
     ///
     /// # Errors
     /// The motion cannot be used.
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected>;
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip;
 }
 
 /// The releases that a format found.
@@ -225,11 +223,9 @@ pub(super) fn check_skeleton(found: &str, options: &ReadOptions) -> Result<(), R
     let wanted = options.skeleton.name();
     match found == wanted {
         true => Ok(()),
-        false => Err(Rejected::read(
+        false => Err(rejected!(
             "E-DATASET-SKELETON",
-            format!(
-                "posed on skeleton {found}, not on {wanted}; ingest with the same --body-model"
-            ),
+            "posed on skeleton {found}, not on {wanted}; ingest with the same --body-model"
         )),
     }
 }

@@ -22,6 +22,8 @@ pub mod humanml3d_amass;
 pub mod labels;
 pub mod motionfix;
 pub mod motionx;
+#[cfg(test)]
+mod release_tests;
 pub mod representation_272;
 mod robot;
 pub mod seed;
@@ -85,7 +87,10 @@ pub fn find_releases(
 ) -> Result<Vec<FoundRelease>, crate::Error> {
     let mut releases = Vec::new();
     for &format in FORMATS {
-        let found = format.find(files, humanml3d_index)?;
+        let mut found = format.find(files);
+        if let Some(index) = humanml3d_index.filter(|_| format == humanml3d_amass::FORMAT) {
+            found.push(humanml3d_amass::find(files, index)?);
+        }
         releases.extend(found.into_iter().map(|release| (format, release)));
     }
     Ok(releases)

@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3};
 use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::rotation::to_axis_angle;
 
-use clip::Rejected;
+use clip::{Rejected, rejected};
 use pickle::{Array, Value};
 
 /// Parameters of a motion as stored in a file, in single precision.
@@ -33,15 +33,13 @@ impl Parameters {
         if root.len() == body.len() && body.len() == trans.len() {
             return Ok(Self { root, body, trans });
         }
-        Err(Rejected::read(
+        Err(rejected!(
             "E-SMPL-SHAPE",
-            format!(
-                "found {} root orientations, {} body poses and {} translations, expected as many \
+            "found {} root orientations, {} body poses and {} translations, expected as many \
                  of each",
-                root.len(),
-                body.len(),
-                trans.len()
-            ),
+            root.len(),
+            body.len(),
+            trans.len()
         ))
     }
 
@@ -117,12 +115,10 @@ pub fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f32; D]>,
         width == Some(D)
     });
     let numbers = array.and_then(Array::to_f32).ok_or_else(|| {
-        Rejected::read(
+        rejected!(
             "E-SMPL-SHAPE",
-            format!(
-                "found {key} as {}, expected an array of frames by {D} numbers",
-                found.describe()
-            ),
+            "found {key} as {}, expected an array of frames by {D} numbers",
+            found.describe()
         )
     })?;
     Ok(numbers.as_chunks::<D>().0.to_vec())

@@ -9,7 +9,7 @@ use pickle::npz::Archive;
 use super::parameters::Parameters;
 use super::variant::Variant;
 use crate::source::robot;
-use clip::{MAX_FPS, MIN_FPS, Rejected};
+use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
 /// Both spellings of the frame rate: that of the SMPL-H and that of the SMPL-X releases.
 const FPS_KEYS: [&str; 2] = ["mocap_framerate", "mocap_frame_rate"];
@@ -48,12 +48,10 @@ pub fn parse_at(bytes: &[u8], rate: Option<f64>) -> Result<Parsed<'_>, Rejected>
     let (variant, root, body, body_at) = if archive.has("poses") {
         let poses = matrix(&mut archive, bytes, "poses")?;
         let variant = Variant::of_width(poses.width(), known).ok_or_else(|| {
-            Rejected::read(
+            rejected!(
                 "E-AMASS-SHAPE",
-                format!(
-                    "found poses of {} columns, expected 72 (SMPL), 156 (SMPL-H) or 165 (SMPL-X)",
-                    poses.width()
-                ),
+                "found poses of {} columns, expected 72 (SMPL), 156 (SMPL-H) or 165 (SMPL-X)",
+                poses.width()
             )
         })?;
         (variant, poses.clone(), poses, 3)
@@ -72,9 +70,9 @@ pub fn parse_at(bytes: &[u8], rate: Option<f64>) -> Result<Parsed<'_>, Rejected>
         ("body poses", body.num_rows()),
     ] {
         if found != num_frames {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-AMASS-SHAPE",
-                format!("found {found} {key}, expected {num_frames} as trans has"),
+                "found {found} {key}, expected {num_frames} as trans has"
             ));
         }
     }
@@ -172,11 +170,9 @@ fn no_poses<'a>(keys: &[String]) -> Result<Parsed<'a>, Rejected> {
     } else {
         ""
     };
-    Err(Rejected::read(
+    Err(rejected!(
         "E-AMASS-KEYS",
-        format!(
-            "found keys {list}; expected trans and either poses or root_orient and pose_body{hint}"
-        ),
+        "found keys {list}; expected trans and either poses or root_orient and pose_body{hint}"
     ))
 }
 
@@ -188,9 +184,9 @@ fn matrix<'a>(
 ) -> Result<Rows<'a>, Rejected> {
     let member = archive.borrowed(bytes, key)?;
     Rows::new(key, member)?.map_err(|shape| {
-        Rejected::read(
+        rejected!(
             "E-AMASS-SHAPE",
-            format!("found {key} of shape {shape:?}, expected frames by columns"),
+            "found {key} of shape {shape:?}, expected frames by columns"
         )
     })
 }
@@ -231,13 +227,11 @@ pub fn read_fps<R: Read + Seek>(archive: &mut Archive<R>) -> Result<f64, Rejecte
         .into_iter()
         .find(|key| archive.has(key))
         .ok_or_else(|| {
-            Rejected::read(
+            rejected!(
                 "E-AMASS-FPS",
-                format!(
-                    "found keys {}, expected {}",
-                    archive.keys().join(", "),
-                    FPS_KEYS.join(" or ")
-                ),
+                "found keys {}, expected {}",
+                archive.keys().join(", "),
+                FPS_KEYS.join(" or ")
             )
         })?;
     let rate = archive.numbers(key)?;
@@ -245,12 +239,10 @@ pub fn read_fps<R: Read + Seek>(archive: &mut Archive<R>) -> Result<f64, Rejecte
     if rate.values.len() == 1 && (MIN_FPS..=MAX_FPS).contains(&value) {
         return Ok(value);
     }
-    Err(Rejected::read(
+    Err(rejected!(
         "E-AMASS-FPS",
-        format!(
-            "found {key} {value} ({} values), expected one of {MIN_FPS} to {MAX_FPS}",
-            rate.values.len()
-        ),
+        "found {key} {value} ({} values), expected one of {MIN_FPS} to {MAX_FPS}",
+        rate.values.len()
     ))
 }
 
@@ -258,11 +250,9 @@ fn expect_columns(key: &str, rows: &Rows<'_>, expected: usize) -> Result<(), Rej
     if rows.width() == expected {
         return Ok(());
     }
-    Err(Rejected::read(
+    Err(rejected!(
         "E-AMASS-SHAPE",
-        format!(
-            "found {key} of {} columns, expected {expected}",
-            rows.width()
-        ),
+        "found {key} of {} columns, expected {expected}",
+        rows.width()
     ))
 }

@@ -11,7 +11,7 @@ use pickle::npy::Rows;
 
 use super::variant::Variant;
 use crate::source::options::ReadOptions;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// The parameters of an archive: z up, at the file's rate, decoded frame by frame on access.
 pub struct Parameters<'a> {
@@ -52,9 +52,9 @@ impl Parameters<'_> {
                 if !rows.is_finite(frame, column, len) {
                     let bad = (column..column + len).find(|&at| !rows.is_finite(frame, at, 1));
                     let [bad] = rows.get(frame, bad.unwrap_or(column));
-                    return Err(Rejected::read(
+                    return Err(rejected!(
                         "E-NOT-FINITE",
-                        format!("found {bad} in frame {frame} of {name}, expected finite numbers"),
+                        "found {bad} in frame {frame} of {name}, expected finite numbers"
                     ));
                 }
             }

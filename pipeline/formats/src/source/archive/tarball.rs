@@ -20,7 +20,7 @@ use super::members::{Member, ReadFrom};
 use super::scratch::{Scratch, no_room};
 use super::unpacked::{Capped, Counting};
 use crate::Error;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// Memory in KiB that an xz stream may ask for; the strongest preset asks for 64 MiB.
 const XZ_MEMORY_KIB: u32 = 128 << 10;
@@ -30,7 +30,7 @@ const COPIED: usize = 1 << 16;
 const BLOCK: u64 = 512;
 
 fn unreadable(error: &io::Error) -> Rejected {
-    Rejected::read("E-IO", format!("cannot read the archive: {error}"))
+    rejected!("E-IO", "cannot read the archive: {error}")
 }
 
 fn damaged(reason: String, at: u64) -> Rejected {

@@ -9,21 +9,19 @@ use zip::{CompressionMethod, ZipArchive};
 use super::content::{CLIMBS, Content, DAMAGED, LIMIT, NAME, Named, PACKING, named};
 use super::limits::Budget;
 use super::members::{Member, ReadFrom};
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// Lists a zip archive.
 pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Rejected> {
     let file = ByPath
         .open_at(path)
-        .map_err(|error| Rejected::read("E-IO", format!("cannot read the archive: {error}")))?;
+        .map_err(|error| rejected!("E-IO", "cannot read the archive: {error}"))?;
     let zip = ZipArchive::new(Reader::new(Arc::clone(&file))).map_err(|error| Rejected {
         byte_offset: Some(budget.size()),
-        ..Rejected::read(
+        ..rejected!(
             DAMAGED,
-            format!(
-                "found no directory of a zip archive at the end of its {} bytes ({error}); it is cut short or no zip",
-                budget.size()
-            ),
+            "found no directory of a zip archive at the end of its {} bytes ({error}); it is cut short or no zip",
+            budget.size()
         )
     })?;
     let mut content = Content::default();

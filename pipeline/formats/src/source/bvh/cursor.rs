@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 pub(super) fn syntax(at: usize, reason: impl Into<String>) -> Rejected {
     Rejected::read("E-BVH-SYNTAX", reason).at(at)
@@ -124,9 +124,10 @@ pub(super) fn number(at: usize, token: &[u8]) -> Rejected {
     } else {
         ""
     };
-    Rejected::read(
+    rejected!(
         "E-BVH-NUMBER",
-        format!("found {}, expected a finite number{hint}", shown(token)),
+        "found {}, expected a finite number{hint}",
+        shown(token)
     )
     .at(at)
 }

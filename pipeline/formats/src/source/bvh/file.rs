@@ -9,7 +9,7 @@ use super::hierarchy::parse_hierarchy;
 use super::joint::BvhJoint;
 use super::motion::{Rows, is_line_end, parse_frame_time};
 use crate::source::files::UTF8_BOM;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// A parsed BVH file in its own unit, axes and joint names.
 #[derive(Clone, Debug, PartialEq)]
@@ -172,7 +172,7 @@ impl<'a> Pieces<'a> {
         self.file
             .take(Self::PIECE as u64)
             .read_to_end(&mut self.text)
-            .map_err(|error| Rejected::read("E-IO", format!("cannot read the file: {error}")))?;
+            .map_err(|error| rejected!("E-IO", "cannot read the file: {error}"))?;
         self.ended = self.text.len() - before < Self::PIECE;
         Ok(())
     }

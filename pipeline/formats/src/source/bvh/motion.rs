@@ -3,7 +3,7 @@
 use datasets_spec::Fps;
 
 use super::cursor::{Cursor, number, parse_number, shown};
-use clip::{MAX_FPS, MIN_FPS, Rejected};
+use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
 pub(super) fn parse_frame_time(cursor: &mut Cursor) -> Result<Fps, Rejected> {
     cursor.keyword("FRAME TIME:")?;
@@ -12,14 +12,12 @@ pub(super) fn parse_frame_time(cursor: &mut Cursor) -> Result<Fps, Rejected> {
         .filter(|secs| (1.0 / MAX_FPS..=1.0 / MIN_FPS).contains(secs))
         .and_then(|secs| Fps::from_file(1.0 / secs).ok())
         .ok_or_else(|| {
-            Rejected::read(
+            rejected!(
                 "E-BVH-FRAME-TIME",
-                format!(
-                    "found a frame time of {} s, expected {} to {} s",
-                    shown(word),
-                    1.0 / MAX_FPS,
-                    1.0 / MIN_FPS
-                ),
+                "found a frame time of {} s, expected {} to {} s",
+                shown(word),
+                1.0 / MAX_FPS,
+                1.0 / MIN_FPS
             )
             .at(at)
         })

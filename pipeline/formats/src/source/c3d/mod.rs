@@ -21,7 +21,7 @@ use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
 use super::unit::Unit;
 use crate::markers::{self, Capture, CaptureUnit, is_model_output};
-use clip::{MAX_FPS, MIN_FPS, Markers, Outcome, Rejected};
+use clip::{MAX_FPS, MIN_FPS, Markers, Outcome, Rejected, rejected};
 
 pub use self::processor::Processor;
 
@@ -81,9 +81,10 @@ impl C3dFile {
 /// The processor of a file and its parameters.
 fn parameters(bytes: &[u8]) -> Result<(Processor, Parameters), Rejected> {
     if bytes.len() < BLOCK {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-C3D-TRUNCATED",
-            format!("found {} bytes, expected a header of {BLOCK}", bytes.len()),
+            "found {} bytes, expected a header of {BLOCK}",
+            bytes.len()
         )
         .at(bytes.len()));
     }
@@ -205,12 +206,10 @@ impl Layout {
         };
         let start = data_block.saturating_sub(1) * BLOCK;
         if start < BLOCK || start >= bytes.len() {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-C3D-TRUNCATED",
-                format!(
-                    "the frames are said to be in block {data_block}, the file has {}",
-                    bytes.len().div_ceil(BLOCK)
-                ),
+                "the frames are said to be in block {data_block}, the file has {}",
+                bytes.len().div_ceil(BLOCK)
             )
             .at(bytes.len()));
         }
@@ -253,13 +252,11 @@ impl Layout {
             return Err(unit.doubt(frames).unwrap_or_else(other));
         }
         if positions.are_all_zero() {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-C3D-ZERO",
-                format!(
-                    "all coordinates are zero in {} positions, {} of them seen; expected a capture",
-                    positions.places.len(),
-                    positions.seen
-                ),
+                "all coordinates are zero in {} positions, {} of them seen; expected a capture",
+                positions.places.len(),
+                positions.seen
             )
             .at(self.start));
         }
@@ -394,13 +391,12 @@ impl Positions {
 
     /// Why a file with so many implausible positions is of another processor than it says.
     fn other_processor(&self, stated: Processor) -> Rejected {
-        Rejected::read(
+        rejected!(
             "E-C3D-ENDIAN",
-            format!(
-                "found {} of {} positions farther than {MAX_DISTANCE_M} m; the \
+            "found {} of {} positions farther than {MAX_DISTANCE_M} m; the \
                  file says {stated:?}, and its numbers are another processor's",
-                self.implausible, self.seen
-            ),
+            self.implausible,
+            self.seen
         )
     }
 
@@ -493,9 +489,9 @@ fn frame_count(
             }
             Ok(frames)
         }
-        (Some(first), None) => Err(Rejected::read(
+        (Some(first), None) => Err(rejected!(
             "E-C3D-TRUNCATED",
-            format!("found room for {room} frames, expected {first}"),
+            "found room for {room} frames, expected {first}"
         )),
         _ => Err(header_error(6, "found no number of frames")),
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::processor::Processor;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// Bytes of a block.
 pub(super) const BLOCK: usize = 512;
@@ -48,12 +48,10 @@ impl<'a> Cursor<'a> {
         let end = self.at.checked_add(length);
         let taken = end.and_then(|end| self.bytes.get(self.at..end));
         let taken = taken.ok_or_else(|| {
-            Rejected::read(
+            rejected!(
                 "E-C3D-PARAM",
-                format!(
-                    "expected {length} bytes more of the parameters, found {}",
-                    self.bytes.len().saturating_sub(self.at)
-                ),
+                "expected {length} bytes more of the parameters, found {}",
+                self.bytes.len().saturating_sub(self.at)
             )
             .at(self.at)
         })?;
@@ -228,9 +226,9 @@ fn value(cursor: &mut Cursor, processor: Processor) -> Result<Value, Rejected> {
         2 => 2,
         4 => 4,
         other => {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-C3D-PARAM",
-                format!("found a value of type {other}, expected -1, 1, 2 or 4"),
+                "found a value of type {other}, expected -1, 1, 2 or 4"
             )
             .at(kind_at));
         }

@@ -6,8 +6,6 @@
 
 mod release;
 
-use std::path::Path;
-
 use datasets_spec::Fps;
 
 use self::release::StoredDataset;
@@ -30,11 +28,7 @@ impl SourceFormat for DatasetFolder {
         (4 * 69) as f64 * Fps::STORE.get()
     }
 
-    fn find(
-        &self,
-        files: &Files,
-        _index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(boxed(StoredDataset::find(files)))
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        boxed(StoredDataset::find(files))
     }
 }

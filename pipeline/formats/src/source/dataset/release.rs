@@ -14,7 +14,7 @@ use datasets_spec::{Fps, Split};
 use crate::source::format::check_skeleton;
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
 use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
-use clip::{EditOf, Markers, Rejected, RotationSource, SourceClip, SourceMask};
+use clip::{EditOf, Markers, ReadClip, Rejected, RotationSource, SourceClip, SourceMask, rejected};
 
 /// Flags that the motion itself does not show.
 const KEPT_FLAGS: u32 =
@@ -93,7 +93,8 @@ impl StoredDataset {
                 "the dataset is of format {}, this program reads {SCHEMA_VERSION}",
                 manifest.schema_version
             );
-            release.reject(manifest_file, Rejected::read("E-DATASET-VERSION", reason));
+            let rejected = Rejected::read("E-DATASET-VERSION", reason);
+            release.contents.reject(manifest_file, rejected);
         } else {
             for (table, entries) in &manifest.tables {
                 for entry in entries {
@@ -125,15 +126,10 @@ impl StoredDataset {
                     }
                     _ => "description of a dataset, read with its motions",
                 };
-                let passed_over = (file.to_owned(), reason.to_owned());
-                release.contents.passed_over.push(passed_over);
+                release.contents.pass_over(file, reason);
             }
         }
         release
-    }
-
-    fn reject(&mut self, file: &str, rejected: Rejected) {
-        self.contents.rejected.push((file.to_owned(), rejected));
     }
 
     /// Reads what is needed to plan: ids and splits of motions, and the small tables.
@@ -157,16 +153,24 @@ impl StoredDataset {
         }
         let file = format!("{root}{}", entry.path);
         let Some(path) = files.path(&file) else {
-            let reason = format!("{} is missing from the dataset", entry.path);
-            return self.reject(manifest_file, Rejected::read("E-DATASET-MISSING", reason));
+            let rejected = rejected!(
+                "E-DATASET-MISSING",
+                "{} is missing from the dataset",
+                entry.path
+            );
+            return self.contents.reject(manifest_file, rejected);
         };
         match files.hash(path) {
             Ok(found) if found == entry.blake3 => {}
             Ok(found) => {
-                let reason = format!("BLAKE3 expected {}, found {found}", entry.blake3);
-                return self.reject(&file, Rejected::read("E-DATASET-HASH", reason));
+                let expected = &entry.blake3;
+                let rejected = rejected!(
+                    "E-DATASET-HASH",
+                    "BLAKE3 expected {expected}, found {found}"
+                );
+                return self.contents.reject(file, rejected);
             }
-            Err(reason) => return self.reject(&file, Rejected::read("E-IO", reason)),
+            Err(reason) => return self.contents.reject(file, Rejected::read("E-IO", reason)),
         }
         let read = || -> Result<(), datasets_spec::Error> {
             match table {
@@ -210,7 +214,7 @@ impl StoredDataset {
             Ok(Err(error)) => error.to_string(),
             Err(_) => "it is no Parquet file".to_owned(),
         };
-        self.reject(&file, Rejected::read(CODE, problem));
+        self.contents.reject(file, Rejected::read(CODE, problem));
     }
 
     fn edits(&self, id: &str) -> Vec<EditOf> {
@@ -224,12 +228,7 @@ impl Release for StoredDataset {
         &self.contents
     }
 
-    fn read(
-        &self,
-        _files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, _files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let refused = |reason: String| Rejected::read(CODE, reason);
         let shard = self.shards.get(&entry.file);
         let row: MotionRow = shard

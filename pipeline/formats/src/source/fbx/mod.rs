@@ -11,7 +11,7 @@ use self::performance::{Performance, Performances};
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
 use crate::retarget;
-use clip::{Outcome, Rejected};
+use clip::{Outcome, Rejected, rejected};
 
 /// First bytes of FBX files, binary and text.
 const MAGICS: [&[u8]; 2] = [b"Kaydara FBX Binary  \0", b"; FBX "];
@@ -42,8 +42,7 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
     let place = match key {
         "" => 0,
         key => keys.iter().position(|other| other == key).ok_or_else(|| {
-            let reason = format!("found no take {key} among {}", keys.join(", "));
-            Rejected::read("E-FBX-KEY", reason)
+            rejected!("E-FBX-KEY", "found no take {key} among {}", keys.join(", "))
         })?,
     };
     let performance = Performance::of(&all, place)?;

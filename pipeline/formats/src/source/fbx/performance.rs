@@ -13,7 +13,7 @@ use ufbx::{
 use crate::retarget::{Bone, Placed, Rest, Rig};
 use crate::source::Unit;
 use crate::source::names::unique_keys;
-use clip::{MAX_FPS, MIN_FPS, Rejected};
+use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
 /// Limits: of the memory that a file may take while it is read, on the nodes it may have, on their depth, and on
 /// the frames of a take.
@@ -409,8 +409,10 @@ fn frames_in(seconds: f64, fps: Fps) -> Result<usize, Rejected> {
     const SLACK: f64 = 1e-3;
     let frames = (seconds * fps.get() + SLACK).floor() + 1.0;
     if frames.is_nan() || frames < 2.0 {
-        let reason = format!("the take lasts {seconds} s, expected at least 2 frames");
-        return Err(Rejected::read("E-TOO-SHORT", reason));
+        return Err(rejected!(
+            "E-TOO-SHORT",
+            "the take lasts {seconds} s, expected at least 2 frames"
+        ));
     }
     if frames > MAX_FRAMES as f64 {
         let found = format!("the take lasts {seconds} s, expected at most {MAX_FRAMES} frames");
@@ -434,8 +436,10 @@ fn placed(matrix: &Matrix) -> Placed {
 }
 
 fn limit(what: &str, found: usize, most: usize) -> Rejected {
-    let reason = format!("found {found} {what}, expected at most {most}");
-    Rejected::read("E-FBX-LIMIT", reason)
+    rejected!(
+        "E-FBX-LIMIT",
+        "found {found} {what}, expected at most {most}"
+    )
 }
 
 fn rejected(error: &ufbx::Error) -> Rejected {
@@ -452,11 +456,9 @@ fn rejected(error: &ufbx::Error) -> Rejected {
         "" => error.description.to_string(),
         info => format!("{} ({info})", &*error.description),
     };
-    Rejected::read(
+    rejected!(
         code,
-        format!(
-            "the file is no FBX that can be read: {}",
-            said.to_lowercase()
-        ),
+        "the file is no FBX that can be read: {}",
+        said.to_lowercase()
     )
 }

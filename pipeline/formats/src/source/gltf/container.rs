@@ -11,7 +11,7 @@ use base64::engine::general_purpose::STANDARD;
 use gltf::json;
 
 use crate::source::files::UTF8_BOM;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// The bytes of a buffer, or why there are none.
 pub(super) type Buffer<'a> = Result<Cow<'a, [u8]>, Rejected>;
@@ -104,9 +104,9 @@ pub(super) fn buffer_bytes<'a>(
         None => match binary.filter(|_| index == 0) {
             Some(binary) => Cow::Borrowed(binary),
             None => {
-                return Err(Rejected::read(
+                return Err(rejected!(
                     "E-GLTF-BUFFER",
-                    format!("buffer {index} has neither bytes nor a URI"),
+                    "buffer {index} has neither bytes nor a URI"
                 ));
             }
         },
@@ -114,12 +114,10 @@ pub(super) fn buffer_bytes<'a>(
     };
     let expected = buffer.byte_length.0;
     if (bytes.len() as u64) < expected {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-GLTF-BUFFER",
-            format!(
-                "buffer {index} has {} bytes, expected {expected} as the file says",
-                bytes.len()
-            ),
+            "buffer {index} has {} bytes, expected {expected} as the file says",
+            bytes.len()
         ));
     }
     Ok(bytes)
@@ -134,12 +132,10 @@ fn decode_uri(index: usize, uri: &str) -> Result<Vec<u8>, Rejected> {
             .filter(|c| !c.is_control())
             .take(SHOWN)
             .collect();
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-GLTF-URI",
-            format!(
-                "buffer {index} is in another file ({shown}); pack the model into one file, as GLB \
+            "buffer {index} is in another file ({shown}); pack the model into one file, as GLB \
                  or with embedded buffers"
-            ),
         ));
     };
     let text = data
@@ -147,5 +143,5 @@ fn decode_uri(index: usize, uri: &str) -> Result<Vec<u8>, Rejected> {
         .filter(|(kind, _)| kind.ends_with(";base64"))
         .map(|(_, text)| text);
     text.and_then(|text| STANDARD.decode(text).ok())
-        .ok_or_else(|| Rejected::read("E-GLTF-BUFFER", format!("buffer {index} is no base64 data")))
+        .ok_or_else(|| rejected!("E-GLTF-BUFFER", "buffer {index} is no base64 data"))
 }

@@ -6,7 +6,7 @@ use gltf::json::validation::Checked;
 
 use super::container::{Buffer, buffer_bytes, chunks, little_endian, part};
 use crate::source::names::unique_keys;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 pub(super) struct Document<'a> {
     pub root: json::Root,
@@ -18,9 +18,8 @@ pub(super) struct Document<'a> {
 impl<'a> Document<'a> {
     pub(super) fn parse(bytes: &'a [u8]) -> Result<Self, Rejected> {
         let (text, binary) = chunks(bytes)?;
-        let root = json::Root::from_slice(text).map_err(|error| {
-            Rejected::read("E-GLTF-SYNTAX", format!("the JSON is no glTF: {error}"))
-        })?;
+        let root = json::Root::from_slice(text)
+            .map_err(|error| rejected!("E-GLTF-SYNTAX", "the JSON is no glTF: {error}"))?;
         let buffers = root
             .buffers
             .iter()
@@ -114,9 +113,9 @@ impl<'a> Document<'a> {
             self.replace(&mut elements, sparse, component, &what)?;
         }
         if elements.iter().flatten().any(|value| !value.is_finite()) {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-NOT-FINITE",
-                format!("{what} holds a number that is not finite"),
+                "{what} holds a number that is not finite"
             ));
         }
         Ok(elements)
@@ -226,8 +225,8 @@ fn number(component: ComponentType, bytes: &[u8]) -> f64 {
 }
 
 pub(super) fn limit(what: &str, found: usize, most: usize) -> Rejected {
-    Rejected::read(
+    rejected!(
         "E-GLTF-LIMIT",
-        format!("found {found} {what}, expected at most {most}"),
+        "found {found} {what}, expected at most {most}"
     )
 }

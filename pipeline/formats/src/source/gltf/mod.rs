@@ -24,7 +24,7 @@ use skeleton::Skeleton;
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
 use crate::retarget;
-use clip::{Outcome, Rejected};
+use clip::{Outcome, Rejected, rejected};
 
 /// Unique names of the animations in a file; empty if there is none or the file is broken.
 ///
@@ -69,9 +69,10 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
         0
     } else {
         names.iter().position(|name| name == key).ok_or_else(|| {
-            Rejected::read(
+            rejected!(
                 "E-GLTF-KEY",
-                format!("found no animation {key} among {}", names.len()),
+                "found no animation {key} among {}",
+                names.len()
             )
         })?
     };

@@ -14,7 +14,7 @@ use super::document::{Document, accessor_error, limit};
 use super::nodes::{Local, World};
 use super::skeleton::Skeleton;
 use crate::retarget::{Bone, Placed, Rest, Rig};
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// Limits on the keys read from one animation and on the frames sampled. Both allow an hour of a
 /// whole body at 60 fps.
@@ -85,13 +85,11 @@ impl<'a> Performance<'a> {
         let (fps, on_keys) = grid.rate();
         let num_frames = grid.num_frames(fps);
         if num_frames > MAX_FRAMES as f64 {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-GLTF-TIME",
-                format!(
-                    "the animation lasts {} s, expected at most {MAX_FRAMES} frames at {} fps",
-                    grid.end - grid.start,
-                    fps.get()
-                ),
+                "the animation lasts {} s, expected at most {MAX_FRAMES} frames at {} fps",
+                grid.end - grid.start,
+                fps.get()
             ));
         }
         Ok(Some(Self {

@@ -9,7 +9,7 @@ use gltf::json::accessor::Type;
 use super::document::{Document, accessor_error, limit};
 use super::nodes::{Local, Tree, World};
 use crate::retarget::Placed;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// Limit on bones: joints of the skin and the nodes above them.
 const MAX_BONES: usize = 4096;
@@ -35,9 +35,10 @@ impl Skeleton {
         for joint in &skin.joints {
             let joint = joint.value();
             if joint >= nodes.len() {
-                return Err(Rejected::read(
+                return Err(rejected!(
                     "E-GLTF-NODES",
-                    format!("the skin has joint {joint} of {} nodes", nodes.len()),
+                    "the skin has joint {joint} of {} nodes",
+                    nodes.len()
                 ));
             }
             let mut at = Some(joint);
@@ -62,9 +63,10 @@ impl Skeleton {
             .collect();
         let locals: Vec<Local> = order.iter().map(|&node| Local::of(&nodes[node])).collect();
         if let Some(bone) = locals.iter().position(|local| !local.is_finite()) {
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-NOT-FINITE",
-                format!("node {} is not at a finite place", order[bone]),
+                "node {} is not at a finite place",
+                order[bone]
             ));
         }
         let mut skeleton = Self {

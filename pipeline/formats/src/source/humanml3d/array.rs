@@ -8,7 +8,7 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 use pickle::npy::{self, Array};
 
 use crate::source::files::refuse_pointer;
-use clip::{Rejected, RotationSource, SourceClip};
+use clip::{Rejected, RotationSource, SourceClip, rejected};
 
 /// Rate of the published clips.
 pub(crate) const FPS: Fps = Fps::STORE;
@@ -97,32 +97,28 @@ fn bad_shape(array: &Array) -> Rejected {
     } else {
         ""
     };
-    Rejected::read(
+    rejected!(
         "E-HML-SHAPE",
-        format!(
-            "found an array of shape {:?}, expected [frames, {HUMANML3D_WIDTH}] or [frames, \
+        "found an array of shape {:?}, expected [frames, {HUMANML3D_WIDTH}] or [frames, \
              {NUM_BODY_JOINTS}, 3]{hint}",
-            array.shape
-        ),
+        array.shape
     )
 }
 
 fn check_frames(array: &Array, num_frames: usize) -> Result<(), Rejected> {
     if num_frames < 2 {
-        return Err(Rejected::read(
+        return Err(rejected!(
             TOO_SHORT,
-            format!("found {num_frames} frames, expected at least 2"),
+            "found {num_frames} frames, expected at least 2"
         ));
     }
     let broken = |value: &f64| !(*value as f32).is_finite();
     match array.values.iter().position(broken) {
-        Some(at) => Err(Rejected::read(
+        Some(at) => Err(rejected!(
             "E-HML-FINITE",
-            format!(
-                "found {} in frame {}, expected finite numbers",
-                array.values[at],
-                at / (array.values.len() / num_frames)
-            ),
+            "found {} in frame {}, expected finite numbers",
+            array.values[at],
+            at / (array.values.len() / num_frames)
         )),
         None => Ok(()),
     }

@@ -17,7 +17,7 @@ use crate::source::format::{Contents, Entry, Release, boxed};
 use crate::source::labels;
 use crate::source::options::ReadOptions;
 use clip::check::FLAG_POOR_FIT;
-use clip::{Rejected, SourceClip};
+use clip::{ReadClip, Rejected, SourceClip};
 
 /// Clips of the published set whose crop leaves at most one frame.
 const KNOWN_EMPTY: [&str; 2] = ["009707", "011059"];
@@ -70,8 +70,8 @@ impl Folder {
                 notes: note.into_iter().collect(),
             };
             if let (Some(_), Some(joints)) = (&clip.vector, &clip.joints) {
-                let reason = "joints of a clip that is read from its HumanML3D vector".to_owned();
-                folder.contents.passed_over.push((joints.clone(), reason));
+                let reason = "joints of a clip that is read from its HumanML3D vector";
+                folder.contents.pass_over(joints, reason);
             }
             let Some(file) = clip.vector.clone().or(clip.joints.clone()) else {
                 continue;
@@ -114,15 +114,15 @@ impl Folder {
             } else {
                 "captions without a motion"
             };
-            self.contents.passed_over.push((file, reason.to_owned()));
+            self.contents.pass_over(file, reason);
         }
         for file in layout.lists.into_keys() {
-            let reason = "HumanML3D list of ids, no motion".to_owned();
-            self.contents.passed_over.push((file, reason));
+            let reason = "HumanML3D list of ids, no motion";
+            self.contents.pass_over(file, reason);
         }
         if let Some((file, _)) = layout.index {
-            let reason = "HumanML3D crop list, no motion".to_owned();
-            self.contents.passed_over.push((file, reason));
+            let reason = "HumanML3D crop list, no motion";
+            self.contents.pass_over(file, reason);
         }
         self.contents.passed_over.extend(layout.others);
         self.contents.rejected.extend(layout.rejected);
@@ -134,12 +134,7 @@ impl Release for Folder {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let skeleton = &options.skeleton;
         let unknown = Clip::default();
         let clip = self.clips.get(&entry.id).unwrap_or(&unknown);

@@ -83,11 +83,7 @@ impl SourceFormat for HumanMl3d {
         read_array(bytes, &options.skeleton).into()
     }
 
-    fn find(
-        &self,
-        files: &Files,
-        _index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(find(files))
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        find(files)
     }
 }

@@ -12,35 +12,10 @@ use testkit::walk;
 use testkit::{npy, npy_f8};
 
 use super::*;
+use crate::source::release_tests::{clip_of, files_of};
+use clip::RotationSource;
 use clip::check::FLAG_POOR_FIT;
-use clip::{RotationSource, SourceClip};
 use pickle::npy;
-
-/// Files in a temporary folder.
-struct Source {
-    folder: tempfile::TempDir,
-    paths: BTreeMap<String, PathBuf>,
-}
-
-impl Source {
-    fn new(files: &[(&str, &[u8])]) -> Self {
-        let mut source = Self {
-            folder: tempfile::tempdir().expect("temporary folder"),
-            paths: BTreeMap::new(),
-        };
-        for (name, bytes) in files {
-            let path = source.folder.path().join(name);
-            fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-            fs::write(&path, bytes).expect("written");
-            source.paths.insert((*name).to_owned(), path);
-        }
-        source
-    }
-
-    fn files(&self) -> Files {
-        Files::new(self.paths.clone())
-    }
-}
 
 fn walking() -> Vec<[DVec3; 22]> {
     let motion = Motion::from_poses(FPS, &walk(30)).expect("valid");
@@ -62,17 +37,6 @@ fn joint_file(joints: &[[DVec3; 22]]) -> Vec<u8> {
     npy_f8(&[joints.len(), 22, 3], &values)
 }
 
-fn clip_of_entry(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
-    let entry = release
-        .contents()
-        .entries
-        .iter()
-        .find(|entry| entry.id == id)
-        .expect("planned");
-    let clip = release.read(files, entry, &ReadOptions::default());
-    clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
-}
-
 #[test]
 fn a_folder_is_found_wherever_it_lies_and_every_file_is_accounted_for() {
     let vector = vector();
@@ -81,7 +45,7 @@ fn a_folder_is_found_wherever_it_lies_and_every_file_is_accounted_for() {
         recover_joints(&features(&array).expect("valid"))
     };
     let joints = joint_file(&recovered);
-    let source = Source::new(&[
+    let (_folder, files) = files_of(&[
         ("deep/hml/new_joint_vecs/000001.npy", &vector),
         ("deep/hml/new_joint_vecs/M000001.npy", &vector),
         ("deep/hml/new_joints/000001.npy", &joints),
@@ -99,7 +63,6 @@ fn a_folder_is_found_wherever_it_lies_and_every_file_is_accounted_for() {
             b"source_path,start_frame,end_frame,new_name\n./pose_data/KIT/3/a_poses.npy,7,36,000001.npy\n",
         ),
     ]);
-    let files = source.files();
     let releases = find(&files);
     let [release] = &releases[..] else {
         panic!("one folder, found {}", releases.len());
@@ -146,7 +109,7 @@ fn a_folder_is_found_wherever_it_lies_and_every_file_is_accounted_for() {
         "captions without a motion"
     );
 
-    let clip = clip_of_entry(release.as_ref(), &files, "000001");
+    let clip = clip_of(release.as_ref(), &files, "000001");
     assert_eq!(clip.motion.len(), 29);
     assert_eq!(clip.rotation_source, RotationSource::Retargeted);
     assert_eq!(clip.source_frames, 7..36);
@@ -156,7 +119,7 @@ fn a_folder_is_found_wherever_it_lies_and_every_file_is_accounted_for() {
     for part in ["train, test", "KIT/3/a_poses", "1 lines", "within"] {
         assert!(notes.contains(part), "{part}: {notes}");
     }
-    let fitted = clip_of_entry(release.as_ref(), &files, "000002");
+    let fitted = clip_of(release.as_ref(), &files, "000002");
     assert_eq!(fitted.rotation_source, RotationSource::Fitted);
     assert!(fitted.fit_error_m.expect("measured") < 0.05);
 }
@@ -164,13 +127,12 @@ fn a_folder_is_found_wherever_it_lies_and_every_file_is_accounted_for() {
 #[test]
 fn joints_that_contradict_their_vector_are_flagged() {
     let vector = vector();
-    let source = Source::new(&[
+    let (_folder, files) = files_of(&[
         ("h/new_joint_vecs/000001.npy", &vector),
         ("h/new_joints/000001.npy", &joint_file(&walking()[..29])),
     ]);
-    let files = source.files();
     let releases = find(&files);
-    let clip = clip_of_entry(releases[0].as_ref(), &files, "000001");
+    let clip = clip_of(releases[0].as_ref(), &files, "000001");
     assert_eq!(clip.flags, FLAG_POOR_FIT, "other bone lengths");
 }
 
@@ -202,8 +164,7 @@ fn what_is_wrong_is_rejected_by_code() {
 
 #[test]
 fn clips_published_without_frames_are_known() {
-    let source = Source::new(&[("new_joint_vecs/M009707.npy", &npy_f8(&[0, 263], &[]))]);
-    let files = source.files();
+    let (_folder, files) = files_of(&[("new_joint_vecs/M009707.npy", &npy_f8(&[0, 263], &[]))]);
     let releases = find(&files);
     let entry = &releases[0].contents().entries[0];
     let read = releases[0].read(&files, entry, &ReadOptions::default());
@@ -286,7 +247,7 @@ fn the_published_clip_and_its_neighbours_are_read() {
     .map(|name| (name.to_owned(), folder.join(name)));
     let files = Files::new(BTreeMap::from(paths));
     let releases = find(&files);
-    let clip = clip_of_entry(releases[0].as_ref(), &files, "012314");
+    let clip = clip_of(releases[0].as_ref(), &files, "012314");
     assert_eq!((clip.motion.len(), clip.flags), (170, 0));
     assert!(clip.fit_error_m.expect("measured") < 0.03);
     assert!(releases[0].contents().entries[0].split.is_some());

@@ -10,7 +10,7 @@ use crate::source::files::Files;
 use crate::source::humanml3d::{self, IndexRow};
 use crate::source::options::ReadOptions;
 use clip::check::FLAG_FPS_DOUBTFUL;
-use clip::{Rejected, RotationSource, SourceClip};
+use clip::{Rejected, RotationSource, SourceClip, rejected};
 
 /// Frames that a crop may lack at its end without a note: rounding a rate can cost one.
 const END_TOLERANCE: usize = 1;
@@ -90,25 +90,23 @@ pub(super) fn cut(
     // The rate is not rounded first: that would shift every frame of a recording at 119.99 fps.
     let stride = (stated / fps.get()).floor() as usize;
     if stride == 0 {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-AMASS-FPS",
-            format!("found {stated} fps, expected at least {fps} to cut HumanML3D's clips from"),
+            "found {stated} fps, expected at least {fps} to cut HumanML3D's clips from"
         ));
     }
     let row = &crop.row;
     let frames = frames_of(parameters.num_frames(), stride, crop.lead_in_frames, row);
     let wanted = row.end.map(|end| end.saturating_sub(row.start));
     if frames.len() < 2 {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-TOO-SHORT",
-            format!(
-                "found {} frames of the crop {}..{} in {} frames at {stated} fps, expected at \
+            "found {} frames of the crop {}..{} in {} frames at {stated} fps, expected at \
                  least 2",
-                frames.len(),
-                row.start,
-                row.end.map_or("end".to_owned(), |end| end.to_string()),
-                parameters.num_frames()
-            ),
+            frames.len(),
+            row.start,
+            row.end.map_or("end".to_owned(), |end| end.to_string()),
+            parameters.num_frames()
         ));
     }
     let motion = parameters.motion(&frames, humanml3d_turn(), fps, skeleton)?;

@@ -10,10 +10,7 @@ mod plan;
 #[cfg(test)]
 mod tests;
 
-use std::path::Path;
-
-use super::files::Files;
-use super::format::{Format, Release, SourceFormat};
+use super::format::{Format, SourceFormat};
 
 pub use plan::find;
 pub use plan::{is_humanact12, recordings};
@@ -31,13 +28,5 @@ impl SourceFormat for HumanMl3dAmass {
 
     fn bytes_per_second(&self) -> f64 {
         super::humanml3d::FORMAT.bytes_per_second()
-    }
-
-    fn find(
-        &self,
-        files: &Files,
-        index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        index.map(|index| find(files, index)).into_iter().collect()
     }
 }

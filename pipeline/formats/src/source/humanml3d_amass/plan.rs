@@ -15,7 +15,7 @@ use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release};
 use crate::source::humanml3d::{self, IndexRow, Splits};
 use crate::source::options::ReadOptions;
-use clip::{Rejected, SourceClip};
+use clip::{ReadClip, Rejected, rejected};
 
 /// Part of the path of rows that were made from HumanAct12's joints, not from AMASS.
 const HUMANACT12: &str = "humanact12";
@@ -90,9 +90,8 @@ pub fn find(files: &Files, index: &Path) -> Result<Box<dyn Release>, Error> {
             } else {
                 "row whose AMASS recording is not among the sources"
             };
-            cuts.contents
-                .passed_over
-                .push((item, format!("HumanML3D index {reason}")));
+            let reason = format!("HumanML3D index {reason}");
+            cuts.contents.pass_over(item, reason);
             continue;
         };
         used.insert(file.as_str());
@@ -100,8 +99,8 @@ pub fn find(files: &Files, index: &Path) -> Result<Box<dyn Release>, Error> {
     }
     for file in recordings.values().flatten() {
         if !used.contains(file.as_str()) {
-            let reason = "AMASS file that the HumanML3D index takes nothing from".to_owned();
-            cuts.contents.passed_over.push((file.clone(), reason));
+            let reason = "AMASS file that the HumanML3D index takes nothing from";
+            cuts.contents.pass_over(file, reason);
         }
     }
     cuts.pass_over_texts(&texts);
@@ -163,8 +162,8 @@ impl Cuts {
         for (id, file) in texts {
             let clip = humanml3d::mirrored_of(id).unwrap_or(id);
             if self.crops.contains_key(clip) {
-                let reason = "captions, read with the motion they describe".to_owned();
-                self.contents.passed_over.push(((*file).to_owned(), reason));
+                let reason = "captions, read with the motion they describe";
+                self.contents.pass_over(*file, reason);
             }
         }
     }
@@ -175,18 +174,14 @@ impl Release for Cuts {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let skeleton = &options.skeleton;
         let is_mirrored = entry.mirrored_of.is_some();
         let id = entry.mirrored_of.as_ref().unwrap_or(&entry.id);
-        let crop = self.crops.get(id).ok_or_else(|| {
-            Rejected::read("E-HML-INDEX", format!("found no row {id} in the index"))
-        })?;
+        let crop = self
+            .crops
+            .get(id)
+            .ok_or_else(|| rejected!("E-HML-INDEX", "found no row {id} in the index"))?;
         let bytes = files.read(&entry.file)?;
         refuse_pointer(&bytes)?;
         let parameters = match amass::parse(&bytes)? {

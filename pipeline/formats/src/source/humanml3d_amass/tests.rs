@@ -1,14 +1,11 @@
-use std::fs;
 use std::sync::Arc;
 
 use proptest::prelude::*;
 
-use datasets_spec::store::{ByPath, Store as _};
 use datasets_spec::{Fps, Joint, Motion, Skeleton, Split};
 use features::smpl_body;
 use glam::{DQuat, DVec3};
-use testkit::npy_f8;
-use testkit::npz;
+use testkit::{npy_f8, npz, put};
 
 use super::crop::frames_of;
 use super::mirror::{mirror, mirrored_body, swap_sides};
@@ -16,8 +13,11 @@ use super::*;
 use crate::Error;
 use crate::source::amass::tests::clip_members;
 use crate::source::body_model::tests::subjects;
+use crate::source::files::Files;
+use crate::source::format::Release;
 use crate::source::humanml3d::IndexRow;
 use crate::source::options::ReadOptions;
+use crate::source::release_tests::{entry_of, files_under};
 use clip::check::FLAG_FPS_DOUBTFUL;
 use clip::{Rejected, RotationSource, SourceClip};
 
@@ -50,21 +50,13 @@ impl Tree {
     fn new(files: &[(&str, Vec<u8>)]) -> Self {
         let folder = tempfile::tempdir().expect("temporary folder");
         for (name, bytes) in files {
-            let path = folder.path().join(name);
-            fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-            fs::write(path, bytes).expect("written");
+            put(folder.path(), name, bytes);
         }
         Self { folder }
     }
 
     fn files(&self) -> Files {
-        let root = self.folder.path();
-        let paths = ByPath.files_below(root).expect("listed").into_iter();
-        let named = paths.map(|path| {
-            let name = path.strip_prefix(root).expect("below").to_str();
-            (name.expect("text").to_owned(), path)
-        });
-        Files::new(named.collect())
+        files_under(self.folder.path())
     }
 
     fn release(&self) -> Box<dyn Release> {
@@ -84,12 +76,7 @@ fn index(rows: &[&str]) -> (&'static str, Vec<u8>) {
 }
 
 fn read(tree: &Tree, release: &dyn Release, id: &str) -> Result<SourceClip, Rejected> {
-    let entry = release
-        .contents()
-        .entries
-        .iter()
-        .find(|entry| entry.id == id)
-        .expect("planned");
+    let entry = entry_of(release, id);
     release.read(&tree.files(), entry, &ReadOptions::default())
 }
 

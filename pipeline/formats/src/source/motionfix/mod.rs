@@ -6,7 +6,6 @@
 //! `motion_target` (`rots`, `trans`, `joint_positions`) and `text`; SMPL-H, z up, 30 fps.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use datasets_spec::{BodyPart, Fps, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
@@ -16,7 +15,7 @@ use super::files::{Files, LFS_POINTER, refuse_pointer};
 use super::format::{Contents, Entry, Format, Release, SourceFormat};
 use super::options::ReadOptions;
 use super::smpl::{Parameters, column, y_up_from_z_up};
-use clip::{EditOf, Rejected, RotationSource, SourceClip};
+use clip::{EditOf, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 use pickle::joblib;
 use pickle::{Options, Value};
 
@@ -107,10 +106,9 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
     if folders.is_empty() {
         let reason = "MotionFix label file without motions, motionfix.pth.tar is missing";
         let mut release = MotionFixRelease::default();
-        release.contents.passed_over = labels
-            .into_iter()
-            .map(|file| (file.to_owned(), reason.to_owned()))
-            .collect();
+        for file in labels {
+            release.contents.pass_over(file, reason);
+        }
         return match release.contents.passed_over.is_empty() {
             true => Vec::new(),
             false => vec![Box::new(release)],
@@ -188,22 +186,17 @@ impl MotionFixRelease {
         let name = name_of(file);
         let has_parts = name.starts_with(PART_LABELS);
         if name != SPLITS && !has_parts {
-            let reason = "MotionFix label file that belongs to no motion".to_owned();
-            self.contents.passed_over.push((file.to_owned(), reason));
-            return;
+            let reason = "MotionFix label file that belongs to no motion";
+            return self.contents.pass_over(file, reason);
         }
         let read = files.read(file).and_then(|bytes| {
             refuse_pointer(&bytes)?;
-            serde_json::from_slice::<Json>(&bytes).map_err(|error| {
-                Rejected::read("E-MOTIONFIX-JSON", format!("found no JSON ({error})"))
-            })
+            serde_json::from_slice::<Json>(&bytes)
+                .map_err(|error| rejected!("E-MOTIONFIX-JSON", "found no JSON ({error})"))
         });
         let content = match read {
             Ok(content) => content,
-            Err(rejected) => {
-                self.contents.rejected.push((file.to_owned(), rejected));
-                return;
-            }
+            Err(rejected) => return self.contents.reject(file, rejected),
         };
         for (key, value) in content.as_object().into_iter().flatten() {
             if has_parts {
@@ -219,8 +212,8 @@ impl MotionFixRelease {
                 splits.extend(ids.map(|id| (id, split)));
             }
         }
-        let reason = "MotionFix label file, read with the motions".to_owned();
-        self.contents.passed_over.push((file.to_owned(), reason));
+        let reason = "MotionFix label file, read with the motions";
+        self.contents.pass_over(file, reason);
     }
 
     /// Decodes a dump and plans the motions that no earlier dump of the folder had. A pair that has the key of another
@@ -228,10 +221,7 @@ impl MotionFixRelease {
     fn take_dump(&mut self, files: &Files, file: &str, splits: &Lists) {
         let entries = match decode(files, file) {
             Ok(entries) => entries,
-            Err(rejected) => {
-                self.contents.rejected.push((file.to_owned(), rejected));
-                return;
-            }
+            Err(rejected) => return self.contents.reject(file, rejected),
         };
         let found = entries.len();
         // Keys of pairs, and by which key of the list.
@@ -268,10 +258,10 @@ impl MotionFixRelease {
         }
         if added.is_empty() {
             let reason = match found {
-                0 => "MotionFix dump without motions".to_owned(),
-                _ => "MotionFix dump whose pairs are all in another one of its folder".to_owned(),
+                0 => "MotionFix dump without motions",
+                _ => "MotionFix dump whose pairs are all in another one of its folder",
             };
-            self.contents.passed_over.push((file.to_owned(), reason));
+            self.contents.pass_over(file, reason);
         }
         for (key, id) in added {
             // Both motions of a pair share a split, even if no list states it.
@@ -331,18 +321,11 @@ impl Release for MotionFixRelease {
         &self.contents
     }
 
-    fn read(
-        &self,
-        _files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, _files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let planned = entry.key.rsplit_once('/');
         let (id, side, pair) = planned
             .and_then(|(id, side)| Some((id, side, self.pairs.get(id)?)))
-            .ok_or_else(|| {
-                Rejected::read("E-IO", format!("{} is not in the release", entry.key))
-            })?;
+            .ok_or_else(|| rejected!("E-IO", "{} is not in the release", entry.key))?;
         let parameters = match side {
             SOURCE => &pair.source,
             _ => &pair.target,
@@ -389,12 +372,10 @@ fn decode(files: &Files, file: &str) -> Result<Vec<(Value, Value)>, Rejected> {
     let dump = joblib::read_from(opened, len, &options)?;
     match dump {
         Value::Dict(entries) => Ok(entries),
-        other => Err(Rejected::read(
+        other => Err(rejected!(
             "E-MOTIONFIX-KEYS",
-            format!(
-                "found {}, expected a dictionary from ids to pairs",
-                other.describe()
-            ),
+            "found {}, expected a dictionary from ids to pairs",
+            other.describe()
         )),
     }
 }
@@ -408,12 +389,10 @@ impl Pair {
     fn of(value: &Value) -> Self {
         let side = |key: &str| {
             let motion = value.get(key).ok_or_else(|| {
-                Rejected::read(
+                rejected!(
                     "E-MOTIONFIX-KEYS",
-                    format!(
-                        "found {}, expected one with motion_source, motion_target and text",
-                        value.describe()
-                    ),
+                    "found {}, expected one with motion_source, motion_target and text",
+                    value.describe()
                 )
             })?;
             parameters(motion)
@@ -490,12 +469,8 @@ impl SourceFormat for MotionFix {
         2.0 * 4.0 * (3 * (1 + 2 * NUM_BODY_JOINTS)) as f64 * 30.0
     }
 
-    fn find(
-        &self,
-        files: &Files,
-        _index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(find(files))
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        find(files)
     }
 }
 

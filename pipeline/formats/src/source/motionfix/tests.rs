@@ -6,8 +6,9 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 
 use super::*;
-use crate::source::stance::tests::{files_under, put};
+use crate::source::release_tests::{clip_of, files_under};
 use pickle::{Array, encode};
+use testkit::put;
 
 /// A motion of the release: standing, z up, turned by 45 degrees about the vertical and moving
 /// along x.
@@ -68,13 +69,6 @@ fn only_release(files: &Files) -> Box<dyn Release> {
     let mut releases = find(files);
     assert_eq!(releases.len(), 1);
     releases.pop().expect("one")
-}
-
-fn clip(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
-    let mut entries = release.contents().entries.iter();
-    let entry = entries.find(|entry| entry.id == id).expect(id);
-    let clip = release.read(files, entry, &ReadOptions::default());
-    clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
 }
 
 #[test]
@@ -168,14 +162,14 @@ fn dumps_and_lists_become_pairs() {
             1,
             "000007 has the split of its dump"
         );
-        let unlisted = clip(&*release, &files, "motionfix/000007-target");
+        let unlisted = clip_of(&*release, &files, "motionfix/000007-target");
         assert!(unlisted.notes.iter().any(|note| note.contains("its dump")));
 
-        let source = clip(&*release, &files, "motionfix/000136-source");
+        let source = clip_of(&*release, &files, "motionfix/000136-source");
         assert!(!source.notes.iter().any(|note| note.contains("splits.json")));
         assert_eq!((source.motion.len(), source.motion.fps().get()), (25, 30.0));
         assert_eq!(source.edits, []);
-        let target = clip(&*release, &files, "motionfix/000136-target");
+        let target = clip_of(&*release, &files, "motionfix/000136-target");
         assert_eq!(target.motion.len(), 20);
         let [edit] = &target.edits[..] else {
             panic!("{:?}", target.edits);
@@ -200,7 +194,7 @@ fn motions_stand_upright_on_the_floor_of_the_store() {
     let release = only_release(&files);
     let options = ReadOptions::default();
     for side in ["source", "target"] {
-        let motion = clip(&*release, &files, &format!("motionfix/000001-{side}")).motion;
+        let motion = clip_of(&*release, &files, &format!("motionfix/000001-{side}")).motion;
         assert_eq!(motion.body_pose()[3][62], 0.25, "kept to the bit");
         let keypoints = options.skeleton.keypoints(&motion.pose(0));
         assert!(keypoints[15].y > keypoints[0].y + 0.4, "the head is up");

@@ -8,7 +8,7 @@ use pickle::npy;
 
 use crate::source::files::refuse_pointer;
 use crate::source::smpl::Parameters;
-use clip::{Rejected, RotationSource, SourceClip};
+use clip::{Rejected, RotationSource, SourceClip, rejected};
 
 /// Columns of a frame: root 3, body 63, hands 90, jaw 3, expression 50, shape of the face 100, translation 3,
 /// betas 10.
@@ -32,18 +32,16 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
     let header = npy::Header::parse("array", bytes)?;
     let array = npy::read_numbers("array", bytes)?;
     let [num_frames, WIDTH] = array.shape[..] else {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-MOTIONX-SHAPE",
-            format!(
-                "found an array of shape {:?}, expected [frames, {WIDTH}]",
-                array.shape
-            ),
+            "found an array of shape {:?}, expected [frames, {WIDTH}]",
+            array.shape
         ));
     };
     if num_frames < 2 {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-TOO-SHORT",
-            format!("found {num_frames} frames, expected at least 2"),
+            "found {num_frames} frames, expected at least 2"
         ));
     }
     let used = |column: usize| {
@@ -52,9 +50,9 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
     let bad = |(at, value): &(usize, &f64)| used(at % WIDTH) && !(**value as f32).is_finite();
     if let Some((at, value)) = array.values.iter().enumerate().find(bad) {
         let (frame, column) = (at / WIDTH, at % WIDTH);
-        let rejected = Rejected::read(
+        let rejected = rejected!(
             "E-NOT-FINITE",
-            format!("found {value} in frame {frame}, column {column}, expected finite numbers"),
+            "found {value} in frame {frame}, column {column}, expected finite numbers"
         );
         return Err(match header.place_of(at) {
             Some(place) => rejected.at(place),

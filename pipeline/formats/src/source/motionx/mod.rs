@@ -47,11 +47,7 @@ impl SourceFormat for MotionX {
         read_array(bytes, &options.skeleton).into()
     }
 
-    fn find(
-        &self,
-        files: &Files,
-        _index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(boxed(release::MotionXFolder::find(files)))
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        boxed(release::MotionXFolder::find(files))
     }
 }

@@ -10,7 +10,7 @@ use crate::source::files::Files;
 use crate::source::format::{Contents, Entry, Release};
 use crate::source::humanml3d::{LISTS, parse_list, read_captions};
 use crate::source::options::ReadOptions;
-use clip::{Rejected, SourceClip};
+use clip::ReadClip;
 
 /// Folders whose files are motions, named by their paths below.
 const MOTIONS: [&str; 2] = ["smplx_322", "smplx322"];
@@ -71,11 +71,10 @@ impl MotionXFolder {
             let faces = files
                 .all()
                 .filter(|file| below(file, &MOTIONS, "npy").is_some_and(|(root, _)| is_face(root)));
-            let reason = "facial expressions of Motion-X, no body";
-            first
-                .contents
-                .passed_over
-                .extend(faces.map(|file| (file.to_owned(), reason.to_owned())));
+            for file in faces {
+                let reason = "facial expressions of Motion-X, no body";
+                first.contents.pass_over(file, reason);
+            }
         }
         let used: BTreeSet<String> = folders
             .iter()
@@ -87,8 +86,7 @@ impl MotionXFolder {
                     true => "captions, read with the motion they describe",
                     false => "captions without a motion",
                 };
-                let passed_over = &mut first.contents.passed_over;
-                passed_over.push((file.to_owned(), reason.to_owned()));
+                first.contents.pass_over(file, reason);
             }
         }
         folders
@@ -176,10 +174,10 @@ impl MotionXFolder {
                     if split.is_some() {
                         lists.push(file.clone());
                     }
-                    let reason = "list of motions of Motion-X, no motion".to_owned();
-                    self.contents.passed_over.push((file, reason));
+                    let reason = "list of motions of Motion-X, no motion";
+                    self.contents.pass_over(file, reason);
                 }
-                Err(rejected) => self.contents.rejected.push((file, rejected)),
+                Err(rejected) => self.contents.reject(file, rejected),
             }
         }
         (splits, lists)
@@ -210,12 +208,7 @@ impl Release for MotionXFolder {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let mut clip = read_array(&files.read(&entry.file)?, &options.skeleton)?;
         clip.notes.extend(self.notes.get(&entry.file).cloned());
         if let Some(text) = self.captions.get(&entry.file) {

@@ -1,5 +1,4 @@
 use std::collections::BTreeMap;
-use std::fs;
 
 use datasets_spec::{Skeleton, Split};
 use glam::{DQuat, DVec3};
@@ -9,6 +8,7 @@ use testkit::{npy, npy_f8};
 
 use super::*;
 use crate::source::recognise;
+use crate::source::release_tests::files_of;
 use clip::Rejected;
 
 /// Rows of numbers that tell which column they are in, but for the pose.
@@ -138,23 +138,10 @@ fn a_body_on_its_head_is_noted() {
     assert!(clip.notes.iter().any(|note| note.contains("upside down")));
 }
 
-/// Files of a release in a folder.
-fn release(files: &[(&str, &[u8])]) -> (tempfile::TempDir, Files) {
-    let dir = tempfile::tempdir().expect("a folder");
-    let mut paths = BTreeMap::new();
-    for (name, bytes) in files {
-        let path = dir.path().join(name);
-        fs::create_dir_all(path.parent().expect("a folder")).expect("writes");
-        fs::write(&path, bytes).expect("writes");
-        paths.insert((*name).to_owned(), path);
-    }
-    (dir, Files::new(paths))
-}
-
 #[test]
 fn a_release_has_captions_splits_and_mirrored_copies() {
     let motion = file(3);
-    let (_dir, files) = release(&[
+    let (_dir, files) = files_of(&[
         (
             "x/motion_data/smplx_322/idea400/subset_0000/Wave_clip1.npy",
             &motion,
@@ -181,7 +168,7 @@ fn a_release_has_captions_splits_and_mirrored_copies() {
         ),
         ("x/test.txt", b"humanml/000003\n"),
     ]);
-    let found = FORMAT.find(&files, None).expect("a release");
+    let found = FORMAT.find(&files);
     assert_eq!(found.len(), 1);
     let contents = found[0].contents();
     let entries: Vec<(&str, Option<Split>, Option<&str>)> = contents
@@ -230,11 +217,11 @@ fn a_release_has_captions_splits_and_mirrored_copies() {
 #[test]
 fn the_folders_of_motion_x_plus_plus_are_read_too() {
     let motion = file(2);
-    let (_dir, files) = release(&[
+    let (_dir, files) = files_of(&[
         ("motion/motion_generation/smplx322/animation/a.npy", &motion),
         ("text/semantic_label/animation/a.txt", b"a figure jumps\n"),
     ]);
-    let found = FORMAT.find(&files, None).expect("a release");
+    let found = FORMAT.find(&files);
     let contents = found[0].contents();
     assert_eq!(contents.entries[0].id, "animation/a");
     let clip = found[0]

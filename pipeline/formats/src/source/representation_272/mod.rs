@@ -28,7 +28,7 @@ use super::files::{Files, refuse_pointer};
 use super::format::{Contents, Entry, Format, Recognised, Release, SourceFormat, boxed};
 use super::humanml3d::{Splits, mirrored_of, parse_list, read_captions};
 use super::options::ReadOptions;
-use clip::{Outcome, Rejected, RotationSource, SourceClip};
+use clip::{Outcome, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
 const MOTIONS: &str = "motion_data/";
 /// Folder of the features in MotionMillion, which may hold other features beside it.
@@ -63,12 +63,8 @@ impl SourceFormat for Representation272 {
         read_array(bytes, &options.skeleton).into()
     }
 
-    fn find(
-        &self,
-        files: &Files,
-        _index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(find(files))
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        find(files)
     }
 }
 
@@ -139,8 +135,7 @@ impl Folder {
                 match files.read(file) {
                     Ok(bytes) => lists.push((name.parse().ok(), parse_list(&bytes))),
                     Err(rejected) => {
-                        let rejected = (file.to_owned(), rejected);
-                        folder.contents.rejected.push(rejected);
+                        folder.contents.reject(file, rejected);
                         continue;
                     }
                 }
@@ -150,8 +145,7 @@ impl Folder {
             } else {
                 continue;
             };
-            let passed_over = (file.to_owned(), reason.to_owned());
-            folder.contents.passed_over.push(passed_over);
+            folder.contents.pass_over(file, reason);
         }
         let splits = Splits::of(lists.iter());
         let listed = lists.iter().filter(|(split, _)| split.is_some());
@@ -192,12 +186,7 @@ impl Release for Folder {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let mut clip = read_array(&files.read(&entry.file)?, &options.skeleton)?;
         clip.notes.extend(self.notes.get(&entry.id).cloned());
         if let Some(text) = self.texts.get(&entry.id) {
@@ -221,25 +210,27 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
     refuse_pointer(bytes)?;
     let array = npy::read_numbers("array", bytes)?;
     let [num_frames, WIDTH] = array.shape[..] else {
-        let reason = format!(
+        return Err(rejected!(
+            "E-272-SHAPE",
             "found an array of shape {:?}, expected [frames, {WIDTH}]",
             array.shape
-        );
-        return Err(Rejected::read("E-272-SHAPE", reason));
+        ));
     };
     if num_frames < 2 {
-        let reason = format!("found {num_frames} frames, expected at least 2");
-        return Err(Rejected::read("E-TOO-SHORT", reason));
+        return Err(rejected!(
+            "E-TOO-SHORT",
+            "found {num_frames} frames, expected at least 2"
+        ));
     }
     let broken = |value: &f64| !(*value as f32).is_finite();
     if let Some(at) = array.values.iter().position(broken) {
-        let reason = format!(
+        return Err(rejected!(
+            "E-272-FINITE",
             "found {} in column {} of frame {}, expected finite numbers",
             array.values[at],
             at % WIDTH,
             at / WIDTH
-        );
-        return Err(Rejected::read("E-272-FINITE", reason));
+        ));
     }
     let (rows, _) = array.values.as_chunks::<WIDTH>();
     let features: Vec<Features> = rows

@@ -1,6 +1,3 @@
-use std::fs;
-use std::path::PathBuf;
-
 use datasets_spec::Motion;
 use features::representation_272::features_of_motion;
 use proptest::prelude::*;
@@ -8,6 +5,7 @@ use testkit::walk;
 use testkit::{npy, npy_f8};
 
 use super::*;
+use crate::source::release_tests::{clip_of, files_of};
 
 fn vector() -> Vec<u8> {
     let motion = Motion::from_poses(released_fps(), &walk(40)).expect("valid");
@@ -19,31 +17,11 @@ fn vector() -> Vec<u8> {
     npy_f8(&[features.len(), WIDTH], &values.collect::<Vec<_>>())
 }
 
-/// Files in a temporary folder.
-fn put(files: &[(&str, &[u8])]) -> (tempfile::TempDir, Files) {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let mut paths: BTreeMap<String, PathBuf> = BTreeMap::new();
-    for (name, bytes) in files {
-        let path = folder.path().join(name);
-        fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-        fs::write(&path, bytes).expect("written");
-        paths.insert((*name).to_owned(), path);
-    }
-    (folder, Files::new(paths))
-}
-
-fn read(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
-    let mut entries = release.contents().entries.iter();
-    let entry = entries.find(|entry| entry.id == id).expect("planned");
-    let clip = release.read(files, entry, &ReadOptions::default());
-    clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
-}
-
 #[test]
 fn folders_of_both_layouts_are_found_and_every_file_is_accounted_for() {
     let vector = vector();
     let statistics = npy_f8(&[WIDTH], &[0.0; WIDTH]);
-    let (_folder, files) = put(&[
+    let (_folder, files) = files_of(&[
         ("hml/motion_data/000001.npy", &vector),
         ("hml/motion_data/M000001.npy", &vector),
         (
@@ -93,13 +71,13 @@ fn folders_of_both_layouts_are_found_and_every_file_is_accounted_for() {
     named.sort_unstable();
     assert_eq!(named, files.all().collect::<Vec<_>>());
 
-    let clip = read(hml.as_ref(), &files, "000001");
+    let clip = clip_of(hml.as_ref(), &files, "000001");
     assert_eq!((clip.motion.len(), clip.motion.fps().get()), (40, 30.0));
     assert_eq!(clip.rotation_source, RotationSource::Native);
     assert!(clip.fit_error_m.expect("measured") < 1e-5);
     assert_eq!(clip.captions[1].tokens, "he/PRON");
     assert!(clip.notes.iter().any(|note| note.contains("train, test")));
-    let clip = read(mm.as_ref(), &files, "set/part_1/a b");
+    let clip = clip_of(mm.as_ref(), &files, "set/part_1/a b");
     let texts: Vec<&str> = clip
         .captions
         .iter()

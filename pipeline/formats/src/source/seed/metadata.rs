@@ -9,7 +9,7 @@ use csv::StringRecord;
 
 use crate::csv_lines;
 use crate::foreign_table::{self, ForeignTable, text};
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// Columns that may name a motion, in which its file is called; the first that exists is used.
 const NAME_COLUMNS: [&str; 2] = ["filename", "move_name"];
@@ -95,9 +95,9 @@ fn cell(batch: &RecordBatch, column: &str, row: usize) -> Result<Option<String>,
         return Ok(value.map(|value| value.to_string()));
     }
     text(values, row).map_err(|found| {
-        Rejected::read(
+        rejected!(
             "E-TABLE-COLUMNS",
-            format!("column {column} holds {found}, expected text"),
+            "column {column} holds {found}, expected text"
         )
     })
 }
@@ -140,8 +140,10 @@ pub(super) fn of_csv(bytes: &[u8], wanted: &dyn Fn(&str) -> bool) -> Result<Tabl
             }
             Err(reason) => {
                 problem.get_or_insert_with(|| {
-                    let reason = format!("line {line}: {reason}; the other lines were read");
-                    Rejected::read("E-SEED-LABELS", reason)
+                    rejected!(
+                        "E-SEED-LABELS",
+                        "line {line}: {reason}; the other lines were read"
+                    )
                 });
             }
         }
@@ -160,12 +162,10 @@ fn name_column(names: &[&str]) -> Result<&'static str, Rejected> {
                 .copied()
                 .collect::<Vec<_>>()
                 .join(", ");
-            Rejected::read(
+            rejected!(
                 "E-TABLE-COLUMNS",
-                format!(
-                    "found columns {found}, expected {}",
-                    NAME_COLUMNS.join(" or ")
-                ),
+                "found columns {found}, expected {}",
+                NAME_COLUMNS.join(" or ")
             )
         })
 }

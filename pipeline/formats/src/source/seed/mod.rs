@@ -15,8 +15,6 @@ mod release;
 mod tests;
 mod timeline;
 
-use std::path::Path;
-
 use super::files::Files;
 use super::format::{Format, Release, SourceFormat, boxed};
 
@@ -38,11 +36,7 @@ impl SourceFormat for Seed {
         260_000.0
     }
 
-    fn find(
-        &self,
-        files: &Files,
-        _index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(boxed(release::SeedFolder::find(files)))
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        boxed(release::SeedFolder::find(files))
     }
 }

@@ -10,7 +10,7 @@ use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release};
 use crate::source::options::ReadOptions;
 use crate::source::{bvh, escaped};
-use clip::{LabelProblem, Rejected, SourceClip};
+use clip::{LabelProblem, ReadClip, Rejected};
 
 /// How the names of the files begin, and what is in the names of temporal labels.
 const METADATA: &str = "seed_metadata";
@@ -81,8 +81,8 @@ impl SeedFolder {
         folder.read_tables(files, tables, &names);
         for file in files.under(root) {
             if below(root, file).starts_with(SHAPES) {
-                let reason = "body shape or rig of BONES-SEED, no motion".to_owned();
-                folder.contents.passed_over.push((file.to_owned(), reason));
+                let reason = "body shape or rig of BONES-SEED, no motion";
+                folder.contents.pass_over(file, reason);
             }
         }
         let is_proportional =
@@ -100,10 +100,7 @@ impl SeedFolder {
             }
             if is_proportional(file) && uniform.contains(name) {
                 let reason = "motion of BONES-SEED on its actor's skeleton, which is read on the uniform one";
-                folder
-                    .contents
-                    .passed_over
-                    .push((file.to_owned(), reason.to_owned()));
+                folder.contents.pass_over(file, reason);
                 continue;
             }
             let is_mirrored = folder
@@ -162,8 +159,8 @@ impl SeedFolder {
         let read = [newest_metadata, newest_temporal];
         let all = tables.metadata.iter().chain(&tables.temporal);
         for file in all.filter(|file| !read.contains(&Some(**file))) {
-            let reason = "older or repeated metadata of BONES-SEED, not read".to_owned();
-            self.contents.passed_over.push(((*file).to_owned(), reason));
+            let reason = "older or repeated metadata of BONES-SEED, not read";
+            self.contents.pass_over(*file, reason);
         }
     }
 
@@ -171,12 +168,10 @@ impl SeedFolder {
     fn account(&mut self, file: &str, read: Result<Option<Rejected>, Rejected>) {
         match read {
             Ok(None) => {
-                let reason = "metadata of BONES-SEED, read with the motions".to_owned();
-                self.contents.passed_over.push((file.to_owned(), reason));
+                let reason = "metadata of BONES-SEED, read with the motions";
+                self.contents.pass_over(file, reason);
             }
-            Ok(Some(rejected)) | Err(rejected) => {
-                self.contents.rejected.push((file.to_owned(), rejected));
-            }
+            Ok(Some(rejected)) | Err(rejected) => self.contents.reject(file, rejected),
         }
     }
 }
@@ -206,12 +201,7 @@ impl Release for SeedFolder {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let bytes = files.read(&entry.file)?;
         refuse_pointer(&bytes)?;
         let mut clip = bvh::read(&mut &bytes[..], bytes.len(), options)?;

@@ -1,5 +1,5 @@
 use std::collections::BTreeMap;
-use std::fs;
+use std::path::Path;
 use std::sync::Arc;
 
 use arrow_array::{ArrayRef, BooleanArray, Float64Array, RecordBatch, StringArray};
@@ -10,6 +10,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::retarget::tests::assert_same_motion;
 use crate::source::bvh::dialects::RigText;
+use crate::source::release_tests::files_of;
 use crate::source::{ReadOptions, labels};
 use clip::{Outcome, Rejected};
 use testkit::walk;
@@ -109,15 +110,8 @@ const TIMELINE: &str = concat!(
 
 /// A folder of the dataset.
 fn folder(files: &[(&str, Vec<u8>)]) -> (tempfile::TempDir, Files) {
-    let dir = tempfile::tempdir().expect("a folder");
-    let mut paths = BTreeMap::new();
-    for (name, bytes) in files {
-        let path = dir.path().join(name);
-        fs::create_dir_all(path.parent().expect("a folder")).expect("writes");
-        fs::write(&path, bytes).expect("writes");
-        paths.insert((*name).to_owned(), path);
-    }
-    (dir, Files::new(paths))
+    let files = files.iter().map(|(name, bytes)| (*name, bytes.as_slice()));
+    files_of(&files.collect::<Vec<_>>())
 }
 
 fn bvh() -> Vec<u8> {
@@ -131,7 +125,7 @@ const PARQUET: &str = "metadata/seed_metadata_v004.parquet";
 const LABELS: &str = "metadata/seed_metadata_v002_temporal_labels.jsonl";
 
 fn one(files: &Files) -> Box<dyn Release> {
-    let mut found = FORMAT.find(files, None).expect("no index");
+    let mut found = FORMAT.find(files);
     assert_eq!(found.len(), 1);
     found.remove(0)
 }
@@ -339,7 +333,7 @@ fn a_motion_that_is_damaged_is_quarantined_by_its_own_code() {
     assert!(rejected.byte_offset.is_some());
     // Without metadata, there is no release, and files are read one by one.
     let (_dir, files) = folder(&[(WALK, bvh())]);
-    assert!(FORMAT.find(&files, None).expect("no index").is_empty());
+    assert!(FORMAT.find(&files).is_empty());
     let outcome =
         crate::source::bvh::FORMAT.read(Path::new(WALK), "", &bvh(), &ReadOptions::default());
     assert!(matches!(outcome, Outcome::Clip(_)));

@@ -6,7 +6,7 @@ use datasets_spec::table::Caption;
 use serde::Deserialize;
 
 use super::metadata::stem;
-use clip::Rejected;
+use clip::{Rejected, rejected};
 
 /// Limit on the labels of a motion; those of the dataset have some ten.
 const MAX_EVENTS: usize = 1000;
@@ -74,12 +74,10 @@ impl Timelines {
                 Err(error) => {
                     found.problem.get_or_insert_with(|| {
                         let number = index + 1;
-                        Rejected::read(
+                        rejected!(
                             "E-SEED-LABELS",
-                            format!(
-                                "line {number} holds no labels of a motion ({error}); the other lines \
+                            "line {number} holds no labels of a motion ({error}); the other lines \
                                  were read"
-                            ),
                         )
                         .at(place)
                     });

@@ -6,7 +6,7 @@ use datasets_spec::record::{MaskRow, PairRow};
 
 use super::origin::{self, CODE_OF_ORIGIN, Origin, Record};
 use crate::source::format::Entry;
-use clip::{EditOf, Rejected, RotationSource, SourceClip, SourceMask};
+use clip::{EditOf, Rejected, RotationSource, SourceClip, SourceMask, rejected};
 
 /// What an export says of its motions.
 pub(super) struct Labels {
@@ -82,15 +82,13 @@ impl Labels {
             Some(other) => format!("that of {other:?}"),
             None => format!("another one, of content {found}"),
         };
-        Err(Rejected::read(
+        Err(rejected!(
             CODE_OF_ORIGIN,
-            format!(
-                "{} says that {} holds the motion of {:?}, of content {written}, but it holds {holds}; restore the \
+            "{} says that {} holds the motion of {:?}, of content {written}, but it holds {holds}; restore the \
                  file, or remove its entry to ingest it as a motion of its own",
-                origin::FILE_NAME,
-                entry.file,
-                origin.id
-            ),
+            origin::FILE_NAME,
+            entry.file,
+            origin.id
         ))
     }
 

@@ -58,14 +58,10 @@ impl SourceFormat for Stance {
         motion::read_pickle(bytes, &options.skeleton)
     }
 
-    fn find(
-        &self,
-        files: &Files,
-        _index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(find(files))
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        find(files)
     }
 }
 
 #[cfg(test)]
-pub(crate) mod tests;
+mod tests;

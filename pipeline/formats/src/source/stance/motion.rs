@@ -8,7 +8,7 @@ use kinematics::motion::BODY_POSE_WIDTH;
 
 use crate::source::robot;
 use crate::source::smpl::{Parameters, column};
-use clip::{Outcome, Rejected, RotationSource, SourceClip};
+use clip::{Outcome, Rejected, RotationSource, SourceClip, rejected};
 use pickle::joblib;
 use pickle::{Array, Value};
 
@@ -62,13 +62,11 @@ fn motion_of(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected>
 pub(super) fn release_clip(value: &Value) -> Result<SourceClip, Rejected> {
     let keys = ["body_pose", "global_orient", "transl"];
     if keys.iter().any(|key| value.get(key).is_none()) {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-STANCE-KEYS",
-            format!(
-                "found {}, expected one with {}",
-                value.describe(),
-                keys.join(", ")
-            ),
+            "found {}, expected one with {}",
+            value.describe(),
+            keys.join(", ")
         ));
     }
     let parameters = Parameters::new(
@@ -97,12 +95,10 @@ fn aist(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
             .or(scale.as_float())
             .filter(|scale| scale.is_finite() && *scale > 0.0)
             .ok_or_else(|| {
-                Rejected::read(
+                rejected!(
                     "E-SMPL-SHAPE",
-                    format!(
-                        "found smpl_scaling as {}, expected a positive number",
-                        scale.describe()
-                    ),
+                    "found smpl_scaling as {}, expected a positive number",
+                    scale.describe()
                 )
             })?,
     };

@@ -14,7 +14,7 @@ use super::split::{ClipSplits, Lists};
 use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release, check_skeleton};
 use crate::source::options::ReadOptions;
-use clip::{EditOf, Rejected, SourceClip};
+use clip::{EditOf, ReadClip, Rejected, SourceClip, rejected};
 use pickle::Value;
 use pickle::joblib;
 
@@ -194,18 +194,11 @@ impl Release for StanceRelease {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let detail = self
             .details
             .get(&(entry.file.clone(), entry.key.clone()))
-            .ok_or_else(|| {
-                Rejected::read("E-IO", format!("{} is not in the release", entry.file))
-            })?;
+            .ok_or_else(|| rejected!("E-IO", "{} is not in the release", entry.file))?;
         let pickle = read_pickle(files, &entry.file)?;
         let mut clip = release_clip(detail.role.motion(&pickle)?)?;
         match (&self.labels, &detail.origin) {
@@ -240,9 +233,9 @@ impl Release for StanceRelease {
 fn read_pickle(files: &Files, file: &str) -> Result<Value, Rejected> {
     let len = files.size(file)?;
     if len > MAX_PICKLE_LEN {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-TOO-LARGE",
-            format!("found {len} bytes, expected at most {MAX_PICKLE_LEN} in a pickle"),
+            "found {len} bytes, expected at most {MAX_PICKLE_LEN} in a pickle"
         ));
     }
     let bytes = files.read(file)?;
@@ -252,12 +245,10 @@ fn read_pickle(files: &Files, file: &str) -> Result<Value, Rejected> {
 
 fn of_pair<'a>(value: &'a Value, key: &str) -> Result<&'a Value, Rejected> {
     value.get(key).ok_or_else(|| {
-        Rejected::read(
+        rejected!(
             "E-STANCE-KEYS",
-            format!(
-                "found {}, expected one with src, tgt, body_part and text",
-                value.describe()
-            ),
+            "found {}, expected one with src, tgt, body_part and text",
+            value.describe()
         )
     })
 }
@@ -364,10 +355,7 @@ impl<'a> Planner<'a> {
             origin::FILE_NAME
         );
         let rejected = Rejected::read(CODE_OF_ORIGIN, reason);
-        self.release
-            .contents
-            .rejected
-            .push((file.to_owned(), rejected));
+        self.release.contents.reject(file, rejected);
         false
     }
 
@@ -426,11 +414,7 @@ impl<'a> Planner<'a> {
                     lists.take_lines(split, &String::from_utf8_lossy(&bytes));
                     self.read_with_motions(file);
                 }
-                Err(rejected) => self
-                    .release
-                    .contents
-                    .rejected
-                    .push((file.to_owned(), rejected)),
+                Err(rejected) => self.release.contents.reject(file, rejected),
             },
             "json" => {
                 if let Some(value) = self.json::<Json>(file) {
@@ -461,7 +445,7 @@ impl<'a> Planner<'a> {
                 true => CODE_OF_ORIGIN,
                 false => "E-STANCE-JSON",
             };
-            let broken = |error| Rejected::read(code, format!("{file} is no such list ({error})"));
+            let broken = |error| rejected!(code, "{file} is no such list ({error})");
             parse(&bytes).map_err(broken)
         });
         match read {
@@ -470,21 +454,15 @@ impl<'a> Planner<'a> {
                 Some(value)
             }
             Err(rejected) => {
-                self.release
-                    .contents
-                    .rejected
-                    .push((file.to_owned(), rejected));
+                self.release.contents.reject(file, rejected);
                 None
             }
         }
     }
 
     fn read_with_motions(&mut self, file: &str) {
-        let reason = "list of the STANCE release, read with its motions".to_owned();
-        self.release
-            .contents
-            .passed_over
-            .push((file.to_owned(), reason));
+        let reason = "list of the STANCE release, read with its motions";
+        self.release.contents.pass_over(file, reason);
     }
 
     fn plan_motions(&mut self) {
@@ -552,11 +530,7 @@ impl<'a> Planner<'a> {
         let Some((base, style)) = stem_of(file).split_once('_') else {
             let reason = "the file name has no style, expected one such as 000009_proud.pkl";
             let rejected = Rejected::read("E-STANCE-NAME", reason);
-            self.release
-                .contents
-                .rejected
-                .push((file.to_owned(), rejected));
-            return;
+            return self.release.contents.reject(file, rejected);
         };
         let source_id = self
             .origins
@@ -605,11 +579,8 @@ impl<'a> Planner<'a> {
             self.plan(target, role, ADJUSTMENT),
         ];
         if both == [false; 2] {
-            let reason = "its motions are in other files of the release".to_owned();
-            self.release
-                .contents
-                .passed_over
-                .push((file.to_owned(), reason));
+            let reason = "its motions are in other files of the release";
+            self.release.contents.pass_over(file, reason);
         }
     }
 

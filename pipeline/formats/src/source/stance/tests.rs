@@ -1,4 +1,3 @@
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -7,51 +6,18 @@ use datasets_spec::{BodyPart, Skeleton, Split};
 use proptest::prelude::*;
 
 use super::*;
-use crate::source::format::Entry;
 use crate::source::options::ReadOptions;
-use clip::SourceClip;
+use crate::source::release_tests::{clip_of, entry_of, files_under};
 use clip::check::check;
 use pickle::encode;
 use pickle::{Array, Value};
 
-pub(crate) use testkit::{adjustment, dictionary, put, swinging as motion, write_release};
-
-pub(crate) fn files_under(folder: &Path) -> Files {
-    fn walk(folder: &Path, prefix: &str, paths: &mut BTreeMap<String, std::path::PathBuf>) {
-        for entry in fs::read_dir(folder).expect("listed") {
-            let path = entry.expect("readable").path();
-            let name = path.file_name().expect("a name").to_string_lossy();
-            let relative = format!("{prefix}{name}");
-            if path.is_dir() {
-                walk(&path, &format!("{relative}/"), paths);
-            } else {
-                paths.insert(relative, path);
-            }
-        }
-    }
-    let mut paths = BTreeMap::new();
-    walk(folder, "", &mut paths);
-    Files::new(paths)
-}
+use testkit::{adjustment, dictionary, put, swinging as motion, write_release};
 
 fn only_release(files: &Files) -> Box<dyn Release> {
     let mut releases = find(files);
     assert_eq!(releases.len(), 1);
     releases.pop().expect("one")
-}
-
-fn entry<'a>(release: &'a dyn Release, id: &str) -> &'a Entry {
-    let mut found = release
-        .contents()
-        .entries
-        .iter()
-        .filter(|entry| entry.id == id);
-    found.next().unwrap_or_else(|| panic!("no {id}"))
-}
-
-fn clip(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
-    let clip = release.read(files, entry(release, id), &ReadOptions::default());
-    clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
 }
 
 #[test]
@@ -89,7 +55,7 @@ fn a_release_becomes_motions_masks_and_pairs() {
     );
     assert_eq!(release.contents().rejected, []);
 
-    let base = clip(&*release, &files, "000009");
+    let base = clip_of(&*release, &files, "000009");
     assert_eq!(base.motion, motion(1, 30), "bit for bit");
     let said: Vec<(BodyPart, &str)> = base
         .masks
@@ -102,20 +68,20 @@ fn a_release_becomes_motions_masks_and_pairs() {
     ];
     assert_eq!(said, expected);
     assert_eq!(base.part_captions[0].part, "LEFT_ARM");
-    let mirrored = clip(&*release, &files, "M000009");
+    let mirrored = clip_of(&*release, &files, "M000009");
     assert_eq!(mirrored.masks[0].text, "stretching");
     assert!(mirrored.notes.iter().any(|note| note.contains("014625")));
 
-    let styled = clip(&*release, &files, "000009#proud");
+    let styled = clip_of(&*release, &files, "000009#proud");
     assert_eq!(styled.style.as_deref(), Some("proud"));
     let edit = &styled.edits[0];
     assert_eq!((edit.source_id.as_str(), edit.kind), ("000009", "style"));
     assert_eq!(edit.instruction, "", "the release has no words");
-    let adjusted = &clip(&*release, &files, &target).edits[0];
+    let adjusted = &clip_of(&*release, &files, &target).edits[0];
     assert_eq!(adjusted.source_id, source);
     assert_eq!(adjusted.parts, [BodyPart::LeftArm]);
     assert_eq!(adjusted.instruction, "raise it higher");
-    assert_eq!(clip(&*release, &files, &source).edits, []);
+    assert_eq!(clip_of(&*release, &files, &source).edits, []);
 }
 
 #[test]
@@ -192,10 +158,14 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
         .map(|(_, r)| r.code)
         .collect();
     assert_eq!(codes, ["E-STANCE-JSON", "E-STANCE-NAME"]);
-    let edit = &clip(&*release, &files, "adjustment/a#tgt").edits[0];
+    let edit = &clip_of(&*release, &files, "adjustment/a#tgt").edits[0];
     assert_eq!(edit.instruction, "lower");
     assert_eq!(edit.parts, [BodyPart::LeftArm]);
-    let pointer = release.read(&files, entry(&*release, "000002"), &ReadOptions::default());
+    let pointer = release.read(
+        &files,
+        entry_of(&*release, "000002"),
+        &ReadOptions::default(),
+    );
     assert_eq!(pointer.expect_err("no motion").code, "E-LFS-POINTER");
 }
 

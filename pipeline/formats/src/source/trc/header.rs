@@ -2,7 +2,7 @@
 
 use super::lines::{Line, Lines};
 use crate::markers::unique_labels;
-use clip::{MAX_FPS, MIN_FPS, Rejected};
+use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
 /// First word of every file.
 pub(super) const MAGIC: &[u8] = b"PathFileType";
@@ -143,9 +143,9 @@ fn marker_names(line: Line<'_>, num_markers: usize) -> Result<Vec<String>, Rejec
         return Ok(names);
     }
     let count = names.len();
-    Err(Rejected::read(
+    Err(rejected!(
         "E-TRC-NAMES",
-        format!("found {count} marker names, expected {num_markers} as NumMarkers says"),
+        "found {count} marker names, expected {num_markers} as NumMarkers says"
     )
     .at(line.at))
 }

@@ -24,7 +24,7 @@ use super::options::ReadOptions;
 use super::unit::Unit;
 use crate::markers::{self, Capture, CaptureUnit, UNIT_CODE};
 use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_ROW_COUNT};
-use clip::{Markers, Outcome, Rejected};
+use clip::{Markers, Outcome, Rejected, rejected};
 
 /// Maximum distance in metres of a marker from the origin: a plausibility test for the unit.
 const MAX_DISTANCE_M: f64 = 100.0;
@@ -128,12 +128,10 @@ fn cut_to_stated(
         return Ok(None);
     }
     if !lenient || stated == 0 {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-TRC-FRAMES",
-            format!(
-                "found {found} rows, expected {stated} as NumFrames says; `stance ingest \
+            "found {found} rows, expected {stated} as NumFrames says; `stance ingest \
                  --lenient` reads the rows that both agree on"
-            ),
         )
         .at(rows.place_of(stated).unwrap_or(end)));
     }
@@ -172,21 +170,16 @@ fn in_metres(rows: &Rows, header: &Header, unit: CaptureUnit) -> Result<Position
         let frames = frames.map(|frame| frame.iter().flatten().copied());
         let found = || {
             let reason = format!("found {far} of {seen} positions farther than {MAX_DISTANCE_M} m");
-            Rejected::read(
-                UNIT_CODE,
-                format!("{reason} in {}, {}", unit.unit, unit.said),
-            )
+            rejected!(UNIT_CODE, "{reason} in {}, {}", unit.unit, unit.said)
         };
         return Err(unit.doubt(frames).unwrap_or_else(found).at(header.unit_at));
     }
     if far == seen {
-        return Err(Rejected::read(
+        return Err(rejected!(
             "E-TRC-EMPTY",
-            format!(
-                "no marker is seen in {} frames of {} markers, expected a capture",
-                rows.len(),
-                header.names.len()
-            ),
+            "no marker is seen in {} frames of {} markers, expected a capture",
+            rows.len(),
+            header.names.len()
         )
         .at(header.names_at));
     }

@@ -5,7 +5,7 @@ use glam::DVec3;
 
 use super::header::Header;
 use super::lines::{Line, Lines};
-use clip::{MAX_FPS, MIN_FPS, Rejected};
+use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
 /// Columns before the coordinates: number and time of the frame.
 const BEFORE: usize = 2;
@@ -58,13 +58,11 @@ impl Rows {
         let may_lack = line.is_whole && line.text.contains(&b'\t');
         if cells.len() > expected || (cells.len() < expected && !(lacks_markers && may_lack)) {
             let row = self.len() + 1;
-            return Err(Rejected::read(
+            return Err(rejected!(
                 "E-TRC-ROW",
-                format!(
-                    "row {row} holds {found} cells, expected {expected}: number, time and three \
+                "row {row} holds {found} cells, expected {expected}: number, time and three \
                      coordinates of {} markers",
-                    self.num_markers
-                ),
+                self.num_markers
             )
             .at(line.at));
         }
@@ -78,9 +76,9 @@ impl Rows {
             if before.is_some_and(|before| time <= *before) {
                 let row = self.len() + 1;
                 let before = before.copied().unwrap_or_default();
-                return Err(Rejected::read(
+                return Err(rejected!(
                     "E-TRC-TIME",
-                    format!("row {row} is at {time} s, which is not after {before} s"),
+                    "row {row} is at {time} s, which is not after {before} s"
                 )
                 .at(cells[1].0));
             }
@@ -94,12 +92,10 @@ impl Rows {
                 _ => {
                     let row = self.len();
                     let at = cells.get(BEFORE + 3 * marker);
-                    return Err(Rejected::read(
+                    return Err(rejected!(
                         "E-TRC-ROW",
-                        format!(
-                            "row {row} holds some and not all coordinates of marker {}",
-                            marker + 1
-                        ),
+                        "row {row} holds some and not all coordinates of marker {}",
+                        marker + 1
                     )
                     .at(at.map_or(line.at, |(at, _)| *at)));
                 }
@@ -177,9 +173,9 @@ fn number(at: usize, cell: &[u8]) -> Result<Option<f64>, Rejected> {
     finite.map(Some).ok_or_else(|| {
         let text = String::from_utf8_lossy(&cell[..cell.len().min(40)]);
         let text: String = text.chars().filter(|c| !c.is_control()).collect();
-        Rejected::read(
+        rejected!(
             "E-TRC-NUMBER",
-            format!("found \"{text}\", expected a finite number or a blank cell"),
+            "found \"{text}\", expected a finite number or a blank cell"
         )
         .at(at)
     })

@@ -5,8 +5,6 @@
 
 mod release;
 
-use std::path::Path;
-
 use datasets_spec::Fps;
 
 use self::release::Shards;
@@ -29,11 +27,7 @@ impl SourceFormat for WebDataset {
         (4 * 69) as f64 * Fps::STORE.get()
     }
 
-    fn find(
-        &self,
-        files: &Files,
-        _index: Option<&Path>,
-    ) -> Result<Vec<Box<dyn Release>>, crate::Error> {
-        Ok(boxed(Shards::find(files)))
+    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
+        boxed(Shards::find(files))
     }
 }

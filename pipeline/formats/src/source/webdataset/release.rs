@@ -13,7 +13,7 @@ use serde::Deserialize;
 use crate::sidecar::LabelCaption;
 use crate::source::format::check_skeleton;
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
-use clip::{Rejected, RotationSource, SourceClip};
+use clip::{ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
 /// Endings of the members of a clip.
 const ARRAYS: [(&str, usize); 3] = [
@@ -110,11 +110,8 @@ impl Shards {
             let file = members[ARRAYS[0].0].file.clone();
             for place in members.values().filter(|place| place.range.is_none()) {
                 if place.file != file {
-                    let reason = "member of a clip of a WebDataset, read with it".to_owned();
-                    shards
-                        .contents
-                        .passed_over
-                        .push((place.file.clone(), reason));
+                    let reason = "member of a clip of a WebDataset, read with it";
+                    shards.contents.pass_over(&place.file, reason);
                 }
             }
             shards.contents.entries.push(Entry {
@@ -139,12 +136,7 @@ impl Release for Shards {
         &self.contents
     }
 
-    fn read(
-        &self,
-        files: &Files,
-        entry: &Entry,
-        options: &ReadOptions,
-    ) -> Result<SourceClip, Rejected> {
+    fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let refused = |reason: String| Rejected::read(CODE, reason);
         let members = self
             .clips
@@ -251,12 +243,13 @@ fn bytes(files: &Files, place: &Place) -> Result<Vec<u8>, Rejected> {
     let Some((start, length)) = place.range else {
         return files.read(&place.file);
     };
-    let failed = |error: std::io::Error| {
-        Rejected::read("E-IO", format!("cannot read {}: {error}", place.file))
-    };
+    let failed = |error: std::io::Error| rejected!("E-IO", "cannot read {}: {error}", place.file);
     if length > MAX_MEMBER_LEN {
-        let reason = format!("found {length} bytes, expected at most {MAX_MEMBER_LEN} in a member");
-        return Err(Rejected::read("E-TOO-LARGE", reason).at(start as usize));
+        return Err(rejected!(
+            "E-TOO-LARGE",
+            "found {length} bytes, expected at most {MAX_MEMBER_LEN} in a member"
+        )
+        .at(start as usize));
     }
     let mut file = files.open_at(&place.file)?;
     file.seek(SeekFrom::Start(start)).map_err(failed)?;
@@ -270,5 +263,5 @@ fn facts(files: &Files, members: &Members) -> Result<Facts, Rejected> {
         return Ok(Facts::default());
     };
     serde_json::from_slice(&bytes(files, place)?)
-        .map_err(|error| Rejected::read(CODE, format!("{}: {error}", place.file)))
+        .map_err(|error| rejected!(CODE, "{}: {error}", place.file))
 }
