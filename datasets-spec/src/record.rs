@@ -861,7 +861,8 @@ impl ItemRow {
         }
         fn bytes<const D: usize>(frames: &[[f32; D]]) -> Vec<u8> {
             let numbers = frames.as_flattened().iter();
-            numbers.flat_map(|value| value.to_le_bytes()).collect()
+            let bytes: Vec<[u8; 4]> = numbers.map(|value| value.to_le_bytes()).collect();
+            bytes.into_flattened()
         }
         for (transl, global_orient, body_pose) in [
             (

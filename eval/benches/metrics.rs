@@ -1,13 +1,19 @@
-//! The metrics at the sizes of a large test set: 10,000 latents of width 512, a million frames.
+//! The metrics at the sizes of a large test set: 10,000 latents of width 512, a million frames; and a whole evaluation
+//! of items in a folder, beside their encoding.
 //!
 //! `cargo bench --bench metrics`; `RAYON_NUM_THREADS` chooses the threads. `matrix_product` is the
 //! speed of single-precision products in the same run, which bounds that of the galleries.
 
 use std::hint::black_box;
 
-use datasets_spec::{Fps, Seed};
+use datasets_spec::dataset::commit_rows;
+use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::{Fps, Motion, MotionId, NoProgress, Pose, Seed, Skeleton, Split};
 use divan::Bencher;
 use divan::counter::ItemsCount;
+use eval::EncoderError;
+use eval::answers::{Answered, Scores};
+use eval::evaluators::{Evaluators, MotionEncoder};
 use eval::linalg::Matrix;
 use eval::metric::fid::fid;
 use eval::metric::foot_score::{Feet, foot_score};
@@ -15,7 +21,7 @@ use eval::metric::retrieval::{gallery_ranks, ranks, unit_rows};
 use eval::protocol::{Floor, Gallery, Protocol};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use rand::RngExt;
 
 const NUM_LATENTS: usize = 10_000;
@@ -98,4 +104,99 @@ fn matrix_product(bencher: Bencher) {
             let (a, b) = (black_box(a.as_ref()), b.as_ref());
             matmul(out.as_mut(), Accum::Replace, a, b, 1.0f32, Par::Seq);
         });
+}
+
+/// Latents that cost nothing: the body rotations of the first frame.
+struct FirstFrame;
+
+impl MotionEncoder for FirstFrame {
+    fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError> {
+        let first = |motion: &&Motion| motion.body_pose()[0].map(f64::from).to_vec();
+        Ok(motions.iter().map(first).collect())
+    }
+
+    fn hash(&self) -> String {
+        "00ff".to_owned()
+    }
+
+    fn recipe(&self) -> String {
+        "first frame".to_owned()
+    }
+
+    fn weakness(&self) -> Option<String> {
+        None
+    }
+}
+
+/// Ten seconds of a body that turns its joints and moves.
+fn motion(name: &str, number: usize) -> Motion {
+    let mut rng = Seed(3).rng(&["bench", name, &number.to_string()]);
+    let turns = Pose::REST.rotations.map(|_| rng.random_range(-0.5..0.5));
+    let pose = |frame: i32| {
+        let share = 1.0 + 0.1 * f64::from(frame).sin();
+        Pose {
+            transl: DVec3::new(0.0, 0.0, 0.05 * f64::from(frame)),
+            rotations: turns.map(|turn| DQuat::from_rotation_x(share * turn)),
+        }
+    };
+    let poses: Vec<Pose> = (0..200).map(pose).collect();
+    Motion::from_poses(Fps::STORE, &poses).expect("a motion")
+}
+
+/// Reads items and the edits of one system from a folder, and scores them by an encoder that costs nothing.
+#[divan::bench(args = [128, 1024], sample_count = 3, sample_size = 1)]
+fn evaluation(bencher: Bencher, num_items: usize) {
+    let root = std::env::temp_dir().join(format!("stance-bench-{}", std::process::id()));
+    let skeleton = Skeleton::smplx_neutral();
+    let items: Vec<ItemRow> = (0..num_items)
+        .map(|number| {
+            let id = MotionId::parse(&format!("bench/{number}")).expect("an id");
+            let mut item = ItemRow::blank(&id, Split::Test);
+            item.task = "semantic".to_owned();
+            item.set_motions(
+                &motion("source", number),
+                Some(&motion("target", number)),
+                None,
+            );
+            item.id = item.content_id();
+            item
+        })
+        .collect();
+    let edits: Vec<EditRow> = items
+        .iter()
+        .enumerate()
+        .map(|(number, item)| EditRow {
+            system: "system".to_owned(),
+            ..EditRow::answering(item, &motion("edit", number))
+        })
+        .collect();
+    commit_rows(
+        &root,
+        &items,
+        Some(|row: &ItemRow| row.split),
+        &skeleton,
+        "items",
+        "bench",
+    )
+    .expect("writes");
+    commit_rows(
+        &root,
+        &edits,
+        Some(|row: &EditRow| row.split),
+        &skeleton,
+        "edits",
+        "bench",
+    )
+    .expect("writes");
+    drop((items, edits));
+    bencher.counter(ItemsCount::new(num_items)).bench_local(|| {
+        let answered = Answered::read(std::slice::from_ref(&root)).expect("a folder of edits");
+        let evaluators = Evaluators {
+            encoder: &FirstFrame,
+            classifier: None,
+            skeleton: &answered.skeleton,
+        };
+        Scores::of(&answered, evaluators, &Protocol::default(), &NoProgress).expect("valid")
+    });
+    std::fs::remove_dir_all(&root).expect("removes");
 }

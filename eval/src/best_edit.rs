@@ -3,22 +3,23 @@
 use std::collections::BTreeMap;
 
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{Skeleton, quantile};
+use datasets_spec::{Motion, Skeleton, quantile};
 use kinematics::KeypointFrame;
 use kinematics::skeleton::NUM_KEYPOINTS;
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::answers::Answered;
+use crate::answered::{Answered, ITEMS_AT_ONCE};
 use crate::metric::position_error::mean_position_error;
+use crate::rows::{EditFacts, ItemFacts};
 
 /// An edit and how it was chosen.
-#[derive(Clone, Copy, Debug)]
-pub struct BestEdit<'a> {
+#[derive(Clone, Debug)]
+pub struct BestEdit {
     /// The item.
-    pub item: &'a ItemRow,
+    pub item: ItemRow,
     /// Its edit.
-    pub edit: &'a EditRow,
+    pub edit: EditRow,
     /// How far it got; `None` where no item has a target at the edit's frame rate, so that none could be
     /// measured, and the item is the first by its id. An edit that is not closer to its target than its source
     /// ([`Gain::is_better`]) is not to be called the best.
@@ -55,10 +56,10 @@ impl Gain {
 /// body that is off by a constant way over the ground looks right there.
 ///
 /// # Errors
-/// A row does not hold a motion.
-pub fn best_edit(answered: &Answered) -> Result<Option<BestEdit<'_>>, Error> {
+/// A file cannot be read, an item was changed after it was drawn, or a row does not hold a motion.
+pub fn best_edit(answered: &Answered) -> Result<Option<BestEdit>, Error> {
     let candidates = first_takes(answered);
-    let errors = all_errors(&candidates, &answered.skeleton)?;
+    let errors = all_errors(answered, &candidates)?;
     let mut gains = Vec::new();
     let mut best: Option<(usize, [f64; 2])> = None;
     let gain_of = |[source, edit]: [f64; 2]| source - edit;
@@ -75,72 +76,87 @@ pub fn best_edit(answered: &Answered) -> Result<Option<BestEdit<'_>>, Error> {
         median_m: quantile::median(&mut gains).expect("the best is among them"),
         num_items: gains.len(),
     });
-    let chosen = candidates.get(best.map_or(0, |(index, _)| index));
-    Ok(chosen.map(|&(item, edit)| BestEdit { item, edit, gain }))
+    let Some(&[item, edit]) = candidates.get(best.map_or(0, |(index, _)| index)) else {
+        return Ok(None);
+    };
+    let items = answered.items_at(&[item])?.into_iter();
+    let edits = answered.edits.rows(&[edit])?.into_iter();
+    let chosen = items.zip(edits).next();
+    Ok(chosen.map(|(item, edit)| BestEdit { item, edit, gain }))
 }
 
-/// How many metres closer each edit is to its target than its source is, as [`best_edit`] compares them: of every item that the
-/// system listed first has edited and that can be measured, by id.
+/// How many metres closer each edit is to its target than its source is, as [`best_edit`] compares them: of every item
+/// that the system listed first has edited and that can be measured, by id. Items are given by their positions.
 ///
 /// # Errors
-/// A row does not hold a motion.
-pub fn gains(answered: &Answered) -> Result<Vec<(&ItemRow, f64)>, Error> {
+/// As [`best_edit`].
+pub fn gains(answered: &Answered) -> Result<Vec<(usize, f64)>, Error> {
     let candidates = first_takes(answered);
-    let errors = all_errors(&candidates, &answered.skeleton)?;
+    let errors = all_errors(answered, &candidates)?;
     let measured = std::iter::zip(candidates, errors);
     Ok(measured
-        .filter_map(|((item, _), errors)| errors.map(|[source, edit]| (item, source - edit)))
+        .filter_map(|([item, _], errors)| errors.map(|[source, edit]| (item, source - edit)))
         .collect())
 }
 
+/// Distances of each candidate, which are read some at a time.
 fn all_errors(
-    candidates: &[(&ItemRow, &EditRow)],
-    skeleton: &Skeleton,
+    answered: &Answered,
+    candidates: &[[usize; 2]],
 ) -> Result<Vec<Option<[f64; 2]>>, Error> {
-    candidates
-        .par_iter()
-        .map(|(item, edit)| errors(item, edit, skeleton))
-        .collect()
+    let mut all = Vec::with_capacity(candidates.len());
+    for candidates in candidates.chunks(ITEMS_AT_ONCE) {
+        let [items, edits] =
+            [0, 1].map(|side| -> Vec<usize> { candidates.iter().map(|pair| pair[side]).collect() });
+        let items = answered.items_at(&items)?;
+        let edits = answered.edits.rows(&edits)?;
+        let errors = items
+            .into_par_iter()
+            .zip(edits)
+            .map(|(item, edit)| errors(&item, &edit.motion()?, &answered.skeleton))
+            .collect::<Result<Vec<_>, Error>>()?;
+        all.extend(errors);
+    }
+    Ok(all)
 }
 
-/// The items that the system listed first has edited, by id, with their takes of the lowest seed.
-fn first_takes(answered: &Answered) -> Vec<(&ItemRow, &EditRow)> {
-    let Some(first) = answered.edits.first() else {
+/// Positions of the items that the system listed first has edited, by id, and of their takes of the lowest seed.
+fn first_takes(answered: &Answered) -> Vec<[usize; 2]> {
+    let edits = answered.edits.facts();
+    let Some(first) = edits.first() else {
         return Vec::new();
     };
-    let mut takes: BTreeMap<&str, &EditRow> = BTreeMap::new();
-    for row in &answered.edits {
+    let mut takes: BTreeMap<&str, (usize, &EditFacts)> = BTreeMap::new();
+    for (position, row) in edits.iter().enumerate() {
         if row.system == first.system {
-            let take = takes.entry(&row.id).or_insert(row);
-            if row.seed < take.seed {
-                *take = row;
+            let take = takes.entry(&row.id).or_insert((position, row));
+            if row.seed < take.1.seed {
+                *take = (position, row);
             }
         }
     }
-    let items: BTreeMap<&str, &ItemRow> = answered
-        .items
-        .iter()
-        .map(|item| (item.id.as_str(), item))
-        .collect();
-    takes
-        .into_iter()
-        .filter_map(|(id, row)| Some((*items.get(id)?, row)))
-        .collect()
+    let by_id = |(position, item): (usize, &ItemFacts)| {
+        let (edit, _) = takes.get(item.id.as_str())?;
+        Some((item.id.clone(), [position, *edit]))
+    };
+    let items = answered.items.facts().iter().enumerate();
+    let found: BTreeMap<String, [usize; 2]> = items.filter_map(by_id).collect();
+    found.into_values().collect()
 }
 
 /// Distances in metres of the source and of the edit from the target; `None` without a target of the same
 /// frame rate.
-fn errors(item: &ItemRow, edit: &EditRow, skeleton: &Skeleton) -> Result<Option<[f64; 2]>, Error> {
+fn errors(item: &ItemRow, edit: &Motion, skeleton: &Skeleton) -> Result<Option<[f64; 2]>, Error> {
     if item.target_frames == 0 {
         return Ok(None);
     }
-    let [source, edit, target] = [item.source()?, edit.motion()?, item.target()?];
+    let (source, target) = (item.source()?, item.target()?);
     if edit.fps() != target.fps() {
         return Ok(None);
     }
     let target = followed(&skeleton.motion_keypoints(&target).points);
-    Ok(Some([source, edit].map(|motion| {
-        let points = followed(&skeleton.motion_keypoints(&motion).points);
+    Ok(Some([&source, edit].map(|motion| {
+        let points = followed(&skeleton.motion_keypoints(motion).points);
         mean_position_error(&points, &target, NUM_KEYPOINTS)
     })))
 }
@@ -157,7 +173,7 @@ fn followed(points: &[KeypointFrame]) -> Vec<KeypointFrame> {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::{Fps, Motion, MotionId, Pose, Split};
+    use datasets_spec::{Fps, MotionId, Pose, Split};
     use glam::DVec3;
 
     use super::*;
@@ -173,14 +189,15 @@ mod tests {
     }
 
     /// An item from the ground to `target` metres above it.
-    fn item(id: &str, target: Option<f64>) -> ItemRow {
+    fn item(name: &str, target: Option<f64>) -> ItemRow {
         let mut item = ItemRow::blank(
             &MotionId::parse("somewhere/walk").expect("an id"),
             Split::Test,
         );
         let target = target.map(|height| lifted(height, 0.0));
         item.set_motions(&lifted(0.0, 0.0), target.as_ref(), None);
-        item.id = id.to_owned();
+        item.instruction = name.to_owned();
+        item.id = item.content_id();
         item
     }
 
@@ -193,16 +210,22 @@ mod tests {
     }
 
     fn answered(items: &[ItemRow], edits: Vec<EditRow>) -> Answered {
-        Answered {
-            items: items.to_vec(),
-            edits,
-            skeleton: Skeleton::smplx_neutral(),
-        }
+        Answered::of_rows(items.to_vec(), edits, Skeleton::smplx_neutral())
     }
 
-    /// Three items out of order, whose targets lie 1, 2 and 4 m above their sources.
+    /// Three items whose targets lie 1, 2 and 4 m above their sources; the first is not the first by its id.
     fn items() -> [ItemRow; 3] {
-        [("c", 4.0), ("a", 1.0), ("b", 2.0)].map(|(id, target)| item(id, Some(target)))
+        let mut items =
+            [("c", 4.0), ("a", 1.0), ("b", 2.0)].map(|(name, target)| item(name, Some(target)));
+        if first_id(&items) == items[0].id {
+            items.reverse();
+        }
+        items
+    }
+
+    fn first_id(items: &[ItemRow]) -> String {
+        let ids = items.iter().map(|item| item.id.clone());
+        ids.min().expect("items")
     }
 
     #[test]
@@ -210,20 +233,22 @@ mod tests {
         let items = items();
         // The errors fall from 4 to 3 m, from 1 to 0 and from 2 to 0.5.
         let edits = |drift| {
-            [1.0, 1.0, 1.5]
-                .iter()
-                .zip(&items)
-                .map(|(height, item)| edit(item, "one", 0, &lifted(*height, drift)))
-                .collect::<Vec<_>>()
+            let edited = |item: &ItemRow| {
+                let height = if item.instruction == "b" { 1.5 } else { 1.0 };
+                edit(item, "one", 0, &lifted(height, drift))
+            };
+            items.iter().map(edited).collect::<Vec<_>>()
         };
         for drift in [0.0, 0.5] {
             let mut edits = edits(drift);
             // A perfect edit of another system is not in question, and neither is a later take.
-            edits.push(edit(&items[0], "other", 0, &lifted(4.0, 0.0)));
-            edits.push(edit(&items[0], "one", 1, &lifted(4.0, 0.0)));
+            let highest = items.iter().find(|item| item.instruction == "c");
+            let highest = highest.expect("one of the items");
+            edits.push(edit(highest, "other", 0, &lifted(4.0, 0.0)));
+            edits.push(edit(highest, "one", 1, &lifted(4.0, 0.0)));
             let answered = answered(&items, edits);
             let best = best_edit(&answered).expect("motions").expect("edits");
-            assert_eq!((best.item.id.as_str(), best.edit.seed), ("b", 0));
+            assert_eq!((best.item.instruction.as_str(), best.edit.seed), ("b", 0));
             let words = best.in_words();
             assert!(words.starts_with("The best case"), "{words}");
             let gain = best.gain.expect("targets");
@@ -244,7 +269,7 @@ mod tests {
         let still = |item| edit(item, "one", 0, &lifted(0.0, 0.0));
         let answered = answered(&items, items.iter().map(still).collect());
         let best = best_edit(&answered).expect("motions").expect("edits");
-        assert_eq!(best.item.id, "a");
+        assert_eq!(best.item.id, first_id(&items));
         assert_eq!(best.gain.expect("targets").median_m, 0.0);
         let words = best.in_words();
         assert!(words.starts_with("No best case"), "{words}");
@@ -258,7 +283,7 @@ mod tests {
             .map(|item| edit(item, "one", 0, &lifted(1.0, 0.0)));
         let with_edits = answered(&items, edits.collect());
         let best = best_edit(&with_edits).expect("motions").expect("edits");
-        assert_eq!((best.item.id.as_str(), best.gain), ("a", None));
+        assert_eq!((best.item.id, best.gain), (first_id(&items), None));
         let without = answered(&items, Vec::new());
         assert!(best_edit(&without).expect("no motions").is_none());
     }

@@ -1,14 +1,12 @@
 //! Whether one system is better than another: paired differences with intervals.
 
-use std::collections::BTreeMap;
-
 use datasets_spec::Progress;
 use datasets_spec::quantile::quantile;
-use datasets_spec::record::{EditRow, ItemRow};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
+use crate::answered::Answered;
 use crate::evaluators::Evaluators;
 use crate::format::ABSENT;
 use crate::format::grid::Grid;
@@ -18,7 +16,10 @@ use crate::metric::interval::MIN_TARGETS;
 use crate::metric::{self, Better, CLAIMS, Measure, Metric, RankSummary};
 use crate::names::REAL_DATA;
 use crate::protocol::{FidSample, Protocol, Spread};
-use crate::score::{Measured, Ranks, Resamples, System, Take, TestSet, drawn, measured, of_items};
+use crate::score::{
+    Galleries, Measured, OfItems, Ranks, Resamples, System, Take, TestSet, drawn, measured,
+    of_items,
+};
 use crate::table::Items;
 use crate::table::notes::{shortage_of_fid, shortage_of_targets};
 
@@ -87,15 +88,14 @@ pub struct Comparison {
 /// # Errors
 /// As [`crate::score::score`]; or the edits lack one of the systems.
 pub fn compare(
-    items: &[ItemRow],
-    edits: &[EditRow],
+    answered: &Answered,
     names: [&str; 2],
     evaluators: Evaluators<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> Result<Vec<Comparison>, Error> {
     protocol.check()?;
-    let test_set = TestSet::new(items, edits, protocol)?;
+    let test_set = TestSet::new(answered, protocol)?;
     if let Some(missing) = names
         .into_iter()
         .find(|name| !test_set.systems.contains_key(name))
@@ -179,9 +179,10 @@ fn differences(
     resamples: &Resamples,
     protocol: &Protocol,
 ) -> Result<Vec<Difference>, Error> {
+    let galleries = Galleries::draw(targets.latents.raw.num_rows(), protocol);
     let values = |side: &System<'_>| {
-        let ranks = Ranks::of_system(sources, targets, side, protocol)?;
-        of_items(side, &ranks, protocol)
+        let ranks = Ranks::of_system(sources, targets, side, &galleries, protocol)?;
+        of_items(side, &ranks, &galleries, protocol)
     };
     let (a, b) = (values(&sides[0])?, values(&sides[1])?);
     let real = values(&System {
@@ -204,9 +205,6 @@ fn differences(
     found.extend(pairing.differences(metric::ALL));
     Ok(found)
 }
-
-/// Values of each item by metric, as [`of_items`] gives them.
-type OfItems = BTreeMap<&'static Metric, Vec<f64>>;
 
 /// Two systems on the same items.
 pub(crate) struct Pairing<'a> {

@@ -249,14 +249,16 @@ pub fn encoder_retrieval(
 ) -> Result<Vec<RankedGalleries>, Error> {
     let unit = |latents: &[Vec<f64>]| unit_rows(&Matrix::from_rows(latents));
     let (texts_at, motions_at) = (unit(text_latents)?, unit(motion_latents)?);
-    (0..protocol.repeats)
+    let distinct = (0..protocol.distinct_galleries(texts.len()))
         .map(|repeat| {
             let galleries = protocol.galleries(texts.len(), repeat);
             let same_text = |a: usize, b: usize| texts[a] == texts[b];
             let ranks = cross_ranks(&texts_at, &motions_at, &galleries, same_text)?;
             Ok((galleries, ranks))
         })
-        .collect()
+        .collect::<Result<Vec<RankedGalleries>, Error>>()?;
+    let of_repeat = |repeat: usize| distinct[repeat % distinct.len()].clone();
+    Ok((0..protocol.repeats).map(of_repeat).collect())
 }
 
 /// The cut-offs of the recalls of a report.

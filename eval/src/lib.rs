@@ -5,15 +5,16 @@
 //! as text, Markdown, LaTeX, CSV or JSON and draws into one self-contained HTML report. It never
 //! sees a model, so every system is scored by the same path. [`answers`] reads tables of edits and
 //! commits scores; [`judge`] says whether an encoder may rank; [`best_edit`] chooses what a report opens with; [`figure`] holds the points and
-//! drawings of ablations.
+//! drawings of ablations. [`rows`] reads motions where they are needed, so that memory does not grow with them.
 //!
 //! Start at [`score::score`] and [`protocol::Protocol`].
 //!
 //! ```
 //! use std::collections::BTreeMap;
 //!
-//! use datasets_spec::record::{EditRow, ItemRow};
+//! use datasets_spec::record::ItemRow;
 //! use datasets_spec::{Fps, Motion, MotionId, NoProgress, Pose, Skeleton, Split};
+//! use eval::answers::Answered;
 //! use eval::evaluators::{Evaluators, MotionEncoder};
 //! use eval::metric::{Part, of_part};
 //! use eval::protocol::Protocol;
@@ -62,20 +63,22 @@
 //!     item.id = item.content_id();
 //!     items.push(item);
 //! }
-//! // Edits are the rows of `stance edit`; without any, the given systems are scored.
-//! let edits: Vec<EditRow> = Vec::new();
+//! // Edits are the rows of `stance edit`; without any, the given systems are scored. `Answered::read` leaves the
+//! // motions of items and edits in the files, and reads some at a time.
+//! let answered = Answered::of_rows(items, Vec::new(), Skeleton::smplx_neutral());
 //! let evaluators = Evaluators {
 //!     encoder: &Path,
 //!     classifier: None,
-//!     skeleton: &Skeleton::smplx_neutral(),
+//!     skeleton: &answered.skeleton,
 //! };
-//! let scores = score(&items, &edits, evaluators, &Protocol::default(), &NoProgress)?;
+//! let scores = score(&answered, evaluators, &Protocol::default(), &NoProgress)?;
 //! let tables = Table::from_scores(&scores, &BTreeMap::new(), &of_part(Part::Paper));
 //! println!("{}", format::text::render(&tables));
 //! assert!(tables[0].rows.iter().any(|row| row.system == "Identity"));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod answered;
 pub mod answers;
 pub mod best_edit;
 pub mod compare;
@@ -91,6 +94,7 @@ pub mod names;
 pub mod protocol;
 pub mod published;
 pub mod report;
+pub mod rows;
 pub mod score;
 pub mod table;
 pub mod times;

@@ -30,13 +30,9 @@ impl Matrix {
         }
     }
 
-    /// The identity.
-    pub fn identity(size: usize) -> Self {
-        Self::diagonal(&vec![1.0; size])
-    }
-
     /// A diagonal matrix.
-    pub fn diagonal(values: &[f64]) -> Self {
+    #[cfg(test)]
+    pub(crate) fn diagonal(values: &[f64]) -> Self {
         let mut matrix = Self::zeros(values.len(), values.len());
         for (index, &value) in values.iter().enumerate() {
             matrix.row_mut(index)[index] = value;
@@ -120,17 +116,18 @@ impl Matrix {
 
     /// The transpose.
     pub fn transposed(&self) -> Self {
-        let mut result = Self::zeros(self.num_cols, self.num_rows);
-        for (row_index, row) in self.rows().enumerate() {
-            for (col_index, &value) in row.iter().enumerate() {
-                result.data[col_index * self.num_rows + row_index] = value;
-            }
-        }
-        result
+        Self::copied(self.view().transpose())
     }
 
     fn view(&self) -> MatRef<'_, f64> {
         MatRef::from_row_major_slice(&self.data, self.num_rows, self.num_cols)
+    }
+
+    fn copied(view: MatRef<'_, f64>) -> Self {
+        let [num_rows, num_cols] = [view.nrows(), view.ncols()];
+        let mut copy = Self::zeros(num_rows, num_cols);
+        MatMut::from_row_major_slice_mut(&mut copy.data, num_rows, num_cols).copy_from(view);
+        copy
     }
 
     /// The product with another matrix.
@@ -162,26 +159,6 @@ impl Matrix {
             .map(|index| self.row(index)[index])
             .sum()
     }
-
-    /// The largest absolute entry; NaN if there is one.
-    pub fn max_abs(&self) -> f64 {
-        self.data.iter().fold(0.0, |largest: f64, value| {
-            if value.is_nan() || largest.is_nan() {
-                f64::NAN
-            } else {
-                largest.max(value.abs())
-            }
-        })
-    }
-}
-
-/// The dot product of two vectors.
-///
-/// # Panics
-/// If they differ in length.
-pub fn dot(a: &[f64], b: &[f64]) -> f64 {
-    assert_eq!(a.len(), b.len(), "vectors of different length");
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 fn product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Matrix {
@@ -307,13 +284,7 @@ pub fn symmetric_eigen(matrix: &Matrix) -> Eigen {
     let (values, vectors) = (eigen.S(), eigen.U());
     Eigen {
         values: (0..size).map(|k| scale * values[k]).collect(),
-        vectors: Matrix::new(
-            size,
-            size,
-            (0..size * size)
-                .map(|at| vectors[(at % size, at / size)])
-                .collect(),
-        ),
+        vectors: Matrix::copied(vectors.transpose()),
     }
 }
 
@@ -343,8 +314,9 @@ fn scaled(matrix: &Matrix) -> (f64, Matrix) {
         matrix.num_rows, matrix.num_cols,
         "only a square matrix has eigenvalues"
     );
-    let scale = matrix.max_abs();
-    assert!(scale.is_finite(), "the matrix must be finite");
+    let view = matrix.view();
+    assert!(view.is_all_finite(), "the matrix must be finite");
+    let scale = view.norm_max();
     let mut scaled = matrix.clone();
     if scale > 0.0 {
         for value in &mut scaled.data {
@@ -385,7 +357,8 @@ mod tests {
         // A backward-stable solver is off by a modest multiple of n times the precision.
         let tolerance = 4.0 * size as f64 * f64::EPSILON;
         let identity = eigen.vectors.gram();
-        assert!(max_difference(&identity, &Matrix::identity(size)) <= tolerance);
+        let expected = Matrix::diagonal(&vec![1.0; size]);
+        assert!(max_difference(&identity, &expected) <= tolerance);
         let rebuilt = eigen
             .vectors
             .transposed()
@@ -462,7 +435,7 @@ mod tests {
             graded,
             ones,
             Matrix::zeros(7, 7),
-            Matrix::identity(9),
+            Matrix::diagonal(&[1.0; 9]),
             Matrix::diagonal(&[-3.0]),
             Matrix::zeros(0, 0),
             Matrix::from_rows(&[[0.0, 1.0], [1.0, 0.0]]),

@@ -327,6 +327,14 @@ impl Protocol {
         }
     }
 
+    /// Repeats whose galleries differ: one, if one gallery holds all items.
+    pub fn distinct_galleries(&self, num_items: usize) -> usize {
+        match self.gallery {
+            Gallery::Batches(size) if num_items > size => self.repeats,
+            Gallery::Full | Gallery::Batches(_) => 1,
+        }
+    }
+
     /// Items on either side of a Fréchet distance.
     pub fn fid_size(&self, num_items: usize) -> usize {
         match self.fid_sample {
@@ -518,6 +526,8 @@ mod tests {
             seen.dedup();
             prop_assert_eq!(seen.len(), count);
             prop_assert!(seen.last().is_none_or(|last| *last < num_items));
+            let is_one = protocol.distinct_galleries(num_items) == 1;
+            prop_assert_eq!(is_one, galleries[0].len() == num_items);
             let [real, compared] = protocol.fid_items(num_items, repeat);
             prop_assert_eq!(real.len(), compared.len());
             prop_assert!(real.iter().all(|item| !compared.contains(item)));

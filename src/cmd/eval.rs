@@ -15,7 +15,7 @@ use eval::protocol::{FidSample, Floor, Gallery, Keypoints, Limit, Protocol, Quer
 use eval::published::PaperTable;
 use eval::table::{Table, shortages};
 use eval::times::{self, WindowTimes};
-use pipeline::answers::bundle::Bundle;
+use pipeline::answers::bundle::{Bundle, Rates};
 
 use crate::device::DeviceArgs;
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, encoder_retrieval, judge_hash};
@@ -333,9 +333,11 @@ fn answers(args: &Args, encoder: &Path) -> anyhow::Result<Answered> {
         return Ok(answered);
     }
     let judge = judge_hash(encoder)?;
+    let items = answered.items.facts().iter();
+    let rates: Rates<'_> = items.map(|item| (item.id.as_str(), item.fps)).collect();
     let mut edits = Vec::new();
     for path in bundles {
-        let Bundle { facts, rows } = Bundle::read(path, &answered.items, &answered.skeleton)?;
+        let Bundle { facts, rows } = Bundle::read(path, &rates, &answered.skeleton)?;
         if let Some(asked) = facts.judge_hash.filter(|asked| *asked != judge) {
             bail!(
                 "{}: it asks to be judged by the encoder {asked:.12}, and --encoder {} is {judge:.12}",

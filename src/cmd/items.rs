@@ -117,7 +117,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let targets = distinct(|row| row.target_id.as_str());
     let sources = distinct(|row| row.source_id.as_str());
     let instructions = distinct(|row| &row.instruction);
-    let digest = digest_of_ids(&rows);
+    let digest = digest_of_ids(rows.iter().map(|row| row.id.as_str()));
     let mut novelty: BTreeMap<&str, usize> = BTreeMap::new();
     for row in &rows {
         *novelty

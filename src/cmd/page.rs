@@ -12,6 +12,7 @@ use eval::draw::plot::{Bars, histogram};
 use eval::draw::strip::Row;
 use eval::protocol::Protocol;
 use eval::report::{Card, Chart, Details, Opening, Report, Strip};
+use eval::rows::EditFacts;
 use eval::table::Table;
 
 use crate::cmd::eval::{further_tables, tables};
@@ -89,26 +90,14 @@ pub(crate) fn of_edits(
     shown: usize,
     global: &Global,
 ) -> anyhow::Result<Report> {
-    let Answered {
-        items,
-        edits,
-        skeleton,
-    } = answered;
-    let mut answers: BTreeMap<&str, Vec<&EditRow>> = BTreeMap::new();
-    for row in edits {
-        answers.entry(&row.id).or_default().push(row);
-    }
+    let (items, edits) = (&answered.items, answered.edits.facts());
     let step = items.len().div_ceil(shown.max(1)).max(1);
     let unknown = stages::unknown_words(folders)?;
-    let strips: Vec<Strip> = items
-        .iter()
-        .step_by(step)
-        .map(|item| {
-            let mut made = answers.get(item.id.as_str()).cloned().unwrap_or_default();
-            made.sort_by_key(|row| (row.system.clone(), row.seed));
-            strip_of(item, &made, skeleton, &unknown)
-        })
-        .collect::<anyhow::Result<_>>()?;
+    let mut strips = Vec::new();
+    for (item, mut made) in with_edits(answered, (0..items.len()).step_by(step))? {
+        made.sort_by_key(|row| (row.system.clone(), row.seed));
+        strips.push(strip_of(&item, &made, &answered.skeleton, &unknown)?);
+    }
     let mut systems: Vec<&str> = edits.iter().map(|row| row.system.as_str()).collect();
     systems.sort_unstable();
     systems.dedup();
@@ -136,9 +125,24 @@ pub(crate) fn of_edits(
     })
 }
 
+/// Some items, given by their positions, with the edits of each in the order of the tables.
+pub(crate) fn with_edits(
+    answered: &Answered,
+    positions: impl Iterator<Item = usize>,
+) -> anyhow::Result<Vec<(ItemRow, Vec<EditRow>)>> {
+    let items = answered.items_at(&positions.collect::<Vec<_>>())?;
+    let edits = answered.edits.facts().iter().enumerate();
+    let answers = |item: ItemRow| -> anyhow::Result<(ItemRow, Vec<EditRow>)> {
+        let made = edits.clone().filter(|(_, row)| row.id == item.id);
+        let made: Vec<usize> = made.map(|(position, _)| position).collect();
+        Ok((item, answered.edits.rows(&made)?))
+    };
+    items.into_iter().map(answers).collect()
+}
+
 /// The few numbers to read first.
 fn cards(answered: &Answered, num_systems: usize) -> Vec<Card> {
-    let items = &answered.items;
+    let items = answered.items.facts();
     let targets: BTreeSet<&str> = items.iter().map(|item| item.target_id.as_str()).collect();
     let card = |label: &str, count: usize, note: String| Card {
         label: label.to_owned(),
@@ -157,7 +161,7 @@ fn cards(answered: &Answered, num_systems: usize) -> Vec<Card> {
 }
 
 /// How long the edits are, and how far their points are from a skeleton.
-fn histograms(edits: &[EditRow]) -> Vec<Chart> {
+fn histograms(edits: &[EditFacts]) -> Vec<Chart> {
     let secs: Vec<f64> = edits
         .iter()
         .map(|row| f64::from(row.n_frames) / f64::from(row.fps))
@@ -181,7 +185,7 @@ fn histograms(edits: &[EditRow]) -> Vec<Chart> {
 }
 
 /// Settings of each system, with the hash of its weights.
-fn settings_of(edits: &[EditRow]) -> BTreeMap<&str, serde_json::Value> {
+fn settings_of(edits: &[EditFacts]) -> BTreeMap<&str, serde_json::Value> {
     let mut settings: BTreeMap<&str, serde_json::Value> = BTreeMap::new();
     for row in edits {
         // Settings recorded by another program need not be JSON; they are shown as text.
@@ -212,10 +216,10 @@ pub(crate) fn opening(
     let Some(best) = best_edit(answered)? else {
         return Ok(None);
     };
-    let made = [(format!("edited by {}", best.edit.system), best.edit)];
-    let rows = rows_of(best.item, made, &answered.skeleton)?;
+    let made = [(format!("edited by {}", best.edit.system), &best.edit)];
+    let rows = rows_of(&best.item, made, &answered.skeleton)?;
     Ok(Some(Opening {
-        strip: marked_strip(best.item, rows, unknown)?,
+        strip: marked_strip(&best.item, rows, unknown)?,
         choice: best.in_words(),
     }))
 }
@@ -224,11 +228,11 @@ pub(crate) fn opening(
 /// the instruction that are among the `unknown` ones.
 pub(crate) fn strip_of(
     item: &ItemRow,
-    made: &[&EditRow],
+    made: &[EditRow],
     skeleton: &Skeleton,
     unknown: &BTreeSet<String>,
 ) -> anyhow::Result<Strip> {
-    let made = made.iter().map(|row| (row.system.clone(), *row));
+    let made = made.iter().map(|row| (row.system.clone(), row));
     let mut rows = rows_of(item, made, skeleton)?;
     if let Some(other) = item.other_take()? {
         rows.push(Row::new("other take", &other, skeleton));

@@ -27,6 +27,7 @@ mod ingest;
 mod keys;
 mod labels;
 mod mdm;
+mod motion_rows;
 mod names;
 mod novelty;
 mod pairs;

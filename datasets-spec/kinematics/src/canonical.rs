@@ -36,7 +36,14 @@ impl GroundTransform {
 
     /// Maps a point.
     pub fn apply(&self, point: DVec3) -> DVec3 {
-        DQuat::from_rotation_y(self.yaw_rad) * point + DVec3::new(self.x, 0.0, self.z)
+        self.mapping()(point)
+    }
+
+    /// [`GroundTransform::apply`] for many points, with the turn computed once.
+    pub fn mapping(&self) -> impl Fn(DVec3) -> DVec3 + use<> {
+        let turn = DQuat::from_rotation_y(self.yaw_rad);
+        let shift = DVec3::new(self.x, 0.0, self.z);
+        move |point| turn * point + shift
     }
 
     /// The transform that undoes this one.
@@ -307,8 +314,9 @@ impl Stitcher {
             window.get(FIXED_FRAMES..).unwrap_or(&[])
         };
         let former_frames = former.len();
+        let place = self.world_from_window.mapping();
         for (index, frame) in new.iter().enumerate() {
-            let mut placed = frame.map(|point| self.world_from_window.apply(point));
+            let mut placed = frame.map(&place);
             if let Some(former) = former.get(index) {
                 let share = (index + 1) as f64 / (former_frames + 1) as f64;
                 for (point, before) in placed.iter_mut().zip(former) {
@@ -333,9 +341,9 @@ impl Stitcher {
     /// The last two frames in the coordinates of the next window: its fixed frames. None before
     /// the first window.
     pub fn next_fixed(&self) -> Option<[KeypointFrame; FIXED_FRAMES]> {
-        let window_from_world = self.world_from_window.inverse();
+        let window_from_world = self.world_from_window.inverse().mapping();
         let last = self.frames.last_chunk::<FIXED_FRAMES>()?;
-        Some(last.map(|frame| frame.map(|point| window_from_world.apply(point))))
+        Some(last.map(|frame| frame.map(&window_from_world)))
     }
 
     /// Where the next window will be placed.

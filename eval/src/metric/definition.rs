@@ -1,15 +1,15 @@
 //! What a metric is: its name, its direction, how it is printed and how it is computed.
 
 use std::fmt;
-use std::ops::RangeInclusive;
 
-use datasets_spec::record::EditRow;
 use datasets_spec::{JointSet, Motion};
 use kinematics::KeypointFrame;
+use kinematics::skeleton::NUM_KEYPOINTS;
 
 use crate::Error;
 use crate::linalg::Matrix;
 use crate::protocol::Protocol;
+use crate::rows::EditFacts;
 
 /// A column of the result tables. Two metrics are the same if their names are.
 #[derive(Debug)]
@@ -61,6 +61,12 @@ impl Better {
     }
 }
 
+/// The value of a motion.
+pub type MotionMeasure = fn(&MotionSample<'_>) -> Option<f64>;
+
+/// One value for each set.
+pub type SetMeasure = fn(&SetSample<'_>) -> Result<Option<Vec<f64>>, Error>;
+
 /// Pairs of an item and its value, from several takes of each item.
 pub type TakesMeasure = fn(&TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error>;
 
@@ -69,14 +75,23 @@ pub type TakesMeasure = fn(&TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error>
 pub enum Measure {
     /// From each motion alone; none where the motion has no value. Tables show the mean over the
     /// items that have one.
-    Motion(fn(&MotionSample<'_>) -> Option<f64>),
+    Motion(MotionMeasure),
     /// From the latents of whole sets: one value for each set, computed again on each bootstrap
-    /// resample; none where there are too few items.
-    Set(fn(&SetSample<'_>) -> Result<Option<Vec<f64>>, Error>),
+    /// resample; none where there are too few items. Says what each repeat draws anew.
+    Set(SetMeasure, Draws),
     /// From several takes of each item: pairs of an item and its value. Tables show their mean.
     Takes(TakesMeasure),
     /// From the rank of each edit's counterpart in a gallery.
     Rank(Counterpart, RankSummary),
+}
+
+/// What a metric of whole sets draws anew in each repeat.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Draws {
+    /// The halves of a Fréchet distance, where the protocol compares halves.
+    Halves,
+    /// Pairs of items.
+    Pairs,
 }
 
 /// What an edit is searched by in a retrieval.
@@ -106,18 +121,44 @@ pub struct MotionSample<'a> {
     pub motion: &'a Motion,
     /// Its keypoints in metres, y up.
     pub keypoints: &'a [KeypointFrame],
-    /// Keypoints of the target of its item.
-    pub target: &'a [KeypointFrame],
+    /// The target of its item.
+    pub target: &'a Target,
+    /// Distance of each keypoint from the target's in metres, in the frames that both motions have; both are placed by
+    /// their first frames.
+    pub distances: &'a [[f64; NUM_KEYPOINTS]],
+    /// Mean acceleration of its keypoints.
+    pub acceleration: SeamAcceleration,
     /// Joints that the item asks to change; empty where it does not tell them.
     pub edited: JointSet,
-    /// Frames where one generated window ends and the next begins.
-    pub seams: &'a [RangeInclusive<usize>],
-    /// The edit; none for sources and targets.
-    pub edit: Option<&'a EditRow>,
+    /// What the edit says beside its motion; none for sources and targets.
+    pub edit: Option<&'a EditFacts>,
     /// Share of windows that the classifier takes for composed, where there is a classifier.
     pub composed: Option<f64>,
     /// The protocol.
     pub protocol: &'a Protocol,
+}
+
+/// What metrics take of the target of an item, measured once for all motions of the item.
+#[derive(Clone, Debug)]
+pub struct Target {
+    /// Keypoints as seen from the first frame, `[L, 28]` in metres.
+    pub from_start: Vec<KeypointFrame>,
+    /// Mean speed over the ground of the lowest foot in m/s.
+    pub foot_slide: Option<f64>,
+    /// Largest distance of the pelvis over the ground from where it began, in metres.
+    pub way_m: f64,
+    /// How far the ankle that swings more moves over the ground relative to the pelvis, in metres.
+    pub swing_m: f64,
+}
+
+/// Mean acceleration of the keypoints in m/s^2 at the seams of a motion, where one generated window ends and the next
+/// begins, and away from them; none where there is no such frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SeamAcceleration {
+    /// Over the frames of all seams.
+    pub at_seams: Option<f64>,
+    /// Over all other frames.
+    pub inside: Option<f64>,
 }
 
 /// Latents of one motion for each item, `[N, D]`.

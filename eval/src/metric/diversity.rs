@@ -3,7 +3,7 @@
 use datasets_spec::Rng;
 
 use super::definition::{
-    Better, Measure, Metric, Part, SetSample, check_finite, check_size, distance,
+    Better, Draws, Measure, Metric, Part, SetSample, check_finite, check_size, distance,
 };
 use crate::Error;
 use crate::linalg::Matrix;
@@ -17,7 +17,7 @@ pub static DIVERSITY: Metric = Metric {
     part: Part::Paper,
     better: |_| Better::NearReal,
     decimals: 2,
-    measure: Measure::Set(of_sample),
+    measure: Measure::Set(of_sample, Draws::Pairs),
 };
 
 /// Smallest set two different motions can be drawn from.
@@ -29,12 +29,25 @@ fn of_sample(sample: &SetSample<'_>) -> Result<Option<Vec<f64>>, Error> {
     if num_items < sample.protocol.diversity_pairs || sample.items.len() < MIN_ROWS {
         return Ok(None);
     }
-    let values = sample.sets.iter().map(|latents| {
-        let mut rng = sample.protocol.rng("diversity", sample.draw);
-        let latents = latents.raw.select_rows(sample.items);
-        diversity(&latents, sample.protocol.diversity_pairs, &mut rng)
+    let mut rng = sample.protocol.rng("diversity", sample.draw);
+    let pairs = draw_pairs(
+        sample.items.len(),
+        sample.protocol.diversity_pairs,
+        &mut rng,
+    );
+    let [first, second] = pairs.map(|drawn| -> Vec<usize> {
+        drawn.into_iter().map(|place| sample.items[place]).collect()
     });
-    values.collect::<Result<_, _>>().map(Some)
+    // The latents are finite: they were checked when they were encoded.
+    let values = sample.sets.iter();
+    let values = values.map(|latents| mean_distance(&latents.raw, &first, &second));
+    Ok(Some(values.collect()))
+}
+
+/// Two lists of positions, each drawn without replacement.
+fn draw_pairs(num_rows: usize, num_pairs: usize, rng: &mut Rng) -> [Vec<usize>; 2] {
+    let num_pairs = num_pairs.min(num_rows);
+    [(); 2].map(|()| draw_without_replacement(num_rows, num_pairs, rng))
 }
 
 /// The mean distance between latents paired at random: two lists of positions are drawn, each
@@ -59,9 +72,7 @@ pub fn diversity(latents: &Matrix, num_pairs: usize, rng: &mut Rng) -> Result<f6
             found: latents.num_rows(),
         });
     }
-    let num_pairs = num_pairs.min(latents.num_rows());
-    let first = draw_without_replacement(latents.num_rows(), num_pairs, rng);
-    let second = draw_without_replacement(latents.num_rows(), num_pairs, rng);
+    let [first, second] = draw_pairs(latents.num_rows(), num_pairs, rng);
     diversity_of_pairs(latents, &first, &second)
 }
 
@@ -86,12 +97,17 @@ pub fn diversity_of_pairs(
         });
     }
     check_finite(METRIC, latents)?;
+    Ok(mean_distance(latents, first, second))
+}
+
+/// The mean distance between the latents at paired positions.
+fn mean_distance(latents: &Matrix, first: &[usize], second: &[usize]) -> f64 {
     let total: f64 = first
         .iter()
         .zip(second)
         .map(|(&a, &b)| distance(latents.row(a), latents.row(b)))
         .sum();
-    Ok(total / first.len() as f64)
+    total / first.len() as f64
 }
 
 #[cfg(test)]

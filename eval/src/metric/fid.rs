@@ -1,6 +1,6 @@
 //! Fréchet distance between two sets of latents.
 
-use super::definition::{Better, Latents, Measure, Metric, Part, SetSample};
+use super::definition::{Better, Draws, Latents, Measure, Metric, Part, SetSample};
 use super::definition::{check_finite, check_size};
 use crate::Error;
 use crate::linalg::{Matrix, mean_and_covariance, symmetric_eigen, symmetric_eigenvalues};
@@ -13,7 +13,10 @@ pub static FID: Metric = Metric {
     part: Part::Paper,
     better: |_| Better::Lower,
     decimals: 3,
-    measure: Measure::Set(|sample| of_sample(sample, |latents| &latents.unit)),
+    measure: Measure::Set(
+        |sample| of_sample(sample, |latents| &latents.unit),
+        Draws::Halves,
+    ),
 };
 
 /// Fréchet distance of latents as the encoder gives them.
@@ -22,7 +25,10 @@ pub static FID_RAW: Metric = Metric {
     part: Part::Further,
     better: |_| Better::Lower,
     decimals: 2,
-    measure: Measure::Set(|sample| of_sample(sample, |latents| &latents.raw)),
+    measure: Measure::Set(
+        |sample| of_sample(sample, |latents| &latents.raw),
+        Draws::Halves,
+    ),
 };
 
 /// The distance of each set from the real data. Resamples use a quicker form, which agrees to 1e-6.
@@ -414,7 +420,7 @@ mod tests {
             fid(&two, &broken),
             Err(Error::NotFinite { row: 1, .. })
         ));
-        assert!(Gaussian::new(vec![0.0], Matrix::identity(2)).is_err());
+        assert!(Gaussian::new(vec![0.0], Matrix::diagonal(&[1.0; 2])).is_err());
     }
 
     proptest! {

@@ -12,8 +12,8 @@ pub static GLIDING: Metric = Metric {
     better: |_| Better::NearReal,
     decimals: 1,
     measure: Measure::Motion(|sample| {
-        let is_locomotion = way(sample.target) > LEAST_WAY_M;
-        is_locomotion.then(|| match glides(sample.keypoints, sample.target) {
+        let is_locomotion = sample.target.way_m > LEAST_WAY_M;
+        is_locomotion.then(|| match glides(sample.keypoints, sample.target.swing_m) {
             true => 100.0,
             false => 0.0,
         })
@@ -33,9 +33,9 @@ const RIGHT_HIP: usize = 2;
 const ANKLES: [usize; 2] = [7, 8];
 
 /// Whether the root of a motion moves more than [`LEAST_WAY_M`] while the ankles swing less than half as far as the
-/// target's.
-pub fn glides(motion: &[KeypointFrame], target: &[KeypointFrame]) -> bool {
-    way(motion) > LEAST_WAY_M && swing(motion) < LEAST_SWING * swing(target)
+/// target's, whose [`swing`] is given.
+pub fn glides(motion: &[KeypointFrame], target_swing_m: f64) -> bool {
+    way(motion) > LEAST_WAY_M && swing(motion) < LEAST_SWING * target_swing_m
 }
 
 /// The largest distance in metres over the ground of the pelvis from where it began.
@@ -120,7 +120,7 @@ mod tests {
             (0.0128, 0.0, false),
             (0.0129, 0.0, true),
         ] {
-            let found = glides(&walking(speed, reach, 1.0), &target);
+            let found = glides(&walking(speed, reach, 1.0), swing(&target));
             assert_eq!(found, expected, "{speed} {reach}");
         }
     }

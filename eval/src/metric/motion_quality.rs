@@ -9,7 +9,7 @@ use kinematics::canonical::FIXED_FRAMES;
 use kinematics::rotation::angle_between;
 use kinematics::skeleton::NUM_KEYPOINTS;
 
-use super::definition::{Better, Measure, Metric, Part};
+use super::definition::{Better, Measure, Metric, Part, SeamAcceleration};
 
 /// Mean acceleration of the keypoints where one generated window ends and the next begins, in m/s²;
 /// for motions that were not generated, in the same frames.
@@ -18,9 +18,7 @@ pub static SEAM_ACCELERATION: Metric = Metric {
     part: Part::Quality,
     better: |_| Better::NearReal,
     decimals: 2,
-    measure: Measure::Motion(|sample| {
-        seam_acceleration(sample.keypoints, sample.motion.fps(), sample.seams).at_seams
-    }),
+    measure: Measure::Motion(|sample| sample.acceleration.at_seams),
 };
 
 /// Mean acceleration of the keypoints in all other frames, in m/s².
@@ -29,9 +27,7 @@ pub static INSIDE_ACCELERATION: Metric = Metric {
     part: Part::Quality,
     better: |_| Better::NearReal,
     decimals: 2,
-    measure: Measure::Motion(|sample| {
-        seam_acceleration(sample.keypoints, sample.motion.fps(), sample.seams).inside
-    }),
+    measure: Measure::Motion(|sample| sample.acceleration.inside),
 };
 
 /// Mean jerk of the keypoints, in m/s³.
@@ -58,7 +54,7 @@ pub static TARGET_FOOT_SLIDE: Metric = Metric {
     part: Part::Main,
     better: |_| Better::NearReal,
     decimals: 3,
-    measure: Measure::Motion(|sample| foot_slide(sample.target, sample.motion.fps())),
+    measure: Measure::Motion(|sample| sample.target.foot_slide),
 };
 
 /// Largest rotation of a joint from one frame to the next, in degrees.
@@ -67,11 +63,7 @@ pub static ROTATION_STEP: Metric = Metric {
     part: Part::Quality,
     better: |_| Better::NearReal,
     decimals: 1,
-    measure: Measure::Motion(|sample| {
-        let motion = sample.motion;
-        let poses: Vec<Pose> = (0..motion.len()).map(|frame| motion.pose(frame)).collect();
-        Some(largest_rotation_step(&poses))
-    }),
+    measure: Measure::Motion(|sample| Some(largest_rotation_step(&sample.motion.poses()))),
 };
 
 /// Keypoints of the feet: both ankles and both feet.
@@ -147,16 +139,6 @@ pub fn accelerations(points: &[KeypointFrame], fps: Fps) -> Vec<f64> {
         .collect()
 }
 
-/// Mean acceleration in m/s^2 at the seams of a motion and away from them; none where there is no such
-/// frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct SeamAcceleration {
-    /// Over the frames of all seams.
-    pub at_seams: Option<f64>,
-    /// Over all other frames.
-    pub inside: Option<f64>,
-}
-
 /// Splits [`accelerations`] by whether a frame belongs to a seam.
 pub fn seam_acceleration(points: &[KeypointFrame], fps: Fps, seams: &[Seam]) -> SeamAcceleration {
     let (mut at, mut inside) = (Mean::default(), Mean::default());
@@ -209,15 +191,24 @@ pub fn foot_slide(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
 /// The largest angle in degrees by which the local rotation of a joint, the root's included, changes
 /// from one frame to the next; 0 for fewer than two frames.
 pub fn largest_rotation_step(poses: &[Pose]) -> f64 {
-    poses
-        .windows(2)
-        .flat_map(|frames| {
-            let pairs = frames[0].rotations.into_iter().zip(frames[1].rotations);
-            pairs.map(|(before, after)| angle_between(before, after))
-        })
-        .fold(0.0, f64::max)
-        .to_degrees()
+    let (mut longest, mut angle) = (0.0f64, 0.0f64);
+    for frames in poses.windows(2) {
+        for (before, after) in frames[0].rotations.into_iter().zip(frames[1].rotations) {
+            // The chord between two quaternions grows with the angle, and is had without an arc tangent.
+            let chord = (after - before)
+                .length_squared()
+                .min((after + before).length_squared());
+            if chord > 0.0 && chord >= NEARLY * longest {
+                angle = angle.max(angle_between(before, after));
+                longest = longest.max(chord);
+            }
+        }
+    }
+    angle.to_degrees()
 }
+
+/// Share of the longest squared chord from which an angle may be the largest, whatever rounding did to either.
+const NEARLY: f64 = 1.0 - 1e-9;
 
 #[derive(Default)]
 struct Mean {

@@ -162,7 +162,7 @@ mod tests {
             assert!(first.iter().zip(&second).all(|(a, b)| a != b));
         }
         // Takes at distance 1 from each other: a pair of equals would lower the mean.
-        let takes = Matrix::identity(12);
+        let takes = Matrix::diagonal(&[1.0; 12]);
         let [first, second] = pairs(12, T2M_PAIRS, &mut Seed(3).rng(&["mm"])).expect("enough");
         let value = multimodality_of_pairs(&[takes], &first, &second).expect("valid");
         assert!((value - 2f64.sqrt()).abs() < 1e-12, "{value}");

@@ -2,7 +2,7 @@
 
 use kinematics::KeypointFrame;
 use kinematics::canonical::GroundTransform;
-use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
+use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, parent_of};
 
 use super::definition::{Better, Measure, Metric, MotionSample, Part};
 
@@ -56,8 +56,7 @@ fn error_cm(sample: &MotionSample<'_>, is_counted: impl Fn(usize) -> bool) -> Op
     if slots.is_empty() {
         return None;
     }
-    let [found, expected] = [sample.keypoints, sample.target].map(from_start);
-    Some(CM_PER_M * mean_error_of(&found, &expected, &slots))
+    Some(CM_PER_M * mean_of(sample.distances, &slots))
 }
 
 /// The body joint that moves a keypoint: itself, or the one that an eye or a finger hangs from.
@@ -73,7 +72,7 @@ fn body_joint(mut slot: usize) -> usize {
 ///
 /// # Panics
 /// If there is no frame.
-fn from_start(points: &[KeypointFrame]) -> Vec<KeypointFrame> {
+pub(crate) fn from_start(points: &[KeypointFrame]) -> Vec<KeypointFrame> {
     let [pelvis, left, right] = *points[0].first_chunk().expect("28 keypoints");
     let across = left - right;
     let start = GroundTransform {
@@ -81,9 +80,20 @@ fn from_start(points: &[KeypointFrame]) -> Vec<KeypointFrame> {
         x: pelvis.x,
         z: pelvis.z,
     };
-    let to_start = start.inverse();
-    let seen = |frame: &KeypointFrame| frame.map(|point| to_start.apply(point));
-    points.iter().map(seen).collect()
+    let to_start = start.inverse().mapping();
+    points.iter().map(|frame| frame.map(&to_start)).collect()
+}
+
+/// Distances between the keypoints of two motions in metres, in the frames both have.
+pub(crate) fn distances(
+    found: &[KeypointFrame],
+    expected: &[KeypointFrame],
+) -> Vec<[f64; NUM_KEYPOINTS]> {
+    found
+        .iter()
+        .zip(expected)
+        .map(|(found, expected)| std::array::from_fn(|slot| found[slot].distance(expected[slot])))
+        .collect()
 }
 
 /// The mean distance between the first `count` keypoints of two motions in metres, over the
@@ -102,34 +112,28 @@ pub fn mean_position_error(
     count: usize,
 ) -> f64 {
     let slots: Vec<usize> = (0..count).collect();
-    mean_error_of(found, expected, &slots)
+    mean_of(&distances(found, expected), &slots)
 }
 
-/// [`mean_position_error`] of some keypoints.
-fn mean_error_of(found: &[KeypointFrame], expected: &[KeypointFrame], slots: &[usize]) -> f64 {
-    let num_frames = found.len().min(expected.len());
-    assert!(num_frames > 0, "position error of an empty motion");
-    let total: f64 = found
+/// The mean distance of some keypoints over all frames.
+fn mean_of(distances: &[[f64; NUM_KEYPOINTS]], slots: &[usize]) -> f64 {
+    assert!(!distances.is_empty(), "position error of an empty motion");
+    let total: f64 = distances
         .iter()
-        .zip(expected)
-        .flat_map(|(found, expected)| {
-            slots
-                .iter()
-                .map(|&slot| found[slot].distance(expected[slot]))
-        })
+        .flat_map(|frame| slots.iter().map(move |&slot| frame[slot]))
         .sum();
-    total / (num_frames * slots.len()) as f64
+    total / (distances.len() * slots.len()) as f64
 }
 
 #[cfg(test)]
 mod tests {
     use datasets_spec::{BodyPart, Fps, JointSet, Motion};
     use glam::{DQuat, DVec3};
-    use kinematics::skeleton::{Joint, NUM_KEYPOINTS};
+    use kinematics::skeleton::Joint;
     use kinematics::{Pose, Skeleton};
 
     use super::*;
-    use crate::metric::Metric;
+    use crate::metric::{SeamAcceleration, Target};
     use crate::protocol::{Keypoints, Protocol};
 
     #[test]
@@ -227,12 +231,20 @@ mod tests {
             }
         }
         let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 4]).expect("valid");
+        let placed = from_start(&target);
+        let distances = distances(&from_start(&found), &placed);
         let sample = MotionSample {
             motion: &motion,
             keypoints: &found,
-            target: &target,
+            distances: &distances,
+            target: &Target {
+                from_start: placed,
+                foot_slide: None,
+                way_m: 0.0,
+                swing_m: 0.0,
+            },
+            acceleration: SeamAcceleration::default(),
             edited,
-            seams: &[],
             edit: None,
             composed: None,
             protocol: &Protocol {
@@ -242,7 +254,7 @@ mod tests {
         };
         let value = |metric: &Metric| match metric.measure {
             Measure::Motion(value) => value(&sample),
-            Measure::Set(_) | Measure::Takes(_) | Measure::Rank(..) => unreachable!("of motions"),
+            Measure::Set(..) | Measure::Takes(_) | Measure::Rank(..) => unreachable!("of motions"),
         };
         [&POSITION_ERROR, &ERROR_INSIDE, &ERROR_OUTSIDE].map(value)
     }

@@ -9,7 +9,7 @@ use super::definition::{
     Better, Counterpart, Measure, Metric, Part, RankSummary, check_finite, check_size,
 };
 use crate::Error;
-use crate::linalg::{Matrix, dot};
+use crate::linalg::Matrix;
 
 const METRIC: &str = "retrieval";
 
@@ -256,7 +256,7 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
         for value in row.iter_mut() {
             *value /= largest;
         }
-        let length = dot(row, row).sqrt();
+        let length = row.iter().map(|value| *value * *value).sum::<f64>().sqrt();
         for value in row.iter_mut() {
             *value /= length;
         }

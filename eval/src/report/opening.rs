@@ -30,7 +30,7 @@ pub(super) fn body(opening: Option<&Opening>) -> String {
     )
 }
 
-impl BestEdit<'_> {
+impl BestEdit {
     /// The rule by which the edit was chosen, and its numbers, as sentences for a reader of the page.
     pub fn in_words(&self) -> String {
         let system = &self.edit.system;

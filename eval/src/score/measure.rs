@@ -1,22 +1,26 @@
-//! From motions to numbers: latents of every motion, and the metrics of single motions.
+//! From motions to numbers: latents of every motion, and the metrics of single motions. Motions are read some at a
+//! time, and dropped once they are measured.
 
-use datasets_spec::{JointSet, Motion, Progress};
-use kinematics::KeypointFrame;
+use std::borrow::Cow;
+
+use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::{JointSet, Motion, Progress, Skeleton};
 use rayon::prelude::*;
 
-use super::test_set::{Side, TestSet};
+use super::test_set::{TestSet, windows_of};
 use crate::Error;
+use crate::answered::ITEMS_AT_ONCE;
 use crate::evaluators::Evaluators;
 use crate::linalg::Matrix;
 use crate::metric::foot_score::MIN_FRAMES;
-use crate::metric::motion_quality::Windows;
+use crate::metric::gliding::{swing, way};
+use crate::metric::motion_quality::{self, Windows};
+use crate::metric::position_error::{distances, from_start};
 use crate::metric::retrieval::unit_rows;
-use crate::metric::{self, Latents, Measure, Metric, MotionSample, motion_quality};
+use crate::metric::{self, Latents, Measure, Metric, MotionMeasure, MotionSample, Target};
 use crate::names::{IDENTITY, REAL_DATA};
 use crate::protocol::Protocol;
-
-/// Motions decoded and encoded together: a full batch of the encoder, and little memory.
-const MOTIONS_PER_CALL: usize = 256;
+use crate::rows::EditFacts;
 
 /// A test set as numbers.
 pub(crate) struct Measured<'a> {
@@ -41,6 +45,11 @@ impl System<'_> {
             takes: self.takes.iter().map(|take| take.select(indices)).collect(),
         }
     }
+
+    /// The take that a repeat scores.
+    pub(super) fn take(&self, repeat: usize) -> &Take {
+        &self.takes[repeat % self.takes.len()]
+    }
 }
 
 /// One motion for each item, as numbers.
@@ -48,7 +57,7 @@ impl System<'_> {
 pub(crate) struct Take {
     pub(crate) latents: Latents,
     /// Values of the metrics of single motions; NaN where a motion has none.
-    pub(super) of_items: Vec<(&'static Metric, Vec<f64>)>,
+    of_items: Vec<(&'static Metric, Vec<f64>)>,
 }
 
 impl Take {
@@ -62,170 +71,388 @@ impl Take {
             of_items: of_items.collect(),
         }
     }
+
+    /// Values of a metric of single motions.
+    pub(super) fn values(&self, of: &Metric) -> &[f64] {
+        let found = self.of_items.iter().find(|(metric, _)| *metric == of);
+        found.map_or(&[][..], |(_, values)| values.as_slice())
+    }
 }
 
-/// Encodes and measures the originals and all systems.
+/// Encodes and measures the originals and all systems. Each item is read once, and what its motions are compared with
+/// is computed once for all systems.
 pub(crate) fn measured<'a>(
     test_set: &TestSet<'a>,
     evaluators: Evaluators<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> Result<Measured<'a>, Error> {
-    let measuring = Measuring {
-        evaluators,
-        protocol,
-        progress,
-        windows: test_set.windows(),
-    };
+    let measuring = Measuring::new(test_set, evaluators, protocol, progress);
     progress.begin("encode", Some(test_set.num_motions() as u64));
-    let targets: Vec<Side<'_>> = test_set.sides(Side::Target);
-    let sources: Vec<Side<'_>> = test_set.sides(Side::Source);
     let cut = protocol.truncate_to_target;
-    let measured_sources = measuring.take(&sources, &targets, false)?;
-    let mut systems = vec![
+    let [mut sources, mut targets, mut cut_sources, mut others] =
+        [(); 4].map(|()| measuring.begin());
+    let takes_of = |takes: &Vec<Vec<usize>>| takes.iter().map(|_| measuring.begin()).collect();
+    let mut systems: Vec<Vec<Gathered>> = test_set.systems.values().map(takes_of).collect();
+    let mut recaptured: Vec<Asked<'_>> = Vec::new();
+    let all: Vec<usize> = (0..test_set.items.len()).collect();
+    for indices in all.chunks(ITEMS_AT_ONCE) {
+        let asked = measuring.asked(test_set, indices)?;
+        let given_sources = || given("source", &asked, |asked| &asked.source);
+        measuring.add(given_sources(), false, &mut sources)?;
+        measuring.add(
+            given("target", &asked, |asked| &asked.target),
+            false,
+            &mut targets,
+        )?;
+        if cut {
+            measuring.add(given_sources(), true, &mut cut_sources)?;
+        }
+        for (takes, gathered) in test_set.systems.values().zip(&mut systems) {
+            for (take, gathered) in takes.iter().zip(gathered) {
+                let edits = edits(test_set, take, indices, &asked)?;
+                measuring.add(edits, cut, gathered)?;
+            }
+        }
+        recaptured.extend(asked.into_iter().filter(|asked| asked.other.is_some()));
+        while recaptured.len() >= ITEMS_AT_ONCE {
+            let asked: Vec<Asked<'_>> = recaptured.drain(..ITEMS_AT_ONCE).collect();
+            measuring.add(other_takes(&asked), cut, &mut others)?;
+        }
+    }
+    if !recaptured.is_empty() {
+        measuring.add(other_takes(&recaptured), cut, &mut others)?;
+    }
+    let sources = measuring.take(sources)?;
+    let identity = match cut {
+        true => measuring.take(cut_sources)?,
+        false => sources.clone(),
+    };
+    let targets = measuring.take(targets)?;
+    let mut found = vec![
         System {
             name: REAL_DATA,
-            takes: vec![measuring.take(&targets, &targets, false)?],
+            takes: vec![targets],
         },
         System {
             name: IDENTITY,
-            takes: vec![if cut {
-                measuring.take(&sources, &targets, true)?
-            } else {
-                measured_sources.clone()
-            }],
+            takes: vec![identity],
         },
     ];
-    for (&name, takes) in &test_set.systems {
-        let takes = takes
-            .iter()
-            .map(|rows| {
-                let rows: Vec<Side<'_>> = rows.iter().map(|row| Side::Edit(row)).collect();
-                measuring.take(&rows, &targets, cut)
-            })
-            .collect::<Result<Vec<_>, Error>>()?;
-        systems.push(System { name, takes });
+    for (&name, takes) in test_set.systems.keys().zip(systems) {
+        let takes = takes.into_iter().map(|take| measuring.take(take));
+        let takes = takes.collect::<Result<Vec<_>, Error>>()?;
+        found.push(System { name, takes });
     }
-    let floor = match test_set.recaptured() {
-        indices if indices.is_empty() => None,
-        indices => {
-            let side = |side: fn(_) -> Side<'a>| -> Vec<Side<'a>> {
-                indices.iter().map(|&i| side(test_set.items[i])).collect()
-            };
-            Some(measuring.take(&side(Side::OtherTake), &side(Side::Target), cut)?)
-        }
+    let floor = match others.width {
+        Some(_) => Some(measuring.take(others)?),
+        None => None,
     };
-    progress.finish(&format!(
-        "{} items, {} rows",
-        test_set.items.len(),
-        systems.len()
-    ));
+    progress.finish(&format!("{} items, {} rows", all.len(), found.len()));
     Ok(Measured {
-        sources: measured_sources,
-        systems,
+        sources,
+        systems: found,
         floor,
     })
 }
 
-struct Measuring<'a> {
-    evaluators: Evaluators<'a>,
-    protocol: &'a Protocol,
-    progress: &'a dyn Progress,
-    /// Windows whose seams are measured in motions that record none: those of the first system.
-    windows: Option<Windows>,
+/// An item with its motions, and what all of them are compared with.
+struct Asked<'a> {
+    id: &'a str,
+    source: Motion,
+    target: Motion,
+    /// The target made of another capture.
+    other: Option<Motion>,
+    /// Joints that the item asks to change.
+    edited: JointSet,
+    of_target: Target,
 }
 
-impl Measuring<'_> {
-    /// Measures one motion for each item; `cut` crops it to the length of its target first. Motions
-    /// are decoded a batch at a time, so memory does not grow with the number of systems.
-    fn take(&self, rows: &[Side<'_>], targets: &[Side<'_>], cut: bool) -> Result<Take, Error> {
-        let metrics: Vec<_> = metric::ALL
+impl<'a> Asked<'a> {
+    fn new(id: &'a str, row: &ItemRow, skeleton: &Skeleton) -> Result<Self, datasets_spec::Error> {
+        let target = row.target()?;
+        let points = skeleton.motion_keypoints(&target).points;
+        Ok(Self {
+            id,
+            source: row.source()?,
+            other: row.other_take()?,
+            edited: row.edited_joints()?,
+            of_target: Target {
+                from_start: from_start(&points),
+                foot_slide: motion_quality::foot_slide(&points, target.fps()),
+                way_m: way(&points),
+                swing_m: swing(&points),
+            },
+            target,
+        })
+    }
+}
+
+/// A motion that is measured.
+struct Subject<'a> {
+    /// What its system is called in errors.
+    system: &'a str,
+    asked: &'a Asked<'a>,
+    motion: Cow<'a, Motion>,
+    /// The edit, where the motion is one.
+    edit: Option<&'a EditFacts>,
+}
+
+/// A motion of each item.
+fn given<'a>(
+    system: &'a str,
+    asked: &'a [Asked<'a>],
+    motion: impl Fn(&'a Asked<'a>) -> &'a Motion,
+) -> Vec<Subject<'a>> {
+    let subject = |asked: &'a Asked<'a>| Subject {
+        system,
+        asked,
+        motion: Cow::Borrowed(motion(asked)),
+        edit: None,
+    };
+    asked.iter().map(subject).collect()
+}
+
+/// The targets made of other captures.
+fn other_takes<'a>(asked: &'a [Asked<'a>]) -> Vec<Subject<'a>> {
+    given("other take", asked, |asked| {
+        asked.other.as_ref().unwrap_or(&asked.target)
+    })
+}
+
+/// Reads the edits of some items in a take, whose positions are given.
+fn edits<'a>(
+    test_set: &TestSet<'a>,
+    take: &[usize],
+    indices: &[usize],
+    asked: &'a [Asked<'a>],
+) -> Result<Vec<Subject<'a>>, Error> {
+    let edits = &test_set.answered.edits;
+    let positions: Vec<usize> = indices.iter().map(|&index| take[index]).collect();
+    let rows = edits.rows(&positions)?;
+    let motions: Vec<_> = rows.par_iter().map(EditRow::motion).collect();
+    let facts = positions.iter().map(|&position| &edits.facts()[position]);
+    facts
+        .zip(motions)
+        .zip(asked)
+        .map(|((edit, motion), asked)| {
+            let motion = motion.map_err(|source| not_a_motion(&edit.system, asked.id, source))?;
+            Ok(Subject {
+                system: &edit.system,
+                asked,
+                motion: Cow::Owned(motion),
+                edit: Some(edit),
+            })
+        })
+        .collect()
+}
+
+fn not_a_motion(system: &str, id: &str, source: datasets_spec::Error) -> Error {
+    Error::Motion {
+        system: system.to_owned(),
+        id: id.to_owned(),
+        source: Box::new(source),
+    }
+}
+
+impl Subject<'_> {
+    /// The motion, cropped to the length of its target if `cut`, at the rate of its target and long enough to be
+    /// measured.
+    fn checked(mut self, cut: bool) -> Result<Self, Error> {
+        let (system, id) = (self.system, self.asked.id);
+        let target = &self.asked.target;
+        if self.motion.fps() != target.fps() {
+            return Err(Error::FrameRate {
+                system: system.to_owned(),
+                id: id.to_owned(),
+                found: self.motion.fps().get(),
+                expected: target.fps().get(),
+            });
+        }
+        if cut && self.motion.len() > target.len() {
+            let cropped = self.motion.crop(0..target.len());
+            let cropped = cropped.map_err(|source| not_a_motion(system, id, source.into()))?;
+            self.motion = Cow::Owned(cropped);
+        }
+        if self.motion.len() < MIN_FRAMES {
+            return Err(Error::TooShort {
+                system: system.to_owned(),
+                id: id.to_owned(),
+                frames: self.motion.len(),
+                needed: MIN_FRAMES,
+            });
+        }
+        Ok(self)
+    }
+}
+
+/// A take under way.
+struct Gathered {
+    /// Latents, one after another.
+    latents: Vec<f64>,
+    /// Numbers of a latent, once there is one.
+    width: Option<usize>,
+    /// Values by metric.
+    of_items: Vec<Vec<f64>>,
+}
+
+/// What the metrics of single motions depend on beside the motion.
+struct OfMotions<'a> {
+    skeleton: &'a Skeleton,
+    protocol: &'a Protocol,
+    /// Windows whose seams are measured in motions that record none: those of the first system.
+    windows: Option<Windows>,
+    metrics: Vec<(&'static Metric, MotionMeasure)>,
+}
+
+impl OfMotions<'_> {
+    /// The value of each metric; NaN where the motion has none.
+    fn values(&self, subject: &Subject<'_>, composed: Option<f64>) -> Vec<f64> {
+        let Subject {
+            asked,
+            motion,
+            edit,
+            ..
+        } = subject;
+        let fps = motion.fps();
+        let keypoints = self.skeleton.motion_keypoints(motion).points;
+        let distances = distances(&from_start(&keypoints), &asked.of_target.from_start);
+        let windows = edit.and_then(windows_of).or(self.windows);
+        let seams = windows.map_or_else(Vec::new, |windows| {
+            motion_quality::seams(motion.len(), fps, windows)
+        });
+        let sample = MotionSample {
+            motion,
+            keypoints: &keypoints,
+            target: &asked.of_target,
+            distances: &distances,
+            acceleration: motion_quality::seam_acceleration(&keypoints, fps, &seams),
+            edited: asked.edited,
+            edit: *edit,
+            composed,
+            protocol: self.protocol,
+        };
+        let values = self.metrics.iter().map(|(_, value)| value(&sample));
+        values.map(|value| value.unwrap_or(f64::NAN)).collect()
+    }
+}
+
+struct Measuring<'a> {
+    evaluators: Evaluators<'a>,
+    progress: &'a dyn Progress,
+    of_motions: OfMotions<'a>,
+}
+
+impl<'a> Measuring<'a> {
+    fn new(
+        test_set: &TestSet<'_>,
+        evaluators: Evaluators<'a>,
+        protocol: &'a Protocol,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        let metrics = metric::ALL
             .iter()
             .filter_map(|metric| match metric.measure {
                 Measure::Motion(value) => Some((*metric, value)),
-                Measure::Set(_) | Measure::Takes(_) | Measure::Rank(..) => None,
+                Measure::Set(..) | Measure::Takes(_) | Measure::Rank(..) => None,
+            });
+        Self {
+            evaluators,
+            progress,
+            of_motions: OfMotions {
+                skeleton: evaluators.skeleton,
+                protocol,
+                windows: test_set.windows(),
+                metrics: metrics.collect(),
+            },
+        }
+    }
+
+    /// A take without motions.
+    fn begin(&self) -> Gathered {
+        Gathered {
+            latents: Vec::new(),
+            width: None,
+            of_items: vec![Vec::new(); self.of_motions.metrics.len()],
+        }
+    }
+
+    /// Reads items, checks each against its id, and measures their targets.
+    fn asked<'i>(
+        &self,
+        test_set: &TestSet<'i>,
+        indices: &[usize],
+    ) -> Result<Vec<Asked<'i>>, Error> {
+        let positions: Vec<usize> = indices.iter().map(|&index| test_set.items[index]).collect();
+        let rows = test_set.answered.items_at(&positions)?;
+        let ids: Vec<&str> = indices
+            .iter()
+            .map(|&index| test_set.item(index).id.as_str())
+            .collect();
+        let skeleton = self.of_motions.skeleton;
+        rows.into_par_iter()
+            .zip(ids)
+            .map(|(row, id)| {
+                Asked::new(id, &row, skeleton).map_err(|source| Error::Item {
+                    id: id.to_owned(),
+                    source: Box::new(source),
+                })
+            })
+            .collect()
+    }
+
+    /// Measures one motion of each item, cropped to the length of its target first if `cut`.
+    fn add(&self, subjects: Vec<Subject<'_>>, cut: bool, into: &mut Gathered) -> Result<(), Error> {
+        let subjects = subjects.into_iter().map(|subject| subject.checked(cut));
+        let subjects = subjects.collect::<Result<Vec<_>, Error>>()?;
+        // The networks stay on this thread: they need not be shareable.
+        let motions: Vec<&Motion> = subjects.iter().map(|subject| &*subject.motion).collect();
+        let latents = self.encode(&subjects, &motions, into.width)?;
+        let composed = self.classify(&subjects, &motions)?;
+        let of_motions = &self.of_motions;
+        let values: Vec<Vec<f64>> = subjects
+            .par_iter()
+            .enumerate()
+            .map(|(index, subject)| {
+                let composed = composed.as_ref().map(|shares| shares[index]);
+                of_motions.values(subject, composed)
             })
             .collect();
-        let mut latents = Vec::with_capacity(rows.len());
-        let mut of_items: Vec<(&Metric, Vec<f64>)> = metrics
-            .iter()
-            .map(|(metric, _)| (*metric, Vec::with_capacity(rows.len())))
-            .collect();
-        for (rows, targets) in rows
-            .chunks(MOTIONS_PER_CALL)
-            .zip(targets.chunks(MOTIONS_PER_CALL))
-        {
-            let skeleton = self.evaluators.skeleton;
-            let decoded = rows
-                .par_iter()
-                .zip(targets)
-                .map(|(row, asked)| {
-                    let (motion, target) = decoded(*row, *asked, cut)?;
-                    let points = |motion| skeleton.motion_keypoints(motion).points;
-                    let (keypoints, target) = (points(&motion), points(&target));
-                    Ok(Decoded {
-                        motion,
-                        keypoints,
-                        target,
-                        edited: asked.edited_joints()?,
-                    })
-                })
-                .collect::<Result<Vec<_>, Error>>()?;
-            // The networks stay on this thread: they need not be shareable.
-            let motions: Vec<&Motion> = decoded.iter().map(|decoded| &decoded.motion).collect();
-            latents.extend(self.encode(rows, &motions, latents.first().map(Vec::len))?);
-            let composed = self.classify(rows, &motions)?;
-            let (protocol, first_windows) = (self.protocol, self.windows);
-            let values: Vec<Vec<f64>> = (0..rows.len())
-                .into_par_iter()
-                .map(|index| {
-                    let Decoded {
-                        motion,
-                        keypoints,
-                        target,
-                        edited,
-                    } = &decoded[index];
-                    let windows = rows[index].windows().or(first_windows);
-                    let seams = windows.map_or_else(Vec::new, |windows| {
-                        motion_quality::seams(motion.len(), motion.fps(), windows)
-                    });
-                    let sample = MotionSample {
-                        motion,
-                        keypoints,
-                        target,
-                        edited: *edited,
-                        seams: &seams,
-                        edit: rows[index].edit(),
-                        composed: composed.as_ref().map(|shares| shares[index]),
-                        protocol,
-                    };
-                    let values = metrics.iter().map(|(_, value)| value(&sample));
-                    values.map(|value| value.unwrap_or(f64::NAN)).collect()
-                })
-                .collect();
-            for values in values {
-                for ((_, of_metric), value) in of_items.iter_mut().zip(values) {
-                    of_metric.push(value);
-                }
+        into.width = latents.first().map(Vec::len);
+        into.latents.extend(latents.into_iter().flatten());
+        for values in values {
+            for (of_metric, value) in into.of_items.iter_mut().zip(values) {
+                of_metric.push(value);
             }
-            self.progress.advance(rows.len() as u64);
         }
-        let raw = Matrix::from_rows(&latents);
+        self.progress.advance(subjects.len() as u64);
+        Ok(())
+    }
+
+    /// The take whose motions were all measured.
+    fn take(&self, gathered: Gathered) -> Result<Take, Error> {
+        let width = gathered.width.unwrap_or(1);
+        let raw = Matrix::new(gathered.latents.len() / width, width, gathered.latents);
         let unit = unit_rows(&raw)?;
+        let metrics = self.of_motions.metrics.iter().map(|(metric, _)| *metric);
         Ok(Take {
             latents: Latents { raw, unit },
-            of_items,
+            of_items: metrics.zip(gathered.of_items).collect(),
         })
     }
 
     /// Share of each motion's windows classified as composed, where there is a classifier.
-    fn classify(&self, rows: &[Side<'_>], motions: &[&Motion]) -> Result<Option<Vec<f64>>, Error> {
+    fn classify(
+        &self,
+        subjects: &[Subject<'_>],
+        motions: &[&Motion],
+    ) -> Result<Option<Vec<f64>>, Error> {
         let Some(classifier) = self.evaluators.classifier else {
             return Ok(None);
         };
         let shares = classifier.composed(motions);
         shares.map(Some).map_err(|source| Error::Encoder {
-            system: rows[0].system().to_owned(),
+            system: subjects[0].system.to_owned(),
             source,
         })
     }
@@ -233,11 +460,11 @@ impl Measuring<'_> {
     /// Encodes motions and checks that the latents are points with a direction.
     fn encode(
         &self,
-        rows: &[Side<'_>],
+        subjects: &[Subject<'_>],
         motions: &[&Motion],
         width: Option<usize>,
     ) -> Result<Vec<Vec<f64>>, Error> {
-        let system = || rows[0].system().to_owned();
+        let system = || subjects[0].system.to_owned();
         let encoder = self.evaluators.encoder;
         let latents = encoder.encode(motions).map_err(|source| Error::Encoder {
             system: system(),
@@ -251,7 +478,7 @@ impl Measuring<'_> {
             });
         }
         let width = width.unwrap_or_else(|| latents[0].len());
-        for (row, latent) in rows.iter().zip(&latents) {
+        for (subject, latent) in subjects.iter().zip(&latents) {
             let problem = if latent.len() != width {
                 "has another width than the others"
             } else if !latent.iter().all(|value| value.is_finite()) {
@@ -262,48 +489,11 @@ impl Measuring<'_> {
                 continue;
             };
             return Err(Error::Latent {
-                system: row.system().to_owned(),
-                id: row.id().to_owned(),
+                system: subject.system.to_owned(),
+                id: subject.asked.id.to_owned(),
                 problem,
             });
         }
         Ok(latents)
     }
-}
-
-/// A motion with its keypoints, those of its target, and the joints that its item asks to change.
-struct Decoded {
-    motion: Motion,
-    keypoints: Vec<KeypointFrame>,
-    target: Vec<KeypointFrame>,
-    edited: JointSet,
-}
-
-/// A motion and its target, at one rate and long enough to be measured.
-fn decoded(row: Side<'_>, target: Side<'_>, cut: bool) -> Result<(Motion, Motion), Error> {
-    let mut motion = row.motion()?;
-    let target = target.motion()?;
-    let (system, id) = (row.system(), row.id());
-    if motion.fps() != target.fps() {
-        return Err(Error::FrameRate {
-            system: system.to_owned(),
-            id: id.to_owned(),
-            found: motion.fps().get(),
-            expected: target.fps().get(),
-        });
-    }
-    if cut && motion.len() > target.len() {
-        motion = motion
-            .crop(0..target.len())
-            .map_err(|source| row.not_a_motion(source.into()))?;
-    }
-    if motion.len() < MIN_FRAMES {
-        return Err(Error::TooShort {
-            system: system.to_owned(),
-            id: id.to_owned(),
-            frames: motion.len(),
-            needed: MIN_FRAMES,
-        });
-    }
-    Ok((motion, target))
 }

@@ -8,19 +8,18 @@ mod tests;
 mod trainings;
 mod values;
 
-use std::collections::BTreeMap;
-
 use datasets_spec::Progress;
-use datasets_spec::record::{EditRow, ItemRow, ScoreRow};
+use datasets_spec::record::ScoreRow;
 use rayon::prelude::*;
 
 use crate::Error;
+use crate::answered::Answered;
 use crate::compare::{Comparison, Pairing};
 use crate::evaluators::Evaluators;
 use crate::judge::TOLD_APART;
 use crate::metric::interval::{Interval, MIN_TARGETS};
 use crate::metric::retrieval::E2T_RECALL_1;
-use crate::metric::{self, CLAIMS, Measure, Metric, RankSummary};
+use crate::metric::{self, CLAIMS, Measure, RankSummary};
 use crate::names::{GIVEN, IDENTITY, NOISE_FLOOR, RECAPTURED};
 use crate::protocol::{Protocol, SET_RESAMPLES, Spread};
 use crate::table::Items;
@@ -30,7 +29,7 @@ pub(crate) use measure::{Measured, System, Take, measured};
 pub(crate) use resample::{Resamples, drawn};
 pub(crate) use test_set::TestSet;
 pub use trainings::over_trainings;
-pub(crate) use values::{Ranks, of_items};
+pub(crate) use values::{Galleries, OfItems, Ranks, of_items};
 
 /// Scores every system that answered a test set.
 ///
@@ -57,13 +56,12 @@ pub(crate) use values::{Ranks, of_items};
 /// Table 1 of the paper for the metrics. FID is on latents of unit length and Diversity on raw
 /// ones, the pair that explains the published magnitudes.
 pub fn score(
-    items: &[ItemRow],
-    edits: &[EditRow],
+    answered: &Answered,
     evaluators: Evaluators<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> Result<Vec<ScoreRow>, Error> {
-    Ok(score_and_compare(items, edits, evaluators, protocol, progress)?.0)
+    Ok(score_and_compare(answered, evaluators, protocol, progress)?.0)
 }
 
 /// [`score`], and in each task the paired differences of the metrics that claims are made of
@@ -73,14 +71,13 @@ pub fn score(
 /// # Errors
 /// As [`score`].
 pub fn score_and_compare(
-    items: &[ItemRow],
-    edits: &[EditRow],
+    answered: &Answered,
     evaluators: Evaluators<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
 ) -> Result<(Vec<ScoreRow>, Vec<Comparison>), Error> {
     protocol.check()?;
-    let test_set = TestSet::new(items, edits, protocol)?;
+    let test_set = TestSet::new(answered, protocol)?;
     let measured = measured(&test_set, evaluators, protocol, progress)?;
     let encoder_hash = evaluators.encoder.hash();
     let weakness = evaluators.encoder.weakness();
@@ -90,7 +87,7 @@ pub fn score_and_compare(
     for (task, indices) in tasks {
         let of_task = OfTask::new(task, &indices, &test_set, &measured, protocol)?;
         scores.extend(of_task.scores(&encoder_hash, progress)?);
-        let mut found = of_task.claims()?;
+        let mut found = of_task.claims();
         for comparison in &mut found {
             comparison.encoder_hash.clone_from(&encoder_hash);
             if let Some(weakness) = &weakness {
@@ -108,8 +105,10 @@ struct OfTask<'a> {
     task: &'a str,
     /// The real data, the identity editor, the noise floor where there is one, and the systems by name.
     systems: Vec<System<'a>>,
-    /// Ranks of each system in every repeat.
-    ranks: Vec<Vec<Ranks>>,
+    /// Ranks of each system.
+    ranks: Vec<Ranks>,
+    /// Values of each item, for each system.
+    of_items: Vec<OfItems>,
     resamples: Resamples,
     counts: Items,
     latent_width: usize,
@@ -138,14 +137,22 @@ impl<'a> OfTask<'a> {
             systems.insert(2, floor);
         }
         let targets = &systems[0].takes[0];
-        let ranks = systems
-            .iter()
-            .map(|system| Ranks::of_system(&sources, targets, system, protocol))
-            .collect::<Result<_, _>>()?;
+        let galleries = Galleries::draw(indices.len(), protocol);
+        let (ranks, of_items): (Vec<Ranks>, Vec<OfItems>) = systems
+            .par_iter()
+            .map(|system| {
+                let ranks = Ranks::of_system(&sources, targets, system, &galleries, protocol)?;
+                let of_items = of_items(system, &ranks, &galleries, protocol)?;
+                Ok((ranks, of_items))
+            })
+            .collect::<Result<Vec<_>, Error>>()?
+            .into_iter()
+            .unzip();
         Ok(Self {
             task,
             systems,
             ranks,
+            of_items,
             resamples: Resamples::new(test_set.targets(indices), protocol),
             counts: test_set.counts(indices),
             latent_width: sources.latents.raw.num_cols(),
@@ -156,24 +163,14 @@ impl<'a> OfTask<'a> {
     /// A row for each system and metric.
     fn scores(&self, encoder_hash: &str, progress: &dyn Progress) -> Result<Vec<ScoreRow>, Error> {
         let Self {
-            systems,
-            ranks,
-            resamples,
-            protocol,
-            ..
+            systems, protocol, ..
         } = self;
-        let repeats = (0..protocol.repeats)
-            .into_par_iter()
-            .map(|repeat| {
-                let found = values::of_repeat(systems, ranks, protocol, repeat)?;
-                progress.advance(1);
-                Ok(found)
-            })
-            .collect::<Result<Vec<_>, Error>>()?;
-        let told_apart = told_apart(&systems[..2], &ranks[..2], resamples, protocol)?;
+        let advance = || progress.advance(1);
+        let repeats = values::of_repeats(systems, &self.ranks, protocol, advance)?;
+        let told_apart = told_apart([&self.of_items[0], &self.of_items[1]], &self.resamples);
         let resampled = match protocol.interval {
             Spread::Repeats => None,
-            Spread::Targets => Some(resampled(systems, ranks, resamples, protocol)?),
+            Spread::Targets => Some(self.resampled()?),
         };
         let mut scores = Vec::new();
         for (position, system) in systems.iter().enumerate() {
@@ -197,7 +194,7 @@ impl<'a> OfTask<'a> {
                         let resampled = resampled[position].get(metric);
                         let resampled = resampled.map_or(&[][..], Vec::as_slice);
                         let repeats = match metric.measure {
-                            Measure::Set(_) => &found[..],
+                            Measure::Set(..) => &found[..],
                             Measure::Motion(_) | Measure::Takes(_) | Measure::Rank(..) => &[],
                         };
                         Interval::of_resamples(over_repeats.mean, resampled, repeats)
@@ -210,6 +207,39 @@ impl<'a> OfTask<'a> {
             }
         }
         Ok(scores)
+    }
+
+    /// The values of each system on the bootstrap resamples, metric by metric.
+    fn resampled(&self) -> Result<Vec<OfItems>, Error> {
+        let resamples = &self.resamples;
+        let of_system = |of_items: &OfItems| -> OfItems {
+            let values = of_items.iter().map(|(metric, of_items)| {
+                let values = match metric.measure {
+                    Measure::Rank(_, RankSummary::Median) => resamples.medians(of_items),
+                    _ => resamples.means(of_items),
+                };
+                (*metric, values)
+            });
+            values.collect()
+        };
+        let mut found: Vec<OfItems> = self.of_items.par_iter().map(of_system).collect();
+        let of_sets = resamples
+            .weights(SET_RESAMPLES)
+            .enumerate()
+            .collect::<Vec<_>>()
+            .into_par_iter()
+            .map(|(resample, weights)| {
+                values::of_resample(&self.systems, &weights, resample, self.protocol)
+            })
+            .collect::<Result<Vec<_>, Error>>()?;
+        for resample in of_sets {
+            for (system, values) in found.iter_mut().zip(resample) {
+                for (metric, value) in values {
+                    system.entry(metric).or_default().push(value);
+                }
+            }
+        }
+        Ok(found)
     }
 
     fn row(
@@ -247,13 +277,8 @@ impl<'a> OfTask<'a> {
 
     /// Paired differences of the metrics of [`CLAIMS`](crate::metric::CLAIMS): each system against the identity editor,
     /// and each against the one behind it in E2T R@1. The hash of the encoder is left out.
-    fn claims(&self) -> Result<Vec<Comparison>, Error> {
-        let values = self
-            .systems
-            .iter()
-            .zip(&self.ranks)
-            .map(|(system, ranks)| of_items(system, ranks, self.protocol))
-            .collect::<Result<Vec<_>, Error>>()?;
+    fn claims(&self) -> Vec<Comparison> {
+        let values = &self.of_items;
         let recall = |place: usize| -> f64 {
             let of_system = values[place].get(&E2T_RECALL_1);
             let known = of_system.into_iter().flatten();
@@ -286,68 +311,19 @@ impl<'a> OfTask<'a> {
                 .into_iter()
                 .collect(),
         };
-        Ok(pairs.map(of_pair).collect())
+        pairs.map(of_pair).collect()
     }
 }
 
 /// How far the real data is above the identity editor in R@1 by targets, on the same items.
-fn told_apart(
-    systems: &[System<'_>],
-    ranks: &[Vec<Ranks>],
-    resamples: &Resamples,
-    protocol: &Protocol,
-) -> Result<Interval, Error> {
-    let recall = |at: usize| -> Result<Vec<f64>, Error> {
-        let mut values = of_items(&systems[at], &ranks[at], protocol)?;
-        Ok(values.remove(&E2T_RECALL_1).unwrap_or_default())
-    };
-    let (real, identity) = (recall(0)?, recall(1)?);
-    let differences: Vec<f64> = real.iter().zip(&identity).map(|(a, b)| a - b).collect();
+fn told_apart(of_items: [&OfItems; 2], resamples: &Resamples) -> Interval {
+    let [real, identity] = of_items.map(|values| {
+        let of_system = values.get(&E2T_RECALL_1);
+        of_system.map_or(&[][..], Vec::as_slice)
+    });
+    let differences: Vec<f64> = real.iter().zip(identity).map(|(a, b)| a - b).collect();
     let known = differences.iter().filter(|value| value.is_finite());
     let (sum, count) = known.fold((0.0, 0.0), |(sum, n), value| (sum + value, n + 1.0));
     let mean = if count > 0.0 { sum / count } else { 0.0 };
-    Ok(Interval::of_resamples(
-        mean,
-        &resamples.means(&differences),
-        &[],
-    ))
-}
-
-/// The values of each system on the bootstrap resamples, metric by metric.
-fn resampled(
-    systems: &[System<'_>],
-    ranks: &[Vec<Ranks>],
-    resamples: &Resamples,
-    protocol: &Protocol,
-) -> Result<Vec<BTreeMap<&'static Metric, Vec<f64>>>, Error> {
-    let mut found = systems
-        .par_iter()
-        .zip(ranks)
-        .map(|(system, ranks)| {
-            let of_items = of_items(system, ranks, protocol)?;
-            let values = of_items.into_iter().map(|(metric, of_items)| {
-                let values = match metric.measure {
-                    Measure::Rank(_, RankSummary::Median) => resamples.medians(&of_items),
-                    _ => resamples.means(&of_items),
-                };
-                (metric, values)
-            });
-            Ok(values.collect::<BTreeMap<_, _>>())
-        })
-        .collect::<Result<Vec<_>, Error>>()?;
-    let of_sets = resamples
-        .weights(SET_RESAMPLES)
-        .enumerate()
-        .collect::<Vec<_>>()
-        .into_par_iter()
-        .map(|(resample, weights)| values::of_resample(systems, &weights, resample, protocol))
-        .collect::<Result<Vec<_>, Error>>()?;
-    for resample in of_sets {
-        for (system, values) in found.iter_mut().zip(resample) {
-            for (metric, value) in values {
-                system.entry(metric).or_default().push(value);
-            }
-        }
-    }
-    Ok(found)
+    Interval::of_resamples(mean, &resamples.means(&differences), &[])
 }

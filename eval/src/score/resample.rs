@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use datasets_spec::quantile;
 use rand::RngExt;
 use rayon::prelude::*;
 
@@ -86,17 +85,26 @@ impl Resamples {
 
     /// As [`Resamples::means`] for the median.
     pub(crate) fn medians(&self, values: &[f64]) -> Vec<f64> {
-        self.weights(RESAMPLES)
-            .filter_map(|weights| {
-                let mut drawn: Vec<f64> = values
-                    .iter()
-                    .zip(weights)
-                    .filter(|(value, _)| value.is_finite())
-                    .flat_map(|(&value, weight)| std::iter::repeat_n(value, weight as usize))
-                    .collect();
-                quantile::median(&mut drawn)
-            })
-            .collect()
+        // Sorted once, because each resample has the same values, each as often as it was drawn.
+        let known = (0..values.len()).filter(|&item| values[item].is_finite());
+        let mut order: Vec<usize> = known.collect();
+        order.sort_unstable_by(|&a, &b| values[a].total_cmp(&values[b]));
+        let median = |weights: Vec<u32>| -> Option<f64> {
+            let weight = |item: usize| weights[item] as usize;
+            let count: usize = order.iter().map(|&item| weight(item)).sum();
+            let at = |place: usize| {
+                let mut drawn = 0;
+                let holds = |item: &&usize| {
+                    drawn += weight(**item);
+                    place < drawn
+                };
+                order.iter().find(holds).map(|&item| values[item])
+            };
+            let upper = at(count / 2)?;
+            let lower = at((count - 1) / 2)?;
+            Some(f64::midpoint(lower, upper))
+        };
+        self.weights(RESAMPLES).filter_map(median).collect()
     }
 }
 
@@ -108,6 +116,8 @@ pub(crate) fn drawn(positions: &[usize], weights: &[u32]) -> Vec<usize> {
 
 #[cfg(test)]
 mod tests {
+    use datasets_spec::quantile;
+
     use super::*;
     use crate::metric::interval::Interval;
     use crate::protocol::SET_RESAMPLES;
@@ -139,6 +149,23 @@ mod tests {
         assert!(means.len() > RESAMPLES / 2 && means.iter().all(|mean| *mean == 2.0));
         let medians = resamples.medians(&[1.0, f64::NAN, 1.0]);
         assert!(medians.len() > RESAMPLES / 2 && medians.iter().all(|median| *median == 1.0));
+    }
+
+    #[test]
+    fn medians_are_those_of_the_drawn_values() {
+        let targets = ["a", "b", "c", "a", "d", "e"];
+        let values = [3.0, 1.0, f64::NAN, 2.5, 8.0, 1.0];
+        let resamples = Resamples::new(targets.into_iter(), &Protocol::default());
+        let by_sorting = |weights: Vec<u32>| {
+            let known = drawn(&[0, 1, 3, 4, 5], &weights);
+            let mut values: Vec<f64> = known.into_iter().map(|item| values[item]).collect();
+            quantile::median(&mut values)
+        };
+        let expected: Vec<f64> = resamples
+            .weights(RESAMPLES)
+            .filter_map(by_sorting)
+            .collect();
+        assert_eq!(resamples.medians(&values), expected);
     }
 
     #[test]

@@ -2,14 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{Fps, JointSet, Motion};
+use datasets_spec::Fps;
 use kinematics::canonical::FIXED_FRAMES;
 
 use crate::Error;
+use crate::answered::Answered;
 use crate::metric::motion_quality::Windows;
 use crate::names::{ALL_TASKS, GIVEN, NOVELTIES, RECAPTURED};
 use crate::protocol::Protocol;
+use crate::rows::{EditFacts, ItemFacts};
 use crate::table::Items;
 
 /// Hexadecimal digits of the digest of the sorted item ids.
@@ -19,37 +20,31 @@ const MAX_IDS_SHOWN: usize = 5;
 
 /// The items and the edits of all systems, in the order of the item ids.
 pub(crate) struct TestSet<'a> {
-    pub(crate) items: Vec<&'a ItemRow>,
-    /// Takes of each system, each with one row for every item.
-    pub(crate) systems: BTreeMap<&'a str, Vec<Vec<&'a EditRow>>>,
+    pub(super) answered: &'a Answered,
+    /// Position of each item among those that were answered.
+    pub(super) items: Vec<usize>,
+    /// Takes of each system, each with the position of an edit for every item.
+    pub(crate) systems: BTreeMap<&'a str, Vec<Vec<usize>>>,
 }
 
 impl<'a> TestSet<'a> {
     /// Sorts and checks rows, and keeps the items that the protocol scores.
-    pub(crate) fn new(
-        items: &'a [ItemRow],
-        edits: &'a [EditRow],
-        protocol: &Protocol,
-    ) -> Result<Self, Error> {
-        let mut by_id: BTreeMap<&str, &ItemRow> = BTreeMap::new();
-        for item in items {
-            item.check().map_err(|source| Error::Item {
-                id: item.id.clone(),
-                source: Box::new(source),
-            })?;
+    pub(crate) fn new(answered: &'a Answered, protocol: &Protocol) -> Result<Self, Error> {
+        let mut by_id: BTreeMap<&str, usize> = BTreeMap::new();
+        for (position, item) in answered.items.facts().iter().enumerate() {
             if item.target_frames == 0 {
                 return Err(Error::NoTarget {
                     id: item.id.clone(),
                 });
             }
-            by_id.insert(&item.id, item);
+            by_id.insert(&item.id, position);
         }
         if by_id.is_empty() {
             return Err(Error::NoItems);
         }
         let ids: Vec<&str> = by_id.keys().copied().collect();
-        let mut by_system: BTreeMap<&str, BTreeMap<&str, Vec<&EditRow>>> = BTreeMap::new();
-        for row in edits {
+        let mut by_system: BTreeMap<&str, OfSystem<'_>> = BTreeMap::new();
+        for (position, row) in answered.edits.facts().iter().enumerate() {
             if GIVEN.contains(&row.system.as_str()) {
                 return Err(Error::ReservedSystem {
                     system: row.system.clone(),
@@ -60,7 +55,7 @@ impl<'a> TestSet<'a> {
                 .or_default()
                 .entry(&row.id)
                 .or_default()
-                .push(row);
+                .push((row.seed, position));
         }
         let kept = protocol.scored_items(ids.len())?;
         let systems = by_system
@@ -73,16 +68,23 @@ impl<'a> TestSet<'a> {
                 Ok((system, takes))
             })
             .collect::<Result<_, Error>>()?;
-        let items: Vec<&ItemRow> = by_id.into_values().collect();
+        let items: Vec<usize> = by_id.into_values().collect();
         Ok(Self {
+            answered,
             systems,
             items: kept.iter().map(|&item| items[item]).collect(),
         })
     }
 
+    /// What an item says.
+    pub(super) fn item(&self, index: usize) -> &'a ItemFacts {
+        &self.answered.items.facts()[self.items[index]]
+    }
+
     /// The windows of the first system that records them.
     pub(super) fn windows(&self) -> Option<Windows> {
-        let first = |takes: &Vec<Vec<&EditRow>>| windows_of(takes.first()?.first()?);
+        let edits = self.answered.edits.facts();
+        let first = |takes: &Vec<Vec<usize>>| windows_of(&edits[*takes.first()?.first()?]);
         self.systems.values().find_map(first)
     }
 
@@ -90,18 +92,18 @@ impl<'a> TestSet<'a> {
     pub(crate) fn targets(&self, indices: &[usize]) -> impl Iterator<Item = &'a str> {
         indices
             .iter()
-            .map(|&item| self.items[item].target_id.as_str())
+            .map(|&item| self.item(item).target_id.as_str())
     }
 
     /// Numbers of distinct targets, sources and instructions of items, and the digest of their ids.
     pub(crate) fn counts(&self, indices: &[usize]) -> Items {
-        let distinct = |of: fn(&'a ItemRow) -> &'a str| {
-            let names: BTreeSet<&str> = indices.iter().map(|&item| of(self.items[item])).collect();
+        let distinct = |of: fn(&'a ItemFacts) -> &'a str| {
+            let names: BTreeSet<&str> = indices.iter().map(|&item| of(self.item(item))).collect();
             names.len() as u32
         };
         let mut hasher = blake3::Hasher::new();
         for &item in indices {
-            hasher.update(self.items[item].id.as_bytes());
+            hasher.update(self.item(item).id.as_bytes());
             hasher.update(b"\n");
         }
         let mut digest = hasher.finalize().to_hex().to_string();
@@ -117,11 +119,6 @@ impl<'a> TestSet<'a> {
         }
     }
 
-    /// One side of every item.
-    pub(super) fn sides(&self, side: fn(&'a ItemRow) -> Side<'a>) -> Vec<Side<'a>> {
-        self.items.iter().map(|item| side(item)).collect()
-    }
-
     /// Motions that will be encoded.
     pub(super) fn num_motions(&self) -> usize {
         let num_takes: usize = self.systems.values().map(Vec::len).sum();
@@ -131,7 +128,7 @@ impl<'a> TestSet<'a> {
     /// Positions of the items whose target was captured more than once.
     pub(super) fn recaptured(&self) -> Vec<usize> {
         (0..self.items.len())
-            .filter(|&index| self.items[index].other_frames > 0)
+            .filter(|&index| self.item(index).other_frames > 0)
             .collect()
     }
 
@@ -139,7 +136,7 @@ impl<'a> TestSet<'a> {
     fn novelty(&self, indices: &[usize]) -> String {
         let found: Vec<&str> = indices
             .iter()
-            .filter_map(|&item| self.items[item].novelty.as_deref())
+            .filter_map(|&item| self.item(item).novelty.as_deref())
             .collect();
         if found.is_empty() {
             return String::new();
@@ -159,9 +156,9 @@ impl<'a> TestSet<'a> {
     /// Positions of the items of each novelty, if there are items of several.
     fn novelties(&self) -> Vec<(&'a str, Vec<usize>)> {
         let of_value = NOVELTIES.iter().map(|value| {
-            let items = self.items.iter().enumerate();
-            let items = items.filter(|(_, item)| item.novelty.as_deref() == Some(*value));
-            (*value, items.map(|(index, _)| index).collect::<Vec<_>>())
+            let is_of = |index: &usize| self.item(*index).novelty.as_deref() == Some(*value);
+            let items = (0..self.items.len()).filter(is_of);
+            (*value, items.collect::<Vec<_>>())
         });
         let found: Vec<_> = of_value.filter(|(_, items)| !items.is_empty()).collect();
         match found.len() {
@@ -173,8 +170,8 @@ impl<'a> TestSet<'a> {
     /// Positions of the items of each task, of all together, and of each novelty.
     pub(crate) fn tasks(&self) -> Vec<(&'a str, Vec<usize>)> {
         let mut kinds: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
-        for (index, item) in self.items.iter().enumerate() {
-            kinds.entry(&item.task).or_default().push(index);
+        for index in 0..self.items.len() {
+            kinds.entry(&self.item(index).task).or_default().push(index);
         }
         let all = (kinds.len() > 1).then(|| (ALL_TASKS, (0..self.items.len()).collect()));
         let recaptured =
@@ -185,84 +182,8 @@ impl<'a> TestSet<'a> {
     }
 }
 
-/// A motion that is measured: a side of an item, or an edit of it.
-#[derive(Clone, Copy)]
-pub(super) enum Side<'a> {
-    Source(&'a ItemRow),
-    Target(&'a ItemRow),
-    OtherTake(&'a ItemRow),
-    Edit(&'a EditRow),
-}
-
-impl<'a> Side<'a> {
-    /// What it is called in errors.
-    pub(super) fn system(self) -> &'a str {
-        match self {
-            Self::Source(_) => "source",
-            Self::Target(_) => "target",
-            Self::OtherTake(_) => "other take",
-            Self::Edit(row) => &row.system,
-        }
-    }
-
-    pub(super) fn id(self) -> &'a str {
-        match self {
-            Self::Source(item) | Self::Target(item) | Self::OtherTake(item) => &item.id,
-            Self::Edit(row) => &row.id,
-        }
-    }
-
-    pub(super) fn motion(self) -> Result<Motion, Error> {
-        let motion = match self {
-            Self::Source(item) => item.source(),
-            Self::Target(item) => item.target(),
-            Self::OtherTake(item) => match item.other_take() {
-                Ok(Some(motion)) => Ok(motion),
-                Ok(None) => item.target(),
-                Err(error) => Err(error),
-            },
-            Self::Edit(row) => row.motion(),
-        };
-        motion.map_err(|source| self.not_a_motion(source))
-    }
-
-    /// The joints that an item asks to change; none for an edit, whose item is another side.
-    pub(super) fn edited_joints(self) -> Result<JointSet, Error> {
-        match self {
-            Self::Source(item) | Self::Target(item) | Self::OtherTake(item) => {
-                item.edited_joints().map_err(|source| Error::Item {
-                    id: item.id.clone(),
-                    source: Box::new(source),
-                })
-            }
-            Self::Edit(_) => Ok(JointSet::EMPTY),
-        }
-    }
-
-    pub(super) fn not_a_motion(self, source: datasets_spec::Error) -> Error {
-        Error::Motion {
-            system: self.system().to_owned(),
-            id: self.id().to_owned(),
-            source: Box::new(source),
-        }
-    }
-
-    /// The windows the motion was generated by, where it was.
-    pub(super) fn windows(self) -> Option<Windows> {
-        windows_of(self.edit()?)
-    }
-
-    /// The edit, where the motion is one.
-    pub(super) fn edit(self) -> Option<&'a EditRow> {
-        match self {
-            Self::Edit(row) => Some(row),
-            Self::Source(_) | Self::Target(_) | Self::OtherTake(_) => None,
-        }
-    }
-}
-
 /// The windows recorded in the settings of a system.
-fn windows_of(row: &EditRow) -> Option<Windows> {
+pub(super) fn windows_of(row: &EditFacts) -> Option<Windows> {
     let settings: serde_json::Value = serde_json::from_str(&row.settings).ok()?;
     let count = |name: &str| usize::try_from(settings.get(name)?.as_u64()?).ok();
     let frames = count("window")?;
@@ -281,12 +202,11 @@ fn windows_of(row: &EditRow) -> Option<Windows> {
     })
 }
 
+/// Seed and position of the edits of each item.
+type OfSystem<'a> = BTreeMap<&'a str, Vec<(u64, usize)>>;
+
 /// Orders the rows of a system by item and take. Takes are told apart by their seed.
-fn takes<'a>(
-    system: &str,
-    rows: BTreeMap<&'a str, Vec<&'a EditRow>>,
-    ids: &[&'a str],
-) -> Result<Vec<Vec<&'a EditRow>>, Error> {
+fn takes<'a>(system: &str, rows: OfSystem<'a>, ids: &[&'a str]) -> Result<Vec<Vec<usize>>, Error> {
     let missing: Vec<&str> = ids
         .iter()
         .copied()
@@ -323,16 +243,16 @@ fn takes<'a>(
                 expected: num_takes,
             });
         }
-        rows.sort_by_key(|row| row.seed);
-        if let Some(twice) = rows.windows(2).find(|pair| pair[0].seed == pair[1].seed) {
+        rows.sort_unstable();
+        if let Some(twice) = rows.windows(2).find(|pair| pair[0].0 == pair[1].0) {
             return Err(Error::SameTake {
                 system: system.to_owned(),
                 id: id.to_owned(),
-                seed: twice[0].seed,
+                seed: twice[0].0,
             });
         }
-        for (take, row) in takes.iter_mut().zip(rows) {
-            take.push(row);
+        for (take, (_, position)) in takes.iter_mut().zip(rows) {
+            take.push(position);
         }
     }
     Ok(takes)

@@ -1,11 +1,16 @@
+use std::cell::RefCell;
+
+use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{Fps, Motion, MotionId, NoProgress, Pose, Seed, Skeleton, Split};
 use glam::DQuat;
 use rand::RngExt;
 
 use super::*;
+use crate::answered::ITEMS_AT_ONCE;
 use crate::error::EncoderError;
 use crate::evaluators::MotionEncoder;
 use crate::judge::TOLD_APART;
+use crate::metric::Metric;
 use crate::metric::composed::COMPOSED;
 use crate::metric::diversity::DIVERSITY;
 use crate::metric::fid::{FID, FID_RAW};
@@ -112,7 +117,13 @@ fn scored(
         classifier: None,
         skeleton: &Skeleton::smplx_neutral(),
     };
-    score(items, edits, evaluators, protocol, &NoProgress)
+    let answered = answered(items, edits);
+    score(&answered, evaluators, protocol, &NoProgress)
+}
+
+fn answered(items: &[ItemRow], edits: &[EditRow]) -> Answered {
+    let skeleton = Skeleton::smplx_neutral();
+    Answered::of_rows(items.to_vec(), edits.to_vec(), skeleton)
 }
 
 fn value(scores: &[ScoreRow], task: &str, system: &str, metric: &Metric) -> f64 {
@@ -305,6 +316,112 @@ fn asking_the_other_way_round_transposes_the_ranks() {
     );
 }
 
+/// An encoder that notes how many motions it is given at a time.
+struct Counting(RefCell<Vec<usize>>);
+
+impl MotionEncoder for Counting {
+    fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError> {
+        self.0.borrow_mut().push(motions.len());
+        FirstFrame.encode(motions)
+    }
+
+    fn hash(&self) -> String {
+        FirstFrame.hash()
+    }
+
+    fn recipe(&self) -> String {
+        FirstFrame.recipe()
+    }
+
+    fn weakness(&self) -> Option<String> {
+        FirstFrame.weakness()
+    }
+}
+
+#[test]
+fn every_motion_is_encoded_once_and_few_are_in_memory_at_a_time() {
+    let num_items = ITEMS_AT_ONCE + 12;
+    let mut items = questions(num_items);
+    for index in (0..num_items).step_by(10) {
+        let (source, target) = (motion(index, "source"), motion(index, "target"));
+        let row = &mut items[index];
+        row.set_motions(&source, Some(&target), Some(&motion(index, "other")));
+        row.id = row.content_id();
+    }
+    let edits = [perfect("perfect", &items), lazy("lazy", &items)].concat();
+    let encoder = Counting(RefCell::default());
+    let evaluators = Evaluators {
+        encoder: &encoder,
+        classifier: None,
+        skeleton: &Skeleton::smplx_neutral(),
+    };
+    let answered = answered(&items, &edits);
+    let scores = score(&answered, evaluators, &Protocol::default(), &NoProgress).expect("valid");
+    assert_eq!(
+        scores,
+        scored(&items, &edits, &Protocol::default()).expect("valid")
+    );
+    // Sources, targets and two systems; the identity editor has the sources. Then the targets of other captures.
+    let expected = [[ITEMS_AT_ONCE; 4], [12; 4]].concat();
+    assert_eq!(encoder.0.take(), [&expected[..], &[14]].concat());
+}
+
+#[test]
+fn repeats_that_draw_nothing_have_the_values_of_their_takes() {
+    let items = questions(30);
+    let protocol = Protocol {
+        gallery: Gallery::Full,
+        fid_sample: FidSample::All,
+        repeats: 5,
+        diversity_pairs: 10,
+        interval: Spread::Repeats,
+        ..Protocol::default()
+    };
+    let take = |rows: Vec<EditRow>, seed: u64| -> Vec<EditRow> {
+        rows.into_iter()
+            .map(|row| EditRow { seed, ..row })
+            .collect()
+    };
+    let both = |system: &str| {
+        let (first, second) = (perfect(system, &items), lazy(system, &items));
+        [take(first, 0), take(second, 1)].concat()
+    };
+    let edits = [
+        perfect("first", &items),
+        lazy("second", &items),
+        both("both"),
+    ]
+    .concat();
+    let scores = scored(&items, &edits, &protocol).expect("valid");
+    for metric in [
+        &FID,
+        &FID_RAW,
+        &retrieval::E2S_RECALL_1,
+        &retrieval::E2T_AVERAGE_RANK,
+        &retrieval::E2T_MEDIAN_RANK,
+        &POSITION_ERROR,
+    ] {
+        let of = |system: &str| value(&scores, "all", system, metric);
+        // Three repeats score the first take, two the second.
+        let expected = (3.0 * of("first") + 2.0 * of("second")) / 5.0;
+        let found = of("both");
+        assert!(
+            (found - expected).abs() < 1e-9 * expected.abs().max(1.0),
+            "{metric}: {found} {expected}"
+        );
+        // Without takes that differ, nothing varies.
+        let row = scores
+            .iter()
+            .find(|row| (row.system.as_str(), row.metric.as_str()) == ("first", metric.name));
+        assert_eq!(row.expect("a score").ci95, None, "{metric}");
+    }
+    // The pairs are drawn anew in every repeat.
+    let of_pairs = scores
+        .iter()
+        .find(|row| (row.system.as_str(), row.metric.as_str()) == ("first", DIVERSITY.name));
+    assert!(of_pairs.expect("a score").ci95.is_some());
+}
+
 #[test]
 fn takes_are_scored_in_turn() {
     let items = questions(20);
@@ -399,8 +516,9 @@ fn every_system_is_compared_with_the_identity_editor_and_with_the_next_one() {
         skeleton: &Skeleton::smplx_neutral(),
     };
     let protocol = Protocol::default();
+    let answered = answered(&items, &edits);
     let (_, comparisons) =
-        score_and_compare(&items, &edits, evaluators, &protocol, &NoProgress).expect("valid");
+        score_and_compare(&answered, evaluators, &protocol, &NoProgress).expect("valid");
     let of_all: Vec<(&str, &str, String)> = comparisons
         .iter()
         .filter(|found| found.task == "all")
@@ -554,7 +672,7 @@ impl MotionEncoder for Constant {
 #[test]
 fn broken_latents_are_refused() {
     let items = questions(2);
-    let skeleton = Skeleton::smplx_neutral();
+    let answered = answered(&items, &[]);
     for (latents, expected) in [
         (vec![], "cannot encode the motions of system \"source\""),
         (
@@ -577,9 +695,9 @@ fn broken_latents_are_refused() {
         let evaluators = Evaluators {
             encoder: &Constant(latents),
             classifier: None,
-            skeleton: &skeleton,
+            skeleton: &answered.skeleton,
         };
-        let error = score(&items, &[], evaluators, &Protocol::default(), &NoProgress)
+        let error = score(&answered, evaluators, &Protocol::default(), &NoProgress)
             .expect_err("broken latents");
         let sorted = {
             let mut ids: Vec<&str> = items.iter().map(|item| item.id.as_str()).collect();

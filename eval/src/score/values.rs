@@ -9,101 +9,193 @@ use super::resample::drawn;
 use crate::Error;
 use crate::metric::retrieval::{Retrieval, gallery_ranks};
 use crate::metric::{
-    self, Counterpart, Latents, Measure, Metric, RankSummary, SetSample, TakesMeasure, TakesSample,
+    self, Counterpart, Draws, Latents, Measure, Metric, RankSummary, SetMeasure, SetSample,
+    TakesMeasure, TakesSample,
 };
-use crate::protocol::{Protocol, Queries};
+use crate::protocol::{FidSample, Protocol, Queries};
 
-/// Ranks of a system's counterparts in the galleries of one repeat, counted from zero.
-pub(crate) struct Ranks {
-    galleries: Vec<Vec<usize>>,
-    of_sources: Vec<Vec<f64>>,
-    of_targets: Vec<Vec<f64>>,
+/// Values of each item by metric.
+pub(crate) type OfItems = BTreeMap<&'static Metric, Vec<f64>>;
+
+/// The galleries of each repeat, as positions of items. Where one gallery holds all items, that of one repeat stands
+/// for all.
+pub(crate) struct Galleries(Vec<Vec<Vec<usize>>>);
+
+impl Galleries {
+    pub(crate) fn draw(num_items: usize, protocol: &Protocol) -> Self {
+        let repeats = 0..protocol.distinct_galleries(num_items);
+        let draw = |repeat| protocol.galleries(num_items, repeat);
+        Self(repeats.map(draw).collect())
+    }
+
+    fn of(&self, repeat: usize) -> &[Vec<usize>] {
+        &self.0[repeat % self.0.len()]
+    }
+}
+
+/// A system's ranks in the galleries of each repeat: by the sources, and by the targets. Repeats with the same take and
+/// the same galleries have the same ranks, which are computed once.
+pub(crate) struct Ranks(Vec<[Ranked; 2]>);
+
+/// Ranks in the galleries of one repeat.
+struct Ranked {
+    /// Ranks in each gallery, counted from zero.
+    ranks: Vec<Vec<f64>>,
+    /// The mean over the galleries.
+    retrieval: Retrieval,
 }
 
 impl Ranks {
-    /// The ranks of a system in every repeat.
+    /// Ranks the counterparts of a system.
     pub(crate) fn of_system(
         sources: &Take,
         targets: &Take,
         system: &System<'_>,
+        galleries: &Galleries,
         protocol: &Protocol,
-    ) -> Result<Vec<Self>, Error> {
-        (0..protocol.repeats)
-            .into_par_iter()
-            .map(|repeat| {
-                let edited = &system.takes[repeat % system.takes.len()].latents.unit;
-                let galleries = protocol.galleries(edited.num_rows(), repeat);
-                let ranks = |real: &Take| match protocol.queries {
-                    Queries::Real => gallery_ranks(&real.latents.unit, edited, &galleries),
-                    Queries::Edited => gallery_ranks(edited, &real.latents.unit, &galleries),
+    ) -> Result<Self, Error> {
+        let distinct = match galleries.0.len() {
+            1 => protocol.repeats.min(system.takes.len()),
+            _ => protocol.repeats,
+        };
+        let ranked = |repeat: usize| -> Result<[Ranked; 2], Error> {
+            let edited = &system.take(repeat).latents.unit;
+            let galleries = galleries.of(repeat);
+            let by = |real: &Take| -> Result<Ranked, Error> {
+                let real = &real.latents.unit;
+                let ranks = match protocol.queries {
+                    Queries::Real => gallery_ranks(real, edited, galleries)?,
+                    Queries::Edited => gallery_ranks(edited, real, galleries)?,
                 };
-                let (of_sources, of_targets) = (ranks(sources)?, ranks(targets)?);
-                Ok(Self {
-                    galleries,
-                    of_sources,
-                    of_targets,
-                })
-            })
-            .collect()
+                let parts: Vec<Retrieval> = ranks
+                    .iter()
+                    .map(|ranks| Retrieval::of_ranks(ranks))
+                    .collect();
+                let retrieval = Retrieval::mean(&parts);
+                Ok(Ranked { ranks, retrieval })
+            };
+            Ok([by(sources)?, by(targets)?])
+        };
+        let ranks = (0..distinct).into_par_iter().map(ranked);
+        Ok(Self(ranks.collect::<Result<_, Error>>()?))
     }
 
-    /// The ranks in each gallery.
-    fn of(&self, counterpart: Counterpart) -> &[Vec<f64>] {
+    fn of(&self, repeat: usize, counterpart: Counterpart) -> &Ranked {
+        let [by_sources, by_targets] = &self.0[repeat % self.0.len()];
         match counterpart {
-            Counterpart::Source => &self.of_sources,
-            Counterpart::Target => &self.of_targets,
+            Counterpart::Source => by_sources,
+            Counterpart::Target => by_targets,
         }
-    }
-
-    /// The mean over the galleries.
-    fn retrieval(&self, counterpart: Counterpart) -> Retrieval {
-        let parts: Vec<Retrieval> = self
-            .of(counterpart)
-            .iter()
-            .map(|ranks| Retrieval::of_ranks(ranks))
-            .collect();
-        Retrieval::mean(&parts)
     }
 }
 
-/// The values of all systems of a task in one repeat; the first system is the real data.
-pub(super) fn of_repeat(
+/// Values by metric.
+type Values = BTreeMap<&'static Metric, f64>;
+
+/// The values of all systems of a task in each repeat, by repeat and then by system; the first system is the real data.
+/// `advance` is told of each repeat.
+pub(super) fn of_repeats(
     systems: &[System<'_>],
-    ranks: &[Vec<Ranks>],
+    ranks: &[Ranks],
+    protocol: &Protocol,
+    advance: impl Fn() + Sync,
+) -> Result<Vec<Vec<Values>>, Error> {
+    let of_sets = of_sets_by_repeat(systems, protocol)?;
+    (0..protocol.repeats)
+        .into_par_iter()
+        .map(|repeat| {
+            let mut found = Vec::with_capacity(systems.len());
+            for (place, (system, ranks)) in systems.iter().zip(ranks).enumerate() {
+                let mut values = of_repeat(system, ranks, protocol, repeat)?;
+                let of_sets = of_sets.iter();
+                values.extend(of_sets.map(|(metric, values)| (*metric, values[repeat][place])));
+                found.push(values);
+            }
+            advance();
+            Ok(found)
+        })
+        .collect()
+}
+
+/// The values of a system in one repeat, but for those of whole sets.
+fn of_repeat(
+    system: &System<'_>,
+    ranks: &Ranks,
     protocol: &Protocol,
     repeat: usize,
-) -> Result<Vec<BTreeMap<&'static Metric, f64>>, Error> {
+) -> Result<Values, Error> {
+    let mut values = Values::new();
+    for &metric in metric::ALL {
+        let value = match metric.measure {
+            Measure::Motion(_) => {
+                let of_items = system.take(repeat).values(metric).iter().copied();
+                mean(of_items.filter(|value| !value.is_nan()))
+            }
+            Measure::Takes(value) => {
+                let of_items = of_takes(system, value, protocol, repeat)?;
+                mean(of_items.into_iter().map(|(_, value)| value))
+            }
+            Measure::Rank(counterpart, summary) => {
+                Some(ranks.of(repeat, counterpart).retrieval.value(summary))
+            }
+            Measure::Set(..) => None,
+        };
+        values.extend(value.map(|value| (metric, value)));
+    }
+    Ok(values)
+}
+
+/// The values of the metrics of whole sets: of each metric by repeat, and then by system.
+fn of_sets_by_repeat(
+    systems: &[System<'_>],
+    protocol: &Protocol,
+) -> Result<BTreeMap<&'static Metric, Vec<Vec<f64>>>, Error> {
     let num_items = systems[0].takes[0].latents.raw.num_rows();
     let items: Vec<usize> = (0..num_items).collect();
-    let [real, compared] = protocol.fid_items(num_items, repeat);
-    let of_sets = of_sets(systems, &items, [&real, &compared], repeat, false, protocol)?;
-    let mut found = Vec::new();
-    for ((system, ranks), of_sets) in systems.iter().zip(ranks).zip(of_sets) {
-        let mut values = BTreeMap::from_iter(of_sets);
-        let take = &system.takes[repeat % system.takes.len()];
-        for (metric, of_items) in &take.of_items {
-            let known = of_items.iter().copied().filter(|value| !value.is_nan());
-            values.extend(mean(known).map(|mean| (*metric, mean)));
-        }
-        let of_sources = ranks[repeat].retrieval(Counterpart::Source);
-        let of_targets = ranks[repeat].retrieval(Counterpart::Target);
-        for &metric in metric::ALL {
-            match metric.measure {
-                Measure::Takes(value) => {
-                    let of_items = of_takes(system, value, protocol, repeat)?;
-                    let mean = mean(of_items.into_iter().map(|(_, value)| value));
-                    values.extend(mean.map(|mean| (metric, mean)));
-                }
-                Measure::Rank(Counterpart::Source, summary) => {
-                    values.insert(metric, of_sources.value(summary));
-                }
-                Measure::Rank(Counterpart::Target, summary) => {
-                    values.insert(metric, of_targets.value(summary));
-                }
-                Measure::Motion(_) | Measure::Set(_) => {}
-            }
-        }
-        found.push(values);
+    let most_takes = systems.iter().map(|system| system.takes.len()).max();
+    let mut found = BTreeMap::new();
+    for &metric in metric::ALL {
+        let Measure::Set(of_sample, draws) = metric.measure else {
+            continue;
+        };
+        let is_drawn_anew = match draws {
+            Draws::Halves => protocol.fid_sample == FidSample::Halves,
+            Draws::Pairs => true,
+        };
+        // Where nothing is drawn, repeats of the same takes are equal.
+        let distinct = match is_drawn_anew {
+            true => protocol.repeats,
+            false => protocol.repeats.min(most_takes.unwrap_or(1)),
+        };
+        let values = (0..distinct)
+            .into_par_iter()
+            .map(|repeat| {
+                let [real, compared] = protocol.fid_items(num_items, repeat);
+                let fid_items = [&real[..], &compared];
+                of_sets(
+                    of_sample,
+                    systems,
+                    (&items, fid_items),
+                    (repeat, false),
+                    protocol,
+                )
+            })
+            .collect::<Result<Vec<Option<Vec<f64>>>, Error>>()?;
+        let values: Option<Vec<Vec<f64>>> = values.into_iter().collect();
+        let Some(values) = values else {
+            continue;
+        };
+        let of_repeat = |repeat: usize| -> Vec<f64> {
+            let same = |system: &System<'_>| match is_drawn_anew {
+                true => repeat,
+                false => repeat % system.takes.len(),
+            };
+            let of_systems = systems.iter().enumerate();
+            of_systems
+                .map(|(place, system)| values[same(system)][place])
+                .collect()
+        };
+        found.insert(metric, (0..protocol.repeats).map(of_repeat).collect());
     }
     Ok(found)
 }
@@ -121,44 +213,14 @@ pub(super) fn of_resample(
     let [real, compared] = protocol
         .fid_items(weights.len(), resample % protocol.repeats)
         .map(|items| drawn(&items, weights));
-    of_sets(
-        systems,
-        &items,
-        [&real, &compared],
-        resample,
-        true,
-        protocol,
-    )
-}
-
-/// The values of the metrics of whole sets, for each system.
-fn of_sets(
-    systems: &[System<'_>],
-    items: &[usize],
-    fid_items: [&[usize]; 2],
-    draw: usize,
-    resampled: bool,
-    protocol: &Protocol,
-) -> Result<Vec<Vec<(&'static Metric, f64)>>, Error> {
-    let repeat = draw % protocol.repeats;
-    let sets: Vec<&Latents> = systems
-        .iter()
-        .map(|system| &system.takes[repeat % system.takes.len()].latents)
-        .collect();
-    let sample = SetSample {
-        sets: &sets,
-        items,
-        fid_items,
-        draw,
-        resampled,
-        protocol,
-    };
     let mut found = vec![Vec::new(); systems.len()];
     for &metric in metric::ALL {
-        let Measure::Set(of_sample) = metric.measure else {
+        let Measure::Set(of_sample, _) = metric.measure else {
             continue;
         };
-        let values = of_sample(&sample)?;
+        let fid_items = [&real[..], &compared];
+        let drawn = (&items[..], fid_items);
+        let values = of_sets(of_sample, systems, drawn, (resample, true), protocol)?;
         for (found, value) in found.iter_mut().zip(values.into_iter().flatten()) {
             found.push((metric, value));
         }
@@ -166,54 +228,78 @@ fn of_sets(
     Ok(found)
 }
 
+/// The values of a metric of whole sets, for each system. `drawn` are the items, and those on either side of a Fréchet
+/// distance; `draw` is the number of the repeat or resample, and whether it is a resample.
+fn of_sets(
+    of_sample: SetMeasure,
+    systems: &[System<'_>],
+    (items, fid_items): (&[usize], [&[usize]; 2]),
+    (draw, resampled): (usize, bool),
+    protocol: &Protocol,
+) -> Result<Option<Vec<f64>>, Error> {
+    let repeat = draw % protocol.repeats;
+    let sets: Vec<&Latents> = systems
+        .iter()
+        .map(|system| &system.take(repeat).latents)
+        .collect();
+    of_sample(&SetSample {
+        sets: &sets,
+        items,
+        fid_items,
+        draw,
+        resampled,
+        protocol,
+    })
+}
+
 /// Values of each item, in the order of the items: means over the repeats, each of which scores one
 /// take and ranks some of the items. NaN where no repeat has a value. For a median rank they are the
 /// ranks it is the median of.
 pub(crate) fn of_items(
     system: &System<'_>,
-    ranks: &[Ranks],
+    ranks: &Ranks,
+    galleries: &Galleries,
     protocol: &Protocol,
-) -> Result<BTreeMap<&'static Metric, Vec<f64>>, Error> {
+) -> Result<OfItems, Error> {
     let num_items = system.takes[0].latents.raw.num_rows();
-    let mut sums: BTreeMap<&Metric, Vec<(f64, f64)>> = BTreeMap::new();
-    let mut add = |metric: &'static Metric, item: usize, value: f64| {
-        let of_metric = sums
-            .entry(metric)
-            .or_insert_with(|| vec![(0.0, 0.0); num_items]);
-        of_metric[item].0 += value;
-        of_metric[item].1 += 1.0;
-    };
-    for (repeat, ranks) in ranks.iter().enumerate() {
-        let take = &system.takes[repeat % system.takes.len()];
-        for (metric, of_items) in &take.of_items {
-            for (item, value) in of_items.iter().enumerate().filter(|(_, v)| !v.is_nan()) {
-                add(metric, item, *value);
-            }
-        }
-        for &metric in metric::ALL {
+    let mut found = OfItems::new();
+    for &metric in metric::ALL {
+        let mut sums = vec![(0.0, 0.0); num_items];
+        let mut add = |item: usize, value: f64| {
+            sums[item].0 += value;
+            sums[item].1 += 1.0;
+        };
+        for repeat in 0..protocol.repeats {
             match metric.measure {
+                Measure::Motion(_) => {
+                    let values = system.take(repeat).values(metric).iter().enumerate();
+                    for (item, &value) in values.filter(|(_, value)| !value.is_nan()) {
+                        add(item, value);
+                    }
+                }
                 Measure::Takes(value) => {
                     for (item, value) in of_takes(system, value, protocol, repeat)? {
-                        add(metric, item, value);
+                        add(item, value);
                     }
                 }
                 Measure::Rank(counterpart, summary) => {
-                    for (indices, ranks) in ranks.galleries.iter().zip(ranks.of(counterpart)) {
+                    let ranks = &ranks.of(repeat, counterpart).ranks;
+                    for (indices, ranks) in galleries.of(repeat).iter().zip(ranks) {
                         for (&item, &rank) in indices.iter().zip(ranks) {
-                            add(metric, item, of_rank(rank, summary));
+                            add(item, of_rank(rank, summary));
                         }
                     }
                 }
-                Measure::Motion(_) | Measure::Set(_) => {}
+                Measure::Set(..) => {}
             }
         }
+        if sums.iter().any(|(_, count)| *count > 0.0) {
+            // 0 / 0 marks items without a value.
+            let means = sums.into_iter().map(|(sum, count)| sum / count);
+            found.insert(metric, means.collect());
+        }
     }
-    let means = |(metric, sums): (_, Vec<(f64, f64)>)| {
-        // 0 / 0 marks items without a value.
-        let means = sums.into_iter().map(|(sum, count)| sum / count);
-        (metric, means.collect())
-    };
-    Ok(sums.into_iter().map(means).collect())
+    Ok(found)
 }
 
 /// What one rank, counted from zero, contributes to a summary.

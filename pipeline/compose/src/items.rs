@@ -180,7 +180,7 @@ pub fn draw_items(
         ItemCount::Exactly(count) => count,
     };
     let rows = drawer.draw(&subjects, &mut Quota::of(&config.novelty, count))?;
-    let found = digest_of_ids(&rows);
+    let found = digest_of_ids(rows.iter().map(|row| row.id.as_str()));
     if let Some(expected) = config
         .digest
         .as_ref()
@@ -198,9 +198,10 @@ pub fn draw_items(
     })
 }
 
-/// What a set of items is known by: BLAKE3 of their sorted ids, each with a line end, 32 hexadecimal digits.
-pub fn digest_of_ids(items: &[ItemRow]) -> String {
-    let mut ids: Vec<&str> = items.iter().map(|item| item.id.as_str()).collect();
+/// What a set of items is known by, given their ids: BLAKE3 of them, sorted, each with a line end, 32 hexadecimal
+/// digits.
+pub fn digest_of_ids<'a>(ids: impl Iterator<Item = &'a str>) -> String {
+    let mut ids: Vec<&str> = ids.collect();
     ids.sort_unstable();
     let mut hasher = blake3::Hasher::new();
     for id in ids {

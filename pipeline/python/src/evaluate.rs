@@ -5,13 +5,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{Dataset, Motion as Inner};
+use datasets_spec::Motion as Inner;
+use datasets_spec::record::EditRow;
 use eval::answers::{Answered, Scores};
 use eval::evaluators::{Evaluators, MotionEncoder};
 use eval::format::text;
 use eval::judge::weakness;
 use eval::protocol::Protocol;
+use eval::rows::ItemFacts;
 use eval::table::Table;
 use eval::{EncoderError, metric};
 use numpy::PyArray2;
@@ -138,28 +139,26 @@ pub(crate) fn evaluate(
         })
         .collect();
     work::long(py, true, |progress| {
-        let folders: Vec<PathBuf> = std::iter::once(items.clone()).chain(folders).collect();
+        let folders: Vec<PathBuf> = std::iter::once(items).chain(folders).collect();
         let mut answered = Answered::read_for_table(&folders)?;
-        let rows: HashMap<String, ItemRow> = Dataset::open(&items)?
-            .items()?
-            .into_iter()
-            .map(|row| (row.id.clone(), row))
-            .collect();
+        let asked = answered.items.facts().iter();
+        let asked: HashMap<&str, &ItemFacts> = asked.map(|item| (item.id.as_str(), item)).collect();
         for (system, answers) in systems {
-            if answered.edits.iter().any(|edit| edit.system == system) {
+            let mut edits = answered.edits.facts().iter();
+            if edits.any(|edit| edit.system == system) {
                 return Err(Failure::new(format!(
                     "two systems have the name {system:?}"
                 )));
             }
             for (id, seed, motion) in answers {
-                let item = rows
-                    .get(&id)
+                let item = asked
+                    .get(id.as_str())
                     .ok_or_else(|| Failure::new(format!("{system}: there is no item {id:?}")))?;
-                answered.edits.push(EditRow {
+                answered.edits.extend([EditRow {
                     system: system.clone(),
                     seed,
-                    ..EditRow::answering(item, &motion)
-                });
+                    ..item.answer(&motion)
+                }]);
             }
         }
         check_skeleton(&encoder, "the encoder", &answered.skeleton)?;

@@ -100,14 +100,17 @@ pub(crate) fn retrieval(
         };
         protocol.check()?;
         let (queries, gallery) = (unit_rows(&queries)?, unit_rows(&gallery)?);
-        let repeats = (0..repeats)
+        let distinct = (0..protocol.distinct_galleries(queries.num_rows()))
             .map(|repeat| {
                 let galleries = protocol.galleries(queries.num_rows(), repeat);
                 let ranks = gallery_ranks(&queries, &gallery, &galleries)?;
                 Ok(Retrieval::of_ranks(&ranks.concat()))
             })
             .collect::<Result<Vec<_>, Failure>>()?;
-        Ok(Retrieval::mean(&repeats))
+        let of_repeat = |repeat: usize| distinct[repeat % distinct.len()];
+        Ok(Retrieval::mean(
+            &(0..repeats).map(of_repeat).collect::<Vec<_>>(),
+        ))
     })?;
     let [r1, r2, r3] = found.recall;
     Ok(BTreeMap::from([

@@ -66,6 +66,9 @@ pub struct BundleFacts {
     pub answers_hash: String,
 }
 
+/// The frame rate of each item by its id.
+pub type Rates<'a> = BTreeMap<&'a str, f32>;
+
 /// A bundle that was checked against its items.
 #[derive(Clone, Debug)]
 pub struct Bundle {
@@ -104,13 +107,14 @@ impl Bundle {
             text => serde_json::from_str(text)
                 .map_err(|error| refused(format!("its settings are no JSON object: {error}")))?,
         };
+        let rates: Rates<'_> = items.iter().map(|item| (&*item.id, item.fps)).collect();
         let mut facts = BundleFacts {
             format: FORMAT,
             system: system.to_owned(),
             checkpoint_hash: first.checkpoint_hash.clone(),
             settings,
             license: license.to_owned(),
-            item_hash: digest_of_ids(items),
+            item_hash: digest_of_ids(rates.keys().copied()),
             items: items.len(),
             takes: 0,
             judge_hash,
@@ -121,7 +125,7 @@ impl Bundle {
         let of_items = rows.chunk_by(|a, b| a.id == b.id).map(<[EditRow]>::len);
         facts.takes = of_items.max().unwrap_or(0);
         let mut bundle = Self { facts, rows };
-        bundle.check(items, skeleton).map_err(refused)?;
+        bundle.check(&rates, skeleton).map_err(refused)?;
         bundle.facts.answers_hash = hash(&bundle.answers()?);
         Ok(bundle)
     }
@@ -132,7 +136,7 @@ impl Bundle {
     ///
     /// # Errors
     /// It breaks one of these rules; the error names the bundle, and the item where it is one's.
-    pub fn read(path: &Path, items: &[ItemRow], skeleton: &Skeleton) -> Result<Self, Error> {
+    pub fn read(path: &Path, items: &Rates<'_>, skeleton: &Skeleton) -> Result<Self, Error> {
         let refused = |problem: String| refused(path, problem);
         let file = ByPath
             .read(path)
@@ -251,9 +255,9 @@ impl Bundle {
     }
 
     /// Checks the answers against the items. The error is without the path.
-    fn check(&self, items: &[ItemRow], skeleton: &Skeleton) -> Result<(), String> {
+    fn check(&self, items: &Rates<'_>, skeleton: &Skeleton) -> Result<(), String> {
         let facts = &self.facts;
-        let digest = digest_of_ids(items);
+        let digest = digest_of_ids(items.keys().copied());
         if facts.item_hash != digest {
             return Err(format!(
                 "it answers the items {}, and these are {digest}; draw the items that it answers",
@@ -270,18 +274,16 @@ impl Bundle {
         if facts.system.trim().is_empty() || facts.license.trim().is_empty() {
             return Err("it names no system or no licence".to_owned());
         }
-        let by_id: BTreeMap<&str, &ItemRow> =
-            items.iter().map(|item| (item.id.as_str(), item)).collect();
         let mut takes: BTreeMap<&str, BTreeSet<u64>> = BTreeMap::new();
         let first = self.rows.first();
         for row in &self.rows {
-            let Some(item) = by_id.get(row.id.as_str()) else {
+            let Some(&fps) = items.get(row.id.as_str()) else {
                 return Err(format!(
                     "it answers {:?}, which is none of the items",
                     row.id
                 ));
             };
-            self.check_answer(row, first.unwrap_or(row), item)
+            self.check_answer(row, first.unwrap_or(row), fps)
                 .map_err(|problem| format!("the answer to item {}: {problem}", row.id))?;
             if !takes.entry(&row.id).or_default().insert(row.seed) {
                 return Err(format!(
@@ -290,7 +292,7 @@ impl Bundle {
                 ));
             }
         }
-        for id in by_id.keys() {
+        for id in items.keys() {
             let found = takes.get(id).map_or(0, BTreeSet::len);
             if found == 0 || found != facts.takes {
                 return Err(format!(
@@ -302,7 +304,7 @@ impl Bundle {
         Ok(())
     }
 
-    fn check_answer(&self, row: &EditRow, first: &EditRow, item: &ItemRow) -> Result<(), String> {
+    fn check_answer(&self, row: &EditRow, first: &EditRow, fps: f32) -> Result<(), String> {
         let facts = &self.facts;
         if row.system != facts.system || row.checkpoint_hash != facts.checkpoint_hash {
             return Err(format!(
@@ -317,10 +319,10 @@ impl Bundle {
         if settings != facts.settings || row.settings_hash != first.settings_hash {
             return Err("it was made with other settings than the bundle says".to_owned());
         }
-        if row.fps != item.fps {
+        if row.fps != fps {
             return Err(format!(
-                "it has {} frames a second, and the item {}",
-                row.fps, item.fps
+                "it has {} frames a second, and the item {fps}",
+                row.fps
             ));
         }
         let motion: Motion = row.motion().map_err(|error| error.to_string())?;

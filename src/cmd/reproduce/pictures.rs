@@ -4,10 +4,11 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::record::EditRow;
 use eval::answers::Answered;
 use eval::best_edit::gains;
 use eval::draw::strip::{Style, sheet, strip};
+use eval::rows::ItemFacts;
 use serde::Deserialize;
 
 use super::files::{file_name, write_drawing};
@@ -71,18 +72,21 @@ pub(super) fn draw(
         anyhow::bail!("none of its systems has edits");
     };
     let mut panels = Vec::new();
-    for (item, gain) in chosen(picture, first)? {
-        let made: Vec<EditRow> = answered
-            .iter()
-            .filter_map(|(system, answered)| {
-                let row = answered.edits.iter().find(|row| row.id == item.id)?;
-                Some(EditRow {
-                    system: (*system).clone(),
-                    ..row.clone()
-                })
-            })
-            .collect();
-        let made: Vec<&EditRow> = made.iter().collect();
+    let (chosen, gains): (Vec<usize>, Vec<Option<f64>>) =
+        chosen(picture, first)?.into_iter().unzip();
+    for (item, gain) in first.items_at(&chosen)?.iter().zip(gains) {
+        let mut made: Vec<EditRow> = Vec::new();
+        for (system, answered) in &answered {
+            let mut edits = answered.edits.facts().iter();
+            let Some(position) = edits.position(|row| row.id == item.id) else {
+                continue;
+            };
+            let rows = answered.edits.rows(&[position])?.into_iter();
+            made.extend(rows.map(|row| EditRow {
+                system: (*system).clone(),
+                ..row
+            }));
+        }
         let drawn = strip_of(item, &made, &first.skeleton, &BTreeSet::new())?;
         let caption = match gain {
             Some(gain) => format!("{} ({:+.1} cm closer)", drawn.caption, 100.0 * gain),
@@ -99,34 +103,31 @@ pub(super) fn draw(
     Ok(path)
 }
 
-/// The items of a picture; with how many metres closer the edit is to the target than the source, where that chooses them.
-fn chosen<'a>(
-    picture: &Picture,
-    answered: &'a Answered,
-) -> anyhow::Result<Vec<(&'a ItemRow, Option<f64>)>> {
+/// Positions of the items of a picture; with how many metres closer the edit is to the target than the source, where
+/// that chooses them.
+fn chosen(picture: &Picture, answered: &Answered) -> anyhow::Result<Vec<(usize, Option<f64>)>> {
+    let items = answered.items.facts();
     let is_one_of =
         |wanted: &[String], found: &str| wanted.is_empty() || wanted.iter().any(|one| one == found);
-    let is_wanted = |item: &ItemRow| {
+    let is_wanted = |item: &ItemFacts| {
         is_one_of(&picture.tasks, &item.task)
             && is_one_of(
                 &picture.novelty,
                 item.novelty.as_deref().unwrap_or_default(),
             )
     };
-    let mut all: Vec<(&ItemRow, Option<f64>)> = match picture.order {
+    let mut all: Vec<(usize, Option<f64>)> = match picture.order {
         Order::Parts => {
             let mut parts: BTreeSet<&[String]> = BTreeSet::new();
-            let (first, others): (Vec<&ItemRow>, Vec<&ItemRow>) = answered
-                .items
-                .iter()
-                .filter(|item| is_wanted(item))
-                .partition(|item| parts.insert(&item.parts));
+            let (first, others): (Vec<usize>, Vec<usize>) = (0..items.len())
+                .filter(|&item| is_wanted(&items[item]))
+                .partition(|&item| parts.insert(&items[item].parts));
             let all = first.into_iter().chain(others);
             all.map(|item| (item, None)).collect()
         }
         Order::Best | Order::Worst => {
             let mut all = gains(answered)?;
-            all.retain(|(item, _)| is_wanted(item));
+            all.retain(|&(item, _)| is_wanted(&items[item]));
             all.sort_by(|(_, a), (_, b)| match picture.order {
                 Order::Worst => a.total_cmp(b),
                 _ => b.total_cmp(a),

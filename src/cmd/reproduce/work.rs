@@ -7,12 +7,12 @@ use std::path::PathBuf;
 use anyhow::Context;
 use compose::COMPOSED;
 use datasets_spec::manifest::plan_hash;
-use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{Dataset, Seed};
 use eval::answers::{Answered, Scores};
 use eval::judge::{Judge, Judges};
 use eval::metric::METRICS_VERSION;
 use eval::protocol::Protocol;
+use eval::rows::ItemFacts;
 use serde::Serialize;
 use train::checkpoint::Start;
 use train::kind::TrainRequest;
@@ -186,15 +186,14 @@ impl<'a> Work<'a> {
         let whole = answered.items.len();
         if let Some(frames) = min_frames {
             let rate = self.plan.items.compose.fps.get();
-            let is_long = |item: &ItemRow| {
+            let is_long = |item: &ItemFacts| {
                 let last = f64::from(item.source_frames - 1);
                 last * rate / f64::from(item.fps) + 1.0 >= frames as f64
             };
             answered.items.retain(is_long);
-            let kept: Vec<&str> = answered.items.iter().map(|item| item.id.as_str()).collect();
-            answered
-                .edits
-                .retain(|row: &EditRow| kept.contains(&row.id.as_str()));
+            let kept = answered.items.facts().iter();
+            let kept: BTreeSet<&str> = kept.map(|item| item.id.as_str()).collect();
+            answered.edits.retain(|row| kept.contains(row.id.as_str()));
         }
         let left_out = whole - answered.items.len();
         Ok((answered, left_out))
@@ -211,7 +210,8 @@ impl<'a> Work<'a> {
         let names: Vec<String> = names
             .map(|name| name.to_string_lossy().into_owned())
             .collect();
-        let ids: Vec<&str> = answered.items.iter().map(|item| item.id.as_str()).collect();
+        let ids = answered.items.facts().iter();
+        let ids: Vec<&str> = ids.map(|item| item.id.as_str()).collect();
         let encoder = (&self.judge.0, &self.judge.1.recipe);
         let of = (names, ids, protocol, encoder, METRICS_VERSION);
         let key = short("scores", &of);

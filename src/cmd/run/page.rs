@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use datasets_spec::manifest::Accounting;
-use datasets_spec::record::{EditRow, MaskRow, MotionRow};
+use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, Split};
 use eval::answers::{Answered, Scores};
@@ -17,7 +17,7 @@ use train::fit::TrainReport;
 
 use super::plan::{Places, Plan};
 use crate::cmd::eval::tables;
-use crate::cmd::page::{opening, strip_of};
+use crate::cmd::page::{opening, strip_of, with_edits};
 use crate::global::Global;
 use crate::judge::BUILTIN;
 use crate::report;
@@ -256,19 +256,11 @@ fn actions(dataset: &Dataset) -> anyhow::Result<Bars> {
 
 /// The first items of different parts, each as source, edit and target.
 fn strips(done: &Done) -> anyhow::Result<Vec<Strip>> {
-    let Answered {
-        items,
-        edits,
-        skeleton,
-    } = done.edits;
-    let step = (items.len() / STRIPS).max(1);
-    items
+    let num_items = done.edits.items.len();
+    let step = (num_items / STRIPS).max(1);
+    let shown = (0..num_items).step_by(step).take(STRIPS);
+    with_edits(done.edits, shown)?
         .iter()
-        .step_by(step)
-        .take(STRIPS)
-        .map(|item| {
-            let made: Vec<&EditRow> = edits.iter().filter(|row| row.id == item.id).collect();
-            strip_of(item, &made, skeleton, done.unknown)
-        })
+        .map(|(item, made)| strip_of(item, made, &done.edits.skeleton, done.unknown))
         .collect()
 }

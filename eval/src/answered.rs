@@ -1,0 +1,208 @@
+//! Items and the edits that systems made of them: read together and checked, with their motions left in the files.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::{Dataset, Skeleton};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::rows::{EditFacts, Rows};
+
+/// Items whose motions are in memory together, with all that is computed from them. It is a multiple of the batches of
+/// encoders, so that each batch is full.
+pub(crate) const ITEMS_AT_ONCE: usize = 128;
+
+/// Items and the edits that systems made of them. Their motions are read where they are needed, some at a time.
+#[derive(Debug)]
+pub struct Answered {
+    /// The items.
+    pub items: Rows<ItemRow>,
+    /// Edits of all systems.
+    pub edits: Rows<EditRow>,
+    /// The skeleton that all motions are on.
+    pub skeleton: Skeleton,
+}
+
+impl Answered {
+    /// Items and edits that are in memory.
+    pub fn of_rows(items: Vec<ItemRow>, edits: Vec<EditRow>, skeleton: Skeleton) -> Self {
+        Self {
+            items: items.into_iter().collect(),
+            edits: edits.into_iter().collect(),
+            skeleton,
+        }
+    }
+
+    /// Reads tables of edits of the same items. A folder of items alone has no edits. The motions stay in the files;
+    /// those of the items are read from the first folder.
+    ///
+    /// # Errors
+    /// There is no folder, one cannot be read, or two are of other items or skeletons.
+    pub fn read(folders: &[PathBuf]) -> Result<Self, Error> {
+        let mut all: Option<(&Path, Self)> = None;
+        for path in folders {
+            let read = Self::read_one(path)?;
+            match &mut all {
+                None => all = Some((path, read)),
+                Some((first, all)) => all.merge(first, read, path)?,
+            }
+        }
+        match all {
+            Some((_, all)) => Ok(all),
+            None => Err(Error::NoTables),
+        }
+    }
+
+    fn read_one(path: &Path) -> Result<Self, Error> {
+        let folder = Dataset::open(path)?;
+        let items: Rows<ItemRow> = Rows::read(&folder)?;
+        if items.is_empty() {
+            let path = path.to_owned();
+            return Err(datasets_spec::Error::NoItems { path }.into());
+        }
+        Ok(Self {
+            items,
+            edits: Rows::read(&folder)?,
+            skeleton: folder.skeleton()?,
+        })
+    }
+
+    /// Reads tables of edits whose systems are rows of one result table.
+    ///
+    /// # Errors
+    /// As [`Answered::read`], or one name stands for two systems.
+    pub fn read_for_table(folders: &[PathBuf]) -> Result<Self, Error> {
+        Self::read(folders)?.with_edits(Vec::new())
+    }
+
+    /// Adds edits of the same items, whose systems are rows of the same result table.
+    ///
+    /// # Errors
+    /// One name stands for two systems, or a take is there twice.
+    pub fn with_edits(mut self, edits: Vec<EditRow>) -> Result<Self, Error> {
+        self.edits.extend(edits);
+        check_systems(self.edits.facts())?;
+        Ok(self)
+    }
+
+    /// Reads the items at distinct positions with their motions, each checked against its id.
+    ///
+    /// # Errors
+    /// A file cannot be read, or an item was changed after it was drawn.
+    ///
+    /// # Panics
+    /// If a position does not exist.
+    pub fn items_at(&self, positions: &[usize]) -> Result<Vec<ItemRow>, Error> {
+        let rows = self.items.rows(positions)?;
+        let check = |row: &ItemRow| {
+            row.check().map_err(|source| Error::Item {
+                id: row.id.clone(),
+                source: Box::new(source),
+            })
+        };
+        // All are checked before an error is looked for, so that it is that of the first one.
+        let checked: Vec<Result<(), Error>> = rows.par_iter().map(check).collect();
+        checked.into_iter().collect::<Result<(), Error>>()?;
+        Ok(rows)
+    }
+
+    /// Reads a table of edits of one system, and adds the side to the system's name: two runs of one method have the
+    /// same.
+    ///
+    /// # Errors
+    /// As [`Answered::read`], or the table holds several systems.
+    pub(crate) fn of_one_system(path: &Path, side: &str) -> Result<(Self, String), Error> {
+        let mut read = Self::read_one(path)?;
+        let edits = read.edits.facts();
+        check_systems(edits).map_err(|source| of_table(path, source))?;
+        let systems: BTreeSet<&str> = edits.iter().map(|row| row.system.as_str()).collect();
+        let &[system] = Vec::from_iter(systems.iter().copied()).as_slice() else {
+            return Err(Error::SeveralSystems {
+                path: path.to_owned(),
+                count: systems.len(),
+                systems: Vec::from_iter(systems).join(", "),
+            });
+        };
+        let name = format!("{system} ({side})");
+        for row in read.edits.facts_mut() {
+            row.system.clone_from(&name);
+        }
+        Ok((read, name))
+    }
+
+    /// Adds the edits of another folder, after checking that they are of the same items.
+    pub(crate) fn merge(&mut self, first: &Path, other: Self, path: &Path) -> Result<(), Error> {
+        if other.skeleton != self.skeleton {
+            return Err(Error::OtherSkeleton {
+                first: first.to_owned(),
+                first_skeleton: self.skeleton.name().to_owned(),
+                other: path.to_owned(),
+                other_skeleton: other.skeleton.name().to_owned(),
+            });
+        }
+        let ids = |items: &Rows<ItemRow>| -> BTreeSet<String> {
+            items.facts().iter().map(|item| item.id.clone()).collect()
+        };
+        let (ours, theirs) = (ids(&self.items), ids(&other.items));
+        if ours != theirs {
+            return Err(Error::OtherItems {
+                first: first.to_owned(),
+                first_alone: [ours.difference(&theirs).count(), ours.len()],
+                other: path.to_owned(),
+                other_alone: [theirs.difference(&ours).count(), theirs.len()],
+            });
+        }
+        // Edits of an item that was changed under its id are of another item.
+        let positions: Vec<usize> = (0..other.items.len()).collect();
+        for positions in positions.chunks(ITEMS_AT_ONCE) {
+            other
+                .items_at(positions)
+                .map_err(|source| of_table(path, source))?;
+        }
+        self.edits.append(other.edits);
+        Ok(())
+    }
+}
+
+/// An error with the table that it is of.
+fn of_table(path: &Path, source: Error) -> Error {
+    Error::TableOf {
+        path: path.to_owned(),
+        source: Box::new(source),
+    }
+}
+
+/// Refuses two checkpoints or two settings under one name, which would become one row of a table, and a
+/// take that is there twice.
+fn check_systems(edits: &[EditFacts]) -> Result<(), Error> {
+    let mut known: BTreeMap<&str, &EditFacts> = BTreeMap::new();
+    let mut takes: BTreeSet<(&str, &str, u64)> = BTreeSet::new();
+    for row in edits {
+        let first = *known.entry(&row.system).or_insert(row);
+        let differs = |what, first: String, other: String| Error::TwoSystems {
+            system: row.system.clone(),
+            what,
+            first,
+            other,
+        };
+        if first.checkpoint_hash != row.checkpoint_hash {
+            let short = |hash: &str| format!("{hash:.12}");
+            let (a, b) = (&first.checkpoint_hash, &row.checkpoint_hash);
+            return Err(differs("checkpoints", short(a), short(b)));
+        }
+        if first.settings_hash != row.settings_hash {
+            let (a, b) = (first.settings.clone(), row.settings.clone());
+            return Err(differs("settings", a, b));
+        }
+        if !takes.insert((&row.system, &row.id, row.seed)) {
+            return Err(Error::SameTake {
+                system: row.system.clone(),
+                id: row.id.clone(),
+                seed: row.seed,
+            });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,284 @@
+//! Rows of tables with motions: what they say is in memory, and their motions stay in the files until somebody asks for
+//! them.
+
+use std::collections::BTreeMap;
+use std::fmt::Debug;
+
+use datasets_spec::record::{EditRow, ItemRow};
+use datasets_spec::table::{Row, ShardReader};
+use datasets_spec::{Dataset, Error, Motion, MotionId, Split};
+use rayon::prelude::*;
+
+datasets_spec::table! {
+    /// What an item says beside its motions.
+    pub struct ItemFacts = "items" {
+        /// Id
+        pub id: String [""],
+        /// Task
+        pub task: String [""],
+        /// Split of its motions
+        pub split: Split [""],
+        /// What is asked for
+        pub instruction: String [""],
+        /// Motion the source was made of
+        pub source_id: MotionId [""],
+        /// Motion the target took from
+        pub target_id: MotionId [""],
+        /// Body parts that are edited
+        pub parts: Vec<String> [""],
+        /// What of the question training shows
+        pub novelty: Option<String> ["", newer],
+        /// Frame rate of all motions of the question
+        pub fps: f32 ["1/s"],
+        /// Frames of the source
+        pub source_frames: i32 ["frame"],
+        /// Frames of the target; 0 where there is none
+        pub target_frames: i32 ["frame"],
+        /// Frames of the target made of another capture; 0 where there is none
+        pub other_frames: i32 ["frame"],
+    }
+}
+
+datasets_spec::table! {
+    /// What an edit says beside its motion.
+    pub struct EditFacts = "edits" {
+        /// Id of the item
+        pub id: String [""],
+        /// Name of the system
+        pub system: String [""],
+        /// Hash of the checkpoint
+        pub checkpoint_hash: String [""],
+        /// Hash of the settings
+        pub settings_hash: String ["", newer],
+        /// The settings, a JSON object
+        pub settings: String ["", newer],
+        /// Seed of the sampler
+        pub seed: u64 [""],
+        /// Frame rate
+        pub fps: f32 ["1/s"],
+        /// Frames
+        pub n_frames: i32 ["frame"],
+        /// Mean distance between generated keypoints and the fitted body
+        pub fit_error_m: Option<f32> ["m"],
+        /// Mean distance of the bones of generated keypoints from their lengths in the body
+        pub bone_drift_m: Option<f32> ["m"],
+    }
+}
+
+impl From<&ItemRow> for ItemFacts {
+    fn from(row: &ItemRow) -> Self {
+        Self {
+            id: row.id.clone(),
+            task: row.task.clone(),
+            split: row.split,
+            instruction: row.instruction.clone(),
+            source_id: row.source_id.clone(),
+            target_id: row.target_id.clone(),
+            parts: row.parts.clone(),
+            novelty: row.novelty.clone(),
+            fps: row.fps,
+            source_frames: row.source_frames,
+            target_frames: row.target_frames,
+            other_frames: row.other_frames,
+        }
+    }
+}
+
+impl ItemFacts {
+    /// The answer to the item, as [`EditRow::answering`] gives it.
+    pub fn answer(&self, motion: &Motion) -> EditRow {
+        let item = ItemRow {
+            id: self.id.clone(),
+            task: self.task.clone(),
+            instruction: self.instruction.clone(),
+            source_id: self.source_id.clone(),
+            ..ItemRow::blank(&self.target_id, self.split)
+        };
+        EditRow::answering(&item, motion)
+    }
+}
+
+impl From<&EditRow> for EditFacts {
+    fn from(row: &EditRow) -> Self {
+        Self {
+            id: row.id.clone(),
+            system: row.system.clone(),
+            checkpoint_hash: row.checkpoint_hash.clone(),
+            settings_hash: row.settings_hash.clone(),
+            settings: row.settings.clone(),
+            seed: row.seed,
+            fps: row.fps,
+            n_frames: row.n_frames,
+            fit_error_m: row.fit_error_m,
+            bone_drift_m: row.bone_drift_m,
+        }
+    }
+}
+
+/// A row with motions.
+pub trait MotionTable: Row + Debug {
+    /// What it says beside them.
+    type Facts: Row + Debug + for<'a> From<&'a Self>;
+}
+
+impl MotionTable for ItemRow {
+    type Facts = ItemFacts;
+}
+
+impl MotionTable for EditRow {
+    type Facts = EditFacts;
+}
+
+/// Rows of one or more files, and rows that were given, whose motions are in memory.
+#[derive(Debug)]
+pub struct Rows<R: MotionTable> {
+    facts: Vec<R::Facts>,
+    places: Vec<Place>,
+    files: Vec<ShardReader>,
+    given: Vec<R>,
+}
+
+/// Where a row with its motions is.
+#[derive(Clone, Copy, Debug)]
+enum Place {
+    File { file: usize, row: usize },
+    Given(usize),
+}
+
+impl<R: MotionTable> Default for Rows<R> {
+    fn default() -> Self {
+        Self {
+            facts: Vec::new(),
+            places: Vec::new(),
+            files: Vec::new(),
+            given: Vec::new(),
+        }
+    }
+}
+
+impl<R: MotionTable> FromIterator<R> for Rows<R> {
+    fn from_iter<I: IntoIterator<Item = R>>(rows: I) -> Self {
+        let mut all = Self::default();
+        all.extend(rows);
+        all
+    }
+}
+
+impl<R: MotionTable> Extend<R> for Rows<R> {
+    fn extend<I: IntoIterator<Item = R>>(&mut self, rows: I) {
+        for row in rows {
+            self.facts.push(R::Facts::from(&row));
+            self.places.push(Place::Given(self.given.len()));
+            self.given.push(row);
+        }
+    }
+}
+
+impl<R: MotionTable> Rows<R> {
+    /// Reads what the rows of a dataset say. No motion is read.
+    ///
+    /// # Errors
+    /// A file cannot be read.
+    pub fn read(dataset: &Dataset) -> Result<Self, Error> {
+        let read = dataset
+            .files(R::TABLE, None)
+            .par_iter()
+            .map(|(path, _)| {
+                let file = ShardReader::open(path)?;
+                let facts: Vec<R::Facts> = file.rows()?;
+                Ok((file, facts))
+            })
+            .collect::<Result<Vec<_>, Error>>()?;
+        let mut all = Self::default();
+        for (file, facts) in read {
+            let number = all.files.len();
+            let rows = 0..facts.len();
+            all.places
+                .extend(rows.map(|row| Place::File { file: number, row }));
+            all.facts.extend(facts);
+            all.files.push(file);
+        }
+        Ok(all)
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.facts.len()
+    }
+
+    /// Whether there is no row.
+    pub fn is_empty(&self) -> bool {
+        self.facts.is_empty()
+    }
+
+    /// What each row says.
+    pub fn facts(&self) -> &[R::Facts] {
+        &self.facts
+    }
+
+    /// The same, to be changed. Rows with their motions say what they said before.
+    pub(crate) fn facts_mut(&mut self) -> &mut [R::Facts] {
+        &mut self.facts
+    }
+
+    /// Keeps the rows of which `keep` holds.
+    pub fn retain(&mut self, mut keep: impl FnMut(&R::Facts) -> bool) {
+        let facts = std::mem::take(&mut self.facts).into_iter();
+        let rows = facts.zip(std::mem::take(&mut self.places));
+        (self.facts, self.places) = rows.filter(|(facts, _)| keep(facts)).unzip();
+    }
+
+    /// Appends the rows of another set.
+    pub(crate) fn append(&mut self, other: Self) {
+        let (files, given) = (self.files.len(), self.given.len());
+        let moved = |place| match place {
+            Place::File { file, row } => Place::File {
+                file: files + file,
+                row,
+            },
+            Place::Given(row) => Place::Given(given + row),
+        };
+        self.facts.extend(other.facts);
+        self.places.extend(other.places.into_iter().map(moved));
+        self.files.extend(other.files);
+        self.given.extend(other.given);
+    }
+
+    /// Reads the rows at distinct positions, with their motions, in the order of the positions.
+    ///
+    /// # Errors
+    /// A file cannot be read.
+    ///
+    /// # Panics
+    /// If a position does not exist, or stands twice among them.
+    pub fn rows(&self, positions: &[usize]) -> Result<Vec<R>, Error> {
+        let share = positions.len().div_ceil(rayon::current_num_threads());
+        let shares = positions
+            .par_chunks(share.max(1))
+            .map(|positions| self.share(positions))
+            .collect::<Result<Vec<Vec<R>>, Error>>()?;
+        Ok(shares.into_iter().flatten().collect())
+    }
+
+    /// The rows that one thread reads.
+    fn share(&self, positions: &[usize]) -> Result<Vec<R>, Error> {
+        let mut found: Vec<Option<R>> = vec![None; positions.len()];
+        let mut wanted: BTreeMap<usize, Vec<(usize, usize)>> = BTreeMap::new();
+        for (at, &position) in positions.iter().enumerate() {
+            match self.places[position] {
+                Place::File { file, row } => wanted.entry(file).or_default().push((row, at)),
+                Place::Given(row) => found[at] = Some(self.given[row].clone()),
+            }
+        }
+        for (file, mut wanted) in wanted {
+            wanted.sort_unstable();
+            let rows: Vec<usize> = wanted.iter().map(|(row, _)| *row).collect();
+            let read: Vec<R> = self.files[file].rows_at(&rows)?;
+            for ((_, at), row) in wanted.into_iter().zip(read) {
+                found[at] = Some(row);
+            }
+        }
+        let found: Option<Vec<R>> = found.into_iter().collect();
+        Ok(found.expect("the places are those of the footer, and none stands twice"))
+    }
+}
