@@ -681,13 +681,13 @@ pub(crate) mod tests {
             joint: "left_collar".to_owned(),
             weight: JointWeight::Hard,
         };
-        let later = two_arms(|masks| masks[1].range = Some([20, 40]));
+        let later = two_arms(|masks| masks[1].range = Some([9, 40]));
         assert_eq!(code(&later), None);
         assert_eq!(
             code(&two_arms(|masks| masks[1].joints = vec![collar.clone()])),
             None
         );
-        let (both, whole) = ([0, 20], [0, 40]);
+        let (both, whole) = ([0, 31], [0, 40]);
         for doubled in [
             two_arms(|masks| masks.iter_mut().for_each(|mask| mask.range = Some(both))),
             two_arms(|masks| masks[1].range = Some(whole)),
@@ -699,9 +699,9 @@ pub(crate) mod tests {
         ] {
             assert_eq!(code(&doubled), Some(Code::Invalid));
         }
-        // The later mask takes half of what the nearest one takes; the other three have an equal.
+        // The later mask takes 31 of the 40 frames that the nearest one takes; the other three have an equal.
         let apart = distance(&later, &two_arms(|_| ()), FRAMES);
-        assert!((apart - 0.125).abs() < 1e-12, "{apart}");
+        assert!((apart - 9.0 / 160.0).abs() < 1e-12, "{apart}");
     }
 
     #[test]

@@ -129,20 +129,17 @@ impl Dataset {
         self.folder.path().join("dataset")
     }
 
-    /// Exports accepted answers into the dataset and returns the command's output.
-    pub async fn export(&self) -> Value {
-        let printed = run(&["annotate", &text(&self.path()), "export", "--json"]).await;
+    /// Runs a command of `stance annotate` on it, and returns the document that it prints.
+    pub async fn annotate(&self, command: &[&str]) -> Value {
+        let path = text(&self.path());
+        let printed = run(&[&["annotate", &path], command, &["--json"]].concat()).await;
         serde_json::from_str(&printed).expect("one JSON document")
     }
 
     /// Adds a user and returns their token.
     pub async fn add_user(&self, name: &str, role: &str) -> String {
-        let path = text(&self.path());
-        let printed = run(&[
-            "annotate", &path, "user", "add", name, "--role", role, "--json",
-        ])
-        .await;
-        let shown: Value = serde_json::from_str(&printed).expect("one JSON document");
+        let add = ["user", "add", name, "--role", role];
+        let shown = self.annotate(&add).await;
         shown["token"].as_str().expect("a token").to_owned()
     }
 }

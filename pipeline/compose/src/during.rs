@@ -34,7 +34,7 @@ fn edited_runs(edited: &[Range<usize>]) -> Vec<Range<usize>> {
 /// A run continues the original: it is moved over the ground and turned about the vertical until its preceding
 /// frame matches the original's. If frames follow it, its last frame gets the original's position and heading:
 /// the difference is spread evenly over the frames of the run. At each end that meets frames of
-/// the original, the poses are blended with the original's over [`BLEND_SECS`] inside the run, but at most
+/// the original, the poses are blended with the original's over 0.4 s inside the run, but at most
 /// over a third of it.
 ///
 /// # Errors

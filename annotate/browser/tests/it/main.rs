@@ -7,6 +7,7 @@ mod dashboard;
 mod drafts;
 mod first_day;
 mod guide;
+mod hour;
 mod masks;
 mod nothing_lost;
 mod pairs;

@@ -174,7 +174,7 @@ async fn one_clip_of_each_kind_goes_from_the_token_to_the_tables_by_keys_alone()
     browser.quit().await;
     drop(server);
 
-    let counts = dataset.export().await;
+    let counts = dataset.annotate(&["export"]).await;
     assert_eq!(counts["counts"]["motions_described"], 1, "{counts}");
     assert_eq!(counts["counts"]["pairs_judged"], 2, "{counts}");
 }
