@@ -358,7 +358,7 @@ fn many_growths_become_few_files_with_the_same_rows_in_the_same_order() {
         motions
     };
     let motions = by_split(&dataset);
-    let features: BTreeMap<String, _> = rows::<datasets_spec::record::HumanMl3dRow>(&dataset)
+    let features: BTreeMap<String, _> = rows_of::<datasets_spec::record::HumanMl3dRow>(&dataset)
         .into_iter()
         .map(|row| (row.id.to_string(), row))
         .collect();
@@ -389,7 +389,7 @@ fn many_growths_become_few_files_with_the_same_rows_in_the_same_order() {
         now == motions,
         "rows and their order are the same in each split"
     );
-    let same: BTreeMap<String, _> = rows::<datasets_spec::record::HumanMl3dRow>(&dataset)
+    let same: BTreeMap<String, _> = rows_of::<datasets_spec::record::HumanMl3dRow>(&dataset)
         .into_iter()
         .map(|row| (row.id.to_string(), row))
         .collect();
