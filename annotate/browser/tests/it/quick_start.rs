@@ -94,7 +94,7 @@ async fn answer(
 async fn one_clip_of_each_kind_goes_from_the_token_to_the_tables_by_keys_alone() {
     let Team {
         dataset,
-        server: _server,
+        server,
         browser,
         ann,
         eve,
