@@ -166,8 +166,11 @@ fn same_text(ours: &str, imported: &str) -> bool {
 /// Checks a submitted answer about a clip with `frames` frames.
 ///
 /// # Errors
-/// As [`check_draft`]; or a field is missing, a mask has no hard joint or a choice for a joint that changes nothing, its range
-/// leaves the clip or is too short, or the number of masks is out of range and no reason is given.
+/// As [`check_draft`]; or:
+/// * a field is missing;
+/// * a mask has no hard joint, or a choice for a joint repeats what the parts give it;
+/// * the range of a mask leaves the clip, or is too short;
+/// * the number of masks is not one that the project wants, and no reason is given.
 pub fn check_submission(
     answer: &Answer,
     kind: TaskKind,
@@ -506,9 +509,11 @@ impl Answer {
     }
 }
 
-/// Distance of two answers about a clip with `frames` frames, 0 to 1. Masks: mean Jaccard distance of each mask to the nearest
-/// mask of the other answer, in both directions, over pairs of a joint and a frame. Pairs: 1 for different verdicts, else by
-/// parts and label.
+/// Distance of two answers about a clip with `frames` frames, 0 to 1.
+///
+/// A mask is the set of its hard joints in each of its frames. Each mask of either answer has a Jaccard distance to the
+/// nearest mask of the other one; the result is their mean, by answer and then over both. Pairs: 1 for different verdicts,
+/// else by parts and label.
 pub fn distance(a: &Answer, b: &Answer, frames: i64) -> f64 {
     match (a, b) {
         (Answer::MaskText { .. }, Answer::MaskText { .. }) => {

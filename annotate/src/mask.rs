@@ -125,7 +125,7 @@ pub(crate) fn check_choices(
     Ok(())
 }
 
-/// Checks the frames that a mask holds for, of a clip with `frames` frames.
+/// Checks that a range lies in a clip with `frames` frames and is as long as a training window.
 ///
 /// # Errors
 /// What is wrong, and what to do, as the words after the name of the mask.
@@ -337,7 +337,7 @@ mod tests {
             (vec![(arm, [0, 40])], vec![(arm, [20, 40])], 0.5),
             (vec![(arm, [0, 40])], vec![(arms, [0, 40])], 0.5),
             (vec![(arm, [0, 20])], vec![(arm, [20, 40])], 0.0),
-            // Overlapping masks count each joint and frame once.
+            // Where masks overlap, a joint counts once in each frame.
             (
                 vec![(arm, [0, 30]), (arm, [10, 40])],
                 vec![(arm, [0, 40])],

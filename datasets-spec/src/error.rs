@@ -112,9 +112,9 @@ pub enum Error {
         /// The hash of the numbers.
         found: String,
     },
-    /// A range of frames is empty, half said, or leaves its motion.
+    /// A range of frames is empty, or one of its ends is missing.
     #[error(
-        "frames {} to {} of a motion of {len} frames are no range; give a first frame and one past the last, or neither",
+        "frames {} to {} are no range; give a first frame and one past the last, or neither",
         start.map_or("?".to_owned(), |frame| frame.to_string()),
         end.map_or("?".to_owned(), |frame| frame.to_string())
     )]
@@ -123,6 +123,12 @@ pub enum Error {
         start: Option<i32>,
         /// One past the last frame.
         end: Option<i32>,
+    },
+    /// A range of frames ends after its motion.
+    #[error("a range ends at frame {end} of a motion of {len} frames; end it there or before")]
+    RangeEnd {
+        /// One past the last frame of the range.
+        end: usize,
         /// Frames of the motion.
         len: usize,
     },

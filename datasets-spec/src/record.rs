@@ -641,40 +641,56 @@ impl TripletRow {
     }
 }
 
-/// The frames from a first one to one past a last one, of a motion of so many. Both are missing for all frames.
+/// The range of frames that two columns of a row name: `start`, and `end`, which is one past the last. None where both are
+/// missing.
 ///
 /// # Errors
-/// One of both is missing, the range is empty, or it leaves the motion.
-pub fn frames_of(start: Option<i32>, end: Option<i32>, len: usize) -> Result<Range<usize>, Error> {
-    let (first, last) = match (start, end) {
-        (None, None) => return Ok(0..len),
-        (Some(first), Some(end)) => (usize::try_from(first), usize::try_from(end)),
-        _ => return Err(Error::FrameRange { start, end, len }),
-    };
-    match (first, last) {
-        (Ok(first), Ok(end)) if first < end && end <= len => Ok(first..end),
-        _ => Err(Error::FrameRange { start, end, len }),
+/// One of both is missing, `start` is negative, or the range is empty.
+pub fn range_of(start: Option<i32>, end: Option<i32>) -> Result<Option<Range<usize>>, Error> {
+    match (start, end) {
+        (None, None) => Ok(None),
+        (Some(first), Some(end)) if 0 <= first && first < end => {
+            Ok(Some(first as usize..end as usize))
+        }
+        _ => Err(Error::FrameRange { start, end }),
+    }
+}
+
+/// A range of frames, or all frames, of a motion of `len` frames.
+fn within(range: Option<Range<usize>>, len: usize) -> Result<Range<usize>, Error> {
+    let frames = range.unwrap_or(0..len);
+    match frames.end <= len {
+        true => Ok(frames),
+        false => Err(Error::RangeEnd {
+            end: frames.end,
+            len,
+        }),
     }
 }
 
 impl MaskRow {
-    /// Frames of the shortest range that a mask may hold for: those that a training window of the paper spans, 16 frames
-    /// of 10 fps (Sec. 5.1), at the stored 20 fps.
+    /// Length in frames of the shortest range that a mask may hold for: what a training window of every preset spans, 16
+    /// frames at 10 fps, counted at the stored 20 fps.
     pub const SHORTEST: i32 = 31;
 
-    /// The frames of its motion, of so many, that the mask holds for.
+    /// The range of frames that the mask holds for; none if it holds for the whole motion.
     ///
     /// # Errors
-    /// As [`frames_of`], or the range is shorter than [`MaskRow::SHORTEST`].
-    pub fn frames(&self, len: usize) -> Result<Range<usize>, Error> {
-        let frames = frames_of(self.start, self.end, len)?;
-        if self.start.is_some() && frames.len() < Self::SHORTEST as usize {
-            return Err(Error::ShortRange {
-                frames: frames.len(),
-                shortest: Self::SHORTEST as usize,
-            });
+    /// As [`range_of`], or the range is shorter than [`MaskRow::SHORTEST`].
+    pub fn range(&self) -> Result<Option<Range<usize>>, Error> {
+        let (range, shortest) = (range_of(self.start, self.end)?, Self::SHORTEST as usize);
+        match range.as_ref().map(Range::len) {
+            Some(frames) if frames < shortest => Err(Error::ShortRange { frames, shortest }),
+            _ => Ok(range),
         }
-        Ok(frames)
+    }
+
+    /// The frames of its motion, which has `len`, that the mask holds for.
+    ///
+    /// # Errors
+    /// As [`MaskRow::range`], or the range ends after the motion.
+    pub fn frames(&self, len: usize) -> Result<Range<usize>, Error> {
+        within(self.range()?, len)
     }
 }
 
@@ -747,7 +763,7 @@ impl ItemRow {
     /// The frames of the source that the question is about.
     ///
     /// # Errors
-    /// As [`frames_of`], or it is about some frames and its target has another length.
+    /// As [`range_of`], the range ends after the source, or there is one and the target is not as long as the source.
     pub fn edited_frames(&self) -> Result<Range<usize>, Error> {
         let len = usize::try_from(self.source_frames).unwrap_or(0);
         if self.edit_start.is_some() && ![0, self.source_frames].contains(&self.target_frames) {
@@ -760,7 +776,7 @@ impl ItemRow {
                 ),
             });
         }
-        frames_of(self.edit_start, self.edit_end, len)
+        within(range_of(self.edit_start, self.edit_end)?, len)
     }
 
     /// Joints that the edit changes: those the target took, or else those of the named parts that are

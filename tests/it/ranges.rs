@@ -1,6 +1,7 @@
 //! A mask that holds for some frames: from lines that people edit to items, edits and exports.
 
 use std::fs;
+use std::path::Path;
 
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MaskRow};
@@ -105,7 +106,7 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
     ])
     .expect_code(0);
     stance(&["ingest", arg(&exported), "--out", arg(&again)]).expect_code(0);
-    let masks = |folder: &std::path::Path| {
+    let masks = |folder: &Path| {
         let mut rows: Vec<MaskRow> = Dataset::open(folder)
             .and_then(|dataset| dataset.read(None))
             .expect("masks");
@@ -113,4 +114,35 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
         rows
     };
     assert_eq!(masks(&again), masks(&dataset));
+
+    // At another rate a range has other frames: 5 and 45 of 20 fps are 7.5 and 67.5 of 30 fps.
+    let faster = at("faster");
+    stance(&[
+        "ingest",
+        arg(&dataset),
+        "--fps",
+        "30",
+        "--out",
+        arg(&faster),
+    ])
+    .expect_code(0);
+    let ranged = |folder: &Path| {
+        let masks = masks(folder).into_iter();
+        let ranges = masks.filter_map(|mask| mask.start.zip(mask.end));
+        ranges.collect::<Vec<_>>()
+    };
+    assert_eq!(ranged(&faster), vec![(8, 68); tested.len()]);
+
+    // A range that its clip does not have is left out by name, and the rest is taken.
+    let file = exported.join("masks.jsonl");
+    let lines = fs::read_to_string(&file).expect("masks");
+    let wrong = lines.replacen("\"end\":45", "\"end\":4500", 1);
+    assert_ne!(wrong, lines);
+    fs::write(&file, wrong).expect("writes");
+    let rest = at("rest");
+    let told = stance(&["--json", "ingest", arg(&exported), "--out", arg(&rest)]);
+    let told = format!("{}{}", told.stdout, told.stderr);
+    assert!(told.contains("ends at frame 4500"), "{told}");
+    assert_eq!(masks(&rest).len(), masks(&dataset).len() - 1);
+    stance(&["verify", arg(&rest)]).expect_code(0);
 }

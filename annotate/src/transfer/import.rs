@@ -3,7 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use datasets_spec::record::{CAPTION_BY_RULE, ExportedLabels, MaskRow, MotionRow, PairRow};
+use datasets_spec::record::{
+    CAPTION_BY_RULE, ExportedLabels, MaskRow, MotionRow, PairRow, range_of,
+};
 use datasets_spec::table::{Caption, Row, read_column};
 use datasets_spec::{Dataset, MotionId, Split};
 use serde::Serialize;
@@ -13,7 +15,9 @@ use crate::Error;
 use crate::answer::completion;
 use crate::mask::{entered, mask_of_joints};
 use crate::store::{Credit, Imported, Millis, MotionRecord, NewSuggestion, NewTask, Store};
-use crate::wire::{Answer, BUNDLE, EditType, MaskAnswer, SuggestionSource, TaskKind, Verdict};
+use crate::wire::{
+    Answer, BUNDLE, Code, EditType, MaskAnswer, SuggestionSource, TaskKind, Verdict,
+};
 
 /// Value of column `source` for pairs written by this program.
 pub(crate) const PAIR_SOURCE: &str = "annotate";
@@ -502,10 +506,15 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow], taken: &mut Taken) -> Resu
     let (people, drafts): (Vec<&MaskRow>, Vec<&MaskRow>) =
         rows.iter().partition(|row| row.text_origin == "human");
     if !people.is_empty() {
+        let len = usize::try_from(motion.frames).unwrap_or(0);
         let masks = people.iter().map(|row| {
             let joints = (&row.hard_joints[..], &row.soft_joints[..]);
             let range = (row.start, row.end);
-            entered_mask(&row.parts, joints, range, completion(&row.text))
+            let mask = entered_mask(&row.parts, joints, range, completion(&row.text));
+            row.frames(len).and(mask).map_err(|error| {
+                let problem = format!("mask {:?} of {}: {error}", row.id, motion.id);
+                Error::refused(Code::Invalid, problem)
+            })
         });
         new.accepted = Some(Answer::MaskText {
             masks: masks.collect::<Result<_, _>>()?,
@@ -529,7 +538,7 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow], taken: &mut Taken) -> Resu
 /// The mask of a row of a table: its joints, hard and soft, and the ends of its range.
 ///
 /// # Errors
-/// A joint is unknown, or is both hard and soft.
+/// A joint is unknown, or is both hard and soft; or the ends are no range.
 pub(super) fn entered_mask(
     parts: &[String],
     (hard, soft): (&[String], &[String]),
@@ -537,6 +546,7 @@ pub(super) fn entered_mask(
     text: &str,
 ) -> Result<MaskAnswer, datasets_spec::Error> {
     let (soft, joints) = entered(parts, mask_of_joints(hard, soft)?);
+    range_of(start, end)?;
     Ok(MaskAnswer {
         parts: parts.to_vec(),
         soft,

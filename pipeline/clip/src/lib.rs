@@ -171,8 +171,24 @@ impl SourceClip {
         self.features = carried.and_then(|features| Some(features.get(kept.clone())?.to_vec()));
     }
 
-    /// Moves masks that hold for a range of frames to the frames of a changed motion, which has `len` of them: `place`
-    /// gives the place of a frame there. A mask of which too little is left is dropped and becomes a note.
+    /// Drops masks whose range is no range of the motion. Each becomes a [`LabelProblem`] of `file`.
+    pub fn check_masks(&mut self, file: &str) {
+        let frames = self.motion.len();
+        let problems = &mut self.label_problems;
+        self.masks.retain(|mask| {
+            let Some(row) = &mask.made else { return true };
+            let problem = row.frames(frames).err();
+            problems.extend(problem.as_ref().map(|error| LabelProblem {
+                file: file.to_owned(),
+                reason: format!("mask {:?}: {error}", row.id),
+            }));
+            problem.is_none()
+        });
+    }
+
+    /// Moves the ranges of masks when the motion is cut or resampled. `place` maps a frame of the motion before to one of
+    /// the motion after, which has `len` frames. A mask whose range gets shorter than [`MaskRow::SHORTEST`] is dropped and
+    /// becomes a note.
     pub fn move_masks(&mut self, len: usize, place: impl Fn(f64) -> f64) {
         let end_of_motion = i32::try_from(len).unwrap_or(i32::MAX);
         let moved = |frame: &mut i32| {
@@ -188,7 +204,10 @@ impl SourceClip {
                 end - start >= MaskRow::SHORTEST
             });
             if !is_left {
-                cut_off.push(format!("a mask holds for frames cut off: {}", mask.text));
+                cut_off.push(format!(
+                    "a mask is left with too few frames, and was dropped: {}",
+                    mask.text
+                ));
             }
             is_left
         });

@@ -582,6 +582,11 @@ mod tests {
 
     #[test]
     fn windows_of_a_mask_with_a_range_lie_in_it() {
+        // The shortest range is as long as a window.
+        assert_eq!(
+            datasets_spec::record::MaskRow::SHORTEST as usize,
+            fixture::SPAN
+        );
         for fixed_pairs in [false, true] {
             let (stream, _) = ranged(ComposeConfig {
                 fixed_pairs,
@@ -620,6 +625,7 @@ mod tests {
         for (start, end, reason) in [
             (Some(0), Some(30), "spans 31"),
             (Some(0), Some(136), "135 frames"),
+            (Some(-1), None, "-1 to ?"),
             (Some(-1), Some(40), "-1 to 40"),
             (Some(60), Some(20), "60 to 20"),
             (Some(60), None, "60 to ?"),

@@ -1,6 +1,15 @@
 //! CSV files that people write: the records with the numbers of their lines.
 
-use csv::{Position, ReaderBuilder, StringRecord, Trim};
+use csv::{Position, ReaderBuilder, StringRecord, Trim, WriterBuilder};
+
+/// A record as a line without its end. Fields with commas, quotes or line breaks are quoted.
+pub fn line(fields: &[&str]) -> String {
+    let mut writer = WriterBuilder::new().from_writer(Vec::new());
+    writer.write_record(fields).expect("memory takes a record");
+    let bytes = writer.into_inner().expect("memory takes a record");
+    let line = String::from_utf8(bytes).expect("fields are UTF-8");
+    line.trim_end_matches('\n').to_owned()
+}
 
 /// The records of a file in UTF-8, each with the number of its line and with trimmed fields. A record in another
 /// encoding, or with a quote that is not closed, is a reason to refuse the line.

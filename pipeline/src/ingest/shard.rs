@@ -202,6 +202,7 @@ impl Plan {
             Outcome::Skipped { reason } => return Ok(Done::Skipped(reason)),
             Outcome::Rejected(rejected) => return Err(rejected),
         };
+        clip.check_masks(&item.entry.file);
         let problems = std::mem::take(&mut clip.label_problems);
         let rows = clip_rows(clip, id, item, source_hash, options)?;
         Ok(Done::Clip(Box::new(rows), problems))

@@ -24,6 +24,7 @@ pub(super) struct Met {
     /// Rate of the motion in 1/s, and its sketch; none for captures.
     pub(super) fps: Option<f32>,
     pub(super) sketch: Option<Sketch>,
+    /// Frames of the motion; 0 for captures.
     pub(super) frames: i32,
 }
 
@@ -38,7 +39,7 @@ pub(super) struct Named {
 }
 
 impl Named {
-    /// `motions` are splits and numbers of frames.
+    /// Compares the row with the split and the number of frames of its motion, by id in `motions`.
     pub(super) fn check(&self, motions: &BTreeMap<MotionId, (Split, i32)>) -> Option<Finding> {
         let item = format!("{} of {}", self.row, self.table);
         let found = MotionId::parse(&self.motion)

@@ -118,7 +118,7 @@ fn plan_lines(cells: &[CaptureCell]) -> String {
     lines.extend(
         cells
             .iter()
-            .map(|cell| csv_line(&[&cell.motion, &cell.style, &cell.takes.to_string()])),
+            .map(|cell| csv_lines::line(&[&cell.motion, &cell.style, &cell.takes.to_string()])),
     );
     lines.join("\n")
 }
@@ -127,17 +127,9 @@ fn missing_lines(cells: &[CaptureCell]) -> String {
     let mut lines = vec![format!("{},note", HEAD.join(","))];
     lines.extend(cells.iter().map(|cell| {
         let missing = cell.missing.to_string();
-        csv_line(&[&cell.motion, &cell.style, &missing, &notes(cell).join("; ")])
+        csv_lines::line(&[&cell.motion, &cell.style, &missing, &notes(cell).join("; ")])
     }));
     lines.join("\n")
-}
-
-fn csv_line(fields: &[&str]) -> String {
-    let quoted = fields.iter().map(|field| match field.contains([',', '"']) {
-        true => format!("\"{}\"", field.replace('"', "\"\"")),
-        false => (*field).to_owned(),
-    });
-    quoted.collect::<Vec<_>>().join(",")
 }
 
 fn summary(captures: &Captures) -> String {

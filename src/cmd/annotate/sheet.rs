@@ -124,7 +124,7 @@ pub(super) fn notes(cell: &CaptureCell) -> Vec<&'static str> {
     notes
 }
 
-/// The paragraphs of a text, which empty lines part.
+/// The paragraphs of a text; an empty line ends a paragraph.
 fn paragraphs(text: &str) -> Vec<String> {
     let lines: Vec<&str> = text.lines().map(str::trim).collect();
     lines

@@ -1,19 +1,19 @@
 //! Captures: how a style is performed, and what is still to capture.
 
-use annotate_browser::{Browser, Dataset, Graphics, Server};
 use serde_json::json;
 
-use crate::steps::{claim, nothing_by_chance};
+use crate::steps::{Team, claim};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_guideline_goes_from_the_admin_to_the_annotator_and_the_dashboard_shows_the_plan() {
-    let dataset = Dataset::fresh().await;
-    let ann = dataset.add_user("ann", "annotator").await;
-    let boss = dataset.add_user("boss", "admin").await;
-    let server = Server::start(&dataset).await;
-    let browser = Browser::start(Graphics::Software).await;
-    browser.open(&server.page("")).await;
-    nothing_by_chance(&browser, &boss).await;
+    let Team {
+        dataset: _dataset,
+        server,
+        browser,
+        ann,
+        boss,
+        ..
+    } = Team::open().await;
 
     browser.log_in(&server, &boss, "app/admin").await;
     browser

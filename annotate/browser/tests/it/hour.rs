@@ -3,10 +3,10 @@
 
 use std::collections::BTreeMap;
 
-use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
+use annotate_browser::{Browser, Dataset, Server, keys};
 use serde_json::{Value, json};
 
-use crate::steps::{describe_two_masks, nothing_by_chance};
+use crate::steps::{Team, describe_two_masks};
 
 /// Tasks of each kind that are done.
 const TASKS: usize = 2;
@@ -86,14 +86,14 @@ async fn accept_by_touch(browser: &Browser) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_hour_of_work_comes_back_row_by_row_in_a_fresh_project() {
-    let dataset = Dataset::fresh().await;
-    let ann = dataset.add_user("ann", "annotator").await;
-    let eve = dataset.add_user("eve", "reviewer").await;
-    let boss = dataset.add_user("boss", "admin").await;
-    let server = Server::start(&dataset).await;
-    let browser = Browser::start(Graphics::Software).await;
-    browser.open(&server.page("")).await;
-    nothing_by_chance(&browser, &boss).await;
+    let Team {
+        dataset,
+        server,
+        browser,
+        ann,
+        eve,
+        boss,
+    } = Team::open().await;
     let mut settings = browser.request_as(&boss, "GET", "settings", None).await["body"].clone();
     settings["overlap_percent"] = json!(0);
     let saved = browser.request_as(&boss, "PUT", "settings", Some(settings));

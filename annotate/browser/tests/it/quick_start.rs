@@ -1,10 +1,10 @@
 //! The quick start of `docs/annotators.md`: one task of each kind is annotated, reviewed and exported, from login to the
 //! tables, without a mouse.
 
-use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
+use annotate_browser::{Browser, keys};
 use serde_json::json;
 
-use crate::steps::{describe_two_masks, nothing_by_chance};
+use crate::steps::{Team, describe_two_masks};
 
 /// Pastes a token into the login page.
 async fn log_in(browser: &Browser, token: &str) {
@@ -92,14 +92,14 @@ async fn answer(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn one_clip_of_each_kind_goes_from_the_token_to_the_tables_by_keys_alone() {
-    let dataset = Dataset::fresh().await;
-    let ann = dataset.add_user("ann", "annotator").await;
-    let eve = dataset.add_user("eve", "reviewer").await;
-    let boss = dataset.add_user("boss", "admin").await;
-    let server = Server::start(&dataset).await;
-    let browser = Browser::start(Graphics::Software).await;
-    browser.open(&server.page("")).await;
-    nothing_by_chance(&browser, &boss).await;
+    let Team {
+        dataset,
+        server,
+        browser,
+        ann,
+        eve,
+        boss,
+    } = Team::open().await;
     browser.picture("login").await;
 
     log_in(&browser, &ann).await;

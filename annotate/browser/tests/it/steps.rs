@@ -36,6 +36,37 @@ impl Desk {
     }
 }
 
+/// A server with an annotator, a reviewer and an admin, by their tokens, and a browser that nobody is logged in to.
+pub(crate) struct Team {
+    pub(crate) dataset: Dataset,
+    pub(crate) server: Server,
+    pub(crate) browser: Browser,
+    pub(crate) ann: String,
+    pub(crate) eve: String,
+    pub(crate) boss: String,
+}
+
+impl Team {
+    pub(crate) async fn open() -> Self {
+        let dataset = Dataset::fresh().await;
+        let ann = dataset.add_user("ann", "annotator").await;
+        let eve = dataset.add_user("eve", "reviewer").await;
+        let boss = dataset.add_user("boss", "admin").await;
+        let server = Server::start(&dataset).await;
+        let browser = Browser::start(Graphics::Software).await;
+        browser.open(&server.page("")).await;
+        nothing_by_chance(&browser, &boss).await;
+        Self {
+            dataset,
+            server,
+            browser,
+            ann,
+            eve,
+            boss,
+        }
+    }
+}
+
 /// Settings without random draws: no gold tasks and no blind tasks.
 pub(crate) async fn nothing_by_chance(browser: &Browser, admin: &str) {
     let settings = browser.request_as(admin, "GET", "settings", None).await;

@@ -150,7 +150,7 @@ fn mask_rows(
             .range
             .is_some_and(|range| check_range(range, frames).is_err())
         {
-            // The clip was ingested anew since, and is shorter now.
+            // The clip was ingested again after the answer, and is shorter than it was.
             done.count("masks_past_the_clip", 1);
             continue;
         }

@@ -44,7 +44,7 @@ impl Exported {
         *self.counts.entry(what.to_owned()).or_default() += count as i64;
     }
 
-    /// Counts omitted items. Of what is nowhere omitted, there is no count.
+    /// Counts omitted items. A count of 0 is not written.
     pub(super) fn lose(&mut self, what: &str, count: usize) {
         if count > 0 {
             self.count(what, count);

@@ -235,13 +235,12 @@ pub fn check_pair(row: &PairRow) -> Result<(), Error> {
     meaning_of_pair(row).map(|_| ())
 }
 
-/// Checks the row of a mask, except for the motion it names and that its range ends within it.
+/// Checks the row of a mask by itself. Whether its motion exists, and is as long as its range, is not checked.
 ///
 /// # Errors
-/// A joint is unknown or twice in the mask, the mask or its text is empty, or its range is none or too short.
+/// A joint is unknown or twice in the mask, the mask or its text is empty, or its range is empty, half said or too short.
 pub fn check_mask(row: &MaskRow) -> Result<(), Error> {
-    let frames = row.frames(usize::MAX);
-    frames.map_err(|source| unusable(row, source))?;
+    row.range().map_err(|source| unusable(row, source))?;
     blend_of_mask(row).map(|_| ())
 }
 
