@@ -87,21 +87,6 @@ names! {
     }
 }
 
-/// A row of the transition table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Move {
-    /// State before.
-    pub from: TaskState,
-    /// Event.
-    pub event: LogKind,
-    /// Possible next states; the remaining answers and leases decide which.
-    pub to: &'static [TaskState],
-}
-
-const fn row(from: TaskState, event: LogKind, to: &'static [TaskState]) -> Move {
-    Move { from, event, to }
-}
-
 use LogKind as E;
 use TaskState::{Accepted, Dropped, InReview, Leased, Open, Returned, Submitted};
 
@@ -109,90 +94,65 @@ use TaskState::{Accepted, Dropped, InReview, Leased, Open, Returned, Submitted};
 const WANTING: &[TaskState] = &[Open, Leased, Returned];
 /// The same, or all answers are submitted.
 const ANY_UNDECIDED: &[TaskState] = &[Open, Leased, Returned, Submitted];
+/// States in which a reviewer may decide.
+const WITH_REVIEWERS: &[TaskState] = &[Submitted, InReview];
+/// The next state is the same.
+const SAME: &[TaskState] = &[];
 
-/// All legal transitions. Others are refused with `wrong_state`.
-pub const MOVES: &[Move] = &[
-    row(Open, E::Filled, &[Accepted]),
-    row(Open, E::Claimed, &[Leased]),
-    row(Open, E::DraftSaved, &[Open]),
-    row(Open, E::Undone, &[Leased]),
-    row(Open, E::Dropped, &[Dropped]),
-    row(Open, E::SuggestionUsed, &[Open]),
-    row(Open, E::Assigned, &[Leased]),
-    row(Open, E::Retargeted, &[Open, Submitted]),
-    row(Leased, E::Claimed, &[Leased]),
-    row(Leased, E::Assigned, &[Leased]),
-    row(Leased, E::Retargeted, &[Leased]),
-    row(Leased, E::Renewed, &[Leased]),
-    row(Leased, E::Released, WANTING),
-    row(Leased, E::DraftSaved, &[Leased]),
-    row(Leased, E::Submitted, ANY_UNDECIDED),
-    row(Leased, E::Skipped, WANTING),
-    row(Leased, E::Undone, &[Leased]),
-    row(Leased, E::Dropped, &[Dropped]),
-    row(Leased, E::SuggestionUsed, &[Leased]),
-    row(Leased, E::GoldScored, &[Leased]),
-    row(Open, E::GoldScored, &[Open]),
-    row(Returned, E::Claimed, &[Leased]),
-    row(Returned, E::Assigned, &[Leased]),
-    row(Returned, E::Retargeted, &[Returned]),
-    row(Returned, E::Released, WANTING),
-    row(Returned, E::DraftSaved, &[Returned]),
-    row(Returned, E::Undone, &[Leased]),
-    row(Returned, E::Dropped, &[Dropped]),
-    row(Returned, E::SuggestionUsed, &[Returned]),
-    row(Submitted, E::Claimed, &[InReview]),
-    row(Submitted, E::DraftSaved, &[Submitted]),
-    row(Submitted, E::Undone, &[Leased]),
-    row(Submitted, E::Accepted, &[Accepted]),
-    row(Submitted, E::Merged, &[Accepted]),
-    row(Submitted, E::Returned, &[Returned]),
-    row(Submitted, E::Dropped, &[Dropped]),
-    row(Submitted, E::SuggestionUsed, &[Submitted]),
-    row(InReview, E::Renewed, &[InReview]),
-    row(InReview, E::Released, &[Submitted]),
-    row(InReview, E::DraftSaved, &[InReview]),
-    row(InReview, E::Accepted, &[Accepted]),
-    row(InReview, E::Merged, &[Accepted]),
-    row(InReview, E::Returned, &[Returned]),
-    row(InReview, E::Dropped, &[Dropped]),
-    row(InReview, E::SuggestionUsed, &[InReview]),
-    row(Accepted, E::DraftSaved, &[Accepted]),
-    row(Accepted, E::Reopened, ANY_UNDECIDED),
-    row(Accepted, E::SuggestionUsed, &[Accepted]),
-    row(Dropped, E::DraftSaved, &[Dropped]),
-    row(Dropped, E::Reopened, ANY_UNDECIDED),
-    row(Dropped, E::SuggestionUsed, &[Dropped]),
-    row(Open, E::ClipChanged, &[Open]),
-    row(Leased, E::ClipChanged, &[Leased]),
-    row(Returned, E::ClipChanged, &[Returned]),
-    row(Submitted, E::ClipChanged, &[Submitted]),
-    row(InReview, E::ClipChanged, &[InReview]),
-    row(Accepted, E::ClipChanged, &[Accepted]),
-    row(Dropped, E::ClipChanged, &[Dropped]),
-    row(Open, E::ClipKept, &[Open]),
-    row(Leased, E::ClipKept, &[Leased]),
-    row(Returned, E::ClipKept, &[Returned]),
-    row(Submitted, E::ClipKept, &[Submitted]),
-    row(InReview, E::ClipKept, &[InReview]),
-    row(Accepted, E::ClipKept, &[Accepted]),
-    row(Dropped, E::ClipKept, &[Dropped]),
+/// All legal transitions: the event, the states before, and the possible next ones, of which the remaining answers and
+/// leases decide. Others are refused with `wrong_state`.
+pub const MOVES: &[(LogKind, &[TaskState], &[TaskState])] = &[
+    (E::Filled, &[Open], &[Accepted]),
+    (E::Claimed, WANTING, &[Leased]),
+    (E::Claimed, &[Submitted], &[InReview]),
+    (E::Assigned, WANTING, &[Leased]),
+    (E::Retargeted, &[Open], &[Open, Submitted]),
+    (E::Retargeted, &[Leased, Returned], SAME),
+    (E::Renewed, &[Leased, InReview], SAME),
+    (E::Released, &[Leased, Returned], WANTING),
+    (E::Released, &[InReview], &[Submitted]),
+    (E::Submitted, &[Leased], ANY_UNDECIDED),
+    (E::Skipped, &[Leased], WANTING),
+    (E::GoldScored, &[Open, Leased], SAME),
+    (E::Undone, ANY_UNDECIDED, &[Leased]),
+    (E::Accepted, WITH_REVIEWERS, &[Accepted]),
+    (E::Merged, WITH_REVIEWERS, &[Accepted]),
+    (E::Returned, WITH_REVIEWERS, &[Returned]),
+    (
+        E::Dropped,
+        &[Open, Leased, Returned, Submitted, InReview],
+        &[Dropped],
+    ),
+    (E::Reopened, &[Accepted, Dropped], ANY_UNDECIDED),
+    (E::DraftSaved, TaskState::ALL, SAME),
+    (E::SuggestionUsed, TaskState::ALL, SAME),
+    (E::ClipChanged, TaskState::ALL, SAME),
+    (E::ClipKept, TaskState::ALL, SAME),
 ];
 
 /// Possible next states of an event; empty if it is not legal.
 pub fn targets(from: TaskState, event: LogKind) -> &'static [TaskState] {
-    MOVES
-        .iter()
-        .find(|row| row.from == from && row.event == event)
-        .map_or(&[], |row| row.to)
+    let found = MOVES.iter().find_map(|&(known, before, to)| {
+        let state = before.iter().find(|state| **state == from)?;
+        (known == event).then_some((state, to))
+    });
+    match found {
+        None => &[],
+        Some((state, [])) => std::slice::from_ref(state),
+        Some((_, to)) => to,
+    }
 }
 
 /// The table as Markdown, for `docs/data-model.md`.
 pub fn markdown() -> String {
-    let mut text = "| from | event | to |\n|---|---|---|\n".to_owned();
-    for row in MOVES {
-        let to: Vec<&str> = row.to.iter().map(|state| state.as_str()).collect();
-        text += &format!("| {} | {} | {} |\n", row.from, row.event, to.join(", "));
+    let names = |states: &[TaskState]| match states {
+        [] => "the same".to_owned(),
+        _ if states == TaskState::ALL => "any".to_owned(),
+        _ => Vec::from_iter(states.iter().map(|state| state.as_str())).join(", "),
+    };
+    let mut text = "| event | from | to |\n|---|---|---|\n".to_owned();
+    for (event, before, to) in MOVES {
+        text += &format!("| {event} | {} | {} |\n", names(before), names(to));
     }
     text
 }
@@ -205,14 +165,17 @@ mod tests {
 
     #[test]
     fn every_move_is_listed_once_and_every_state_is_reached_and_left() {
-        let keys: BTreeSet<_> = MOVES.iter().map(|row| (row.from, row.event)).collect();
-        assert_eq!(keys.len(), MOVES.len());
+        let keys: Vec<(LogKind, TaskState)> = MOVES
+            .iter()
+            .flat_map(|&(event, before, _)| before.iter().map(move |&state| (event, state)))
+            .collect();
+        assert_eq!(BTreeSet::from_iter(&keys).len(), keys.len());
         let mut reached = BTreeSet::from([Open]);
         loop {
             let before = reached.len();
-            for row in MOVES {
-                if reached.contains(&row.from) {
-                    reached.extend(row.to);
+            for &(event, state) in &keys {
+                if reached.contains(&state) {
+                    reached.extend(targets(state, event));
                 }
             }
             if reached.len() == before {
@@ -221,11 +184,8 @@ mod tests {
         }
         assert_eq!(reached.len(), TaskState::ALL.len());
         for &state in TaskState::ALL {
-            assert!(
-                MOVES
-                    .iter()
-                    .any(|row| row.from == state && row.to != [state])
-            );
+            let mut of_state = keys.iter().filter(|key| key.1 == state);
+            assert!(of_state.any(|&(event, _)| targets(state, event) != [state]));
         }
     }
 
