@@ -26,9 +26,12 @@ fn moving_joints(part: BodyPart) -> Vec<usize> {
         .collect()
 }
 
+/// Positions of the joints of the body.
+type Joints = [DVec3; NUM_BODY_JOINTS];
+
 /// Positions of arm joints in the frame of the chest, and of other joints in the frame of pelvis and heading.
 /// Movement of the root or the spine thus does not count as movement of the arms.
-fn carried(motion: &Motion, skeleton: &Skeleton) -> Vec<[DVec3; NUM_BODY_JOINTS]> {
+fn carried(motion: &Motion, skeleton: &Skeleton) -> Vec<Joints> {
     motion
         .poses()
         .iter()
@@ -48,21 +51,24 @@ fn carried(motion: &Motion, skeleton: &Skeleton) -> Vec<[DVec3; NUM_BODY_JOINTS]
         .collect()
 }
 
+/// Mean distance of joints at two times, or of two motions.
+fn apart(a: &Joints, b: &Joints, joints: &[usize]) -> f64 {
+    let sum: f64 = joints
+        .iter()
+        .map(|&joint| a[joint].distance(b[joint]))
+        .sum();
+    sum / joints.len() as f64
+}
+
 /// Mean speed of the joints of each part in m/s, frame by frame; the first frame has the speed of the second.
 pub(crate) fn part_speeds(motion: &Motion, skeleton: &Skeleton) -> [Vec<f64>; NUM_RELEASE_PARTS] {
     let carried = carried(motion, skeleton);
     let fps = motion.fps().get();
     RELEASE_PARTS.map(|part| {
         let joints = moving_joints(part);
-        let mut speeds: Vec<f64> = carried
-            .windows(2)
-            .map(|pair| {
-                let moved: f64 = joints
-                    .iter()
-                    .map(|&joint| pair[0][joint].distance(pair[1][joint]))
-                    .sum();
-                moved / joints.len() as f64 * fps
-            })
+        let steps = carried.windows(2);
+        let mut speeds: Vec<f64> = steps
+            .map(|pair| apart(&pair[0], &pair[1], &joints) * fps)
             .collect();
         speeds.insert(0, speeds.first().copied().unwrap_or(0.0));
         speeds
@@ -75,14 +81,12 @@ pub(crate) fn heat(
     skeleton: &Skeleton,
     reference: &[f64; NUM_RELEASE_PARTS],
 ) -> [Vec<f32>; NUM_RELEASE_PARTS] {
-    let mut rows = part_speeds(motion, skeleton).into_iter().zip(reference);
-    std::array::from_fn(|_| {
-        rows.next().map_or_else(Vec::new, |(speeds, reference)| {
-            speeds
-                .into_iter()
-                .map(|speed| (speed / reference) as f32)
-                .collect()
-        })
+    let speeds = part_speeds(motion, skeleton);
+    std::array::from_fn(|part| {
+        let speeds = speeds[part].iter();
+        speeds
+            .map(|speed| (speed / reference[part]) as f32)
+            .collect()
     })
 }
 
@@ -109,7 +113,7 @@ pub(crate) fn active_parts(heat: &[Vec<f32>; NUM_RELEASE_PARTS]) -> Vec<BodyPart
 /// Distance of the root, then of the release parts, in metres: `[6][T]` over the frames of the shorter motion.
 pub(crate) fn difference(source: &Motion, target: &Motion, skeleton: &Skeleton) -> Vec<Vec<f32>> {
     let frames = source.len().min(target.len());
-    let relative = |motion: &Motion| -> Vec<(DVec3, [DVec3; NUM_BODY_JOINTS])> {
+    let relative = |motion: &Motion| -> Vec<(DVec3, Joints)> {
         (0..frames)
             .map(|frame| {
                 let pose = motion.pose(frame);
@@ -131,17 +135,8 @@ pub(crate) fn difference(source: &Motion, target: &Motion, skeleton: &Skeleton) 
     let mut rows = vec![root];
     for part in RELEASE_PARTS {
         let joints: Vec<usize> = part.mask().hard().iter().map(Joint::index).collect();
-        rows.push(
-            (0..frames)
-                .map(|frame| {
-                    let apart: f64 = joints
-                        .iter()
-                        .map(|&joint| a[frame].1[joint].distance(b[frame].1[joint]))
-                        .sum();
-                    (apart / joints.len() as f64) as f32
-                })
-                .collect(),
-        );
+        let of_part = (0..frames).map(|frame| apart(&a[frame].1, &b[frame].1, &joints) as f32);
+        rows.push(of_part.collect());
     }
     rows
 }

@@ -13,7 +13,8 @@ use crate::store::Millis;
 /// Returns the current time.
 pub type Clock = Arc<dyn Fn() -> Millis + Send + Sync>;
 
-const DAY: Millis = 24 * 60 * 60 * 1000;
+/// A day of 24 hours.
+pub(crate) const DAY: Millis = 24 * 60 * 60 * 1000;
 
 /// Whether this is the name of a time zone, such as `Europe/Berlin`.
 pub(crate) fn is_zone(name: &str) -> bool {

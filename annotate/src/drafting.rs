@@ -1,11 +1,13 @@
 //! Drafts by a language model for a whole project, made before people start. Annotators use, edit or discard each.
 
 use std::collections::BTreeSet;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use datasets_spec::BodyPart;
 
 use crate::Error;
+use crate::lock::lock;
 use crate::mask::known_parts;
 use crate::model::Model;
 use crate::motions::MotionLibrary;
@@ -40,38 +42,31 @@ fn each(
     done: &mut Drafted,
     ask: impl Fn(&TaskRecord) -> Result<usize, Error> + Sync,
 ) -> Result<(), Error> {
-    let (next, failures) = (AtomicUsize::new(0), AtomicUsize::new(done.failures));
+    done.looked_at += tasks.len();
+    let (next, done) = (AtomicUsize::new(0), Mutex::new(done));
+    let goes_on = || lock(&done).failures < MAX_FAILURES;
     let work = || {
-        let mut mine = (0, None);
-        while failures.load(Ordering::Relaxed) < MAX_FAILURES
+        while goes_on()
             && let Some(task) = tasks.get(next.fetch_add(1, Ordering::Relaxed))
         {
             match ask(task) {
-                Ok(texts) => mine.0 += texts,
+                Ok(0) => lock(&done).without_parts += 1,
+                Ok(texts) => lock(&done).texts += texts,
                 Err(Error::Refused(problem)) => {
-                    failures.fetch_add(1, Ordering::Relaxed);
-                    mine.1 = Some(problem.detail);
+                    let mut done = lock(&done);
+                    done.failures += 1;
+                    done.last_failure = Some(problem.detail);
                 }
                 Err(error) => return Err(error),
             }
         }
-        Ok(mine)
+        Ok(())
     };
-    let results: Vec<Result<(usize, Option<String>), Error>> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..PARALLEL).map(|_| scope.spawn(work)).collect();
-        threads
-            .into_iter()
-            .map(|thread| thread.join().unwrap_or(Err(Error::Closed)))
-            .collect()
-    });
-    done.looked_at += tasks.len();
-    done.failures = failures.load(Ordering::Relaxed);
-    for result in results {
-        let (texts, failure) = result?;
-        done.texts += texts;
-        done.last_failure = failure.or(done.last_failure.take());
-    }
-    Ok(())
+    std::thread::scope(|scope| {
+        let threads = [(); PARALLEL].map(|()| scope.spawn(work));
+        let mut ends = threads.into_iter().map(|thread| thread.join());
+        ends.try_for_each(|end| end.unwrap_or(Err(Error::Closed)))
+    })
 }
 
 /// Asks for drafts of up to `limit` tasks that still want answers and have no draft of a model: one for each suggested
@@ -89,7 +84,6 @@ pub fn draft_all(
     progress: &mut dyn FnMut(usize),
 ) -> Result<Drafted, Error> {
     let mut done = Drafted::default();
-    let without_parts = AtomicUsize::new(0);
     let mut after = 0;
     while done.looked_at < limit && done.failures < MAX_FAILURES {
         let tasks = store.undrafted(kind, after, BATCH.min(limit - done.looked_at))?;
@@ -97,24 +91,14 @@ pub fn draft_all(
         after = last.id;
         each(&tasks, &mut done, |task| {
             let parts = parts_to_describe(store, motions, task)?;
-            if parts.is_empty() {
-                without_parts.fetch_add(1, Ordering::Relaxed);
-            }
-            let hashes = std::iter::once(task.source.clone()).chain(task.target.clone());
-            let clips = store.motions(hashes.collect())?;
-            let captions: Vec<&str> = clips
-                .iter()
-                .flat_map(|motion| motion.captions.iter().map(String::as_str))
-                .collect();
             for parts in &parts {
-                let draft = model.suggest(store, task, &captions, parts)?;
+                let draft = model.suggest(store, task, parts)?;
                 store.put_suggestion(task.id, draft, now)?;
             }
             Ok(parts.len())
         })?;
         progress(done.looked_at);
     }
-    done.without_parts = without_parts.into_inner();
     Ok(done)
 }
 

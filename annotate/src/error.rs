@@ -135,10 +135,11 @@ impl Error {
 impl Problem {
     /// A problem of this code.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
+        let (status, title) = code.meaning();
         Self {
             kind: format!("/problems/{code}"),
-            title: code.title().to_owned(),
-            status: code.status(),
+            title: title.to_owned(),
+            status,
             code,
             detail: detail.into(),
             field: None,
@@ -155,56 +156,32 @@ impl Problem {
 }
 
 impl Code {
-    /// The HTTP status.
-    pub fn status(self) -> u16 {
+    /// The HTTP status, and the meaning in one line.
+    fn meaning(self) -> (u16, &'static str) {
         match self {
-            Self::Unauthenticated => 401,
-            Self::Forbidden | Self::Csrf | Self::WrongOrigin | Self::OwnWork => 403,
-            Self::WrongHost => 421,
-            Self::NotFound => 404,
-            Self::MethodNotAllowed => 405,
-            Self::BadRequest => 400,
-            Self::TooLarge => 413,
-            Self::Invalid | Self::MaskCount => 422,
-            Self::StaleRevision
-            | Self::LeaseLost
-            | Self::TaskFull
-            | Self::WrongState
-            | Self::KeyReused => 409,
-            Self::RateLimited => 429,
-            Self::NoModel | Self::Timeout => 503,
-            Self::ModelFailed => 502,
-            Self::ReadOnly => 507,
-            Self::Internal => 500,
-        }
-    }
-
-    /// Meaning of the code in one line.
-    pub fn title(self) -> &'static str {
-        match self {
-            Self::Unauthenticated => "Not logged in",
-            Self::Forbidden => "Not allowed",
-            Self::Csrf => "The header X-Annotate is missing",
-            Self::WrongOrigin => "Request from another site",
-            Self::WrongHost => "Not the name of this server",
-            Self::OwnWork => "Reviewing your own work",
-            Self::NotFound => "Not found",
-            Self::MethodNotAllowed => "Method not allowed",
-            Self::BadRequest => "Malformed request",
-            Self::TooLarge => "Too large",
-            Self::Invalid => "Invalid value",
-            Self::MaskCount => "Too few or too many masks",
-            Self::StaleRevision => "Changed elsewhere",
-            Self::LeaseLost => "The task was given to somebody else",
-            Self::TaskFull => "The task has enough annotators",
-            Self::WrongState => "Not possible in this state",
-            Self::KeyReused => "Key used before",
-            Self::RateLimited => "Too many requests",
-            Self::NoModel => "No language model",
-            Self::ModelFailed => "The language model failed",
-            Self::Timeout => "Timeout",
-            Self::ReadOnly => "The store is read-only",
-            Self::Internal => "Internal server error",
+            Self::Unauthenticated => (401, "Not logged in"),
+            Self::Forbidden => (403, "Not allowed"),
+            Self::Csrf => (403, "The header X-Annotate is missing"),
+            Self::WrongOrigin => (403, "Request from another site"),
+            Self::WrongHost => (421, "Not the name of this server"),
+            Self::OwnWork => (403, "Reviewing your own work"),
+            Self::NotFound => (404, "Not found"),
+            Self::MethodNotAllowed => (405, "Method not allowed"),
+            Self::BadRequest => (400, "Malformed request"),
+            Self::TooLarge => (413, "Too large"),
+            Self::Invalid => (422, "Invalid value"),
+            Self::MaskCount => (422, "Too few or too many masks"),
+            Self::StaleRevision => (409, "Changed elsewhere"),
+            Self::LeaseLost => (409, "The task was given to somebody else"),
+            Self::TaskFull => (409, "The task has enough annotators"),
+            Self::WrongState => (409, "Not possible in this state"),
+            Self::KeyReused => (409, "Key used before"),
+            Self::RateLimited => (429, "Too many requests"),
+            Self::NoModel => (503, "No language model"),
+            Self::ModelFailed => (502, "The language model failed"),
+            Self::Timeout => (503, "Timeout"),
+            Self::ReadOnly => (507, "The store is read-only"),
+            Self::Internal => (500, "Internal server error"),
         }
     }
 }

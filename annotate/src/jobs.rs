@@ -6,24 +6,16 @@ use std::sync::Arc;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
+use datasets_spec::Error as Spec;
+
 use crate::Error;
-use crate::clock::Clock;
+use crate::http::App;
 use crate::store::{Millis, MotionRecord, Store};
-use crate::transfer::{self, Exported, Selection, Taken};
+use crate::transfer::{self, Exported, Selection};
 use crate::wire::{Code, ExportFormat, ExportRequest, ImportFormat, Job};
 
-/// A requested import.
-#[derive(Debug)]
-pub(crate) struct Import {
-    pub(crate) format: ImportFormat,
-    pub(crate) dataset: PathBuf,
-    /// Data folder of the server.
-    pub(crate) data: PathBuf,
-    pub(crate) body: Vec<u8>,
-}
-
 /// Folder of a job's files.
-pub(crate) fn folder(data: &Path, job: i64) -> PathBuf {
+fn folder(data: &Path, job: i64) -> PathBuf {
     data.join("exports").join(job.to_string())
 }
 
@@ -39,14 +31,42 @@ pub(crate) fn abandon(store: &Store, now: Millis) -> Result<(), Error> {
     store.abandon(now - SILENT, now)
 }
 
+/// Starts a job on a thread of its own.
+fn start(
+    app: &Arc<App>,
+    kind: &str,
+    format: &str,
+    work: impl FnOnce(&App, &mut Job) -> Result<(), Error> + Send + 'static,
+) -> Result<Job, Error> {
+    let now = app.now();
+    let new = Job {
+        kind: kind.to_owned(),
+        format: format.to_owned(),
+        state: "running".to_owned(),
+        started: now,
+        heartbeat: now,
+        ..Job::default()
+    };
+    let job = app.store.put_job(new, now)?;
+    let (app, mut running) = (Arc::clone(app), job.clone());
+    std::thread::Builder::new()
+        .name("annotate-job".to_owned())
+        .spawn(move || {
+            let outcome = reported(&app, running.id, || work(&app, &mut running));
+            finish(&app, running, outcome);
+        })
+        .map_err(Spec::io("start a thread for", "a job"))?;
+    Ok(job)
+}
+
 /// Does the work of a job, and reports meanwhile that it runs.
-fn reported<T>(store: &Store, clock: &Clock, job: i64, work: impl FnOnce() -> T) -> T {
+fn reported<T>(app: &App, job: i64, work: impl FnOnce() -> T) -> T {
     let (running, ended) = std::sync::mpsc::channel::<()>();
     std::thread::scope(|scope| {
         scope.spawn(move || {
             while ended.recv_timeout(BEAT) == Err(RecvTimeoutError::Timeout) {
                 // A later report replaces one that was not stored.
-                let _kept = store.beat(job, clock());
+                let _kept = app.store.beat(job, app.now());
             }
         });
         let _running = running;
@@ -54,26 +74,9 @@ fn reported<T>(store: &Store, clock: &Clock, job: i64, work: impl FnOnce() -> T)
     })
 }
 
-fn new_job(kind: &str, format: &str, now: Millis) -> Job {
-    Job {
-        id: 0,
-        kind: kind.to_owned(),
-        format: format.to_owned(),
-        state: "running".to_owned(),
-        done: 0,
-        total: None,
-        counts: BTreeMap::new(),
-        messages: Vec::new(),
-        files: Vec::new(),
-        started: now,
-        finished: None,
-        heartbeat: now,
-    }
-}
-
 /// Records the result of a job.
-fn finish(store: &Store, clock: &Clock, mut job: Job, outcome: Result<(), Error>) {
-    let now = clock();
+fn finish(app: &App, mut job: Job, outcome: Result<(), Error>) {
+    let now = app.now();
     job.finished = Some(now);
     match outcome {
         Ok(()) => "done".clone_into(&mut job.state),
@@ -83,153 +86,102 @@ fn finish(store: &Store, clock: &Clock, mut job: Job, outcome: Result<(), Error>
         }
     }
     // If the store fails here, requests report it.
-    let _kept = store.put_job(job, now);
+    let _kept = app.store.put_job(job, now);
 }
 
-fn spawn(work: impl FnOnce() + Send + 'static) -> Result<(), Error> {
-    std::thread::Builder::new()
-        .name("annotate-job".to_owned())
-        .spawn(work)
-        .map(|_| ())
-        .map_err(|error| datasets_spec::Error::io("start a thread for", "a job")(error).into())
-}
-
+/// Starts an import of the dataset, or of an upload.
 pub(crate) fn start_import(
-    store: &Arc<Store>,
-    clock: &Clock,
+    app: &Arc<App>,
     actor: i64,
-    import: Import,
+    format: ImportFormat,
+    body: Vec<u8>,
 ) -> Result<Job, Error> {
-    let now = clock();
-    let job = store.put_job(new_job("import", import.format.as_str(), now), now)?;
-    let (store, clock, mut running) = (Arc::clone(store), Arc::clone(clock), job.clone());
-    spawn(move || {
-        let outcome = reported(store.as_ref(), &clock, running.id, || {
-            run_import(store.as_ref(), &clock, actor, import, &mut running)
-        });
-        finish(store.as_ref(), &clock, running, outcome);
-    })?;
-    Ok(job)
-}
-
-fn run_import(
-    store: &Store,
-    clock: &Clock,
-    actor: i64,
-    import: Import,
-    job: &mut Job,
-) -> Result<(), Error> {
-    let taken: Taken = match import.format {
-        ImportFormat::Dataset => {
-            let mut shown = job.clone();
-            transfer::from_dataset(
-                store,
-                &import.dataset,
-                Some(actor),
-                clock(),
-                &mut |done, total| {
+    start(app, "import", format.as_str(), move |app, job| {
+        let (store, actor, now) = (app.store.as_ref(), Some(actor), app.now());
+        let taken = match format {
+            ImportFormat::Dataset => {
+                let mut shown = job.clone();
+                let mut progress = |done, total| {
                     shown.done = done;
                     shown.total = Some(total);
                     // A later report replaces one that was not stored.
-                    let _kept = store.put_job(shown.clone(), clock());
-                },
-            )?
-        }
-        ImportFormat::Stance => {
-            let document = serde_json::from_slice(&import.body).map_err(|error| Error::Import {
-                what: "the annotations of a STANCE release".to_owned(),
-                problem: error.to_string(),
-            })?;
-            let motions = known_motions(store)?;
-            transfer::from_release(store, &motions, &document, Some(actor), clock())?
-        }
-        ImportFormat::Annotations => {
-            let file = upload_in(&import.data, job.id, &import.body)?;
-            let motions = known_motions(store)?;
-            let taken = transfer::from_annotations(store, &motions, &file, Some(actor), clock());
-            // A file that cannot be removed only uses space.
-            let _removed = std::fs::remove_file(&file);
-            taken?
-        }
-    };
-    job.done = taken.counts.values().sum();
-    job.counts = taken.counts;
-    job.messages.extend(taken.messages);
-    Ok(())
+                    let _kept = store.put_job(shown.clone(), app.now());
+                };
+                transfer::from_dataset(store, &app.config.dataset, actor, now, &mut progress)?
+            }
+            ImportFormat::Stance => {
+                let document = serde_json::from_slice(&body).map_err(|error| Error::Import {
+                    what: "the annotations of a STANCE release".to_owned(),
+                    problem: error.to_string(),
+                })?;
+                transfer::from_release(store, &known_motions(store)?, &document, actor, now)?
+            }
+            ImportFormat::Annotations => {
+                let (file, motions) = (upload_in(app, job.id, &body)?, known_motions(store)?);
+                let taken = transfer::from_annotations(store, &motions, &file, actor, now);
+                // A file that cannot be removed only uses space.
+                let _removed = std::fs::remove_file(&file);
+                taken?
+            }
+        };
+        job.done = taken.counts.values().sum();
+        job.counts = taken.counts;
+        job.messages.extend(taken.messages);
+        Ok(())
+    })
 }
 
 /// Stores an upload in the server's data folder. In a shared folder such as /tmp, another user could have
 /// placed a symbolic link under the name.
-fn upload_in(data: &Path, job: i64, body: &[u8]) -> Result<PathBuf, Error> {
-    let folder = data.join("imports");
-    std::fs::create_dir_all(&folder).map_err(datasets_spec::Error::io("create folder", &folder))?;
+fn upload_in(app: &App, job: i64, body: &[u8]) -> Result<PathBuf, Error> {
+    let folder = app.config.data.join("imports");
+    std::fs::create_dir_all(&folder).map_err(Spec::io("create folder", &folder))?;
     let path = folder.join(format!("{job}.parquet"));
-    std::fs::write(&path, body).map_err(datasets_spec::Error::io("write", &path))?;
+    std::fs::write(&path, body).map_err(Spec::io("write", &path))?;
     Ok(path)
 }
 
 /// All motions of a store by their ids.
-pub(crate) fn known_motions(store: &Store) -> Result<BTreeMap<String, MotionRecord>, Error> {
-    Ok(store
-        .all_motions()?
-        .into_iter()
-        .map(|motion| (motion.id.clone(), motion))
-        .collect())
+///
+/// # Errors
+/// The store fails.
+pub fn known_motions(store: &Store) -> Result<BTreeMap<String, MotionRecord>, Error> {
+    let motions = store.all_motions()?.into_iter();
+    Ok(motions.map(|motion| (motion.id.clone(), motion)).collect())
 }
 
+/// Starts an export.
 pub(crate) fn start_export(
-    store: &Arc<Store>,
-    clock: &Clock,
-    data: &Path,
-    dataset: &Path,
+    app: &Arc<App>,
     actor: i64,
     request: ExportRequest,
 ) -> Result<Job, Error> {
-    let now = clock();
-    let job = store.put_job(new_job("export", request.format.as_str(), now), now)?;
-    let (store, clock, mut running) = (Arc::clone(store), Arc::clone(clock), job.clone());
-    let (folder, dataset) = (folder(data, job.id), dataset.to_owned());
-    spawn(move || {
+    start(app, "export", request.format.as_str(), move |app, job| {
         let selection = Selection {
             format: request.format,
             splits: request.splits,
             events: request.events,
         };
+        let (store, folder) = (app.store.as_ref(), folder(&app.config.data, job.id));
         let holder = format!("annotation server, process {}", std::process::id());
-        let exported = reported(store.as_ref(), &clock, running.id, || {
-            let done = transfer::export(store.as_ref(), &dataset, &folder, &selection, &holder)?;
-            if store.is_shared() {
-                keep_files(store.as_ref(), running.id, &folder, &done.files)?;
-            }
-            Ok(done)
-        });
-        let outcome = exported
-            .and_then(|done| {
-                log_export(
-                    store.as_ref(),
-                    Some(actor),
-                    selection.format,
-                    &done,
-                    clock(),
-                )
-                .map(|()| done)
-            })
-            .map(|done| {
-                running.done = done.counts.values().sum();
-                running.counts = done.counts;
-                running.messages = done.messages;
-                running.files = done.files;
-            });
-        finish(store.as_ref(), &clock, running, outcome);
-    })?;
-    Ok(job)
+        let done = transfer::export(store, &app.config.dataset, &folder, &selection, &holder)?;
+        if store.is_shared() {
+            keep_files(store, job.id, &folder, &done.files)?;
+        }
+        log_export(store, Some(actor), selection.format, &done, app.now())?;
+        job.done = done.counts.values().sum();
+        job.counts = done.counts;
+        job.messages = done.messages;
+        job.files = done.files;
+        Ok(())
+    })
 }
 
 /// Keeps files in the store, for the other servers on it.
 fn keep_files(store: &Store, job: i64, folder: &Path, names: &[String]) -> Result<(), Error> {
     for name in names {
         let path = folder.join(name);
-        let file = std::fs::File::open(&path).map_err(datasets_spec::Error::io("read", path))?;
+        let file = std::fs::File::open(&path).map_err(Spec::io("read", path))?;
         store.put_file(job, name, file, KEPT_EXPORTS)?;
     }
     Ok(())
@@ -239,7 +191,7 @@ fn keep_files(store: &Store, job: i64, folder: &Path, names: &[String]) -> Resul
 pub(crate) fn file(store: &Store, data: &Path, job: i64, name: &str) -> Result<Vec<u8>, Error> {
     if !store.is_shared() {
         let path = folder(data, job).join(name);
-        return Ok(std::fs::read(&path).map_err(datasets_spec::Error::io("read", path))?);
+        return Ok(std::fs::read(&path).map_err(Spec::io("read", path))?);
     }
     store.file(job, name)?.ok_or_else(|| {
         Error::refused(

@@ -6,7 +6,8 @@
 use std::time::Duration;
 
 use datasets_spec::BodyPart;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
+use serde_json::Value;
 use sha2::{Digest, Sha256};
 
 use crate::Error;
@@ -34,16 +35,6 @@ pub struct Model {
     agent: ureq::Agent,
 }
 
-impl std::fmt::Debug for Model {
-    /// Without the key.
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Model")
-            .field("url", &self.url)
-            .field("name", &self.name)
-            .finish_non_exhaustive()
-    }
-}
-
 #[derive(Serialize)]
 struct Request<'a> {
     model: &'a str,
@@ -58,51 +49,15 @@ struct Message<'a> {
     content: &'a str,
 }
 
-#[derive(Deserialize)]
-struct Response {
-    choices: Vec<Choice>,
-    usage: Option<Usage>,
-}
-
-#[derive(Deserialize)]
-struct Choice {
-    message: Content,
-}
-
-#[derive(Deserialize)]
-struct Content {
-    content: String,
-}
-
-#[derive(Deserialize)]
-struct Usage {
-    total_tokens: Option<i64>,
-}
-
 const SYSTEM: &str =
     "You help to annotate human motion. Answer with one short English phrase and nothing else.";
-fn empty() -> Error {
+
+/// A failure of the model. Its own error text is not passed on: it could contain the key.
+fn failed(problem: &str) -> Error {
     Error::refused(
         Code::ModelFailed,
-        "the language model sent an empty response; write the text yourself",
+        format!("the language model {problem}; write the text yourself or ask again"),
     )
-}
-
-fn parse(response: &[u8]) -> Result<Response, Error> {
-    serde_json::from_slice(response).map_err(|_| {
-        Error::refused(
-            Code::ModelFailed,
-            "the language model sent an unexpected response; write the text yourself",
-        )
-    })
-}
-
-impl Response {
-    /// What the model answered.
-    fn content(&self) -> Result<&str, Error> {
-        let choice = self.choices.first().ok_or_else(empty)?;
-        Ok(&choice.message.content)
-    }
 }
 
 fn sha(bytes: &[u8]) -> String {
@@ -160,22 +115,31 @@ impl Model {
         &self,
         store: &Store,
         task: &TaskRecord,
-        captions: &[&str],
         parts: &[BodyPart],
     ) -> Result<NewSuggestion, Error> {
+        let hashes = std::iter::once(task.source.clone()).chain(task.target.clone());
+        let motions = store.motions(hashes.collect())?;
+        let captions = motions.iter().flat_map(|motion| &motion.captions);
         let question = question(task, captions, parts);
-        let request = self.request(&question);
-        let failed = |problem: String| Error::refused(Code::ModelFailed, problem);
-        let body = serde_json::to_vec(&request).map_err(|error| failed(error.to_string()))?;
+        let request = Request {
+            model: &self.name,
+            messages: [("system", SYSTEM), ("user", question.as_str())]
+                .map(|(role, content)| Message { role, content }),
+            temperature: 0.2,
+            max_tokens: 80,
+        };
+        let body = serde_json::to_vec(&request).map_err(|_| failed("cannot be asked"))?;
         let prompt_hash = sha(&[self.url.as_bytes(), b"\n", &body].concat());
         if let Some(known) = store.cached_suggestion(&prompt_hash)? {
             return Ok(known);
         }
         let response = self.ask(&body)?;
-        let parsed = parse(&response)?;
-        let text = plain(parsed.content()?);
+        let unexpected = || failed("sent an unexpected response");
+        let answer: Value = serde_json::from_slice(&response).map_err(|_| unexpected())?;
+        let content = &answer["choices"][0]["message"]["content"];
+        let text = plain(content.as_str().ok_or_else(unexpected)?);
         if text.is_empty() {
-            return Err(empty());
+            return Err(failed("sent an empty response"));
         }
         Ok(NewSuggestion {
             source: SuggestionSource::Llm,
@@ -187,37 +151,12 @@ impl Model {
                 "{{\"temperature\":{},\"max_tokens\":{}}}",
                 request.temperature, request.max_tokens
             ),
-            tokens: parsed.usage.and_then(|usage| usage.total_tokens),
+            tokens: answer["usage"]["total_tokens"].as_i64(),
             response_hash: sha(&response),
         })
     }
 
-    fn request<'a>(&'a self, question: &'a str) -> Request<'a> {
-        Request {
-            model: &self.name,
-            messages: [
-                Message {
-                    role: "system",
-                    content: SYSTEM,
-                },
-                Message {
-                    role: "user",
-                    content: question,
-                },
-            ],
-            temperature: 0.2,
-            max_tokens: 80,
-        }
-    }
-
     fn ask(&self, body: &[u8]) -> Result<Vec<u8>, Error> {
-        // Do not pass on the endpoint's own error text: it could contain the key.
-        let failed = |problem: &str| {
-            Error::refused(
-                Code::ModelFailed,
-                format!("the language model {problem}; write the text yourself or ask again"),
-            )
-        };
         let mut request = self
             .agent
             .post(format!("{}/chat/completions", self.url))
@@ -242,11 +181,14 @@ impl Model {
     }
 }
 
-fn question(task: &TaskRecord, captions: &[&str], parts: &[BodyPart]) -> String {
+fn question<'a>(
+    task: &TaskRecord,
+    captions: impl Iterator<Item = &'a String>,
+    parts: &[BodyPart],
+) -> String {
     let parts: Vec<String> = parts.iter().map(|part| part.phrase()).collect();
     let parts = parts.join(" and ");
     let captions: Vec<String> = captions
-        .iter()
         .take(MAX_CAPTIONS)
         .map(|caption| {
             let capped: String = caption.chars().take(MAX_CAPTION_CHARS).collect();
@@ -317,12 +259,5 @@ mod tests {
         ] {
             assert_eq!(Model::new(url, "m", None).is_ok(), fine, "{url}");
         }
-    }
-
-    #[test]
-    fn the_key_is_not_shown() {
-        let model =
-            Model::new("http://localhost/v1", "m", Some("secret".to_owned())).expect("fine");
-        assert!(!format!("{model:?}").contains("secret"));
     }
 }

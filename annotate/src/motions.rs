@@ -20,6 +20,7 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::activity::{active_parts, difference, heat, part_speeds};
 use crate::body::NUM_RELEASE_PARTS;
+use crate::lock::lock;
 
 /// Activity 1 is this quantile of the part's speed over training frames.
 const REFERENCE_QUANTILE: f64 = 0.95;
@@ -46,14 +47,6 @@ pub struct MotionLibrary {
     cache: Mutex<VecDeque<(String, Arc<Motion>)>>,
     /// Cache of active parts by content hash.
     active: Mutex<BTreeMap<String, Vec<BodyPart>>>,
-}
-
-impl std::fmt::Debug for MotionLibrary {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("MotionLibrary")
-            .field("motions", &self.places.len())
-            .finish_non_exhaustive()
-    }
 }
 
 impl MotionLibrary {
@@ -124,18 +117,8 @@ impl MotionLibrary {
     }
 
     /// Number of motions.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.places.len()
-    }
-
-    /// Whether there is no motion.
-    pub fn is_empty(&self) -> bool {
-        self.places.is_empty()
-    }
-
-    /// Skeleton of all motions.
-    pub fn skeleton(&self) -> &Skeleton {
-        &self.skeleton
     }
 
     fn read(&self, hash: &str) -> Result<Motion, Error> {
@@ -153,10 +136,7 @@ impl MotionLibrary {
     /// # Errors
     /// There is none, or it cannot be read.
     pub fn motion(&self, hash: &str) -> Result<Arc<Motion>, Error> {
-        let mut cache = self
-            .cache
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut cache = lock(&self.cache);
         if let Some(at) = cache.iter().position(|(known, _)| known == hash)
             && let Some(entry) = cache.remove(at)
         {
@@ -166,10 +146,7 @@ impl MotionLibrary {
         }
         drop(cache);
         let motion = Arc::new(self.read(hash)?);
-        let mut cache = self
-            .cache
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut cache = lock(&self.cache);
         cache.push_front((hash.to_owned(), Arc::clone(&motion)));
         cache.truncate(CACHED);
         Ok(motion)
@@ -206,17 +183,11 @@ impl MotionLibrary {
     /// # Errors
     /// As [`MotionLibrary::motion`].
     pub fn active_parts(&self, hash: &str) -> Result<Vec<BodyPart>, Error> {
-        let known = |active: &BTreeMap<String, Vec<BodyPart>>| active.get(hash).cloned();
-        let lock = || {
-            self.active
-                .lock()
-                .unwrap_or_else(std::sync::PoisonError::into_inner)
-        };
-        if let Some(parts) = known(&lock()) {
-            return Ok(parts);
+        if let Some(parts) = lock(&self.active).get(hash) {
+            return Ok(parts.clone());
         }
         let parts = active_parts(&self.heat(hash)?);
-        lock().insert(hash.to_owned(), parts.clone());
+        lock(&self.active).insert(hash.to_owned(), parts.clone());
         Ok(parts)
     }
 
@@ -272,19 +243,10 @@ impl MotionLibrary {
         let source = self.motion(source)?;
         let target = self.in_step(&source, self.motion(target)?, false)?;
         let frames = source.len().min(target.len());
-        let (source, target) = (cropped(&source, frames)?, cropped(&target, frames)?);
+        let (source, target) = (source.crop(0..frames)?, target.crop(0..frames)?);
         let blended = blend_motion(&source, &target, mask, alpha, SlerpRule::Exact)?;
         Ok(joint_bytes(&self.points(&blended)))
     }
-}
-
-fn cropped(motion: &Motion, frames: usize) -> Result<Motion, Error> {
-    Ok(Motion::new(
-        motion.fps(),
-        motion.transl()[..frames].to_vec(),
-        motion.global_orient()[..frames].to_vec(),
-        motion.body_pose()[..frames].to_vec(),
-    )?)
 }
 
 /// Samples a motion at the relative times of another one's frames (nearest frame).
@@ -296,16 +258,14 @@ fn stretched(motion: &Motion, like: &Motion) -> Result<Motion, Error> {
         .collect();
     Ok(Motion::new(
         like.fps(),
-        frames.iter().map(|&frame| motion.transl()[frame]).collect(),
-        frames
-            .iter()
-            .map(|&frame| motion.global_orient()[frame])
-            .collect(),
-        frames
-            .iter()
-            .map(|&frame| motion.body_pose()[frame])
-            .collect(),
+        picked(motion.transl(), &frames),
+        picked(motion.global_orient(), &frames),
+        picked(motion.body_pose(), &frames),
     )?)
+}
+
+fn picked<T: Copy>(column: &[T], frames: &[usize]) -> Vec<T> {
+    frames.iter().map(|&frame| column[frame]).collect()
 }
 
 fn joint_bytes(points: &Frames) -> Vec<u8> {
@@ -334,7 +294,7 @@ mod tests {
     #[test]
     fn stretching_keeps_the_ends() {
         let long = moving(&[16], 1.0);
-        let short = cropped(&long, 20).expect("a crop");
+        let short = long.crop(0..20).expect("a crop");
         let view = stretched(&long, &short).expect("a view");
         assert_eq!(view.len(), 20);
         assert_eq!(view.transl()[0], long.transl()[0]);

@@ -1,20 +1,18 @@
-//! What routes share: the state of the server, a request, and a reply.
+//! What routes share: the state of the server, a request, and responses.
 
-use std::collections::BTreeMap;
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use axum::body::{Body, Bytes};
-use axum::http::StatusCode;
-use axum::http::header::{self, HeaderMap, HeaderName, HeaderValue};
-use axum::response::Response;
-use flate2::Compression;
+use axum::extract::RawPathParams;
+use axum::http::header::{self, HeaderMap, HeaderName};
+use axum::http::{StatusCode, Uri};
+use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::compress;
 use super::limit::Limiter;
 use super::metrics::Metrics;
 use super::proxy::TrustedProxy;
@@ -24,7 +22,7 @@ use crate::model::Model;
 use crate::motions::MotionLibrary;
 use crate::quality::KeptFigures;
 use crate::store::{Millis, Store, TokenUse, Who};
-use crate::wire::{Code, MAX_BODY_BYTES, Role};
+use crate::wire::{Code, Role};
 
 /// Default timeout of a request.
 pub const PATIENCE: Duration = Duration::from_secs(15);
@@ -39,17 +37,10 @@ pub enum Access {
     Role(Role),
 }
 
-/// Kind of a handler.
-#[derive(Clone, Copy, Debug)]
-pub enum Handler {
-    /// Blocking work on the store or the disk.
-    Work(fn(&Context) -> Result<Reply, Error>),
-    /// A stream of server-sent events.
-    Stream,
-}
+/// Answers a request, on a thread that may wait for the store or the disk.
+pub type Handler = fn(&Context) -> Result<Response, Error>;
 
 /// A route.
-#[derive(Clone, Copy, Debug)]
 pub struct Route {
     /// Method.
     pub method: &'static str,
@@ -63,46 +54,17 @@ pub struct Route {
     pub handler: Handler,
 }
 
-impl Route {
-    /// Whether its body is a file.
-    pub(super) fn is_upload(&self) -> bool {
-        self.max_body > MAX_BODY_BYTES
-    }
-}
-
 /// An authorised request.
 pub struct Context {
     pub(crate) app: Arc<App>,
     pub(crate) who: Option<Who>,
     /// Address of the client: that of the connection, or the one that a trusted proxy names.
     pub(crate) client: IpAddr,
-    pub(crate) params: BTreeMap<String, String>,
-    pub(crate) query: BTreeMap<String, String>,
+    pub(crate) params: RawPathParams,
+    pub(crate) uri: Uri,
     pub(crate) headers: HeaderMap,
     pub(crate) body: Bytes,
-    pub(crate) path: String,
     pub(crate) now: Millis,
-}
-
-impl std::fmt::Debug for Context {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Context")
-            .field("path", &self.path)
-            .finish_non_exhaustive()
-    }
-}
-
-/// A response.
-#[derive(Debug)]
-pub enum Reply {
-    /// A JSON document.
-    Json(Vec<u8>),
-    /// A compressed JSON document.
-    PackedJson(Vec<u8>),
-    /// 204 without a body.
-    Empty,
-    /// A complete response.
-    Full(Response),
 }
 
 /// Settings of a server.
@@ -133,15 +95,6 @@ pub struct ServerConfig {
     pub log: fn(&str),
 }
 
-impl std::fmt::Debug for ServerConfig {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ServerConfig")
-            .field("listen", &self.listen)
-            .field("secure", &self.secure)
-            .finish_non_exhaustive()
-    }
-}
-
 /// State shared by all requests.
 pub(crate) struct App {
     pub(crate) store: Arc<Store>,
@@ -158,7 +111,7 @@ pub(crate) struct App {
 }
 
 impl App {
-    pub(super) fn now(&self) -> Millis {
+    pub(crate) fn now(&self) -> Millis {
         (self.config.clock)()
     }
 
@@ -170,19 +123,31 @@ impl App {
 }
 
 impl Context {
+    pub(super) fn store(&self) -> &Store {
+        &self.app.store
+    }
+
     pub(super) fn who(&self) -> Result<&Who, Error> {
         self.who
             .as_ref()
             .ok_or_else(|| Error::refused(Code::Unauthenticated, "log in first"))
     }
 
+    /// The id of the user.
+    pub(super) fn user(&self) -> Result<i64, Error> {
+        Ok(self.who()?.id)
+    }
+
     pub(super) fn id(&self) -> Result<i64, Error> {
-        let text = self.params.get("id").map_or("", String::as_str);
-        text.parse().map_err(|_| Error::not_found("id"))
+        let id = self.param("id").parse();
+        id.map_err(|_| Error::not_found("id"))
     }
 
     pub(super) fn param(&self, name: &str) -> &str {
-        self.params.get(name).map_or("", String::as_str)
+        let mut params = self.params.iter();
+        params
+            .find(|(known, _)| *known == name)
+            .map_or("", |(_, value)| value)
     }
 
     pub(super) fn body<T: DeserializeOwned>(&self) -> Result<T, Error> {
@@ -190,105 +155,60 @@ impl Context {
             .map_err(|error| Error::refused(Code::BadRequest, format!("invalid body: {error}")))
     }
 
-    /// Checks that the query has only known parameters.
-    pub(super) fn only(&self, known: &[&str]) -> Result<(), Error> {
-        match self
-            .query
-            .keys()
-            .find(|name| !known.contains(&name.as_str()))
-        {
-            None => Ok(()),
-            Some(name) => Err(Error::refused(
-                Code::BadRequest,
-                format!(
-                    "unknown query parameter {name:?}; expected {}",
-                    known.join(", ")
-                ),
-            )),
-        }
-    }
-
-    pub(super) fn number(&self, name: &str) -> Result<Option<i64>, Error> {
-        match self.query.get(name) {
-            None => Ok(None),
-            Some(text) => text.parse().map(Some).map_err(|_| {
-                Error::refused(
-                    Code::BadRequest,
-                    format!("{name} is {text:?}, not a whole number"),
-                )
-            }),
-        }
-    }
-
-    pub(super) fn one_of<T: Copy>(
-        &self,
-        name: &str,
-        parse: fn(&str) -> Option<T>,
-    ) -> Result<Option<T>, Error> {
-        match self.query.get(name).map(String::as_str) {
-            None | Some("") => Ok(None),
-            Some(text) => parse(text).map(Some).ok_or_else(|| {
-                Error::refused(Code::BadRequest, format!("{name} {text:?} is not known"))
-            }),
-        }
-    }
-
-    pub(super) fn limit(&self, most: i64) -> Result<usize, Error> {
-        let limit = self.number("limit")?.unwrap_or(most).clamp(1, most);
-        Ok(usize::try_from(limit).unwrap_or(1))
+    /// The parameters of the query.
+    pub(super) fn query<T: DeserializeOwned>(&self) -> Result<T, Error> {
+        parse_query(self.uri.query().unwrap_or(""))
     }
 }
 
-/// A JSON reply.
-pub(super) fn json<T: Serialize>(value: &T) -> Result<Reply, Error> {
+/// Reads parameters of a query; one without a value counts as left out.
+pub(super) fn parse_query<T: DeserializeOwned>(query: &str) -> Result<T, Error> {
+    let refused = |problem: &dyn std::fmt::Display| {
+        Error::refused(Code::BadRequest, format!("the query {query:?}: {problem}"))
+    };
+    // The parser would take malformed escapes literally.
+    let is_escape = |rest: &str| {
+        let digits = rest.as_bytes().get(..2);
+        digits.is_some_and(|digits| digits.iter().all(u8::is_ascii_hexdigit))
+    };
+    if !query.split('%').skip(1).all(is_escape) {
+        return Err(refused(&"a percent escape is malformed"));
+    }
+    let given = query.split('&').filter(|pair| !pair.ends_with('='));
+    serde_urlencoded::from_str(&given.collect::<Vec<_>>().join("&"))
+        .map_err(|error| refused(&error))
+}
+
+/// The number of rows to send of at most `most`; 0 asks for no number.
+pub(super) fn page_size(asked: usize, most: usize) -> usize {
+    if asked == 0 { most } else { asked.min(most) }
+}
+
+/// A JSON response.
+pub(super) fn json<T: Serialize>(value: &T) -> Result<Response, Error> {
     serde_json::to_vec(value)
-        .map(Reply::Json)
+        .map(|bytes| content("application/json", "no-store", bytes))
         .map_err(|error| Error::Row {
             table: "of an answer",
             problem: error.to_string(),
         })
 }
 
-/// Compresses a reply of JSON.
-pub(super) fn packed(reply: Reply) -> Reply {
-    match reply {
-        Reply::Json(bytes) => match compress::gzip(&bytes, Compression::fast()) {
-            Some(packed) => Reply::PackedJson(packed),
-            None => Reply::Json(bytes),
-        },
-        other => other,
-    }
+/// A response with this type and these rules for caches.
+pub(super) fn content(mime: &str, cache: &str, body: impl Into<Body>) -> Response {
+    let headers = [(header::CONTENT_TYPE, mime), (header::CACHE_CONTROL, cache)];
+    let body: Body = body.into();
+    (headers, body).into_response()
 }
 
-/// Converts a reply to an HTTP response.
-pub(super) fn reply_response(reply: Reply) -> Response {
-    match reply {
-        Reply::PackedJson(bytes) => {
-            let mut response = reply_response(Reply::Json(bytes));
-            compress::mark(&mut response);
-            compress::vary(&mut response);
-            response
-        }
-        Reply::Full(response) => response,
-        Reply::Empty => {
-            let mut response = Response::new(Body::empty());
-            *response.status_mut() = StatusCode::NO_CONTENT;
-            response
-        }
-        Reply::Json(bytes) => {
-            let mut response = Response::new(Body::from(bytes));
-            set(&mut response, header::CONTENT_TYPE, "application/json");
-            set(&mut response, header::CACHE_CONTROL, "no-store");
-            response
-        }
-    }
+/// Bytes that are not stored by caches.
+pub(super) fn binary(bytes: Vec<u8>) -> Response {
+    content("application/octet-stream", "no-store", bytes)
 }
 
-/// Sets a header; an invalid value is ignored.
-pub(super) fn set(response: &mut Response, name: HeaderName, value: &str) {
-    if let Ok(value) = HeaderValue::from_str(value) {
-        response.headers_mut().insert(name, value);
-    }
+/// 204 without a body.
+pub(super) fn empty(_: ()) -> Result<Response, Error> {
+    Ok(StatusCode::NO_CONTENT.into_response())
 }
 
 /// The value of a header that occurs exactly once.

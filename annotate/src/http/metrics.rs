@@ -5,43 +5,33 @@ use std::fmt::Write as _;
 use std::sync::Mutex;
 use std::time::Duration;
 
+use super::app::Route;
 use crate::lock::lock;
 
 /// Upper bounds of the latency buckets in seconds.
 const CLASSES: [f64; 9] = [0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0, 5.0, 15.0];
 
-#[derive(Debug, Default, Clone)]
-struct Times {
-    classes: [u64; CLASSES.len()],
-    count: u64,
-    sum: f64,
+/// Requests of a route.
+#[derive(Default)]
+struct Requests {
+    by_status: BTreeMap<u16, u64>,
+    by_class: [u64; CLASSES.len()],
+    secs: f64,
 }
 
-/// Requests by route and status, and their latencies.
-#[derive(Debug, Default)]
-pub(crate) struct Metrics {
-    requests: Mutex<BTreeMap<(&'static str, &'static str, u16), u64>>,
-    times: Mutex<BTreeMap<(&'static str, &'static str), Times>>,
-}
+/// Requests by method and path.
+#[derive(Default)]
+pub(crate) struct Metrics(Mutex<BTreeMap<(&'static str, &'static str), Requests>>);
 
 impl Metrics {
-    pub(crate) fn count(
-        &self,
-        method: &'static str,
-        path: &'static str,
-        status: u16,
-        took: Duration,
-    ) {
-        *lock(&self.requests)
-            .entry((method, path, status))
-            .or_default() += 1;
+    pub(crate) fn count(&self, route: &Route, status: u16, took: Duration) {
         let secs = took.as_secs_f64();
-        let mut times = lock(&self.times);
-        let times = times.entry((method, path)).or_default();
-        times.count += 1;
-        times.sum += secs;
-        for (class, end) in times.classes.iter_mut().zip(CLASSES) {
-            *class += u64::from(secs <= end);
+        let mut all = lock(&self.0);
+        let requests = all.entry((route.method, route.path)).or_default();
+        *requests.by_status.entry(status).or_default() += 1;
+        requests.secs += secs;
+        for (count, end) in requests.by_class.iter_mut().zip(CLASSES) {
+            *count += u64::from(secs <= end);
         }
     }
 
@@ -49,34 +39,29 @@ impl Metrics {
     pub(crate) fn text(&self, gauges: &[(&str, &str, i64)]) -> String {
         let mut text = String::new();
         for (name, help, value) in gauges {
-            // Writing to a string cannot fail.
-            let _written = writeln!(
-                text,
-                "# HELP {name} {help}\n# TYPE {name} gauge\n{name} {value}"
-            );
+            text += &format!("# HELP {name} {help}\n# TYPE {name} gauge\n{name} {value}\n");
         }
+        let mut times = String::new();
         text += "# TYPE annotate_requests_total counter\n";
-        for ((method, path, status), count) in lock(&self.requests).iter() {
-            let _written = writeln!(
-                text,
-                "annotate_requests_total{{method=\"{method}\",path=\"{path}\",status=\"{status}\"}} {count}"
-            );
-        }
-        text += "# TYPE annotate_request_seconds histogram\n";
-        for ((method, path), times) in lock(&self.times).iter() {
+        for ((method, path), requests) in lock(&self.0).iter() {
             let label = format!("method=\"{method}\",path=\"{path}\"");
-            for (end, count) in CLASSES.iter().zip(times.classes) {
+            for (status, count) in &requests.by_status {
+                // Writing to a string cannot fail, here and below.
                 let _written = writeln!(
                     text,
-                    "annotate_request_seconds_bucket{{{label},le=\"{end}\"}} {count}"
+                    "annotate_requests_total{{{label},status=\"{status}\"}} {count}"
                 );
             }
+            let name = "annotate_request_seconds";
+            for (end, count) in CLASSES.iter().zip(requests.by_class) {
+                let _written = writeln!(times, "{name}_bucket{{{label},le=\"{end}\"}} {count}");
+            }
+            let (count, secs) = (requests.by_status.values().sum::<u64>(), requests.secs);
             let _written = writeln!(
-                text,
-                "annotate_request_seconds_bucket{{{label},le=\"+Inf\"}} {}\nannotate_request_seconds_sum{{{label}}} {}\nannotate_request_seconds_count{{{label}}} {}",
-                times.count, times.sum, times.count
+                times,
+                "{name}_bucket{{{label},le=\"+Inf\"}} {count}\n{name}_sum{{{label}}} {secs}\n{name}_count{{{label}}} {count}"
             );
         }
-        text
+        text + "# TYPE annotate_request_seconds histogram\n" + &times
     }
 }

@@ -5,7 +5,6 @@
 
 mod app;
 mod assets;
-mod compress;
 mod limit;
 mod metrics;
 mod proxy;
@@ -13,19 +12,23 @@ mod routes;
 mod socket;
 mod stream;
 
-use std::collections::BTreeMap;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use axum::body::{Body, Bytes};
 use axum::extract::{FromRequestParts, RawPathParams, Request};
-use axum::http::header::{self, HeaderMap, HeaderName};
+use axum::http::header::{self, HeaderMap, HeaderName, HeaderValue};
 use axum::http::uri::Authority;
-use axum::http::{Method, StatusCode, Uri};
+use axum::http::{Method, StatusCode};
+use axum::middleware::map_response;
 use axum::response::Response;
 use axum::routing::{MethodFilter, on};
+use futures_util::StreamExt as _;
 use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::net::TcpListener;
+use tower_http::compression::predicate::{NotForContentType, SizeAbove};
+use tower_http::compression::{CompressionLayer, DefaultPredicate, Predicate as _};
 use tower_service::Service;
 
 use crate::Error;
@@ -33,14 +36,15 @@ use crate::lock::lock;
 use crate::motions::MotionLibrary;
 use crate::quality::KeptFigures;
 use crate::store::{Store, Who};
-use crate::wire::{Code, Problem};
-use app::{App, bearer, blocking, credential, packed, reply_response, set, text};
+use crate::wire::{Code, MAX_BODY_BYTES, Problem};
+use app::{bearer, blocking, content, credential, text};
 use limit::Limiter;
 use metrics::Metrics;
 use socket::Socket;
 
 pub use crate::clock::Clock;
-pub use app::{Access, Context, Handler, PATIENCE, Reply, Route, ServerConfig, UPLOAD_PATIENCE};
+pub(crate) use app::App;
+pub use app::{Access, Context, Handler, PATIENCE, Route, ServerConfig, UPLOAD_PATIENCE};
 pub use proxy::TrustedProxy;
 pub use routes::ROUTES;
 
@@ -49,6 +53,9 @@ const CONNECTIONS: usize = 1024;
 /// Content security policy: pages load only scripts, styles and data of this server.
 const CSP: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; \
 connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
+
+/// Smaller bodies are not compressed: they fit into one packet anyway.
+const WORTHWHILE: u16 = 1400;
 
 /// How often a store that accepted no writes is tried again.
 const TRY_AGAIN: Duration = Duration::from_secs(5);
@@ -62,14 +69,6 @@ pub struct Server {
     _store: Arc<Store>,
 }
 
-impl std::fmt::Debug for Server {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Server")
-            .field("address", &self.address)
-            .finish_non_exhaustive()
-    }
-}
-
 impl Server {
     /// Starts a server and returns once it listens.
     ///
@@ -80,11 +79,6 @@ impl Server {
         motions: Arc<MotionLibrary>,
         mut config: ServerConfig,
     ) -> Result<Self, Error> {
-        let listen = config.listen;
-        let failed = |source| Error::Listen {
-            address: listen.to_string(),
-            source,
-        };
         // Leases of a store that several servers share go by one clock.
         if let Some(clock) = store.clock()? {
             config.clock = clock;
@@ -96,12 +90,15 @@ impl Server {
             .thread_name("annotate-http")
             .enable_all()
             .build()
-            .map_err(failed)?;
-        let (listener, address) = bind(&runtime, listen)?;
-        let operators = config
-            .operators
-            .map(|operators| bind(&runtime, operators))
-            .transpose()?;
+            .map_err(failed(config.listen))?;
+        let bind = |address: SocketAddr| {
+            runtime
+                .block_on(TcpListener::bind(address))
+                .and_then(|listener| Ok((listener.local_addr()?, listener)))
+                .map_err(failed(address))
+        };
+        let (address, listener) = bind(config.listen)?;
+        let operators = config.operators.map(bind).transpose()?;
         let (last_seq, _) = tokio::sync::watch::channel(store.last_seq()?);
         let store_id = store.id()?;
         let kept = Arc::clone(&store);
@@ -119,7 +116,7 @@ impl Server {
         runtime.spawn(stream::watch(Arc::clone(&app)));
         runtime.spawn(recover(Arc::clone(&app)));
         let patience = app.config.patience;
-        let operators = operators.map(|(listener, address)| {
+        let operators = operators.map(|(address, listener)| {
             let router = router(&app, routes::OPERATOR_ROUTES);
             runtime.spawn(accept(listener, router, patience));
             address
@@ -144,21 +141,12 @@ impl Server {
     }
 }
 
-/// Listens on an address.
-fn bind(
-    runtime: &tokio::runtime::Runtime,
-    address: SocketAddr,
-) -> Result<(tokio::net::TcpListener, SocketAddr), Error> {
-    let failed = |source| Error::Listen {
+/// The error of an address that cannot be listened on.
+fn failed(address: SocketAddr) -> impl FnOnce(std::io::Error) -> Error {
+    move |source| Error::Listen {
         address: address.to_string(),
         source,
-    };
-    let listener = std::net::TcpListener::bind(address).map_err(failed)?;
-    listener.set_nonblocking(true).map_err(failed)?;
-    let _context = runtime.enter();
-    let listener = tokio::net::TcpListener::from_std(listener).map_err(failed)?;
-    let bound = listener.local_addr().map_err(failed)?;
-    Ok((listener, bound))
+    }
 }
 
 /// Tries whether a store that accepted no writes accepts them again.
@@ -183,7 +171,7 @@ impl Drop for Server {
     }
 }
 
-async fn accept(listener: tokio::net::TcpListener, router: axum::Router, patience: Duration) {
+async fn accept(listener: TcpListener, router: axum::Router, patience: Duration) {
     let places = Arc::new(tokio::sync::Semaphore::new(CONNECTIONS));
     loop {
         let Ok(place) = Arc::clone(&places).acquire_owned().await else {
@@ -241,50 +229,51 @@ fn router(app: &Arc<App>, routes: &'static [Route]) -> axum::Router {
         };
         router = router.route(route.path, on(filter, handler));
     }
-    let lost = |app: &Arc<App>, code: Code| {
-        let secure = app.config.secure;
+    let lost = |code: Code| {
         move |request: Request| async move {
-            let path = request.uri().path().to_owned();
+            let path = request.uri().path();
             let detail = match code {
                 Code::MethodNotAllowed => format!("{path} does not support {}", request.method()),
                 _ => format!("{path} does not exist"),
             };
-            let mut response = problem_response(&Problem::new(code, detail));
-            harden(&mut response, secure);
-            response
+            problem_response(&Problem::new(code, detail))
         }
     };
+    // Frames of motions hardly shrink.
+    let shrinks = DefaultPredicate::new()
+        .and(SizeAbove::new(WORTHWHILE))
+        .and(NotForContentType::const_new("application/octet-stream"));
+    let secure = app.config.secure;
     router
-        .fallback(lost(app, Code::NotFound))
-        .method_not_allowed_fallback(lost(app, Code::MethodNotAllowed))
+        .fallback(lost(Code::NotFound))
+        .method_not_allowed_fallback(lost(Code::MethodNotAllowed))
+        .layer(CompressionLayer::new().compress_when(shrinks))
+        .layer(map_response(move |response: Response| async move {
+            hardened(response, secure)
+        }))
 }
 
 async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Response {
     let begun = Instant::now();
-    let mut response = match answer(Arc::clone(&app), route, request).await {
-        Ok(reply) => reply_response(reply),
-        Err(error) => {
-            let problem = error.problem();
-            match problem.code {
-                Code::Internal => (app.config.log)(&format!(
+    let answered = answer(Arc::clone(&app), route, request).await;
+    let response = answered.unwrap_or_else(|error| {
+        let problem = error.problem();
+        match problem.code {
+            Code::Internal => {
+                (app.config.log)(&format!(
                     "{} {}: {}",
                     route.method,
                     route.path,
-                    chain(&error)
-                )),
-                Code::ReadOnly => *lock(&app.read_only) = Some(error.to_string()),
-                _ => {}
+                    error.full()
+                ));
             }
-            problem_response(&problem)
+            Code::ReadOnly => *lock(&app.read_only) = Some(error.to_string()),
+            _ => {}
         }
-    };
-    harden(&mut response, app.config.secure);
-    app.metrics.count(
-        route.method,
-        route.path,
-        response.status().as_u16(),
-        begun.elapsed(),
-    );
+        problem_response(&problem)
+    });
+    app.metrics
+        .count(route, response.status().as_u16(), begun.elapsed());
     response
 }
 
@@ -306,18 +295,7 @@ async fn within<T>(
     })
 }
 
-/// Formats an error with its causes.
-fn chain(error: &Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = std::error::Error::source(error);
-    while let Some(error) = cause {
-        text += &format!(": {error}");
-        cause = error.source();
-    }
-    text
-}
-
-async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Result<Reply, Error> {
+async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Result<Response, Error> {
     let (mut parts, body) = request.into_parts();
     check_host(&parts.headers, &app.config.hosts)?;
     let peer = parts
@@ -333,39 +311,24 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
     };
     let params = RawPathParams::from_request_parts(&mut parts, &())
         .await
-        .map_err(|error| Error::refused(Code::BadRequest, error.to_string()))?
-        .iter()
-        .map(|(name, value)| (name.to_owned(), value.to_owned()))
-        .collect();
-    let body = read_body(body, route.max_body);
-    let body = if route.is_upload() {
-        within(app.config.upload_patience, "the upload", body).await?
-    } else {
-        within(patience, "the request", body).await?
+        .map_err(|error| Error::refused(Code::BadRequest, error.to_string()))?;
+    // Only a file is longer than other bodies.
+    let (what, time) = match route.max_body > MAX_BODY_BYTES {
+        true => ("the upload", app.config.upload_patience),
+        false => ("the request", patience),
     };
-    let accepts_gzip = compress::accepts_gzip(&parts.headers);
     let context = Context {
+        body: within(time, what, read_body(body, route.max_body)).await?,
         params,
         who,
         client: proxy::client(peer, &parts.headers, &app.config.trusted_proxies),
-        query: query(&parts.uri)?,
+        uri: parts.uri,
         headers: parts.headers,
-        body,
-        path: parts.uri.path().to_owned(),
         now: app.now(),
         app,
     };
-    match route.handler {
-        Handler::Work(work) => {
-            let work = move || {
-                let reply = work(&context)?;
-                Ok(if accepts_gzip { packed(reply) } else { reply })
-            };
-            within(patience, "the request", blocking(work)).await
-        }
-        // Event streams have no timeout.
-        Handler::Stream => stream::open(context).await,
-    }
+    let work = blocking(move || (route.handler)(&context));
+    within(patience, "the request", work).await
 }
 
 /// Bytes of a too large body that are still read: a browser whose upload is cut off does not show the
@@ -376,11 +339,7 @@ async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
     let mut chunks = body.into_data_stream();
     let mut bytes = Vec::new();
     let mut total = 0;
-    while let Some(chunk) = std::future::poll_fn(|context| {
-        futures_core::Stream::poll_next(std::pin::Pin::new(&mut chunks), context)
-    })
-    .await
-    {
+    while let Some(chunk) = chunks.next().await {
         let chunk = chunk.map_err(|error| Error::refused(Code::BadRequest, error.to_string()))?;
         total += chunk.len();
         if total <= limit {
@@ -399,29 +358,6 @@ async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
         ));
     }
     Ok(bytes.into())
-}
-
-/// Parses the query parameters.
-fn query(uri: &Uri) -> Result<BTreeMap<String, String>, Error> {
-    let refused = |detail: String| Error::refused(Code::BadRequest, detail);
-    let text = uri.query().unwrap_or("");
-    // The parser would accept malformed escapes literally.
-    let is_escape = |rest: &str| {
-        let digits = rest.as_bytes().get(..2);
-        digits.is_some_and(|digits| digits.iter().all(u8::is_ascii_hexdigit))
-    };
-    if !text.split('%').skip(1).all(is_escape) {
-        return Err(refused(
-            "the query has a malformed percent escape".to_owned(),
-        ));
-    }
-    let mut pairs = BTreeMap::new();
-    for (name, value) in form_urlencoded::parse(text.as_bytes()) {
-        if pairs.insert(name.to_string(), value.into_owned()).is_some() {
-            return Err(refused(format!("query parameter {name:?} is given twice")));
-        }
-    }
-    Ok(pairs)
 }
 
 /// Authorises a request and identifies its user.
@@ -491,24 +427,19 @@ fn check_own(app: &App, headers: &HeaderMap) -> Result<(), Error> {
 
 fn problem_response(problem: &Problem) -> Response {
     let body = serde_json::to_vec(problem).unwrap_or_default();
-    let mut response = Response::new(Body::from(body));
+    let mut response = content("application/problem+json", "no-store", body);
     *response.status_mut() =
         StatusCode::from_u16(problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-    set(
-        &mut response,
-        header::CONTENT_TYPE,
-        "application/problem+json",
-    );
-    set(&mut response, header::CACHE_CONTROL, "no-store");
     if let Some(seconds) = problem.retry_after_secs {
-        set(&mut response, header::RETRY_AFTER, &seconds.to_string());
+        let headers = response.headers_mut();
+        headers.insert(header::RETRY_AFTER, seconds.into());
     }
     response
 }
 
 /// Sets the headers of every response.
-fn harden(response: &mut Response, secure: bool) {
-    for (name, value) in [
+fn hardened(mut response: Response, secure: bool) -> Response {
+    let of_all = [
         ("content-security-policy", CSP),
         ("x-content-type-options", "nosniff"),
         ("referrer-policy", "no-referrer"),
@@ -518,14 +449,11 @@ fn harden(response: &mut Response, secure: bool) {
             "permissions-policy",
             "camera=(), microphone=(), geolocation=()",
         ),
-    ] {
-        set(response, HeaderName::from_static(name), value);
+    ];
+    let of_tls = secure.then_some(("strict-transport-security", "max-age=31536000"));
+    for (name, value) in of_all.into_iter().chain(of_tls) {
+        let headers = response.headers_mut();
+        headers.insert(name, HeaderValue::from_static(value));
     }
-    if secure {
-        set(
-            response,
-            header::STRICT_TRANSPORT_SECURITY,
-            "max-age=31536000",
-        );
-    }
+    response
 }

@@ -1,16 +1,17 @@
 //! Server-sent events: log entries as they are written.
 
-use std::pin::Pin;
+use std::convert::Infallible;
 use std::sync::Arc;
-use std::task::Poll;
 use std::time::Duration;
 
-use axum::http::header;
-use axum::response::IntoResponse;
+use axum::http::HeaderName;
+use axum::http::header::CACHE_CONTROL;
 use axum::response::sse::{Event, Sse};
+use axum::response::{IntoResponse, Response};
+use futures_util::stream;
 use tokio::sync::mpsc;
 
-use super::app::{App, Context, Reply, blocking, credential, set, text};
+use super::app::{App, Context, blocking, credential, text};
 use crate::Error;
 use crate::state::LogKind;
 use crate::store::{Store, TokenUse, Who};
@@ -47,36 +48,20 @@ pub(super) async fn watch(app: Arc<App>) {
     }
 }
 
-/// Events sent by the polling task.
-struct Events(mpsc::Receiver<Event>);
-
-impl futures_core::Stream for Events {
-    type Item = Result<Event, std::convert::Infallible>;
-
-    fn poll_next(
-        mut self: Pin<&mut Self>,
-        context: &mut std::task::Context<'_>,
-    ) -> Poll<Option<Self::Item>> {
-        self.0.poll_recv(context).map(|event| event.map(Ok))
-    }
-}
-
-pub(super) async fn open(context: Context) -> Result<Reply, Error> {
-    let app = Arc::clone(&context.app);
-    let (token, purpose) = credential(&app, &context.headers)?;
-    let listener = Listener { token, purpose };
+/// Opens a stream of what happens from now on, or after the event that the client had last.
+pub(super) fn open(cx: &Context) -> Result<Response, Error> {
+    let app = Arc::clone(&cx.app);
+    let login = credential(&app, &cx.headers)?;
     if app.last_seq.receiver_count() >= LISTENERS {
         return Err(Error::refused(
             Code::RateLimited,
             format!("{LISTENERS} pages are already connected; reload later"),
         ));
     }
-    let store = Arc::clone(&app.store);
-    let newest = blocking(move || store.last_seq()).await?;
-    let last_event = header::HeaderName::from_static("last-event-id");
-    let from = text(&context.headers, &last_event).and_then(|seq| seq.parse::<i64>().ok());
+    let newest = app.store.last_seq()?;
+    let from = text(&cx.headers, &HeaderName::from_static("last-event-id"));
     let (sender, receiver) = mpsc::channel(16);
-    let start = match from {
+    let start = match from.and_then(|seq| seq.parse::<i64>().ok()) {
         Some(from) if newest - from > MISSED || from > newest => {
             // The channel has capacity for the first event.
             let _sent = sender.try_send(Event::default().event("reset").data("{}"));
@@ -85,33 +70,33 @@ pub(super) async fn open(context: Context) -> Result<Reply, Error> {
         Some(from) => from,
         None => newest,
     };
-    tokio::spawn(listen(app, listener, start, sender));
-    let mut response = Sse::new(Events(receiver)).into_response();
-    set(&mut response, header::CACHE_CONTROL, "no-store");
+    tokio::spawn(listen(app, login, start, sender));
+    let events = stream::unfold(receiver, |mut receiver| async move {
+        let event = receiver.recv().await?;
+        Some((Ok::<_, Infallible>(event), receiver))
+    });
     // Proxies such as nginx would collect events otherwise.
-    let buffering = header::HeaderName::from_static("x-accel-buffering");
-    set(&mut response, buffering, "no");
-    Ok(Reply::Full(response))
-}
-
-/// Who listens.
-#[derive(Clone)]
-struct Listener {
-    token: String,
-    purpose: TokenUse,
+    let buffering = HeaderName::from_static("x-accel-buffering");
+    let headers = [(CACHE_CONTROL, "no-store"), (buffering, "no")];
+    Ok((headers, Sse::new(events)).into_response())
 }
 
 /// Sends new entries until the listener disconnects, or their token or session ends.
-async fn listen(app: Arc<App>, listener: Listener, mut after: i64, sender: mpsc::Sender<Event>) {
+async fn listen(
+    app: Arc<App>,
+    login: (String, TokenUse),
+    mut after: i64,
+    sender: mpsc::Sender<Event>,
+) {
     let mut news = app.last_seq.subscribe();
     let comment = |text| Event::default().comment(text);
     if sender.send(comment("connected")).await.is_err() {
         return;
     }
     loop {
-        let (store, listener, now) = (Arc::clone(&app.store), listener.clone(), app.now());
+        let (store, (token, purpose), now) = (Arc::clone(&app.store), login.clone(), app.now());
         let work = move || {
-            let who = store.recognise(&listener.token, &[listener.purpose], now)?;
+            let who = store.recognise(&token, &[purpose], now)?;
             changes(&store, &who, after)
         };
         let Ok((seq, events)) = blocking(work).await else {

@@ -302,7 +302,8 @@ pub(super) fn decisions_on(tx: &mut dyn Tx, task: i64) -> Result<Vec<DecisionRow
 }
 
 /// Which decisions to list.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct DecisionQuery {
     /// Of this reviewer.
     pub reviewer: Option<i64>,

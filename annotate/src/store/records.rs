@@ -300,13 +300,15 @@ pub struct Reject {
 }
 
 /// Which accepted answers to show.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct ShelfFilter {
     /// Of one kind.
     pub kind: Option<TaskKind>,
     /// With a part.
     pub part: Option<String>,
     /// With these words.
+    #[serde(rename = "q")]
     pub text: Option<String>,
     /// Before this sequence number of the log.
     pub before: Option<i64>,
@@ -315,7 +317,8 @@ pub struct ShelfFilter {
 }
 
 /// Which entries of the log to show.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct AuditFilter {
     /// By somebody.
     pub actor: Option<i64>,
@@ -330,7 +333,8 @@ pub struct AuditFilter {
 }
 
 /// Which of a person's answers to list.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct MineQuery {
     /// Of this standing.
     pub standing: Option<Standing>,

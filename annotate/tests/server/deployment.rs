@@ -278,9 +278,10 @@ fn responses_are_compressed_for_those_who_accept_it() {
         );
         assert!(packed.body.len() * 5 < plain.body.len() * 2, "{name}");
         assert_eq!(unpacked(&packed.body), plain.body, "{name}");
-        let (one, other) = (header(&plain, "etag"), header(&packed, "etag"));
-        assert!(one.is_some() && other.is_some() && one != other, "{name}");
-        let tag = other.expect("a tag");
+        let tag = header(&packed, "etag").expect("a tag");
+        // One tag for both forms has to be a weak one.
+        assert!(tag.starts_with("W/"), "{name}");
+        assert_eq!(header(&plain, "etag").as_ref(), Some(&tag), "{name}");
         let again = get(
             &path,
             &[("accept-encoding", "gzip"), ("if-none-match", &tag)],

@@ -1,115 +1,73 @@
 //! Settings, the capture plan, users and tokens.
 
+use axum::response::Response;
+
 use crate::Error;
-use crate::http::app::{Context, Reply, json};
+use crate::clock::DAY;
+use crate::http::app::{Context, json};
 use crate::store::{IssuedToken, TokenUse};
-use crate::wire::{
-    CapturePlan, NewToken, NewUser, NewUserLink, NewUsers, Settings, TokenShown, UserChange,
-};
+use crate::wire::{CapturePlan, NewToken, NewUser, NewUserLink, NewUsers, TokenShown, UserChange};
 
 /// Days a new user's token is valid.
 const TOKEN_DAYS: u32 = 90;
-const DAY: i64 = 24 * 60 * 60 * 1000;
 
-pub(super) fn settings(cx: &Context) -> Result<Reply, Error> {
-    json(&cx.app.store.settings()?)
+pub(super) fn put_settings(cx: &Context) -> Result<Response, Error> {
+    cx.store().put_settings(cx.user()?, cx.body()?, cx.now)?;
+    json(&cx.store().settings()?)
 }
 
-pub(super) fn put_settings(cx: &Context) -> Result<Reply, Error> {
-    let settings: Settings = cx.body()?;
-    cx.app.store.put_settings(cx.who()?.id, settings, cx.now)?;
-    json(&cx.app.store.settings()?)
-}
-
-pub(super) fn put_captures(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn put_captures(cx: &Context) -> Result<Response, Error> {
     let plan: CapturePlan = cx.body()?;
-    let store = &cx.app.store;
-    store.plan_captures(cx.who()?.id, plan.cells, cx.now)?;
-    json(&store.captures()?)
+    cx.store().plan_captures(cx.user()?, plan.cells, cx.now)?;
+    json(&cx.store().captures()?)
 }
 
-pub(super) fn users(cx: &Context) -> Result<Reply, Error> {
-    json(&cx.app.store.users()?)
-}
-
-fn shown(token: IssuedToken) -> TokenShown {
-    TokenShown {
+/// A new token of a user, shown this once.
+fn issued(cx: &Context, user: i64, days: u32) -> Result<Response, Error> {
+    let (purpose, expires) = (TokenUse::Token, end(cx, days)?);
+    let token = cx.store().issue(user, purpose, expires, cx.now)?;
+    json(&TokenShown {
         user: token.user,
         id: token.id,
         token: token.token,
         expires: token.expires,
+    })
+}
+
+/// When a token of today ends.
+fn end(cx: &Context, days: u32) -> Result<i64, Error> {
+    match days {
+        1..=365 => Ok(cx.now + i64::from(days) * DAY),
+        _ => Err(Error::invalid("days", "a token is valid for 1 to 365 days")),
     }
 }
 
-pub(super) fn add_user(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn add_user(cx: &Context) -> Result<Response, Error> {
     let new: NewUser = cx.body()?;
-    let user = cx
-        .app
-        .store
-        .add_user(Some(cx.who()?.id), &new.name, new.role, cx.now)?;
-    let expires = cx.now + i64::from(TOKEN_DAYS) * DAY;
-    json(&shown(cx.app.store.issue(
-        user.id,
-        TokenUse::Token,
-        expires,
-        cx.now,
-    )?))
+    let admin = Some(cx.user()?);
+    let user = cx.store().add_user(admin, &new.name, new.role, cx.now)?;
+    issued(cx, user.id, TOKEN_DAYS)
 }
 
-pub(super) fn add_users(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn add_users(cx: &Context) -> Result<Response, Error> {
     let new: NewUsers = cx.body()?;
-    check_days(new.days)?;
-    let expires = cx.now + i64::from(new.days) * DAY;
-    let users: Vec<NewUserLink> = cx
-        .app
-        .store
-        .add_users(Some(cx.who()?.id), &new.lines, expires, cx.now)?
-        .into_iter()
-        .map(|token| NewUserLink {
-            user: token.user,
-            path: format!("/#token={}", token.token),
-            expires: token.expires,
-        })
-        .collect();
-    json(&users)
+    let (admin, expires) = (Some(cx.user()?), end(cx, new.days)?);
+    let tokens = cx.store().add_users(admin, &new.lines, expires, cx.now)?;
+    let link = |token: IssuedToken| NewUserLink {
+        path: format!("/#token={}", token.token),
+        user: token.user,
+        expires: token.expires,
+    };
+    json(&tokens.into_iter().map(link).collect::<Vec<_>>())
 }
 
-fn check_days(days: u32) -> Result<(), Error> {
-    if (1..=365).contains(&days) {
-        return Ok(());
-    }
-    Err(Error::invalid("days", "a token is valid for 1 to 365 days"))
+pub(super) fn change_user(cx: &Context) -> Result<Response, Error> {
+    let UserChange { role, active } = cx.body()?;
+    let (admin, user) = (Some(cx.user()?), cx.id()?);
+    json(&cx.store().change_user(admin, user, role, active, cx.now)?)
 }
 
-pub(super) fn change_user(cx: &Context) -> Result<Reply, Error> {
-    let change: UserChange = cx.body()?;
-    let user = cx.app.store.change_user(
-        Some(cx.who()?.id),
-        cx.id()?,
-        change.role,
-        change.active,
-        cx.now,
-    )?;
-    json(&user)
-}
-
-pub(super) fn tokens(cx: &Context) -> Result<Reply, Error> {
-    json(&cx.app.store.tokens(cx.id()?)?)
-}
-
-pub(super) fn add_token(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn add_token(cx: &Context) -> Result<Response, Error> {
     let new: NewToken = cx.body()?;
-    check_days(new.days)?;
-    let expires = cx.now + i64::from(new.days) * DAY;
-    json(&shown(cx.app.store.issue(
-        cx.id()?,
-        TokenUse::Token,
-        expires,
-        cx.now,
-    )?))
-}
-
-pub(super) fn revoke(cx: &Context) -> Result<Reply, Error> {
-    cx.app.store.revoke(cx.id()?)?;
-    Ok(Reply::Empty)
+    issued(cx, cx.id()?, new.days)
 }

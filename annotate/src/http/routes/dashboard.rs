@@ -2,24 +2,25 @@
 
 use std::sync::Arc;
 
+use axum::response::Response;
+use serde::Deserialize;
+
 use crate::Error;
-use crate::clock;
-use crate::http::app::{App, Context, Reply, json};
+use crate::clock::{self, DAY};
+use crate::http::app::{Context, json, page_size};
 use crate::quality::Figures;
-use crate::state::LogKind;
 use crate::store::AuditFilter;
 use crate::wire::{EditType, EditTypeCount, Funnel, Person, QuotaRow, TaskKind, Week};
 
 /// Weeks the dashboard shows.
 const WEEKS: i64 = 12;
-const DAY: i64 = 24 * 60 * 60 * 1000;
 
 /// Figures of all answers; those of the last minute are not computed again.
-pub(super) fn figures(app: &App, now: i64) -> Result<Arc<Figures>, Error> {
-    app.figures.get(app.store.as_ref(), now)
+pub(super) fn figures(cx: &Context) -> Result<Arc<Figures>, Error> {
+    cx.app.figures.get(cx.store(), cx.now)
 }
 
-pub(super) fn funnel(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn funnel(cx: &Context) -> Result<Response, Error> {
     let mut funnel = Funnel {
         counts: TaskKind::ALL
             .iter()
@@ -27,13 +28,13 @@ pub(super) fn funnel(cx: &Context) -> Result<Reply, Error> {
             .collect(),
         weeks: Vec::new(),
     };
-    for (kind, state, count) in cx.app.store.funnel()? {
+    for (kind, state, count) in cx.store().funnel()? {
         funnel.counts.entry(kind).or_default().insert(state, count);
     }
-    let zone = cx.app.store.settings()?.time_zone;
+    let zone = cx.store().settings()?.time_zone;
     let bounds = clock::weeks(&zone, cx.now, WEEKS);
-    let counts = cx.app.store.weeks(bounds.clone())?;
-    let figures = figures(&cx.app, cx.now)?;
+    let counts = cx.store().weeks(bounds.clone())?;
+    let figures = figures(cx)?;
     for (index, counts) in counts.into_iter().enumerate() {
         let inside = |values: &[(i64, f64)]| -> Vec<f64> {
             let within = values
@@ -57,19 +58,15 @@ pub(super) fn funnel(cx: &Context) -> Result<Reply, Error> {
     json(&funnel)
 }
 
-pub(super) fn people(cx: &Context) -> Result<Reply, Error> {
-    let figures = figures(&cx.app, cx.now)?;
+pub(super) fn people(cx: &Context) -> Result<Response, Error> {
+    let figures = figures(cx)?;
     let people: Vec<Person> = cx
-        .app
-        .store
+        .store()
         .people()?
         .into_iter()
         .map(|counts| {
-            let known = figures
-                .people
-                .get(&counts.user.id)
-                .cloned()
-                .unwrap_or_default();
+            let known = figures.people.get(&counts.user.id);
+            let known = known.cloned().unwrap_or_default();
             let gold = counts.gold.len();
             Person {
                 done: counts.done,
@@ -89,17 +86,10 @@ pub(super) fn people(cx: &Context) -> Result<Reply, Error> {
     json(&people)
 }
 
-pub(super) fn agreement(cx: &Context) -> Result<Reply, Error> {
-    json(&figures(&cx.app, cx.now)?.agreement)
-}
-
-pub(super) fn quota(cx: &Context) -> Result<Reply, Error> {
-    let settings = cx.app.store.settings()?;
-    let wanted = i64::from(settings.quota);
-    let category_wanted = i64::from(settings.category_quota);
+pub(super) fn quota(cx: &Context) -> Result<Response, Error> {
+    let settings = cx.store().settings()?;
     let rows: Vec<QuotaRow> = cx
-        .app
-        .store
+        .store()
         .kept()?
         .into_iter()
         .filter_map(|(category, edit_type, kept)| {
@@ -107,20 +97,20 @@ pub(super) fn quota(cx: &Context) -> Result<Reply, Error> {
                 category: category.unwrap_or_default(),
                 edit_type: EditType::parse(&edit_type)?,
                 kept,
-                wanted,
-                category_wanted,
+                wanted: settings.quota.into(),
+                category_wanted: settings.category_quota.into(),
             })
         })
         .collect();
     json(&rows)
 }
 
-pub(super) fn edit_types(cx: &Context) -> Result<Reply, Error> {
-    let quotas = cx.app.store.settings()?.edit_type_quota;
+pub(super) fn edit_types(cx: &Context) -> Result<Response, Error> {
+    let quotas = cx.store().settings()?.edit_type_quota;
     // Annotators ask with every pair; most projects have no such quota.
     let kept = match quotas.is_empty() {
         true => Vec::new(),
-        false => cx.app.store.kept()?,
+        false => cx.store().kept()?,
     };
     let counts: Vec<EditTypeCount> = quotas
         .into_iter()
@@ -138,37 +128,28 @@ pub(super) fn edit_types(cx: &Context) -> Result<Reply, Error> {
     json(&counts)
 }
 
-pub(super) fn captures(cx: &Context) -> Result<Reply, Error> {
-    json(&cx.app.store.captures()?)
-}
-
 /// Days that `stats/days` shows if the query names none, today among them.
 const DAYS_SHOWN: i64 = 28;
 
-pub(super) fn days(cx: &Context) -> Result<Reply, Error> {
-    cx.only(&["from", "to"])?;
-    let to = cx.number("to")?.unwrap_or(i64::MAX);
-    let from = cx
-        .number("from")?
-        .unwrap_or(cx.now - (DAYS_SHOWN - 1) * DAY);
+/// The query of `stats/days`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Days {
+    from: Option<i64>,
+    to: Option<i64>,
+}
+
+pub(super) fn days(cx: &Context) -> Result<Response, Error> {
+    let Days { from, to } = cx.query()?;
+    let from = from.unwrap_or(cx.now - (DAYS_SHOWN - 1) * DAY);
     // The first day is shown whole.
-    let zone = cx.app.store.settings()?.time_zone;
+    let zone = cx.store().settings()?.time_zone;
     let from = clock::midnight(&zone, from.max(0));
-    json(&cx.app.store.work(from, to)?)
+    json(&cx.store().work(from, to.unwrap_or(i64::MAX))?)
 }
 
-pub(super) fn outlook(cx: &Context) -> Result<Reply, Error> {
-    json(&cx.app.store.outlook(cx.now)?)
-}
-
-pub(super) fn audit(cx: &Context) -> Result<Reply, Error> {
-    cx.only(&["actor", "kind", "task", "before", "limit"])?;
-    let filter = AuditFilter {
-        actor: cx.number("actor")?,
-        kind: cx.one_of("kind", LogKind::parse)?,
-        task: cx.number("task")?,
-        before: cx.number("before")?,
-        limit: cx.limit(200)?,
-    };
-    json(&cx.app.store.audit(filter)?)
+pub(super) fn audit(cx: &Context) -> Result<Response, Error> {
+    let mut filter: AuditFilter = cx.query()?;
+    filter.limit = page_size(filter.limit, 200);
+    json(&cx.store().audit(filter)?)
 }

@@ -1,57 +1,40 @@
 //! The home page, preferences, and the shelf of accepted answers.
 
+use axum::response::Response;
+use datasets_spec::BodyPart;
+
 use super::dashboard::figures;
 use super::tasks::task_of;
 use crate::Error;
-use crate::body::skeleton_info;
-use crate::http::app::{Context, Reply, json};
+use crate::http::app::{Context, json, page_size};
 use crate::store::{AcceptedAnswer, ShelfFilter};
-use crate::wire::{Prefs, Shelf, ShelfItem, TaskKind};
+use crate::wire::{Code, Prefs, Shelf, ShelfItem};
 
-pub(super) fn prefs(cx: &Context) -> Result<Reply, Error> {
-    json(&cx.app.store.prefs(cx.who()?.id)?)
-}
-
-pub(super) fn put_prefs(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn put_prefs(cx: &Context) -> Result<Response, Error> {
     let prefs: Prefs = cx.body()?;
-    cx.app.store.put_prefs(cx.who()?.id, prefs.clone())?;
+    cx.store().put_prefs(cx.user()?, prefs.clone())?;
     json(&prefs)
 }
 
-pub(super) fn skeleton(_: &Context) -> Result<Reply, Error> {
-    json(&skeleton_info())
-}
-
-pub(super) fn home(cx: &Context) -> Result<Reply, Error> {
-    let who = cx.who()?;
-    let mut home = cx.app.store.home(who.id, cx.now)?;
-    home.agreement = figures(&cx.app, cx.now)?
-        .people
-        .get(&who.id)
-        .and_then(|person| person.agreement);
+pub(super) fn home(cx: &Context) -> Result<Response, Error> {
+    let user = cx.user()?;
+    let mut home = cx.store().home(user, cx.now)?;
+    let figures = figures(cx)?;
+    home.agreement = figures.people.get(&user).and_then(|own| own.agreement);
     json(&home)
 }
 
-pub(super) fn shelf(cx: &Context) -> Result<Reply, Error> {
-    cx.only(&["kind", "part", "q", "before", "limit"])?;
-    let limit = cx.limit(50)?;
-    let filter = ShelfFilter {
-        kind: cx.one_of("kind", TaskKind::parse)?,
-        part: cx
-            .one_of("part", |text| text.parse::<datasets_spec::BodyPart>().ok())?
-            .map(|part| part.name().to_owned()),
-        text: cx
-            .query
-            .get("q")
-            .filter(|text| !text.trim().is_empty())
-            .cloned(),
-        before: cx.number("before")?,
-        limit,
-    };
-    let found: Vec<AcceptedAnswer> = cx.app.store.shelf(cx.who()?.id, filter)?;
-    let next = (found.len() == limit)
-        .then(|| found.last().map(|answer| answer.seq))
-        .flatten();
+pub(super) fn shelf(cx: &Context) -> Result<Response, Error> {
+    let mut filter: ShelfFilter = cx.query()?;
+    if let Some(name) = &filter.part {
+        name.parse::<BodyPart>()
+            .map_err(|error| Error::refused(Code::BadRequest, error.to_string()))?;
+    }
+    let limit = page_size(filter.limit, 50);
+    filter.limit = limit;
+    let found: Vec<AcceptedAnswer> = cx.store().shelf(cx.user()?, filter)?;
+    let last = found.last().map(|answer| answer.seq);
+    let next = last.filter(|_| found.len() == limit);
     let items = found
         .into_iter()
         .map(|found| {

@@ -9,32 +9,32 @@ mod home;
 mod jobs;
 mod motions;
 mod review;
-mod rules;
 mod session;
 mod tasks;
 
-use super::app::{Access, Handler, Route};
-use crate::wire::{MAX_BODY_BYTES, MAX_IMPORT_BYTES, MAX_PICTURE_BYTES, MAX_SETTINGS_BYTES, Role};
+use super::app::{Access, Route, empty, json};
+use super::stream;
+use crate::body::skeleton_info;
+use crate::wire::{
+    ApplyRules, MAX_BODY_BYTES, MAX_IMPORT_BYTES, MAX_PICTURE_BYTES, MAX_SETTINGS_BYTES, Role,
+};
 
 const PUBLIC: Access = Access::Public;
 const ANNOTATOR: Access = Access::Role(Role::Annotator);
 const REVIEWER: Access = Access::Role(Role::Reviewer);
 const ADMIN: Access = Access::Role(Role::Admin);
 
-/// A table of routes from lines of method, path, required role and handler. Routes with a body limit or a kind of handler of
-/// their own follow as whole [`Route`]s, each after `@also`.
+/// A table of routes from lines of method, path, required role and handler, and the limit of the body where it is not
+/// [`MAX_BODY_BYTES`].
 macro_rules! routes {
-    ($($method:ident $path:literal $access:ident $work:path;)* $(@also $other:expr;)*) => {
-        &[
-            $(Route {
-                method: stringify!($method),
-                path: $path,
-                access: $access,
-                max_body: MAX_BODY_BYTES,
-                handler: Handler::Work($work),
-            },)*
-            $($other,)*
-        ]
+    ($($method:ident $path:literal $access:ident $handler:expr $(, up to $max:ident)?;)*) => {
+        &[$(Route {
+            method: stringify!($method),
+            path: $path,
+            access: $access,
+            max_body: [$($max,)? MAX_BODY_BYTES][0],
+            handler: $handler,
+        },)*]
     };
 }
 
@@ -42,21 +42,22 @@ macro_rules! routes {
 pub static ROUTES: &[Route] = routes! {
     POST "/api/v1/session" PUBLIC session::log_in;
     DELETE "/api/v1/session" ANNOTATOR session::log_out;
-    GET "/api/v1/me" ANNOTATOR session::me;
-    GET "/api/v1/prefs" ANNOTATOR home::prefs;
+    GET "/api/v1/me" ANNOTATOR |cx| json(&session::me_of(&cx.app, cx.who()?)?);
+    GET "/api/v1/prefs" ANNOTATOR |cx| json(&cx.store().prefs(cx.user()?)?);
     PUT "/api/v1/prefs" ANNOTATOR home::put_prefs;
     GET "/api/v1/guide" ANNOTATOR guide::guide;
     PUT "/api/v1/guide/{kind}" ADMIN guide::put_guide;
-    GET "/api/v1/guide/pictures" ANNOTATOR guide::pictures;
+    GET "/api/v1/guide/pictures" ANNOTATOR |cx| json(&cx.store().pictures()?);
     GET "/api/v1/guide/pictures/{name}" ANNOTATOR guide::picture;
+    PUT "/api/v1/guide/pictures/{name}" ADMIN guide::put_picture, up to MAX_PICTURE_BYTES;
     DELETE "/api/v1/guide/pictures/{name}" ADMIN guide::delete_picture;
-    GET "/api/v1/skeleton" ANNOTATOR home::skeleton;
+    GET "/api/v1/skeleton" ANNOTATOR |_| json(&skeleton_info());
     GET "/api/v1/home" ANNOTATOR home::home;
     GET "/api/v1/shelf" ANNOTATOR home::shelf;
     POST "/api/v1/queue/next" ANNOTATOR tasks::next;
-    GET "/api/v1/leases" REVIEWER tasks::leases;
-    POST "/api/v1/leases/{id}/renew" ANNOTATOR tasks::renew;
-    DELETE "/api/v1/leases/{id}" ANNOTATOR tasks::release;
+    GET "/api/v1/leases" REVIEWER |cx| json(&cx.store().leases(cx.now)?);
+    POST "/api/v1/leases/{id}/renew" ANNOTATOR |cx| json(&cx.store().renew(cx.user()?, cx.id()?, cx.now)?);
+    DELETE "/api/v1/leases/{id}" ANNOTATOR |cx| cx.store().release(cx.who()?, cx.id()?, cx.now).and_then(empty);
     GET "/api/v1/answers" ANNOTATOR browse::mine;
     GET "/api/v1/tasks" REVIEWER browse::tasks;
     GET "/api/v1/tasks/{id}" ANNOTATOR tasks::task;
@@ -66,7 +67,7 @@ pub static ROUTES: &[Route] = routes! {
     POST "/api/v1/tasks/{id}/suggest" ANNOTATOR tasks::suggest;
     POST "/api/v1/tasks/{id}/gold" ADMIN tasks::make_gold;
     POST "/api/v1/tasks/{id}/practice" ADMIN tasks::make_practice;
-    GET "/api/v1/practice" ANNOTATOR tasks::practice;
+    GET "/api/v1/practice" ANNOTATOR |cx| json(&cx.store().practice(cx.user()?)?);
     GET "/api/v1/tasks/{id}/history" REVIEWER tasks::history;
     GET "/api/v1/motions/partners" ANNOTATOR motions::partners;
     GET "/api/v1/motions/{hash}/joints" ANNOTATOR motions::joints;
@@ -76,32 +77,39 @@ pub static ROUTES: &[Route] = routes! {
     POST "/api/v1/review/next" REVIEWER review::review_next;
     POST "/api/v1/reviews" REVIEWER review::review;
     GET "/api/v1/reviews" REVIEWER browse::decisions;
-    POST "/api/v1/bulk/preview" REVIEWER browse::preview;
-    POST "/api/v1/bulk" REVIEWER browse::bulk;
-    GET "/api/v1/rules" REVIEWER rules::rules;
-    POST "/api/v1/rules/apply" ADMIN rules::apply;
-    POST "/api/v1/rules/{name}/undo" ADMIN rules::undo;
+    POST "/api/v1/bulk/preview" REVIEWER |cx| json(&cx.store().preview_bulk(cx.who()?, cx.body()?, cx.now)?);
+    POST "/api/v1/bulk" REVIEWER |cx| json(&cx.store().bulk(cx.who()?, cx.body()?, cx.now)?);
+    GET "/api/v1/rules" REVIEWER |cx| json(&cx.store().rules()?);
+    POST "/api/v1/rules/apply" ADMIN |cx| {
+        let request: ApplyRules = cx.body()?;
+        json(&cx.store().apply_rules(request.after.unwrap_or(0), cx.now)?)
+    };
+    POST "/api/v1/rules/{name}/undo" ADMIN |cx| json(&cx.store().undo_rule(cx.user()?, cx.param("name"), cx.now)?);
     GET "/api/v1/stats/funnel" REVIEWER dashboard::funnel;
     GET "/api/v1/stats/people" REVIEWER dashboard::people;
-    GET "/api/v1/stats/agreement" REVIEWER dashboard::agreement;
+    GET "/api/v1/stats/agreement" REVIEWER |cx| json(&dashboard::figures(cx)?.agreement);
     GET "/api/v1/stats/quota" REVIEWER dashboard::quota;
     GET "/api/v1/stats/edit-types" ANNOTATOR dashboard::edit_types;
     GET "/api/v1/stats/days" REVIEWER dashboard::days;
-    GET "/api/v1/stats/outlook" REVIEWER dashboard::outlook;
-    GET "/api/v1/captures" REVIEWER dashboard::captures;
-    GET "/api/v1/settings" ADMIN admin::settings;
-    GET "/api/v1/users" ADMIN admin::users;
+    GET "/api/v1/stats/outlook" REVIEWER |cx| json(&cx.store().outlook(cx.now)?);
+    GET "/api/v1/captures" REVIEWER |cx| json(&cx.store().captures()?);
+    PUT "/api/v1/captures" ADMIN admin::put_captures, up to MAX_SETTINGS_BYTES;
+    GET "/api/v1/settings" ADMIN |cx| json(&cx.store().settings()?);
+    PUT "/api/v1/settings" ADMIN admin::put_settings, up to MAX_SETTINGS_BYTES;
+    GET "/api/v1/users" ADMIN |cx| json(&cx.store().users()?);
     POST "/api/v1/users" ADMIN admin::add_user;
     POST "/api/v1/users/bulk" ADMIN admin::add_users;
     PATCH "/api/v1/users/{id}" ADMIN admin::change_user;
-    GET "/api/v1/users/{id}/tokens" ADMIN admin::tokens;
+    GET "/api/v1/users/{id}/tokens" ADMIN |cx| json(&cx.store().tokens(cx.id()?)?);
     POST "/api/v1/users/{id}/tokens" ADMIN admin::add_token;
-    DELETE "/api/v1/tokens/{id}" ADMIN admin::revoke;
+    DELETE "/api/v1/tokens/{id}" ADMIN |cx| cx.store().revoke(cx.id()?).and_then(empty);
+    POST "/api/v1/imports" ADMIN jobs::import, up to MAX_IMPORT_BYTES;
     POST "/api/v1/exports" ADMIN jobs::export;
-    GET "/api/v1/jobs" ADMIN jobs::all_jobs;
-    GET "/api/v1/jobs/{id}" ADMIN jobs::one_job;
-    GET "/api/v1/jobs/{id}/files/{name}" ADMIN jobs::job_file;
+    GET "/api/v1/jobs" ADMIN |cx| json(&jobs::all(cx)?);
+    GET "/api/v1/jobs/{id}" ADMIN |cx| json(&jobs::one(cx)?);
+    GET "/api/v1/jobs/{id}/files/{name}" ADMIN jobs::file;
     GET "/api/v1/audit" ADMIN dashboard::audit;
+    GET "/api/v1/stream" ANNOTATOR stream::open;
     GET "/healthz" PUBLIC health::healthy;
     GET "/readyz" PUBLIC health::ready;
     GET "/metrics" ADMIN health::metrics;
@@ -110,41 +118,6 @@ pub static ROUTES: &[Route] = routes! {
     GET "/app/" PUBLIC health::asset;
     GET "/app/{*rest}" PUBLIC health::asset;
     GET "/assets/{*name}" PUBLIC health::asset;
-    @also Route {
-        method: "PUT",
-        path: "/api/v1/settings",
-        access: ADMIN,
-        max_body: MAX_SETTINGS_BYTES,
-        handler: Handler::Work(admin::put_settings),
-    };
-    @also Route {
-        method: "PUT",
-        path: "/api/v1/captures",
-        access: ADMIN,
-        max_body: MAX_SETTINGS_BYTES,
-        handler: Handler::Work(admin::put_captures),
-    };
-    @also Route {
-        method: "PUT",
-        path: "/api/v1/guide/pictures/{name}",
-        access: ADMIN,
-        max_body: MAX_PICTURE_BYTES,
-        handler: Handler::Work(guide::put_picture),
-    };
-    @also Route {
-        method: "GET",
-        path: "/api/v1/stream",
-        access: ANNOTATOR,
-        max_body: 0,
-        handler: Handler::Stream,
-    };
-    @also Route {
-        method: "POST",
-        path: "/api/v1/imports",
-        access: ADMIN,
-        max_body: MAX_IMPORT_BYTES,
-        handler: Handler::Work(jobs::import),
-    };
 };
 
 /// Routes of the address for operators, which needs no login.

@@ -1,82 +1,72 @@
 //! Motions, differences of pairs, and blends for the viewer.
 
-use axum::body::Body;
-use axum::http::header;
 use axum::response::Response;
+use serde::Deserialize;
 
 use super::tasks::motion_info;
 use crate::Error;
-use crate::http::app::{Context, Reply, json, set};
+use crate::http::app::{Context, binary, content, json};
 use crate::mask::{check_names, known_parts, mask_of};
 use crate::motions::row_bytes;
-use crate::wire::{BlendRequest, Code, MotionInfo};
+use crate::wire::{BlendRequest, MotionInfo};
 
-fn binary(bytes: Vec<u8>, lasting: bool) -> Reply {
-    let mut response = Response::new(Body::from(bytes));
-    set(
-        &mut response,
-        header::CONTENT_TYPE,
-        "application/octet-stream",
-    );
-    let cache = if lasting {
-        "private, max-age=31536000, immutable"
-    } else {
-        "no-store"
-    };
-    set(&mut response, header::CACHE_CONTROL, cache);
-    Reply::Full(response)
+/// What follows from the hash of a motion, and never changes.
+fn lasting(bytes: Vec<u8>) -> Response {
+    let cache = "private, max-age=31536000, immutable";
+    content("application/octet-stream", cache, bytes)
 }
 
-pub(super) fn joints(cx: &Context) -> Result<Reply, Error> {
-    Ok(binary(cx.app.motions.joints(cx.param("hash"))?, true))
+pub(super) fn joints(cx: &Context) -> Result<Response, Error> {
+    Ok(lasting(cx.app.motions.joints(cx.param("hash"))?))
 }
 
-pub(super) fn heat(cx: &Context) -> Result<Reply, Error> {
-    Ok(binary(
-        row_bytes(&cx.app.motions.heat(cx.param("hash"))?),
-        true,
-    ))
+pub(super) fn heat(cx: &Context) -> Result<Response, Error> {
+    Ok(lasting(row_bytes(&cx.app.motions.heat(cx.param("hash"))?)))
 }
 
-pub(super) fn partners(cx: &Context) -> Result<Reply, Error> {
-    cx.only(&["of", "n"])?;
-    let n = usize::try_from(cx.number("n")?.unwrap_or(8).clamp(1, 50)).unwrap_or(8);
-    let hash = cx.query.get("of").map_or("", String::as_str);
-    let found: Vec<MotionInfo> = cx
-        .app
-        .store
-        .partners(hash, n)?
-        .into_iter()
-        .map(motion_info)
-        .collect();
+/// The query of `motions/partners`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Partners {
+    #[serde(default)]
+    of: String,
+    n: Option<usize>,
+}
+
+pub(super) fn partners(cx: &Context) -> Result<Response, Error> {
+    let Partners { of, n } = cx.query()?;
+    let found = cx.store().partners(&of, n.unwrap_or(8).clamp(1, 50))?;
+    let found: Vec<MotionInfo> = found.into_iter().map(motion_info).collect();
     json(&found)
 }
 
-pub(super) fn difference(cx: &Context) -> Result<Reply, Error> {
-    cx.only(&["align"])?;
-    let stretch = match cx.query.get("align").map(String::as_str) {
-        None | Some("none") => false,
-        Some("stretch") => true,
-        Some(other) => {
-            return Err(Error::refused(
-                Code::BadRequest,
-                format!("align {other:?} is not known; use none or stretch"),
-            ));
-        }
-    };
-    let detail = cx.app.store.task(cx.who()?, cx.id()?)?;
-    let target = detail
-        .task
-        .target
-        .ok_or_else(|| Error::invalid("id", "this task has one motion, not two"))?;
-    let rows = cx
-        .app
-        .motions
-        .difference(&detail.task.source, &target, stretch)?;
-    Ok(binary(row_bytes(&rows), false))
+/// How two motions are compared.
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Align {
+    None,
+    Stretch,
 }
 
-pub(super) fn blend(cx: &Context) -> Result<Reply, Error> {
+/// The query of `pairs/{id}/diff`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Compared {
+    align: Option<Align>,
+}
+
+pub(super) fn difference(cx: &Context) -> Result<Response, Error> {
+    let Compared { align } = cx.query()?;
+    let task = cx.store().task(cx.who()?, cx.id()?)?.task;
+    let target = task
+        .target
+        .ok_or_else(|| Error::invalid("id", "this task has one motion, not two"))?;
+    let stretch = matches!(align, Some(Align::Stretch));
+    let rows = cx.app.motions.difference(&task.source, &target, stretch)?;
+    Ok(binary(row_bytes(&rows)))
+}
+
+pub(super) fn blend(cx: &Context) -> Result<Response, Error> {
     let request: BlendRequest = cx.body()?;
     if !(0.0..=1.0).contains(&request.alpha) {
         return Err(Error::invalid(
@@ -92,9 +82,7 @@ pub(super) fn blend(cx: &Context) -> Result<Reply, Error> {
     }
     check_names(&request.joints).map_err(|problem| Error::invalid("joints", problem))?;
     let mask = mask_of(&request.parts, request.soft, &request.joints);
-    let bytes = cx
-        .app
-        .motions
-        .blend(&request.src, &request.tgt, mask, request.alpha)?;
-    Ok(binary(bytes, false))
+    let (source, target) = (&request.src, &request.tgt);
+    let bytes = cx.app.motions.blend(source, target, mask, request.alpha)?;
+    Ok(binary(bytes))
 }

@@ -1,22 +1,24 @@
 //! Reviews.
 
+use axum::response::Response;
+
 use super::tasks::{offered, task_of};
 use crate::Error;
 use crate::answer;
-use crate::http::app::{Context, Reply, json};
+use crate::http::app::{Context, json};
+use crate::quality::draft_distance;
 use crate::store::ReviewClaimed;
 use crate::wire::{
     Candidate, Decision, NewReview, ReviewNext, ReviewRequest, ReviewView, Revision,
 };
 
-pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn review_next(cx: &Context) -> Result<Response, Error> {
     let request: ReviewRequest = cx.body()?;
-    let who = cx.who()?;
-    let store = &cx.app.store;
+    let (user, store) = (cx.user()?, cx.store());
     let detail = if let Some(task) = request.task {
-        store.review_task(who.id, task, cx.now)?
+        store.review_task(user, task, cx.now)?
     } else {
-        match store.review_next(who.id, request.queue, request.kind, cx.now)? {
+        match store.review_next(user, request.queue, request.kind, cx.now)? {
             ReviewClaimed::Nothing(empty) => {
                 return json(&ReviewNext {
                     review: None,
@@ -26,25 +28,21 @@ pub(super) fn review_next(cx: &Context) -> Result<Reply, Error> {
             ReviewClaimed::Task(detail) => *detail,
         }
     };
-    let id = detail.task.id;
-    let clip_changed = detail.task.changed;
-    let answers: Vec<_> = detail
-        .candidates
-        .iter()
+    let revisions = detail.candidates.iter();
+    let answers: Vec<_> = revisions
         .map(|(revision, _)| revision.answer.clone())
         .collect();
-    let candidates = candidates_of(cx, detail.candidates)?;
-    let suggestions = offered(&cx.app, &detail.task, cx.app.store.suggestions_of(id)?)?;
+    let suggestions = store.suggestions_of(detail.task.id)?;
+    let suggestions = offered(&cx.app, &detail.task, suggestions)?;
+    let clip_changed = detail.task.changed;
     let task = task_of(&cx.app, detail.task, None)?;
-    let frames = task
-        .motions
-        .first()
-        .map_or(1, |motion| motion.frames as i64);
+    let motion = task.motions.first();
+    let frames = motion.map_or(1, |motion| motion.frames as i64);
     json(&ReviewNext {
         review: Some(ReviewView {
             task,
             lease: detail.lease,
-            candidates,
+            candidates: candidates_of(cx, detail.candidates)?,
             distance: answer::spread(&answers, frames),
             comments: detail.comments,
             suggestions,
@@ -62,9 +60,8 @@ pub(super) fn candidates_of(
     answers
         .into_iter()
         .map(|(revision, author_name)| {
-            let store = cx.app.store.as_ref();
             Ok(Candidate {
-                draft_distance: crate::quality::draft_distance(store, &revision.answer)?,
+                draft_distance: draft_distance(cx.store(), &revision.answer)?,
                 joints: revision
                     .answer
                     .joints()
@@ -78,10 +75,10 @@ pub(super) fn candidates_of(
         .collect()
 }
 
-pub(super) fn review(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn review(cx: &Context) -> Result<Response, Error> {
     let new: NewReview = cx.body()?;
     if new.decision != Decision::Merge && new.answer.is_some() {
         return Err(Error::invalid("answer", "only a merge contains an answer"));
     }
-    json(&cx.app.store.review(cx.who()?.id, new, cx.now)?)
+    json(&cx.store().review(cx.user()?, new, cx.now)?)
 }

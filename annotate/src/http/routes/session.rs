@@ -2,18 +2,19 @@
 
 use std::collections::BTreeMap;
 
-use axum::http::header;
-use axum::response::Response;
-use serde::Serialize;
+use axum::http::header::SET_COOKIE;
+use axum::response::{IntoResponse, Response};
 
 use crate::Error;
-use crate::http::app::{App, Context, Reply, cookie, json, reply_response, set};
+use crate::clock::DAY;
+use crate::http::app::{App, Context, cookie, empty, json};
 use crate::http::proxy;
 use crate::lock::lock;
 use crate::model::MAX_REQUESTS_PER_MINUTE;
 use crate::store::Who;
 use crate::wire::{
     Limits, Login, MAX_BODY_BYTES, MAX_EVENTS, MAX_TEXT_CHARS, Me, Project, TaskKind, TextForm,
+    User,
 };
 
 /// Maximum number of wrong tokens per minute from one address. A right one is never refused: many people may share an
@@ -21,14 +22,13 @@ use crate::wire::{
 const WRONG_PER_MINUTE: u32 = 10;
 /// Seconds between renewals of a lease.
 const HEARTBEAT_SECS: i64 = 60;
-const DAY: i64 = 24 * 60 * 60 * 1000;
 /// Maximum lifetime of a session in days; it also ends with the token of its login.
 const SESSION_DAYS: i64 = 7;
 
-pub(super) fn log_in(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn log_in(cx: &Context) -> Result<Response, Error> {
     let login: Login = cx.body()?;
     let until = cx.now + SESSION_DAYS * DAY;
-    let (who, session) = match cx.app.store.log_in(&login.token, until, cx.now) {
+    let (who, session) = match cx.store().log_in(&login.token, until, cx.now) {
         Err(error @ Error::Refused(_)) => {
             let client = proxy::counted(cx.client).to_string();
             let limiter = &cx.app.limiter;
@@ -37,35 +37,25 @@ pub(super) fn log_in(cx: &Context) -> Result<Reply, Error> {
         }
         logged_in => logged_in?,
     };
-    let mut reply = full_json(&me_of(&cx.app, &who)?)?;
+    let me = json(&me_of(&cx.app, &who)?)?;
     let age = (session.expires - cx.now) / 1000;
-    set_cookie(cx, &mut reply, &session.token, age);
-    Ok(Reply::Full(reply))
+    Ok(with_cookie(cx, me, &session.token, age))
 }
 
-fn set_cookie(cx: &Context, response: &mut Response, value: &str, age: i64) {
+/// Adds the cookie of a session that lasts for `age` seconds.
+fn with_cookie(cx: &Context, response: Response, value: &str, age: i64) -> Response {
     let name = cx.app.cookie_name();
     let secure = if cx.app.config.secure { "; Secure" } else { "" };
     let cookie =
         format!("{name}={value}; HttpOnly; SameSite=Strict; Path=/; Max-Age={age}{secure}");
-    set(response, header::SET_COOKIE, &cookie);
+    ([(SET_COOKIE, cookie)], response).into_response()
 }
 
-fn full_json<T: Serialize>(value: &T) -> Result<Response, Error> {
-    Ok(reply_response(json(value)?))
-}
-
-pub(super) fn log_out(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn log_out(cx: &Context) -> Result<Response, Error> {
     if let Some(token) = cookie(&cx.headers, &cx.app.cookie_name()) {
-        cx.app.store.log_out(&token)?;
+        cx.store().log_out(&token)?;
     }
-    let mut response = reply_response(Reply::Empty);
-    set_cookie(cx, &mut response, "", 0);
-    Ok(Reply::Full(response))
-}
-
-pub(super) fn me(cx: &Context) -> Result<Reply, Error> {
-    json(&me_of(&cx.app, cx.who()?)?)
+    Ok(with_cookie(cx, empty(())?, "", 0))
 }
 
 /// What the texts of each kind are.
@@ -76,14 +66,15 @@ pub(super) fn text_forms() -> BTreeMap<TaskKind, TextForm> {
         .collect()
 }
 
-fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
+pub(super) fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
     let settings = app.store.settings()?;
     let read_only = lock(&app.read_only).clone();
     if read_only.is_some() && app.store.check().is_ok() {
         *lock(&app.read_only) = None;
     }
+    let model = app.config.model.as_ref();
     Ok(Me {
-        user: crate::wire::User {
+        user: User {
             id: who.id,
             name: who.name.clone(),
             role: who.role,
@@ -109,11 +100,7 @@ fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
             time_zone: settings.time_zone,
         },
         prefs: app.store.prefs(who.id)?,
-        model: app
-            .config
-            .model
-            .as_ref()
-            .map(|model| model.name().to_owned()),
+        model: model.map(|model| model.name().to_owned()),
         read_only: lock(&app.read_only).clone(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         store: app.store_id.clone(),

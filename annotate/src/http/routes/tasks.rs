@@ -1,8 +1,10 @@
 //! Queues, leases, tasks and their events.
 
+use axum::response::Response;
+
 use crate::Error;
 use crate::answer;
-use crate::http::app::{App, Context, Reply, json};
+use crate::http::app::{App, Context, json};
 use crate::mask::known_parts;
 use crate::model::MAX_REQUESTS_PER_MINUTE;
 use crate::store::{AuditFilter, Claimed, MotionRecord, TaskDetail, TaskRecord};
@@ -115,10 +117,10 @@ fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
     })
 }
 
-pub(super) fn next(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn next(cx: &Context) -> Result<Response, Error> {
     let request: NextRequest = cx.body()?;
-    let who = cx.who()?;
-    let (task, empty, prefetch) = match cx.app.store.claim(who.id, request.kind, AHEAD, cx.now)? {
+    let claimed = cx.store().claim(cx.user()?, request.kind, AHEAD, cx.now)?;
+    let (task, empty, prefetch) = match claimed {
         Claimed::Task { detail, upcoming } => (Some(view(&cx.app, *detail)?), None, upcoming),
         Claimed::Nothing(empty) => (None, Some(empty), Vec::new()),
     };
@@ -129,51 +131,28 @@ pub(super) fn next(cx: &Context) -> Result<Reply, Error> {
     })
 }
 
-pub(super) fn leases(cx: &Context) -> Result<Reply, Error> {
-    json(&cx.app.store.leases(cx.now)?)
-}
-
-pub(super) fn renew(cx: &Context) -> Result<Reply, Error> {
-    json(&cx.app.store.renew(cx.who()?.id, cx.id()?, cx.now)?)
-}
-
-pub(super) fn release(cx: &Context) -> Result<Reply, Error> {
-    cx.app.store.release(cx.who()?, cx.id()?, cx.now)?;
-    Ok(Reply::Empty)
-}
-
-pub(super) fn task(cx: &Context) -> Result<Reply, Error> {
-    let detail = cx.app.store.task(cx.who()?, cx.id()?)?;
+pub(super) fn task(cx: &Context) -> Result<Response, Error> {
+    let detail = cx.store().task(cx.who()?, cx.id()?)?;
     json(&view(&cx.app, detail)?)
 }
 
-pub(super) fn claim(cx: &Context) -> Result<Reply, Error> {
-    let (who, id) = (cx.who()?, cx.id()?);
-    json(&view(
-        &cx.app,
-        cx.app.store.claim_task(who.id, id, cx.now)?,
-    )?)
+pub(super) fn claim(cx: &Context) -> Result<Response, Error> {
+    let detail = cx.store().claim_task(cx.user()?, cx.id()?, cx.now)?;
+    json(&view(&cx.app, detail)?)
 }
 
-pub(super) fn events(cx: &Context) -> Result<Reply, Error> {
-    let batch: EventBatch = cx.body()?;
-    if batch.events.is_empty() || batch.events.len() > MAX_EVENTS {
-        return Err(Error::invalid(
-            "events",
-            format!(
-                "a batch has 1 to {MAX_EVENTS} events, this one has {}",
-                batch.events.len()
-            ),
-        ));
+pub(super) fn events(cx: &Context) -> Result<Response, Error> {
+    let EventBatch { events } = cx.body()?;
+    if events.is_empty() || events.len() > MAX_EVENTS {
+        let count = events.len();
+        let problem = format!("a batch has 1 to {MAX_EVENTS} events, this one has {count}");
+        return Err(Error::invalid("events", problem));
     }
-    let results = cx
-        .app
-        .store
-        .append(cx.who()?.id, cx.id()?, batch.events, cx.now)?;
+    let results = cx.store().append(cx.user()?, cx.id()?, events, cx.now)?;
     json(&EventResults { results })
 }
 
-pub(super) fn suggest(cx: &Context) -> Result<Reply, Error> {
+pub(super) fn suggest(cx: &Context) -> Result<Response, Error> {
     let request: SuggestRequest = cx.body()?;
     let who = cx.who()?;
     let Some(model) = &cx.app.config.model else {
@@ -182,7 +161,7 @@ pub(super) fn suggest(cx: &Context) -> Result<Reply, Error> {
             "no language model is configured; write the text yourself",
         ));
     };
-    let detail = cx.app.store.task(who, cx.id()?)?;
+    let detail = cx.store().task(who, cx.id()?)?;
     if detail.lease.is_none() {
         return Err(Error::refused(
             Code::LeaseLost,
@@ -202,52 +181,35 @@ pub(super) fn suggest(cx: &Context) -> Result<Reply, Error> {
             "name the parts that the text shall describe",
         ));
     }
-    cx.app.limiter.count(
-        "suggestions",
-        &who.id.to_string(),
-        MAX_REQUESTS_PER_MINUTE,
-        cx.now,
-    )?;
-    let hashes = std::iter::once(detail.task.source.clone()).chain(detail.task.target.clone());
-    let motions = cx.app.store.motions(hashes.collect())?;
-    let captions: Vec<&str> = motions
-        .iter()
-        .flat_map(|motion| motion.captions.iter().map(String::as_str))
-        .collect();
-    let suggestion = model.suggest(cx.app.store.as_ref(), &detail.task, &captions, &parts)?;
+    let (who, limiter) = (who.id.to_string(), &cx.app.limiter);
+    limiter.count("suggestions", &who, MAX_REQUESTS_PER_MINUTE, cx.now)?;
+    let suggestion = model.suggest(cx.store(), &detail.task, &parts)?;
     let kept = cx
-        .app
-        .store
+        .store()
         .put_suggestion(detail.task.id, suggestion, cx.now)?;
     json(&shown(kept, detail.task.kind))
 }
 
-pub(super) fn make_gold(cx: &Context) -> Result<Reply, Error> {
-    let gold = cx.app.store.make_gold(cx.who()?.id, cx.id()?, cx.now)?;
+pub(super) fn make_gold(cx: &Context) -> Result<Response, Error> {
+    let gold = cx.store().make_gold(cx.user()?, cx.id()?, cx.now)?;
     let record = TaskRecord {
         wanted: 1,
-        ..cx.app.store.task_record(gold)?
+        ..cx.store().task_record(gold)?
     };
     json(&task_of(&cx.app, record, None)?)
 }
 
-pub(super) fn make_practice(cx: &Context) -> Result<Reply, Error> {
-    let store = &cx.app.store;
-    let practice = store.make_practice(cx.who()?.id, cx.id()?, cx.now)?;
-    json(&task_of(&cx.app, store.task_record(practice)?, None)?)
+pub(super) fn make_practice(cx: &Context) -> Result<Response, Error> {
+    let practice = cx.store().make_practice(cx.user()?, cx.id()?, cx.now)?;
+    json(&task_of(&cx.app, cx.store().task_record(practice)?, None)?)
 }
 
-pub(super) fn practice(cx: &Context) -> Result<Reply, Error> {
-    json(&cx.app.store.practice(cx.who()?.id)?)
-}
-
-pub(super) fn history(cx: &Context) -> Result<Reply, Error> {
-    let filter = AuditFilter {
+pub(super) fn history(cx: &Context) -> Result<Response, Error> {
+    let mut audit = cx.store().audit(AuditFilter {
         task: Some(cx.id()?),
         limit: 1000,
         ..AuditFilter::default()
-    };
-    let mut audit = cx.app.store.audit(filter)?;
+    })?;
     audit.entries.reverse();
     json(&audit.entries)
 }
