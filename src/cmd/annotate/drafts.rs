@@ -1,6 +1,6 @@
 //! Drafts by a language model.
 
-use annotate::drafting::{self, Drafted};
+use annotate::drafting::draft_all;
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
 use annotate::store::Store;
@@ -30,13 +30,6 @@ pub(super) fn model() -> anyhow::Result<Option<Model>> {
     }
 }
 
-/// The language model, which the command cannot do without.
-fn needed_model() -> anyhow::Result<Model> {
-    model()?.with_context(|| {
-        format!("there is no language model; set {MODEL_URL} and {MODEL_NAME} to that of an OpenAI-compatible endpoint")
-    })
-}
-
 pub(super) fn ask_drafts(
     args: &Args,
     store: &Store,
@@ -44,20 +37,18 @@ pub(super) fn ask_drafts(
     limit: usize,
     global: &Global,
 ) -> anyhow::Result<Exit> {
-    let model = needed_model()?;
+    let model = model()?.with_context(|| {
+        format!("there is no language model; set {MODEL_URL} and {MODEL_NAME} to that of an OpenAI-compatible endpoint")
+    })?;
     let motions = MotionLibrary::open(&args.dataset)?;
     let bars = global.bars();
     bars.begin("drafts", None);
     let mut last = 0;
-    let done = drafting::draft_all(store, &motions, &model, kind, limit, now(), &mut |tasks| {
+    let done = draft_all(store, &motions, &model, kind, limit, now(), &mut |tasks| {
         bars.advance((tasks - last) as u64);
         last = tasks;
     })?;
     bars.finish(&format!("{} tasks", done.looked_at));
-    say_drafted(&done, global)
-}
-
-fn say_drafted(done: &Drafted, global: &Global) -> anyhow::Result<Exit> {
     let mut lines = vec![format!(
         "{} new texts for {} tasks",
         done.texts, done.looked_at
@@ -74,10 +65,9 @@ fn say_drafted(done: &Drafted, global: &Global) -> anyhow::Result<Exit> {
             done.failures
         ));
     }
-    global.say(done, &lines.join("\n"))?;
-    Ok(if done.failures > 0 {
-        Exit::Failed
-    } else {
-        Exit::Done
+    global.say(&done, &lines.join("\n"))?;
+    Ok(match done.failures {
+        0 => Exit::Done,
+        _ => Exit::Failed,
     })
 }

@@ -6,7 +6,7 @@ use annotate::store::Store;
 use annotate::transfer::{self, Selection};
 
 use super::args::Args;
-use super::shared::now;
+use super::shared::{lines_of, now};
 use crate::exit::Exit;
 use crate::global::Global;
 
@@ -20,12 +20,7 @@ pub(super) fn export(
     let folder = to.map_or_else(|| args.folder().join("exports"), Path::to_owned);
     let done = transfer::export(store, &args.dataset, &folder, selection, &global.holder())?;
     annotate::log_export(store, None, selection.format, &done, now())?;
-    let mut lines: Vec<String> = done
-        .counts
-        .iter()
-        .map(|(what, count)| format!("  {what:<24} {count:>8}"))
-        .collect();
-    lines.extend(done.messages.iter().cloned());
+    let mut lines = lines_of(&done.counts, &done.messages);
     if !done.files.is_empty() {
         lines.push(format!("{} in {}", done.files.join(", "), folder.display()));
     }

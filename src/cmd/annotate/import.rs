@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use annotate::known_motions;
 use annotate::store::{MotionRecord, Store};
 use annotate::transfer::{self, CHOSEN, Taken};
 use anyhow::Context;
@@ -10,7 +11,7 @@ use datasets_spec::{Dataset, Progress as _};
 use formats::source::stance::exported_labels;
 
 use super::args::Args;
-use super::shared::now;
+use super::shared::{lines_of, now};
 use crate::exit::Exit;
 use crate::global::Global;
 
@@ -30,11 +31,7 @@ pub(super) fn import(
         Some(file) => {
             // Annotations refer to tasks, so the tasks come first.
             let messages = import_dataset(args, store, global)?.messages;
-            let motions: BTreeMap<_, _> = store
-                .all_motions()?
-                .into_iter()
-                .map(|motion| (motion.id.clone(), motion))
-                .collect();
+            let motions = known_motions(store)?;
             let mut taken = match file.is_dir() {
                 true => import_folder(args, store, &motions, file)?,
                 false if file.extension().is_some_and(|found| found == "parquet") => {
@@ -46,7 +43,8 @@ pub(super) fn import(
             taken
         }
     };
-    global.say(&taken, &taken_text(&taken))
+    let lines = lines_of(&taken.counts, &taken.messages);
+    global.say(&taken, &lines.join("\n"))
 }
 
 pub(super) fn import_dataset(args: &Args, store: &Store, global: &Global) -> anyhow::Result<Taken> {
@@ -66,11 +64,8 @@ pub(super) fn import_dataset(args: &Args, store: &Store, global: &Global) -> any
         count("new_tasks"),
         count("known_tasks")
     ));
-    let root_hash = Dataset::open_unverified(&args.dataset)?
-        .manifest()
-        .root_hash
-        .clone();
-    store.put_note(IMPORTED, &root_hash)?;
+    let dataset = Dataset::open_unverified(&args.dataset)?;
+    store.put_note(IMPORTED, &dataset.manifest().root_hash)?;
     Ok(taken)
 }
 
@@ -84,13 +79,8 @@ fn import_folder(
     transfer::check_files(folder)?;
     let annotations = folder.join(ANNOTATIONS);
     if annotations.is_file() {
-        return Ok(transfer::from_annotations(
-            store,
-            motions,
-            &annotations,
-            None,
-            now(),
-        )?);
+        let taken = transfer::from_annotations(store, motions, &annotations, None, now());
+        return Ok(taken?);
     }
     if let Some(labels) = exported_labels(folder)? {
         let dataset = &args.dataset;
@@ -106,26 +96,11 @@ fn import_folder(
             both.insert(name.to_owned(), read_json(&path)?);
         }
     }
-    Ok(transfer::from_release(
-        store,
-        motions,
-        &both.into(),
-        None,
-        now(),
-    )?)
+    let taken = transfer::from_release(store, motions, &both.into(), None, now());
+    Ok(taken?)
 }
 
 fn read_json(path: &Path) -> anyhow::Result<serde_json::Value> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     serde_json::from_slice(&bytes).with_context(|| format!("{} is not JSON", path.display()))
-}
-
-fn taken_text(taken: &Taken) -> String {
-    let mut lines: Vec<String> = taken
-        .counts
-        .iter()
-        .map(|(what, count)| format!("  {what:<24} {count:>8}"))
-        .collect();
-    lines.extend(taken.messages.iter().cloned());
-    lines.join("\n")
 }

@@ -22,15 +22,9 @@ use datasets_spec::Dataset;
 
 use self::args::Action;
 pub(crate) use self::args::Args;
-use self::captures::captures;
 use self::drafts::ask_drafts;
-use self::export::export;
-use self::import::import;
 use self::pack::{pack, unpack};
-use self::rules::rules;
-use self::serve::serve;
 use self::store::{back_up, check, open, rebuild};
-use self::styles::styles;
 use self::tasks::{changed_clips, run_bulk};
 use self::users::{find, token, user};
 use crate::exit::Exit;
@@ -44,7 +38,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
     let opened = open(args)?;
     let Some(action) = &args.action else {
-        return serve(args, opened, global);
+        return serve::serve(args, opened, global);
     };
     let store = opened.as_ref();
     match action {
@@ -53,7 +47,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             let user = find(store, name)?;
             token(store, &user, i64::from(*days), global)
         }
-        Action::Import { file } => import(args, store, file.as_deref(), global),
+        Action::Import { file } => import::import(args, store, file.as_deref(), global),
         Action::Export {
             format,
             to,
@@ -65,15 +59,15 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 splits: split.iter().map(ToString::to_string).collect(),
                 events: *events,
             };
-            export(args, store, &selection, to.as_deref(), global)
+            export::export(args, store, &selection, to.as_deref(), global)
         }
-        Action::Rules { action } => rules(store, action.as_ref(), global),
-        Action::Styles { file } => styles(store, file.as_deref(), global),
+        Action::Rules { action } => rules::rules(store, action.as_ref(), global),
+        Action::Styles { file } => styles::styles(store, file.as_deref(), global),
         Action::Captures {
             file,
             missing,
             sheet,
-        } => captures(store, file.as_deref(), *missing, sheet.as_deref(), global),
+        } => captures::captures(store, file.as_deref(), *missing, sheet.as_deref(), global),
         Action::Bulk(bulk) => run_bulk(store, bulk, global),
         Action::Drafts { kind, limit } => {
             let kind = kind.as_deref().and_then(TaskKind::parse);

@@ -1,7 +1,7 @@
 //! Rules that accept answers without a reviewer.
 
 use annotate::store::Store;
-use annotate::wire::{RuleUndone, RulesApplied};
+use annotate::wire::RulesApplied;
 
 use super::args::RulesAction;
 use super::shared::now;
@@ -53,14 +53,12 @@ pub(super) fn rules(
             global.say(&all, &lines.join("\n"))
         }
         Some(RulesAction::Undo { name }) => {
-            let admin = operator(store)?;
-            let mut all = RuleUndone::default();
-            loop {
-                let some = store.undo_rule(admin.id, name, now())?;
-                all.reopened += some.reopened;
-                if some.left == 0 {
-                    break;
-                }
+            let admin = operator(store)?.id;
+            let mut all = store.undo_rule(admin, name, now())?;
+            while all.left > 0 {
+                let more = store.undo_rule(admin, name, now())?;
+                all.reopened += more.reopened;
+                all.left = more.left;
             }
             let text = format!(
                 "rule {name} is disabled; {} of its acceptances were taken back and wait for review",

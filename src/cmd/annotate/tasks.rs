@@ -3,6 +3,7 @@
 use annotate::store::Store;
 use annotate::wire::{BulkAction, BulkDone, BulkRequest, TaskFilter, TaskKind, TaskState, Verdict};
 use anyhow::Context;
+use serde_json::json;
 
 use super::args::BulkArgs;
 use super::shared::now;
@@ -23,22 +24,22 @@ pub(super) fn changed_clips(
         let ids: Vec<i64> = tasks.iter().map(|task| task.id).collect();
         store.settle_changed(None, &ids, keep, now())?;
     }
-    let rows: Vec<serde_json::Value> = tasks
+    let rows = tasks
         .iter()
-        .map(|task| serde_json::json!({ "task": task.id, "key": task.key, "state": task.state }))
-        .collect();
-    let lines: Vec<String> = tasks
+        .map(|task| json!({ "task": task.id, "key": task.key, "state": task.state }));
+    let lines = tasks
         .iter()
-        .map(|task| format!("{:>8} {:<10} {}", task.id, task.state.as_str(), task.key))
-        .collect();
-    global.say(&rows, &lines.join("\n"))
+        .map(|task| format!("{:>8} {:<10} {}", task.id, task.state.as_str(), task.key));
+    global.say(
+        &rows.collect::<Vec<_>>(),
+        &lines.collect::<Vec<_>>().join("\n"),
+    )
 }
 
 pub(super) fn run_bulk(store: &Store, args: &BulkArgs, global: &Global) -> anyhow::Result<Exit> {
-    let id = |name: &Option<String>| -> anyhow::Result<Option<i64>> {
-        name.as_ref()
-            .map(|name| find(store, name).map(|user| user.id))
-            .transpose()
+    let id = |name: &Option<String>| {
+        let user = name.as_ref().map(|name| find(store, name)).transpose();
+        user.map(|user| user.map(|user| user.id))
     };
     let mut request = BulkRequest {
         filter: TaskFilter {

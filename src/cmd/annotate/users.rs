@@ -1,34 +1,20 @@
 //! Users and their tokens.
 
+use std::path::Path;
+
 use annotate::store::{Store, TokenUse, Who};
 use annotate::wire::{Role, User};
 use anyhow::Context;
-use serde::Serialize;
+use serde_json::json;
 
 use super::args::UserAction;
-use super::shared::now;
+use super::shared::{DAY, now};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// In milliseconds.
-const DAY: i64 = 24 * 60 * 60_000;
-
-/// The `--json` document of `user add` and `token`.
-#[derive(Serialize)]
-struct TokenDocument {
-    user: User,
-    token: String,
-    expires: i64,
-}
-
-/// A new user in the `--json` document of `user import`.
-#[derive(Serialize)]
-struct Link {
-    user: User,
-    link: String,
-    expires: i64,
-}
+/// Days a new user's token is valid.
+const TOKEN_DAYS: i64 = 90;
 
 pub(super) fn find(store: &Store, name: &str) -> anyhow::Result<User> {
     let users = store.users()?;
@@ -46,69 +32,60 @@ fn role(text: &str) -> anyhow::Result<Role> {
 }
 
 pub(super) fn user(store: &Store, action: &UserAction, global: &Global) -> anyhow::Result<Exit> {
-    const DAYS: i64 = 90;
     match action {
         UserAction::Add { name, role: text } => {
             let user = store.add_user(None, name, role(text)?, now())?;
-            token(store, &user, DAYS, global)
+            token(store, &user, TOKEN_DAYS, global)
         }
-        UserAction::Import { file, url, days } => {
-            let lines = std::fs::read_to_string(file)
-                .with_context(|| format!("cannot read {}", file.display()))?;
-            let expires = now() + i64::from(*days) * DAY;
-            let added: Vec<Link> = store
-                .add_users(None, &lines, expires, now())
-                .with_context(|| format!("in {}", file.display()))?
-                .into_iter()
-                .map(|issued| Link {
-                    link: format!("{}/#token={}", url.trim_end_matches('/'), issued.token),
-                    user: issued.user,
-                    expires: issued.expires,
-                })
-                .collect();
-            let lines: Vec<String> = added
-                .iter()
-                .map(|added| format!("{},{},{}", added.user.name, added.user.role, added.link))
-                .collect();
-            report::note("a link logs its user in until it ends; the links are shown this once");
-            global.say(&added, &lines.join("\n"))
-        }
+        UserAction::Import { file, url, days } => import(store, file, url, *days, global),
         UserAction::List => {
             let users = store.users()?;
-            let lines: Vec<String> = users
-                .iter()
-                .map(|user| {
-                    let state = if user.active { "" } else { " (disabled)" };
-                    format!("{:<24} {}{state}", user.name, user.role)
-                })
-                .collect();
-            global.say(&users, &lines.join("\n"))
+            let lines = users.iter().map(|user| {
+                let state = if user.active { "" } else { " (disabled)" };
+                format!("{:<24} {}{state}", user.name, user.role)
+            });
+            global.say(&users, &lines.collect::<Vec<_>>().join("\n"))
         }
         UserAction::Role { name, role: text } => {
-            let user = find(store, name)?;
-            changed(
-                store.change_user(None, user.id, Some(role(text)?), None, now())?,
-                global,
-            )
+            change(store, name, Some(role(text)?), None, global)
         }
-        UserAction::Disable { name } => {
-            let user = find(store, name)?;
-            changed(
-                store.change_user(None, user.id, None, Some(false), now())?,
-                global,
-            )
-        }
-        UserAction::Enable { name } => {
-            let user = find(store, name)?;
-            changed(
-                store.change_user(None, user.id, None, Some(true), now())?,
-                global,
-            )
-        }
+        UserAction::Disable { name } => change(store, name, None, Some(false), global),
+        UserAction::Enable { name } => change(store, name, None, Some(true), global),
     }
 }
 
-fn changed(user: User, global: &Global) -> anyhow::Result<Exit> {
+fn import(
+    store: &Store,
+    file: &Path,
+    url: &str,
+    days: u16,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let text =
+        std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let (now, url) = (now(), url.trim_end_matches('/'));
+    let added = store
+        .add_users(None, &text, now + i64::from(days) * DAY, now)
+        .with_context(|| format!("in {}", file.display()))?;
+    let (mut documents, mut lines) = (Vec::new(), Vec::new());
+    for issued in added {
+        let (user, link) = (issued.user, format!("{url}/#token={}", issued.token));
+        lines.push(format!("{},{},{link}", user.name, user.role));
+        documents.push(json!({ "user": user, "link": link, "expires": issued.expires }));
+    }
+    report::note("a link logs its user in until it ends; the links are shown this once");
+    global.say(&documents, &lines.join("\n"))
+}
+
+fn change(
+    store: &Store,
+    name: &str,
+    role: Option<Role>,
+    active: Option<bool>,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let user = find(store, name)?;
+    let user = store.change_user(None, user.id, role, active, now())?;
     let state = if user.active { "" } else { ", disabled" };
     let text = format!("{}: {}{state}", user.name, user.role);
     global.say(&user, &text)
@@ -138,11 +115,8 @@ pub(super) fn token(
     let now = now();
     let issued = store.issue(user.id, TokenUse::Token, now + days * DAY, now)?;
     if global.json {
-        report::json(&TokenDocument {
-            user: issued.user,
-            token: issued.token,
-            expires: issued.expires,
-        })?;
+        let (user, token) = (issued.user, issued.token);
+        report::json(&json!({ "user": user, "token": token, "expires": issued.expires }))?;
     } else {
         report::note(&format!(
             "token of {} ({}), good for {days} days, shown this once:",
