@@ -4,7 +4,7 @@
 //! The server computes kinematics, blends and activity with the code that training uses; the browser
 //! only draws.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -13,7 +13,7 @@ use datasets_spec::quantile::quantile;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Row as _, ShardReader, read_column};
 use datasets_spec::{BlendMask, BodyPart, Dataset, Motion, Resample, Skeleton};
-use glam::DVec3;
+use hashlink::LruCache;
 use kinematics::skeleton::NUM_KEYPOINTS;
 use rayon::prelude::*;
 
@@ -29,22 +29,14 @@ const REFERENCE_CLIPS: usize = 400;
 /// Motions kept in memory.
 const CACHED: usize = 64;
 
-/// Where a motion is stored.
-#[derive(Clone, Debug)]
-struct Place {
-    shard: usize,
-    row: usize,
-}
-
-type Frames = Vec<[DVec3; NUM_KEYPOINTS]>;
-
 /// The motions of one dataset, by content hash.
 pub struct MotionLibrary {
     skeleton: Skeleton,
     shards: Vec<ShardReader>,
-    places: BTreeMap<String, Place>,
+    /// Shard and row of each motion.
+    places: BTreeMap<String, (usize, usize)>,
     reference: [f64; NUM_RELEASE_PARTS],
-    cache: Mutex<VecDeque<(String, Arc<Motion>)>>,
+    cache: Mutex<LruCache<String, Arc<Motion>>>,
     /// Cache of active parts by content hash.
     active: Mutex<BTreeMap<String, Vec<BodyPart>>>,
 }
@@ -63,7 +55,7 @@ impl MotionLibrary {
             let shard = shards.len();
             shards.push(ShardReader::open(&path)?);
             let rows = hashes.into_iter().enumerate();
-            places.extend(rows.map(|(row, hash)| (hash, Place { shard, row })));
+            places.extend(rows.map(|(row, hash)| (hash, (shard, row))));
         }
         if places.is_empty() {
             return Err(Error::Import {
@@ -77,7 +69,7 @@ impl MotionLibrary {
             shards,
             places,
             reference: [1.0; NUM_RELEASE_PARTS],
-            cache: Mutex::new(VecDeque::new()),
+            cache: Mutex::new(LruCache::new(CACHED)),
             active: Mutex::new(BTreeMap::new()),
         };
         library.reference = library.measure(&dataset)?;
@@ -122,67 +114,43 @@ impl MotionLibrary {
     }
 
     fn read(&self, hash: &str) -> Result<Motion, Error> {
-        let place = self
-            .places
-            .get(hash)
-            .ok_or_else(|| Error::not_found("motion"))?;
-        let rows: Vec<MotionRow> = self.shards[place.shard].rows_at(&[place.row])?;
-        let row = rows.first().ok_or_else(|| Error::not_found("motion"))?;
-        Ok(row.motion()?)
+        let unknown = || Error::not_found("motion");
+        let &(shard, row) = self.places.get(hash).ok_or_else(unknown)?;
+        let rows: Vec<MotionRow> = self.shards[shard].rows_at(&[row])?;
+        Ok(rows.first().ok_or_else(unknown)?.motion()?)
     }
 
     /// A motion by its content hash.
-    ///
-    /// # Errors
-    /// There is none, or it cannot be read.
-    pub fn motion(&self, hash: &str) -> Result<Arc<Motion>, Error> {
-        let mut cache = lock(&self.cache);
-        if let Some(at) = cache.iter().position(|(known, _)| known == hash)
-            && let Some(entry) = cache.remove(at)
-        {
-            let motion = Arc::clone(&entry.1);
-            cache.push_front(entry);
-            return Ok(motion);
+    fn motion(&self, hash: &str) -> Result<Arc<Motion>, Error> {
+        if let Some(motion) = lock(&self.cache).get(hash) {
+            return Ok(Arc::clone(motion));
         }
-        drop(cache);
         let motion = Arc::new(self.read(hash)?);
-        let mut cache = lock(&self.cache);
-        cache.push_front((hash.to_owned(), Arc::clone(&motion)));
-        cache.truncate(CACHED);
+        lock(&self.cache).insert(hash.to_owned(), Arc::clone(&motion));
         Ok(motion)
     }
 
-    /// Positions of the keypoints as the interface sends them.
-    ///
-    /// # Shapes
-    /// `[T, 28, 3]`, little-endian `f32`, in metres.
-    ///
-    /// # Errors
-    /// As [`MotionLibrary::motion`].
-    pub fn joints(&self, hash: &str) -> Result<Vec<u8>, Error> {
-        Ok(joint_bytes(&self.points(&*self.motion(hash)?)))
+    /// Positions of the keypoints in metres as the interface sends them: `[T, 28, 3]`, little-endian `f32`.
+    pub(crate) fn joints(&self, hash: &str) -> Result<Vec<u8>, Error> {
+        Ok(self.joint_bytes(&*self.motion(hash)?))
     }
 
-    fn points(&self, motion: &Motion) -> Frames {
-        self.skeleton.points_of_frames(motion, 0..motion.len())
+    fn joint_bytes(&self, motion: &Motion) -> Vec<u8> {
+        let frames = self
+            .skeleton
+            .points_of_frames::<NUM_KEYPOINTS>(motion, 0..motion.len());
+        let points = frames.iter().flatten();
+        let numbers = points.flat_map(|point| point.as_vec3().to_array());
+        numbers.flat_map(f32::to_le_bytes).collect()
     }
 
-    /// Activity of the parts of the release.
-    ///
-    /// # Shapes
-    /// `[5, T]`; 1 is the 95th percentile over frames of training clips.
-    ///
-    /// # Errors
-    /// As [`MotionLibrary::motion`].
-    pub fn heat(&self, hash: &str) -> Result<[Vec<f32>; NUM_RELEASE_PARTS], Error> {
+    /// Activity of the parts of the release, `[5, T]`; 1 is the 95th percentile over frames of training clips.
+    pub(crate) fn heat(&self, hash: &str) -> Result<[Vec<f32>; NUM_RELEASE_PARTS], Error> {
         Ok(heat(&*self.motion(hash)?, &self.skeleton, &self.reference))
     }
 
     /// The parts that move in more than a fifth of the frames.
-    ///
-    /// # Errors
-    /// As [`MotionLibrary::motion`].
-    pub fn active_parts(&self, hash: &str) -> Result<Vec<BodyPart>, Error> {
+    pub(crate) fn active_parts(&self, hash: &str) -> Result<Vec<BodyPart>, Error> {
         if let Some(parts) = lock(&self.active).get(hash) {
             return Ok(parts.clone());
         }
@@ -191,15 +159,9 @@ impl MotionLibrary {
         Ok(parts)
     }
 
-    /// Distance of two motions by part.
-    ///
-    /// # Shapes
-    /// `[6, T]` in metres: the root, then the parts of the release. `T` is the frames of the shorter
-    /// motion, or of the first one if the second is stretched to it.
-    ///
-    /// # Errors
-    /// As [`MotionLibrary::motion`].
-    pub fn difference(
+    /// Distance of two motions in metres, `[6, T]`: the root, then the parts of the release. `T` is the frames of the
+    /// shorter motion, or of the first one if the second is stretched to it.
+    pub(crate) fn difference(
         &self,
         source: &str,
         target: &str,
@@ -226,14 +188,8 @@ impl MotionLibrary {
         Ok(Arc::new(Resample::Exact.apply(&target, source.fps())?))
     }
 
-    /// The blend of a mask of one motion from another, as positions.
-    ///
-    /// # Shapes
-    /// `[T, 28, 3]`, little-endian `f32`; `T` is the frames of the shorter motion.
-    ///
-    /// # Errors
-    /// As [`MotionLibrary::motion`].
-    pub fn blend(
+    /// The blend of a mask of one motion from another, as positions ([`Self::joints`]) over the frames of the shorter one.
+    pub(crate) fn blend(
         &self,
         source: &str,
         target: &str,
@@ -245,7 +201,7 @@ impl MotionLibrary {
         let frames = source.len().min(target.len());
         let (source, target) = (source.crop(0..frames)?, target.crop(0..frames)?);
         let blended = blend_motion(&source, &target, mask, alpha, SlerpRule::Exact)?;
-        Ok(joint_bytes(&self.points(&blended)))
+        Ok(self.joint_bytes(&blended))
     }
 }
 
@@ -268,22 +224,10 @@ fn picked<T: Copy>(column: &[T], frames: &[usize]) -> Vec<T> {
     frames.iter().map(|&frame| column[frame]).collect()
 }
 
-fn joint_bytes(points: &Frames) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(points.len() * NUM_KEYPOINTS * 3 * 4);
-    for point in points.iter().flatten() {
-        for coordinate in point.as_vec3().to_array() {
-            bytes.extend(coordinate.to_le_bytes());
-        }
-    }
-    bytes
-}
-
 /// Rows of numbers as the interface sends them.
 pub(crate) fn row_bytes(rows: &[Vec<f32>]) -> Vec<u8> {
-    rows.iter()
-        .flatten()
-        .flat_map(|value| value.to_le_bytes())
-        .collect()
+    let numbers = rows.iter().flatten();
+    numbers.flat_map(|value| value.to_le_bytes()).collect()
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use annotate::store::{self, Store, TokenUse};
 use annotate::wire::{Role, User};
 use anyhow::Context;
 use datasets_spec::Dataset;
-use serde::Serialize;
+use serde_json::json;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
@@ -28,15 +28,6 @@ use crate::report;
 const FIRST_ADMIN: &str = "admin";
 const MINUTE: i64 = 60_000;
 const HOUR: i64 = 60 * MINUTE;
-
-/// The `--json` document of a server that listens.
-#[derive(Serialize)]
-struct Listening {
-    url: String,
-    token: String,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    metrics: Option<String>,
-}
 
 pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::Result<Exit> {
     let model = model()?;
@@ -145,11 +136,8 @@ fn announce(
         .operators()
         .map(|address| format!("http://{address}/metrics"));
     if global.json {
-        report::text(&serde_json::to_string(&Listening {
-            url,
-            token,
-            metrics,
-        })?);
+        let document = json!({ "url": url, "token": token, "metrics": metrics });
+        report::text(&document.to_string());
     } else {
         if let Some(metrics) = metrics {
             report::note(&format!("figures for Prometheus: {metrics}"));
