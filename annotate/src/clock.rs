@@ -54,37 +54,29 @@ pub(crate) fn weeks(zone: &str, now: Millis, count: i64) -> Vec<Millis> {
 /// or loses less than a millisecond meanwhile, and nobody can set it.
 const READ_EVERY: Duration = Duration::from_secs(10);
 
-/// The clock of a store that several servers share.
-pub(crate) struct SharedClock<R> {
-    read: R,
-    last: Mutex<(Instant, Millis)>,
-}
-
-impl<R: Fn() -> Result<Millis, Error>> SharedClock<R> {
-    /// Reads the time with `read`.
-    pub(crate) fn new(read: R) -> Result<Self, Error> {
-        let time = read()?;
-        Ok(Self {
-            read,
-            last: Mutex::new((Instant::now(), time)),
-        })
-    }
-
-    /// The time; if it cannot be read, that of the last reading counted on.
-    pub(crate) fn now(&self) -> Millis {
-        let mut last = lock(&self.last);
+/// The clock of a store that several servers share, whose time `read` tells. While it cannot be read, the clock counts
+/// on from the last reading.
+///
+/// # Errors
+/// The first reading fails.
+pub(crate) fn shared(
+    read: impl Fn() -> Result<Millis, Error> + Send + Sync + 'static,
+) -> Result<Clock, Error> {
+    let last = Mutex::new((Instant::now(), read()?));
+    Ok(Arc::new(move || {
+        let mut last = lock(&last);
         if last.0.elapsed() >= READ_EVERY
-            && let Ok(time) = (self.read)()
+            && let Ok(time) = read()
         {
             *last = (Instant::now(), time);
         }
         last.1 + i64::try_from(last.0.elapsed().as_millis()).unwrap_or(0)
-    }
+    }))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{DAY, SharedClock, is_zone, midnight, weeks};
+    use super::{DAY, is_zone, midnight, shared, weeks};
     use crate::Error;
 
     const HOUR: i64 = 60 * 60 * 1000;
@@ -130,11 +122,11 @@ mod tests {
 
     #[test]
     fn a_shared_clock_counts_on_from_what_it_read() {
-        let clock = SharedClock::new(|| Ok(5000)).expect("a reading");
-        let first = clock.now();
+        let clock = shared(|| Ok(5000)).expect("a reading");
+        let first = clock();
         assert!((5000..65_000).contains(&first), "{first}");
-        assert!(clock.now() >= first);
-        assert!(SharedClock::new(|| Err(Error::Closed)).is_err());
+        assert!(clock() >= first);
+        assert!(shared(|| Err(Error::Closed)).is_err());
     }
 
     #[test]

@@ -214,12 +214,10 @@ pub(super) fn empty(_: ()) -> Result<Response, Error> {
 /// The value of a header that occurs exactly once.
 pub(super) fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     let mut all = headers.get_all(name).iter();
-    let only = all.next()?;
-    // Duplicate headers are ambiguous: trust neither.
-    if all.next().is_some() {
-        None
-    } else {
-        only.to_str().ok()
+    match (all.next(), all.next()) {
+        (Some(only), None) => only.to_str().ok(),
+        // Duplicate headers are ambiguous: trust neither.
+        _ => None,
     }
 }
 
@@ -254,9 +252,7 @@ pub(super) fn credential(app: &App, headers: &HeaderMap) -> Result<(String, Toke
 pub(super) async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Error> + Send + 'static,
 ) -> Result<T, Error> {
-    match tokio::task::spawn_blocking(work).await {
-        Ok(outcome) => outcome,
-        // The work panicked; the panic message is in the log.
-        Err(_) => Err(Error::Closed),
-    }
+    let ended = tokio::task::spawn_blocking(work).await;
+    // Of work that panicked the message is in the log.
+    ended.unwrap_or(Err(Error::Closed))
 }

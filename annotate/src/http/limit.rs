@@ -1,6 +1,6 @@
 //! Rate limits.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::sync::Mutex;
 
 use crate::Error;
@@ -15,7 +15,7 @@ const MAX_CLIENTS: usize = 10_000;
 /// Counts of the last minute, by action and client.
 #[derive(Debug, Default)]
 pub(crate) struct Limiter {
-    seen: Mutex<HashMap<(&'static str, String), VecDeque<Millis>>>,
+    seen: Mutex<HashMap<(&'static str, String), Vec<Millis>>>,
 }
 
 impl Limiter {
@@ -32,17 +32,13 @@ impl Limiter {
     ) -> Result<(), Error> {
         let mut seen = lock(&self.seen);
         if seen.len() > MAX_CLIENTS {
-            seen.retain(|_, times| times.back().is_some_and(|&last| now - last < MINUTE));
+            seen.retain(|_, times| times.last().is_some_and(|&last| now - last < MINUTE));
         }
         let times = seen.entry((what, who.to_owned())).or_default();
-        while times
-            .front()
-            .is_some_and(|&first| now - first >= MINUTE || first > now)
-        {
-            times.pop_front();
-        }
+        // Times to come are those of a clock that was set back.
+        times.retain(|&at| (0..MINUTE).contains(&(now - at)));
         if times.len() >= most as usize {
-            let wait = times.front().map_or(MINUTE, |&first| first + MINUTE - now);
+            let wait = times.first().map_or(MINUTE, |&first| first + MINUTE - now);
             let seconds = u64::try_from(wait).unwrap_or(0).div_ceil(1000).max(1);
             let mut problem = Problem::new(
                 Code::RateLimited,
@@ -51,7 +47,7 @@ impl Limiter {
             problem.retry_after_secs = Some(seconds);
             return Err(Error::Refused(Box::new(problem)));
         }
-        times.push_back(now);
+        times.push(now);
         Ok(())
     }
 }

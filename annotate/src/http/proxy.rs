@@ -81,7 +81,7 @@ fn hops(
         .get_all(name)
         .iter()
         .flat_map(|value| match value.to_str() {
-            Ok(text) => split(text, ',').into_iter().map(read).collect(),
+            Ok(text) => split(text, ',').map(read).collect(),
             Err(_) => vec![None],
         })
         .collect()
@@ -90,7 +90,6 @@ fn hops(
 /// The address in `for=…` of an element of `Forwarded` (RFC 7239).
 fn forwarded_for(element: &str) -> Option<IpAddr> {
     split(element, ';')
-        .into_iter()
         .filter_map(|pair| pair.split_once('='))
         .find(|(name, _)| name.trim().eq_ignore_ascii_case("for"))
         .and_then(|(_, value)| address(value.trim().trim_matches('"')))
@@ -99,27 +98,18 @@ fn forwarded_for(element: &str) -> Option<IpAddr> {
 /// An address with or without a port; IPv6 addresses may stand in brackets.
 fn address(text: &str) -> Option<IpAddr> {
     let text = text.trim();
-    let bare = text
-        .strip_prefix('[')
-        .and_then(|rest| rest.strip_suffix(']'));
-    let address = match bare {
-        Some(bare) => bare.parse().ok(),
-        None => text
-            .parse()
-            .ok()
-            .or_else(|| text.parse::<SocketAddr>().ok().map(|address| address.ip())),
-    };
-    address.map(|address: IpAddr| address.to_canonical())
+    let with_port = text.parse().map(|address: SocketAddr| address.ip());
+    let address = with_port.or_else(|_| text.trim_matches(['[', ']']).parse::<IpAddr>());
+    address.ok().map(|address| address.to_canonical())
 }
 
 /// Splits at separators outside of quotes.
-fn split(text: &str, separator: char) -> Vec<&str> {
+fn split(text: &str, separator: char) -> impl Iterator<Item = &str> {
     let mut is_quoted = false;
     text.split(move |c| {
         is_quoted ^= c == '"';
         c == separator && !is_quoted
     })
-    .collect()
 }
 
 #[cfg(test)]

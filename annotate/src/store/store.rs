@@ -18,7 +18,7 @@ use super::records::{
 use super::{append, bulk, claim, import, leases, mine, people, pictures, practice, project, read};
 use super::{rebuild, review, rows, rules};
 use crate::Error;
-use crate::clock::{Clock, SharedClock};
+use crate::clock::{self, Clock};
 use crate::state::{Purpose, ReleaseReason};
 use crate::wire::{
     Answer, BulkDone, BulkRequest, Code, DecisionRow, Decisions, EventResult, Lease, NewEvent,
@@ -664,9 +664,8 @@ impl Store {
             return Ok(None);
         }
         let store = Arc::clone(self);
-        let shared =
-            SharedClock::new(move || store.db.time().and_then(|time| time.ok_or(Error::Closed)))?;
-        Ok(Some(Arc::new(move || shared.now())))
+        let read = move || store.db.time().and_then(|time| time.ok_or(Error::Closed));
+        Ok(Some(clock::shared(read)?))
     }
 
     /// Checks that the store accepts writes, by writing.

@@ -51,9 +51,7 @@ pub(super) fn place(args: &Args) -> Place<'_> {
 
 /// Whether an address of a database holds a password.
 fn has_password(url: &str) -> bool {
-    let Some((_, rest)) = url.split_once("://") else {
-        return false;
-    };
+    let rest = url.split_once("://").map_or("", |(_, rest)| rest);
     let user = rest.rsplit_once('@').map_or("", |(user, _)| user);
     user.contains(':') || rest.contains("password=")
 }
@@ -104,10 +102,9 @@ pub(super) fn back_up(
 /// Derives all tables from the log.
 pub(super) fn rebuild(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     let changed = store.rebuild()?;
-    let text = if changed.is_empty() {
-        "all tables follow from the log".to_owned()
-    } else {
-        format!("made again: {}", changed.join(", "))
+    let text = match changed[..] {
+        [] => "all tables follow from the log".to_owned(),
+        _ => format!("made again: {}", changed.join(", ")),
     };
     global.say(&serde_json::json!({ "changed": changed }), &text)
 }
@@ -115,19 +112,16 @@ pub(super) fn rebuild(store: &Store, global: &Global) -> anyhow::Result<Exit> {
 /// Checks the log and all tables.
 pub(super) fn check(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     let findings = store.verify()?;
+    let text = match findings[..] {
+        [] => "the store is whole".to_owned(),
+        _ => findings.join("\n"),
+    };
+    global.say(&serde_json::json!({ "findings": findings }), &text)?;
     if findings.is_empty() {
-        global.say(
-            &serde_json::json!({ "findings": findings }),
-            "the store is whole",
-        )
-    } else {
-        global.say(
-            &serde_json::json!({ "findings": findings }),
-            &findings.join("\n"),
-        )?;
-        report::note(
-            "run `stance annotate DATASET rebuild`, or restore a backup if the log itself is damaged",
-        );
-        Ok(Exit::Failed)
+        return Ok(Exit::Done);
     }
+    report::note(
+        "run `stance annotate DATASET rebuild`, or restore a backup if the log itself is damaged",
+    );
+    Ok(Exit::Failed)
 }

@@ -68,10 +68,6 @@ pub(super) fn text_forms() -> BTreeMap<TaskKind, TextForm> {
 
 pub(super) fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
     let settings = app.store.settings()?;
-    let read_only = lock(&app.read_only).clone();
-    if read_only.is_some() && app.store.check().is_ok() {
-        *lock(&app.read_only) = None;
-    }
     let model = app.config.model.as_ref();
     Ok(Me {
         user: User {
