@@ -217,22 +217,17 @@ fn question<'a>(
     }
 }
 
-/// Collapses the text to one line without control characters.
+/// Collapses the text to one line without characters that control or turn it.
 fn plain(text: &str) -> String {
+    let turns = |c: &char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     let spaced: String = text
         .chars()
-        .map(|c| if c.is_control() || c.is_whitespace() { ' ' } else { c })
-        // Remove bidirectional control characters.
-        .filter(|c| !matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}'))
+        .map(|c| if c.is_control() { ' ' } else { c })
+        .filter(|c| !turns(c))
         .collect();
-    let words: Vec<&str> = spaced.split_whitespace().collect();
-    let line = words.join(" ");
-    let line: String = line
-        .trim_matches('"')
-        .chars()
-        .take(MAX_DRAFT_CHARS)
-        .collect();
-    line.trim().to_owned()
+    let line = Vec::from_iter(spaced.split_whitespace()).join(" ");
+    let short = line.trim_matches('"').chars().take(MAX_DRAFT_CHARS);
+    short.collect::<String>().trim().to_owned()
 }
 
 #[cfg(test)]

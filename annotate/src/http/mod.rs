@@ -100,11 +100,9 @@ impl Server {
         let (address, listener) = bind(config.listen)?;
         let operators = config.operators.map(bind).transpose()?;
         let (last_seq, _) = tokio::sync::watch::channel(store.last_seq()?);
-        let store_id = store.id()?;
-        let kept = Arc::clone(&store);
         let app = Arc::new(App {
+            store_id: store.id()?,
             store,
-            store_id,
             motions,
             config,
             limiter: Limiter::default(),
@@ -126,7 +124,7 @@ impl Server {
             address,
             operators,
             runtime: Some(runtime),
-            _store: kept,
+            _store: Arc::clone(&app.store),
         })
     }
 

@@ -3,8 +3,6 @@
 mod args;
 mod captures;
 mod drafts;
-mod export;
-mod import;
 mod pack;
 mod rules;
 mod serve;
@@ -13,6 +11,7 @@ mod sheet;
 mod store;
 mod styles;
 mod tasks;
+mod transfer;
 mod users;
 
 use annotate::transfer::Selection;
@@ -26,6 +25,7 @@ use self::drafts::ask_drafts;
 use self::pack::{pack, unpack};
 use self::store::{back_up, check, open, rebuild};
 use self::tasks::{changed_clips, run_bulk};
+use self::transfer::{export, import};
 use self::users::{find, token, user};
 use crate::exit::Exit;
 use crate::global::Global;
@@ -47,7 +47,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             let user = find(store, name)?;
             token(store, &user, i64::from(*days), global)
         }
-        Action::Import { file } => import::import(args, store, file.as_deref(), global),
+        Action::Import { file } => import(args, store, file.as_deref(), global),
         Action::Export {
             format,
             to,
@@ -59,7 +59,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 splits: split.iter().map(ToString::to_string).collect(),
                 events: *events,
             };
-            export::export(args, store, &selection, to.as_deref(), global)
+            export(args, store, &selection, to.as_deref(), global)
         }
         Action::Rules { action } => rules::rules(store, action.as_ref(), global),
         Action::Styles { file } => styles::styles(store, file.as_deref(), global),

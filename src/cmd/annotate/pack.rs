@@ -9,8 +9,8 @@ use anyhow::{Context, bail};
 use serde_json::json;
 
 use super::args::Args;
-use super::import::import_dataset;
 use super::store::{Place, place};
+use super::transfer::import_dataset;
 use crate::exit::Exit;
 use crate::global::Global;
 

@@ -1,7 +1,6 @@
 //! The server, and copies of the store while it runs.
 
 use std::io::Write;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -18,8 +17,8 @@ use signal_hook::flag;
 
 use super::args::Args;
 use super::drafts::model;
-use super::import::{IMPORTED, import_dataset};
 use super::shared::now;
+use super::transfer::{IMPORTED, import_dataset};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
@@ -37,8 +36,8 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
         import_dataset(args, store.as_ref(), global)?;
     }
     let admin = first_admin(&store)?;
-    let mut schedule = Schedule::new(args);
-    schedule.run(store.as_ref());
+    let mut copy_if_due = copies(args);
+    copy_if_due(&store);
     let motions = Arc::new(MotionLibrary::open(&args.dataset)?);
     for warning in warnings(args) {
         report::note(&format!("warning: {warning}"));
@@ -71,7 +70,7 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
     announce(&server, &store, &admin, global)?;
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_millis(50));
-        schedule.run(store.as_ref());
+        copy_if_due(&store);
     }
     drop(server);
     Ok(Exit::Done)
@@ -151,36 +150,22 @@ fn announce(
     std::io::stdout().flush().context("cannot write to stdout")
 }
 
-/// Copies of the store at regular times.
-struct Schedule {
-    folder: PathBuf,
-    /// Milliseconds between copies; none without a schedule.
-    every: Option<i64>,
-    keep: usize,
-    /// When to look for the newest copy again.
-    next: i64,
-}
-
-impl Schedule {
-    fn new(args: &Args) -> Self {
-        Self {
-            folder: args.folder().join("backups"),
-            every: args.backup_hours.map(|hours| i64::from(hours) * HOUR),
-            keep: args.backups.into(),
-            next: 0,
-        }
-    }
-
-    /// Makes a copy if one is due. The server goes on without it if it fails.
-    fn run(&mut self, store: &Store) {
+/// Copies the store when that is due; to be called often. The server goes on without a copy that fails.
+fn copies(args: &Args) -> impl FnMut(&Store) {
+    let folder = args.folder().join("backups");
+    let every = args.backup_hours.map(|hours| i64::from(hours) * HOUR);
+    let keep = args.backups.into();
+    // When to look for the newest copy again.
+    let mut next = 0;
+    move |store| {
         let now = now();
-        let Some(every) = self.every.filter(|_| self.next <= now) else {
+        let Some(every) = every.filter(|_| next <= now) else {
             return;
         };
-        self.next = now + MINUTE;
-        let copied = store::backup_is_due(&self.folder, every, now).and_then(|due| {
+        next = now + MINUTE;
+        let copied = store::backup_is_due(&folder, every, now).and_then(|due| {
             if due {
-                store::back_up(store, &self.folder, self.keep, now)?;
+                store::back_up(store, &folder, keep, now)?;
             }
             Ok(())
         });
@@ -188,7 +173,7 @@ impl Schedule {
             report::note(&format!(
                 "the store was not copied: {error:#}; the next try is in an hour"
             ));
-            self.next = now + HOUR;
+            next = now + HOUR;
         }
     }
 }

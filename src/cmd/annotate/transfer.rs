@@ -1,11 +1,11 @@
-//! Import of tasks from the dataset, and of annotations from files.
+//! Import of tasks from the dataset and of annotations from files, and export of accepted answers.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use annotate::known_motions;
 use annotate::store::{MotionRecord, Store};
-use annotate::transfer::{self, CHOSEN, Taken};
+use annotate::transfer::{self, CHOSEN, Selection, Taken};
 use anyhow::Context;
 use datasets_spec::{Dataset, Progress as _};
 use formats::source::stance::exported_labels;
@@ -103,4 +103,21 @@ fn import_folder(
 fn read_json(path: &Path) -> anyhow::Result<serde_json::Value> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     serde_json::from_slice(&bytes).with_context(|| format!("{} is not JSON", path.display()))
+}
+
+pub(super) fn export(
+    args: &Args,
+    store: &Store,
+    selection: &Selection,
+    to: Option<&Path>,
+    global: &Global,
+) -> anyhow::Result<Exit> {
+    let folder = to.map_or_else(|| args.folder().join("exports"), Path::to_owned);
+    let done = transfer::export(store, &args.dataset, &folder, selection, &global.holder())?;
+    annotate::log_export(store, None, selection.format, &done, now())?;
+    let mut lines = lines_of(&done.counts, &done.messages);
+    if !done.files.is_empty() {
+        lines.push(format!("{} in {}", done.files.join(", "), folder.display()));
+    }
+    global.say(&done, &lines.join("\n"))
 }
