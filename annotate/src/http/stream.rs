@@ -87,39 +87,28 @@ async fn listen(
     login: (String, TokenUse),
     mut after: i64,
     sender: mpsc::Sender<Event>,
-) {
+) -> Option<()> {
     let mut news = app.last_seq.subscribe();
     let comment = |text| Event::default().comment(text);
-    if sender.send(comment("connected")).await.is_err() {
-        return;
-    }
+    sender.send(comment("connected")).await.ok()?;
     loop {
         let (store, (token, purpose), now) = (Arc::clone(&app.store), login.clone(), app.now());
         let work = move || {
             let who = store.recognise(&token, &[purpose], now)?;
             changes(&store, &who, after)
         };
-        let Ok((seq, events)) = blocking(work).await else {
-            return;
-        };
+        let (seq, events) = blocking(work).await.ok()?;
         let more = seq - after >= BATCH as i64;
         after = seq;
         for event in events {
-            if sender.send(event).await.is_err() {
-                return;
-            }
+            sender.send(event).await.ok()?;
         }
         if more {
             continue;
         }
         match tokio::time::timeout(BEAT, news.changed()).await {
-            Ok(Ok(())) => {}
-            Ok(Err(_)) => return,
-            Err(_) => {
-                if sender.send(comment("beat")).await.is_err() {
-                    return;
-                }
-            }
+            Ok(changed) => changed.ok()?,
+            Err(_) => sender.send(comment("beat")).await.ok()?,
         }
     }
 }

@@ -255,9 +255,7 @@ impl Taking {
                 event.base_rev
             ),
         );
-        if let Some(mine) = mine {
-            problem = problem.with_theirs(mine);
-        }
+        problem.theirs = mine.map(Box::new);
         let body = Body::DraftSaved {
             answer: written.answer,
             rev,

@@ -29,24 +29,15 @@ pub(super) fn ready(cx: &Context) -> Result<Response, Error> {
 
 /// Figures for Prometheus.
 pub(super) fn metrics(cx: &Context) -> Result<Response, Error> {
+    let entries = cx.store().last_seq()?;
     let leases = cx.store().leases(cx.now)?.len() as i64;
+    let motions = cx.app.motions.len() as i64;
+    let read_only = i64::from(lock(&cx.app.read_only).is_some());
     let gauges = [
-        (
-            "annotate_log_entries",
-            "Entries of the log.",
-            cx.store().last_seq()?,
-        ),
+        ("annotate_log_entries", "Entries of the log.", entries),
         ("annotate_leases", "Leases held, up to a thousand.", leases),
-        (
-            "annotate_motions",
-            "Motions of the dataset.",
-            cx.app.motions.len() as i64,
-        ),
-        (
-            "annotate_read_only",
-            "Whether the store accepts no writes.",
-            i64::from(lock(&cx.app.read_only).is_some()),
-        ),
+        ("annotate_motions", "Motions of the dataset.", motions),
+        ("annotate_read_only", "Whether nothing is saved.", read_only),
     ];
     Ok(plain(cx.app.metrics.text(&gauges)))
 }
