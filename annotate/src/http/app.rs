@@ -28,17 +28,6 @@ use crate::wire::{Code, Role};
 pub const PATIENCE: Duration = Duration::from_secs(15);
 /// Default timeout of an upload: 64 MB at 110 kB/s.
 pub const UPLOAD_PATIENCE: Duration = Duration::from_secs(600);
-/// Who may use a route.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    /// Everybody. Routes that change something still need the header and origin of the page.
-    Public,
-    /// Users with this role or a higher one.
-    Role(Role),
-}
-
-/// Answers a request, on a thread that may wait for the store or the disk.
-pub type Handler = fn(&Context) -> Result<Response, Error>;
 
 /// A route.
 pub struct Route {
@@ -46,12 +35,13 @@ pub struct Route {
     pub method: &'static str,
     /// Path, with parameters in braces.
     pub path: &'static str,
-    /// Required role.
-    pub access: Access,
+    /// The least role of its users; `None` lets everybody in. Routes that change something still need the header and
+    /// origin of the page.
+    pub role: Option<Role>,
     /// Maximum size of the body in bytes.
     pub max_body: usize,
-    /// Handler.
-    pub handler: Handler,
+    /// Answers a request, on a thread that may wait for the store or the disk.
+    pub handler: fn(&Context) -> Result<Response, Error>,
 }
 
 /// An authorised request.

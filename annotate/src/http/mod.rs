@@ -44,7 +44,7 @@ use socket::Socket;
 
 pub use crate::clock::Clock;
 pub(crate) use app::App;
-pub use app::{Access, Context, Handler, PATIENCE, Route, ServerConfig, UPLOAD_PATIENCE};
+pub use app::{Context, PATIENCE, Route, ServerConfig, UPLOAD_PATIENCE};
 pub use proxy::TrustedProxy;
 pub use routes::ROUTES;
 
@@ -369,7 +369,7 @@ fn admit(
     if changes && bearer(headers).is_none() {
         check_own(app, headers)?;
     }
-    let Access::Role(needed) = route.access else {
+    let Some(needed) = route.role else {
         return Ok(None);
     };
     let (token, purpose) = credential(app, headers)?;

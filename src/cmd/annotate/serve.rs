@@ -19,6 +19,7 @@ use super::args::Args;
 use super::drafts::model;
 use super::shared::now;
 use super::transfer::{IMPORTED, import_dataset};
+use super::users::admin;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
@@ -35,7 +36,10 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
     if !is_imported || args.condition.is_some() {
         import_dataset(args, store.as_ref(), global)?;
     }
-    let admin = first_admin(&store)?;
+    let admin = match admin(&store)? {
+        Some(admin) => admin,
+        None => store.add_user(None, FIRST_ADMIN, Role::Admin, now())?,
+    };
     let mut copy_if_due = copies(args);
     copy_if_due(&store);
     let motions = Arc::new(MotionLibrary::open(&args.dataset)?);
@@ -74,15 +78,6 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
     }
     drop(server);
     Ok(Exit::Done)
-}
-
-/// The admin that the printed address logs in; the first start creates one.
-fn first_admin(store: &Store) -> anyhow::Result<User> {
-    let mut users = store.users()?.into_iter();
-    match users.find(|user| user.active && user.role == Role::Admin) {
-        Some(admin) => Ok(admin),
-        None => Ok(store.add_user(None, FIRST_ADMIN, Role::Admin, now())?),
-    }
 }
 
 /// What an operator should know about the addresses before somebody else finds out.

@@ -91,18 +91,17 @@ fn change(
     global.say(&user, &text)
 }
 
+/// The first active admin.
+pub(super) fn admin(store: &Store) -> anyhow::Result<Option<User>> {
+    let mut users = store.users()?.into_iter();
+    Ok(users.find(|user| user.active && user.role == Role::Admin))
+}
+
 /// The admin that the command line acts as.
 pub(super) fn operator(store: &Store) -> anyhow::Result<Who> {
-    let admin = store
-        .users()?
-        .into_iter()
-        .find(|user| user.active && user.role == Role::Admin)
+    let User { id, name, role, .. } = admin(store)?
         .context("there is no active admin to act as; add one with `user add NAME --role admin`")?;
-    Ok(Who {
-        id: admin.id,
-        name: admin.name,
-        role: admin.role,
-    })
+    Ok(Who { id, name, role })
 }
 
 /// Makes a token. It is the result, and goes to stdout alone.

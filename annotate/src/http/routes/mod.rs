@@ -12,26 +12,26 @@ mod review;
 mod session;
 mod tasks;
 
-use super::app::{Access, Route, empty, json};
+use super::app::{Route, empty, json};
 use super::stream;
 use crate::body::skeleton_info;
 use crate::wire::{
     ApplyRules, MAX_BODY_BYTES, MAX_IMPORT_BYTES, MAX_PICTURE_BYTES, MAX_SETTINGS_BYTES, Role,
 };
 
-const PUBLIC: Access = Access::Public;
-const ANNOTATOR: Access = Access::Role(Role::Annotator);
-const REVIEWER: Access = Access::Role(Role::Reviewer);
-const ADMIN: Access = Access::Role(Role::Admin);
+const PUBLIC: Option<Role> = None;
+const ANNOTATOR: Option<Role> = Some(Role::Annotator);
+const REVIEWER: Option<Role> = Some(Role::Reviewer);
+const ADMIN: Option<Role> = Some(Role::Admin);
 
 /// A table of routes from lines of method, path, required role and handler, and the limit of the body where it is not
 /// [`MAX_BODY_BYTES`].
 macro_rules! routes {
-    ($($method:ident $path:literal $access:ident $handler:expr $(, up to $max:ident)?;)*) => {
+    ($($method:ident $path:literal $role:ident $handler:expr $(, up to $max:ident)?;)*) => {
         &[$(Route {
             method: stringify!($method),
             path: $path,
-            access: $access,
+            role: $role,
             max_body: [$($max,)? MAX_BODY_BYTES][0],
             handler: $handler,
         },)*]
@@ -144,10 +144,7 @@ mod tests {
             let path = path
                 .trim_start_matches('/')
                 .replace("pairs/{id}", "pairs/{task}");
-            let role = match route.access {
-                Access::Public => "–".to_owned(),
-                Access::Role(role) => role.to_string(),
-            };
+            let role = route.role.map_or("–", Role::as_str);
             let found = document.lines().any(|line| {
                 let line = line.replace(r"\|", "/");
                 let mut cells = line.split('|').skip(1);
