@@ -1,6 +1,6 @@
 //! Errors, and the problem document that a client receives for each.
 
-use crate::wire::{Code, Problem, TaskState};
+use crate::wire::{Code, Problem, Revision, TaskState};
 
 /// An error that names the item it happened to.
 #[derive(Debug, thiserror::Error)]
@@ -146,6 +146,12 @@ impl Problem {
             retry_after_secs: None,
             theirs: None,
         }
+    }
+
+    /// Adds the current revision of the store.
+    pub(crate) fn with_theirs(mut self, revision: Revision) -> Self {
+        self.theirs = Some(Box::new(revision));
+        self
     }
 }
 

@@ -255,7 +255,9 @@ impl Taking {
                 event.base_rev
             ),
         );
-        problem.theirs = mine.map(Box::new);
+        if let Some(mine) = mine {
+            problem = problem.with_theirs(mine);
+        }
         let body = Body::DraftSaved {
             answer: written.answer,
             rev,
