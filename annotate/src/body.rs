@@ -18,21 +18,9 @@ pub(crate) const RELEASE_PARTS: [BodyPart; NUM_RELEASE_PARTS] = [
 
 /// The skeleton and the parts, for the browser.
 pub(crate) fn skeleton_info() -> SkeletonInfo {
-    let names: Vec<String> = Joint::ALL
-        .into_iter()
-        .map(|joint| joint.name().to_owned())
-        .chain(
-            [
-                "left_eye",
-                "right_eye",
-                "left_index1",
-                "left_ring1",
-                "right_index1",
-                "right_ring1",
-            ]
-            .map(str::to_owned),
-        )
-        .collect();
+    let others = "left_eye right_eye left_index1 left_ring1 right_index1 right_ring1";
+    let names = Joint::ALL.into_iter().map(Joint::name);
+    let names: Vec<String> = names.chain(others.split(' ')).map(str::to_owned).collect();
     let side = |name: &String| {
         let side = ["left", "right"]
             .into_iter()

@@ -83,13 +83,9 @@ pub enum Error {
 impl Error {
     /// The error with its causes, in one line.
     pub(crate) fn full(&self) -> String {
-        let mut text = self.to_string();
-        let mut cause = std::error::Error::source(self);
-        while let Some(error) = cause {
-            text += &format!(": {error}");
-            cause = error.source();
-        }
-        text
+        let first = self as &dyn std::error::Error;
+        let all = std::iter::successors(Some(first), |error| error.source());
+        Vec::from_iter(all.map(|error| error.to_string())).join(": ")
     }
 
     /// A refusal.

@@ -71,18 +71,16 @@ pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Resul
     };
     let taken = import_dataset(args, &store, global)?;
     let changed = store.changed_tasks()?.len();
-    let mut lines = vec![format!("unpacked into {}", to.display())];
-    lines.push(format!(
-        "{people} people; each needs a token: stance annotate DATASET token NAME"
-    ));
+    let mut lines = vec![
+        format!("unpacked into {}", to.display()),
+        format!("{people} people; each needs a token: stance annotate DATASET token NAME"),
+    ];
     if changed > 0 {
         lines.push(format!(
             "{changed} tasks are about clips with other content here: stance annotate DATASET changed"
         ));
     }
     lines.extend(taken.messages.iter().cloned());
-    let document = json!({
-        "store": to, "people": people, "changed": changed, "import": taken,
-    });
+    let document = json!({ "store": to, "people": people, "changed": changed, "import": taken });
     global.say(&document, &lines.join("\n"))
 }
