@@ -4,9 +4,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::state::LogKind;
 use crate::wire::{
-    Answer, EditType, Empty, Feedback, Lease, ReviewEmpty, Revision, RevisionState, Role, Standing,
-    Suggestion, SuggestionSource, TaskKind, TaskState, User, Verdict,
+    Answer, EditType, Empty, Feedback, Lease, ReviewEmpty, Revision, Role, Standing, Suggestion,
+    SuggestionSource, TaskKind, TaskState, User,
 };
+
+pub use crate::wire::{BundleItem as BundleEntry, TokenShown as IssuedToken};
 
 /// Milliseconds since the epoch.
 pub type Millis = i64;
@@ -159,19 +161,6 @@ pub struct TaskRecord {
     pub practice: bool,
     /// Whether a clip of it was ingested anew, with other content, after somebody answered.
     pub changed: bool,
-}
-
-/// A task of a bundle, as a user sees it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct BundleEntry {
-    /// Task.
-    pub task: i64,
-    /// State of the user's answer.
-    pub mine: Option<RevisionState>,
-    /// The user's verdict.
-    pub verdict: Option<Verdict>,
-    /// Whether the user holds a lease on it.
-    pub leased: bool,
 }
 
 /// A task with everything a user may see of it.
@@ -406,19 +395,6 @@ pub struct WeekCounts {
     pub accepted: i64,
     /// Sent back.
     pub returned: i64,
-}
-
-/// A new token, shown once.
-#[derive(Clone, Debug, PartialEq)]
-pub struct IssuedToken {
-    /// Owner.
-    pub user: User,
-    /// Id.
-    pub id: i64,
-    /// The token.
-    pub token: String,
-    /// When it ends.
-    pub expires: Millis,
 }
 
 /// Result of an import of tasks.

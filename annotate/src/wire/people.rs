@@ -312,7 +312,7 @@ pub struct NewToken {
 }
 
 /// Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(deny_unknown_fields)]
 pub struct TokenShown {

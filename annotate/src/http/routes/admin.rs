@@ -5,7 +5,7 @@ use axum::response::Response;
 use crate::Error;
 use crate::clock::DAY;
 use crate::http::app::{Context, json};
-use crate::store::{IssuedToken, TokenUse};
+use crate::store::TokenUse;
 use crate::wire::{CapturePlan, NewToken, NewUser, NewUserLink, NewUsers, TokenShown, UserChange};
 
 /// Days a new user's token is valid.
@@ -25,13 +25,7 @@ pub(super) fn put_captures(cx: &Context) -> Result<Response, Error> {
 /// A new token of a user, shown this once.
 fn issued(cx: &Context, user: i64, days: u32) -> Result<Response, Error> {
     let (purpose, expires) = (TokenUse::Token, end(cx, days)?);
-    let token = cx.store().issue(user, purpose, expires, cx.now)?;
-    json(&TokenShown {
-        user: token.user,
-        id: token.id,
-        token: token.token,
-        expires: token.expires,
-    })
+    json(&cx.store().issue(user, purpose, expires, cx.now)?)
 }
 
 /// When a token of today ends.
@@ -53,7 +47,7 @@ pub(super) fn add_users(cx: &Context) -> Result<Response, Error> {
     let new: NewUsers = cx.body()?;
     let (admin, expires) = (Some(cx.user()?), end(cx, new.days)?);
     let tokens = cx.store().add_users(admin, &new.lines, expires, cx.now)?;
-    let link = |token: IssuedToken| NewUserLink {
+    let link = |token: TokenShown| NewUserLink {
         path: format!("/#token={}", token.token),
         user: token.user,
         expires: token.expires,

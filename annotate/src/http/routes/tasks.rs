@@ -9,7 +9,7 @@ use crate::mask::known_parts;
 use crate::model::MAX_REQUESTS_PER_MINUTE;
 use crate::store::{AuditFilter, Claimed, MotionRecord, TaskDetail, TaskRecord};
 use crate::wire::{
-    Bundle, BundleItem, Code, EventBatch, EventResults, MAX_EVENTS, MotionInfo, Next, NextRequest,
+    Bundle, Code, EventBatch, EventResults, MAX_EVENTS, MotionInfo, Next, NextRequest,
     SuggestRequest, Suggestion, Task, TaskKind, TaskView, TextForm,
 };
 
@@ -89,16 +89,7 @@ pub(super) fn offered(
 fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
     let bundle = detail.task.bundle.map(|id| Bundle {
         id,
-        tasks: detail
-            .bundle
-            .into_iter()
-            .map(|item| BundleItem {
-                task: item.task,
-                mine: item.mine,
-                verdict: item.verdict,
-                leased: item.leased,
-            })
-            .collect(),
+        tasks: detail.bundle,
     });
     let blind = detail.blind;
     let suggestions = if blind {
