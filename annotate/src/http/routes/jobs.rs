@@ -8,17 +8,19 @@ use serde::Deserialize;
 use crate::Error;
 use crate::http::app::{Context, binary, json};
 use crate::jobs;
-use crate::wire::{ExportRequest, ImportFormat, Job};
+use crate::wire::{Code, ExportRequest, ImportFormat, Job};
 
 /// The query of `imports`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Import {
-    format: ImportFormat,
+    format: Option<ImportFormat>,
 }
 
 pub(super) fn import(cx: &Context) -> Result<Response, Error> {
     let Import { format } = cx.query()?;
+    let missing = "format is missing: dataset, stance or annotations";
+    let format = format.ok_or_else(|| Error::refused(Code::BadRequest, missing))?;
     let body = cx.body.to_vec();
     json(&jobs::start_import(&cx.app, cx.user()?, format, body)?)
 }
