@@ -44,7 +44,7 @@
 //! ```
 
 mod activity;
-pub mod agreement;
+mod agreement;
 pub mod answer;
 mod body;
 mod clock;

@@ -92,9 +92,7 @@ pub struct Agreement {
     pub parts: Vec<PartAgreement>,
     /// Mean Jaccard index of the joints and frames of masks.
     pub jaccard: Option<Estimate>,
-    /// Krippendorff's alpha of masks with the MASI distance.
-    pub alpha_masi: Option<Estimate>,
-    /// Figures of pair verdicts.
+    /// Agreement on the verdicts about pairs.
     pub verdicts: Option<PartAgreement>,
     /// Tasks with two answers or more.
     pub shared_items: usize,
@@ -115,11 +113,7 @@ pub struct PartAgreement {
     pub part: String,
     /// Items with two answers or more.
     pub items: usize,
-    /// Share of pairs of answers that agree.
-    pub raw: Option<Estimate>,
-    /// Krippendorff's alpha, nominal; handles missing answers.
-    pub krippendorff_alpha: Option<Estimate>,
-    /// Gwet's AC1.
+    /// Gwet's AC1: the agreement beyond chance.
     pub gwet_ac1: Option<Estimate>,
 }
 

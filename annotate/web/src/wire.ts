@@ -196,9 +196,7 @@ export type Agreement = {
   parts: Array<PartAgreement>,
   /** Mean Jaccard index of the joints and frames of masks. */
   jaccard: Estimate | null,
-  /** Krippendorff's alpha of masks with the MASI distance. */
-  alpha_masi: Estimate | null,
-  /** Figures of pair verdicts. */
+  /** Agreement on the verdicts about pairs. */
   verdicts: PartAgreement | null,
   /** Tasks with two answers or more. */
   shared_items: number,
@@ -871,11 +869,7 @@ export type PartAgreement = {
   part: string,
   /** Items with two answers or more. */
   items: number,
-  /** Share of pairs of answers that agree. */
-  raw: Estimate | null,
-  /** Krippendorff's alpha, nominal; handles missing answers. */
-  krippendorff_alpha: Estimate | null,
-  /** Gwet's AC1. */
+  /** Gwet's AC1: the agreement beyond chance. */
   gwet_ac1: Estimate | null, };
 
 /** A body part. */

@@ -328,24 +328,12 @@ fn agreement_rows(figures: &Figures) -> Vec<AgreementRow> {
     };
     let agreement = &figures.agreement;
     for part in agreement.parts.iter().chain(&agreement.verdicts) {
-        for (figure, estimate) in [
-            ("raw", part.raw),
-            ("krippendorff_alpha", part.krippendorff_alpha),
-            ("gwet_ac1", part.gwet_ac1),
-        ] {
-            put(&part.part, figure, estimate, part.items);
-        }
+        put(&part.part, "gwet_ac1", part.gwet_ac1, part.items);
     }
     put(
         "masks",
         "jaccard",
         agreement.jaccard,
-        agreement.shared_items,
-    );
-    put(
-        "masks",
-        "alpha_masi",
-        agreement.alpha_masi,
         agreement.shared_items,
     );
     rows
