@@ -45,7 +45,7 @@
 
 mod activity;
 mod agreement;
-pub mod answer;
+mod answer;
 mod body;
 mod clock;
 pub mod drafting;

@@ -4,7 +4,7 @@ use datasets_spec::record::MaskRow;
 use datasets_spec::{BlendMask, BodyPart, Joint, JointSet};
 
 use crate::Error;
-use crate::wire::{Answer, JointChoice, JointWeight, MaskAnswer};
+use crate::wire::{JointChoice, JointWeight, MaskAnswer};
 
 /// The known parts among the names.
 pub(crate) fn known_parts(names: &[String]) -> Vec<BodyPart> {
@@ -151,14 +151,11 @@ pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), Str
     Ok(())
 }
 
-/// Checks the ranges of the masks of an answer, about a clip with `frames` frames.
+/// Checks the ranges of masks of a clip with `frames` frames.
 ///
 /// # Errors
 /// The first range that does not fit.
-pub(crate) fn check_ranges(answer: &Answer, frames: i64) -> Result<(), Error> {
-    let Answer::MaskText { masks, .. } = answer else {
-        return Ok(());
-    };
+pub(crate) fn check_ranges(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
     for (index, mask) in masks.iter().enumerate() {
         let problem = mask
             .range

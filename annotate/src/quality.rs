@@ -65,7 +65,7 @@ struct Said {
     /// Place of its verdict in [`Verdict::ALL`].
     verdict: Option<usize>,
     /// Whether a mask contains all hard joints of each part of the release: BOTH_ARMS marks each arm.
-    covers: Vec<bool>,
+    covers: [bool; NUM_RELEASE_PARTS],
     /// Joints and frames that its masks take.
     cells: Vec<Cells>,
 }
@@ -309,7 +309,10 @@ fn drafts_of<'a>(
 fn frames_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<String, i64>, Error> {
     let ranged: BTreeSet<String> = labels
         .iter()
-        .filter(|label| label.revision.answer.has_range())
+        .filter(|label| {
+            let masks = label.revision.answer.fields().masks;
+            masks.iter().any(|mask| mask.range.is_some())
+        })
         .map(|label| label.source.clone())
         .collect();
     let motions = store.motions(ranged.into_iter().collect())?;
@@ -322,19 +325,8 @@ fn frames_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<String, i64>, E
 fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String, i64>) -> Said {
     let revision = &label.revision;
     let verdict = revision.answer.verdict();
-    let covers = match &revision.answer {
-        Answer::MaskText { masks, .. } => {
-            let sets: Vec<JointSet> = masks.iter().map(|mask| mask.mask().hard()).collect();
-            RELEASE_PARTS
-                .iter()
-                .map(|part| {
-                    let hard = part.mask().hard();
-                    sets.iter().any(|set| hard.difference(*set).is_empty())
-                })
-                .collect()
-        }
-        Answer::Pair { .. } | Answer::Style { .. } => Vec::new(),
-    };
+    let masks = revision.answer.fields().masks.iter();
+    let sets: Vec<JointSet> = masks.map(|mask| mask.mask().hard()).collect();
     Said {
         author: revision.author,
         secs: revision.secs,
@@ -345,7 +337,10 @@ fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String,
         verdict: Verdict::ALL
             .iter()
             .position(|known| Some(*known) == verdict),
-        covers,
+        covers: RELEASE_PARTS.map(|part| {
+            let hard = part.mask().hard();
+            sets.iter().any(|set| hard.difference(*set).is_empty())
+        }),
         cells: revision
             .answer
             .cells(frames.get(&label.source).copied().unwrap_or(1)),

@@ -69,7 +69,7 @@ fn annotation_task(
     rows.iter().try_for_each(check_masks)?;
     let answer = answer(rows, kind)?;
     crate::answer::check_draft(&answer, kind)
-        .and_then(|()| crate::mask::check_ranges(&answer, source.frames))
+        .and_then(|()| crate::mask::check_ranges(answer.fields().masks, source.frames))
         .map_err(|error| error.to_string())?;
     new.accepted = Some(answer);
     new.credit = credit(
