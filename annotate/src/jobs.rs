@@ -9,7 +9,7 @@ use std::time::Duration;
 use crate::Error;
 use crate::clock::Clock;
 use crate::store::{Millis, MotionRecord, Store};
-use crate::transfer::{self, Exported, Selection, Taken};
+use crate::transfer::{self, Exported, Taken};
 use crate::wire::{Code, ExportFormat, ExportRequest, ImportFormat, Job};
 
 /// A requested import.
@@ -190,14 +190,9 @@ pub(crate) fn start_export(
     let (store, clock, mut running) = (Arc::clone(store), Arc::clone(clock), job.clone());
     let (folder, dataset) = (folder(data, job.id), dataset.to_owned());
     spawn(move || {
-        let selection = Selection {
-            format: request.format,
-            splits: request.splits,
-            events: request.events,
-        };
         let holder = format!("annotation server, process {}", std::process::id());
         let exported = reported(store.as_ref(), &clock, running.id, || {
-            let done = transfer::export(store.as_ref(), &dataset, &folder, &selection, &holder)?;
+            let done = transfer::export(store.as_ref(), &dataset, &folder, &request, &holder)?;
             if store.is_shared() {
                 keep_files(store.as_ref(), running.id, &folder, &done.files)?;
             }
@@ -205,14 +200,8 @@ pub(crate) fn start_export(
         });
         let outcome = exported
             .and_then(|done| {
-                log_export(
-                    store.as_ref(),
-                    Some(actor),
-                    selection.format,
-                    &done,
-                    clock(),
-                )
-                .map(|()| done)
+                log_export(store.as_ref(), Some(actor), request.format, &done, clock())
+                    .map(|()| done)
             })
             .map(|done| {
                 running.done = done.counts.values().sum();

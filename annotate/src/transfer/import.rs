@@ -12,7 +12,7 @@ use serde::Serialize;
 use tables::Condition;
 
 use crate::Error;
-use crate::answer::completion;
+use crate::answer::{Fields, completion};
 use crate::mask::{entered, mask_of_joints};
 use crate::store::{Credit, Imported, Millis, MotionRecord, NewSuggestion, NewTask, Store};
 use crate::wire::{
@@ -350,7 +350,15 @@ fn tasks_of_pairs<'a>(
         new.edit_type = pair.edit_type.as_deref().and_then(EditType::parse);
         unknown_types += i64::from(pair.edit_type.is_some() && new.edit_type.is_none());
         if pair.source == PAIR_SOURCE {
-            new.accepted = Some(accepted_pair(pair, kind));
+            let said = Fields {
+                verdict: Some(Verdict::Keep),
+                parts: &pair.parts,
+                edit_type: new.edit_type,
+                style: pair.style.as_deref(),
+                text: &pair.instruction,
+                ..Fields::default()
+            };
+            new.accepted = Some(said.answer(kind));
             new.credit = credit("", false, pair.accepted_by.as_deref());
         } else if !pair.instruction.trim().is_empty() {
             new.hint = Some(pair.instruction.clone());
@@ -585,28 +593,6 @@ fn suggestion(parts: Vec<String>, text: &str, model: &str) -> NewSuggestion {
         params: String::new(),
         tokens: None,
         response_hash: String::new(),
-    }
-}
-
-fn accepted_pair(pair: &PairRow, kind: TaskKind) -> Answer {
-    match kind {
-        TaskKind::Style => Answer::Style {
-            verdict: Verdict::Keep,
-            parts: pair.parts.clone(),
-            style: pair.style.clone(),
-            extent: None,
-            text: pair.instruction.clone(),
-            suggestion: None,
-            note: String::new(),
-        },
-        TaskKind::Pair | TaskKind::MaskText => Answer::Pair {
-            verdict: Verdict::Keep,
-            parts: pair.parts.clone(),
-            edit_type: pair.edit_type.as_deref().and_then(EditType::parse),
-            text: pair.instruction.clone(),
-            suggestion: None,
-            note: String::new(),
-        },
     }
 }
 

@@ -9,6 +9,6 @@ mod tables;
 
 pub use self::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
 pub use annotations::from_annotations;
-pub use export::{Exported, Selection, check_files, export};
+pub use export::{Exported, check_files, export};
 pub use import::{CHOSEN, Taken, from_dataset, from_labels};
 pub use released::from_release;

@@ -7,6 +7,7 @@ use serde_json::Value;
 use super::import::{Taken, credit, key_of_pair, mask_key, task};
 use super::release::{self, SaidPair};
 use crate::Error;
+use crate::answer::{Fields, check_draft};
 use crate::store::{Millis, MotionRecord, NewTask, Store};
 use crate::wire::{Answer, TaskKind, Verdict};
 
@@ -78,34 +79,22 @@ fn released_pair(
     if let Some(name) = unknown.first() {
         return Err(format!("body part {name:?} is not known"));
     }
-    let (kind, answer) = match pair.kind.as_str() {
-        "fine-grained" => (
-            TaskKind::Pair,
-            Answer::Pair {
-                verdict: Verdict::Keep,
-                parts,
-                edit_type: pair.edit_type,
-                text: pair.text.clone(),
-                suggestion: None,
-                note: String::new(),
-            },
-        ),
-        "style" => (
-            TaskKind::Style,
-            Answer::Style {
-                verdict: Verdict::Keep,
-                parts,
-                // The file has an empty text where none was chosen.
-                style: pair.style.clone().filter(|style| !style.is_empty()),
-                extent: None,
-                text: pair.text.clone(),
-                suggestion: None,
-                note: String::new(),
-            },
-        ),
+    let kind = match pair.kind.as_str() {
+        "fine-grained" => TaskKind::Pair,
+        "style" => TaskKind::Style,
         other => return Err(format!("kind {other:?} is not known")),
     };
-    crate::answer::check_draft(&answer, kind).map_err(|error| error.to_string())?;
+    let said = Fields {
+        verdict: Some(Verdict::Keep),
+        parts: &parts,
+        edit_type: pair.edit_type,
+        // The file has an empty text where none was chosen.
+        style: pair.style.as_deref().filter(|style| !style.is_empty()),
+        text: &pair.text,
+        ..Fields::default()
+    };
+    let answer = said.answer(kind);
+    check_draft(&answer, kind).map_err(|error| error.to_string())?;
     let mut new = task(key_of_pair(&pair.id), kind, source);
     new.target = Some(target.hash.clone());
     new.accepted = Some(answer);

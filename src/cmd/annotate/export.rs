@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use annotate::store::Store;
-use annotate::transfer::{self, Selection};
+use annotate::transfer;
+use annotate::wire::ExportRequest;
 
 use super::args::Args;
 use super::shared::now;
@@ -13,7 +14,7 @@ use crate::global::Global;
 pub(super) fn export(
     args: &Args,
     store: &Store,
-    selection: &Selection,
+    selection: &ExportRequest,
     to: Option<&Path>,
     global: &Global,
 ) -> anyhow::Result<Exit> {
