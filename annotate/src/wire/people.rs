@@ -1,12 +1,10 @@
-//! People: logging in, preferences, settings, users and tokens.
+//! People and what the project asks of them: logging in, preferences, settings, the guide, users and tokens.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::log::KindGuide;
-use super::names::{Action, EditType, Role, TaskKind, TextForm};
-use super::rules::Rule;
+use super::{Action, EditType, Role, Rule, TaskKind, TextForm};
 
 /// `POST session`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -20,7 +18,6 @@ pub struct Login {
 /// A user.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct User {
     /// Id.
     pub id: i64,
@@ -35,7 +32,6 @@ pub struct User {
 /// `GET me`, and the answer to `POST session`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Me {
     /// Who is logged in.
     pub user: User,
@@ -58,7 +54,6 @@ pub struct Me {
 /// Bounds of what can be sent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Limits {
     /// Characters of a text.
     pub text_chars: usize,
@@ -77,7 +72,6 @@ pub struct Limits {
 /// The part of the settings that annotators see.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Project {
     /// Name of the project.
     pub name: String,
@@ -279,7 +273,6 @@ fn token_days() -> u32 {
 /// Answer to `POST users/bulk`: a new user with a link to log in.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct NewUserLink {
     /// The user.
     pub user: User,
@@ -314,7 +307,6 @@ pub struct NewToken {
 /// Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct TokenShown {
     /// Whose it is.
     pub user: User,
@@ -329,7 +321,6 @@ pub struct TokenShown {
 /// A token, without its secret.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct TokenInfo {
     /// Id.
     pub id: i64,
@@ -417,4 +408,52 @@ impl Default for Settings {
             solo: false,
         }
     }
+}
+
+/// `GET guide`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Guide {
+    /// What holds for all kinds, plain text.
+    pub text: String,
+    /// Guidelines of each kind.
+    pub kinds: BTreeMap<TaskKind, KindGuide>,
+    /// What the texts of each kind are.
+    pub forms: BTreeMap<TaskKind, TextForm>,
+}
+
+/// Guidelines of a kind of task. `GET`/`PUT guide/{kind}`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields, default)]
+pub struct KindGuide {
+    /// Plain text.
+    pub text: String,
+    /// Examples.
+    pub pictures: Vec<GuidePicture>,
+}
+
+/// A picture of a right or a wrong answer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct GuidePicture {
+    /// Name, at `guide/pictures/{name}`.
+    pub name: String,
+    /// What it shows.
+    pub caption: String,
+    /// Whether the answer it shows is right.
+    pub right: bool,
+}
+
+/// `GET guide/pictures`: a stored picture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct PictureInfo {
+    /// Name: up to 60 letters, digits, dashes, dots and underscores.
+    pub name: String,
+    /// Type of its content.
+    pub mime: String,
+    /// Size in bytes.
+    pub bytes: usize,
 }

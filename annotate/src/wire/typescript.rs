@@ -122,21 +122,24 @@ declarations! {
         SuggestionUse TaskKind TaskSort TaskState TextForm Verdict;
 }
 
-/// Names that `wire` makes public, read from its source.
+/// Names of the public types of `wire`, read from its source.
 fn public_names() -> BTreeSet<String> {
-    include_str!("mod.rs")
-        .split("\npub use ")
-        .skip(1)
-        .flat_map(|rest| {
-            let names = rest.split(';').next().unwrap_or("");
-            let names = names.split_once("::").map_or("", |(_, names)| names);
-            names
-                .split(|letter: char| !letter.is_alphanumeric())
-                .filter(|name| !name.is_empty())
-                .map(str::to_owned)
-                .collect::<Vec<_>>()
-        })
-        .collect()
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/wire");
+    let mut names = BTreeSet::new();
+    for file in std::fs::read_dir(folder).expect("the folder of the types") {
+        let source = std::fs::read_to_string(file.expect("a file").path()).expect("a source");
+        for line in source.lines().map(str::trim_start) {
+            let declared = line.strip_prefix("pub struct ");
+            let declared = declared.or_else(|| line.strip_prefix("pub enum "));
+            let name = declared.and_then(|rest| rest.split(' ').next());
+            // The macro that declares enums has a variable there.
+            names.extend(
+                name.filter(|name| !name.starts_with('$'))
+                    .map(str::to_owned),
+            );
+        }
+    }
+    names
 }
 
 fn generated() -> String {
