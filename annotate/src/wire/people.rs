@@ -35,7 +35,7 @@ pub struct User {
 pub struct Me {
     /// Who is logged in.
     pub user: User,
-    /// Bounds of what can be sent.
+    /// How long a lease lasts.
     pub limits: Limits,
     /// What the project asks for.
     pub project: Project,
@@ -51,18 +51,10 @@ pub struct Me {
     pub store: String,
 }
 
-/// Bounds of what can be sent.
+/// How long a lease lasts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 pub struct Limits {
-    /// Characters of a text.
-    pub text_chars: usize,
-    /// Events of a batch.
-    pub events: usize,
-    /// Bytes of a body.
-    pub body_bytes: usize,
-    /// Suggestions asked for in a minute.
-    pub suggestions_per_minute: u32,
     /// Seconds a lease lasts.
     pub lease_secs: i64,
     /// Seconds between renewals.
@@ -87,8 +79,6 @@ pub struct Project {
     pub style_templates: Vec<String>,
     /// Phrases to start the description of a mask with: they complete "The person is …".
     pub mask_templates: Vec<String>,
-    /// What the texts of each kind are.
-    pub text_forms: BTreeMap<TaskKind, TextForm>,
     /// Name of the time zone in which days and weeks begin.
     pub time_zone: String,
 }

@@ -152,13 +152,8 @@ pub struct SkeletonInfo {
     pub parents: Vec<i32>,
     /// `left`, `right` or `middle` of each.
     pub sides: Vec<String>,
-    /// Body joint (0 to 21) that decides whether a keypoint belongs to a part: eyes follow the head, knuckles
-    /// the wrist.
-    pub body_joint: Vec<usize>,
     /// All parts; the five of the release come first, in the order of the rows of heat and diff.
     pub parts: Vec<PartInfo>,
-    /// Version of the part definitions.
-    pub mask_def_version: u32,
 }
 
 /// A body part.

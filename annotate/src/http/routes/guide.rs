@@ -4,7 +4,6 @@ use axum::body::Body;
 use axum::http::header;
 use axum::response::Response;
 
-use super::session::text_forms;
 use crate::Error;
 use crate::http::app::{Context, Reply, json, set};
 use crate::wire::{Guide, KindGuide, TaskKind};
@@ -18,7 +17,10 @@ pub(super) fn guide(cx: &Context) -> Result<Reply, Error> {
     json(&Guide {
         text: settings.guide,
         kinds: settings.guides,
-        forms: text_forms(),
+        forms: TaskKind::ALL
+            .iter()
+            .map(|&kind| (kind, kind.text_form()))
+            .collect(),
     })
 }
 

@@ -1,7 +1,5 @@
 //! Login, logout, and the current user.
 
-use std::collections::BTreeMap;
-
 use axum::http::header;
 use axum::response::Response;
 use serde::Serialize;
@@ -10,11 +8,8 @@ use crate::Error;
 use crate::http::app::{App, Context, Reply, cookie, json, reply_response, set};
 use crate::http::proxy;
 use crate::lock::lock;
-use crate::model::MAX_REQUESTS_PER_MINUTE;
 use crate::store::Who;
-use crate::wire::{
-    Limits, Login, MAX_BODY_BYTES, MAX_EVENTS, MAX_TEXT_CHARS, Me, Project, TaskKind, TextForm,
-};
+use crate::wire::{Limits, Login, Me, Project};
 
 /// Maximum number of wrong tokens per minute from one address. A right one is never refused: many people may share an
 /// address, and nobody guesses 32 random bytes.
@@ -68,14 +63,6 @@ pub(super) fn me(cx: &Context) -> Result<Reply, Error> {
     json(&me_of(&cx.app, cx.who()?)?)
 }
 
-/// What the texts of each kind are.
-pub(super) fn text_forms() -> BTreeMap<TaskKind, TextForm> {
-    TaskKind::ALL
-        .iter()
-        .map(|&kind| (kind, kind.text_form()))
-        .collect()
-}
-
 fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
     let settings = app.store.settings()?;
     let read_only = lock(&app.read_only).clone();
@@ -90,10 +77,6 @@ fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
             active: true,
         },
         limits: Limits {
-            text_chars: MAX_TEXT_CHARS,
-            events: MAX_EVENTS,
-            body_bytes: MAX_BODY_BYTES,
-            suggestions_per_minute: MAX_REQUESTS_PER_MINUTE,
             lease_secs: i64::from(settings.lease_minutes) * 60,
             heartbeat_secs: HEARTBEAT_SECS,
         },
@@ -105,7 +88,6 @@ fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
             templates: settings.templates,
             style_templates: settings.style_templates,
             mask_templates: settings.mask_templates,
-            text_forms: text_forms(),
             time_zone: settings.time_zone,
         },
         prefs: app.store.prefs(who.id)?,
