@@ -49,6 +49,14 @@ impl Taken {
         *self.counts.entry(what.to_owned()).or_default() += count;
     }
 
+    /// Counts items that are left out, if there are any, and says so.
+    fn report(&mut self, what: &str, count: usize, message: impl FnOnce() -> String) {
+        if count > 0 {
+            self.count(what, count as i64);
+            self.messages.push(message());
+        }
+    }
+
     /// Takes the result of an import of answers.
     pub(super) fn take(&mut self, done: Imported) {
         self.count("new_tasks", done.new);
@@ -251,17 +259,15 @@ fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
 fn note_gone(store: &Store, clips: &[Clip], taken: &mut Taken) -> Result<(), Error> {
     let here: BTreeSet<&str> = clips.iter().map(|clip| clip.record.id.as_str()).collect();
     let known = store.all_motions()?;
-    let mut gone = known
-        .iter()
-        .filter(|motion| !here.contains(motion.id.as_str()));
-    if let Some(first) = gone.next() {
-        let count = 1 + gone.count();
-        taken.count("clips_gone", count as i64);
-        taken.messages.push(format!(
-            "{count} clips of the project are not in this dataset, for example {}; their tasks and answers stay",
-            first.id
-        ));
-    }
+    let is_gone = |motion: &&MotionRecord| !here.contains(motion.id.as_str());
+    let gone: Vec<&MotionRecord> = known.iter().filter(is_gone).collect();
+    taken.report("clips_gone", gone.len(), || {
+        format!(
+            "{} clips of the project are not in this dataset, for example {}; their tasks and answers stay",
+            gone.len(),
+            gone[0].id
+        )
+    });
     Ok(())
 }
 
@@ -271,15 +277,24 @@ fn without_copies<'a>(clips: &'a [Clip], taken: &mut Taken) -> Vec<&'a Clip> {
     let (clips, copies): (Vec<&Clip>, Vec<&Clip>) = clips
         .iter()
         .partition(|clip| by_hash.insert(&clip.record.hash));
-    if !copies.is_empty() {
-        taken.count("copies", copies.len() as i64);
-        taken.messages.push(format!(
+    taken.report("copies", copies.len(), || {
+        format!(
             "{} clips repeat the motion of another clip and get no task, for example {}",
             copies.len(),
             copies[0].record.id
-        ));
-    }
+        )
+    });
     clips
+}
+
+/// Masks by the id of their motion.
+fn by_motion(masks: Vec<MaskRow>) -> BTreeMap<String, Vec<MaskRow>> {
+    let mut all: BTreeMap<String, Vec<MaskRow>> = BTreeMap::new();
+    for mask in masks {
+        let id = mask.motion_id.to_string();
+        all.entry(id).or_default().push(mask);
+    }
+    all
 }
 
 /// Mask tasks of the chosen clips that are neither mirrored copies nor variants, which the pairs of the whole dataset
@@ -290,13 +305,7 @@ fn mask_tasks(
     chosen: &[&Clip],
     taken: &mut Taken,
 ) -> Result<Vec<NewTask>, Error> {
-    let mut masks: BTreeMap<String, Vec<MaskRow>> = BTreeMap::new();
-    for row in dataset.read::<MaskRow>(None)? {
-        masks
-            .entry(row.motion_id.as_str().to_owned())
-            .or_default()
-            .push(row);
-    }
+    let masks = by_motion(dataset.read(None)?);
     let all_pairs: Vec<PairRow> = whole.read(None)?;
     let of_variants = all_pairs
         .iter()
@@ -326,7 +335,7 @@ fn tasks_of_pairs<'a>(
     by_id: &BTreeMap<&str, &Clip>,
     taken: &mut Taken,
 ) -> (BTreeMap<String, Vec<NewTask>>, Vec<NewTask>) {
-    let (mut missing, mut unknown_types) = (0, 0);
+    let (mut missing, mut unknown_types) = (0_usize, 0_usize);
     let (mut fine, mut styles) = (BTreeMap::<String, Vec<NewTask>>::new(), Vec::new());
     for pair in pairs {
         let (Some(source), Some(target)) = (
@@ -348,7 +357,7 @@ fn tasks_of_pairs<'a>(
         new.target = Some(target.record.hash.clone());
         new.style.clone_from(&pair.style);
         new.edit_type = pair.edit_type.as_deref().and_then(EditType::parse);
-        unknown_types += i64::from(pair.edit_type.is_some() && new.edit_type.is_none());
+        unknown_types += usize::from(pair.edit_type.is_some() && new.edit_type.is_none());
         if pair.source == PAIR_SOURCE {
             let said = Fields {
                 verdict: Some(Verdict::Keep),
@@ -371,20 +380,16 @@ fn tasks_of_pairs<'a>(
             TaskKind::Style | TaskKind::MaskText => styles.push(new),
         }
     }
-    if missing > 0 {
-        taken.count("pairs_without_motion", missing);
-        taken.messages.push(format!(
-            "{missing} pairs name a missing or repeated motion and get no task"
-        ));
-    }
-    if unknown_types > 0 {
+    taken.report("pairs_without_motion", missing, || {
+        format!("{missing} pairs name a missing or repeated motion and get no task")
+    });
+    taken.report("unknown_edit_types", unknown_types, || {
         let known: Vec<&str> = EditType::ALL.iter().map(|kind| kind.as_str()).collect();
-        taken.count("unknown_edit_types", unknown_types);
-        taken.messages.push(format!(
+        format!(
             "{unknown_types} pairs have an edit type that is not one of {}; they are taken without it",
             known.join(", ")
-        ));
-    }
+        )
+    });
     (fine, styles)
 }
 
@@ -423,14 +428,9 @@ pub fn from_labels(
             by_id.insert(id, clip);
         }
     }
-    let mut masks: BTreeMap<&str, Vec<MaskRow>> = BTreeMap::new();
-    for row in &labels.masks {
-        let of_motion = masks.entry(row.motion_id.as_str()).or_default();
-        of_motion.push(row.clone());
-    }
     let mut tasks = Vec::new();
-    for (id, rows) in &masks {
-        match by_id.get(id) {
+    for (id, rows) in &by_motion(labels.masks.clone()) {
+        match by_id.get(id.as_str()) {
             Some(clip) => {
                 let new = mask_task(&clip.record, rows, &mut taken)?;
                 // As in the tasks of a dataset: a mirrored copy says nothing that its original does not.
@@ -438,13 +438,12 @@ pub fn from_labels(
                     tasks.push(new);
                 }
             }
-            None => {
-                taken.count("masks_without_motion", rows.len() as i64);
-                taken.messages.push(format!(
+            None => taken.report("masks_without_motion", rows.len(), || {
+                format!(
                     "motion {id:?} is missing or repeated in this dataset; its {} masks are left out",
                     rows.len()
-                ));
-            }
+                )
+            }),
         }
     }
     let split = |id: &MotionId| by_id.get(id.as_str()).map(|clip| &clip.record.split);
@@ -453,14 +452,13 @@ pub fn from_labels(
         sides.is_some_and(|(source, target)| source != target)
     };
     let (across, pairs): (Vec<&PairRow>, Vec<&PairRow>) = labels.pairs.iter().partition(is_across);
-    if let Some(first) = across.first() {
-        taken.count("pairs_across_splits", across.len() as i64);
-        taken.messages.push(format!(
+    taken.report("pairs_across_splits", across.len(), || {
+        format!(
             "{} pairs have their motions in two splits of this dataset and are left out, such as {:?}",
             across.len(),
-            first.id
-        ));
-    }
+            across[0].id
+        )
+    });
     let (fine, styles) = tasks_of_pairs(pairs.into_iter(), &by_id, &mut taken);
     tasks.extend(styles);
     for (name, list) in fine {

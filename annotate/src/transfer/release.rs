@@ -182,100 +182,62 @@ pub(super) fn parse(document: &Value) -> Result<Release, String> {
 
 /// Reads the masks and texts of a motion, and returns what is wrong with them too.
 fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
-    let mut reader = MotionReader::default();
-    match said {
-        Value::Object(map) => reader.read_texts_by_part(masks, map),
-        said => reader.read_texts_in_order(masks, said),
-    }
-    if reader.unknown.contains_key("part_annotations") {
-        reader
-            .problems
-            .push("its texts do not match its masks and are kept as an unknown field".to_owned());
-    }
-    let said = Said {
-        masks: reader.masks,
-        extra: (!reader.unknown.is_empty()).then_some(Value::Object(reader.unknown)),
-        accepted_by: None,
+    let (mut unknown, mut problems) = (Map::new(), Vec::new());
+    let names = names(masks);
+    // Texts that say nothing of parts belong to the masks at their places.
+    let in_order: Vec<Vec<String>> = match said {
+        Value::Array(items) if items.len() == names.len() => items.iter().map(texts).collect(),
+        Value::Array(_) if names.len() == 1 => vec![texts(said)],
+        Value::String(_) => vec![texts(said); names.len()],
+        Value::Null | Value::Object(_) => Vec::new(),
+        _ => {
+            unknown.insert("part_annotations".to_owned(), said.clone());
+            // Marks fields that were kept aside.
+            unknown.insert("kept_aside".to_owned(), json!(true));
+            problems.push(
+                "its texts do not match its masks and are kept as an unknown field".to_owned(),
+            );
+            Vec::new()
+        }
     };
-    (said, reader.problems)
-}
-
-/// What has been read of a motion.
-#[derive(Default)]
-struct MotionReader {
-    masks: Vec<MaskAnswer>,
-    unknown: Map<String, Value>,
-    problems: Vec<String>,
-}
-
-impl MotionReader {
-    fn read_texts_by_part(&mut self, masks: &Value, said: &Map<String, Value>) {
-        for (name, value) in said {
-            for text in texts_or_empty(texts(value)) {
-                if !self.put(name, text).is_empty() {
-                    self.unknown.insert(name.clone(), value.clone());
-                }
-            }
-        }
-        // Masks without texts are kept.
-        for name in names(masks) {
-            if !said.keys().any(|known| parts(known).0 == parts(&name).0) {
-                self.put(&name, String::new());
-            }
+    let by_part = said.as_object();
+    let mut named: Vec<(&str, Vec<String>)> = Vec::new();
+    for (name, value) in by_part.into_iter().flatten() {
+        named.push((name.as_str(), texts(value)));
+        if !parts(name).1.is_empty() {
+            unknown.insert(name.clone(), value.clone());
         }
     }
-
-    /// Reads texts that say nothing of parts: each belongs to the mask at its place.
-    fn read_texts_in_order(&mut self, masks: &Value, said: &Value) {
-        let names = names(masks);
-        let list: Vec<Vec<String>> = match said {
-            Value::Array(items) if items.len() == names.len() => items.iter().map(texts).collect(),
-            Value::Array(_) if names.len() == 1 => vec![texts(said)],
-            Value::String(_) => vec![texts(said); names.len()],
-            Value::Null => Vec::new(),
-            _ => {
-                self.unknown
-                    .insert("part_annotations".to_owned(), said.clone());
-                // Marks fields that were kept aside.
-                self.unknown.insert("kept_aside".to_owned(), json!(true));
-                Vec::new()
-            }
-        };
-        for (index, name) in names.iter().enumerate() {
-            for text in texts_or_empty(list.get(index).cloned().unwrap_or_default()) {
-                self.put(name, text);
-            }
+    for (index, name) in names.iter().enumerate() {
+        let is_same = |known: &String| parts(known).0 == parts(name).0;
+        if !by_part.is_some_and(|texts| texts.keys().any(is_same)) {
+            let texts = in_order.get(index).cloned();
+            named.push((name.as_str(), texts.unwrap_or_default()));
         }
     }
-
-    /// Adds a mask, and returns the names in `name` that are no parts.
-    fn put(&mut self, name: &str, text: String) -> Vec<String> {
+    let mut read = Said::default();
+    for (name, mut texts) in named {
         let (parts, lost) = parts(name);
-        self.problems.extend(
+        problems.extend(
             lost.iter()
                 .map(|name| format!("body part {name:?} is not known")),
         );
-        if !parts.is_empty() {
-            self.masks.push(MaskAnswer {
-                parts,
-                soft: true,
-                joints: Vec::new(),
-                range: None,
-                text,
-                suggestion: None,
-            });
+        if texts.is_empty() {
+            // Masks without texts are kept.
+            texts.push(String::new());
         }
-        lost
+        let texts = texts.into_iter().filter(|_| !parts.is_empty());
+        read.masks.extend(texts.map(|text| MaskAnswer {
+            parts: parts.clone(),
+            soft: true,
+            joints: Vec::new(),
+            range: None,
+            text,
+            suggestion: None,
+        }));
     }
-}
-
-/// The texts, or an empty one: masks without texts are kept.
-fn texts_or_empty(texts: Vec<String>) -> Vec<String> {
-    if texts.is_empty() {
-        vec![String::new()]
-    } else {
-        texts
-    }
+    read.extra = (!unknown.is_empty()).then_some(Value::Object(unknown));
+    (read, problems)
 }
 
 /// Entries of the two files for a motion.
@@ -335,37 +297,20 @@ mod tests {
         });
         let release = parse(&document).expect("an object");
         assert_eq!(release.motions["a"].masks.len(), 1);
-        assert_eq!(release.motions["c"].masks.len(), 2);
-        assert_eq!(
-            release.motions["c"]
-                .extra
-                .as_ref()
-                .and_then(|extra| extra.get("part_annotations")),
-            Some(&json!([1, 2, 3]))
-        );
-        assert!(
-            release
-                .messages
-                .iter()
-                .any(|message| message.contains("TAIL"))
-        );
-        assert!(
-            release
-                .messages
-                .iter()
-                .any(|message| message.contains("1 ids have masks but no texts"))
-        );
         let kept = &release.motions["c"];
-        assert_eq!(
-            entries(&kept.masks, kept.extra.as_ref()).1,
-            json!([1, 2, 3])
-        );
+        assert_eq!(kept.masks.len(), 2);
+        for problem in ["TAIL", "1 ids have masks but no texts"] {
+            let mut messages = release.messages.iter();
+            assert!(messages.any(|message| message.contains(problem)));
+        }
+        let (_, texts) = entries(&kept.masks, kept.extra.as_ref());
+        assert_eq!(texts, json!([1, 2, 3]));
         let older = json!({ "mask_all": {}, "pairs": [{ "kind": "style" }] });
         let release = parse(&older).expect("an object");
         assert!(release.pairs.is_empty() && release.messages[0].contains("have no id"));
-        assert!(parse(&json!([])).is_err());
-        assert!(parse(&json!({"other": 1})).is_err());
-        assert!(parse(&json!({"mask_all": 7})).is_err());
+        for refused in [json!([]), json!({"other": 1}), json!({"mask_all": 7})] {
+            assert!(parse(&refused).is_err());
+        }
     }
 
     #[test]

@@ -30,29 +30,16 @@ fn declaration<T: TS>(config: &Config) -> (String, String) {
 
 /// The text of a declaration with comments of one line, and fields indented.
 fn laid_out(text: &str) -> String {
-    let mut lines: Vec<String> = Vec::new();
-    let mut comment: Option<Vec<&str>> = None;
-    let mut inside = false;
-    for line in text.lines().map(str::trim_end) {
-        let indent = if inside { "  " } else { "" };
-        match (&mut comment, line) {
-            (None, "/**") => comment = Some(Vec::new()),
-            (Some(words), " */") => {
-                lines.push(format!("{indent}/** {} */", words.join(" ")));
-                comment = None;
-            }
-            (Some(words), line) => words.push(line.trim_start_matches(" *").trim_start()),
-            (None, line) => {
-                lines.push(if line.starts_with("export") {
-                    line.to_owned()
-                } else {
-                    format!("{indent}{line}")
-                });
-                inside = true;
-            }
+    let text = text.replace("\n */", " */").replace("/**\n *", "/**");
+    let mut indent = "";
+    let mut lines = String::new();
+    for line in text.replace("\n *", "").lines() {
+        writeln!(lines, "{indent}{}", line.trim_end()).expect("a string takes text");
+        if line.starts_with("export") {
+            indent = "  ";
         }
     }
-    lines.join("\n") + "\n"
+    lines
 }
 
 /// `EDIT_TYPES` for `EditType`.
@@ -69,21 +56,16 @@ fn plural(name: &str) -> String {
 
 /// A list of strings, as many to a line as fit.
 fn list(items: &[&str]) -> String {
-    let mut lines = vec![String::new()];
+    let (mut text, mut line) = ("[\n".to_owned(), " ".to_owned());
     for item in items {
-        let shown = format!("{item:?}, ");
-        let line = lines.last_mut().expect("one line at least");
-        if line.len() + shown.len() > 110 {
-            lines.push(shown);
-        } else {
-            line.push_str(&shown);
+        let shown = format!(" {item:?},");
+        if line.len() + shown.len() > 111 {
+            text += &format!("{line}\n");
+            " ".clone_into(&mut line);
         }
+        line += &shown;
     }
-    let body: String = lines
-        .iter()
-        .map(|line| format!("  {}\n", line.trim_end()))
-        .collect();
-    format!("[\n{body}]")
+    text + &line + "\n]"
 }
 
 macro_rules! declarations {
