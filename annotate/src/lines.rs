@@ -159,26 +159,23 @@ pub fn accept(
         if line.trim().is_empty() {
             continue;
         }
-        match judge(line, author, &drafts, motions) {
-            Ok(None) => {}
+        let problem = match judge(line, author, &drafts, motions) {
+            Ok(None) => continue,
+            Ok(Some((id, _))) if judged.contains(&id) => {
+                format!("mask {id} is judged twice; keep one of the lines")
+            }
             Ok(Some((id, row))) => {
-                if judged.contains(&id) {
-                    findings.push(Finding {
-                        line: index + 1,
-                        problem: format!("mask {id} is judged twice; keep one of the lines"),
-                    });
-                }
                 let before = drafts.get(id.as_str()).copied();
                 let is_open = row.as_ref().is_some_and(|row| row.text_origin == DRAFT);
                 open_edits += usize::from(is_open && before != row.as_ref());
                 judged.insert(id);
                 rows.extend(row);
+                continue;
             }
-            Err(problem) => findings.push(Finding {
-                line: index + 1,
-                problem,
-            }),
-        }
+            Err(problem) => problem,
+        };
+        let line = index + 1;
+        findings.push(Finding { line, problem });
     }
     if !findings.is_empty() {
         return Err(findings);
@@ -340,7 +337,7 @@ mod tests {
         let (masks, motions) = dataset();
         let mut lines = drafts(&masks).expect("joints");
         lines[0].verdict = Verdict::Accept;
-        lines[0].text = " The person is saluting with their right arm. ".to_owned();
+        lines[0].text = " The person is saluting. ".to_owned();
         lines[0].parts = vec!["RIGHT_ARM".to_owned()];
         lines[1].verdict = Verdict::Reject;
         lines.push(Judgement {
@@ -358,11 +355,9 @@ mod tests {
         assert_eq!(taken.open_edits, 0);
         let rows = taken.masks;
         assert_eq!(rows.len(), 3);
-        assert_eq!(rows[0].text, "The person is saluting with their right arm.");
-        assert_eq!(
-            rows[0].hard_joints,
-            BodyPart::RightArm.mask().hard().names()
-        );
+        assert_eq!(rows[0].text, "The person is saluting.");
+        let arm = BodyPart::RightArm.mask();
+        assert_eq!(rows[0].hard_joints, arm.hard().names());
         assert_eq!(
             (rows[0].text_origin.as_str(), rows[0].author.as_str()),
             ("human", "ann")

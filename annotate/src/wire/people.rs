@@ -328,7 +328,7 @@ pub struct TokenInfo {
 
 impl Default for Settings {
     fn default() -> Self {
-        let words = |list: &[&str]| list.iter().map(|&word| word.to_owned()).collect();
+        let words = |list: &str| list.split(", ").map(str::to_owned).collect();
         Self {
             name: "stance".to_owned(),
             answers_per_task: 2,
@@ -344,34 +344,16 @@ impl Default for Settings {
             styles: ["proud", "old", "playful", "depressed", "angry", "sexy"]
                 .map(Style::named)
                 .into(),
-            templates: words(&[
-                "higher",
-                "lower",
-                "faster",
-                "slower",
-                "with more force",
-                "with less force",
-                "wider",
-                "narrower",
-                "earlier",
-                "later",
-                "further to the left",
-                "further to the right",
-            ]),
-            style_templates: words(&[
-                "in a {style} way",
-                "with {style} steps",
-                "with a {style} upper body",
-                "with {style} arms",
-            ]),
-            mask_templates: words(&[
-                "raising",
-                "lowering",
-                "swinging",
-                "bending",
-                "stretching out",
-                "holding still",
-            ]),
+            templates: words(
+                "higher, lower, faster, slower, with more force, with less force, wider, narrower, \
+                 earlier, later, further to the left, further to the right",
+            ),
+            style_templates: words(
+                "in a {style} way, with {style} steps, with a {style} upper body, with {style} arms",
+            ),
+            mask_templates: words(
+                "raising, lowering, swinging, bending, stretching out, holding still",
+            ),
             quota: 0,
             category_quota: 0,
             edit_type_quota: BTreeMap::new(),
