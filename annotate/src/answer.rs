@@ -517,19 +517,14 @@ mod tests {
     }
 
     fn masks(list: &[(&[&str], &str)]) -> Answer {
-        let mask = |(parts, text): &(&[&str], &str)| MaskAnswer {
-            parts: strings(parts),
-            soft: true,
-            joints: Vec::new(),
-            range: None,
-            text: (*text).to_owned(),
-            suggestion: None,
-        };
-        Fields {
-            masks: &list.iter().map(mask).collect::<Vec<_>>(),
-            ..Fields::default()
+        let masks = list.iter();
+        let masks =
+            masks.map(|(parts, text)| MaskAnswer::of_parts(strings(parts), (*text).to_owned()));
+        Answer::MaskText {
+            masks: masks.collect(),
+            count_reason: None,
+            note: String::new(),
         }
-        .answer(TaskKind::MaskText)
     }
 
     /// A pair that is kept with all that it needs.

@@ -175,6 +175,18 @@ pub(crate) fn check_ranges(masks: &[MaskAnswer], frames: i64) -> Result<(), Erro
 pub(crate) type Cells = (JointSet, [i64; 2]);
 
 impl MaskAnswer {
+    /// A mask of parts with their soft ring, for the whole clip.
+    pub(crate) fn of_parts(parts: Vec<String>, text: String) -> Self {
+        Self {
+            parts,
+            soft: true,
+            joints: Vec::new(),
+            range: None,
+            text,
+            suggestion: None,
+        }
+    }
+
     /// Its joints.
     pub fn mask(&self) -> BlendMask {
         mask_of(&self.parts, self.soft, &self.joints)

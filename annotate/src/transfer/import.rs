@@ -219,12 +219,11 @@ pub fn from_dataset(
     taken.count("clips_not_chosen", (clips.len() - chosen.len()) as i64);
     let mut tasks = mask_tasks(&whole, &dataset, &chosen, &mut taken)?;
     let pairs: Vec<PairRow> = dataset.read(None)?;
-    let (fine, styles) = tasks_of_pairs(pairs.iter(), &by_id, &mut taken);
-    tasks.extend(styles);
+    tasks.extend(tasks_of_pairs(pairs.iter(), &by_id, &mut taken));
     let candidates = new_candidates(store, &chosen, &pairs)?;
     taken.count("candidates", candidates.len() as i64);
     // Pairs that were made for an instruction come before candidates.
-    for (name, list) in fine.into_iter().chain(takes(&candidates)) {
+    for (name, list) in takes(&candidates) {
         tasks.extend(bundled(&name, list));
     }
     let total = tasks.len() as i64;
@@ -329,14 +328,14 @@ fn mask_tasks(
     Ok(tasks)
 }
 
-/// Tasks of the pairs whose motions are there: of fine-grained ones by their hint, and of style pairs.
+/// Tasks of the pairs whose motions are there: of style pairs, and bundles of fine-grained ones by their hint.
 fn tasks_of_pairs<'a>(
     pairs: impl Iterator<Item = &'a PairRow>,
     by_id: &BTreeMap<&str, &Clip>,
     taken: &mut Taken,
-) -> (BTreeMap<String, Vec<NewTask>>, Vec<NewTask>) {
-    let (mut missing, mut unknown_types) = (0_usize, 0_usize);
-    let (mut fine, mut styles) = (BTreeMap::<String, Vec<NewTask>>::new(), Vec::new());
+) -> Vec<NewTask> {
+    let (mut missing, mut unknown_types) = (0, 0);
+    let (mut fine, mut tasks) = (BTreeMap::<String, Vec<NewTask>>::new(), Vec::new());
     for pair in pairs {
         let (Some(source), Some(target)) = (
             by_id.get(pair.source_id.as_str()),
@@ -377,7 +376,7 @@ fn tasks_of_pairs<'a>(
                 .entry(new.hint.clone().unwrap_or_default())
                 .or_default()
                 .push(new),
-            TaskKind::Style | TaskKind::MaskText => styles.push(new),
+            TaskKind::Style | TaskKind::MaskText => tasks.push(new),
         }
     }
     taken.report("pairs_without_motion", missing, || {
@@ -390,7 +389,9 @@ fn tasks_of_pairs<'a>(
             known.join(", ")
         )
     });
-    (fine, styles)
+    let bundles = fine.into_iter();
+    tasks.extend(bundles.flat_map(|(name, list)| bundled(&name, list)));
+    tasks
 }
 
 /// Imports the masks and pairs of an exported dataset (`stance export --to stance`) into the tasks of the same motions.
@@ -459,11 +460,7 @@ pub fn from_labels(
             across[0].id
         )
     });
-    let (fine, styles) = tasks_of_pairs(pairs.into_iter(), &by_id, &mut taken);
-    tasks.extend(styles);
-    for (name, list) in fine {
-        tasks.extend(bundled(&name, list));
-    }
+    tasks.extend(tasks_of_pairs(pairs.into_iter(), &by_id, &mut taken));
     taken.take(store.import(actor, tasks, now)?);
     Ok(taken)
 }
@@ -554,12 +551,10 @@ pub(super) fn entered_mask(
     let (soft, joints) = entered(parts, mask_of_joints(hard, soft)?);
     range_of(start, end)?;
     Ok(MaskAnswer {
-        parts: parts.to_vec(),
         soft,
         joints,
         range: start.zip(end).map(|(start, end)| [start, end]),
-        text: text.to_owned(),
-        suggestion: None,
+        ..MaskAnswer::of_parts(parts.to_vec(), text.to_owned())
     })
 }
 

@@ -227,14 +227,8 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
             texts.push(String::new());
         }
         let texts = texts.into_iter().filter(|_| !parts.is_empty());
-        read.masks.extend(texts.map(|text| MaskAnswer {
-            parts: parts.clone(),
-            soft: true,
-            joints: Vec::new(),
-            range: None,
-            text,
-            suggestion: None,
-        }));
+        let masks = texts.map(|text| MaskAnswer::of_parts(parts.clone(), text));
+        read.masks.extend(masks);
     }
     read.extra = (!unknown.is_empty()).then_some(Value::Object(unknown));
     (read, problems)

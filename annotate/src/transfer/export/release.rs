@@ -115,7 +115,7 @@ impl Exporter<'_> {
                 ));
             }
         }
-        self.annotation_table(folder)
+        self.table(folder, Self::annotations)
     }
 }
 

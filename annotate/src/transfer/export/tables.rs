@@ -19,7 +19,7 @@ type Put<'a, R> = &'a mut dyn FnMut(R) -> Result<(), Error>;
 
 impl Exporter<'_> {
     pub(super) fn parquet(&mut self, folder: &Path, events: bool) -> Result<(), Error> {
-        self.annotation_table(folder)?;
+        self.table(folder, Self::annotations)?;
         self.table(folder, Self::labels)?;
         self.table(folder, Self::rejects)?;
         let agreement = agreement_rows(&Figures::of(self.store)?.agreement);
@@ -30,13 +30,8 @@ impl Exporter<'_> {
         Ok(())
     }
 
-    /// Writes the table of accepted answers.
-    pub(super) fn annotation_table(&mut self, folder: &Path) -> Result<(), Error> {
-        self.table(folder, Self::annotations)
-    }
-
     /// Writes a table row by row.
-    fn table<R: Row>(
+    pub(super) fn table<R: Row>(
         &mut self,
         folder: &Path,
         fill: impl FnOnce(&mut Self, Put<'_, R>) -> Result<(), Error>,
@@ -60,7 +55,7 @@ impl Exporter<'_> {
         Ok(())
     }
 
-    fn annotations(&mut self, put: Put<'_, AnnotationRow>) -> Result<(), Error> {
+    pub(super) fn annotations(&mut self, put: Put<'_, AnnotationRow>) -> Result<(), Error> {
         self.each_accepted(|exporter, accepted| exporter.annotation(accepted, put))
     }
 
