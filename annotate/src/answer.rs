@@ -62,9 +62,6 @@ impl Fields<'_> {
 
 /// Checks a draft: fields may be missing, but each present field must be valid. The range of a mask may be too short: it is
 /// so while its ends are moved.
-///
-/// # Errors
-/// The answer has another kind than the task, names an unknown part or joint, or is too long.
 pub(crate) fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
     if answer.kind() != kind {
         return Err(Error::invalid(
@@ -124,14 +121,7 @@ fn is_given<T: PartialEq>(ours: Option<T>, imported: Option<T>) -> bool {
     imported.is_none() || ours == imported
 }
 
-/// Checks a submitted answer about a clip with `frames` frames.
-///
-/// # Errors
-/// As [`check_draft`]; or:
-/// * a field is missing;
-/// * a mask has no hard joint, or a choice for a joint repeats what the parts give it;
-/// * the range of a mask leaves the clip, or is too short;
-/// * the number of masks is not one that the project wants, and no reason is given.
+/// Checks a submitted answer about a clip with `frames` frames: a draft that lacks nothing.
 pub(crate) fn check_submission(
     answer: &Answer,
     kind: TaskKind,
@@ -205,10 +195,6 @@ fn check_mask_count(
 }
 
 /// Checks the name of a style: one of the project's, or a new one that cannot be taken for one of these.
-///
-/// # Errors
-/// The name is empty or too long, has spaces around it, or differs from a style of the project in capital letters
-/// alone.
 pub(crate) fn check_style_name(style: &str, settings: &Settings) -> Result<(), Error> {
     text_needed("answer.style", style)?;
     if style.trim() != style || style.chars().count() > MAX_NAME_CHARS {
