@@ -226,18 +226,17 @@ fn judge(
         return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
     }
     let range = judgement.range(frames)?;
-    let (names, mask) = parts_and_mask(&judgement)?;
+    let mask = mask_of_line(&judgement)?;
+    let named = format!("{motion_id}#{}", judgement.parts.join("+"));
     let row = MaskRow {
         id: match (draft, range) {
             (Some(draft), _) => draft.id.clone(),
-            (None, None) => format!("{motion_id}#{}", names.join("+")),
-            (None, Some([start, end])) => {
-                format!("{motion_id}#{}@{start}-{end}", names.join("+"))
-            }
+            (None, None) => named,
+            (None, Some([start, end])) => format!("{named}@{start}-{end}"),
         },
         motion_id,
         split,
-        parts: names,
+        parts: judgement.parts,
         hard_joints: JointSet::names(mask.hard()),
         soft_joints: JointSet::names(mask.soft()),
         start: range.map(|[start, _]| start),
@@ -260,26 +259,23 @@ fn judge(
     Ok(Some((row.id.clone(), Some(row))))
 }
 
-/// The parts of an accepted or edited line, and its mask. Such a line has a text.
-fn parts_and_mask(judgement: &Judgement) -> Result<(Vec<String>, BlendMask), String> {
-    let mut names = Vec::new();
+/// The mask of an accepted or edited line. Such a line has a text.
+fn mask_of_line(judgement: &Judgement) -> Result<BlendMask, String> {
     for part in &judgement.parts {
-        let part: BodyPart = part
-            .parse()
-            .map_err(|error: datasets_spec::Error| error.to_string())?;
-        names.push(part.name().to_owned());
+        let part = part.parse::<BodyPart>();
+        part.map_err(|error| error.to_string())?;
     }
-    let mask = mask_of(&names, true, &judgement.joints);
+    let mask = mask_of(&judgement.parts, true, &judgement.joints);
     if mask.hard().is_empty() {
         return Err(
             "a mask that is accepted or edited needs a body part with a hard joint".to_owned(),
         );
     }
-    check_choices(&names, true, &judgement.joints)?;
+    check_choices(&judgement.parts, true, &judgement.joints)?;
     if judgement.text.trim().is_empty() {
         return Err("a mask that is accepted or edited needs a text".to_owned());
     }
-    Ok((names, mask))
+    Ok(mask)
 }
 
 #[cfg(test)]
@@ -321,15 +317,10 @@ mod tests {
     fn lines_not_looked_at_change_nothing() {
         let (masks, motions) = dataset();
         let lines = to_json_lines(&drafts(&masks).expect("joints")).expect("json");
-        let untouched = Taken {
-            masks: masks.clone(),
-            open_edits: 0,
-        };
-        assert_eq!(
-            accept(&lines, "ann", &masks, &motions),
-            Ok(untouched.clone())
-        );
-        assert_eq!(accept("", "ann", &masks, &motions), Ok(untouched));
+        for lines in [lines.as_str(), ""] {
+            let taken = accept(lines, "ann", &masks, &motions).expect("all lines are fine");
+            assert_eq!((&taken.masks, taken.open_edits), (&masks, 0));
+        }
     }
 
     #[test]
@@ -389,18 +380,12 @@ mod tests {
         lines.push(later);
         let rows = take(&masks, &lines);
         assert_eq!(rows[0].soft_joints, Vec::<String>::new());
-        let ranges: Vec<(&str, Option<i32>, Option<i32>)> = rows
-            .iter()
-            .take(2)
-            .map(|row| (row.id.as_str(), row.start, row.end))
-            .collect();
-        assert_eq!(
-            ranges,
-            [
-                ("a#LEFT_ARM", Some(4), Some(36)),
-                ("a#LEFT_ARM@9-40", Some(9), Some(40))
-            ]
-        );
+        for (row, id, range) in [
+            (&rows[0], "a#LEFT_ARM", (Some(4), Some(36))),
+            (&rows[1], "a#LEFT_ARM@9-40", (Some(9), Some(40))),
+        ] {
+            assert_eq!((row.id.as_str(), (row.start, row.end)), (id, range));
+        }
         // They come out as they went in.
         let again = drafts(&rows).expect("joints");
         assert_eq!(again[0].joints, [collar]);

@@ -144,17 +144,13 @@ impl Gathered {
                 self.tasks.remove(task);
             }
             for task in labels.chunk_by(|a, b| a.task == b.task) {
-                self.tasks.insert(
-                    task[0].task,
-                    OfTask {
-                        kind: task[0].kind,
-                        gold: task[0].gold,
-                        said: task
-                            .iter()
-                            .map(|label| said(label, &drafts, &frames))
-                            .collect(),
-                    },
-                );
+                let said = task.iter().map(|label| said(label, &drafts, &frames));
+                let of_task = OfTask {
+                    kind: task[0].kind,
+                    gold: task[0].gold,
+                    said: said.collect(),
+                };
+                self.tasks.insert(task[0].task, of_task);
             }
         }
         self.seq = seq;

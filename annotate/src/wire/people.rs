@@ -98,7 +98,6 @@ pub struct Style {
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub guideline: String,
     /// The colour of its mark, `#rrggbb`.
-    #[serde(default)]
     pub colour: Option<String>,
 }
 
@@ -278,10 +277,8 @@ pub struct NewUserLink {
 #[serde(deny_unknown_fields)]
 pub struct UserChange {
     /// New role.
-    #[serde(default)]
     pub role: Option<Role>,
     /// Whether the user may log in.
-    #[serde(default)]
     pub active: Option<bool>,
 }
 

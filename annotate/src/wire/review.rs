@@ -17,10 +17,8 @@ pub struct ReviewRequest {
     /// Queue.
     pub queue: ReviewQueue,
     /// Only this kind.
-    #[serde(default)]
     pub kind: Option<TaskKind>,
     /// This task, whatever its queue and kind.
-    #[serde(default)]
     pub task: Option<i64>,
 }
 
@@ -104,10 +102,8 @@ pub struct NewReview {
     /// Decision.
     pub decision: Decision,
     /// Author of the answer that is accepted or returned; all authors if missing.
-    #[serde(default)]
     pub author: Option<i64>,
     /// The answer, for `merge`.
-    #[serde(default)]
     pub answer: Option<Answer>,
     /// Required for `return`, `drop` and `reopen`.
     #[serde(default)]
@@ -347,10 +343,8 @@ pub struct BulkRequest {
     #[serde(default)]
     pub comment: String,
     /// The person, for `assign`.
-    #[serde(default)]
     pub person: Option<i64>,
     /// Id of the last task that was looked at; without it, begins with the first task.
-    #[serde(default)]
     pub after: Option<i64>,
 }
 

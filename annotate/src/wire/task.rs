@@ -26,7 +26,6 @@ pub struct MaskAnswer {
     /// What the parts do.
     pub text: String,
     /// The suggestion the text started from, if any.
-    #[serde(default)]
     pub suggestion: Option<i64>,
 }
 
@@ -55,7 +54,6 @@ pub enum Answer {
         /// The masks.
         masks: Vec<MaskAnswer>,
         /// Reason for fewer or more masks than the project wants.
-        #[serde(default)]
         count_reason: Option<CountReason>,
         /// Note.
         #[serde(default)]
@@ -69,13 +67,11 @@ pub enum Answer {
         #[serde(default)]
         parts: Vec<String>,
         /// Type of the edit.
-        #[serde(default)]
         edit_type: Option<EditType>,
         /// The instruction.
         #[serde(default)]
         text: String,
         /// The suggestion the text started from, if any.
-        #[serde(default)]
         suggestion: Option<i64>,
         /// Note.
         #[serde(default)]
@@ -89,16 +85,13 @@ pub enum Answer {
         #[serde(default)]
         parts: Vec<String>,
         /// The style.
-        #[serde(default)]
         style: Option<String>,
         /// How much of the body it shows in.
-        #[serde(default)]
         extent: Option<Extent>,
         /// The instruction.
         #[serde(default)]
         text: String,
         /// The suggestion the text started from, if any.
-        #[serde(default)]
         suggestion: Option<i64>,
         /// Note.
         #[serde(default)]
@@ -362,19 +355,15 @@ pub struct NewEvent {
     #[serde(default)]
     pub base_rev: i64,
     /// The answer, for `draft` and `submit`.
-    #[serde(default)]
     pub answer: Option<Answer>,
     /// The reason, for `skip`.
-    #[serde(default)]
     pub reason: Option<SkipReason>,
     /// More about the reason.
     #[serde(default)]
     pub note: String,
     /// The suggestion, for `suggestion_used`.
-    #[serde(default)]
     pub suggestion: Option<i64>,
     /// Use of the suggestion.
-    #[serde(default)]
     pub used: Option<SuggestionUse>,
     /// Seconds of work since the previous event.
     #[serde(default)]

@@ -111,10 +111,8 @@ impl<'a> Exporter<'a> {
 
     /// The author of an accepted answer: a person of this store, or whom an import named.
     pub(super) fn author(&self, accepted: &AcceptedAnswer) -> String {
-        match &accepted.credit {
-            Some(author) => author.clone(),
-            None => self.pseudonym(accepted.author),
-        }
+        let credit = accepted.credit.clone();
+        credit.unwrap_or_else(|| self.pseudonym(accepted.author))
     }
 
     pub(super) fn wanted(&self, split: &str) -> bool {
@@ -140,12 +138,11 @@ impl<'a> Exporter<'a> {
     }
 
     pub(super) fn ids(&self, task: &TaskRecord) -> Result<(String, Option<String>), Error> {
-        let source = self.motion(&task.source, &task.split)?.id.clone();
-        let target = match &task.target {
-            Some(hash) => Some(self.motion(hash, &task.split)?.id.clone()),
-            None => None,
+        let id = |hash: &String| -> Result<String, Error> {
+            Ok(self.motion(hash, &task.split)?.id.clone())
         };
-        Ok((source, target))
+        let target = task.target.as_ref().map(id);
+        Ok((id(&task.source)?, target.transpose()?))
     }
 
     /// Frames of the first motion of a task.
