@@ -233,9 +233,6 @@ fn needed(is_there: bool, field: &str, problem: &str) -> Result<(), Error> {
 }
 
 fn check_parts(parts: &[String]) -> Result<(), Error> {
-    if parts.len() > BodyPart::ALL.len() {
-        return Err(Error::invalid("parts", "a part is named more than once"));
-    }
     for (index, part) in parts.iter().enumerate() {
         if let Err(error) = part.parse::<BodyPart>() {
             return Err(Error::invalid("parts", error.to_string()));

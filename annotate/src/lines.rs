@@ -117,12 +117,8 @@ pub fn drafts(masks: &[MaskRow]) -> Result<Vec<Judgement>, datasets_spec::Error>
 /// # Errors
 /// Serialisation fails, which no valid line can cause.
 pub fn to_json_lines(judgements: &[Judgement]) -> Result<String, serde_json::Error> {
-    let mut text = String::new();
-    for judgement in judgements {
-        text += &serde_json::to_string(judgement)?;
-        text.push('\n');
-    }
-    Ok(text)
+    let lines = judgements.iter().map(serde_json::to_string);
+    lines.map(|line| Ok(line? + "\n")).collect()
 }
 
 /// The masks of a dataset after lines were taken back.

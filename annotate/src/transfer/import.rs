@@ -531,10 +531,17 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow], taken: &mut Taken) -> Resu
     if ranged > 0 {
         taken.count("drafts_of_a_range", ranged as i64);
     }
-    new.suggestions = drafts
-        .into_iter()
-        .map(|row| suggestion(row.parts.clone(), &row.text, &row.author))
-        .collect();
+    let suggestions = drafts.into_iter().map(|row| NewSuggestion {
+        source: SuggestionSource::Import,
+        parts: row.parts.clone(),
+        text: row.text.clone(),
+        model: row.author.clone(),
+        prompt_hash: String::new(),
+        params: String::new(),
+        tokens: None,
+        response_hash: String::new(),
+    });
+    new.suggestions = suggestions.collect();
     Ok(new)
 }
 
@@ -574,19 +581,6 @@ pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> O
         merged,
         accepted_by: accepted_by.map(str::to_owned),
     })
-}
-
-fn suggestion(parts: Vec<String>, text: &str, model: &str) -> NewSuggestion {
-    NewSuggestion {
-        source: SuggestionSource::Import,
-        parts,
-        text: text.to_owned(),
-        model: model.to_owned(),
-        prompt_hash: String::new(),
-        params: String::new(),
-        tokens: None,
-        response_hash: String::new(),
-    }
 }
 
 /// Candidate pairs: each clip of an action with the next one of the same split, sorted by style.
