@@ -63,22 +63,12 @@ impl Fields<'_> {
 /// Checks a draft: fields may be missing, but each present field must be valid. The range of a mask may be too short: it is
 /// so while its ends are moved.
 pub(crate) fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
-    if answer.kind() != kind {
-        return Err(Error::invalid(
-            "answer.kind",
-            format!(
-                "the task is of kind {kind}, the answer of kind {}",
-                answer.kind()
-            ),
-        ));
-    }
-    let said = answer.fields();
-    if said.masks.len() > MAX_MASKS {
-        return Err(Error::invalid(
-            "answer.masks",
-            format!("{} masks are too many; {MAX_MASKS} fit", said.masks.len()),
-        ));
-    }
+    let (said, own) = (answer.fields(), answer.kind());
+    let problem = format!("the task is of kind {kind}, the answer of kind {own}");
+    needed(own == kind, "answer.kind", &problem)?;
+    let count = said.masks.len();
+    let problem = format!("{count} masks are too many; {MAX_MASKS} fit");
+    needed(count <= MAX_MASKS, "answer.masks", &problem)?;
     for mask in said.masks {
         check_parts(&mask.parts)?;
         check_names(&mask.joints)
@@ -197,14 +187,10 @@ fn check_mask_count(
 /// Checks the name of a style: one of the project's, or a new one that cannot be taken for one of these.
 pub(crate) fn check_style_name(style: &str, settings: &Settings) -> Result<(), Error> {
     text_needed("answer.style", style)?;
-    if style.trim() != style || style.chars().count() > MAX_NAME_CHARS {
-        return Err(Error::invalid(
-            "answer.style",
-            format!(
-                "name the style in up to {MAX_NAME_CHARS} characters, without spaces around it"
-            ),
-        ));
-    }
+    let is_name = style.trim() == style && style.chars().count() <= MAX_NAME_CHARS;
+    let problem =
+        format!("name the style in up to {MAX_NAME_CHARS} characters, without spaces around it");
+    needed(is_name, "answer.style", &problem)?;
     let alike = |known: &&Style| known.name.to_lowercase() == style.to_lowercase();
     if !settings.has_style(style)
         && let Some(known) = settings.styles.iter().find(alike)
@@ -234,32 +220,21 @@ fn needed(is_there: bool, field: &str, problem: &str) -> Result<(), Error> {
 
 fn check_parts(parts: &[String]) -> Result<(), Error> {
     for (index, part) in parts.iter().enumerate() {
-        if let Err(error) = part.parse::<BodyPart>() {
-            return Err(Error::invalid("parts", error.to_string()));
-        }
-        if parts[..index].contains(part) {
-            return Err(Error::invalid("parts", format!("{part} is named twice")));
-        }
+        let known = part.parse::<BodyPart>();
+        known.map_err(|error| Error::invalid("parts", error.to_string()))?;
+        let problem = format!("{part} is named twice");
+        needed(!parts[..index].contains(part), "parts", &problem)?;
     }
     Ok(())
 }
 
 fn check_text(field: &str, text: &str) -> Result<(), Error> {
     let chars = text.chars().count();
-    if chars > MAX_TEXT_CHARS {
-        return Err(Error::invalid(
-            field,
-            format!("{chars} characters are too many; {MAX_TEXT_CHARS} fit"),
-        ));
-    }
-    let control = |c: char| c.is_control() && c != '\n' && c != '\t';
-    if text.chars().any(control) {
-        return Err(Error::invalid(
-            field,
-            "the text holds a control character; remove it",
-        ));
-    }
-    Ok(())
+    let problem = format!("{chars} characters are too many; {MAX_TEXT_CHARS} fit");
+    needed(chars <= MAX_TEXT_CHARS, field, &problem)?;
+    let has_control = text.contains(|c: char| c.is_control() && c != '\n' && c != '\t');
+    let problem = "the text holds a control character; remove it";
+    needed(!has_control, field, problem)
 }
 
 fn normal(text: &str) -> String {

@@ -331,11 +331,7 @@ mod tests {
             mask: String::new(),
             motion: "c".to_owned(),
             parts: vec!["UPPER_BODY".to_owned(), "HEAD".to_owned()],
-            joints: Vec::new(),
-            start: None,
-            end: None,
-            text: "The person is looking around.".to_owned(),
-            verdict: Verdict::Accept,
+            ..lines[0].clone()
         });
         let text = to_json_lines(&lines).expect("json");
         let taken = accept(&text, "ann", &masks, &motions).expect("all lines are fine");

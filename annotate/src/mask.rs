@@ -143,16 +143,13 @@ pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), Str
 /// Refuses the first range of masks that does not fit a clip with `frames` frames.
 pub(crate) fn check_ranges(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
     for (index, mask) in masks.iter().enumerate() {
-        let problem = mask
+        let checked = mask
             .range
-            .and_then(|range| check_range(range, frames).err());
-        if let Some(problem) = problem {
+            .map_or(Ok(()), |range| check_range(range, frames));
+        checked.map_err(|problem| {
             let field = format!("answer.masks.{index}.range");
-            return Err(Error::invalid(
-                &field,
-                format!("mask {} {problem}", index + 1),
-            ));
-        }
+            Error::invalid(&field, format!("mask {} {problem}", index + 1))
+        })?;
     }
     Ok(())
 }

@@ -260,24 +260,16 @@ impl Counted {
 
 /// Median of some seconds of work, unless they are too few to say anything.
 fn median_secs(secs: &mut [f64]) -> Option<f64> {
-    if secs.len() < MIN_ITEMS {
-        None
-    } else {
-        quantile::median(secs)
-    }
+    quantile::median(secs).filter(|_| secs.len() >= MIN_ITEMS)
 }
 
 impl OfPerson {
     fn figures(mut self) -> PersonFigures {
-        let unchanged = self
-            .drafts
-            .iter()
-            .filter(|&&distance| distance == 0.0)
-            .count();
+        let is_unchanged = |distance: &f64| f64::from(u8::from(*distance == 0.0));
+        let unchanged: Vec<f64> = self.drafts.iter().map(is_unchanged).collect();
         PersonFigures {
             median_secs: quantile::median(&mut self.secs),
-            draft_unchanged: (!self.drafts.is_empty())
-                .then(|| unchanged as f64 / self.drafts.len() as f64),
+            draft_unchanged: mean(&unchanged),
             draft_distance: mean(&self.drafts),
             agreement: mean_estimate(&self.shared),
         }

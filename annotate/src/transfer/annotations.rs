@@ -54,10 +54,8 @@ fn annotation_task(
         .ok_or_else(|| format!("kind {:?} is not known", first.kind))?;
     let source = find(&first.motion_id)?;
     let mut new = task(current_key(&first.task).to_owned(), kind, source);
-    new.target = match &first.target_id {
-        Some(id) => Some(find(id)?.hash.clone()),
-        None => None,
-    };
+    let target = first.target_id.as_deref().map(find).transpose()?;
+    new.target = target.map(|motion| motion.hash.clone());
     new.category.clone_from(&first.category);
     new.hint.clone_from(&first.hint);
     new.style.clone_from(&first.source_style);

@@ -287,8 +287,6 @@ fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
         Value::Null | Value::Object(_) => Vec::new(),
         _ => {
             unknown.insert("part_annotations".to_owned(), said.clone());
-            // Marks fields that were kept aside.
-            unknown.insert("kept_aside".to_owned(), json!(true));
             problems.push(
                 "its texts do not match its masks and are kept as an unknown field".to_owned(),
             );

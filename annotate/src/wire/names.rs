@@ -147,11 +147,9 @@ names! {
 
     /// Reason for fewer or more masks than the project wants.
     pub enum CountReason {
-        /// Only one part acts.
         SingleAction = "single_action",
         /// More parts act independently.
         ManyActions = "many_actions",
-        /// The clip is too short for more.
         TooShort = "too_short",
         /// Stated in the note.
         Other = "other",
@@ -194,7 +192,6 @@ names! {
     pub enum ReviewQueue {
         /// Sorted by disagreement, largest first.
         Disagreement = "disagreement",
-        /// A random sample.
         Sample = "sample",
         /// Tasks that were returned before.
         Returned = "returned",
@@ -262,7 +259,6 @@ names! {
         CardNext = "card_next",
         CardPrevious = "card_previous",
         Preview = "preview",
-        /// Another partner for the preview.
         PreviewPartner = "preview_partner",
         /// Take the suggestion of the heat strip.
         AcceptHeat = "accept_heat",
@@ -382,7 +378,6 @@ names! {
 
     /// Which skipped tasks the browser lists.
     pub enum SkipFilter {
-        /// Skipped by somebody.
         Any = "any",
         /// Undecided, skipped, and nobody is left to get it: every annotator (of none, every user) skipped or answered it.
         Everybody = "everybody",

@@ -146,12 +146,9 @@ fn generated() -> String {
         ("KEY_MODIFIERS", super::KEY_MODIFIERS.as_slice()),
         ("KEY_CODES", super::KEY_CODES.as_slice()),
     ] {
-        writeln!(
-            text,
-            "export const {name}: readonly string[] = {};",
-            list(items)
-        )
-        .expect("a string takes text");
+        let list = list(items);
+        writeln!(text, "export const {name}: readonly string[] = {list};")
+            .expect("a string takes text");
     }
     for (_, declaration) in declarations(&config) {
         text.push('\n');

@@ -46,12 +46,8 @@ impl Exporter<'_> {
             }
             Ok(())
         })?;
-        masks.extend(
-            dataset
-                .read::<MaskRow>(None)?
-                .into_iter()
-                .filter(|row| !answered.contains(row.motion_id.as_str())),
-        );
+        let others = dataset.read::<MaskRow>(None)?.into_iter();
+        masks.extend(others.filter(|row| !answered.contains(row.motion_id.as_str())));
         masks.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
         let mut pairs: Vec<PairRow> = dataset.read(None)?;
         pairs.retain(|pair| !judged.contains_key(&pair.id));

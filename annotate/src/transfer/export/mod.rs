@@ -52,11 +52,11 @@ pub fn export(
     let now = store.snapshot()?;
     let mut exporter = Exporter::new(&now, &selection.splits)?;
     // Files without a stamp are those of an export that did not end.
-    match std::fs::remove_file(folder.join(STAMP)) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            return Err(datasets_spec::Error::io("remove", folder.join(STAMP))(error).into());
-        }
-        _ => {}
+    let path = folder.join(STAMP);
+    if let Err(error) = std::fs::remove_file(&path)
+        && error.kind() != std::io::ErrorKind::NotFound
+    {
+        return Err(datasets_spec::Error::io("remove", path)(error).into());
     }
     match selection.format {
         ExportFormat::Parquet => exporter.parquet(folder, selection.events)?,
@@ -74,7 +74,6 @@ pub fn export(
         "blake3": hashes(folder, &exporter.done.files)?,
         "tool": format!("stance {}", env!("CARGO_PKG_VERSION")),
     });
-    let path = folder.join(STAMP);
     replace_file(&path, format!("{stamp:#}\n").as_bytes())
         .map_err(datasets_spec::Error::io("write", path))?;
     exporter.done.files.push(STAMP.to_owned());
