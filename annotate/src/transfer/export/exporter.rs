@@ -233,7 +233,9 @@ impl TextFile {
 
     pub(super) fn finish(self) -> Result<(), Error> {
         let file = self.file.into_inner();
-        let published = file.map_err(Into::into).and_then(|file| file.publish());
+        let published = file
+            .map_err(std::io::Error::from)
+            .and_then(|file| file.publish());
         Ok(published.map_err(datasets_spec::Error::io("write", self.path))?)
     }
 }
