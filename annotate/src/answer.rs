@@ -1,5 +1,7 @@
 //! Answers: validation, the joints they select, and the distance between two answers.
 
+use std::collections::BTreeSet;
+
 use datasets_spec::{BodyPart, JointSet};
 
 use crate::Error;
@@ -8,232 +10,156 @@ use crate::mask::{
 };
 use crate::wire::{
     Answer, Code, CountReason, EditType, Extent, MAX_MASKS, MAX_NAME_CHARS, MAX_TEXT_CHARS,
-    MaskAnswer, Problem, Settings, Style, TaskKind, Verdict,
+    MaskAnswer, Settings, Style, TaskKind, Verdict,
 };
+
+/// What an answer of any kind says; what its kind does not have is empty.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Fields<'a> {
+    pub(crate) masks: &'a [MaskAnswer],
+    pub(crate) count_reason: Option<CountReason>,
+    pub(crate) verdict: Option<Verdict>,
+    pub(crate) parts: &'a [String],
+    pub(crate) edit_type: Option<EditType>,
+    pub(crate) style: Option<&'a str>,
+    pub(crate) extent: Option<Extent>,
+    pub(crate) text: &'a str,
+    pub(crate) suggestion: Option<i64>,
+    pub(crate) note: &'a str,
+}
+
+impl Fields<'_> {
+    /// The answer of a kind that says this; a pair without a verdict is kept.
+    pub(crate) fn answer(self, kind: TaskKind) -> Answer {
+        let (parts, text) = (self.parts.to_vec(), self.text.to_owned());
+        let (verdict, note) = (self.verdict.unwrap_or(Verdict::Keep), self.note.to_owned());
+        match kind {
+            TaskKind::MaskText => Answer::MaskText {
+                masks: self.masks.to_vec(),
+                count_reason: self.count_reason,
+                note,
+            },
+            TaskKind::Pair => Answer::Pair {
+                verdict,
+                parts,
+                edit_type: self.edit_type,
+                text,
+                suggestion: self.suggestion,
+                note,
+            },
+            TaskKind::Style => Answer::Style {
+                verdict,
+                parts,
+                style: self.style.map(str::to_owned),
+                extent: self.extent,
+                text,
+                suggestion: self.suggestion,
+                note,
+            },
+        }
+    }
+}
 
 /// Checks a draft: fields may be missing, but each present field must be valid. The range of a mask may be too short: it is
 /// so while its ends are moved.
-///
-/// # Errors
-/// The answer has another kind than the task, names an unknown part or joint, or is too long.
-pub fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
-    if answer.kind() != kind {
-        return Err(Error::invalid(
-            "answer.kind",
-            format!(
-                "the task is of kind {kind}, the answer of kind {}",
-                answer.kind()
-            ),
-        ));
+pub(crate) fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
+    let (said, own) = (answer.fields(), answer.kind());
+    let problem = format!("the task is of kind {kind}, the answer of kind {own}");
+    needed(own == kind, "answer.kind", &problem)?;
+    let count = said.masks.len();
+    let problem = format!("{count} masks are too many; {MAX_MASKS} fit");
+    needed(count <= MAX_MASKS, "answer.masks", &problem)?;
+    for mask in said.masks {
+        check_parts(&mask.parts)?;
+        check_names(&mask.joints)
+            .map_err(|problem| Error::invalid("answer.masks.joints", problem))?;
+        check_text("answer.masks.text", &mask.text)?;
     }
-    match answer {
-        Answer::MaskText { masks, note, .. } => {
-            if masks.len() > MAX_MASKS {
-                return Err(Error::invalid(
-                    "answer.masks",
-                    format!("{} masks are too many; {MAX_MASKS} fit", masks.len()),
-                ));
-            }
-            for mask in masks {
-                check_parts(&mask.parts)?;
-                check_names(&mask.joints)
-                    .map_err(|problem| Error::invalid("answer.masks.joints", problem))?;
-                check_text("answer.masks.text", &mask.text)?;
-            }
-            check_text("answer.note", note)
-        }
-        Answer::Pair {
-            parts, text, note, ..
-        } => {
-            check_parts(parts)?;
-            check_text("answer.text", text)?;
-            check_text("answer.note", note)
-        }
-        Answer::Style {
-            parts,
-            text,
-            note,
-            style,
-            ..
-        } => {
-            check_parts(parts)?;
-            check_text("answer.text", text)?;
-            check_text("answer.style", style.as_deref().unwrap_or_default())?;
-            check_text("answer.note", note)
-        }
-    }
+    check_parts(said.parts)?;
+    check_text("answer.text", said.text)?;
+    check_text("answer.style", said.style.unwrap_or_default())?;
+    check_text("answer.note", said.note)
 }
 
 /// Whether an answer says what an imported one says. Fields that the imported answer leaves empty do not count, because
 /// most layouts cannot represent all of them.
 pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
-    match (ours, imported) {
-        (
-            Answer::MaskText {
-                masks,
-                count_reason,
-                note,
-            },
-            Answer::MaskText {
-                masks: their_masks,
-                count_reason: their_reason,
-                note: their_note,
-            },
-        ) => {
-            masks.len() == their_masks.len()
-                && masks
-                    .iter()
-                    .zip(their_masks)
-                    .all(|(mask, theirs)| says_mask(mask, theirs))
-                && is_given(count_reason.as_ref(), their_reason.as_ref())
-                && is_noted(note, their_note)
-        }
-        (
-            Answer::Pair {
-                verdict,
-                parts,
-                edit_type,
-                text,
-                note,
-                ..
-            },
-            Answer::Pair {
-                verdict: their_verdict,
-                parts: their_parts,
-                edit_type: their_type,
-                text: their_text,
-                note: their_note,
-                ..
-            },
-        ) => {
-            verdict == their_verdict
-                && parts == their_parts
-                && is_given(edit_type.as_ref(), their_type.as_ref())
-                && same_text(text, their_text)
-                && is_noted(note, their_note)
-        }
-        (
-            Answer::Style {
-                verdict,
-                parts,
-                style,
-                extent,
-                text,
-                note,
-                ..
-            },
-            Answer::Style {
-                verdict: their_verdict,
-                parts: their_parts,
-                style: their_style,
-                extent: their_extent,
-                text: their_text,
-                note: their_note,
-                ..
-            },
-        ) => {
-            verdict == their_verdict
-                && parts == their_parts
-                && is_given(style.as_ref(), their_style.as_ref())
-                && is_given(extent.as_ref(), their_extent.as_ref())
-                && same_text(text, their_text)
-                && is_noted(note, their_note)
-        }
-        _ => false,
-    }
+    let kinds = (ours.kind(), imported.kind());
+    let (ours, imported) = (ours.fields(), imported.fields());
+    let mut masks = ours.masks.iter().zip(imported.masks);
+    kinds.0 == kinds.1
+        && ours.masks.len() == imported.masks.len()
+        && masks.all(|(ours, imported)| says_mask(ours, imported))
+        && (ours.verdict, ours.parts) == (imported.verdict, imported.parts)
+        && is_given(ours.count_reason, imported.count_reason)
+        && is_given(ours.edit_type, imported.edit_type)
+        && is_given(ours.style, imported.style)
+        && is_given(ours.extent, imported.extent)
+        && ours.text.trim() == imported.text.trim()
+        && (imported.note.is_empty() || ours.note == imported.note)
 }
 
 fn says_mask(ours: &MaskAnswer, imported: &MaskAnswer) -> bool {
     let is_of_parts = imported.soft && imported.joints.is_empty();
     ours.parts == imported.parts
-        && same_text(&ours.text, &imported.text)
+        && ours.text.trim() == imported.text.trim()
         && (is_of_parts || ours.mask() == imported.mask())
-        && is_given(ours.range.as_ref(), imported.range.as_ref())
+        && is_given(ours.range, imported.range)
 }
 
-fn is_given<T: PartialEq>(ours: Option<&T>, imported: Option<&T>) -> bool {
+fn is_given<T: PartialEq>(ours: Option<T>, imported: Option<T>) -> bool {
     imported.is_none() || ours == imported
 }
 
-fn is_noted(ours: &str, imported: &str) -> bool {
-    imported.is_empty() || ours == imported
-}
-
-fn same_text(ours: &str, imported: &str) -> bool {
-    ours.trim() == imported.trim()
-}
-
-/// Checks a submitted answer about a clip with `frames` frames.
-///
-/// # Errors
-/// As [`check_draft`]; or:
-/// * a field is missing;
-/// * a mask has no hard joint, or a choice for a joint repeats what the parts give it;
-/// * the range of a mask leaves the clip, or is too short;
-/// * the number of masks is not one that the project wants, and no reason is given.
-pub fn check_submission(
+/// Checks a submitted answer about a clip with `frames` frames: a draft that lacks nothing.
+pub(crate) fn check_submission(
     answer: &Answer,
     kind: TaskKind,
     settings: &Settings,
     frames: i64,
 ) -> Result<(), Error> {
     check_draft(answer, kind)?;
-    match answer {
-        Answer::MaskText {
-            masks,
-            count_reason,
-            ..
-        } => {
-            check_masks(masks, frames)?;
-            check_ranges(answer, frames)?;
-            check_mask_count(masks.len(), *count_reason, settings)
+    let said = answer.fields();
+    match kind {
+        TaskKind::MaskText => {
+            check_masks(said.masks, frames)?;
+            check_ranges(said.masks, frames)?;
+            check_mask_count(said.masks.len(), said.count_reason, settings)
         }
-        Answer::Pair {
-            verdict: Verdict::Keep,
-            parts,
-            edit_type,
-            text,
-            ..
-        } => check_usable_pair(parts, *edit_type, text),
-        Answer::Style {
-            verdict: Verdict::Keep,
-            style,
-            extent,
-            ..
-        } => check_usable_style(style.as_ref(), *extent, settings),
-        Answer::Pair { .. } | Answer::Style { .. } => Ok(()),
+        _ if answer.is_reject() => Ok(()),
+        TaskKind::Pair => {
+            text_needed("answer.text", said.text)?;
+            let no_part = "choose the parts the edit changes";
+            needed(!said.parts.is_empty(), "answer.parts", no_part)?;
+            let no_type = "choose what the edit changes";
+            needed(said.edit_type.is_some(), "answer.edit_type", no_type)
+        }
+        TaskKind::Style => {
+            check_style_name(said.style.unwrap_or_default(), settings)?;
+            let problem = "choose how much of the body the style shows in";
+            needed(said.extent.is_some(), "answer.extent", problem)
+        }
     }
 }
 
 /// Each mask has a part, a hard joint and a text, and no two are the same.
 fn check_masks(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
     for (index, mask) in masks.iter().enumerate() {
-        if mask.parts.is_empty() {
-            return Err(Error::invalid(
-                &format!("answer.masks.{index}.parts"),
-                format!(
-                    "mask {} has no part; choose one or delete the mask",
-                    index + 1
-                ),
-            ));
-        }
+        let (number, field) = (index + 1, format!("answer.masks.{index}"));
+        let problem = format!("mask {number} has no part; choose one or delete the mask");
+        needed(!mask.parts.is_empty(), &format!("{field}.parts"), &problem)?;
         check_choices(&mask.parts, mask.soft, &mask.joints).map_err(|problem| {
-            let field = format!("answer.masks.{index}.joints");
-            Error::invalid(&field, format!("mask {}: {problem}", index + 1))
+            let problem = format!("mask {number}: {problem}");
+            Error::invalid(&format!("{field}.joints"), problem)
         })?;
-        text_needed(&format!("answer.masks.{index}.text"), &mask.text)?;
+        text_needed(&format!("{field}.text"), &mask.text)?;
         let same = masks[..index].iter().position(|other| {
             other.is_like(mask, frames) && normal(&other.text) == normal(&mask.text)
         });
         if let Some(other) = same {
-            return Err(Error::invalid(
-                &format!("answer.masks.{index}"),
-                format!(
-                    "masks {} and {} say the same; delete one",
-                    other + 1,
-                    index + 1
-                ),
-            ));
+            let other = other + 1;
+            let problem = format!("masks {other} and {number} say the same; delete one");
+            return Err(Error::invalid(&field, problem));
         }
     }
     Ok(())
@@ -249,66 +175,22 @@ fn check_mask_count(
     if is_asked_for || reason.is_some() {
         return Ok(());
     }
-    Err(Error::Refused(Box::new(Problem::new(
+    Err(Error::refused(
         Code::MaskCount,
         format!(
             "{count} masks where {} to {} are asked for; add or delete some, or choose a reason",
             settings.min_masks, settings.max_masks
         ),
-    ))))
-}
-
-fn check_usable_pair(
-    parts: &[String],
-    edit_type: Option<EditType>,
-    text: &str,
-) -> Result<(), Error> {
-    text_needed("answer.text", text)?;
-    if parts.is_empty() {
-        return Err(Error::invalid(
-            "answer.parts",
-            "choose the parts the edit changes",
-        ));
-    }
-    if edit_type.is_none() {
-        return Err(Error::invalid(
-            "answer.edit_type",
-            "choose what the edit changes",
-        ));
-    }
-    Ok(())
-}
-
-fn check_usable_style(
-    style: Option<&String>,
-    extent: Option<Extent>,
-    settings: &Settings,
-) -> Result<(), Error> {
-    check_style_name(style.map_or("", String::as_str), settings)?;
-    if extent.is_none() {
-        return Err(Error::invalid(
-            "answer.extent",
-            "choose how much of the body the style shows in",
-        ));
-    }
-    Ok(())
+    ))
 }
 
 /// Checks the name of a style: one of the project's, or a new one that cannot be taken for one of these.
-///
-/// # Errors
-/// The name is empty or too long, has spaces around it, or differs from a style of the project in capital letters
-/// alone.
-pub fn check_style_name(style: &str, settings: &Settings) -> Result<(), Error> {
+pub(crate) fn check_style_name(style: &str, settings: &Settings) -> Result<(), Error> {
     text_needed("answer.style", style)?;
-    if style.trim() != style || style.chars().count() > MAX_NAME_CHARS {
-        return Err(Error::invalid(
-            "answer.style",
-            format!(
-                "name the style in up to {MAX_NAME_CHARS} characters, without spaces around it"
-            ),
-        ));
-    }
+    let is_name = style.trim() == style && style.chars().count() <= MAX_NAME_CHARS;
+    let problem =
+        format!("name the style in up to {MAX_NAME_CHARS} characters, without spaces around it");
+    needed(is_name, "answer.style", &problem)?;
     let alike = |known: &&Style| known.name.to_lowercase() == style.to_lowercase();
     if !settings.has_style(style)
         && let Some(known) = settings.styles.iter().find(alike)
@@ -325,46 +207,34 @@ pub fn check_style_name(style: &str, settings: &Settings) -> Result<(), Error> {
 }
 
 fn text_needed(field: &str, text: &str) -> Result<(), Error> {
-    if text.trim().is_empty() {
-        return Err(Error::invalid(
-            field,
-            "a text is missing: say what the parts do",
-        ));
+    let problem = "a text is missing: say what the parts do";
+    needed(!text.trim().is_empty(), field, problem)
+}
+
+fn needed(is_there: bool, field: &str, problem: &str) -> Result<(), Error> {
+    match is_there {
+        true => Ok(()),
+        false => Err(Error::invalid(field, problem)),
     }
-    Ok(())
 }
 
 fn check_parts(parts: &[String]) -> Result<(), Error> {
-    if parts.len() > BodyPart::ALL.len() {
-        return Err(Error::invalid("parts", "a part is named more than once"));
-    }
     for (index, part) in parts.iter().enumerate() {
-        if let Err(error) = part.parse::<BodyPart>() {
-            return Err(Error::invalid("parts", error.to_string()));
-        }
-        if parts[..index].contains(part) {
-            return Err(Error::invalid("parts", format!("{part} is named twice")));
-        }
+        let known = part.parse::<BodyPart>();
+        known.map_err(|error| Error::invalid("parts", error.to_string()))?;
+        let problem = format!("{part} is named twice");
+        needed(!parts[..index].contains(part), "parts", &problem)?;
     }
     Ok(())
 }
 
 fn check_text(field: &str, text: &str) -> Result<(), Error> {
     let chars = text.chars().count();
-    if chars > MAX_TEXT_CHARS {
-        return Err(Error::invalid(
-            field,
-            format!("{chars} characters are too many; {MAX_TEXT_CHARS} fit"),
-        ));
-    }
-    let control = |c: char| c.is_control() && c != '\n' && c != '\t';
-    if text.chars().any(control) {
-        return Err(Error::invalid(
-            field,
-            "the text holds a control character; remove it",
-        ));
-    }
-    Ok(())
+    let problem = format!("{chars} characters are too many; {MAX_TEXT_CHARS} fit");
+    needed(chars <= MAX_TEXT_CHARS, field, &problem)?;
+    let has_control = text.contains(|c: char| c.is_control() && c != '\n' && c != '\t');
+    let problem = "the text holds a control character; remove it";
+    needed(!has_control, field, problem)
 }
 
 fn normal(text: &str) -> String {
@@ -376,7 +246,7 @@ fn normal(text: &str) -> String {
 const SUBJECT: &str = "the person is ";
 
 /// A description as the continuation of "The person is …": without these words, and without the full stop after them.
-pub fn completion(text: &str) -> &str {
+pub(crate) fn completion(text: &str) -> &str {
     let bare = text.trim();
     match bare.get(..SUBJECT.len()) {
         Some(start) if start.eq_ignore_ascii_case(SUBJECT) => {
@@ -388,7 +258,7 @@ pub fn completion(text: &str) -> &str {
 
 /// A description as a whole sentence, as the tables of a dataset hold it: "waving" becomes "The person is waving.".
 /// Texts that do not read on from "The person is" stay as they are.
-pub fn sentence(text: &str) -> String {
+pub(crate) fn sentence(text: &str) -> String {
     let bare = text.trim();
     let is_gerund = |word: &str| {
         let letters = word.trim_end_matches(|c: char| !c.is_alphabetic());
@@ -411,100 +281,115 @@ impl Answer {
         }
     }
 
-    /// The verdict on a pair.
-    pub fn verdict(&self) -> Option<Verdict> {
+    /// What it says.
+    pub(crate) fn fields(&self) -> Fields<'_> {
         match self {
-            Self::MaskText { .. } => None,
-            Self::Pair { verdict, .. } | Self::Style { verdict, .. } => Some(*verdict),
+            Self::MaskText {
+                masks,
+                count_reason,
+                note,
+            } => Fields {
+                masks,
+                count_reason: *count_reason,
+                note,
+                ..Fields::default()
+            },
+            Self::Pair {
+                verdict,
+                parts,
+                edit_type,
+                text,
+                suggestion,
+                note,
+            } => Fields {
+                verdict: Some(*verdict),
+                parts,
+                edit_type: *edit_type,
+                text,
+                suggestion: *suggestion,
+                note,
+                ..Fields::default()
+            },
+            Self::Style {
+                verdict,
+                parts,
+                style,
+                extent,
+                text,
+                suggestion,
+                note,
+            } => Fields {
+                verdict: Some(*verdict),
+                parts,
+                style: style.as_deref(),
+                extent: *extent,
+                text,
+                suggestion: *suggestion,
+                note,
+                ..Fields::default()
+            },
         }
     }
 
+    /// The verdict on a pair.
+    pub fn verdict(&self) -> Option<Verdict> {
+        self.fields().verdict
+    }
+
     /// Whether it judges a pair unusable.
-    pub fn is_reject(&self) -> bool {
+    pub(crate) fn is_reject(&self) -> bool {
         self.verdict()
             .is_some_and(|verdict| verdict != Verdict::Keep)
     }
 
     /// The type of edit of a pair.
-    pub fn edit_type(&self) -> Option<EditType> {
-        match self {
-            Self::Pair { edit_type, .. } => *edit_type,
-            Self::MaskText { .. } | Self::Style { .. } => None,
-        }
+    pub(crate) fn edit_type(&self) -> Option<EditType> {
+        self.fields().edit_type
     }
 
     /// The style of a pair that is kept, if the project does not have it yet.
-    pub fn new_style(&self, settings: &Settings) -> Option<&str> {
-        match self {
-            Self::Style {
-                verdict: Verdict::Keep,
-                style: Some(style),
-                ..
-            } if !settings.has_style(style) => Some(style),
-            _ => None,
-        }
+    pub(crate) fn new_style(&self, settings: &Settings) -> Option<&str> {
+        let style = self.fields().style.filter(|_| !self.is_reject());
+        style.filter(|style| !settings.has_style(style))
     }
 
-    /// Union of the hard joints of all masks.
-    pub fn joints(&self) -> JointSet {
-        match self {
-            Self::MaskText { masks, .. } => masks
-                .iter()
-                .fold(JointSet::EMPTY, |set, mask| set.union(mask.mask().hard())),
-            Self::Pair { parts, .. } | Self::Style { parts, .. } => joints(parts),
-        }
+    /// Hard joints of all its parts and masks.
+    pub(crate) fn joints(&self) -> JointSet {
+        let said = self.fields();
+        let masks = said.masks.iter();
+        masks.fold(joints(said.parts), |set, mask| {
+            set.union(mask.mask().hard())
+        })
     }
 
     /// Names of all its parts.
-    pub fn part_names(&self) -> std::collections::BTreeSet<&str> {
-        match self {
-            Self::MaskText { masks, .. } => masks
-                .iter()
-                .flat_map(|mask| mask.parts.iter().map(String::as_str))
-                .collect(),
-            Self::Pair { parts, .. } | Self::Style { parts, .. } => {
-                parts.iter().map(String::as_str).collect()
-            }
-        }
+    pub(crate) fn part_names(&self) -> BTreeSet<&str> {
+        let said = self.fields();
+        let of_masks = said.masks.iter().flat_map(|mask| &mask.parts);
+        of_masks.chain(said.parts).map(String::as_str).collect()
     }
 
     /// What its masks take of a clip with `frames` frames.
     pub(crate) fn cells(&self, frames: i64) -> Vec<Cells> {
-        match self {
-            Self::MaskText { masks, .. } => masks.iter().map(|mask| mask.cells(frames)).collect(),
-            Self::Pair { .. } | Self::Style { .. } => Vec::new(),
-        }
-    }
-
-    /// Whether a mask of it holds for a range of frames.
-    pub fn has_range(&self) -> bool {
-        matches!(self, Self::MaskText { masks, .. } if masks.iter().any(|mask| mask.range.is_some()))
+        let masks = self.fields().masks.iter();
+        masks.map(|mask| mask.cells(frames)).collect()
     }
 
     /// The note.
-    pub fn note(&self) -> &str {
-        match self {
-            Self::MaskText { note, .. } | Self::Pair { note, .. } | Self::Style { note, .. } => {
-                note
-            }
-        }
+    pub(crate) fn note(&self) -> &str {
+        self.fields().note
     }
 
     /// The texts, each with the suggestion it started from.
-    pub fn texts(&self) -> Vec<(&str, Option<i64>)> {
-        match self {
-            Self::MaskText { masks, .. } => masks
+    pub(crate) fn texts(&self) -> Vec<(&str, Option<i64>)> {
+        let said = self.fields();
+        match self.kind() {
+            TaskKind::MaskText => said
+                .masks
                 .iter()
                 .map(|mask| (mask.text.as_str(), mask.suggestion))
                 .collect(),
-            Self::Pair {
-                text, suggestion, ..
-            }
-            | Self::Style {
-                text, suggestion, ..
-            } => {
-                vec![(text.as_str(), *suggestion)]
-            }
+            TaskKind::Pair | TaskKind::Style => vec![(said.text, said.suggestion)],
         }
     }
 }
@@ -514,51 +399,51 @@ impl Answer {
 /// A mask is the set of its hard joints in each of its frames. Each mask of either answer has a Jaccard distance to the
 /// nearest mask of the other one; the result is their mean, by answer and then over both. Pairs: 1 for different verdicts,
 /// else by parts and label.
-pub fn distance(a: &Answer, b: &Answer, frames: i64) -> f64 {
-    match (a, b) {
-        (Answer::MaskText { .. }, Answer::MaskText { .. }) => {
-            let (a, b) = (a.cells(frames), b.cells(frames));
-            let one_way = |from: &[Cells], to: &[Cells]| -> f64 {
-                if from.is_empty() {
-                    return f64::from(u8::from(!to.is_empty()));
-                }
-                let nearest = |mask: &Cells| {
-                    to.iter()
-                        .map(|other| 1.0 - jaccard_in_time(&[*mask], &[*other]))
-                        .fold(1.0, f64::min)
-                };
-                from.iter().map(nearest).sum::<f64>() / from.len() as f64
-            };
-            f64::midpoint(one_way(&a, &b), one_way(&b, &a))
-        }
-        _ if a.verdict() != b.verdict() || a.kind() != b.kind() => 1.0,
-        _ if a.verdict() != Some(Verdict::Keep) => 0.0,
-        _ => {
-            let label = |answer: &Answer| match answer {
-                Answer::Pair { edit_type, .. } => edit_type.map(|kind| kind.to_string()),
-                Answer::Style { style, .. } => style.clone(),
-                Answer::MaskText { .. } => None,
-            };
-            let labels = f64::from(u8::from(label(a) != label(b)));
-            f64::midpoint(1.0 - jaccard(a.joints(), b.joints()), labels)
-        }
+pub(crate) fn distance(a: &Answer, b: &Answer, frames: i64) -> f64 {
+    if a.verdict() != b.verdict() || a.kind() != b.kind() {
+        return 1.0;
     }
+    match a.verdict() {
+        None => {
+            let (a, b) = (a.cells(frames), b.cells(frames));
+            f64::midpoint(to_nearest(&a, &b), to_nearest(&b, &a))
+        }
+        Some(Verdict::Keep) => {
+            let (own, other) = (a.fields(), b.fields());
+            let differ = (own.edit_type, own.style) != (other.edit_type, other.style);
+            let parts = 1.0 - jaccard(a.joints(), b.joints());
+            f64::midpoint(parts, f64::from(u8::from(differ)))
+        }
+        Some(_) => 0.0,
+    }
+}
+
+/// Mean distance of masks to the nearest of some others.
+fn to_nearest(masks: &[Cells], others: &[Cells]) -> f64 {
+    if masks.is_empty() {
+        return f64::from(u8::from(!others.is_empty()));
+    }
+    let nearest = |mask: &Cells| {
+        others
+            .iter()
+            .map(|other| 1.0 - jaccard_in_time(&[*mask], &[*other]))
+            .fold(1.0, f64::min)
+    };
+    masks.iter().map(nearest).sum::<f64>() / masks.len() as f64
 }
 
 /// Largest distance between two of the answers about a clip with `frames` frames, or `None` for fewer than two.
-pub fn spread(answers: &[Answer], frames: i64) -> Option<f64> {
-    let mut most = None;
-    for (index, a) in answers.iter().enumerate() {
-        for b in &answers[index + 1..] {
-            let apart = distance(a, b, frames);
-            most = Some(most.map_or(apart, |most: f64| most.max(apart)));
-        }
-    }
-    most
+pub(crate) fn spread(answers: &[Answer], frames: i64) -> Option<f64> {
+    let pairs = answers.iter().enumerate().flat_map(|(index, a)| {
+        let later = answers[index + 1..].iter();
+        later.map(move |b| (a, b))
+    });
+    let distances = pairs.map(|(a, b)| distance(a, b, frames));
+    distances.reduce(f64::max)
 }
 
 /// Edit distance of two texts by characters (Levenshtein), divided by the length of the longer one.
-pub fn text_distance(a: &str, b: &str) -> f64 {
+pub(crate) fn text_distance(a: &str, b: &str) -> f64 {
     let a: Vec<char> = a.trim().chars().collect();
     let b: Vec<char> = b.trim().chars().collect();
     if a.is_empty() && b.is_empty() {
@@ -577,49 +462,49 @@ pub fn text_distance(a: &str, b: &str) -> f64 {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
     use crate::wire::{JointChoice, JointWeight};
 
     /// Frames of the clip.
     const FRAMES: i64 = 40;
+    const ARM: (&[&str], &str) = (&["LEFT_ARM"], "waving");
 
-    pub(crate) fn masks(list: &[(&[&str], &str)]) -> Answer {
+    fn strings(names: &[&str]) -> Vec<String> {
+        names.iter().map(|&name| name.to_owned()).collect()
+    }
+
+    fn masks(list: &[(&[&str], &str)]) -> Answer {
+        let masks = list.iter();
+        let masks =
+            masks.map(|(parts, text)| MaskAnswer::of_parts(strings(parts), (*text).to_owned()));
         Answer::MaskText {
-            masks: list
-                .iter()
-                .map(|(parts, text)| MaskAnswer {
-                    parts: parts.iter().map(|&part| part.to_owned()).collect(),
-                    soft: true,
-                    joints: Vec::new(),
-                    range: None,
-                    text: (*text).to_owned(),
-                    suggestion: None,
-                })
-                .collect(),
+            masks: masks.collect(),
             count_reason: None,
             note: String::new(),
         }
     }
 
-    pub(crate) fn pair(verdict: Verdict) -> Answer {
-        let keep = verdict == Verdict::Keep;
-        Answer::Pair {
-            verdict,
-            parts: if keep {
-                vec!["LEFT_ARM".to_owned()]
-            } else {
-                Vec::new()
-            },
-            edit_type: keep.then_some(EditType::Speed),
-            text: if keep {
-                "faster".to_owned()
-            } else {
-                String::new()
-            },
-            suggestion: None,
-            note: String::new(),
+    /// A pair that is kept with all that it needs.
+    const FASTER: Fields<'static> = Fields {
+        verdict: Some(Verdict::Keep),
+        text: "faster",
+        edit_type: Some(EditType::Speed),
+        masks: &[],
+        count_reason: None,
+        parts: &[],
+        style: None,
+        extent: None,
+        suggestion: None,
+        note: "",
+    };
+
+    fn rejected(verdict: Verdict) -> Answer {
+        Fields {
+            verdict: Some(verdict),
+            ..Fields::default()
         }
+        .answer(TaskKind::Pair)
     }
 
     fn code(answer: &Answer) -> Option<Code> {
@@ -631,76 +516,54 @@ pub(crate) mod tests {
 
     #[test]
     fn two_to_four_masks_are_asked_for_and_a_reason_excuses() {
-        let arm: (&[&str], &str) = (&["LEFT_ARM"], "waving");
-        let leg: (&[&str], &str) = (&["LOWER_BODY"], "walking");
-        assert_eq!(code(&masks(&[arm, leg])), None);
-        assert_eq!(code(&masks(&[arm])), Some(Code::MaskCount));
+        let one = masks(&[ARM]);
+        assert_eq!(code(&masks(&[ARM, (&["LOWER_BODY"], "walking")])), None);
+        assert_eq!(code(&one), Some(Code::MaskCount));
         assert_eq!(code(&masks(&[])), Some(Code::MaskCount));
-        let Answer::MaskText { masks: list, .. } = masks(&[arm]) else {
-            unreachable!("masks makes masks")
-        };
-        let excused = Answer::MaskText {
-            masks: list,
+        let excused = Fields {
             count_reason: Some(CountReason::SingleAction),
-            note: String::new(),
+            ..one.fields()
         };
-        assert_eq!(code(&excused), None);
-        assert_eq!(code(&masks(&[arm, arm])), Some(Code::Invalid));
-        assert_eq!(code(&masks(&[arm, (&[], "walking")])), Some(Code::Invalid));
-        assert_eq!(
-            code(&masks(&[arm, (&["LOWER_BODY"], " ")])),
-            Some(Code::Invalid)
-        );
-        assert_eq!(
-            code(&masks(&[arm, (&["TAIL"], "wagging")])),
-            Some(Code::Invalid)
-        );
-        assert_eq!(
-            code(&masks(&[arm, (&["HEAD", "HEAD"], "x")])),
-            Some(Code::Invalid)
-        );
+        assert_eq!(code(&excused.answer(TaskKind::MaskText)), None);
         let long = "x".repeat(MAX_TEXT_CHARS + 1);
-        assert_eq!(
-            code(&masks(&[arm, (&["HEAD"], &long)])),
-            Some(Code::Invalid)
-        );
-        assert_eq!(
-            code(&masks(&[arm, (&["HEAD"], "a\u{0}b")])),
-            Some(Code::Invalid)
-        );
+        let others: [(&[&str], &str); 7] = [
+            ARM,
+            (&[], "walking"),
+            (&["LOWER_BODY"], " "),
+            (&["TAIL"], "wagging"),
+            (&["HEAD", "HEAD"], "x"),
+            (&["HEAD"], &long),
+            (&["HEAD"], "a\u{0}b"),
+        ];
+        for other in others {
+            assert_eq!(code(&masks(&[ARM, other])), Some(Code::Invalid));
+        }
     }
 
     /// An answer of two masks of the left arm with the same text, changed.
     fn two_arms(change: impl FnOnce(&mut [MaskAnswer])) -> Answer {
-        let arm: (&[&str], &str) = (&["LEFT_ARM"], "waving");
-        let mut answer = masks(&[arm, arm]);
+        let mut answer = masks(&[ARM, ARM]);
         if let Answer::MaskText { masks, .. } = &mut answer {
             change(masks);
         }
         answer
     }
 
+    fn collar(weight: JointWeight) -> Vec<JointChoice> {
+        let joint = "left_collar".to_owned();
+        vec![JointChoice { joint, weight }]
+    }
+
     #[test]
     fn masks_of_other_frames_or_joints_are_no_doubles() {
-        let collar = JointChoice {
-            joint: "left_collar".to_owned(),
-            weight: JointWeight::Hard,
-        };
+        let hard = || collar(JointWeight::Hard);
         let later = two_arms(|masks| masks[1].range = Some([9, 40]));
         assert_eq!(code(&later), None);
-        assert_eq!(
-            code(&two_arms(|masks| masks[1].joints = vec![collar.clone()])),
-            None
-        );
-        let (both, whole) = ([0, 31], [0, 40]);
+        assert_eq!(code(&two_arms(|masks| masks[1].joints = hard())), None);
         for doubled in [
-            two_arms(|masks| masks.iter_mut().for_each(|mask| mask.range = Some(both))),
-            two_arms(|masks| masks[1].range = Some(whole)),
-            two_arms(|masks| {
-                masks
-                    .iter_mut()
-                    .for_each(|mask| mask.joints = vec![collar.clone()])
-            }),
+            two_arms(|masks| masks.iter_mut().for_each(|mask| mask.range = Some([0, 31]))),
+            two_arms(|masks| masks[1].range = Some([0, 40])),
+            two_arms(|masks| masks.iter_mut().for_each(|mask| mask.joints = hard())),
         ] {
             assert_eq!(code(&doubled), Some(Code::Invalid));
         }
@@ -711,102 +574,84 @@ pub(crate) mod tests {
 
     #[test]
     fn an_imported_answer_says_the_same_where_its_layout_has_no_place() {
+        let plain = two_arms(|_| ());
         let ours = two_arms(|masks| {
             masks[0].range = Some([0, 20]);
             masks[1].soft = false;
         });
-        assert!(says(&ours, &two_arms(|_| ())));
-        assert!(!says(&two_arms(|_| ()), &ours));
-        assert!(!says(
-            &ours,
-            &two_arms(|masks| masks[0].range = Some([0, 21]))
-        ));
+        assert!(says(&ours, &plain) && !says(&plain, &ours));
+        let longer = two_arms(|masks| masks[0].range = Some([0, 21]));
+        assert!(!says(&ours, &longer));
         // A ring that is off, and one whose joint is chosen away, are the same.
-        let chosen = two_arms(|masks| {
-            masks[1].joints = vec![JointChoice {
-                joint: "left_collar".to_owned(),
-                weight: JointWeight::None,
-            }];
-        });
+        let chosen = two_arms(|masks| masks[1].joints = collar(JointWeight::None));
         assert!(says(&ours, &chosen) && says(&chosen, &two_arms(|masks| masks[1].soft = false)));
     }
 
     #[test]
     fn a_pair_that_is_kept_needs_all_and_a_rejected_one_nothing() {
-        assert_eq!(code(&pair(Verdict::Keep)), None);
+        let arm = strings(&["LEFT_ARM"]);
+        let kept = Fields {
+            parts: &arm,
+            ..FASTER
+        };
+        assert_eq!(code(&kept.answer(TaskKind::Pair)), None);
         for verdict in [Verdict::Unnatural, Verdict::Unclear, Verdict::Identical] {
-            assert_eq!(code(&pair(verdict)), None);
+            assert_eq!(code(&rejected(verdict)), None);
         }
-        let Answer::Pair {
-            verdict,
-            parts,
-            text,
-            ..
-        } = pair(Verdict::Keep)
-        else {
-            unreachable!("pair makes a pair")
-        };
-        let lacking = Answer::Pair {
-            verdict,
-            parts,
+        let without_type = Fields {
             edit_type: None,
-            text,
-            suggestion: None,
-            note: String::new(),
+            ..kept
         };
-        assert_eq!(code(&lacking), Some(Code::Invalid));
-        let style = |name: &str, extent| Answer::Style {
-            verdict: Verdict::Keep,
-            parts: Vec::new(),
-            style: Some(name.to_owned()),
-            extent,
-            text: String::new(),
-            suggestion: None,
-            note: String::new(),
-        };
-        assert_eq!(code(&style("proud", Some(Extent::Whole))), None);
-        assert_eq!(code(&style("proud", None)), Some(Code::Invalid));
-        // A new name is a proposal; one that is nearly a known one, or none, is not.
-        let new = style("limping", Some(Extent::Whole));
-        assert_eq!(code(&new), None);
-        assert_eq!(new.new_style(&Settings::default()), Some("limping"));
-        let known = style("proud", Some(Extent::Whole));
-        assert_eq!(known.new_style(&Settings::default()), None);
-        for name in ["Proud", " proud", "", &"x".repeat(101)] {
-            assert_eq!(
-                code(&style(name, Some(Extent::Whole))),
-                Some(Code::Invalid),
-                "{name:?}"
-            );
+        for lacking in [FASTER, without_type] {
+            assert_eq!(code(&lacking.answer(TaskKind::Pair)), Some(Code::Invalid));
         }
-        assert!(check_draft(&pair(Verdict::Keep), TaskKind::Style).is_err());
+        assert!(check_draft(&kept.answer(TaskKind::Pair), TaskKind::Style).is_err());
     }
 
     #[test]
-    fn left_and_right_arm_equal_both_arms() {
-        let (one, two) = (
-            masks(&[(&["LEFT_ARM", "RIGHT_ARM"], "a")]),
-            masks(&[(&["BOTH_ARMS"], "b")]),
-        );
-        assert!(distance(&one, &two, FRAMES).abs() < 1e-12);
+    fn a_style_is_one_of_the_project_or_a_clearly_new_one() {
+        let style = |name: &str, extent| {
+            let said = Fields {
+                verdict: Some(Verdict::Keep),
+                style: Some(name),
+                extent,
+                ..Fields::default()
+            };
+            said.answer(TaskKind::Style)
+        };
+        let whole = |name: &str| style(name, Some(Extent::Whole));
+        let settings = Settings::default();
+        for (name, new) in [("proud", None), ("limping", Some("limping"))] {
+            assert_eq!(code(&whole(name)), None);
+            assert_eq!(whole(name).new_style(&settings), new);
+        }
+        assert_eq!(code(&style("proud", None)), Some(Code::Invalid));
+        for name in ["Proud", " proud", "", &"x".repeat(101)] {
+            assert_eq!(code(&whole(name)), Some(Code::Invalid), "{name:?}");
+        }
     }
 
     #[test]
     fn distances_by_hand() {
         let arm = masks(&[(&["LEFT_ARM"], "a")]);
-        let legs = masks(&[(&["BOTH_LEGS"], "a")]);
-        assert!((distance(&arm, &legs, FRAMES) - 1.0).abs() < 1e-12);
-        // One of two masks has a counterpart; the one mask of the other side has one.
-        let both = masks(&[(&["LEFT_ARM"], "a"), (&["BOTH_LEGS"], "b")]);
-        assert!((distance(&arm, &both, FRAMES) - 0.25).abs() < 1e-12);
-        // Half of the joints of both arms.
         let arms = masks(&[(&["BOTH_ARMS"], "a")]);
-        assert!((distance(&arm, &arms, FRAMES) - 0.5).abs() < 1e-12);
-        assert!((distance(&masks(&[]), &arm, FRAMES) - 1.0).abs() < 1e-12);
-        assert!(
-            (distance(&pair(Verdict::Keep), &pair(Verdict::Unclear), FRAMES) - 1.0).abs() < 1e-12
-        );
-        assert!(distance(&pair(Verdict::Unclear), &pair(Verdict::Unclear), FRAMES).abs() < 1e-12);
+        let legs = masks(&[(&["BOTH_LEGS"], "a")]);
+        let each_arm = masks(&[(&["LEFT_ARM", "RIGHT_ARM"], "a")]);
+        let both = masks(&[(&["LEFT_ARM"], "a"), (&["BOTH_LEGS"], "b")]);
+        let unclear = rejected(Verdict::Unclear);
+        for (a, b, expected) in [
+            (&arm, &legs, 1.0),
+            // One of two masks has a counterpart; the one mask of the other side has one.
+            (&arm, &both, 0.25),
+            // Half of the joints of both arms.
+            (&arm, &arms, 0.5),
+            (&each_arm, &arms, 0.0),
+            (&masks(&[]), &arm, 1.0),
+            (&FASTER.answer(TaskKind::Pair), &unclear, 1.0),
+            (&unclear, &unclear, 0.0),
+        ] {
+            assert!((distance(a, b, FRAMES) - expected).abs() < 1e-12, "{a:?}");
+        }
         assert_eq!(spread(std::slice::from_ref(&arm), FRAMES), None);
         assert_eq!(spread(&[arm.clone(), arm, legs], FRAMES), Some(1.0));
     }
@@ -827,22 +672,14 @@ pub(crate) mod tests {
     #[test]
     fn a_description_completes_a_sentence_and_becomes_one_in_the_dataset() {
         for (text, short, whole) in [
-            (
-                "waving with the left arm",
-                "waving with the left arm",
-                "The person is waving with the left arm.",
-            ),
+            ("waving", "waving", "The person is waving."),
             (" The person is waving. ", "waving", "The person is waving."),
             (
                 "slowly waving.",
                 "slowly waving.",
                 "The person is slowly waving.",
             ),
-            (
-                "raise the left arm",
-                "raise the left arm",
-                "raise the left arm",
-            ),
+            ("raise the arm", "raise the arm", "raise the arm"),
             ("", "", ""),
         ] {
             assert_eq!(completion(text), short);

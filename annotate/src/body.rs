@@ -1,7 +1,7 @@
 //! The body parts of the release, and the skeleton as sent to the browser.
 
-use datasets_spec::{BodyPart, Joint, MASK_DEF_VERSION};
-use kinematics::skeleton::{KEYPOINT_PARENTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
+use datasets_spec::{BodyPart, Joint};
+use kinematics::skeleton::KEYPOINT_PARENTS;
 
 use crate::wire::{PartInfo, SkeletonInfo};
 
@@ -41,34 +41,21 @@ pub(crate) fn skeleton_info() -> SkeletonInfo {
             .iter()
             .map(|&parent| i32::from(parent))
             .collect(),
-        body_joint: (0..NUM_KEYPOINTS)
-            .map(|joint| match usize::try_from(KEYPOINT_PARENTS[joint]) {
-                Ok(parent) if joint >= NUM_BODY_JOINTS => parent,
-                _ => joint,
-            })
-            .collect(),
         parts: BodyPart::ALL.into_iter().map(part).collect(),
-        mask_def_version: MASK_DEF_VERSION,
         joints: names,
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use kinematics::skeleton::NUM_KEYPOINTS;
+
     use super::*;
 
     #[test]
     fn the_skeleton_of_the_browser_is_that_of_the_contract() {
         let info = skeleton_info();
         assert_eq!(info.joints.len(), NUM_KEYPOINTS);
-        assert_eq!(
-            (
-                info.body_joint[22],
-                info.body_joint[24],
-                info.body_joint[27]
-            ),
-            (15, 20, 21)
-        );
         // Eight joints of the body, an eye and two knuckles.
         for side in ["left", "right"] {
             assert_eq!(info.sides.iter().filter(|name| *name == side).count(), 11);

@@ -11,7 +11,7 @@ use datasets_spec::Error as Spec;
 use crate::Error;
 use crate::http::App;
 use crate::store::{Millis, MotionRecord, Store};
-use crate::transfer::{self, Exported, Selection};
+use crate::transfer::{self, Exported};
 use crate::wire::{Code, ExportFormat, ExportRequest, ImportFormat, Job};
 
 /// Folder of a job's files.
@@ -157,18 +157,13 @@ pub(crate) fn start_export(
     request: ExportRequest,
 ) -> Result<Job, Error> {
     start(app, "export", request.format.as_str(), move |app, job| {
-        let selection = Selection {
-            format: request.format,
-            splits: request.splits,
-            events: request.events,
-        };
         let (store, folder) = (app.store.as_ref(), folder(&app.config.data, job.id));
         let holder = format!("annotation server, process {}", std::process::id());
-        let done = transfer::export(store, &app.config.dataset, &folder, &selection, &holder)?;
+        let done = transfer::export(store, &app.config.dataset, &folder, &request, &holder)?;
         if store.is_shared() {
             keep_files(store, job.id, &folder, &done.files)?;
         }
-        log_export(store, Some(actor), selection.format, &done, app.now())?;
+        log_export(store, Some(actor), request.format, &done, app.now())?;
         job.done = done.counts.values().sum();
         job.counts = done.counts;
         job.messages = done.messages;

@@ -44,8 +44,8 @@
 //! ```
 
 mod activity;
-pub mod agreement;
-pub mod answer;
+mod agreement;
+mod answer;
 mod body;
 mod clock;
 pub mod drafting;

@@ -117,12 +117,8 @@ pub fn drafts(masks: &[MaskRow]) -> Result<Vec<Judgement>, datasets_spec::Error>
 /// # Errors
 /// Serialisation fails, which no valid line can cause.
 pub fn to_json_lines(judgements: &[Judgement]) -> Result<String, serde_json::Error> {
-    let mut text = String::new();
-    for judgement in judgements {
-        text += &serde_json::to_string(judgement)?;
-        text.push('\n');
-    }
-    Ok(text)
+    let lines = judgements.iter().map(serde_json::to_string);
+    lines.map(|line| Ok(line? + "\n")).collect()
 }
 
 /// The masks of a dataset after lines were taken back.
@@ -159,26 +155,23 @@ pub fn accept(
         if line.trim().is_empty() {
             continue;
         }
-        match judge(line, author, &drafts, motions) {
-            Ok(None) => {}
+        let problem = match judge(line, author, &drafts, motions) {
+            Ok(None) => continue,
+            Ok(Some((id, _))) if judged.contains(&id) => {
+                format!("mask {id} is judged twice; keep one of the lines")
+            }
             Ok(Some((id, row))) => {
-                if judged.contains(&id) {
-                    findings.push(Finding {
-                        line: index + 1,
-                        problem: format!("mask {id} is judged twice; keep one of the lines"),
-                    });
-                }
                 let before = drafts.get(id.as_str()).copied();
                 let is_open = row.as_ref().is_some_and(|row| row.text_origin == DRAFT);
                 open_edits += usize::from(is_open && before != row.as_ref());
                 judged.insert(id);
                 rows.extend(row);
+                continue;
             }
-            Err(problem) => findings.push(Finding {
-                line: index + 1,
-                problem,
-            }),
-        }
+            Err(problem) => problem,
+        };
+        let line = index + 1;
+        findings.push(Finding { line, problem });
     }
     if !findings.is_empty() {
         return Err(findings);
@@ -229,18 +222,17 @@ fn judge(
         return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
     }
     let range = judgement.range(frames)?;
-    let (names, mask) = parts_and_mask(&judgement)?;
+    let mask = mask_of_line(&judgement)?;
+    let named = format!("{motion_id}#{}", judgement.parts.join("+"));
     let row = MaskRow {
         id: match (draft, range) {
             (Some(draft), _) => draft.id.clone(),
-            (None, None) => format!("{motion_id}#{}", names.join("+")),
-            (None, Some([start, end])) => {
-                format!("{motion_id}#{}@{start}-{end}", names.join("+"))
-            }
+            (None, None) => named,
+            (None, Some([start, end])) => format!("{named}@{start}-{end}"),
         },
         motion_id,
         split,
-        parts: names,
+        parts: judgement.parts,
         hard_joints: JointSet::names(mask.hard()),
         soft_joints: JointSet::names(mask.soft()),
         start: range.map(|[start, _]| start),
@@ -263,26 +255,23 @@ fn judge(
     Ok(Some((row.id.clone(), Some(row))))
 }
 
-/// The parts of an accepted or edited line, and its mask. Such a line has a text.
-fn parts_and_mask(judgement: &Judgement) -> Result<(Vec<String>, BlendMask), String> {
-    let mut names = Vec::new();
+/// The mask of an accepted or edited line. Such a line has a text.
+fn mask_of_line(judgement: &Judgement) -> Result<BlendMask, String> {
     for part in &judgement.parts {
-        let part: BodyPart = part
-            .parse()
-            .map_err(|error: datasets_spec::Error| error.to_string())?;
-        names.push(part.name().to_owned());
+        let part = part.parse::<BodyPart>();
+        part.map_err(|error| error.to_string())?;
     }
-    let mask = mask_of(&names, true, &judgement.joints);
+    let mask = mask_of(&judgement.parts, true, &judgement.joints);
     if mask.hard().is_empty() {
         return Err(
             "a mask that is accepted or edited needs a body part with a hard joint".to_owned(),
         );
     }
-    check_choices(&names, true, &judgement.joints)?;
+    check_choices(&judgement.parts, true, &judgement.joints)?;
     if judgement.text.trim().is_empty() {
         return Err("a mask that is accepted or edited needs a text".to_owned());
     }
-    Ok((names, mask))
+    Ok(mask)
 }
 
 #[cfg(test)]
@@ -324,15 +313,10 @@ mod tests {
     fn lines_not_looked_at_change_nothing() {
         let (masks, motions) = dataset();
         let lines = to_json_lines(&drafts(&masks).expect("joints")).expect("json");
-        let untouched = Taken {
-            masks: masks.clone(),
-            open_edits: 0,
-        };
-        assert_eq!(
-            accept(&lines, "ann", &masks, &motions),
-            Ok(untouched.clone())
-        );
-        assert_eq!(accept("", "ann", &masks, &motions), Ok(untouched));
+        for lines in [lines.as_str(), ""] {
+            let taken = accept(lines, "ann", &masks, &motions).expect("all lines are fine");
+            assert_eq!((&taken.masks, taken.open_edits), (&masks, 0));
+        }
     }
 
     #[test]
@@ -340,29 +324,23 @@ mod tests {
         let (masks, motions) = dataset();
         let mut lines = drafts(&masks).expect("joints");
         lines[0].verdict = Verdict::Accept;
-        lines[0].text = " The person is saluting with their right arm. ".to_owned();
+        lines[0].text = " The person is saluting. ".to_owned();
         lines[0].parts = vec!["RIGHT_ARM".to_owned()];
         lines[1].verdict = Verdict::Reject;
         lines.push(Judgement {
             mask: String::new(),
             motion: "c".to_owned(),
             parts: vec!["UPPER_BODY".to_owned(), "HEAD".to_owned()],
-            joints: Vec::new(),
-            start: None,
-            end: None,
-            text: "The person is looking around.".to_owned(),
-            verdict: Verdict::Accept,
+            ..lines[0].clone()
         });
         let text = to_json_lines(&lines).expect("json");
         let taken = accept(&text, "ann", &masks, &motions).expect("all lines are fine");
         assert_eq!(taken.open_edits, 0);
         let rows = taken.masks;
         assert_eq!(rows.len(), 3);
-        assert_eq!(rows[0].text, "The person is saluting with their right arm.");
-        assert_eq!(
-            rows[0].hard_joints,
-            BodyPart::RightArm.mask().hard().names()
-        );
+        assert_eq!(rows[0].text, "The person is saluting.");
+        let arm = BodyPart::RightArm.mask();
+        assert_eq!(rows[0].hard_joints, arm.hard().names());
         assert_eq!(
             (rows[0].text_origin.as_str(), rows[0].author.as_str()),
             ("human", "ann")
@@ -394,18 +372,12 @@ mod tests {
         lines.push(later);
         let rows = take(&masks, &lines);
         assert_eq!(rows[0].soft_joints, Vec::<String>::new());
-        let ranges: Vec<(&str, Option<i32>, Option<i32>)> = rows
-            .iter()
-            .take(2)
-            .map(|row| (row.id.as_str(), row.start, row.end))
-            .collect();
-        assert_eq!(
-            ranges,
-            [
-                ("a#LEFT_ARM", Some(4), Some(36)),
-                ("a#LEFT_ARM@9-40", Some(9), Some(40))
-            ]
-        );
+        for (row, id, range) in [
+            (&rows[0], "a#LEFT_ARM", (Some(4), Some(36))),
+            (&rows[1], "a#LEFT_ARM@9-40", (Some(9), Some(40))),
+        ] {
+            assert_eq!((row.id.as_str(), (row.start, row.end)), (id, range));
+        }
         // They come out as they went in.
         let again = drafts(&rows).expect("joints");
         assert_eq!(again[0].joints, [collar]);

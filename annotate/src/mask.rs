@@ -4,7 +4,7 @@ use datasets_spec::record::MaskRow;
 use datasets_spec::{BlendMask, BodyPart, Joint, JointSet};
 
 use crate::Error;
-use crate::wire::{Answer, JointChoice, JointWeight, MaskAnswer};
+use crate::wire::{JointChoice, JointWeight, MaskAnswer};
 
 /// The known parts among the names.
 pub(crate) fn known_parts(names: &[String]) -> Vec<BodyPart> {
@@ -62,10 +62,7 @@ pub(crate) fn choices(parts: &[String], soft: bool, mask: BlendMask) -> Vec<Join
         .collect()
 }
 
-/// The mask of the joints of a row.
-///
-/// # Errors
-/// A joint is unknown, or is both hard and soft.
+/// The mask of the joints of a row. None may be unknown, or both hard and soft.
 pub(crate) fn mask_of_joints(
     hard: &[String],
     soft: &[String],
@@ -86,10 +83,7 @@ pub(crate) fn entered(parts: &[String], mask: BlendMask) -> (bool, Vec<JointChoi
     }
 }
 
-/// Checks that choices name body joints, each once.
-///
-/// # Errors
-/// What is wrong, and what to do.
+/// Checks that choices name body joints, each once. The error says what is wrong, and what to do.
 pub(crate) fn check_names(choices: &[JointChoice]) -> Result<(), String> {
     for (index, JointChoice { joint, .. }) in choices.iter().enumerate() {
         joint.parse::<Joint>().map_err(|error| error.to_string())?;
@@ -102,10 +96,7 @@ pub(crate) fn check_names(choices: &[JointChoice]) -> Result<(), String> {
     Ok(())
 }
 
-/// Checks that each choice changes the mask of the parts, and that a hard joint is left.
-///
-/// # Errors
-/// As [`check_names`].
+/// Checks that each choice changes the mask of the parts, and that a hard joint is left. The error is as of [`check_names`].
 pub(crate) fn check_choices(
     parts: &[String],
     soft: bool,
@@ -125,10 +116,8 @@ pub(crate) fn check_choices(
     Ok(())
 }
 
-/// Checks that a range lies in a clip with `frames` frames and is as long as a training window.
-///
-/// # Errors
-/// What is wrong, and what to do, as the words after the name of the mask.
+/// Checks that a range lies in a clip with `frames` frames and is as long as a training window. The error has the words
+/// after the name of the mask.
 pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), String> {
     const WHOLE: &str = "or let it hold for the whole clip";
     let length = i64::from(end) - i64::from(start);
@@ -151,25 +140,16 @@ pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), Str
     Ok(())
 }
 
-/// Checks the ranges of the masks of an answer, about a clip with `frames` frames.
-///
-/// # Errors
-/// The first range that does not fit.
-pub(crate) fn check_ranges(answer: &Answer, frames: i64) -> Result<(), Error> {
-    let Answer::MaskText { masks, .. } = answer else {
-        return Ok(());
-    };
+/// Refuses the first range of masks that does not fit a clip with `frames` frames.
+pub(crate) fn check_ranges(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
     for (index, mask) in masks.iter().enumerate() {
-        let problem = mask
+        let checked = mask
             .range
-            .and_then(|range| check_range(range, frames).err());
-        if let Some(problem) = problem {
+            .map_or(Ok(()), |range| check_range(range, frames));
+        checked.map_err(|problem| {
             let field = format!("answer.masks.{index}.range");
-            return Err(Error::invalid(
-                &field,
-                format!("mask {} {problem}", index + 1),
-            ));
-        }
+            Error::invalid(&field, format!("mask {} {problem}", index + 1))
+        })?;
     }
     Ok(())
 }
@@ -178,6 +158,18 @@ pub(crate) fn check_ranges(answer: &Answer, frames: i64) -> Result<(), Error> {
 pub(crate) type Cells = (JointSet, [i64; 2]);
 
 impl MaskAnswer {
+    /// A mask of parts with their soft ring, for the whole clip.
+    pub(crate) fn of_parts(parts: Vec<String>, text: String) -> Self {
+        Self {
+            parts,
+            soft: true,
+            joints: Vec::new(),
+            range: None,
+            text,
+            suggestion: None,
+        }
+    }
+
     /// Its joints.
     pub fn mask(&self) -> BlendMask {
         mask_of(&self.parts, self.soft, &self.joints)
@@ -279,28 +271,24 @@ mod tests {
 
     #[test]
     fn choices_that_say_nothing_are_refused() {
-        let check = |chosen: &[JointChoice]| check_choices(&parts(&["HEAD"]), true, chosen);
-        assert_eq!(check(&[choice("neck", JointWeight::None)]), Ok(()));
-        for (chosen, problem) in [
-            (vec![choice("tail", JointWeight::Hard)], "unknown joint"),
+        use JointWeight::{Hard, Soft};
+        let check = |chosen: &[(&str, JointWeight)]| {
+            let chosen = chosen.iter().map(|&(joint, weight)| choice(joint, weight));
+            check_choices(&parts(&["HEAD"]), true, &chosen.collect::<Vec<_>>())
+        };
+        assert_eq!(check(&[("neck", JointWeight::None)]), Ok(()));
+        let refused: [(&[(&str, JointWeight)], &str); 5] = [
+            (&[("tail", Hard)], "unknown joint"),
+            (&[("left_index1", Hard)], "unknown joint"),
+            (&[("neck", Hard), ("neck", Soft)], "chosen twice"),
             (
-                vec![choice("left_index1", JointWeight::Hard)],
-                "unknown joint",
-            ),
-            (
-                vec![
-                    choice("neck", JointWeight::Hard),
-                    choice("neck", JointWeight::None),
-                ],
-                "chosen twice",
-            ),
-            (
-                vec![choice("neck", JointWeight::Soft)],
+                &[("neck", Soft)],
                 "is soft in the mask of the parts already",
             ),
-            (vec![choice("head", JointWeight::None)], "no joint is hard"),
-        ] {
-            let found = check(&chosen).expect_err("a problem");
+            (&[("head", JointWeight::None)], "no joint is hard"),
+        ];
+        for (chosen, problem) in refused {
+            let found = check(chosen).expect_err("a problem");
             assert!(found.contains(problem), "{found}");
         }
     }
@@ -314,10 +302,10 @@ mod tests {
         for (range, problem) in [
             ([-1, 30], "a first frame from 0 on"),
             ([20, 20], "a later end"),
-            ([20, 41], "holds up to frame 41 of a clip of 40 frames"),
+            ([20, 41], "up to frame 41 of a clip of 40 frames"),
             (
                 [4, 3 + least],
-                "holds for 30 frames, but a range needs 31 at least",
+                "for 30 frames, but a range needs 31 at least",
             ),
         ] {
             let found = check_range(range, 40).expect_err("a problem");
@@ -329,22 +317,20 @@ mod tests {
     fn masks_in_time_by_hand() {
         let arm = joints(&parts(&["LEFT_ARM"]));
         let arms = joints(&parts(&["BOTH_ARMS"]));
-        for (a, b, expected) in [
-            (vec![], vec![], 1.0),
-            (vec![(arm, [0, 40])], vec![], 0.0),
-            (vec![(arm, [0, 40])], vec![(arm, [0, 40])], 1.0),
+        let (whole, begin, end) = ((arm, [0, 40]), (arm, [0, 20]), (arm, [20, 40]));
+        let cases: [(&[Cells], &[Cells], f64); 7] = [
+            (&[], &[], 1.0),
+            (&[whole], &[], 0.0),
+            (&[whole], &[whole], 1.0),
             // Half of the frames, and half of the joints.
-            (vec![(arm, [0, 40])], vec![(arm, [20, 40])], 0.5),
-            (vec![(arm, [0, 40])], vec![(arms, [0, 40])], 0.5),
-            (vec![(arm, [0, 20])], vec![(arm, [20, 40])], 0.0),
+            (&[whole], &[end], 0.5),
+            (&[whole], &[(arms, [0, 40])], 0.5),
+            (&[begin], &[end], 0.0),
             // Where masks overlap, a joint counts once in each frame.
-            (
-                vec![(arm, [0, 30]), (arm, [10, 40])],
-                vec![(arm, [0, 40])],
-                1.0,
-            ),
-        ] {
-            let found = jaccard_in_time(&a, &b);
+            (&[(arm, [0, 30]), (arm, [10, 40])], &[whole], 1.0),
+        ];
+        for (a, b, expected) in cases {
+            let found = jaccard_in_time(a, b);
             assert!((found - expected).abs() < 1e-12, "{a:?} {b:?}: {found}");
         }
         assert!((jaccard(arm, arms) - 0.5).abs() < 1e-12);

@@ -7,7 +7,7 @@ use datasets_spec::{JointSet, quantile};
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::agreement::{self, Item, MIN_ITEMS, estimate};
+use crate::agreement::{Item, MIN_ITEMS, mean, mean_estimate, part_agreement};
 use crate::answer::{completion, text_distance};
 use crate::body::{NUM_RELEASE_PARTS, RELEASE_PARTS};
 use crate::lock::lock;
@@ -20,36 +20,17 @@ const BATCH: usize = 2000;
 
 /// Mean edit distance of the texts of an answer from their drafts, or `None` without drafts.
 pub(crate) fn draft_distance(store: &Store, answer: &Answer) -> Result<Option<f64>, Error> {
-    Ok(mean(&draft_distances(store, answer)?))
+    let drafts = drafts_of(store, [answer])?;
+    Ok(mean(&draft_distances(answer, &drafts)))
 }
 
-fn mean(values: &[f64]) -> Option<f64> {
-    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-}
-
-fn draft_distances(store: &Store, answer: &Answer) -> Result<Vec<f64>, Error> {
-    let drafted: Vec<(&str, i64)> = answer
-        .texts()
-        .into_iter()
-        .filter_map(|(text, draft)| Some((text, draft?)))
-        .collect();
-    if drafted.is_empty() {
-        return Ok(Vec::new());
-    }
-    let known: BTreeMap<i64, String> = store
-        .suggestions(drafted.iter().map(|(_, id)| *id).collect())?
-        .into_iter()
-        .map(|suggestion| (suggestion.id, suggestion.text))
-        .collect();
-    Ok(drafted
-        .iter()
-        .filter_map(|(text, id)| Some(draft_edit(text, known.get(id)?)))
-        .collect())
-}
-
-/// Edit distance of a text from its draft. Drafts of masks are shown without "The person is".
-fn draft_edit(text: &str, draft: &str) -> f64 {
-    text_distance(completion(text), completion(draft))
+/// Edit distances of the texts of an answer from their drafts. Drafts of masks are shown without "The person is".
+fn draft_distances(answer: &Answer, drafts: &BTreeMap<i64, String>) -> Vec<f64> {
+    let texts = answer.texts().into_iter();
+    texts
+        .filter_map(|(text, draft)| Some((completion(text), completion(drafts.get(&draft?)?))))
+        .map(|(text, draft)| text_distance(text, draft))
+        .collect()
 }
 
 /// Figures of one person.
@@ -84,10 +65,19 @@ struct Said {
     /// Place of its verdict in [`Verdict::ALL`].
     verdict: Option<usize>,
     /// Whether a mask contains all hard joints of each part of the release: BOTH_ARMS marks each arm.
-    covers: Vec<bool>,
-    joints: JointSet,
+    covers: [bool; NUM_RELEASE_PARTS],
     /// Joints and frames that its masks take.
     cells: Vec<Cells>,
+}
+
+impl Said {
+    /// How far it agrees with another answer to the task, 0 to 1.
+    fn likeness(&self, other: &Self) -> f64 {
+        match self.verdict {
+            Some(_) => f64::from(u8::from(self.verdict == other.verdict)),
+            None => jaccard_in_time(&self.cells, &other.cells),
+        }
+    }
 }
 
 /// The answers to a task.
@@ -110,7 +100,7 @@ pub(crate) struct Gathered {
 struct OfPerson {
     secs: Vec<f64>,
     drafts: Vec<f64>,
-    /// Jaccard index with the other answers to a task.
+    /// How far each answer to a shared task agrees with the others.
     shared: Vec<f64>,
 }
 
@@ -122,13 +112,11 @@ struct Counted {
     agreed_by_time: Vec<(i64, f64)>,
     /// Whether each answer to a shared task covers a part, by the place of the part in [`RELEASE_PARTS`].
     parts: [Vec<Item>; NUM_RELEASE_PARTS],
-    /// Joints of the answers to each shared task, whatever their frames: those of different clips cannot be compared.
-    sets: Vec<Vec<JointSet>>,
     /// Mean Jaccard index of the answers to each shared task, over pairs of a joint and a frame.
     jaccards: Vec<f64>,
     verdicts: Vec<Item>,
-    /// Whether a reviewer accepted each answer unchanged.
-    decided: Vec<bool>,
+    /// 1 for each answer that a reviewer accepted unchanged, 0 for each other one that was decided.
+    decided: Vec<f64>,
     /// Seconds of work on answers that began from a draft.
     with_draft: Vec<f64>,
     /// Seconds of work on answers whose drafts were withheld.
@@ -150,23 +138,19 @@ impl Gathered {
         let (changed, seq) = store.answered_since(self.seq)?;
         for tasks in changed.chunks(BATCH) {
             let labels = store.labels_to(tasks.to_vec())?;
-            let drafts = drafts_of(store, &labels)?;
+            let drafts = drafts_of(store, labels.iter().map(|label| &label.revision.answer))?;
             let frames = frames_of(store, &labels)?;
             for task in tasks {
                 self.tasks.remove(task);
             }
             for task in labels.chunk_by(|a, b| a.task == b.task) {
-                self.tasks.insert(
-                    task[0].task,
-                    OfTask {
-                        kind: task[0].kind,
-                        gold: task[0].gold,
-                        said: task
-                            .iter()
-                            .map(|label| said(label, &drafts, &frames))
-                            .collect(),
-                    },
-                );
+                let said = task.iter().map(|label| said(label, &drafts, &frames));
+                let of_task = OfTask {
+                    kind: task[0].kind,
+                    gold: task[0].gold,
+                    said: said.collect(),
+                };
+                self.tasks.insert(task[0].task, of_task);
             }
         }
         self.seq = seq;
@@ -205,71 +189,38 @@ impl Counted {
                 self.with_draft.push(said.secs);
             }
             match said.state {
-                RevisionState::Accepted => self.decided.push(true),
-                RevisionState::Returned | RevisionState::Superseded => self.decided.push(false),
+                RevisionState::Accepted => self.decided.push(1.0),
+                RevisionState::Returned | RevisionState::Superseded => self.decided.push(0.0),
                 RevisionState::Draft | RevisionState::Submitted => {}
             }
         }
         if task.said.len() > 1 && !task.gold {
-            let agreed = self.add_shared(task);
-            let last = task.said.iter().map(|said| said.at).max();
-            self.agreed_by_time.extend(last.zip(agreed));
+            self.add_shared(task);
         }
     }
 
-    /// Adds a task with several answers, and returns how far they agree: the mean over the authors of their agreement with
-    /// the others.
-    fn add_shared(&mut self, task: &OfTask) -> Option<f64> {
+    /// Adds a task with several answers. They agree as far as each does with the others, in the mean.
+    fn add_shared(&mut self, task: &OfTask) {
         let mut each = Vec::new();
-        let mut add = |author: i64, values: Vec<f64>| {
-            if let Some(value) = mean(&values) {
-                each.push(value);
-                if let Some(person) = self.people.get_mut(&author) {
-                    person.shared.push(value);
-                }
-            }
-        };
-        if task.kind != TaskKind::MaskText {
-            let item: Item = task
-                .said
-                .iter()
-                .filter_map(|said| Some((said.author, said.verdict?)))
-                .collect();
-            for (index, (author, label)) in item.iter().enumerate() {
-                let others = item
-                    .iter()
-                    .enumerate()
-                    .filter(|(other, _)| *other != index)
-                    .map(|(_, (_, other))| f64::from(u8::from(other == label)))
-                    .collect();
-                add(*author, others);
-            }
-            self.verdicts.push(item);
-            return mean(&each);
-        }
-        for (part, items) in self.parts.iter_mut().enumerate() {
-            items.push(
-                task.said
-                    .iter()
-                    .map(|said| (said.author, usize::from(said.covers[part])))
-                    .collect(),
-            );
-        }
         for (index, said) in task.said.iter().enumerate() {
-            let others = task
-                .said
-                .iter()
-                .enumerate()
-                .filter(|(other, _)| *other != index)
-                .map(|(_, other)| jaccard_in_time(&said.cells, &other.cells))
-                .collect();
-            add(said.author, others);
+            let others = task.said[..index].iter().chain(&task.said[index + 1..]);
+            let alike: Vec<f64> = others.map(|other| said.likeness(other)).collect();
+            each.extend(mean(&alike));
+            let person = self.people.entry(said.author).or_default();
+            person.shared.extend(mean(&alike));
         }
-        let agreed = mean(&each);
-        self.jaccards.extend(agreed);
-        self.sets
-            .push(task.said.iter().map(|said| said.joints).collect());
-        agreed
+        let last = task.said.iter().map(|said| said.at).max();
+        self.agreed_by_time.extend(last.zip(mean(&each)));
+        if task.kind == TaskKind::MaskText {
+            self.jaccards.extend(mean(&each));
+            for (part, items) in self.parts.iter_mut().enumerate() {
+                let covers = task.said.iter().map(|said| usize::from(said.covers[part]));
+                items.push(covers.collect());
+            }
+        } else {
+            let verdicts = task.said.iter().filter_map(|said| said.verdict);
+            self.verdicts.push(verdicts.collect());
+        }
     }
 
     fn agreement(&mut self) -> Agreement {
@@ -281,21 +232,11 @@ impl Counted {
         let secs = median_secs(&mut self.with_draft).zip(median_secs(&mut self.without_draft));
         Agreement {
             parts: self.agreement_by_part(),
-            jaccard: estimate(&self.jaccards, |items| {
-                mean(&items.iter().map(|&&value| value).collect::<Vec<_>>())
-            }),
-            alpha_masi: estimate(&self.sets, agreement::masi_alpha),
+            jaccard: mean_estimate(&self.jaccards),
             verdicts: (!self.verdicts.is_empty())
-                .then(|| agreement::figures("verdict", &self.verdicts, Verdict::ALL.len())),
-            shared_items: self.sets.len() + self.verdicts.len(),
-            accepted_share: estimate(&self.decided, |items| {
-                mean(
-                    &items
-                        .iter()
-                        .map(|&&taken| f64::from(u8::from(taken)))
-                        .collect::<Vec<_>>(),
-                )
-            }),
+                .then(|| part_agreement("verdict", &self.verdicts, Verdict::ALL.len())),
+            shared_items: self.jaccards.len() + self.verdicts.len(),
+            accepted_share: mean_estimate(&self.decided),
             draft_distance: mean(&drafts),
             secs_with_and_without_draft: secs.map(|(with, without)| [with, without]),
         }
@@ -312,50 +253,41 @@ impl Counted {
         decisions.push(("overall", &all));
         decisions
             .into_par_iter()
-            .map(|(name, items)| agreement::figures(name, items, 2))
+            .map(|(name, items)| part_agreement(name, items, 2))
             .collect()
     }
 }
 
 /// Median of some seconds of work, unless they are too few to say anything.
 fn median_secs(secs: &mut [f64]) -> Option<f64> {
-    if secs.len() < MIN_ITEMS {
-        None
-    } else {
-        quantile::median(secs)
-    }
+    quantile::median(secs).filter(|_| secs.len() >= MIN_ITEMS)
 }
 
 impl OfPerson {
     fn figures(mut self) -> PersonFigures {
-        let unchanged = self
-            .drafts
-            .iter()
-            .filter(|&&distance| distance == 0.0)
-            .count();
+        let is_unchanged = |distance: &f64| f64::from(u8::from(*distance == 0.0));
+        let unchanged: Vec<f64> = self.drafts.iter().map(is_unchanged).collect();
         PersonFigures {
             median_secs: quantile::median(&mut self.secs),
-            draft_unchanged: (!self.drafts.is_empty())
-                .then(|| unchanged as f64 / self.drafts.len() as f64),
+            draft_unchanged: mean(&unchanged),
             draft_distance: mean(&self.drafts),
-            agreement: estimate(&self.shared, |items| {
-                mean(&items.iter().map(|&&value| value).collect::<Vec<_>>())
-            }),
+            agreement: mean_estimate(&self.shared),
         }
     }
 }
 
 /// Texts of the suggestions that answers started from.
-fn drafts_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<i64, String>, Error> {
-    let mut ids: Vec<i64> = labels
-        .iter()
-        .flat_map(|label| label.revision.answer.texts())
-        .filter_map(|(_, draft)| draft)
-        .collect();
-    ids.sort_unstable();
-    ids.dedup();
+fn drafts_of<'a>(
+    store: &Store,
+    answers: impl IntoIterator<Item = &'a Answer>,
+) -> Result<BTreeMap<i64, String>, Error> {
+    let texts = answers.into_iter().flat_map(Answer::texts);
+    let ids: BTreeSet<i64> = texts.filter_map(|(_, draft)| draft).collect();
+    if ids.is_empty() {
+        return Ok(BTreeMap::new());
+    }
     Ok(store
-        .suggestions(ids)?
+        .suggestions(ids.into_iter().collect())?
         .into_iter()
         .map(|suggestion| (suggestion.id, suggestion.text))
         .collect())
@@ -365,7 +297,10 @@ fn drafts_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<i64, String>, E
 fn frames_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<String, i64>, Error> {
     let ranged: BTreeSet<String> = labels
         .iter()
-        .filter(|label| label.revision.answer.has_range())
+        .filter(|label| {
+            let masks = label.revision.answer.fields().masks;
+            masks.iter().any(|mask| mask.range.is_some())
+        })
         .map(|label| label.source.clone())
         .collect();
     let motions = store.motions(ranged.into_iter().collect())?;
@@ -378,36 +313,22 @@ fn frames_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<String, i64>, E
 fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String, i64>) -> Said {
     let revision = &label.revision;
     let verdict = revision.answer.verdict();
-    let covers = match &revision.answer {
-        Answer::MaskText { masks, .. } => {
-            let sets: Vec<JointSet> = masks.iter().map(|mask| mask.mask().hard()).collect();
-            RELEASE_PARTS
-                .iter()
-                .map(|part| {
-                    let hard = part.mask().hard();
-                    sets.iter().any(|set| hard.difference(*set).is_empty())
-                })
-                .collect()
-        }
-        Answer::Pair { .. } | Answer::Style { .. } => Vec::new(),
-    };
+    let masks = revision.answer.fields().masks.iter();
+    let sets: Vec<JointSet> = masks.map(|mask| mask.mask().hard()).collect();
     Said {
         author: revision.author,
         secs: revision.secs,
         at: revision.at,
         blind: label.blind,
         state: revision.state,
-        drafts: revision
-            .answer
-            .texts()
-            .into_iter()
-            .filter_map(|(text, draft)| Some(draft_edit(text, drafts.get(&draft?)?)))
-            .collect(),
+        drafts: draft_distances(&revision.answer, drafts),
         verdict: Verdict::ALL
             .iter()
             .position(|known| Some(*known) == verdict),
-        covers,
-        joints: revision.answer.joints(),
+        covers: RELEASE_PARTS.map(|part| {
+            let hard = part.mask().hard();
+            sets.iter().any(|set| hard.difference(*set).is_empty())
+        }),
         cells: revision
             .answer
             .cells(frames.get(&label.source).copied().unwrap_or(1)),

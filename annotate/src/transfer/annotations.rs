@@ -9,6 +9,7 @@ use datasets_spec::{BodyPart, MASK_DEF_VERSION};
 use super::import::{CANDIDATE, PAIR, Taken, credit, entered_mask, task};
 use super::tables::AnnotationRow;
 use crate::Error;
+use crate::answer::Fields;
 use crate::store::{Millis, MotionRecord, NewTask, Store};
 use crate::wire::{Answer, CountReason, EditType, Extent, MaskAnswer, TaskKind, Verdict};
 
@@ -53,10 +54,8 @@ fn annotation_task(
         .ok_or_else(|| format!("kind {:?} is not known", first.kind))?;
     let source = find(&first.motion_id)?;
     let mut new = task(current_key(&first.task).to_owned(), kind, source);
-    new.target = match &first.target_id {
-        Some(id) => Some(find(id)?.hash.clone()),
-        None => None,
-    };
+    let target = first.target_id.as_deref().map(find).transpose()?;
+    new.target = target.map(|motion| motion.hash.clone());
     new.category.clone_from(&first.category);
     new.hint.clone_from(&first.hint);
     new.style.clone_from(&first.source_style);
@@ -69,7 +68,7 @@ fn annotation_task(
     rows.iter().try_for_each(check_masks)?;
     let answer = answer(rows, kind)?;
     crate::answer::check_draft(&answer, kind)
-        .and_then(|()| crate::mask::check_ranges(&answer, source.frames))
+        .and_then(|()| crate::mask::check_ranges(answer.fields().masks, source.frames))
         .map_err(|error| error.to_string())?;
     new.accepted = Some(answer);
     new.credit = credit(
@@ -102,42 +101,35 @@ fn answer(rows: &[AnnotationRow], kind: TaskKind) -> Result<Answer, String> {
             .transpose()
     }
     let first = &rows[0];
-    let verdict = || {
-        let text = first.verdict.as_deref().unwrap_or_default();
-        Verdict::parse(text).ok_or_else(|| format!("verdict {text:?} is not known"))
+    let verdict = known(first.verdict.as_ref(), Verdict::parse)?;
+    let masks = match kind {
+        TaskKind::MaskText => {
+            let rows = rows.iter().filter(|row| row.count > 0);
+            let masks = rows.map(|row| {
+                let joints = (&row.hard_joints[..], &row.soft_joints[..]);
+                entered_mask(&row.parts, joints, (row.start, row.end), &row.text)
+            });
+            let masks = masks.collect::<Result<Vec<MaskAnswer>, _>>();
+            masks.map_err(|error| error.to_string())?
+        }
+        TaskKind::Pair | TaskKind::Style if verdict.is_none() => {
+            return Err("its pair has no verdict".to_owned());
+        }
+        TaskKind::Pair | TaskKind::Style => Vec::new(),
     };
-    Ok(match kind {
-        TaskKind::MaskText => Answer::MaskText {
-            masks: rows
-                .iter()
-                .filter(|row| row.count > 0)
-                .map(|row| {
-                    let joints = (&row.hard_joints[..], &row.soft_joints[..]);
-                    entered_mask(&row.parts, joints, (row.start, row.end), &row.text)
-                })
-                .collect::<Result<Vec<MaskAnswer>, _>>()
-                .map_err(|error| error.to_string())?,
-            count_reason: known(first.count_reason.as_ref(), CountReason::parse)?,
-            note: first.note.clone(),
-        },
-        TaskKind::Pair => Answer::Pair {
-            verdict: verdict()?,
-            parts: first.parts.clone(),
-            edit_type: known(first.edit_type.as_ref(), EditType::parse)?,
-            text: first.text.clone(),
-            suggestion: None,
-            note: first.note.clone(),
-        },
-        TaskKind::Style => Answer::Style {
-            verdict: verdict()?,
-            parts: first.parts.clone(),
-            style: first.style.clone(),
-            extent: known(first.extent.as_ref(), Extent::parse)?,
-            text: first.text.clone(),
-            suggestion: None,
-            note: first.note.clone(),
-        },
-    })
+    let said = Fields {
+        masks: &masks,
+        count_reason: known(first.count_reason.as_ref(), CountReason::parse)?,
+        verdict,
+        parts: &first.parts,
+        edit_type: known(first.edit_type.as_ref(), EditType::parse)?,
+        style: first.style.as_deref(),
+        extent: known(first.extent.as_ref(), Extent::parse)?,
+        text: &first.text,
+        suggestion: None,
+        note: &first.note,
+    };
+    Ok(said.answer(kind))
 }
 
 /// The key that a task of an export has today. Earlier versions exported a candidate that came back from the dataset

@@ -12,7 +12,7 @@ use serde::Serialize;
 use tables::Condition;
 
 use crate::Error;
-use crate::answer::completion;
+use crate::answer::{Fields, completion};
 use crate::mask::{entered, mask_of_joints};
 use crate::store::{Credit, Imported, Millis, MotionRecord, NewSuggestion, NewTask, Store};
 use crate::wire::{
@@ -47,6 +47,14 @@ pub struct Taken {
 impl Taken {
     pub(super) fn count(&mut self, what: &str, count: i64) {
         *self.counts.entry(what.to_owned()).or_default() += count;
+    }
+
+    /// Counts items that are left out, if there are any, and says so.
+    fn report(&mut self, what: &str, count: usize, message: impl FnOnce() -> String) {
+        if count > 0 {
+            self.count(what, count as i64);
+            self.messages.push(message());
+        }
     }
 
     /// Takes the result of an import of answers.
@@ -211,12 +219,11 @@ pub fn from_dataset(
     taken.count("clips_not_chosen", (clips.len() - chosen.len()) as i64);
     let mut tasks = mask_tasks(&whole, &dataset, &chosen, &mut taken)?;
     let pairs: Vec<PairRow> = dataset.read(None)?;
-    let (fine, styles) = tasks_of_pairs(pairs.iter(), &by_id, &mut taken);
-    tasks.extend(styles);
+    tasks.extend(tasks_of_pairs(pairs.iter(), &by_id, &mut taken));
     let candidates = new_candidates(store, &chosen, &pairs)?;
     taken.count("candidates", candidates.len() as i64);
     // Pairs that were made for an instruction come before candidates.
-    for (name, list) in fine.into_iter().chain(takes(&candidates)) {
+    for (name, list) in takes(&candidates) {
         tasks.extend(bundled(&name, list));
     }
     let total = tasks.len() as i64;
@@ -251,17 +258,15 @@ fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
 fn note_gone(store: &Store, clips: &[Clip], taken: &mut Taken) -> Result<(), Error> {
     let here: BTreeSet<&str> = clips.iter().map(|clip| clip.record.id.as_str()).collect();
     let known = store.all_motions()?;
-    let mut gone = known
-        .iter()
-        .filter(|motion| !here.contains(motion.id.as_str()));
-    if let Some(first) = gone.next() {
-        let count = 1 + gone.count();
-        taken.count("clips_gone", count as i64);
-        taken.messages.push(format!(
-            "{count} clips of the project are not in this dataset, for example {}; their tasks and answers stay",
-            first.id
-        ));
-    }
+    let is_gone = |motion: &&MotionRecord| !here.contains(motion.id.as_str());
+    let gone: Vec<&MotionRecord> = known.iter().filter(is_gone).collect();
+    taken.report("clips_gone", gone.len(), || {
+        format!(
+            "{} clips of the project are not in this dataset, for example {}; their tasks and answers stay",
+            gone.len(),
+            gone[0].id
+        )
+    });
     Ok(())
 }
 
@@ -271,15 +276,24 @@ fn without_copies<'a>(clips: &'a [Clip], taken: &mut Taken) -> Vec<&'a Clip> {
     let (clips, copies): (Vec<&Clip>, Vec<&Clip>) = clips
         .iter()
         .partition(|clip| by_hash.insert(&clip.record.hash));
-    if !copies.is_empty() {
-        taken.count("copies", copies.len() as i64);
-        taken.messages.push(format!(
+    taken.report("copies", copies.len(), || {
+        format!(
             "{} clips repeat the motion of another clip and get no task, for example {}",
             copies.len(),
             copies[0].record.id
-        ));
-    }
+        )
+    });
     clips
+}
+
+/// Masks by the id of their motion.
+fn by_motion(masks: Vec<MaskRow>) -> BTreeMap<String, Vec<MaskRow>> {
+    let mut all: BTreeMap<String, Vec<MaskRow>> = BTreeMap::new();
+    for mask in masks {
+        let id = mask.motion_id.to_string();
+        all.entry(id).or_default().push(mask);
+    }
+    all
 }
 
 /// Mask tasks of the chosen clips that are neither mirrored copies nor variants, which the pairs of the whole dataset
@@ -290,13 +304,7 @@ fn mask_tasks(
     chosen: &[&Clip],
     taken: &mut Taken,
 ) -> Result<Vec<NewTask>, Error> {
-    let mut masks: BTreeMap<String, Vec<MaskRow>> = BTreeMap::new();
-    for row in dataset.read::<MaskRow>(None)? {
-        masks
-            .entry(row.motion_id.as_str().to_owned())
-            .or_default()
-            .push(row);
-    }
+    let masks = by_motion(dataset.read(None)?);
     let all_pairs: Vec<PairRow> = whole.read(None)?;
     let of_variants = all_pairs
         .iter()
@@ -320,14 +328,14 @@ fn mask_tasks(
     Ok(tasks)
 }
 
-/// Tasks of the pairs whose motions are there: of fine-grained ones by their hint, and of style pairs.
+/// Tasks of the pairs whose motions are there: of style pairs, and bundles of fine-grained ones by their hint.
 fn tasks_of_pairs<'a>(
     pairs: impl Iterator<Item = &'a PairRow>,
     by_id: &BTreeMap<&str, &Clip>,
     taken: &mut Taken,
-) -> (BTreeMap<String, Vec<NewTask>>, Vec<NewTask>) {
+) -> Vec<NewTask> {
     let (mut missing, mut unknown_types) = (0, 0);
-    let (mut fine, mut styles) = (BTreeMap::<String, Vec<NewTask>>::new(), Vec::new());
+    let (mut fine, mut tasks) = (BTreeMap::<String, Vec<NewTask>>::new(), Vec::new());
     for pair in pairs {
         let (Some(source), Some(target)) = (
             by_id.get(pair.source_id.as_str()),
@@ -348,9 +356,17 @@ fn tasks_of_pairs<'a>(
         new.target = Some(target.record.hash.clone());
         new.style.clone_from(&pair.style);
         new.edit_type = pair.edit_type.as_deref().and_then(EditType::parse);
-        unknown_types += i64::from(pair.edit_type.is_some() && new.edit_type.is_none());
+        unknown_types += usize::from(pair.edit_type.is_some() && new.edit_type.is_none());
         if pair.source == PAIR_SOURCE {
-            new.accepted = Some(accepted_pair(pair, kind));
+            let said = Fields {
+                verdict: Some(Verdict::Keep),
+                parts: &pair.parts,
+                edit_type: new.edit_type,
+                style: pair.style.as_deref(),
+                text: &pair.instruction,
+                ..Fields::default()
+            };
+            new.accepted = Some(said.answer(kind));
             new.credit = credit("", false, pair.accepted_by.as_deref());
         } else if !pair.instruction.trim().is_empty() {
             new.hint = Some(pair.instruction.clone());
@@ -360,24 +376,22 @@ fn tasks_of_pairs<'a>(
                 .entry(new.hint.clone().unwrap_or_default())
                 .or_default()
                 .push(new),
-            TaskKind::Style | TaskKind::MaskText => styles.push(new),
+            TaskKind::Style | TaskKind::MaskText => tasks.push(new),
         }
     }
-    if missing > 0 {
-        taken.count("pairs_without_motion", missing);
-        taken.messages.push(format!(
-            "{missing} pairs name a missing or repeated motion and get no task"
-        ));
-    }
-    if unknown_types > 0 {
+    taken.report("pairs_without_motion", missing, || {
+        format!("{missing} pairs name a missing or repeated motion and get no task")
+    });
+    taken.report("unknown_edit_types", unknown_types, || {
         let known: Vec<&str> = EditType::ALL.iter().map(|kind| kind.as_str()).collect();
-        taken.count("unknown_edit_types", unknown_types);
-        taken.messages.push(format!(
+        format!(
             "{unknown_types} pairs have an edit type that is not one of {}; they are taken without it",
             known.join(", ")
-        ));
-    }
-    (fine, styles)
+        )
+    });
+    let bundles = fine.into_iter();
+    tasks.extend(bundles.flat_map(|(name, list)| bundled(&name, list)));
+    tasks
 }
 
 /// Imports the masks and pairs of an exported dataset (`stance export --to stance`) into the tasks of the same motions.
@@ -415,14 +429,9 @@ pub fn from_labels(
             by_id.insert(id, clip);
         }
     }
-    let mut masks: BTreeMap<&str, Vec<MaskRow>> = BTreeMap::new();
-    for row in &labels.masks {
-        let of_motion = masks.entry(row.motion_id.as_str()).or_default();
-        of_motion.push(row.clone());
-    }
     let mut tasks = Vec::new();
-    for (id, rows) in &masks {
-        match by_id.get(id) {
+    for (id, rows) in &by_motion(labels.masks.clone()) {
+        match by_id.get(id.as_str()) {
             Some(clip) => {
                 let new = mask_task(&clip.record, rows, &mut taken)?;
                 // As in the tasks of a dataset: a mirrored copy says nothing that its original does not.
@@ -430,13 +439,12 @@ pub fn from_labels(
                     tasks.push(new);
                 }
             }
-            None => {
-                taken.count("masks_without_motion", rows.len() as i64);
-                taken.messages.push(format!(
+            None => taken.report("masks_without_motion", rows.len(), || {
+                format!(
                     "motion {id:?} is missing or repeated in this dataset; its {} masks are left out",
                     rows.len()
-                ));
-            }
+                )
+            }),
         }
     }
     let split = |id: &MotionId| by_id.get(id.as_str()).map(|clip| &clip.record.split);
@@ -445,19 +453,14 @@ pub fn from_labels(
         sides.is_some_and(|(source, target)| source != target)
     };
     let (across, pairs): (Vec<&PairRow>, Vec<&PairRow>) = labels.pairs.iter().partition(is_across);
-    if let Some(first) = across.first() {
-        taken.count("pairs_across_splits", across.len() as i64);
-        taken.messages.push(format!(
+    taken.report("pairs_across_splits", across.len(), || {
+        format!(
             "{} pairs have their motions in two splits of this dataset and are left out, such as {:?}",
             across.len(),
-            first.id
-        ));
-    }
-    let (fine, styles) = tasks_of_pairs(pairs.into_iter(), &by_id, &mut taken);
-    tasks.extend(styles);
-    for (name, list) in fine {
-        tasks.extend(bundled(&name, list));
-    }
+            across[0].id
+        )
+    });
+    tasks.extend(tasks_of_pairs(pairs.into_iter(), &by_id, &mut taken));
     taken.take(store.import(actor, tasks, now)?);
     Ok(taken)
 }
@@ -528,10 +531,17 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow], taken: &mut Taken) -> Resu
     if ranged > 0 {
         taken.count("drafts_of_a_range", ranged as i64);
     }
-    new.suggestions = drafts
-        .into_iter()
-        .map(|row| suggestion(row.parts.clone(), &row.text, &row.author))
-        .collect();
+    let suggestions = drafts.into_iter().map(|row| NewSuggestion {
+        source: SuggestionSource::Import,
+        parts: row.parts.clone(),
+        text: row.text.clone(),
+        model: row.author.clone(),
+        prompt_hash: String::new(),
+        params: String::new(),
+        tokens: None,
+        response_hash: String::new(),
+    });
+    new.suggestions = suggestions.collect();
     Ok(new)
 }
 
@@ -548,12 +558,10 @@ pub(super) fn entered_mask(
     let (soft, joints) = entered(parts, mask_of_joints(hard, soft)?);
     range_of(start, end)?;
     Ok(MaskAnswer {
-        parts: parts.to_vec(),
         soft,
         joints,
         range: start.zip(end).map(|(start, end)| [start, end]),
-        text: text.to_owned(),
-        suggestion: None,
+        ..MaskAnswer::of_parts(parts.to_vec(), text.to_owned())
     })
 }
 
@@ -573,41 +581,6 @@ pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> O
         merged,
         accepted_by: accepted_by.map(str::to_owned),
     })
-}
-
-fn suggestion(parts: Vec<String>, text: &str, model: &str) -> NewSuggestion {
-    NewSuggestion {
-        source: SuggestionSource::Import,
-        parts,
-        text: text.to_owned(),
-        model: model.to_owned(),
-        prompt_hash: String::new(),
-        params: String::new(),
-        tokens: None,
-        response_hash: String::new(),
-    }
-}
-
-fn accepted_pair(pair: &PairRow, kind: TaskKind) -> Answer {
-    match kind {
-        TaskKind::Style => Answer::Style {
-            verdict: Verdict::Keep,
-            parts: pair.parts.clone(),
-            style: pair.style.clone(),
-            extent: None,
-            text: pair.instruction.clone(),
-            suggestion: None,
-            note: String::new(),
-        },
-        TaskKind::Pair | TaskKind::MaskText => Answer::Pair {
-            verdict: Verdict::Keep,
-            parts: pair.parts.clone(),
-            edit_type: pair.edit_type.as_deref().and_then(EditType::parse),
-            text: pair.instruction.clone(),
-            suggestion: None,
-            note: String::new(),
-        },
-    }
 }
 
 /// Candidate pairs: each clip of an action with the next one of the same split, sorted by style.

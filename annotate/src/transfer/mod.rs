@@ -4,11 +4,10 @@ mod annotations;
 mod export;
 mod import;
 mod release;
-mod released;
 mod tables;
 
 pub use self::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
 pub use annotations::from_annotations;
-pub use export::{Exported, Selection, check_files, export};
+pub use export::{Exported, check_files, export};
 pub use import::{CHOSEN, Taken, from_dataset, from_labels};
-pub use released::from_release;
+pub use release::from_release;

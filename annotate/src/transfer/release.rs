@@ -11,40 +11,135 @@ use datasets_spec::BodyPart;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
-use crate::wire::{EditType, MaskAnswer};
+use super::import::{Taken, credit, key_of_pair, mask_key, task};
+use crate::Error;
+use crate::answer::{Fields, check_draft};
+use crate::store::{Millis, MotionRecord, NewTask, Store};
+use crate::wire::{Answer, EditType, MaskAnswer, TaskKind, Verdict};
+
+/// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, and `accepted_by.json` and `pairs.json` of an
+/// export, given as one object with the names of the files. The annotations become accepted answers of tasks that nobody
+/// has worked on; unknown fields are kept for export. Those of tasks with another answer are left out and reported.
+///
+/// # Errors
+/// It is not such an object, or the store fails.
+pub fn from_release(
+    store: &Store,
+    motions: &BTreeMap<String, MotionRecord>,
+    document: &Value,
+    actor: Option<i64>,
+    now: Millis,
+) -> Result<Taken, Error> {
+    let parsed = parse(document).map_err(|problem| Error::Import {
+        what: "the annotations of a STANCE release".to_owned(),
+        problem,
+    })?;
+    let mut taken = Taken::default();
+    for (shape, count) in parsed.shapes {
+        taken.count(&format!("shape: {shape}"), count);
+    }
+    taken.messages = parsed.messages;
+    let mut tasks = Vec::new();
+    for (id, said) in parsed.motions {
+        let Some(motion) = motions.get(&id) else {
+            taken.count("unknown_ids", 1);
+            if taken.messages.len() < 50 {
+                taken.messages.push(format!(
+                    "motion {id:?} is not in this dataset; its annotations are left out"
+                ));
+            }
+            continue;
+        };
+        let mut new = task(mask_key(&motion.id), TaskKind::MaskText, motion);
+        new.extra = said.extra;
+        new.credit = credit("", false, said.accepted_by.as_deref());
+        new.accepted = Some(Answer::MaskText {
+            masks: said.masks,
+            count_reason: None,
+            note: String::new(),
+        });
+        tasks.push(new);
+    }
+    for pair in parsed.pairs {
+        let Some((source, target)) = motions.get(&pair.src).zip(motions.get(&pair.tgt)) else {
+            taken.count("unknown_ids", 1);
+            continue;
+        };
+        tasks.push(
+            released_pair(&pair, source, target).map_err(|problem| Error::Import {
+                what: format!("pair {:?} of a STANCE release", pair.id),
+                problem,
+            })?,
+        );
+    }
+    taken.take(store.import(actor, tasks, now)?);
+    Ok(taken)
+}
+
+fn released_pair(
+    pair: &SaidPair,
+    source: &MotionRecord,
+    target: &MotionRecord,
+) -> Result<NewTask, String> {
+    let (parts, unknown) = parts(&pair.body_part);
+    if let Some(name) = unknown.first() {
+        return Err(format!("body part {name:?} is not known"));
+    }
+    let kind = match pair.kind.as_str() {
+        "fine-grained" => TaskKind::Pair,
+        "style" => TaskKind::Style,
+        other => return Err(format!("kind {other:?} is not known")),
+    };
+    let said = Fields {
+        verdict: Some(Verdict::Keep),
+        parts: &parts,
+        edit_type: pair.edit_type,
+        // The file has an empty text where none was chosen.
+        style: pair.style.as_deref().filter(|style| !style.is_empty()),
+        text: &pair.text,
+        ..Fields::default()
+    };
+    let answer = said.answer(kind);
+    check_draft(&answer, kind).map_err(|error| error.to_string())?;
+    let mut new = task(key_of_pair(&pair.id), kind, source);
+    new.target = Some(target.hash.clone());
+    new.accepted = Some(answer);
+    new.credit = credit("", false, pair.accepted_by.as_deref());
+    Ok(new)
+}
 
 /// Annotations of one motion.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Said {
-    pub(super) masks: Vec<MaskAnswer>,
+struct Said {
+    masks: Vec<MaskAnswer>,
     /// Unknown fields, kept for export.
-    pub(super) extra: Option<Value>,
+    extra: Option<Value>,
     /// How the annotations were accepted, if the file says so.
-    pub(super) accepted_by: Option<String>,
+    accepted_by: Option<String>,
 }
 
 /// A parsed release.
 #[derive(Debug, Default)]
-pub(super) struct Release {
-    pub(super) motions: BTreeMap<String, Said>,
-    pub(super) pairs: Vec<SaidPair>,
-    pub(super) shapes: BTreeMap<String, i64>,
-    pub(super) messages: Vec<String>,
+struct Release {
+    motions: BTreeMap<String, Said>,
+    pairs: Vec<SaidPair>,
+    shapes: BTreeMap<String, i64>,
+    messages: Vec<String>,
 }
 
 /// A usable pair of `pairs.json`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
-pub(super) struct SaidPair {
+struct SaidPair {
     /// As in table `pairs` of the dataset.
-    pub(super) id: String,
-    pub(super) kind: String,
-    pub(super) src: String,
-    pub(super) tgt: String,
-    pub(super) body_part: String,
-    pub(super) text: String,
-    pub(super) style: Option<String>,
-    pub(super) edit_type: Option<EditType>,
-    pub(super) accepted_by: Option<String>,
+    id: String,
+    kind: String,
+    src: String,
+    tgt: String,
+    body_part: String,
+    text: String,
+    style: Option<String>,
+    edit_type: Option<EditType>,
+    accepted_by: Option<String>,
 }
 
 fn shape(value: &Value) -> &'static str {
@@ -58,7 +153,7 @@ fn shape(value: &Value) -> &'static str {
 }
 
 /// Parses part names joined by `+`; returns known parts and unknown names.
-pub(super) fn parts(text: &str) -> (Vec<String>, Vec<String>) {
+fn parts(text: &str) -> (Vec<String>, Vec<String>) {
     let (mut known, mut unknown) = (Vec::new(), Vec::new());
     for name in text
         .split('+')
@@ -109,7 +204,7 @@ fn texts(value: &Value) -> Vec<String> {
 
 /// Reads `{"mask_all": {id: masks}, "part_annotations": {id: texts}, "accepted_by": {id: how}, "pairs": [pair]}`.
 /// One of the first two suffices.
-pub(super) fn parse(document: &Value) -> Result<Release, String> {
+fn parse(document: &Value) -> Result<Release, String> {
     let object = document.as_object().ok_or("it is no JSON object")?;
     let side = |name: &str| -> Result<Map<String, Value>, String> {
         match object.get(name) {
@@ -182,100 +277,54 @@ pub(super) fn parse(document: &Value) -> Result<Release, String> {
 
 /// Reads the masks and texts of a motion, and returns what is wrong with them too.
 fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
-    let mut reader = MotionReader::default();
-    match said {
-        Value::Object(map) => reader.read_texts_by_part(masks, map),
-        said => reader.read_texts_in_order(masks, said),
-    }
-    if reader.unknown.contains_key("part_annotations") {
-        reader
-            .problems
-            .push("its texts do not match its masks and are kept as an unknown field".to_owned());
-    }
-    let said = Said {
-        masks: reader.masks,
-        extra: (!reader.unknown.is_empty()).then_some(Value::Object(reader.unknown)),
-        accepted_by: None,
+    let (mut unknown, mut problems) = (Map::new(), Vec::new());
+    let names = names(masks);
+    // Texts that say nothing of parts belong to the masks at their places.
+    let in_order: Vec<Vec<String>> = match said {
+        Value::Array(items) if items.len() == names.len() => items.iter().map(texts).collect(),
+        Value::Array(_) if names.len() == 1 => vec![texts(said)],
+        Value::String(_) => vec![texts(said); names.len()],
+        Value::Null | Value::Object(_) => Vec::new(),
+        _ => {
+            unknown.insert("part_annotations".to_owned(), said.clone());
+            problems.push(
+                "its texts do not match its masks and are kept as an unknown field".to_owned(),
+            );
+            Vec::new()
+        }
     };
-    (said, reader.problems)
-}
-
-/// What has been read of a motion.
-#[derive(Default)]
-struct MotionReader {
-    masks: Vec<MaskAnswer>,
-    unknown: Map<String, Value>,
-    problems: Vec<String>,
-}
-
-impl MotionReader {
-    fn read_texts_by_part(&mut self, masks: &Value, said: &Map<String, Value>) {
-        for (name, value) in said {
-            for text in texts_or_empty(texts(value)) {
-                if !self.put(name, text).is_empty() {
-                    self.unknown.insert(name.clone(), value.clone());
-                }
-            }
-        }
-        // Masks without texts are kept.
-        for name in names(masks) {
-            if !said.keys().any(|known| parts(known).0 == parts(&name).0) {
-                self.put(&name, String::new());
-            }
+    let by_part = said.as_object();
+    let mut named: Vec<(&str, Vec<String>)> = Vec::new();
+    for (name, value) in by_part.into_iter().flatten() {
+        named.push((name.as_str(), texts(value)));
+        if !parts(name).1.is_empty() {
+            unknown.insert(name.clone(), value.clone());
         }
     }
-
-    /// Reads texts that say nothing of parts: each belongs to the mask at its place.
-    fn read_texts_in_order(&mut self, masks: &Value, said: &Value) {
-        let names = names(masks);
-        let list: Vec<Vec<String>> = match said {
-            Value::Array(items) if items.len() == names.len() => items.iter().map(texts).collect(),
-            Value::Array(_) if names.len() == 1 => vec![texts(said)],
-            Value::String(_) => vec![texts(said); names.len()],
-            Value::Null => Vec::new(),
-            _ => {
-                self.unknown
-                    .insert("part_annotations".to_owned(), said.clone());
-                // Marks fields that were kept aside.
-                self.unknown.insert("kept_aside".to_owned(), json!(true));
-                Vec::new()
-            }
-        };
-        for (index, name) in names.iter().enumerate() {
-            for text in texts_or_empty(list.get(index).cloned().unwrap_or_default()) {
-                self.put(name, text);
-            }
+    for (index, name) in names.iter().enumerate() {
+        let is_same = |known: &String| parts(known).0 == parts(name).0;
+        if !by_part.is_some_and(|texts| texts.keys().any(is_same)) {
+            let texts = in_order.get(index).cloned();
+            named.push((name.as_str(), texts.unwrap_or_default()));
         }
     }
-
-    /// Adds a mask, and returns the names in `name` that are no parts.
-    fn put(&mut self, name: &str, text: String) -> Vec<String> {
+    let mut read = Said::default();
+    for (name, mut texts) in named {
         let (parts, lost) = parts(name);
-        self.problems.extend(
+        problems.extend(
             lost.iter()
                 .map(|name| format!("body part {name:?} is not known")),
         );
-        if !parts.is_empty() {
-            self.masks.push(MaskAnswer {
-                parts,
-                soft: true,
-                joints: Vec::new(),
-                range: None,
-                text,
-                suggestion: None,
-            });
+        if texts.is_empty() {
+            // Masks without texts are kept.
+            texts.push(String::new());
         }
-        lost
+        let texts = texts.into_iter().filter(|_| !parts.is_empty());
+        let masks = texts.map(|text| MaskAnswer::of_parts(parts.clone(), text));
+        read.masks.extend(masks);
     }
-}
-
-/// The texts, or an empty one: masks without texts are kept.
-fn texts_or_empty(texts: Vec<String>) -> Vec<String> {
-    if texts.is_empty() {
-        vec![String::new()]
-    } else {
-        texts
-    }
+    read.extra = (!unknown.is_empty()).then_some(Value::Object(unknown));
+    (read, problems)
 }
 
 /// Entries of the two files for a motion.
@@ -335,37 +384,20 @@ mod tests {
         });
         let release = parse(&document).expect("an object");
         assert_eq!(release.motions["a"].masks.len(), 1);
-        assert_eq!(release.motions["c"].masks.len(), 2);
-        assert_eq!(
-            release.motions["c"]
-                .extra
-                .as_ref()
-                .and_then(|extra| extra.get("part_annotations")),
-            Some(&json!([1, 2, 3]))
-        );
-        assert!(
-            release
-                .messages
-                .iter()
-                .any(|message| message.contains("TAIL"))
-        );
-        assert!(
-            release
-                .messages
-                .iter()
-                .any(|message| message.contains("1 ids have masks but no texts"))
-        );
         let kept = &release.motions["c"];
-        assert_eq!(
-            entries(&kept.masks, kept.extra.as_ref()).1,
-            json!([1, 2, 3])
-        );
+        assert_eq!(kept.masks.len(), 2);
+        for problem in ["TAIL", "1 ids have masks but no texts"] {
+            let mut messages = release.messages.iter();
+            assert!(messages.any(|message| message.contains(problem)));
+        }
+        let (_, texts) = entries(&kept.masks, kept.extra.as_ref());
+        assert_eq!(texts, json!([1, 2, 3]));
         let older = json!({ "mask_all": {}, "pairs": [{ "kind": "style" }] });
         let release = parse(&older).expect("an object");
         assert!(release.pairs.is_empty() && release.messages[0].contains("have no id"));
-        assert!(parse(&json!([])).is_err());
-        assert!(parse(&json!({"other": 1})).is_err());
-        assert!(parse(&json!({"mask_all": 7})).is_err());
+        for refused in [json!([]), json!({"other": 1}), json!({"mask_all": 7})] {
+            assert!(parse(&refused).is_err());
+        }
     }
 
     #[test]

@@ -126,7 +126,7 @@ table! {
     pub struct AgreementRow = "agreement" {
         /// Part, overall, verdict, or masks
         pub item: String [""],
-        /// raw, krippendorff_alpha, gwet_ac1, jaccard or alpha_masi
+        /// gwet_ac1 or jaccard
         pub figure: String [""],
         /// Value; missing below 30 items
         pub value: Option<f64> [""],

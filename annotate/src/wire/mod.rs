@@ -3,57 +3,22 @@
 //! Requests with unknown fields are refused. Times are milliseconds since the epoch, ids are integers, and
 //! names of enums are `snake_case`.
 
-mod answer;
-mod browse;
-mod captures;
-mod home;
-mod jobs;
-mod log;
-mod mine;
 mod names;
 mod people;
-mod problem;
 mod review;
-mod rules;
 mod stats;
 mod task;
 #[cfg(test)]
 mod typescript;
 
-pub use answer::{Answer, JointChoice, MaskAnswer, Revision, Suggestion};
-pub use browse::{
-    AnswerBrief, BulkDone, BulkRequest, DecisionRow, Decisions, Holder, SkipBrief, TaskFile,
-    TaskFilter, TaskPage, TaskRow,
-};
-pub use captures::{CaptureCell, CapturePlan, Captures, PlannedCapture};
-pub use home::{Home, QueueInfo, ReturnedTask, Shelf, ShelfItem};
-pub use jobs::{ExportRequest, Job};
-pub use log::{Audit, AuditEntry, Change, Guide, GuidePicture, KindGuide, PictureInfo};
-pub use mine::{MyAnswer, MyAnswers};
+use serde::{Deserialize, Serialize};
+
 pub(crate) use names::names;
-pub use names::{
-    Action, BulkAction, Code, CountReason, Decision, EditType, EventKind, ExportFormat, Extent,
-    ImportFormat, JointWeight, ReviewQueue, RevisionState, Role, RuleKind, SkipFilter, SkipReason,
-    Standing, SuggestionSource, SuggestionUse, TaskKind, TaskSort, TaskState, TextForm, Verdict,
-};
-pub use people::{
-    Limits, Login, Me, NewToken, NewUser, NewUserLink, NewUsers, Prefs, Project, Settings, Style,
-    TokenInfo, TokenShown, User, UserChange,
-};
-pub use problem::Problem;
-pub use review::{
-    Candidate, NewReview, ReviewDone, ReviewEmpty, ReviewNext, ReviewRequest, ReviewView,
-};
-pub use rules::{ApplyRules, Rule, RuleState, RuleUndone, RulesApplied};
-pub use stats::{
-    Agreement, DayWork, EditTypeCount, Estimate, Funnel, Outlook, PartAgreement, Person, QuotaRow,
-    Week,
-};
-pub use task::{
-    BlendRequest, Bundle, BundleItem, Empty, EventBatch, EventResult, EventResults, Feedback,
-    HeldLease, Lease, MotionInfo, NewEvent, Next, NextRequest, PartInfo, Practice, SkeletonInfo,
-    SuggestRequest, Task, TaskView,
-};
+pub use names::*;
+pub use people::*;
+pub use review::*;
+pub use stats::*;
+pub use task::*;
 
 /// Maximum characters of a text.
 pub const MAX_TEXT_CHARS: usize = 2_000;
@@ -91,3 +56,29 @@ pub const KEY_CODES: [&str; 100] = [
     "BracketLeft", "BracketRight", "Backslash", "Semicolon", "Quote", "Backquote", "Comma",
     "Period", "Slash", "IntlBackslash", "IntlRo", "IntlYen", "NumpadAdd",
 ];
+
+/// A problem (RFC 9457), as `application/problem+json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Problem {
+    /// `/problems/` and the code.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// Meaning of the code.
+    pub title: String,
+    /// HTTP status.
+    pub status: u16,
+    /// Stable code.
+    pub code: Code,
+    /// What happened, and what to do.
+    pub detail: String,
+    /// The invalid field.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub field: Option<String>,
+    /// Seconds until a retry is allowed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub retry_after_secs: Option<u64>,
+    /// The current revision of the store, if the request is based on another one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub theirs: Option<Box<Revision>>,
+}

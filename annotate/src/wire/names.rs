@@ -1,13 +1,16 @@
 //! Enums with their names.
 
-/// Declares an enum with its list of values and their names.
+/// Declares enums with the lists of their values and the names of these.
 macro_rules! names {
-    ($(#[doc = $doc:literal])* pub enum $name:ident { $( #[doc = $item_doc:literal] $item:ident = $text:literal, )* }) => {
+    ($(
+        $(#[doc = $doc:literal])*
+        pub enum $name:ident { $( $(#[doc = $item_doc:literal])? $item:ident = $text:literal, )* }
+    )*) => { $(
         $(#[doc = $doc])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
         #[cfg_attr(test, derive(ts_rs::TS))]
         pub enum $name {
-            $( #[doc = $item_doc] #[serde(rename = $text)] $item, )*
+            $( $(#[doc = $item_doc])? #[doc = concat!("Named `", $text, "`.")] #[serde(rename = $text)] $item, )*
         }
 
         impl $name {
@@ -30,7 +33,7 @@ macro_rules! names {
                 f.write_str(self.as_str())
             }
         }
-    };
+    )* };
 }
 pub(crate) use names;
 
@@ -44,9 +47,7 @@ names! {
         /// Also manages imports, exports, settings and users.
         Admin = "admin",
     }
-}
 
-names! {
     /// Kind of task.
     pub enum TaskKind {
         /// Masks of the active body parts, with descriptions.
@@ -56,9 +57,7 @@ names! {
         /// Style of a motion compared with another one.
         Style = "style",
     }
-}
 
-names! {
     /// State of a task. `state::MOVES` has the transitions.
     pub enum TaskState {
         /// Needs answers; nobody works on it.
@@ -76,9 +75,7 @@ names! {
         /// Removed, with a reason.
         Dropped = "dropped",
     }
-}
 
-names! {
     /// How a mask takes a joint of the other motion.
     pub enum JointWeight {
         /// Whole.
@@ -88,14 +85,11 @@ names! {
         /// Not at all.
         None = "none",
     }
-}
 
-names! {
     /// State of an answer.
     pub enum RevisionState {
         /// Unfinished; not counted.
         Draft = "draft",
-        /// Submitted.
         Submitted = "submitted",
         /// Accepted by a reviewer.
         Accepted = "accepted",
@@ -104,9 +98,7 @@ names! {
         /// Another answer to the task was accepted.
         Superseded = "superseded",
     }
-}
 
-names! {
     /// Verdict on a pair.
     pub enum Verdict {
         /// Usable; has a description, parts and, for fine-grained pairs, an edit type.
@@ -118,27 +110,18 @@ names! {
         /// No visible difference.
         Identical = "identical",
     }
-}
 
-names! {
     /// What a fine-grained edit changes.
     pub enum EditType {
-        /// Amplitude.
         Amplitude = "amplitude",
-        /// Speed.
         Speed = "speed",
-        /// Force.
         Force = "force",
         /// Direction or place.
         Spatial = "spatial",
-        /// Timing.
         Timing = "timing",
-        /// Another change.
         Other = "other",
     }
-}
 
-names! {
     /// How much of the body a style shows in.
     pub enum Extent {
         /// Pelvis and legs.
@@ -148,12 +131,9 @@ names! {
         /// All of it.
         Whole = "whole",
     }
-}
 
-names! {
     /// Reason for skipping a task.
     pub enum SkipReason {
-        /// The motion is damaged.
         BrokenMotion = "broken_motion",
         /// The action cannot be recognised.
         CannotTell = "cannot_tell",
@@ -164,30 +144,22 @@ names! {
         /// Stated in the note.
         Other = "other",
     }
-}
 
-names! {
     /// Reason for fewer or more masks than the project wants.
     pub enum CountReason {
-        /// Only one part acts.
         SingleAction = "single_action",
         /// More parts act independently.
         ManyActions = "many_actions",
-        /// The clip is too short for more.
         TooShort = "too_short",
         /// Stated in the note.
         Other = "other",
     }
-}
 
-names! {
     /// Kinds of events that the browser sends.
     pub enum EventKind {
         /// Save this unfinished answer.
         Draft = "draft",
-        /// Submit this answer.
         Submit = "submit",
-        /// Skip the task with a reason.
         Skip = "skip",
         /// Postpone the task until after the others.
         Postpone = "postpone",
@@ -196,21 +168,16 @@ names! {
         /// A suggestion was used, edited or discarded.
         SuggestionUsed = "suggestion_used",
     }
-}
 
-names! {
     /// Use of a suggestion.
     pub enum SuggestionUse {
         /// Used unchanged.
         Used = "used",
         /// Used and edited.
         Edited = "edited",
-        /// Discarded.
         Discarded = "discarded",
     }
-}
 
-names! {
     /// Origin of a suggestion.
     pub enum SuggestionSource {
         /// Active parts, from the speed of the joints.
@@ -220,37 +187,27 @@ names! {
         /// A text by a language model.
         Llm = "llm",
     }
-}
 
-names! {
     /// Review queues.
     pub enum ReviewQueue {
         /// Sorted by disagreement, largest first.
         Disagreement = "disagreement",
-        /// A random sample.
         Sample = "sample",
         /// Tasks that were returned before.
         Returned = "returned",
     }
-}
 
-names! {
     /// Decisions of a reviewer.
     pub enum Decision {
-        /// Accept one of the answers.
         Accept = "accept",
         /// Accept an answer merged by the reviewer.
         Merge = "merge",
-        /// Return answers with a comment.
         Return = "return",
-        /// Drop the task.
         Drop = "drop",
         /// Undo a decision.
         Reopen = "reopen",
     }
-}
 
-names! {
     /// Layouts of an export.
     pub enum ExportFormat {
         /// The tables `masks` and `pairs` of the dataset itself, where the other stages look for them.
@@ -262,9 +219,7 @@ names! {
         /// Table `labels` for spreadsheets.
         Csv = "csv",
     }
-}
 
-names! {
     /// Layouts of an import.
     pub enum ImportFormat {
         /// New motions, masks and pairs of the dataset the server was started on.
@@ -274,30 +229,20 @@ names! {
         /// The table `annotations` of an export.
         Annotations = "annotations",
     }
-}
 
-names! {
     /// Actions that can be bound to keys.
     pub enum Action {
-        /// Play or pause.
         PlayPause = "play_pause",
         /// One frame back; ten with Shift.
         StepBack = "step_back",
         /// One frame on; ten with Shift.
         StepForward = "step_forward",
-        /// To the first frame.
         GoStart = "go_start",
-        /// To the last frame.
         GoEnd = "go_end",
-        /// Loop from here.
         LoopIn = "loop_in",
-        /// Loop to here.
         LoopOut = "loop_out",
-        /// No loop.
         LoopClear = "loop_clear",
-        /// Slower.
         Slower = "slower",
-        /// Faster.
         Faster = "faster",
         /// Toggle UPPER_BODY.
         Part1 = "part_1",
@@ -309,65 +254,37 @@ names! {
         Part4 = "part_4",
         /// Toggle RIGHT_ARM.
         Part5 = "part_5",
-        /// Soft ring on or off.
         SoftRing = "soft_ring",
-        /// New mask card.
         MaskNew = "mask_new",
-        /// Next card.
         CardNext = "card_next",
-        /// Card before.
         CardPrevious = "card_previous",
-        /// Blend preview.
         Preview = "preview",
-        /// Another partner for the preview.
         PreviewPartner = "preview_partner",
         /// Take the suggestion of the heat strip.
         AcceptHeat = "accept_heat",
-        /// Pair: unnatural.
         Unnatural = "unnatural",
-        /// Pair: unclear.
         Unclear = "unclear",
-        /// Pair: identical.
         Identical = "identical",
         /// Side by side or ghost.
         SideBySide = "side_by_side",
-        /// Swap the two motions.
         Swap = "swap",
-        /// To the largest difference.
         LargestDifference = "largest_difference",
-        /// To the text.
         Text = "text",
-        /// Back to the stage.
         Stage = "stage",
-        /// Hand in and go on.
         Submit = "submit",
-        /// Undo.
         Undo = "undo",
-        /// Redo.
         Redo = "redo",
-        /// Skip with a reason.
         Skip = "skip",
-        /// Postpone.
         Postpone = "postpone",
-        /// Review: accept.
         ReviewAccept = "review_accept",
-        /// Review: return.
         ReviewReturn = "review_return",
-        /// Review: merge.
         ReviewMerge = "review_merge",
-        /// The sheet of keys.
         KeySheet = "key_sheet",
-        /// Camera from the front.
         CameraFront = "camera_front",
-        /// Camera from the side.
         CameraSide = "camera_side",
-        /// Camera from above.
         CameraTop = "camera_top",
-        /// Camera follows the root or not.
         CameraFollow = "camera_follow",
-        /// Delete this mask card.
         MaskDelete = "mask_delete",
-        /// Take the draft.
         DraftUse = "draft_use",
         /// Next edit type.
         EditType = "edit_type",
@@ -379,21 +296,13 @@ names! {
         Extent = "extent",
         /// Stretch the longer clip for viewing.
         Align = "align",
-        /// Next pair of the bundle.
         BundleNext = "bundle_next",
-        /// Pair of the bundle before.
         BundlePrevious = "bundle_previous",
-        /// Review: first answer.
         Candidate1 = "candidate_1",
-        /// Review: second answer.
         Candidate2 = "candidate_2",
-        /// Review: third answer.
         Candidate3 = "candidate_3",
-        /// Review: fourth answer.
         Candidate4 = "candidate_4",
-        /// Review: drop.
         ReviewDrop = "review_drop",
-        /// Next region of the page.
         NextRegion = "next_region",
         /// Toggle BOTH_LEGS.
         Part6 = "part_6",
@@ -407,23 +316,15 @@ names! {
         Part10 = "part_10",
         /// Move the ghost to the place and heading of the other body.
         AlignRoots = "align_roots",
-        /// Open Home.
         ScreenHome = "screen_home",
-        /// Open masks.
         ScreenMask = "screen_mask",
-        /// Open pairs.
         ScreenPair = "screen_pair",
-        /// Open style pairs.
         ScreenStyle = "screen_style",
         /// Open the examples.
         ScreenShelf = "screen_shelf",
-        /// Open the guide.
         ScreenGuide = "screen_guide",
-        /// Open the review.
         ScreenReview = "screen_review",
-        /// Open the dashboard.
         ScreenDashboard = "screen_dashboard",
-        /// Open the administration.
         ScreenAdmin = "screen_admin",
         /// Open what I handed in.
         ScreenMine = "screen_mine",
@@ -431,20 +332,16 @@ names! {
         GuideBeside = "guide_beside",
         /// Practice: go on after the feedback.
         PracticeNext = "practice_next",
-        /// Practice: try the task again.
         PracticeAgain = "practice_again",
         /// Practice: show the known answer on the body, or one's own.
         PracticeCompare = "practice_compare",
-        /// Open the task browser.
         ScreenTasks = "screen_tasks",
         /// Let a mask hold from the begin to the end of the loop.
         RangeSet = "range_set",
         /// Let a mask hold for the whole clip.
         RangeClear = "range_clear",
     }
-}
 
-names! {
     /// What a rule of acceptance looks at.
     pub enum RuleKind {
         /// Tasks whose answers all reject the pair.
@@ -454,9 +351,7 @@ names! {
         /// All tasks, but for the share left to reviewers.
         Sampled = "sampled",
     }
-}
 
-names! {
     /// What a bulk action does with each task.
     pub enum BulkAction {
         /// Accept the answer of a task that waits for review; of several equal answers the first one.
@@ -470,9 +365,7 @@ names! {
         /// Reserve an open task for a person.
         Assign = "assign",
     }
-}
 
-names! {
     /// Orders of the task browser.
     pub enum TaskSort {
         /// By id: the order of import.
@@ -482,25 +375,77 @@ names! {
         /// By the last answer, skip or decision, newest first.
         Touched = "touched",
     }
-}
 
-names! {
     /// Which skipped tasks the browser lists.
     pub enum SkipFilter {
-        /// Skipped by somebody.
         Any = "any",
         /// Undecided, skipped, and nobody is left to get it: every annotator (of none, every user) skipped or answered it.
         Everybody = "everybody",
     }
-}
 
-names! {
     /// What a text of an answer is.
     pub enum TextForm {
         /// It completes "The person is …": "waving with the left arm".
         Completion = "completion",
         /// An instruction that turns the first motion into the second: "raise the left arm higher".
         Instruction = "instruction",
+    }
+
+    /// Where an answer stands, for its author.
+    pub enum Standing {
+        Draft = "draft",
+        /// The task waits for the answer of another person.
+        WaitsForOthers = "waits_for_others",
+        /// It waits for a reviewer.
+        WaitsForReview = "waits_for_review",
+        InReview = "in_review",
+        /// It was accepted as it is.
+        Accepted = "accepted",
+        /// A reviewer accepted another answer, or one merged from several.
+        Superseded = "superseded",
+        Returned = "returned",
+        Dropped = "dropped",
+        /// Practice: it was compared with the known answer, and nobody reviews it.
+        Practice = "practice",
+    }
+
+    /// The code of a problem. Codes are stable; texts are not.
+    pub enum Code {
+        Unauthenticated = "unauthenticated",
+        Forbidden = "forbidden",
+        /// 403: a request with a cookie lacks `X-Annotate: 1`.
+        Csrf = "csrf",
+        WrongOrigin = "wrong_origin",
+        /// 421: the request is addressed to a name that is not this server's.
+        WrongHost = "wrong_host",
+        OwnWork = "own_work",
+        /// 404: does not exist, or you may not see it.
+        NotFound = "not_found",
+        MethodNotAllowed = "method_not_allowed",
+        /// 400: not the JSON the route takes; `detail` says where.
+        BadRequest = "bad_request",
+        TooLarge = "too_large",
+        /// 422: an invalid value; `field` names it.
+        Invalid = "invalid",
+        /// 422: fewer or more masks than the project asks for, and no `count_reason`.
+        MaskCount = "mask_count",
+        /// 409: `base_rev` is not the current revision; `theirs` holds it.
+        StaleRevision = "stale_revision",
+        /// 409: the lease is no longer yours; the text is kept as your draft.
+        LeaseLost = "lease_lost",
+        TaskFull = "task_full",
+        WrongState = "wrong_state",
+        /// 409: the same `idem_key` was used for something else.
+        KeyReused = "key_reused",
+        /// 429: too many requests; `retry_after_secs` says when to retry.
+        RateLimited = "rate_limited",
+        NoModel = "no_model",
+        ModelFailed = "model_failed",
+        /// 503: not finished within 15 seconds.
+        Timeout = "timeout",
+        /// 507: the disk is full or read-only; the store accepts no writes.
+        ReadOnly = "read_only",
+        Internal = "internal",
     }
 }
 
@@ -511,81 +456,5 @@ impl TaskKind {
             Self::MaskText => TextForm::Completion,
             Self::Pair | Self::Style => TextForm::Instruction,
         }
-    }
-}
-
-names! {
-    /// Where an answer stands, for its author.
-    pub enum Standing {
-        /// Unfinished.
-        Draft = "draft",
-        /// The task waits for the answer of another person.
-        WaitsForOthers = "waits_for_others",
-        /// It waits for a reviewer.
-        WaitsForReview = "waits_for_review",
-        /// A reviewer looks at it.
-        InReview = "in_review",
-        /// It was accepted as it is.
-        Accepted = "accepted",
-        /// A reviewer accepted another answer, or one merged from several.
-        Superseded = "superseded",
-        /// It was sent back.
-        Returned = "returned",
-        /// The task was dropped.
-        Dropped = "dropped",
-        /// Practice: it was compared with the known answer, and nobody reviews it.
-        Practice = "practice",
-    }
-}
-
-names! {
-    /// The code of a problem. Codes are stable; texts are not.
-    pub enum Code {
-        /// 401: no valid session or token.
-        Unauthenticated = "unauthenticated",
-        /// 403: the role does not allow it.
-        Forbidden = "forbidden",
-        /// 403: a request with a cookie lacks `X-Annotate: 1`.
-        Csrf = "csrf",
-        /// 403: a request with a cookie comes from another origin.
-        WrongOrigin = "wrong_origin",
-        /// 421: the request is addressed to a name that is not this server's.
-        WrongHost = "wrong_host",
-        /// 403: reviewers do not review their own work.
-        OwnWork = "own_work",
-        /// 404: does not exist, or you may not see it.
-        NotFound = "not_found",
-        /// 405: the route has no such method.
-        MethodNotAllowed = "method_not_allowed",
-        /// 400: not the JSON the route takes; `detail` says where.
-        BadRequest = "bad_request",
-        /// 413: the body is too large.
-        TooLarge = "too_large",
-        /// 422: an invalid value; `field` names it.
-        Invalid = "invalid",
-        /// 422: fewer or more masks than the project asks for, and no `count_reason`.
-        MaskCount = "mask_count",
-        /// 409: `base_rev` is not the current revision; `theirs` holds it.
-        StaleRevision = "stale_revision",
-        /// 409: the lease is no longer yours; the text is kept as your draft.
-        LeaseLost = "lease_lost",
-        /// 409: the task has enough annotators.
-        TaskFull = "task_full",
-        /// 409: the task's state does not allow it.
-        WrongState = "wrong_state",
-        /// 409: the same `idem_key` was used for something else.
-        KeyReused = "key_reused",
-        /// 429: too many requests; `retry_after_secs` says when to retry.
-        RateLimited = "rate_limited",
-        /// 503: no language model is configured.
-        NoModel = "no_model",
-        /// 502: the language model failed or took too long.
-        ModelFailed = "model_failed",
-        /// 503: not finished within 15 seconds.
-        Timeout = "timeout",
-        /// 507: the disk is full or read-only; the store accepts no writes.
-        ReadOnly = "read_only",
-        /// 500: internal error; the server log has the details.
-        Internal = "internal",
     }
 }

@@ -1,12 +1,10 @@
-//! People: logging in, preferences, settings, users and tokens.
+//! People and what the project asks of them: logging in, preferences, settings, the guide, users and tokens.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::log::KindGuide;
-use super::names::{Action, EditType, Role, TaskKind, TextForm};
-use super::rules::Rule;
+use super::{Action, EditType, Role, Rule, TaskKind, TextForm};
 
 /// `POST session`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -20,7 +18,6 @@ pub struct Login {
 /// A user.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct User {
     /// Id.
     pub id: i64,
@@ -35,11 +32,10 @@ pub struct User {
 /// `GET me`, and the answer to `POST session`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Me {
     /// Who is logged in.
     pub user: User,
-    /// Bounds of what can be sent.
+    /// How long a lease lasts.
     pub limits: Limits,
     /// What the project asks for.
     pub project: Project,
@@ -55,19 +51,10 @@ pub struct Me {
     pub store: String,
 }
 
-/// Bounds of what can be sent.
+/// How long a lease lasts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Limits {
-    /// Characters of a text.
-    pub text_chars: usize,
-    /// Events of a batch.
-    pub events: usize,
-    /// Bytes of a body.
-    pub body_bytes: usize,
-    /// Suggestions asked for in a minute.
-    pub suggestions_per_minute: u32,
     /// Seconds a lease lasts.
     pub lease_secs: i64,
     /// Seconds between renewals.
@@ -77,7 +64,6 @@ pub struct Limits {
 /// The part of the settings that annotators see.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Project {
     /// Name of the project.
     pub name: String,
@@ -93,8 +79,6 @@ pub struct Project {
     pub style_templates: Vec<String>,
     /// Phrases to start the description of a mask with: they complete "The person is …".
     pub mask_templates: Vec<String>,
-    /// What the texts of each kind are.
-    pub text_forms: BTreeMap<TaskKind, TextForm>,
     /// Name of the time zone in which days and weeks begin.
     pub time_zone: String,
 }
@@ -114,7 +98,6 @@ pub struct Style {
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub guideline: String,
     /// The colour of its mark, `#rrggbb`.
-    #[serde(default)]
     pub colour: Option<String>,
 }
 
@@ -279,7 +262,6 @@ fn token_days() -> u32 {
 /// Answer to `POST users/bulk`: a new user with a link to log in.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct NewUserLink {
     /// The user.
     pub user: User,
@@ -295,10 +277,8 @@ pub struct NewUserLink {
 #[serde(deny_unknown_fields)]
 pub struct UserChange {
     /// New role.
-    #[serde(default)]
     pub role: Option<Role>,
     /// Whether the user may log in.
-    #[serde(default)]
     pub active: Option<bool>,
 }
 
@@ -314,7 +294,6 @@ pub struct NewToken {
 /// Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct TokenShown {
     /// Whose it is.
     pub user: User,
@@ -329,7 +308,6 @@ pub struct TokenShown {
 /// A token, without its secret.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct TokenInfo {
     /// Id.
     pub id: i64,
@@ -347,7 +325,7 @@ pub struct TokenInfo {
 
 impl Default for Settings {
     fn default() -> Self {
-        let words = |list: &[&str]| list.iter().map(|&word| word.to_owned()).collect();
+        let words = |list: &str| list.split(", ").map(str::to_owned).collect();
         Self {
             name: "stance".to_owned(),
             answers_per_task: 2,
@@ -363,34 +341,16 @@ impl Default for Settings {
             styles: ["proud", "old", "playful", "depressed", "angry", "sexy"]
                 .map(Style::named)
                 .into(),
-            templates: words(&[
-                "higher",
-                "lower",
-                "faster",
-                "slower",
-                "with more force",
-                "with less force",
-                "wider",
-                "narrower",
-                "earlier",
-                "later",
-                "further to the left",
-                "further to the right",
-            ]),
-            style_templates: words(&[
-                "in a {style} way",
-                "with {style} steps",
-                "with a {style} upper body",
-                "with {style} arms",
-            ]),
-            mask_templates: words(&[
-                "raising",
-                "lowering",
-                "swinging",
-                "bending",
-                "stretching out",
-                "holding still",
-            ]),
+            templates: words(
+                "higher, lower, faster, slower, with more force, with less force, wider, narrower, \
+                 earlier, later, further to the left, further to the right",
+            ),
+            style_templates: words(
+                "in a {style} way, with {style} steps, with a {style} upper body, with {style} arms",
+            ),
+            mask_templates: words(
+                "raising, lowering, swinging, bending, stretching out, holding still",
+            ),
             quota: 0,
             category_quota: 0,
             edit_type_quota: BTreeMap::new(),
@@ -417,4 +377,52 @@ impl Default for Settings {
             solo: false,
         }
     }
+}
+
+/// `GET guide`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Guide {
+    /// What holds for all kinds, plain text.
+    pub text: String,
+    /// Guidelines of each kind.
+    pub kinds: BTreeMap<TaskKind, KindGuide>,
+    /// What the texts of each kind are.
+    pub forms: BTreeMap<TaskKind, TextForm>,
+}
+
+/// Guidelines of a kind of task. `GET`/`PUT guide/{kind}`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields, default)]
+pub struct KindGuide {
+    /// Plain text.
+    pub text: String,
+    /// Examples.
+    pub pictures: Vec<GuidePicture>,
+}
+
+/// A picture of a right or a wrong answer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct GuidePicture {
+    /// Name, at `guide/pictures/{name}`.
+    pub name: String,
+    /// What it shows.
+    pub caption: String,
+    /// Whether the answer it shows is right.
+    pub right: bool,
+}
+
+/// `GET guide/pictures`: a stored picture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct PictureInfo {
+    /// Name: up to 60 letters, digits, dashes, dots and underscores.
+    pub name: String,
+    /// Type of its content.
+    pub mime: String,
+    /// Size in bytes.
+    pub bytes: usize,
 }

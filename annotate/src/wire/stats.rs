@@ -1,16 +1,14 @@
-//! Figures of the dashboard.
+//! What the project has done: figures of the dashboard, the log, jobs, and the capture plan.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::names::{EditType, TaskKind, TaskState};
-use super::people::User;
+use super::{EditType, ExportFormat, TaskKind, TaskState, User};
 
 /// A figure with its interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Estimate {
     /// The value.
     pub value: f64,
@@ -25,7 +23,6 @@ pub struct Estimate {
 /// `GET stats/funnel`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Funnel {
     /// Tasks by kind and state.
     pub counts: BTreeMap<TaskKind, BTreeMap<TaskState, i64>>,
@@ -36,7 +33,6 @@ pub struct Funnel {
 /// A week of work.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Week {
     /// Midnight of its Monday in the project's time zone.
     pub start: i64,
@@ -57,7 +53,6 @@ pub struct Week {
 /// `GET stats/people`: one for each person.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Person {
     /// Who.
     pub user: User,
@@ -86,15 +81,12 @@ pub struct Person {
 /// `GET stats/agreement`. Figures are `null` below 30 shared items.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Agreement {
     /// One for each of the release's parts, and `overall` of their decisions together.
     pub parts: Vec<PartAgreement>,
     /// Mean Jaccard index of the joints and frames of masks.
     pub jaccard: Option<Estimate>,
-    /// Krippendorff's alpha of masks with the MASI distance.
-    pub alpha_masi: Option<Estimate>,
-    /// Figures of pair verdicts.
+    /// Agreement on the verdicts about pairs.
     pub verdicts: Option<PartAgreement>,
     /// Tasks with two answers or more.
     pub shared_items: usize,
@@ -109,24 +101,18 @@ pub struct Agreement {
 /// Agreement on one decision.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct PartAgreement {
     /// Name of the part.
     pub part: String,
     /// Items with two answers or more.
     pub items: usize,
-    /// Share of pairs of answers that agree.
-    pub raw: Option<Estimate>,
-    /// Krippendorff's alpha, nominal; handles missing answers.
-    pub krippendorff_alpha: Option<Estimate>,
-    /// Gwet's AC1.
+    /// Gwet's AC1: the agreement beyond chance.
     pub gwet_ac1: Option<Estimate>,
 }
 
 /// `GET stats/quota`: one for each category and edit type.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct QuotaRow {
     /// Category; empty where the source gives none.
     pub category: String,
@@ -143,7 +129,6 @@ pub struct QuotaRow {
 /// `GET stats/edit-types`: one for each edit type that the project has a quota of.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct EditTypeCount {
     /// Edit type.
     pub edit_type: EditType,
@@ -157,7 +142,6 @@ pub struct EditTypeCount {
 /// of `from` is counted whole.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct DayWork {
     /// First millisecond of the day in the project's time zone, in Unix time.
     pub start: i64,
@@ -180,7 +164,6 @@ pub struct DayWork {
 /// `GET stats/outlook`: what is left of a kind, at the pace of the last seven days.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Outlook {
     /// Kind.
     pub kind: TaskKind,
@@ -200,4 +183,148 @@ pub struct Outlook {
     pub days_left: Option<f64>,
     /// When it ends.
     pub ends: Option<i64>,
+}
+
+/// An entry of the log, for `GET audit` and `GET tasks/{id}/history`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct AuditEntry {
+    /// Sequence number in the log.
+    pub seq: i64,
+    /// When.
+    pub at: i64,
+    /// User; `null` for the program itself.
+    pub actor: Option<i64>,
+    /// Their name.
+    pub actor_name: Option<String>,
+    /// Kind of entry.
+    pub kind: String,
+    /// Task.
+    pub task: Option<i64>,
+    /// Body of the entry.
+    #[cfg_attr(test, ts(type = "unknown"))]
+    pub body: serde_json::Value,
+}
+
+/// `GET audit`: newest first.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Audit {
+    /// Entries.
+    pub entries: Vec<AuditEntry>,
+    /// Value of `before` for the next page.
+    pub next: Option<i64>,
+}
+
+/// An entry of `GET stream` (event `change`).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Change {
+    /// Sequence number in the log.
+    pub seq: i64,
+    /// What happened.
+    pub kind: String,
+    /// Task.
+    pub task: Option<i64>,
+    /// Whether the task is one of mine.
+    pub mine: bool,
+}
+
+/// `POST exports`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct ExportRequest {
+    /// Layout.
+    pub format: ExportFormat,
+    /// Splits to export; all if empty.
+    #[serde(default)]
+    pub splits: Vec<String>,
+    /// Also write the log (format `parquet` only).
+    #[serde(default)]
+    pub events: bool,
+}
+
+/// `GET jobs/{id}`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Job {
+    /// Id.
+    pub id: i64,
+    /// `import` or `export`.
+    pub kind: String,
+    /// Layout.
+    pub format: String,
+    /// `running`, `done` or `failed`.
+    pub state: String,
+    /// Items done.
+    pub done: i64,
+    /// Items in all, once known.
+    pub total: Option<i64>,
+    /// Counts of imported, written and omitted items.
+    pub counts: BTreeMap<String, i64>,
+    /// Messages about errors and omitted items.
+    pub messages: Vec<String>,
+    /// Files to download, at `jobs/{id}/files/{name}`.
+    pub files: Vec<String>,
+    /// When it began.
+    pub started: i64,
+    /// When it ended.
+    pub finished: Option<i64>,
+    /// When its server last reported on it.
+    #[serde(default)]
+    pub heartbeat: i64,
+}
+
+/// `PUT captures`: the whole plan, in place of the one before.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct CapturePlan {
+    /// Its cells, each motion with each style once.
+    pub cells: Vec<PlannedCapture>,
+}
+
+/// A cell of the plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct PlannedCapture {
+    /// Id of the source motion; the project need not know it yet.
+    pub motion: String,
+    /// Name of the style.
+    pub style: String,
+    /// Takes that are wanted, 1 to 1,000.
+    pub takes: u32,
+}
+
+/// `GET captures`, and the answer to `PUT captures`: the plan with what has arrived of it. A take is a style pair of
+/// the motion in the style.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Captures {
+    /// The cells in the order of the plan.
+    pub cells: Vec<CaptureCell>,
+    /// Style pairs of no planned cell, without rejected ones.
+    pub unplanned: u32,
+}
+
+/// A cell of the plan with what has arrived.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct CaptureCell {
+    /// Id of the source motion.
+    pub motion: String,
+    /// Name of the style.
+    pub style: String,
+    /// Takes that are wanted.
+    pub takes: u32,
+    /// Takes that arrived and are not rejected.
+    pub arrived: u32,
+    /// Takes that were judged unusable or dropped.
+    pub rejected: u32,
+    /// Takes that are still to capture.
+    pub missing: u32,
+    /// Whether the project has a motion of this id.
+    pub known: bool,
 }

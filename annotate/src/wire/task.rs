@@ -1,17 +1,143 @@
-//! Tasks: motions, answers, suggestions, queues and events.
+//! What annotators see and send: tasks, answers, events, the home page, their own answers, and practice.
 
 use serde::{Deserialize, Serialize};
 
-use super::answer::{Answer, JointChoice, Revision, Suggestion, yes};
-use super::names::{
-    EventKind, RevisionState, SkipReason, SuggestionUse, TaskKind, TaskState, Verdict,
+use super::{
+    CountReason, EditType, Estimate, EventKind, Extent, JointWeight, Problem, RevisionState,
+    SkipReason, Standing, SuggestionSource, SuggestionUse, TaskKind, TaskState, Verdict,
 };
-use super::problem::Problem;
+
+/// One mask of an answer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct MaskAnswer {
+    /// Names of the parts as entered: LEFT_ARM with RIGHT_ARM is not merged to BOTH_ARMS.
+    pub parts: Vec<String>,
+    /// Whether the soft ring is blended.
+    #[serde(default = "yes")]
+    pub soft: bool,
+    /// Joints whose weight differs from the one that the parts and `soft` give them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joints: Vec<JointChoice>,
+    /// First frame that the mask holds for, and the one after the last; the whole clip if missing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range: Option<[i32; 2]>,
+    /// What the parts do.
+    pub text: String,
+    /// The suggestion the text started from, if any.
+    pub suggestion: Option<i64>,
+}
+
+/// The weight that a person chose for a joint of a mask.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(deny_unknown_fields)]
+pub struct JointChoice {
+    /// Name of one of the 22 body joints.
+    pub joint: String,
+    /// Its weight.
+    pub weight: JointWeight,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// An answer. Which fields count depends on the kind of the task.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Answer {
+    /// To a task `mask_text`.
+    MaskText {
+        /// The masks.
+        masks: Vec<MaskAnswer>,
+        /// Reason for fewer or more masks than the project wants.
+        count_reason: Option<CountReason>,
+        /// Note.
+        #[serde(default)]
+        note: String,
+    },
+    /// To a task `pair`.
+    Pair {
+        /// Verdict.
+        verdict: Verdict,
+        /// Parts the edit changes.
+        #[serde(default)]
+        parts: Vec<String>,
+        /// Type of the edit.
+        edit_type: Option<EditType>,
+        /// The instruction.
+        #[serde(default)]
+        text: String,
+        /// The suggestion the text started from, if any.
+        suggestion: Option<i64>,
+        /// Note.
+        #[serde(default)]
+        note: String,
+    },
+    /// To a task `style`.
+    Style {
+        /// Verdict.
+        verdict: Verdict,
+        /// Parts the style shows in.
+        #[serde(default)]
+        parts: Vec<String>,
+        /// The style.
+        style: Option<String>,
+        /// How much of the body it shows in.
+        extent: Option<Extent>,
+        /// The instruction.
+        #[serde(default)]
+        text: String,
+        /// The suggestion the text started from, if any.
+        suggestion: Option<i64>,
+        /// Note.
+        #[serde(default)]
+        note: String,
+    },
+}
+
+/// The current answer of a user to a task.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Revision {
+    /// Task.
+    pub task: i64,
+    /// Author.
+    pub author: i64,
+    /// Revision number: counts drafts and submissions from 1.
+    pub rev: i64,
+    /// State.
+    pub state: RevisionState,
+    /// The answer.
+    pub answer: Answer,
+    /// When it was last written.
+    pub at: i64,
+    /// Seconds of work.
+    pub secs: f64,
+}
+
+/// A proposal by a program or the source; never an answer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Suggestion {
+    /// Id.
+    pub id: i64,
+    /// Origin.
+    pub source: SuggestionSource,
+    /// Parts that it describes.
+    pub parts: Vec<String>,
+    /// Text; empty for parts alone.
+    pub text: String,
+    /// Name of the model or program.
+    pub model: String,
+}
 
 /// `GET skeleton`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct SkeletonInfo {
     /// Names of the 28 keypoints, in the order of the binaries.
     pub joints: Vec<String>,
@@ -19,19 +145,13 @@ pub struct SkeletonInfo {
     pub parents: Vec<i32>,
     /// `left`, `right` or `middle` of each.
     pub sides: Vec<String>,
-    /// Body joint (0 to 21) that decides whether a keypoint belongs to a part: eyes follow the head, knuckles
-    /// the wrist.
-    pub body_joint: Vec<usize>,
     /// All parts; the five of the release come first, in the order of the rows of heat and diff.
     pub parts: Vec<PartInfo>,
-    /// Version of the part definitions.
-    pub mask_def_version: u32,
 }
 
 /// A body part.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct PartInfo {
     /// Name in the release's spelling.
     pub name: String,
@@ -48,7 +168,6 @@ pub struct PartInfo {
 /// A motion, without its frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct MotionInfo {
     /// Content hash; identifies the motion in URLs.
     pub hash: String,
@@ -69,7 +188,6 @@ pub struct MotionInfo {
 /// A task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Task {
     /// Id.
     pub id: i64,
@@ -98,7 +216,6 @@ pub struct Task {
 /// Pairs that are leased together and submitted one by one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Bundle {
     /// Id.
     pub id: i64,
@@ -109,7 +226,6 @@ pub struct Bundle {
 /// A task of a bundle.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct BundleItem {
     /// Task.
     pub task: i64,
@@ -124,7 +240,6 @@ pub struct BundleItem {
 /// A lease: the right to work on a task for a limited time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Lease {
     /// Id.
     pub id: i64,
@@ -141,7 +256,6 @@ pub struct Lease {
 /// A held lease, as the dashboard lists it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct HeldLease {
     /// The lease.
     pub lease: Lease,
@@ -156,7 +270,6 @@ pub struct HeldLease {
 /// `GET tasks/{id}`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct TaskView {
     /// The task.
     pub task: Task,
@@ -186,7 +299,6 @@ pub struct NextRequest {
 /// Answer to `POST queue/next`: a task, or why there is none.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Next {
     /// The task and the lease on it.
     pub task: Option<TaskView>,
@@ -199,7 +311,6 @@ pub struct Next {
 /// Why a queue is empty. Counts are tasks of the kind.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Empty {
     /// All tasks.
     pub total: i64,
@@ -244,19 +355,15 @@ pub struct NewEvent {
     #[serde(default)]
     pub base_rev: i64,
     /// The answer, for `draft` and `submit`.
-    #[serde(default)]
     pub answer: Option<Answer>,
     /// The reason, for `skip`.
-    #[serde(default)]
     pub reason: Option<SkipReason>,
     /// More about the reason.
     #[serde(default)]
     pub note: String,
     /// The suggestion, for `suggestion_used`.
-    #[serde(default)]
     pub suggestion: Option<i64>,
     /// Use of the suggestion.
-    #[serde(default)]
     pub used: Option<SuggestionUse>,
     /// Seconds of work since the previous event.
     #[serde(default)]
@@ -266,7 +373,6 @@ pub struct NewEvent {
 /// Answer to `POST tasks/{id}/events`. The status is 200; each event has its own.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct EventResults {
     /// Results in the order of the events. Events after the first failed one are not processed and have no
     /// result: send them again.
@@ -276,7 +382,6 @@ pub struct EventResults {
 /// Result of an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct EventResult {
     /// Key of the event.
     pub idem_key: String,
@@ -300,7 +405,6 @@ pub struct EventResult {
 /// What a practice task teaches.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Feedback {
     /// Score of the answer: 1 minus its distance from the known one.
     pub score: f64,
@@ -312,7 +416,6 @@ pub struct Feedback {
 /// practice tasks before.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
 pub struct Practice {
     /// Kind.
     pub kind: TaskKind,
@@ -356,4 +459,119 @@ pub struct BlendRequest {
 pub struct SuggestRequest {
     /// Parts that the text shall describe.
     pub parts: Vec<String>,
+}
+
+/// `GET home`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Home {
+    /// One queue for each kind.
+    pub queues: Vec<QueueInfo>,
+    /// Tasks returned to me.
+    pub returned: Vec<ReturnedTask>,
+    /// Tasks I hold leases on, the one last renewed first.
+    pub held: Vec<Lease>,
+    /// Answers I submitted today, which begins at midnight in the project's time zone. Practice is left out.
+    pub today: i64,
+    /// Seconds I worked today: on answers, skips and reviews.
+    pub today_secs: f64,
+    /// Median seconds of my answers today.
+    pub median_secs: Option<f64>,
+    /// My agreement with others; `null` below 30 shared items.
+    pub agreement: Option<Estimate>,
+    /// Answers submitted by everybody today.
+    pub today_all: i64,
+}
+
+/// A queue as I see it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct QueueInfo {
+    /// Kind.
+    pub kind: TaskKind,
+    /// Tasks in all.
+    pub total: i64,
+    /// Tasks with all wanted answers.
+    pub done: i64,
+    /// Tasks I answered, hold, or was sent back. Practice is left out.
+    pub mine: i64,
+    /// Tasks I hold now. Practice is left out.
+    pub held: i64,
+    /// When the first of them goes to others unless I go on.
+    pub held_until: Option<i64>,
+    /// Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me. Before
+    /// practice is passed, the practice tasks that are left stand for the new ones.
+    pub open: i64,
+}
+
+/// A returned task.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct ReturnedTask {
+    /// Task.
+    pub task: i64,
+    /// Kind.
+    pub kind: TaskKind,
+    /// The reviewer's comment.
+    pub comment: String,
+    /// When others can claim it.
+    pub until: i64,
+}
+
+/// `GET shelf`: accepted answers.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct Shelf {
+    /// Newest first.
+    pub items: Vec<ShelfItem>,
+    /// Value of `before` for the next page.
+    pub next: Option<i64>,
+}
+
+/// An accepted answer.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct ShelfItem {
+    /// Its task.
+    pub task: Task,
+    /// The answer.
+    pub answer: Answer,
+    /// When it was accepted.
+    pub at: i64,
+}
+
+/// `GET answers?standing=&kind=&task=&before=&limit=`: my answers, newest first.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct MyAnswers {
+    /// The answers.
+    pub items: Vec<MyAnswer>,
+    /// Value of `before` for the next page.
+    pub next: Option<String>,
+}
+
+/// An answer of mine.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[cfg_attr(test, derive(ts_rs::TS))]
+pub struct MyAnswer {
+    /// The task.
+    pub task: Task,
+    /// The answer as I last wrote it.
+    pub mine: Revision,
+    /// Where it stands.
+    pub standing: Standing,
+    /// Answers that the task still waits for.
+    pub missing: u32,
+    /// The comment it was sent back with, or the task was dropped with.
+    pub comment: Option<String>,
+    /// The answer that was accepted instead, if it is another one.
+    pub accepted: Option<Answer>,
+    /// How it was accepted: `review`, `own`, `rule:NAME` or `import`.
+    pub accepted_by: Option<String>,
+    /// Whether the event `undo` of `POST tasks/{id}/events` takes it back now.
+    pub can_take_back: bool,
+    /// When a returned task is offered to others.
+    pub until: Option<i64>,
+    /// The known answer and my score, if it is practice that I handed in.
+    pub feedback: Option<Feedback>,
 }

@@ -30,29 +30,16 @@ fn declaration<T: TS>(config: &Config) -> (String, String) {
 
 /// The text of a declaration with comments of one line, and fields indented.
 fn laid_out(text: &str) -> String {
-    let mut lines: Vec<String> = Vec::new();
-    let mut comment: Option<Vec<&str>> = None;
-    let mut inside = false;
-    for line in text.lines().map(str::trim_end) {
-        let indent = if inside { "  " } else { "" };
-        match (&mut comment, line) {
-            (None, "/**") => comment = Some(Vec::new()),
-            (Some(words), " */") => {
-                lines.push(format!("{indent}/** {} */", words.join(" ")));
-                comment = None;
-            }
-            (Some(words), line) => words.push(line.trim_start_matches(" *").trim_start()),
-            (None, line) => {
-                lines.push(if line.starts_with("export") {
-                    line.to_owned()
-                } else {
-                    format!("{indent}{line}")
-                });
-                inside = true;
-            }
+    let text = text.replace("\n */", " */").replace("/**\n *", "/**");
+    let mut indent = "";
+    let mut lines = String::new();
+    for line in text.replace("\n *", "").lines() {
+        writeln!(lines, "{indent}{}", line.trim_end()).expect("a string takes text");
+        if line.starts_with("export") {
+            indent = "  ";
         }
     }
-    lines.join("\n") + "\n"
+    lines
 }
 
 /// `EDIT_TYPES` for `EditType`.
@@ -69,21 +56,16 @@ fn plural(name: &str) -> String {
 
 /// A list of strings, as many to a line as fit.
 fn list(items: &[&str]) -> String {
-    let mut lines = vec![String::new()];
+    let (mut text, mut line) = ("[\n".to_owned(), " ".to_owned());
     for item in items {
-        let shown = format!("{item:?}, ");
-        let line = lines.last_mut().expect("one line at least");
-        if line.len() + shown.len() > 110 {
-            lines.push(shown);
-        } else {
-            line.push_str(&shown);
+        let shown = format!(" {item:?},");
+        if line.len() + shown.len() > 111 {
+            text += &format!("{line}\n");
+            " ".clone_into(&mut line);
         }
+        line += &shown;
     }
-    let body: String = lines
-        .iter()
-        .map(|line| format!("  {}\n", line.trim_end()))
-        .collect();
-    format!("[\n{body}]")
+    text + &line + "\n]"
 }
 
 macro_rules! declarations {
@@ -122,21 +104,24 @@ declarations! {
         SuggestionUse TaskKind TaskSort TaskState TextForm Verdict;
 }
 
-/// Names that `wire` makes public, read from its source.
+/// Names of the public types of `wire`, read from its source.
 fn public_names() -> BTreeSet<String> {
-    include_str!("mod.rs")
-        .split("\npub use ")
-        .skip(1)
-        .flat_map(|rest| {
-            let names = rest.split(';').next().unwrap_or("");
-            let names = names.split_once("::").map_or("", |(_, names)| names);
-            names
-                .split(|letter: char| !letter.is_alphanumeric())
-                .filter(|name| !name.is_empty())
-                .map(str::to_owned)
-                .collect::<Vec<_>>()
-        })
-        .collect()
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/wire");
+    let mut names = BTreeSet::new();
+    for file in std::fs::read_dir(folder).expect("the folder of the types") {
+        let source = std::fs::read_to_string(file.expect("a file").path()).expect("a source");
+        for line in source.lines().map(str::trim_start) {
+            let declared = line.strip_prefix("pub struct ");
+            let declared = declared.or_else(|| line.strip_prefix("pub enum "));
+            let name = declared.and_then(|rest| rest.split(' ').next());
+            // The macro that declares enums has a variable there.
+            names.extend(
+                name.filter(|name| !name.starts_with('$'))
+                    .map(str::to_owned),
+            );
+        }
+    }
+    names
 }
 
 fn generated() -> String {
@@ -161,12 +146,9 @@ fn generated() -> String {
         ("KEY_MODIFIERS", super::KEY_MODIFIERS.as_slice()),
         ("KEY_CODES", super::KEY_CODES.as_slice()),
     ] {
-        writeln!(
-            text,
-            "export const {name}: readonly string[] = {};",
-            list(items)
-        )
-        .expect("a string takes text");
+        let list = list(items);
+        writeln!(text, "export const {name}: readonly string[] = {list};")
+            .expect("a string takes text");
     }
     for (_, declaration) in declarations(&config) {
         text.push('\n');

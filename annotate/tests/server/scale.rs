@@ -7,11 +7,11 @@ use std::sync::Arc;
 use annotate::store::{
     DecisionQuery, MineQuery, NewTask, OwnAnswer, PageQuery, ReviewClaimed, Store, Who,
 };
-use annotate::transfer::{Selection, export};
+use annotate::transfer::export;
 use annotate::wire::{
-    Answer, BulkAction, BulkRequest, Code, Decision, EventKind, ExportFormat, ReviewQueue, Role,
-    Rule, RuleKind, Settings, SkipFilter, SkipReason, Standing, TaskFilter, TaskKind, TaskSort,
-    TaskState, Verdict,
+    Answer, BulkAction, BulkRequest, Code, Decision, EventKind, ExportFormat, ExportRequest,
+    ReviewQueue, Role, Rule, RuleKind, Settings, SkipFilter, SkipReason, Standing, TaskFilter,
+    TaskKind, TaskSort, TaskState, Verdict,
 };
 
 use crate::store::{Fixture, fixture, mask_tasks, on_each, problem};
@@ -955,7 +955,7 @@ fn one_researcher_may_accept_their_own_work_and_it_is_marked() {
             ExportFormat::Parquet,
             ExportFormat::Stance,
         ] {
-            let selection = Selection {
+            let selection = ExportRequest {
                 format,
                 splits: Vec::new(),
                 events: false,
@@ -1268,7 +1268,6 @@ fn the_guide_has_guidelines_and_pictures_of_each_kind() {
     assert_eq!(guide.forms[&TaskKind::MaskText], TextForm::Completion);
     assert_eq!(guide.forms[&TaskKind::Pair], TextForm::Instruction);
     let me: Me = ann.get("me").ok();
-    assert_eq!(me.project.text_forms, guide.forms);
     assert!(me.project.mask_templates.contains(&"raising".to_owned()));
     let png = b"\x89PNG\r\n\x1a\nnot a whole picture";
     let put = |client: &crate::support::Client, name: &str, bytes: &[u8]| {

@@ -9,12 +9,12 @@ use annotate::store::{
     Who, open_sqlite,
 };
 use annotate::transfer::{
-    AnnotationRow, EventRow, LabelRow, RejectRow, Selection, Taken, export, from_annotations,
-    from_dataset, from_release,
+    AnnotationRow, EventRow, LabelRow, RejectRow, Taken, export, from_annotations, from_dataset,
+    from_release,
 };
 use annotate::wire::{
-    Answer, CountReason, Decision, EventKind, ExportFormat, Job, NewReview, ReviewNext,
-    ReviewQueue, Role, TaskKind, TaskState, Verdict,
+    Answer, CountReason, Decision, EventKind, ExportFormat, ExportRequest, Job, NewReview,
+    ReviewNext, ReviewQueue, Role, TaskKind, TaskState, Verdict,
 };
 use datasets_spec::dataset::{Transaction, commit_rows};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
@@ -96,8 +96,8 @@ fn annotated() -> Site {
     site
 }
 
-fn selection(format: ExportFormat) -> Selection {
-    Selection {
+fn selection(format: ExportFormat) -> ExportRequest {
+    ExportRequest {
         format,
         splits: Vec::new(),
         events: true,
@@ -470,7 +470,7 @@ fn a_job_exports_and_its_files_are_downloaded() {
 fn splits_are_kept_apart() {
     let site = annotated();
     let folder = site.folder.path().join("test-split");
-    let only = Selection {
+    let only = ExportRequest {
         splits: vec!["test".to_owned()],
         ..selection(ExportFormat::Parquet)
     };

@@ -196,9 +196,7 @@ export type Agreement = {
   parts: Array<PartAgreement>,
   /** Mean Jaccard index of the joints and frames of masks. */
   jaccard: Estimate | null,
-  /** Krippendorff's alpha of masks with the MASI distance. */
-  alpha_masi: Estimate | null,
-  /** Figures of pair verdicts. */
+  /** Agreement on the verdicts about pairs. */
   verdicts: PartAgreement | null,
   /** Tasks with two answers or more. */
   shared_items: number,
@@ -659,16 +657,8 @@ export type Lease = {
   /** When it ends unless renewed. */
   expires: number, };
 
-/** Bounds of what can be sent. */
+/** How long a lease lasts. */
 export type Limits = {
-  /** Characters of a text. */
-  text_chars: number,
-  /** Events of a batch. */
-  events: number,
-  /** Bytes of a body. */
-  body_bytes: number,
-  /** Suggestions asked for in a minute. */
-  suggestions_per_minute: number,
   /** Seconds a lease lasts. */
   lease_secs: number,
   /** Seconds between renewals. */
@@ -698,7 +688,7 @@ export type MaskAnswer = {
 export type Me = {
   /** Who is logged in. */
   user: User,
-  /** Bounds of what can be sent. */
+  /** How long a lease lasts. */
   limits: Limits,
   /** What the project asks for. */
   project: Project,
@@ -871,11 +861,7 @@ export type PartAgreement = {
   part: string,
   /** Items with two answers or more. */
   items: number,
-  /** Share of pairs of answers that agree. */
-  raw: Estimate | null,
-  /** Krippendorff's alpha, nominal; handles missing answers. */
-  krippendorff_alpha: Estimate | null,
-  /** Gwet's AC1. */
+  /** Gwet's AC1: the agreement beyond chance. */
   gwet_ac1: Estimate | null, };
 
 /** A body part. */
@@ -997,8 +983,6 @@ export type Project = {
   style_templates: Array<string>,
   /** Phrases to start the description of a mask with: they complete "The person is …". */
   mask_templates: Array<string>,
-  /** What the texts of each kind are. */
-  text_forms: { [key in TaskKind]?: TextForm },
   /** Name of the time zone in which days and weeks begin. */
   time_zone: string, };
 
@@ -1236,12 +1220,8 @@ export type SkeletonInfo = {
   parents: Array<number>,
   /** `left`, `right` or `middle` of each. */
   sides: Array<string>,
-  /** Body joint (0 to 21) that decides whether a keypoint belongs to a part: eyes follow the head, knuckles the wrist. */
-  body_joint: Array<number>,
   /** All parts; the five of the release come first, in the order of the rows of heat and diff. */
-  parts: Array<PartInfo>,
-  /** Version of the part definitions. */
-  mask_def_version: number, };
+  parts: Array<PartInfo>, };
 
 /** A skip. */
 export type SkipBrief = {

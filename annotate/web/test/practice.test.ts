@@ -11,8 +11,6 @@ const parts = new Parts({
   joints: [],
   parents: [],
   sides: [],
-  body_joint: [],
-  mask_def_version: 1,
   parts: [part("LEFT_ARM", [1, 2]), part("RIGHT_ARM", [3, 4]), part("BOTH_ARMS", [1, 2, 3, 4]), part("HEAD", [5])],
 });
 

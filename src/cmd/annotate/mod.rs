@@ -14,8 +14,7 @@ mod tasks;
 mod transfer;
 mod users;
 
-use annotate::transfer::Selection;
-use annotate::wire::{ExportFormat, TaskKind};
+use annotate::wire::{ExportFormat, ExportRequest, TaskKind};
 use anyhow::Context;
 use datasets_spec::Dataset;
 
@@ -54,7 +53,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             split,
             events,
         } => {
-            let selection = Selection {
+            let selection = ExportRequest {
                 format: ExportFormat::parse(format).context("the format is not known")?,
                 splits: split.iter().map(ToString::to_string).collect(),
                 events: *events,

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use annotate::known_motions;
 use annotate::store::{MotionRecord, Store};
-use annotate::transfer::{self, CHOSEN, Selection, Taken};
+use annotate::transfer::{self, CHOSEN, Taken};
+use annotate::wire::ExportRequest;
 use anyhow::Context;
 use datasets_spec::{Dataset, Progress as _};
 use formats::source::stance::exported_labels;
@@ -108,7 +109,7 @@ fn read_json(path: &Path) -> anyhow::Result<serde_json::Value> {
 pub(super) fn export(
     args: &Args,
     store: &Store,
-    selection: &Selection,
+    selection: &ExportRequest,
     to: Option<&Path>,
     global: &Global,
 ) -> anyhow::Result<Exit> {

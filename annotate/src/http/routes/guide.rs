@@ -2,7 +2,6 @@
 
 use axum::response::Response;
 
-use super::session::text_forms;
 use crate::Error;
 use crate::http::app::{Context, content, empty, json};
 use crate::wire::{Guide, KindGuide, TaskKind};
@@ -12,7 +11,10 @@ pub(super) fn guide(cx: &Context) -> Result<Response, Error> {
     json(&Guide {
         text: settings.guide,
         kinds: settings.guides,
-        forms: text_forms(),
+        forms: TaskKind::ALL
+            .iter()
+            .map(|&kind| (kind, kind.text_form()))
+            .collect(),
     })
 }
 

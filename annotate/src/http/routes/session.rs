@@ -1,7 +1,5 @@
 //! Login, logout, and the current user.
 
-use std::collections::BTreeMap;
-
 use axum::http::header::SET_COOKIE;
 use axum::response::{IntoResponse, Response};
 
@@ -10,12 +8,8 @@ use crate::clock::DAY;
 use crate::http::app::{App, Context, cookie, empty, json};
 use crate::http::proxy;
 use crate::lock::lock;
-use crate::model::MAX_REQUESTS_PER_MINUTE;
 use crate::store::Who;
-use crate::wire::{
-    Limits, Login, MAX_BODY_BYTES, MAX_EVENTS, MAX_TEXT_CHARS, Me, Project, TaskKind, TextForm,
-    User,
-};
+use crate::wire::{Limits, Login, Me, Project, User};
 
 /// Maximum number of wrong tokens per minute from one address. A right one is never refused: many people may share an
 /// address, and nobody guesses 32 random bytes.
@@ -58,14 +52,6 @@ pub(super) fn log_out(cx: &Context) -> Result<Response, Error> {
     Ok(with_cookie(cx, empty(())?, "", 0))
 }
 
-/// What the texts of each kind are.
-pub(super) fn text_forms() -> BTreeMap<TaskKind, TextForm> {
-    TaskKind::ALL
-        .iter()
-        .map(|&kind| (kind, kind.text_form()))
-        .collect()
-}
-
 pub(super) fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
     let settings = app.store.settings()?;
     let model = app.config.model.as_ref();
@@ -77,10 +63,6 @@ pub(super) fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
             active: true,
         },
         limits: Limits {
-            text_chars: MAX_TEXT_CHARS,
-            events: MAX_EVENTS,
-            body_bytes: MAX_BODY_BYTES,
-            suggestions_per_minute: MAX_REQUESTS_PER_MINUTE,
             lease_secs: i64::from(settings.lease_minutes) * 60,
             heartbeat_secs: HEARTBEAT_SECS,
         },
@@ -92,7 +74,6 @@ pub(super) fn me_of(app: &App, who: &Who) -> Result<Me, Error> {
             templates: settings.templates,
             style_templates: settings.style_templates,
             mask_templates: settings.mask_templates,
-            text_forms: text_forms(),
             time_zone: settings.time_zone,
         },
         prefs: app.store.prefs(who.id)?,

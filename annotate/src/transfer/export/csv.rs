@@ -1,48 +1,42 @@
 //! Layout `csv`: all labels for spreadsheets.
 
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use super::exporter::{Exporter, write_file};
+use super::exporter::{Exporter, TextFile};
 use crate::Error;
+
+const HEAD: &str = "task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,accepted_by,answer\r\n";
 
 impl Exporter<'_> {
     pub(super) fn csv(&mut self, folder: &Path) -> Result<(), Error> {
         let mut count = 0;
-        write_file(folder, "labels.csv", |file, path| {
-            let mut file = BufWriter::new(file);
-            let mut put = |line: String| {
-                let written = file.write_all(line.as_bytes());
-                Ok(written.map_err(datasets_spec::Error::io("write", path))?)
-            };
-            put("task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,accepted_by,answer\r\n".to_owned())?;
-            self.labels(&mut |row| {
-                count += 1;
-                let distance = row.draft_distance.map(|distance| distance.to_string());
-                let cells = [
-                    row.task,
-                    row.kind,
-                    row.motion_id,
-                    row.target_id.unwrap_or_default(),
-                    row.split,
-                    row.author,
-                    row.state,
-                    row.secs.to_string(),
-                    distance.unwrap_or_default(),
-                    row.at.to_string(),
-                    row.accepted_by.unwrap_or_default(),
-                    row.answer,
-                ];
-                put(cells.map(|cell| csv_cell(&cell)).join(",") + "\r\n")
-            })?;
-            Ok(file
-                .flush()
-                .map_err(datasets_spec::Error::io("write", path))?)
+        let mut file = TextFile::begin(folder, "labels.csv")?;
+        file.put(HEAD)?;
+        self.labels(&mut |row| {
+            count += 1;
+            let distance = row.draft_distance.map(|distance| distance.to_string());
+            let cells = [
+                row.task,
+                row.kind,
+                row.motion_id,
+                row.target_id.unwrap_or_default(),
+                row.split,
+                row.author,
+                row.state,
+                row.secs.to_string(),
+                distance.unwrap_or_default(),
+                row.at.to_string(),
+                row.accepted_by.unwrap_or_default(),
+                row.answer,
+            ];
+            let cells = cells.map(|cell| csv_cell(&cell));
+            file.put(&format!("{}\r\n", cells.join(",")))
         })?;
+        file.finish()?;
         self.done.count("labels", count);
         self.done.files.push("labels.csv".to_owned());
         let mut others = 0;
-        self.each_accepted::<Error>(|_, accepted| {
+        self.each_accepted(|_, accepted| {
             others += usize::from(accepted.merged || accepted.author == 0);
             Ok(())
         })?;
@@ -61,15 +55,10 @@ impl Exporter<'_> {
 fn csv_cell(text: &str) -> String {
     let formula =
         text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err();
-    let guarded = if formula {
-        format!("'{text}")
-    } else {
-        text.to_owned()
-    };
-    if guarded.contains(['"', ',', '\n', '\r']) {
-        format!("\"{}\"", guarded.replace('"', "\"\""))
-    } else {
-        guarded
+    let guard = if formula { "'" } else { "" };
+    match text.contains(['"', ',', '\n', '\r']) {
+        true => format!("\"{guard}{}\"", text.replace('"', "\"\"")),
+        false => format!("{guard}{text}"),
     }
 }
 

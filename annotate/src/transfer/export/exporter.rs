@@ -1,28 +1,18 @@
 //! What all layouts share: the settings, the result, and reading tasks batch by batch.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use datasets_spec::store::{Disk, NewFile, Store as _};
 use serde::Serialize;
 
 use crate::Error;
 use crate::store::{AcceptedAnswer, KeyRange, MotionRecord, Store, TaskRecord};
-use crate::wire::{ExportFormat, TaskState};
+use crate::wire::TaskState;
 
 /// Tasks read at a time.
 pub(super) const BATCH: usize = 2000;
-
-/// Export settings.
-#[derive(Clone, Debug)]
-pub struct Selection {
-    /// Layout.
-    pub format: ExportFormat,
-    /// Splits; all if empty.
-    pub splits: Vec<String>,
-    /// Whether to export the log too.
-    pub events: bool,
-}
 
 /// Result of an export.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -121,10 +111,8 @@ impl<'a> Exporter<'a> {
 
     /// The author of an accepted answer: a person of this store, or whom an import named.
     pub(super) fn author(&self, accepted: &AcceptedAnswer) -> String {
-        match &accepted.credit {
-            Some(author) => author.clone(),
-            None => self.pseudonym(accepted.author),
-        }
+        let credit = accepted.credit.clone();
+        credit.unwrap_or_else(|| self.pseudonym(accepted.author))
     }
 
     pub(super) fn wanted(&self, split: &str) -> bool {
@@ -150,12 +138,11 @@ impl<'a> Exporter<'a> {
     }
 
     pub(super) fn ids(&self, task: &TaskRecord) -> Result<(String, Option<String>), Error> {
-        let source = self.motion(&task.source, &task.split)?.id.clone();
-        let target = match &task.target {
-            Some(hash) => Some(self.motion(hash, &task.split)?.id.clone()),
-            None => None,
+        let id = |hash: &String| -> Result<String, Error> {
+            Ok(self.motion(hash, &task.split)?.id.clone())
         };
-        Ok((source, target))
+        let target = task.target.as_ref().map(id);
+        Ok((id(&task.source)?, target.transpose()?))
     }
 
     /// Frames of the first motion of a task.
@@ -165,10 +152,10 @@ impl<'a> Exporter<'a> {
 
     /// Visits the tasks in the order of their keys, a batch at a time, so that memory does not grow with their
     /// number.
-    pub(super) fn each_range<E: From<Error>>(
+    pub(super) fn each_range(
         &mut self,
-        mut each: impl FnMut(&mut Self, &KeyRange) -> Result<(), E>,
-    ) -> Result<(), E> {
+        mut each: impl FnMut(&mut Self, &KeyRange) -> Result<(), Error>,
+    ) -> Result<(), Error> {
         let mut after = String::new();
         while let Some(keys) = self.store.next_keys(&after, BATCH)? {
             each(self, &keys)?;
@@ -203,10 +190,10 @@ impl<'a> Exporter<'a> {
     }
 
     /// Visits the accepted answers of the splits, by the key of their task.
-    pub(super) fn each_accepted<E: From<Error>>(
+    pub(super) fn each_accepted(
         &mut self,
-        mut each: impl FnMut(&mut Self, AcceptedAnswer) -> Result<(), E>,
-    ) -> Result<(), E> {
+        mut each: impl FnMut(&mut Self, AcceptedAnswer) -> Result<(), Error>,
+    ) -> Result<(), Error> {
         self.each_range(|exporter, keys| {
             for accepted in exporter.accepted(keys)? {
                 each(exporter, accepted)?;
@@ -216,19 +203,39 @@ impl<'a> Exporter<'a> {
     }
 }
 
-/// Writes a file whole or not at all.
-pub(super) fn write_file(
-    folder: &Path,
-    name: &str,
-    write: impl FnOnce(&mut File, &Path) -> Result<(), Error>,
-) -> Result<(), Error> {
+/// Begins a file in a folder. It appears once it is published, in place of any file of that name.
+pub(super) fn new_file(folder: &Path, name: &str) -> Result<(PathBuf, Box<dyn NewFile>), Error> {
     std::fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;
-    let path: PathBuf = folder.join(name);
-    let temporary = folder.join(format!(".{name}.tmp"));
-    let mut file =
-        File::create(&temporary).map_err(datasets_spec::Error::io("create", &temporary))?;
-    write(&mut file, &path)?;
-    file.sync_all()
-        .map_err(datasets_spec::Error::io("write", &temporary))?;
-    Ok(std::fs::rename(&temporary, &path).map_err(datasets_spec::Error::io("rename", &path))?)
+    let path = folder.join(name);
+    let file = Disk
+        .create(&path)
+        .map_err(datasets_spec::Error::io("create", &path))?;
+    Ok((path, file))
+}
+
+/// A file of text. It appears once it is finished.
+pub(super) struct TextFile {
+    path: PathBuf,
+    file: BufWriter<Box<dyn NewFile>>,
+}
+
+impl TextFile {
+    pub(super) fn begin(folder: &Path, name: &str) -> Result<Self, Error> {
+        let (path, file) = new_file(folder, name)?;
+        let file = BufWriter::new(file);
+        Ok(Self { path, file })
+    }
+
+    pub(super) fn put(&mut self, text: &str) -> Result<(), Error> {
+        let written = self.file.write_all(text.as_bytes());
+        Ok(written.map_err(datasets_spec::Error::io("write", &self.path))?)
+    }
+
+    pub(super) fn finish(self) -> Result<(), Error> {
+        let file = self.file.into_inner();
+        let published = file
+            .map_err(std::io::Error::from)
+            .and_then(|file| file.publish());
+        Ok(published.map_err(datasets_spec::Error::io("write", self.path))?)
+    }
 }

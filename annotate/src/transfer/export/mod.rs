@@ -11,15 +11,16 @@ use std::path::Path;
 
 use datasets_spec::Dataset;
 use datasets_spec::dataset::Transaction;
+use datasets_spec::store::replace_file;
 use serde_json::{Value, json};
 
+pub use exporter::Exported;
 use exporter::Exporter;
-pub use exporter::{Exported, Selection};
-use exporter::{STAMP, write_file};
+use exporter::STAMP;
 
 use crate::Error;
 use crate::store::Store;
-use crate::wire::ExportFormat;
+use crate::wire::{ExportFormat, ExportRequest};
 
 /// Exports accepted answers as they are at one point in time, whatever is written meanwhile. `folder` takes the files;
 /// layout `dataset` writes the tables `masks` and `pairs` of the dataset instead, together, while it holds the
@@ -34,7 +35,7 @@ pub fn export(
     store: &Store,
     dataset: &Path,
     folder: &Path,
-    selection: &Selection,
+    selection: &ExportRequest,
     holder: &str,
 ) -> Result<Exported, Error> {
     if selection.format == ExportFormat::Dataset {
@@ -51,11 +52,11 @@ pub fn export(
     let now = store.snapshot()?;
     let mut exporter = Exporter::new(&now, &selection.splits)?;
     // Files without a stamp are those of an export that did not end.
-    match std::fs::remove_file(folder.join(STAMP)) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            return Err(datasets_spec::Error::io("remove", folder.join(STAMP))(error).into());
-        }
-        _ => {}
+    let path = folder.join(STAMP);
+    if let Err(error) = std::fs::remove_file(&path)
+        && error.kind() != std::io::ErrorKind::NotFound
+    {
+        return Err(datasets_spec::Error::io("remove", path)(error).into());
     }
     match selection.format {
         ExportFormat::Parquet => exporter.parquet(folder, selection.events)?,
@@ -73,10 +74,8 @@ pub fn export(
         "blake3": hashes(folder, &exporter.done.files)?,
         "tool": format!("stance {}", env!("CARGO_PKG_VERSION")),
     });
-    write_file(folder, STAMP, |file, path| {
-        use std::io::Write;
-        Ok(writeln!(file, "{stamp:#}").map_err(datasets_spec::Error::io("write", path))?)
-    })?;
+    replace_file(&path, format!("{stamp:#}\n").as_bytes())
+        .map_err(datasets_spec::Error::io("write", path))?;
     exporter.done.files.push(STAMP.to_owned());
     Ok(exporter.done)
 }

@@ -1,155 +1,113 @@
 //! Layout `stance`: the JSON files of the STANCE release, written value by value, and the table `annotations`, which holds
 //! what they have no place for.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use serde::Serializer;
-use serde::ser::{SerializeMap, SerializeSeq};
-use serde_json::json;
+use serde_json::{Value, json};
 
-use super::exporter::{Exporter, write_file};
+use super::exporter::{Exporter, TextFile};
 use crate::Error;
 use crate::transfer::import::pair_id;
 use crate::transfer::release;
-use crate::wire::{Answer, MaskAnswer, Verdict};
+use crate::wire::{MaskAnswer, TaskKind};
 
 /// The table beside the files of the layout.
 const TABLE: &str = "annotations.parquet";
+/// The files: masks by motion, their texts, how they were accepted, and pairs.
+const FILES: [&str; 4] = [
+    "mask_all.json",
+    "part_annotations.json",
+    "accepted_by.json",
+    "pairs.json",
+];
 
-/// Writes JSON value by value.
-type JsonWriter<'a> =
-    serde_json::Serializer<BufWriter<&'a mut File>, serde_json::ser::PrettyFormatter<'static>>;
-
-/// Error while writing JSON.
-enum JsonError {
-    Json(serde_json::Error),
-    Other(Error),
+/// A file of a JSON object or list, written entry by entry.
+struct JsonFile {
+    file: TextFile,
+    is_empty: bool,
 }
 
-impl From<serde_json::Error> for JsonError {
-    fn from(error: serde_json::Error) -> Self {
-        Self::Json(error)
+impl JsonFile {
+    fn begin(folder: &Path, name: &str, bracket: &str) -> Result<Self, Error> {
+        let mut file = TextFile::begin(folder, name)?;
+        file.put(bracket)?;
+        let is_empty = true;
+        Ok(Self { file, is_empty })
     }
-}
 
-impl From<Error> for JsonError {
-    fn from(error: Error) -> Self {
-        Self::Other(error)
+    /// Adds a value, with its key in an object.
+    fn put(&mut self, key: Option<&str>, value: &Value) -> Result<(), Error> {
+        let comma = if self.is_empty { "" } else { "," };
+        self.is_empty = false;
+        let key = key.map(|key| format!("{}: ", Value::from(key)));
+        // JSON escapes the line breaks of texts: these are of the layout.
+        let value = format!("{value:#}").replace('\n', "\n  ");
+        let key = key.unwrap_or_default();
+        self.file.put(&format!("{comma}\n  {key}{value}"))
     }
-}
 
-/// Writes a file of JSON value by value, whole or not at all.
-fn write_json(
-    folder: &Path,
-    name: &str,
-    write: impl FnOnce(&mut JsonWriter<'_>) -> Result<(), JsonError>,
-) -> Result<(), Error> {
-    write_file(folder, name, |file, path| {
-        let mut json = serde_json::Serializer::pretty(BufWriter::new(file));
-        write(&mut json).map_err(|error| match error {
-            JsonError::Json(error) => datasets_spec::Error::io("write", path)(error.into()).into(),
-            JsonError::Other(error) => error,
-        })?;
-        let mut file = json.into_inner();
-        Ok(file
-            .write_all(b"\n")
-            .and_then(|()| file.flush())
-            .map_err(datasets_spec::Error::io("write", path))?)
-    })
+    fn finish(mut self, bracket: &str) -> Result<(), Error> {
+        let line = if self.is_empty { "" } else { "\n" };
+        self.file.put(&format!("{line}{bracket}\n"))?;
+        self.file.finish()
+    }
 }
 
 impl Exporter<'_> {
-    /// Writes four files in one pass: masks by motion, their texts, how they were accepted, and pairs. The table holds all
-    /// of it, and what is counted as left out of them.
+    /// Writes [`FILES`] in one pass. The table holds all of it, and what is counted as left out of them.
     pub(super) fn stance(&mut self, folder: &Path) -> Result<(), Error> {
-        let names = ["mask_all", "part_annotations", "accepted_by", "pairs"]
-            .map(|name| format!("{name}.json"));
-        let [masks, texts, marks, pairs] = &names;
-        write_json(folder, masks, |masks| {
-            let mut masks = masks.serialize_map(None)?;
-            write_json(folder, texts, |texts| {
-                let mut texts = texts.serialize_map(None)?;
-                write_json(folder, marks, |marks| {
-                    let mut marks = marks.serialize_map(None)?;
-                    write_json(folder, pairs, |pairs| {
-                        let mut pairs = pairs.serialize_seq(None)?;
-                        self.released(&mut masks, &mut texts, &mut marks, &mut pairs)?;
-                        Ok(SerializeSeq::end(pairs)?)
-                    })?;
-                    Ok(SerializeMap::end(marks)?)
-                })?;
-                Ok(SerializeMap::end(texts)?)
-            })?;
-            Ok(SerializeMap::end(masks)?)
-        })?;
-        self.done.files.extend(names);
-        self.annotation_table(folder)
-    }
-
-    fn released(
-        &mut self,
-        masks_file: &mut impl SerializeMap<Error = serde_json::Error>,
-        texts_file: &mut impl SerializeMap<Error = serde_json::Error>,
-        marks_file: &mut impl SerializeMap<Error = serde_json::Error>,
-        pairs_file: &mut impl SerializeSeq<Error = serde_json::Error>,
-    ) -> Result<(), JsonError> {
+        let [mut masks, mut texts, mut marks] = [
+            JsonFile::begin(folder, FILES[0], "{")?,
+            JsonFile::begin(folder, FILES[1], "{")?,
+            JsonFile::begin(folder, FILES[2], "{")?,
+        ];
+        let mut pairs = JsonFile::begin(folder, FILES[3], "[")?;
         for what in ["motions", "pairs"] {
             self.done.count(what, 0);
         }
-        self.each_accepted::<JsonError>(|exporter, accepted| {
+        self.each_accepted(|exporter, accepted| {
             let (motion, target) = exporter.ids(&accepted.task)?;
-            let split = &accepted.task.split;
-            let (id, accepted_by) = (pair_id(&accepted.task.key), &accepted.accepted_by);
-            let pair = match accepted.answer {
-                Answer::MaskText { masks, .. } => {
-                    for (name, count) in lost_of(&masks) {
-                        exporter.done.lose(name, count);
-                    }
-                    let (masks, texts) = release::entries(&masks, accepted.task.extra.as_ref());
-                    masks_file.serialize_entry(&motion, &masks)?;
-                    texts_file.serialize_entry(&motion, &texts)?;
-                    marks_file.serialize_entry(&motion, accepted_by)?;
-                    exporter.done.count("motions", 1);
-                    return Ok(());
+            let (task, accepted_by) = (&accepted.task, &accepted.accepted_by);
+            let said = accepted.answer.fields();
+            if task.kind == TaskKind::MaskText {
+                for (name, count) in lost_of(said.masks) {
+                    exporter.done.lose(name, count);
                 }
-                Answer::Pair {
-                    verdict: Verdict::Keep,
-                    parts,
-                    edit_type,
-                    text,
-                    ..
-                } => json!({
-                    "id": id, "kind": "fine-grained", "src": motion, "tgt": target,
-                    "body_part": parts.join("+"), "text": text, "edit_type": edit_type, "split": split,
-                    "accepted_by": accepted_by,
-                }),
-                Answer::Style {
-                    verdict: Verdict::Keep,
-                    parts,
-                    text,
-                    style,
-                    extent,
-                    ..
-                } => {
-                    exporter.done.lose("extents", usize::from(extent.is_some()));
-                    let style = style.unwrap_or_default();
-                    json!({
-                        "id": id, "kind": "style", "name": format!("{motion}_{style}"), "src": motion, "tgt": target,
-                        "style": style, "body_part": parts.join("+"), "text": text, "split": split,
-                        "accepted_by": accepted_by,
-                    })
-                }
-                Answer::Pair { .. } | Answer::Style { .. } => {
-                    exporter.done.lose("rejected_pairs", 1);
-                    return Ok(());
-                }
-            };
-            pairs_file.serialize_element(&pair)?;
+                let (parts, said) = release::entries(said.masks, task.extra.as_ref());
+                masks.put(Some(&motion), &parts)?;
+                texts.put(Some(&motion), &said)?;
+                marks.put(Some(&motion), &json!(accepted_by))?;
+                exporter.done.count("motions", 1);
+                return Ok(());
+            }
+            if accepted.answer.is_reject() {
+                exporter.done.lose("rejected_pairs", 1);
+                return Ok(());
+            }
+            let has_extent = said.extent.is_some();
+            exporter.done.lose("extents", usize::from(has_extent));
+            let mut pair = json!({
+                "id": pair_id(&task.key), "kind": "fine-grained", "src": motion, "tgt": target,
+                "body_part": said.parts.join("+"), "text": said.text, "split": task.split,
+                "accepted_by": accepted_by,
+            });
+            if task.kind == TaskKind::Style {
+                let style = said.style.unwrap_or_default();
+                pair["kind"] = json!("style");
+                pair["name"] = json!(format!("{motion}_{style}"));
+                pair["style"] = json!(style);
+            } else {
+                pair["edit_type"] = json!(said.edit_type);
+            }
+            pairs.put(None, &pair)?;
             exporter.done.count("pairs", 1);
             Ok(())
         })?;
+        for file in [masks, texts, marks] {
+            file.finish("}")?;
+        }
+        pairs.finish("]")?;
+        self.done.files.extend(FILES.map(str::to_owned));
         for (name, what) in LOST {
             if let Some(count) = self.done.counts.get(name) {
                 self.done.messages.push(format!(
@@ -157,7 +115,7 @@ impl Exporter<'_> {
                 ));
             }
         }
-        Ok(())
+        self.table(folder, Self::annotations)
     }
 }
 

@@ -2,27 +2,27 @@
 
 use std::path::Path;
 
+use datasets_spec::MASK_DEF_VERSION;
 use datasets_spec::table::{Row, RowWriter};
-use datasets_spec::{JointSet, MASK_DEF_VERSION};
 use serde_json::Value;
 
-use super::exporter::{BATCH, Exporter, write_file};
+use super::exporter::{BATCH, Exporter, new_file};
 use crate::Error;
 use crate::mask::mask_of;
 use crate::quality::{Figures, draft_distance};
-use crate::store::{AcceptedAnswer, KeyRange};
+use crate::store::{AcceptedAnswer, KeyRange, Reject, TaskRecord};
 use crate::transfer::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
-use crate::wire::{Answer, Estimate, Verdict};
+use crate::wire::{Agreement, Answer, Estimate, TaskKind};
 
 /// Receives the next row of a table.
 type Put<'a, R> = &'a mut dyn FnMut(R) -> Result<(), Error>;
 
 impl Exporter<'_> {
     pub(super) fn parquet(&mut self, folder: &Path, events: bool) -> Result<(), Error> {
-        self.annotation_table(folder)?;
+        self.table(folder, Self::annotations)?;
         self.table(folder, Self::labels)?;
         self.table(folder, Self::rejects)?;
-        let agreement = agreement_rows(&Figures::of(self.store)?);
+        let agreement = agreement_rows(&Figures::of(self.store)?.agreement);
         self.table(folder, |_, put| agreement.into_iter().try_for_each(put))?;
         if events {
             self.table(folder, Self::events)?;
@@ -30,13 +30,8 @@ impl Exporter<'_> {
         Ok(())
     }
 
-    /// Writes the table of accepted answers.
-    pub(super) fn annotation_table(&mut self, folder: &Path) -> Result<(), Error> {
-        self.table(folder, Self::annotations)
-    }
-
     /// Writes a table row by row.
-    fn table<R: Row>(
+    pub(super) fn table<R: Row>(
         &mut self,
         folder: &Path,
         fill: impl FnOnce(&mut Self, Put<'_, R>) -> Result<(), Error>,
@@ -47,21 +42,20 @@ impl Exporter<'_> {
             ("mask_def_version", MASK_DEF_VERSION.to_string()),
         ];
         let mut count = 0;
-        write_file(folder, &name, |file, path| {
-            let mut writer = RowWriter::new(file, path, &facts)?;
-            fill(self, &mut |row| {
-                count += 1;
-                Ok(writer.push(row)?)
-            })?;
-            writer.finish()?;
-            Ok(())
+        let (path, file) = new_file(folder, &name)?;
+        let mut writer = RowWriter::new(file, &path, &facts)?;
+        fill(self, &mut |row| {
+            count += 1;
+            Ok(writer.push(row)?)
         })?;
+        let published = writer.finish()?.publish();
+        published.map_err(datasets_spec::Error::io("write", path))?;
         self.done.count(R::TABLE, count);
         self.done.files.push(name);
         Ok(())
     }
 
-    fn annotations(&mut self, put: Put<'_, AnnotationRow>) -> Result<(), Error> {
+    pub(super) fn annotations(&mut self, put: Put<'_, AnnotationRow>) -> Result<(), Error> {
         self.each_accepted(|exporter, accepted| exporter.annotation(accepted, put))
     }
 
@@ -102,7 +96,7 @@ impl Exporter<'_> {
             extra: task.extra.as_ref().map(ToString::to_string),
             accepted_by: Some(accepted.accepted_by),
         };
-        put_answer(accepted.answer, empty, put)
+        put_answer(&accepted.answer, empty, put)
     }
 
     pub(super) fn labels(&mut self, put: Put<'_, LabelRow>) -> Result<(), Error> {
@@ -152,44 +146,49 @@ impl Exporter<'_> {
         let mut rows = Vec::new();
         let rejects = self.store.rejects(keys)?;
         self.meet(rejects.iter().map(|reject| &reject.task))?;
-        for reject in rejects {
-            let task = reject.task;
-            if !self.wanted(&task.split) || task.gold.is_some() {
-                continue;
+        for Reject {
+            task,
+            user,
+            reason,
+            note,
+        } in rejects
+        {
+            if self.wanted(&task.split) && task.gold.is_none() {
+                let author = self.pseudonym(user.unwrap_or(0));
+                let row = self.reject(&task, reason, author)?;
+                rows.push(RejectRow { note, ..row });
             }
-            let (motion_id, target_id) = self.ids(&task)?;
-            rows.push(RejectRow {
-                task: task.key,
-                kind: task.kind.to_string(),
-                motion_id,
-                target_id,
-                split: task.split,
-                reason: reject.reason,
-                note: reject.note,
-                author: self.pseudonym(reject.user.unwrap_or(0)),
-                accepted_by: None,
-            });
         }
         for accepted in self.accepted(keys)? {
             let verdict = accepted.answer.verdict();
-            let Some(verdict) = verdict.filter(|verdict| *verdict != Verdict::Keep) else {
-                continue;
-            };
-            let (motion_id, target_id) = self.ids(&accepted.task)?;
-            let author = self.author(&accepted);
-            rows.push(RejectRow {
-                task: accepted.task.key,
-                kind: accepted.task.kind.to_string(),
-                motion_id,
-                target_id,
-                split: accepted.task.split,
-                reason: verdict.to_string(),
-                note: String::new(),
-                author,
-                accepted_by: Some(accepted.accepted_by),
-            });
+            if let Some(verdict) = verdict.filter(|_| accepted.answer.is_reject()) {
+                let author = self.author(&accepted);
+                let row = self.reject(&accepted.task, verdict.to_string(), author)?;
+                let accepted_by = Some(accepted.accepted_by);
+                rows.push(RejectRow { accepted_by, ..row });
+            }
         }
         Ok(rows)
+    }
+
+    fn reject(
+        &self,
+        task: &TaskRecord,
+        reason: String,
+        author: String,
+    ) -> Result<RejectRow, Error> {
+        let (motion_id, target_id) = self.ids(task)?;
+        Ok(RejectRow {
+            task: task.key.clone(),
+            kind: task.kind.to_string(),
+            motion_id,
+            target_id,
+            split: task.split.clone(),
+            reason,
+            note: String::new(),
+            author,
+            accepted_by: None,
+        })
     }
 
     fn events(&mut self, put: Put<'_, EventRow>) -> Result<(), Error> {
@@ -216,75 +215,49 @@ impl Exporter<'_> {
 
 /// Writes an answer as one row, or as a row for each of its masks, from the row of its task.
 fn put_answer(
-    answer: Answer,
+    answer: &Answer,
     empty: AnnotationRow,
     put: Put<'_, AnnotationRow>,
 ) -> Result<(), Error> {
-    match answer {
-        Answer::MaskText {
-            masks,
-            count_reason,
-            note,
-        } => {
-            let base = AnnotationRow {
-                count: masks.len() as u32,
-                count_reason: count_reason.map(|reason| reason.to_string()),
-                note,
-                ..empty
-            };
-            if masks.is_empty() {
-                put(base.clone())?;
-            }
-            for (number, mask) in masks.into_iter().enumerate() {
-                let joints = mask.mask();
-                put(AnnotationRow {
-                    number: number as u32,
-                    hard_joints: JointSet::names(joints.hard()),
-                    soft_joints: JointSet::names(joints.soft()),
-                    start: mask.range.map(|[start, _]| start),
-                    end: mask.range.map(|[_, end]| end),
-                    parts: mask.parts,
-                    text: mask.text,
-                    ..base.clone()
-                })?;
-            }
-        }
-        Answer::Pair {
-            verdict,
-            parts,
-            edit_type,
-            text,
-            note,
-            ..
-        } => put(AnnotationRow {
-            verdict: Some(verdict.to_string()),
-            hard_joints: JointSet::names(mask_of(&parts, true, &[]).hard()),
-            soft_joints: JointSet::names(mask_of(&parts, true, &[]).soft()),
-            parts,
-            edit_type: edit_type.map(|kind| kind.to_string()),
-            text,
-            note,
-            ..empty
-        })?,
-        Answer::Style {
-            verdict,
-            parts,
-            style,
-            extent,
-            text,
-            note,
-            ..
-        } => put(AnnotationRow {
-            verdict: Some(verdict.to_string()),
-            hard_joints: JointSet::names(mask_of(&parts, true, &[]).hard()),
-            soft_joints: JointSet::names(mask_of(&parts, true, &[]).soft()),
-            parts,
-            style,
-            extent: extent.map(|extent| extent.to_string()),
-            text,
-            note,
-            ..empty
-        })?,
+    let said = answer.fields();
+    let base = AnnotationRow {
+        count_reason: said.count_reason.map(|reason| reason.to_string()),
+        note: said.note.to_owned(),
+        ..empty
+    };
+    if answer.kind() != TaskKind::MaskText {
+        let joints = mask_of(said.parts, true, &[]);
+        return put(AnnotationRow {
+            verdict: said.verdict.map(|verdict| verdict.to_string()),
+            parts: said.parts.to_vec(),
+            hard_joints: joints.hard().names(),
+            soft_joints: joints.soft().names(),
+            text: said.text.to_owned(),
+            edit_type: said.edit_type.map(|kind| kind.to_string()),
+            style: said.style.map(str::to_owned),
+            extent: said.extent.map(|extent| extent.to_string()),
+            ..base
+        });
+    }
+    let base = AnnotationRow {
+        count: said.masks.len() as u32,
+        ..base
+    };
+    if said.masks.is_empty() {
+        put(base.clone())?;
+    }
+    for (number, mask) in said.masks.iter().enumerate() {
+        let joints = mask.mask();
+        put(AnnotationRow {
+            number: number as u32,
+            parts: mask.parts.clone(),
+            hard_joints: joints.hard().names(),
+            soft_joints: joints.soft().names(),
+            start: mask.range.map(|[start, _]| start),
+            end: mask.range.map(|[_, end]| end),
+            text: mask.text.clone(),
+            ..base.clone()
+        })?;
     }
     Ok(())
 }
@@ -314,39 +287,19 @@ impl Exporter<'_> {
     }
 }
 
-fn agreement_rows(figures: &Figures) -> Vec<AgreementRow> {
-    let mut rows = Vec::new();
-    let mut put = |item: &str, figure: &str, estimate: Option<Estimate>, items: usize| {
-        rows.push(AgreementRow {
-            item: item.to_owned(),
-            figure: figure.to_owned(),
-            value: estimate.map(|found| found.value),
-            low: estimate.map(|found| found.low),
-            high: estimate.map(|found| found.high),
-            items: items as u64,
-        });
+fn agreement_rows(agreement: &Agreement) -> Vec<AgreementRow> {
+    let row = |item: &str, figure: &str, found: Option<Estimate>, items: usize| AgreementRow {
+        item: item.to_owned(),
+        figure: figure.to_owned(),
+        value: found.map(|found| found.value),
+        low: found.map(|found| found.low),
+        high: found.map(|found| found.high),
+        items: items as u64,
     };
-    let agreement = &figures.agreement;
-    for part in agreement.parts.iter().chain(&agreement.verdicts) {
-        for (figure, estimate) in [
-            ("raw", part.raw),
-            ("krippendorff_alpha", part.krippendorff_alpha),
-            ("gwet_ac1", part.gwet_ac1),
-        ] {
-            put(&part.part, figure, estimate, part.items);
-        }
-    }
-    put(
-        "masks",
-        "jaccard",
-        agreement.jaccard,
-        agreement.shared_items,
-    );
-    put(
-        "masks",
-        "alpha_masi",
-        agreement.alpha_masi,
-        agreement.shared_items,
-    );
-    rows
+    let parts = agreement.parts.iter().chain(&agreement.verdicts);
+    let (jaccard, items) = (agreement.jaccard, agreement.shared_items);
+    parts
+        .map(|part| row(&part.part, "gwet_ac1", part.gwet_ac1, part.items))
+        .chain([row("masks", "jaccard", jaccard, items)])
+        .collect()
 }

@@ -276,7 +276,6 @@ function agreementFacts(agreement: Agreement): TemplateResult {
   const facts: readonly (readonly [string, string])[] = [
     ["Shared items", String(agreement.shared_items)],
     ["Joint sets, mean Jaccard", estimate(agreement.jaccard)],
-    ["Masks, α with MASI", estimate(agreement.alpha_masi)],
     ["Accepted unchanged", estimate(agreement.accepted_share)],
     ["Distance from the draft", percent(agreement.draft_distance)],
     ["Seconds with and without draft", `${seconds(withDraft)} / ${seconds(without)}`],
@@ -295,14 +294,8 @@ function agreementFacts(agreement: Agreement): TemplateResult {
 function agreementTable(rows: readonly PartAgreement[]): TemplateResult {
   return figureTable(
     "Agreement, with 95 % intervals; n/a below 30 shared items",
-    ["Decision", "Items", "Raw", "Krippendorff α", "Gwet AC1"],
-    rows.map((row) => [
-      row.part.replaceAll("_", " ").toLowerCase(),
-      row.items,
-      estimate(row.raw),
-      estimate(row.krippendorff_alpha),
-      estimate(row.gwet_ac1),
-    ]),
+    ["Decision", "Items", "Gwet AC1"],
+    rows.map((row) => [row.part.replaceAll("_", " ").toLowerCase(), row.items, estimate(row.gwet_ac1)]),
   );
 }
 
