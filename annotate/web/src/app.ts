@@ -610,7 +610,7 @@ function firstFocusable(region: HTMLElement): HTMLElement | null {
 }
 
 function focusOf(target: EventTarget | null): Focus {
-  if (target instanceof HTMLElement && target.dataset.cardText !== undefined) return "card";
+  if (target instanceof HTMLElement && target.matches(".mask-card textarea")) return "card";
   if (isTextField(target) || target instanceof HTMLSelectElement) return "text";
   if (target instanceof HTMLInputElement && (target.type === "range" || target.type === "radio")) return "text";
   if (target instanceof HTMLElement && target.closest("button, a, summary, input")) return "button";

@@ -6,7 +6,7 @@
 export type Child = Node | string | number | null | undefined | false;
 
 export interface Props {
-  class?: string;
+  class?: string | undefined;
   id?: string;
   /** Attributes by name; `true` sets an empty attribute, `false` and `null` omit it. */
   attrs?: Record<string, string | number | boolean | null | undefined>;
@@ -23,6 +23,8 @@ export function h<K extends keyof HTMLElementTagNameMap>(
   ...children: Child[]
 ): HTMLElementTagNameMap[K] {
   const element = document.createElement(tag);
+  // Without it a button would send the form around it.
+  if (tag === "button") element.setAttribute("type", "button");
   if (props.class) element.className = props.class;
   if (props.id) element.id = props.id;
   for (const [name, value] of Object.entries(props.attrs ?? {})) {
@@ -62,13 +64,6 @@ export function setAttr(
   } else {
     element.setAttribute(name, value === true ? "" : String(value));
   }
-}
-
-/** A link to a route of the page. */
-export function routeLink(route: string, text: string, props: Props = {}): HTMLAnchorElement {
-  const link = h("a", props, text);
-  link.href = `#/${route}`;
-  return link;
 }
 
 /** Whether the element takes text input. */

@@ -139,9 +139,13 @@ export function saveHistory<T>(chain: string, data: HistoryData<T>): void {
 
 export function loadHistory<T>(chain: string): HistoryData<T> | null {
   prune(KEPT_MS, chain);
+  return kept<Saved<T>>(keyOf(chain))?.data ?? null;
+}
+
+/** What an earlier page kept under a key of `localStorage`; `null` if nothing, or nothing that can be read. */
+export function kept<T>(key: string): T | null {
   try {
-    const text = localStorage.getItem(keyOf(chain));
-    return text === null ? null : (JSON.parse(text) as Saved<T>).data;
+    return JSON.parse(localStorage.getItem(key) ?? "null") as T | null;
   } catch {
     return null;
   }
@@ -155,12 +159,8 @@ export function forgetHistory(chain: string): void {
 function prune(olderMs: number, except: string): void {
   for (const key of Object.keys(localStorage)) {
     if (!key.startsWith("annotate:") || !key.includes(MARK) || key === keyOf(except)) continue;
-    try {
-      const saved = JSON.parse(localStorage.getItem(key) ?? "") as Saved<unknown>;
-      if (Date.now() - saved.at < olderMs) continue;
-    } catch {
-      // Remove unreadable entries.
-    }
-    localStorage.removeItem(key);
+    const saved = kept<Saved<unknown>>(key);
+    // Unreadable ones go, too.
+    if (saved === null || Date.now() - saved.at >= olderMs) localStorage.removeItem(key);
   }
 }

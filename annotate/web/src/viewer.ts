@@ -3,9 +3,11 @@
  * viewer is independent of the kind of task.
  */
 
+import { html } from "lit";
 import { clipFrame, Clock, type ClockState } from "./clock";
+import { element } from "./components/component";
 import { h } from "./dom";
-import type { ActionId, KeyMap } from "./keys";
+import { perform, type ActionId, type Deeds, type KeyMap } from "./keys";
 import { PLAIN, aligned, type Paint, type Track } from "./stage/body";
 import { Stage, type MakeRenderer } from "./stage/stage";
 import type { Strip } from "./strips";
@@ -26,7 +28,7 @@ export class Viewer {
   private readonly stages: Stage[] = [];
   private readonly stageRow = h("div", { class: "stages" });
   private readonly stripColumn = h("div", { class: "strips" });
-  private strips: Strip[] = [];
+  private readonly strips: Strip[] = [];
   private clips: Clip[] = [];
   private layout: Layout = "single";
   private swapped = false;
@@ -40,25 +42,23 @@ export class Viewer {
   private readonly speed: HTMLElement;
   private readonly loopText: HTMLElement;
   private readonly followButton: HTMLButtonElement;
-  private readonly saveFollow: (follow: boolean) => void;
 
   constructor(
     private readonly makeRenderer: MakeRenderer,
     keys: KeyMap,
     prefs: Prefs,
-    save: (change: Partial<Prefs>) => void,
+    private readonly save: (change: Partial<Prefs>) => void,
   ) {
     const button = (action: ActionId, label: string, className = ""): HTMLButtonElement =>
-      h(
-        "button",
-        {
-          class: className,
-          attrs: { type: "button", title: `${label} (${keys.hint(action)})`, "aria-keyshortcuts": keys.chord(action) },
-          on: { click: () => this.perform(action, false) },
-        },
-        h("kbd", {}, keys.hint(action)),
-        h("span", { class: "button-label" }, label),
-      );
+      element(html`<button
+        type="button"
+        class=${className}
+        title=${`${label} (${keys.hint(action)})`}
+        aria-keyshortcuts=${keys.chord(action)}
+        @click=${() => this.perform(action, false)}
+      >
+        <kbd>${keys.hint(action)}</kbd><span class="button-label">${label}</span>
+      </button>`);
     this.playButton = button("play_pause", "Play", "play");
     this.range = h("input", {
       class: "scrub",
@@ -90,10 +90,9 @@ export class Viewer {
       button("camera_top", "Top"),
       this.followButton,
     );
-    this.element = h("div", { class: "viewer" }, h("div", { class: "stage-area" }, this.stageRow, cameras), this.transport, this.stripColumn);
+    this.element = h("div", { class: "viewer", data: { region: "stage" } }, h("div", { class: "stage-area" }, this.stageRow, cameras), this.transport, this.stripColumn);
     this.addStage("Motion");
     this.setFollow(prefs.follow_root ?? true);
-    this.saveFollow = (follow_root) => save({ follow_root });
     this.clock.setSpeed(prefs.speed ?? 1);
     let speed = this.clock.now.speed;
     this.clock.subscribe((state) => {
@@ -113,13 +112,6 @@ export class Viewer {
   addStrip(strip: Strip): void {
     this.strips.push(strip);
     this.stripColumn.append(strip.element);
-  }
-
-  setStrips(strips: readonly Strip[]): void {
-    for (const strip of this.strips) strip.dispose();
-    this.strips = [];
-    this.stripColumn.replaceChildren();
-    for (const strip of strips) this.addStrip(strip);
     this.update(this.clock.now);
   }
 
@@ -198,52 +190,28 @@ export class Viewer {
 
   /** Performs a playback action; false for other actions. */
   perform(action: ActionId, ten: boolean): boolean {
-    const { clock } = this;
-    switch (action) {
-      case "play_pause":
-        clock.toggle();
-        return true;
-      case "step_back":
-        clock.step(ten ? -10 : -1);
-        return true;
-      case "step_forward":
-        clock.step(ten ? 10 : 1);
-        return true;
-      case "go_start":
-        clock.seek(clock.now.loopIn);
-        return true;
-      case "go_end":
-        clock.seek(clock.now.loopOut);
-        return true;
-      case "loop_in":
-        clock.setLoopIn();
-        return true;
-      case "loop_out":
-        clock.setLoopOut();
-        return true;
-      case "loop_clear":
-        clock.clearLoop();
-        return true;
-      case "slower":
-        clock.changeSpeed(-1);
-        return true;
-      case "faster":
-        clock.changeSpeed(1);
-        return true;
-      case "camera_front":
-      case "camera_side":
-      case "camera_top": {
-        const preset = action === "camera_front" ? "front" : action === "camera_side" ? "side" : "top";
-        this.stages[0]?.useCamera(preset);
-        return true;
-      }
-      case "camera_follow":
-        this.setFollow(!(this.stages[0]?.followRoot ?? false));
-        this.saveFollow(this.stages[0]?.followRoot ?? true);
-        return true;
-      default:
-        return false;
-    }
+    const { clock, stages } = this;
+    const deeds: Deeds = {
+      play_pause: () => clock.toggle(),
+      step_back: () => clock.step(ten ? -10 : -1),
+      step_forward: () => clock.step(ten ? 10 : 1),
+      go_start: () => clock.seek(clock.now.loopIn),
+      go_end: () => clock.seek(clock.now.loopOut),
+      loop_in: () => clock.setLoopIn(),
+      loop_out: () => clock.setLoopOut(),
+      loop_clear: () => clock.clearLoop(),
+      slower: () => clock.changeSpeed(-1),
+      faster: () => clock.changeSpeed(1),
+      camera_front: () => stages[0]?.useCamera("front"),
+      camera_side: () => stages[0]?.useCamera("side"),
+      camera_top: () => stages[0]?.useCamera("top"),
+      camera_follow: () => {
+        const follow_root = !(stages[0]?.followRoot ?? false);
+        this.setFollow(follow_root);
+        this.save({ follow_root });
+      },
+    };
+    return perform(deeds, action);
   }
 
   /** One animation frame: advances the clock, then draws what changed. */

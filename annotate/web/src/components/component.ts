@@ -1,8 +1,8 @@
 /** The base of components, and the pieces that several of them show. */
 
-import { LitElement, html, nothing, type TemplateResult } from "lit";
+import { LitElement, html, nothing, render, type TemplateResult } from "lit";
 import type { Lint } from "../lints";
-import type { Style, Suggestion } from "../wire";
+import type { Style } from "../wire";
 import { paragraphs } from "../words";
 
 /**
@@ -38,6 +38,13 @@ export abstract class Component extends LitElement {
 /** Registers a component under the name of its element. */
 export function define(name: string, component: CustomElementConstructor): void {
   if (!customElements.get(name)) customElements.define(name, component);
+}
+
+/** The element of a template that is not drawn again. */
+export function element<E extends HTMLElement>(template: TemplateResult): E {
+  const drawn = document.createDocumentFragment();
+  render(template, drawn);
+  return drawn.firstElementChild as E;
 }
 
 export function keyHint(hint: string): TemplateResult | typeof nothing {
@@ -134,28 +141,5 @@ export function switcher<T extends string | number>(
       ([value, words]) =>
         html`<button type="button" aria-pressed=${value === chosen ? "true" : "false"} @click=${() => choose(value)}>${words}</button>`,
     )}
-  </div>`;
-}
-
-/** A draft that may be used or discarded, or the button that asks for one. */
-export function draftBox(
-  draft: Suggestion | null,
-  hint: string,
-  use: () => void,
-  discard: (draft: Suggestion) => void,
-  ask: { label: string; busy: boolean } | null,
-): TemplateResult | typeof nothing {
-  if (draft) {
-    return html`<div class="draft">
-      <p class="note">Draft by ${draft.model || "the source"}; a proposal, to be checked word by word</p>
-      <blockquote>${draft.text}</blockquote>
-      <div class="row">${action("Use and edit", hint, use)}${action("Discard", "", () => discard(draft))}</div>
-    </div>`;
-  }
-  if (!ask) return nothing;
-  return html`<div class="draft">
-    <button type="button" ?disabled=${ask.busy} @click=${use}>
-      ${keyHint(hint)}<span class="button-label">${ask.busy ? "Asking for a draft…" : `Ask ${ask.label} for a draft`}</span>
-    </button>
   </div>`;
 }

@@ -1,10 +1,11 @@
 /** The answers to one task side by side, and what a reviewer decides about them. */
 
 import { html, nothing, type TemplateResult } from "lit";
-import { ApiError, newReview, randomName, reason } from "../api";
+import { ApiError, newReview, randomName } from "../api";
 import type { App } from "../app";
 import { h } from "../dom";
-import type { ActionId, Scope } from "../keys";
+import { kept } from "../history";
+import { perform, type ActionId, type Deeds, type Scope } from "../keys";
 import { describe, differing } from "../merge";
 import { ask, field } from "../ui";
 import {
@@ -16,6 +17,7 @@ import {
   type NewReview,
   type ReviewDone,
   type ReviewView,
+  type Verdict,
 } from "../wire";
 import { KIND_WORDS, apartWords, factsOf } from "../words";
 import { WorkClock } from "../work";
@@ -79,37 +81,21 @@ export class ReviewPanel extends Component {
 
   perform(id: ActionId): boolean {
     if (this.merging) {
-      if (id === "submit") {
-        void this.commitMerge();
-        return true;
-      }
-      if (id === "stage" && document.activeElement?.tagName !== "TEXTAREA") {
-        this.endMerge();
-        return true;
-      }
-      return this.merging.perform(id);
+      const deeds: Deeds = {
+        submit: () => this.commitMerge(),
+        stage: () => document.activeElement?.tagName !== "TEXTAREA" && this.endMerge(),
+      };
+      return perform(deeds, id) || this.merging.perform(id);
     }
     const at = CHOOSE.indexOf(id);
-    if (at >= 0) {
-      if (at < this.review.candidates.length) this.select(at);
-      return true;
-    }
-    switch (id) {
-      case "review_accept":
-        this.accept();
-        return true;
-      case "review_return":
-        void this.withComment("return");
-        return true;
-      case "review_merge":
-        this.merge();
-        return true;
-      case "review_drop":
-        void this.withComment("drop");
-        return true;
-      default:
-        return false;
-    }
+    if (at >= 0 && at < this.review.candidates.length) this.select(at);
+    const deeds: Deeds = {
+      review_accept: () => this.accept(),
+      review_return: () => this.withComment("return"),
+      review_merge: () => this.merge(),
+      review_drop: () => this.withComment("drop"),
+    };
+    return at >= 0 || perform(deeds, id);
   }
 
   override connectedCallback(): void {
@@ -165,7 +151,7 @@ export class ReviewPanel extends Component {
       });
     } catch (error) {
       // The user can retry with the same key: the text is still on the page.
-      this.app.toasts.show(`Not decided: ${reason(error)}`, { id: "decided", kind: "error", ms: 15_000 });
+      this.app.toasts.fail(error, "Not decided: ", { id: "decided", ms: 15_000 });
     } finally {
       this.busy = false;
     }
@@ -177,7 +163,7 @@ export class ReviewPanel extends Component {
       await this.app.api.post<ReviewDone>("reviews", back);
       this.next();
     } catch (error) {
-      this.app.toasts.show(`Not reopened: ${reason(error)}`, { kind: "error" });
+      this.app.toasts.fail(error, "Not reopened: ");
     }
   }
 
@@ -215,7 +201,8 @@ export class ReviewPanel extends Component {
   private merge(): void {
     const chosen = this.candidate?.revision.answer;
     if (!chosen) return;
-    const start = unfinished(this.kept, chosen);
+    const saved = kept<Answer>(this.kept);
+    const start = saved?.kind === chosen.kind ? saved : chosen;
     const host = {
       change: (answer: Answer) => localStorage.setItem(this.kept, JSON.stringify(answer)),
       seal: () => {},
@@ -223,19 +210,15 @@ export class ReviewPanel extends Component {
       askDraft: null,
     };
     if (start.kind === "mask_text") {
-      if (this.stage.mask) this.merging = new MaskEditor(this.app, this.stage.mask, [], host, start);
+      if (this.stage.mask) this.merging = new MaskEditor(this.app, host, [], start, this.stage.mask);
     } else {
-      const editor: PairEditor = new PairEditor(
-        this.app,
-        {
-          ...host,
-          sourceStyle: this.review.task.style,
-          reject: (verdict) => void this.decide("merge", { answer: { ...editor.current, verdict } }),
-          repaint: (parts) => this.stage.paintParts(parts),
-        },
-        [],
-        start,
-      );
+      const pairHost = {
+        ...host,
+        sourceStyle: this.review.task.style,
+        reject: (verdict: Verdict) => void this.decide("merge", { answer: { ...editor.current, verdict } }),
+        repaint: (parts: readonly string[]) => this.stage.paintParts(parts),
+      };
+      const editor = new PairEditor(this.app, pairHost, [], start);
       this.merging = editor;
     }
     this.requestUpdate();
@@ -323,16 +306,6 @@ export class ReviewPanel extends Component {
       ${action("Merge", keys.hint("review_merge"), () => this.merge())}
       ${action("Drop", keys.hint("review_drop"), () => void this.withComment("drop"))}
     </div>`;
-  }
-}
-
-/** The unfinished merge of an earlier page load, or else the chosen answer. */
-function unfinished(key: string, chosen: Answer): Answer {
-  try {
-    const saved = JSON.parse(localStorage.getItem(key) ?? "null") as Answer | null;
-    return saved !== null && saved.kind === chosen.kind ? saved : chosen;
-  } catch {
-    return chosen;
   }
 }
 
