@@ -44,6 +44,11 @@ export class Api {
     return littleEndian(bytes);
   }
 
+  /** One attempt without the login dialog, with an answer in JSON. */
+  async attempt<T>(method: string, path: string, body?: unknown): Promise<T> {
+    return (await (await this.once(method, path, body)).json()) as T;
+  }
+
   /** One attempt without the login dialog, for the outbox and the login itself. */
   async once(method: string, path: string, body?: unknown): Promise<Response> {
     const headers: Record<string, string> = {};

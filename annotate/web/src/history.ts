@@ -3,7 +3,7 @@
  * safer than inverse operations.
  */
 
-/** Maximum number of undo steps. */
+/** Most undo steps. */
 export const HISTORY_LIMIT = 100;
 
 export interface HistoryData<T> {
@@ -31,14 +31,6 @@ export class History<T> {
 
   get present(): T {
     return this.current;
-  }
-
-  get canUndo(): boolean {
-    return this.past.length > 0;
-  }
-
-  get canRedo(): boolean {
-    return this.future.length > 0;
   }
 
   get data(): HistoryData<T> {

@@ -1,8 +1,8 @@
 /** The key sheet, where every key can be changed. */
 
-import { fill, h } from "./dom";
+import { fill, h, setAttr } from "./dom";
 import { DEFAULT_ACTIONS, chordOf, type ActionId, type KeyMap, type KeyOverrides, type Scope } from "./keys";
-import { ask } from "./ui";
+import { ask, plainButton } from "./ui";
 
 const HEADINGS: Readonly<Record<Scope, string>> = {
   global: "Everywhere",
@@ -31,22 +31,13 @@ export async function showKeySheet(keys: KeyMap, store: (keys: Record<string, st
   };
   const draw = (): void => {
     const sections = Object.entries(HEADINGS).map(([scope, heading]) => {
-      const rows = DEFAULT_ACTIONS.filter((action) => action.scope === scope).map((action) =>
-        h(
-          "div",
-          { class: "key-row" },
-          h("span", {}, action.label),
-          h("span", { class: "key-chords" }, ...keys.hints(action.id).map((hint) => h("kbd", {}, hint))),
-          h(
-            "button",
-            {
-              attrs: { type: "button", "aria-label": `Change the key of ${action.label}`, "data-action": action.id },
-              on: { click: () => capture(action.id) },
-            },
-            waiting === action.id ? "press a key…" : "change",
-          ),
-        ),
-      );
+      const rows = DEFAULT_ACTIONS.filter((action) => action.scope === scope).map(({ id, label }) => {
+        const chords = h("span", { class: "key-chords" }, ...keys.hints(id).map((hint) => h("kbd", {}, hint)));
+        const change = plainButton(waiting === id ? "press a key…" : "change", () => capture(id));
+        setAttr(change, "aria-label", `Change the key of ${label}`);
+        setAttr(change, "data-action", id);
+        return h("div", { class: "key-row" }, h("span", {}, label), chords, change);
+      });
       return h("section", {}, h("h3", {}, heading), ...rows);
     });
     fill(list, ...sections);

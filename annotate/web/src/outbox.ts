@@ -38,11 +38,7 @@ export interface Journal {
   remove(key: string): void;
 }
 
-interface Chain {
-  rev: number;
-}
-
-export type Phase = "idle" | "sending" | "offline";
+type Phase = "idle" | "sending" | "offline";
 
 /** Notifications about single events. */
 export interface Outcome {
@@ -165,12 +161,12 @@ export class Outbox {
 
   /** Sets the revision that the next event of a chain is based on. */
   async setRev(chain: string, rev: number): Promise<void> {
-    await this.store.put("chains", chain, { rev } satisfies Chain);
+    await this.store.put("chains", chain, { rev });
   }
 
   /** The revision a chain has seen. */
   async revOf(chain: string): Promise<number> {
-    return (await this.store.get<Chain>("chains", chain))?.rev ?? 0;
+    return (await this.store.get<{ rev: number }>("chains", chain))?.rev ?? 0;
   }
 
   /** Removes stuck events of a chain whose content was merged. */
@@ -317,16 +313,7 @@ export class Outbox {
   }
 }
 
-/** The conflicting revision, written by somebody else or in another tab. */
-export interface Conflict {
-  item: OutboxItem;
-  mine: Answer;
-  theirs: Revision;
-}
-
-export function conflictOf(outcome: Outcome): Conflict | null {
-  const { problem } = outcome.result;
-  const mine = outcome.item.event.answer;
-  if (problem?.code !== "stale_revision" || !problem.theirs || !mine) return null;
-  return { item: outcome.item, mine, theirs: problem.theirs };
+/** The revision that an answer conflicts with, written by somebody else or in another tab. */
+export function theirsOf({ item, result }: Outcome): Revision | null {
+  return result.problem?.code === "stale_revision" && item.event.answer ? (result.problem.theirs ?? null) : null;
 }

@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { ApiError, Unreachable, newEvent } from "../src/api";
 import { MemoryStore } from "../src/db";
 import { LocalJournal } from "../src/journal";
-import { Outbox, conflictOf, type Journal, type Outcome, type OutboxStatus } from "../src/outbox";
+import { Outbox, theirsOf, type Journal, type Outcome, type OutboxStatus } from "../src/outbox";
 import type { Answer, Code, EventResult, NewEvent, Problem } from "../src/wire";
 
 const answer = (text: string): Answer => ({
@@ -263,9 +263,9 @@ test("two editors of one task meet in a conflict that shows both texts", async (
   await box.flush();
   await box.add(7, "tab-two", event("draft", "second"));
   await box.flush();
-  const conflict = conflictOf(outcomes.at(-1) as Outcome);
-  assert.deepEqual(conflict?.mine, answer("second"));
-  assert.deepEqual(conflict?.theirs.answer, answer("theirs"));
+  const last = outcomes.at(-1) as Outcome;
+  assert.deepEqual(last.item.event.answer, answer("second"));
+  assert.deepEqual(theirsOf(last)?.answer, answer("theirs"));
   assert.equal(box.status.stuck, 1, "the text stays in the box");
   // The person decided; the chain goes on from the revision it has seen now.
   await box.discard("tab-two");

@@ -23,6 +23,14 @@ export abstract class Component extends LitElement {
     if (field && caret && field.isConnected && field.selectionStart !== caret[0]) field.setSelectionRange(...caret);
   }
 
+  /** What the element is on the page: its class, role, name and region. */
+  protected be(className: string, role: string, name: string, region: string): void {
+    this.className = className;
+    this.setAttribute("role", role);
+    this.setAttribute("aria-label", name);
+    this.dataset.region = region;
+  }
+
   /** Calls `action` once the present state is drawn. */
   protected drawn(action: () => void): void {
     this.requestUpdate();

@@ -30,6 +30,7 @@ export class ConflictBox extends Component {
     private readonly choose: (version: Version) => void,
   ) {
     super();
+    this.be("conflict", "alertdialog", "This task was changed in another window", "conflict");
   }
 
   /** Shows a newer version of the other window. */
@@ -44,10 +45,6 @@ export class ConflictBox extends Component {
 
   override connectedCallback(): void {
     super.connectedCallback();
-    this.classList.add("conflict");
-    this.setAttribute("role", "alertdialog");
-    this.setAttribute("aria-label", "This task was changed in another window");
-    this.dataset.region = "conflict";
     this.addEventListener("keydown", this.pressed);
     this.addEventListener("focusin", this.entered);
     this.timer = window.setTimeout(() => {

@@ -1,7 +1,6 @@
 /** Decisions of reviewers, newest first, with what became of each. */
 
 import { html, nothing, type TemplateResult } from "lit";
-import { reason } from "../api";
 import type { App } from "../app";
 import { when } from "../ui";
 import type { DecisionRow, Decisions } from "../wire";
@@ -46,22 +45,18 @@ export class DecisionList extends Component {
     this.requestUpdate();
   }
 
-  private reload(more = false): void {
-    this.load(more).catch((error: unknown) => this.app.toasts.show(`The decisions were not loaded: ${reason(error)}`, { id: "decisions", kind: "error" }));
+  private reload({ whose = this.whose, kind = this.kind, more = false }: { whose?: Whose; kind?: string; more?: boolean }): void {
+    this.whose = whose;
+    this.kind = kind;
+    this.load(more).catch((error: unknown) => this.app.toasts.fail(error, "The decisions were not loaded: ", { id: "decisions" }));
   }
 
   protected override render(): TemplateResult {
     const mine = this.whose === "mine";
     return html`
       <div class="row spread">
-        ${switcher("Whose decisions", WHOSE, this.whose, (whose) => {
-          this.whose = whose;
-          this.reload();
-        })}
-        ${switcher("Kind of decision", KINDS, this.kind, (kind) => {
-          this.kind = kind;
-          this.reload();
-        })}
+        ${switcher("Whose decisions", WHOSE, this.whose, (whose) => this.reload({ whose }))}
+        ${switcher("Kind of decision", KINDS, this.kind, (kind) => this.reload({ kind }))}
       </div>
       <section class="card">
         ${figureTable(
@@ -70,7 +65,7 @@ export class DecisionList extends Component {
           this.items.map((row) => this.cells(row, mine)),
           mine ? "You have decided nothing of this kind yet." : "Nothing of this kind was decided yet.",
         )}
-        ${this.next === null ? nothing : html`<div class="row">${action("Older", "", () => this.reload(true))}</div>`}
+        ${this.next === null ? nothing : html`<div class="row">${action("Older", "", () => this.reload({ more: true }))}</div>`}
       </section>
     `;
   }

@@ -1,7 +1,6 @@
 /** The figures of the dashboard. They are drawn again after changes, so that focus and opened tables stay. */
 
 import { html, nothing, type TemplateResult } from "lit";
-import { reason } from "../api";
 import type { App } from "../app";
 import { PERIODS, dateOf, hours, outlookWords, periodStart, shortDate, summarise, workedWeeks, type Period, type PersonWork } from "../figures";
 import { estimate, percent, seconds, until, when } from "../ui";
@@ -84,7 +83,7 @@ export class FiguresBoard extends Component {
 
   /** Reloads, and says so if it fails. */
   private reload(): void {
-    this.load().catch((error: unknown) => this.app.toasts.show(`The figures were not loaded: ${reason(error)}`, { id: "figures", kind: "error" }));
+    this.load().catch((error: unknown) => this.app.toasts.fail(error, "The figures were not loaded: ", { id: "figures" }));
   }
 
   private get zone(): string {
@@ -200,7 +199,7 @@ export class FiguresBoard extends Component {
       await this.app.api.json<void>("DELETE", `leases/${held.lease.id}`);
       await this.load();
     } catch (error) {
-      this.app.toasts.show(`Not released: ${reason(error)}`, { kind: "error" });
+      this.app.toasts.fail(error, "Not released: ");
     }
   }
 }
@@ -282,13 +281,7 @@ function agreementFacts(agreement: Agreement): TemplateResult {
     ["Seconds with and without draft", `${seconds(withDraft)} / ${seconds(without)}`],
   ];
   return html`<dl class="figures">
-    ${facts.map(
-      ([name, value]) =>
-        html`<div>
-          <dt>${name}</dt>
-          <dd>${value}</dd>
-        </div>`,
-    )}
+    ${facts.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}
   </dl>`;
 }
 

@@ -69,9 +69,7 @@ export class NewcomersForm extends Component {
             min="1"
             max="365"
             .value=${String(this.days)}
-            @change=${(event: Event) => {
-              this.days = Number((event.target as HTMLInputElement).value);
-            }}
+            @change=${(event: Event) => (this.days = Number((event.target as HTMLInputElement).value))}
           />
           days
         </label>

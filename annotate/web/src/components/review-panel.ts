@@ -64,6 +64,7 @@ export class ReviewPanel extends Component {
     private readonly next: () => void,
   ) {
     super();
+    this.be("panel", "complementary", "Answers", "panel");
     this.lease = review.lease;
     this.glow = differing(review.candidates);
     this.kept = app.keep(`merge:${review.task.id}`);
@@ -100,10 +101,6 @@ export class ReviewPanel extends Component {
 
   override connectedCallback(): void {
     super.connectedCallback();
-    this.classList.add("panel");
-    this.setAttribute("role", "complementary");
-    this.setAttribute("aria-label", "Answers");
-    this.dataset.region = "panel";
     this.heartbeat ??= window.setInterval(() => void this.renew(), this.app.me.limits.heartbeat_secs * 1000);
   }
 
@@ -124,8 +121,7 @@ export class ReviewPanel extends Component {
 
   private async renew(): Promise<void> {
     try {
-      const response = await this.app.api.once("POST", `leases/${this.lease.id}/renew`);
-      this.lease = (await response.json()) as Lease;
+      this.lease = await this.app.api.attempt<Lease>("POST", `leases/${this.lease.id}/renew`);
     } catch (error) {
       if (error instanceof ApiError && error.code === "lease_lost") {
         this.app.toasts.show("Another reviewer may have this task now; deciding it may be refused.", { id: "lease", kind: "error" });

@@ -28,6 +28,7 @@ export class TaskList extends Component {
     private readonly changed: (list: PagedRows<TaskRow>) => void,
   ) {
     super();
+    this.be("", "grid", "Tasks", "list");
     this.addEventListener("scroll", () => this.requestUpdate());
     this.addEventListener("keydown", (event) => this.key(event));
     new ResizeObserver(() => this.requestUpdate()).observe(this);
@@ -35,10 +36,7 @@ export class TaskList extends Component {
 
   override connectedCallback(): void {
     super.connectedCallback();
-    this.setAttribute("role", "grid");
-    this.setAttribute("aria-label", "Tasks");
     this.tabIndex = 0;
-    this.dataset.region = "list";
     this.style.setProperty("--row", `${ROW}px`);
     this.style.setProperty("--head", `${HEAD}px`);
   }

@@ -1,14 +1,13 @@
 /** The record of a task: state, answers side by side, decisions, skips and history, and what may be done with it. */
 
 import { html, nothing, type TemplateResult } from "lit";
-import { reason } from "../api";
 import type { App } from "../app";
 import { differing } from "../merge";
 import { jointList } from "../stage/body";
 import { storyOf } from "../story";
 import { until, when } from "../ui";
 import type { AuditEntry, Candidate, DecisionRow, TaskFile } from "../wire";
-import { ANSWER_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, apartWords, factsOf } from "../words";
+import { ANSWER_WORDS, DECISION_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, apartWords, factsOf } from "../words";
 import { answerCards } from "./answer-cards";
 import { Component, define, pageLink } from "./component";
 import type { ReviewStage } from "./review-panel";
@@ -22,14 +21,6 @@ export interface RecordActions {
   gold(): Promise<void>;
   practice(): Promise<void>;
 }
-
-const DECISIONS: Readonly<Record<string, string>> = {
-  accepted: "accepted",
-  merged: "merged and accepted",
-  returned: "sent back",
-  dropped: "dropped",
-  reopened: "took the decision back",
-};
 
 export class TaskRecord extends Component {
   private selected = 0;
@@ -45,6 +36,7 @@ export class TaskRecord extends Component {
     private readonly actions: RecordActions,
   ) {
     super();
+    this.be("panel", "complementary", "Record of the task", "panel");
     this.selected = Math.max(0, this.candidates.findIndex(({ revision }) => revision.state === "accepted"));
   }
 
@@ -53,14 +45,6 @@ export class TaskRecord extends Component {
     this.history = history;
     this.selected = Math.min(this.selected, Math.max(0, this.candidates.length - 1));
     this.requestUpdate();
-  }
-
-  override connectedCallback(): void {
-    super.connectedCallback();
-    this.classList.add("panel");
-    this.setAttribute("role", "complementary");
-    this.setAttribute("aria-label", "Record of the task");
-    this.dataset.region = "panel";
   }
 
   /** The answers, and the accepted one if it is none of them: a reviewer merged it, or it was imported. */
@@ -80,7 +64,7 @@ export class TaskRecord extends Component {
     this.busy = true;
     this.requestUpdate();
     action()
-      .catch((error: unknown) => this.app.toasts.show(reason(error), { id: "record", kind: "error", ms: 15_000 }))
+      .catch((error: unknown) => this.app.toasts.fail(error, "", { id: "record", ms: 15_000 }))
       .finally(() => {
         this.busy = false;
         this.requestUpdate();
@@ -92,7 +76,6 @@ export class TaskRecord extends Component {
     if (candidates.length > 0) this.stage.paint(candidates[this.selected], differing(candidates));
   }
 
-  /** A link inside of the page. */
   protected override render(): TemplateResult {
     const { task, row, decisions, suggestions } = this.file;
     const { candidates } = this;
@@ -173,32 +156,28 @@ export class TaskRecord extends Component {
       ${holders.map(
         (holder) => html`<li>
           <span><strong>${holder.name}</strong> ${PURPOSE_WORDS[holder.purpose] ?? holder.purpose}, ends ${until(holder.until)}</span>
-          <button
-            type="button"
-            aria-label=${`Release the task of ${holder.name}`}
-            ?disabled=${this.busy}
-            @click=${() => this.run(() => this.actions.release(holder.lease))}
-          >
-            Release
-          </button>
+          ${this.button("Release", () => this.actions.release(holder.lease), "", `Release the task of ${holder.name}`)}
         </li>`,
       )}
     </ul>`;
   }
 
+  private button(label: string, action: () => Promise<void>, className = "", name = label): TemplateResult {
+    const run = (): void => this.run(action);
+    return html`<button type="button" class=${className} aria-label=${name} ?disabled=${this.busy} @click=${run}>${label}</button>`;
+  }
+
   private buttons(): TemplateResult[] {
     const { task, row } = this.file;
     const { actions, app } = this;
-    const one = (label: string, action: () => Promise<void>, className = ""): TemplateResult =>
-      html`<button type="button" class=${className} ?disabled=${this.busy} @click=${() => this.run(action)}>${label}</button>`;
     const mine = row.holders.some((holder) => holder.user === app.me.user.id && holder.purpose === "review");
     const found: TemplateResult[] = [];
-    if (task.state === "submitted" || mine) found.push(one(mine ? "Go on with the review" : "Review", actions.review, "primary"));
-    if (task.state === "open" || task.state === "leased" || task.state === "returned") found.push(one("Assign", actions.assign));
-    if (task.state === "accepted" || task.state === "dropped") found.push(one("Reopen", actions.reopen));
-    else found.push(one("Drop", actions.drop));
+    if (task.state === "submitted" || mine) found.push(this.button(mine ? "Go on with the review" : "Review", actions.review, "primary"));
+    if (task.state === "open" || task.state === "leased" || task.state === "returned") found.push(this.button("Assign", actions.assign));
+    if (task.state === "accepted" || task.state === "dropped") found.push(this.button("Reopen", actions.reopen));
+    else found.push(this.button("Drop", actions.drop));
     if (task.state === "accepted" && app.may("admin")) {
-      found.push(one("Make gold", actions.gold), one("Make practice", actions.practice));
+      found.push(this.button("Make gold", actions.gold), this.button("Make practice", actions.practice));
     }
     return found;
   }
@@ -211,7 +190,8 @@ function section(title: string, lines: readonly TemplateResult[]): TemplateResul
 function decisionWords({ decision, reviewer_name, authors, rule, comment }: DecisionRow): string {
   const who = rule === null ? reviewer_name : decision === "reopened" ? `${reviewer_name || "the program"}, of rule ${rule}` : `rule ${rule}`;
   const whom = decision === "returned" && authors.length > 0 ? ` to ${authors.join(", ")}` : "";
-  return `${who}: ${DECISIONS[decision] ?? decision}${whom}${comment === "" ? "" : `, “${comment}”`}`;
+  const what = decision === "reopened" ? "took the decision back" : (DECISION_WORDS[decision] ?? decision);
+  return `${who}: ${what}${whom}${comment === "" ? "" : `, “${comment}”`}`;
 }
 
 define("task-record", TaskRecord);

@@ -4,9 +4,10 @@ import { reason } from "../api";
 import type { App } from "../app";
 import { h, type Child } from "../dom";
 import type { Chosen } from "../filter";
-import { ask, field, inSteps, select } from "../ui";
+import { alertLine, ask, field, inSteps, select, tell } from "../ui";
 import { BULK_ACTIONS, MAX_TEXT_CHARS, type BulkAction, type BulkDone, type BulkRequest, type Person, type TaskFilter } from "../wire";
 import { KIND_WORDS, STATE_WORDS } from "../words";
+import { listOf } from "./frame";
 
 const LABELS: Readonly<Record<BulkAction, string>> = {
   accept: "Accept",
@@ -48,6 +49,12 @@ export function leftAlone(counts: BulkDone["left_alone"]): string[] {
   return Object.entries(counts).map(([why, count]) => `${count ?? 0}: ${LEFT_ALONE[why] ?? why}`);
 }
 
+/** The tasks that are left alone, as a part of a dialog. */
+function leftAloneList(counts: BulkDone["left_alone"]): Child[] {
+  const lines = leftAlone(counts);
+  return lines.length === 0 ? [] : [h("p", {}, "Left alone:"), listOf(lines)];
+}
+
 const NEEDS_COMMENT: ReadonlySet<BulkAction> = new Set<BulkAction>(["return", "drop", "reopen"]);
 
 /** The people a task can be given to, for a list of choices. */
@@ -80,7 +87,7 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
   try {
     preview = await app.api.post<BulkDone>("bulk/preview", request);
   } catch (error) {
-    app.toasts.show(`Not counted: ${reason(error)}`, { kind: "error", ms: 15_000 });
+    app.toasts.fail(error, "Not counted: ", { ms: 15_000 });
     return false;
   }
   if (!(await confirm(request, preview, people))) return false;
@@ -100,17 +107,9 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
   } catch (error) {
     ending = `It ended early: ${reason(error)} What was done stays done; to go on, act again on the same filter.`;
   }
-  const rest = leftAlone(all.left_alone);
-  await ask(
-    `${plural(all.done)} ${DONE[request.action]}`,
-    [
-      ending !== "" && h("p", { class: "trouble" }, ending),
-      rest.length > 0 && h("p", {}, "Left alone:"),
-      rest.length > 0 && h("ul", { class: "left-alone" }, ...rest.map((line) => h("li", {}, line))),
-      rest.length === 0 && ending === "" && h("p", {}, "None was left alone."),
-    ],
-    [{ label: "Close", value: true, kind: "primary" }],
-  );
+  const rest = leftAloneList(all.left_alone);
+  if (rest.length === 0 && ending === "") rest.push(h("p", {}, "None was left alone."));
+  await tell(`${plural(all.done)} ${DONE[request.action]}`, [ending !== "" && h("p", { class: "trouble" }, ending), ...rest]);
   return true;
 }
 
@@ -132,7 +131,7 @@ async function askRequest(app: App, filter: TaskFilter, people: readonly Person[
   for (let missing = ""; ; ) {
     const body: Child[] = [
       h("p", {}, wordsOf(app, filter, people)),
-      missing !== "" && h("p", { class: "trouble", attrs: { role: "alert" } }, missing),
+      alertLine(missing),
       field("Action", action),
       means,
       fields.comment,
@@ -144,13 +143,8 @@ async function askRequest(app: App, filter: TaskFilter, people: readonly Person[
     if (NEEDS_COMMENT.has(chosen) && comment.value.trim() === "") missing = "Write a comment: the authors and the log need it.";
     else if (chosen === "assign" && person.value === "") missing = "Choose a person.";
     else {
-      return {
-        filter,
-        action: chosen,
-        comment: chosen === "assign" ? "" : comment.value.trim(),
-        person: chosen === "assign" ? Number(person.value) : null,
-        after: null,
-      };
+      const assigns = chosen === "assign";
+      return { filter, action: chosen, comment: assigns ? "" : comment.value.trim(), person: assigns ? Number(person.value) : null, after: null };
     }
   }
 }
@@ -159,23 +153,16 @@ async function askRequest(app: App, filter: TaskFilter, people: readonly Person[
 async function confirm(request: BulkRequest, preview: BulkDone, people: readonly Person[]): Promise<boolean> {
   const { action } = request;
   const to = people.find(({ user }) => user.id === request.person)?.user.name;
-  const rest = leftAlone(preview.left_alone);
-  const body: Child[] = [
-    h(
-      "p",
-      {},
-      preview.done === 0
-        ? `None of ${plural(preview.looked_at)} would be ${DONE[action]}.`
-        : `${plural(preview.done)} of ${preview.looked_at} will be ${DONE[action]}${to ? ` to ${to}` : ""}. ${MEANS[action]}`,
-    ),
-    request.comment !== "" && preview.done > 0 && h("p", {}, "Your comment: ", h("q", {}, request.comment)),
-    rest.length > 0 && h("p", {}, "Left alone:"),
-    rest.length > 0 && h("ul", { class: "left-alone" }, ...rest.map((line) => h("li", {}, line))),
-  ];
+  const rest = leftAloneList(preview.left_alone);
   if (preview.done === 0) {
-    await ask("Nothing to do", body, [{ label: "Close", value: true, kind: "primary" }]);
+    await tell("Nothing to do", [h("p", {}, `None of ${plural(preview.looked_at)} would be ${DONE[action]}.`), ...rest]);
     return false;
   }
+  const body: Child[] = [
+    h("p", {}, `${plural(preview.done)} of ${preview.looked_at} will be ${DONE[action]}${to ? ` to ${to}` : ""}. ${MEANS[action]}`),
+    request.comment !== "" && h("p", {}, "Your comment: ", h("q", {}, request.comment)),
+    ...rest,
+  ];
   const kind = action === "drop" || action === "reopen" ? ("danger" as const) : ("primary" as const);
   const label = `${action === "assign" ? "Assign" : LABELS[action]} ${plural(preview.done)}`;
   return (await ask(`${label}?`, body, [{ label, value: true, kind }])) === true;

@@ -2,9 +2,9 @@
 
 import type { App, Screen } from "../app";
 import { TaskList } from "../components/task-list";
-import { fill, h, setAttr } from "../dom";
+import { fill, h } from "../dom";
 import { SPLITS, filterOf, readAddress, writeAddress, type Chosen } from "../filter";
-import { field, select } from "../ui";
+import { field, input, plainButton, select } from "../ui";
 import {
   EDIT_TYPES,
   TASK_KINDS,
@@ -19,6 +19,7 @@ import {
 } from "../wire";
 import { KIND_WORDS, STATE_WORDS } from "../words";
 import { actOnAll } from "./bulk";
+import { pageScreen, tabs } from "./frame";
 
 /** Delay after a key before a typed filter is applied. */
 const TYPING_MS = 250;
@@ -47,7 +48,7 @@ let left: { query: string; at: number; top: number; rows: readonly TaskRow[] } =
 export function around(task: number): { list: string; previous: number | null; next: number | null } {
   const at = left.rows.findIndex((row) => row.id === task);
   const near = (by: number): number | null => (at < 0 ? null : (left.rows[at + by]?.id ?? null));
-  return { list: left.query === "" ? "tasks" : `tasks?${left.query}`, previous: near(-1), next: near(1) };
+  return { list: pathOf(left.query), previous: near(-1), next: near(1) };
 }
 
 /** Says that another task of the list is read now. */
@@ -58,13 +59,10 @@ export function moveTo(task: number): void {
 
 /** The pages about all tasks. */
 export function taskTabs(app: App, current: "tasks" | "rules"): HTMLElement {
-  const tab = (path: "tasks" | "rules", label: string): HTMLElement => {
-    const link = app.link(path, label, "tab");
-    setAttr(link, "aria-current", path === current ? "page" : null);
-    return link;
-  };
-  return h("nav", { class: "tabs", attrs: { "aria-label": "Pages about tasks" } }, tab("tasks", "Tasks"), tab("rules", "Rules"));
+  return tabs(app, "Pages about tasks", [["tasks", "Tasks"], ["rules", "Rules"]], current);
 }
+
+const pathOf = (query: string): string => (query === "" ? "tasks" : `tasks?${query}`);
 
 export async function openTasks(app: App): Promise<Screen> {
   const { chosen, refused } = readAddress(window.location.search);
@@ -75,39 +73,38 @@ export async function openTasks(app: App): Promise<Screen> {
   const any = <T extends string>(label: string, values: readonly T[], words: (value: T) => string): HTMLSelectElement =>
     select([["", label] as readonly [string, string], ...values.map((value) => [value, words(value)] as const)]);
   const plain = (value: string): string => value.replaceAll("_", " ");
-  const text = (type: string, attrs: Record<string, string | number> = {}): HTMLInputElement => h("input", { attrs: { type, ...attrs } });
-  const share = (): HTMLInputElement => text("number", { min: 0, max: 100, step: 1 });
+  const share = (): HTMLInputElement => input("number", "", { min: 0, max: 100, step: 1 });
   const inputs: { readonly [K in keyof TaskFilter]-?: HTMLInputElement | HTMLSelectElement } = {
-    q: text("search", { maxlength: 200 }),
+    q: input("search", "", { maxlength: 200 }),
     kind: any("any", TASK_KINDS, (kind) => KIND_WORDS[kind]),
     state: any("any", TASK_STATES, (state) => STATE_WORDS[state]),
     person: any("anybody", [], plain),
     part: any("any", app.parts.all.map((part) => part.name), (part) => app.parts.phrase(part)),
     verdict: any("any", VERDICTS, plain),
     edit_type: any("any", EDIT_TYPES, plain),
-    category: text("text", { maxlength: 200 }),
+    category: input("text", "", { maxlength: 200 }),
     split: any("any", SPLITS, plain),
     min_distance: share(),
     max_distance: share(),
     skipped: select([["", "whatever"], ["any", "by somebody"], ["everybody", "nobody is left"]]),
     rule: any("any", [], plain),
-    task: text("number", { min: 1 }),
+    task: input("number", "", { min: 1 }),
   };
   const names = Object.keys(inputs) as (keyof TaskFilter)[];
   const isShare = (name: string): boolean => name === "min_distance" || name === "max_distance";
   const sort = select(SORTS);
-  const reverse = h("input", { attrs: { type: "checkbox" } });
+  const reverse = input("checkbox");
 
   /** Shows the filter in the form. A value that its list does not have yet is added. */
   const fillForm = (): void => {
     for (const name of names) {
-      const input = inputs[name];
+      const own = inputs[name];
       const value = current.filter[name];
       const shown = value === null ? "" : isShare(name) ? String(Math.round(Number(value) * 10_000) / 100) : String(value);
-      if (input instanceof HTMLSelectElement && ![...input.options].some((option) => option.value === shown)) {
-        input.append(h("option", { attrs: { value: shown } }, shown));
+      if (own instanceof HTMLSelectElement && ![...own.options].some((option) => option.value === shown)) {
+        own.append(h("option", { attrs: { value: shown } }, shown));
       }
-      input.value = shown;
+      own.value = shown;
     }
     sort.value = current.sort;
     reverse.checked = current.reverse;
@@ -122,8 +119,10 @@ export async function openTasks(app: App): Promise<Screen> {
   };
 
   const count = h("output", { class: "count", attrs: { "aria-live": "polite" } });
-  const bulk = h("button", { attrs: { type: "button" } }, "Act on all of them…");
-  const often = h("nav", { class: "tabs", attrs: { "aria-label": "Filters that are often wanted" } });
+  const bulk = plainButton("Act on all of them…", () => {
+    void everybody.then((people) => actOnAll(app, current, people)).then((acted) => (acted ? again() : undefined));
+  });
+  const often = h("div", {});
   const trouble = h("p", { class: "list-trouble", attrs: { role: "alert" } });
   const list = new TaskList(
     app,
@@ -142,12 +141,7 @@ export async function openTasks(app: App): Promise<Screen> {
     };
     count.textContent = "Loading…";
     bulk.disabled = true;
-    const links = OFTEN.map(([own, label]) => {
-      const link = app.link(own === "" ? "tasks" : `tasks?${own}`, label, "tab");
-      setAttr(link, "aria-current", own === query ? "true" : null);
-      return link;
-    });
-    fill(often, ...links);
+    fill(often, tabs(app, "Filters that are often wanted", OFTEN.map(([own, label]) => [pathOf(own), label] as const), pathOf(query), "true"));
     return list.show(page, at, top);
   };
   /** Says what of an address or the form is no filter. */
@@ -162,7 +156,7 @@ export async function openTasks(app: App): Promise<Screen> {
     sayRefused(refused);
     if (query === writeAddress(current)) return;
     current = wanted;
-    window.history.replaceState(null, "", query === "" ? "/app/tasks" : `/app/tasks?${query}`);
+    window.history.replaceState(null, "", `/app/${pathOf(query)}`);
     void load();
   };
   const clear = (): void => {
@@ -193,26 +187,14 @@ export async function openTasks(app: App): Promise<Screen> {
     field("Skipped", inputs.skipped),
     field("By rule", inputs.rule),
     field("Number", inputs.task),
-    h(
-      "div",
-      { class: "filter-end" },
-      h("button", { attrs: { type: "button" }, on: { click: clear } }, "Clear"),
-    ),
+    h("div", { class: "filter-end" }, plainButton("Clear", clear)),
   );
   /** Reads the list anew, where the reader is. */
   const again = (): Promise<void> => load(list.place.at, list.place.top);
-  bulk.addEventListener("click", () => {
-    void everybody.then((people) => actOnAll(app, current, people)).then((acted) => (acted ? again() : undefined));
-  });
   const element = h(
     "div",
     { class: "tasks" },
-    h(
-      "aside",
-      { class: "tasks-filter", attrs: { "aria-label": "Filter" }, data: { region: "filter" } },
-      taskTabs(app, "tasks"),
-      form,
-    ),
+    h("aside", { class: "tasks-filter", attrs: { "aria-label": "Filter" }, data: { region: "filter" } }, taskTabs(app, "tasks"), form),
     h(
       "section",
       { class: "tasks-main" },
@@ -226,7 +208,7 @@ export async function openTasks(app: App): Promise<Screen> {
         h("span", { class: "spacer" }),
         h("label", { class: "inline" }, "Sorted by", sort),
         h("label", { class: "inline" }, reverse, "reversed"),
-        h("button", { attrs: { type: "button" }, on: { click: () => void again() } }, "Reload"),
+        plainButton("Reload", () => void again()),
         bulk,
       ),
       list,
@@ -241,14 +223,14 @@ export async function openTasks(app: App): Promise<Screen> {
   await load(back.at, back.top);
 
   /** Fills a list of choices, and keeps what is chosen. */
-  const offer = (input: HTMLElement, options: readonly (readonly [string, string])[]): void => {
-    if (!(input instanceof HTMLSelectElement)) return;
-    const { value } = input;
-    const known = new Set(options.map(([name]) => name));
-    const first = input.options[0]?.textContent ?? "";
-    const others = value === "" || known.has(value) ? options : [...options, [value, value] as const];
-    fill(input, ...[["", first] as const, ...others].map(([name, label]) => h("option", { attrs: { value: name } }, label)));
-    input.value = value;
+  const offer = (own: HTMLElement, options: readonly (readonly [string, string])[]): void => {
+    if (!(own instanceof HTMLSelectElement)) return;
+    const { value } = own;
+    const known = options.some(([name]) => name === value);
+    const first = own.options[0]?.textContent ?? "";
+    const others = value === "" || known ? options : [...options, [value, value] as const];
+    own.replaceChildren(...select([["", first], ...others]).options);
+    own.value = value;
   };
   void everybody.then((found) =>
     offer(inputs.person, found.map(({ user }) => [String(user.id), `${user.name}${user.active ? "" : " (closed)"}`])),
@@ -258,11 +240,7 @@ export async function openTasks(app: App): Promise<Screen> {
     .then((rules) => offer(inputs.rule, rules.map(({ rule }) => [rule.name, rule.name])))
     .catch(() => undefined);
   return {
-    element,
-    title: "Tasks",
-    scopes: [],
-    perform: () => false,
-    focusTarget: list,
+    ...pageScreen("Tasks", element, list),
     leave: () => {
       if (timer !== null) window.clearTimeout(timer);
       left = { query: writeAddress(current), ...list.place };
