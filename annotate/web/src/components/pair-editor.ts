@@ -185,7 +185,7 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     const { keys } = app;
     const group = (label: string, hint: string, rows: TemplateResult): TemplateResult =>
       html`<div class="choice-group" role="group" aria-label=${label}>
-        <div class="group-label">${keyHint(hint)}${label}</div>
+        <div class="text-label">${keyHint(hint)}${label}</div>
         ${rows}
       </div>`;
     const part = ({ name, phrase }: PartInfo): TemplateResult =>
