@@ -55,7 +55,6 @@ interface Route {
   label: string;
   role: Role;
   open: Open;
-  /** Whether the navigation shows it. */
   listed: boolean;
   /** The listed route that it belongs to, if it is not listed itself. */
   within?: string;
@@ -169,7 +168,6 @@ export class App {
     return RANK[this.me.user.role] >= RANK[role];
   }
 
-  /** Stages and playback with this person's settings. */
   viewer(): Viewer {
     return new Viewer(this.makeWebgl, this.keys, this.me.prefs, (change) => void this.savePrefs(change));
   }
@@ -295,7 +293,6 @@ export class App {
     }
   }
 
-  /** Says that the session has ended, with a button to log in. */
   private sayEnded(logIn: () => void): void {
     fill(
       this.ended,
@@ -337,7 +334,6 @@ export class App {
     fill(this.banner, why === null ? null : `Nothing can be saved on the server: ${why}. What you write is kept in this browser.`);
   }
 
-  /** State of saving: editing, saving, saved or offline. */
   refreshChip(): void {
     const { phase, waiting, stuck, trouble } = this.status;
     const editing = [...this.sessions].some((session) => session.isEditing);

@@ -153,7 +153,6 @@ export class Clock {
   }
 }
 
-/** Length and rate of a clip. */
 export interface Length {
   frames: number;
   fps: number;

@@ -47,7 +47,6 @@ export function append(parent: Element, children: Child[]): void {
   }
 }
 
-/** Replaces all children. */
 export function fill(parent: Element, ...children: Child[]): void {
   parent.replaceChildren();
   append(parent, children);
@@ -66,7 +65,6 @@ export function setAttr(
   }
 }
 
-/** Whether the element takes text input. */
 export function isTextField(target: EventTarget | null): boolean {
   if (target instanceof HTMLTextAreaElement) return true;
   if (target instanceof HTMLInputElement) {

@@ -90,7 +90,6 @@ export function summarise(rows: readonly DayWork[], count: number, now: number, 
   return { dates, people: [...people.values()].sort((a, b) => b.all.secs - a.all.secs || a.name.localeCompare(b.name)), all };
 }
 
-/** Hours with one digit. */
 export function hours(secs: number): string {
   return `${(secs / 3600).toFixed(1)} h`;
 }

@@ -40,7 +40,6 @@ export function formatGuide(text: string): HTMLElement[] {
   return blocks.length > 0 ? blocks : [h("p", { class: "note" }, "Nothing has been written yet.")];
 }
 
-/** The address of a picture. */
 export function pictureUrl(name: string): string {
   return `/api/v1/guide/pictures/${encodeURIComponent(name)}`;
 }
@@ -113,7 +112,6 @@ export class GuideBeside {
     );
   }
 
-  /** Shows the guide of a kind of task. */
   async show(kind: TaskKind): Promise<void> {
     if (this.shown === kind) return;
     this.shown = kind;

@@ -3,7 +3,6 @@
  * safer than inverse operations.
  */
 
-/** Most undo steps. */
 export const HISTORY_LIMIT = 100;
 
 export interface HistoryData<T> {
@@ -58,7 +57,6 @@ export class History<T> {
     this.kind = null;
   }
 
-  /** Undoes one step; `null` if there is none. */
   undo(): T | null {
     const before = this.past.pop();
     if (before === undefined) return null;
@@ -66,7 +64,6 @@ export class History<T> {
     return this.arrive(before);
   }
 
-  /** Redoes one step; `null` if there is none. */
   redo(): T | null {
     const after = this.future.pop();
     if (after === undefined) return null;

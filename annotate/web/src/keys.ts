@@ -16,7 +16,6 @@ export interface Action {
   chords: readonly string[];
 }
 
-/** Ids, labels, scopes and chords. */
 const ACTIONS = [
   ["key_sheet", "Key sheet", "global", ["Shift+Slash"]],
   ["next_region", "Next region of the page", "global", ["F6"]],
@@ -227,7 +226,6 @@ export class KeyMap {
     }
   }
 
-  /** Keys that differ from the defaults. */
   get overrides(): KeyOverrides {
     const changed = DEFAULT_ACTIONS.filter(({ id, chords }) => this.chordsOf(id) !== chords);
     return Object.fromEntries(changed.map(({ id }) => [id, this.chordsOf(id)]));
@@ -279,17 +277,14 @@ export class KeyMap {
     return this.chords.get(id) ?? [];
   }
 
-  /** The first chord of an action. */
   chord(id: ActionId): string {
     return this.chordsOf(id)[0] ?? "";
   }
 
-  /** Label of the first chord of an action, for buttons. */
   hint(id: ActionId): string {
     return this.labelOf(this.chord(id));
   }
 
-  /** Labels of all chords of an action. */
   hints(id: ActionId): string[] {
     return this.chordsOf(id).map((chord) => this.labelOf(chord));
   }

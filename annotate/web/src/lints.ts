@@ -50,13 +50,11 @@ const DIRECTIONS = new RegExp(
   "gi",
 );
 
-/** The sides of the body that a text names. */
 export function sidesNamed(text: string): Side[] {
   const rest = text.replace(DIRECTIONS, " ");
   return (["left", "right"] as const).filter((side) => new RegExp(`\\b${side}\\b`, "i").test(rest));
 }
 
-/** The limbs that a text names. */
 export function limbsNamed(text: string): Limb[] {
   return (["arm", "leg"] as const).filter((limb) => LIMB_WORDS[limb].test(text));
 }
@@ -65,7 +63,6 @@ function union<T>(parts: readonly string[], table: Readonly<Record<string, reado
   return new Set(parts.flatMap((part) => [...(table[part] ?? [])]));
 }
 
-/** Warnings about the text of one mask. */
 export function lintText(text: string, parts: readonly string[]): Lint[] {
   const found: Lint[] = [];
   const trimmed = text.trim();
@@ -107,7 +104,6 @@ export interface LintCard extends Pick<MaskAnswer, "parts" | "joints" | "range" 
   draft?: string | null;
 }
 
-/** Warnings about all cards of a task, by card. */
 export function lintCards(cards: readonly LintCard[]): Lint[][] {
   return cards.map((card, index) => {
     const found = lintText(card.text, card.parts);

@@ -47,7 +47,6 @@ function unquoted(text: string): string {
   return text.trim().replace(/^"+|"+$/g, "").trim();
 }
 
-/** Full addresses of the links. */
 export function linkOf(user: NewUserLink, origin: string): string {
   return `${origin}${user.path}`;
 }

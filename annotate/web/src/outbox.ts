@@ -14,9 +14,7 @@ import type { KeyValue } from "./db";
 import type { Answer, EventResult, NewEvent, Problem, Revision } from "./wire";
 
 export interface OutboxItem {
-  /** The idempotency key. */
   key: string;
-  /** Order of entry. */
   order: number;
   user: number;
   task: number;
@@ -27,7 +25,6 @@ export interface OutboxItem {
    * unchanged, and not replaced by a newer one.
    */
   sent: boolean;
-  /** Permanent failure of the event. */
   problem: Problem | null;
 }
 
@@ -40,7 +37,6 @@ export interface Journal {
 
 type Phase = "idle" | "sending" | "offline";
 
-/** Notifications about single events. */
 export interface Outcome {
   item: OutboxItem;
   result: EventResult;
@@ -58,9 +54,7 @@ export interface OutboxStatus {
 export interface OutboxHooks {
   /** Sends events; throws [`ApiError`] or [`Unreachable`]. */
   send(task: number, events: NewEvent[]): Promise<EventResult[]>;
-  /** Waits for a login. */
   login(): Promise<void>;
-  /** Waits between attempts. */
   sleep(ms: number): Promise<void>;
   /** Runs under a lock shared by all tabs. */
   alone<T>(action: () => Promise<T>): Promise<T>;
@@ -107,7 +101,6 @@ export class Outbox {
     this.report();
   }
 
-  /** All waiting and stuck events, in order. */
   get waiting(): readonly OutboxItem[] {
     return this.items;
   }
@@ -177,7 +170,6 @@ export class Outbox {
     this.report();
   }
 
-  /** Sends all events that can be sent. */
   flush(): Promise<void> {
     this.wake?.();
     this.running ??= this.run().finally(() => {

@@ -55,7 +55,6 @@ export class Parts {
     return { hard, soft: all.reduce((set, own) => set | own.soft, 0) & ~hard };
   }
 
-  /** How a mask takes a joint of the body. */
   weightOf(mask: MaskAnswer, joint: number): JointWeight {
     const { hard, soft } = this.joints(mask.parts, mask.soft, mask.joints);
     return has(hard, joint) ? "hard" : has(soft, joint) ? "soft" : "none";

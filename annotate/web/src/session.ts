@@ -94,7 +94,6 @@ export class TaskSession<A extends Answer> implements OpenSession {
     this.schedule();
   }
 
-  /** Starts a new undo step with the next edit. */
   seal(): void {
     this.history.seal();
   }

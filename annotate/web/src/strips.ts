@@ -116,7 +116,6 @@ export class Strip {
     this.element.setAttribute("aria-label", `${this.title}. ${text}`);
   }
 
-  /** The values of a row. */
   rowValues(row: number): Float32Array {
     return this.values.subarray(row * this.columns, (row + 1) * this.columns);
   }

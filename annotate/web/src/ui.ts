@@ -161,7 +161,6 @@ export function plainButton(label: string, run: () => void, className = ""): HTM
   return h("button", { class: className, on: { click: run } }, label);
 }
 
-/** A button that cannot be pressed again until its work is done, and shows why it failed. */
 export function button(label: string, run: () => Promise<void>, app: { readonly toasts: Toasts }, className = ""): HTMLButtonElement {
   const own = plainButton(label, () => {
     own.disabled = true;
@@ -174,7 +173,6 @@ export function button(label: string, run: () => Promise<void>, app: { readonly 
   return own;
 }
 
-/** A field of text, a number or another type, with a value. */
 export function input(type: string, value: string | number = "", attrs: Record<string, string | number | boolean> = {}): HTMLInputElement {
   const own = h("input", { attrs: { type, ...attrs } });
   own.value = String(value);
@@ -248,7 +246,6 @@ export function when(ms: number | null): string {
   return new Date(ms).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" });
 }
 
-/** The time until a future moment, in words. */
 export function until(ms: number): string {
   const left = Math.round((ms - Date.now()) / 1000);
   if (left <= 0) return "now";

@@ -104,7 +104,6 @@ export class Viewer {
     });
   }
 
-  /** Element focused while no text is typed. */
   get focusTarget(): HTMLElement {
     return (this.stages[0] as Stage).element;
   }

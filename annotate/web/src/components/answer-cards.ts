@@ -14,9 +14,7 @@ export function answerCards(
   selected: number,
   select: (index: number) => void,
   more: {
-    /** Key of an answer. */
     hint?: (index: number) => string;
-    /** Further words about an answer. */
     note?: (candidate: Candidate) => string;
   } = {},
 ): TemplateResult {

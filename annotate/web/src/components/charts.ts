@@ -174,7 +174,6 @@ export function mostOf(period: Period, value: (work: Work) => number): number {
   return Math.max(0, ...period.people.flatMap((person) => person.days.map(value)));
 }
 
-/** A value of a day in words. */
 export function measureWords(measure: "hours" | "answers", work: Work): string {
   return measure === "hours" ? hours(work.secs) : String(work.answers);
 }

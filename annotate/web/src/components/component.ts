@@ -43,7 +43,6 @@ export abstract class Component extends LitElement {
   }
 }
 
-/** Registers a component under the name of its element. */
 export function define(name: string, component: CustomElementConstructor): void {
   if (!customElements.get(name)) customElements.define(name, component);
 }
@@ -59,7 +58,6 @@ export function keyHint(hint: string): TemplateResult | typeof nothing {
   return hint ? html`<kbd>${hint}</kbd>` : nothing;
 }
 
-/** A button that shows its key. */
 export function action(label: string, hint: string, run: () => void, className = ""): TemplateResult {
   return html`<button type="button" class=${className} @click=${run}>${keyHint(hint)}<span class="button-label">${label}</span></button>`;
 }

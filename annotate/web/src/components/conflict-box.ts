@@ -24,7 +24,6 @@ export class ConflictBox extends Component {
   private text: HTMLTextAreaElement | null = null;
 
   constructor(
-    /** The present answer of this page, in words. */
     private readonly mine: () => readonly string[],
     private theirs: readonly string[],
     private readonly choose: (version: Version) => void,
@@ -33,7 +32,6 @@ export class ConflictBox extends Component {
     this.be("conflict", "alertdialog", "This task was changed in another window", "conflict");
   }
 
-  /** Shows a newer version of the other window. */
   show(theirs: readonly string[]): void {
     this.theirs = theirs;
     this.requestUpdate();

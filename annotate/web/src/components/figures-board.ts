@@ -81,7 +81,6 @@ export class FiguresBoard extends Component {
     this.requestUpdate();
   }
 
-  /** Reloads, and says so if it fails. */
   private reload(): void {
     this.load().catch((error: unknown) => this.app.toasts.fail(error, "The figures were not loaded: ", { id: "figures" }));
   }

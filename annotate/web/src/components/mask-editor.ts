@@ -17,7 +17,6 @@ import { COUNT_CHOICES, type MaskTextAnswer } from "../words";
 import { action, choice, define, keyHint } from "./component";
 import { Editor, type EditorHost } from "./editor";
 
-/** What the editor draws on beside itself. */
 export interface MaskStage {
   viewer: Viewer;
   strip: Strip;
@@ -37,7 +36,6 @@ interface Preview {
   alpha: number;
 }
 
-/** A suggested mask. */
 interface Offer {
   parts: string[];
   text: string;
@@ -45,7 +43,6 @@ interface Offer {
   source: string;
 }
 
-/** Name of a set of parts. */
 const keyOf = (parts: readonly string[]): string => [...parts].sort().join("+");
 
 export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer>> {
@@ -278,7 +275,6 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     else this.insert({ ...this.emptyMask(), parts });
   }
 
-  /** The draft that fits the parts of a card. */
   private draftOf(mask: MaskAnswer): Suggestion | null {
     const fitting = this.drafts.filter((suggestion) => keyOf(suggestion.parts) === keyOf(mask.parts));
     return fitting.find((suggestion) => suggestion.source === "llm") ?? fitting[0] ?? null;
@@ -493,7 +489,6 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     </div>`;
   }
 
-  /** The frames that the mask holds for. */
   private rangeRow(mask: MaskAnswer, index: number): TemplateResult {
     const { keys } = this.app;
     const problem = this.problemOf(mask);

@@ -20,9 +20,7 @@ export class NewcomersForm extends Component {
 
   constructor(
     private readonly app: App,
-    /** Names that are taken. */
     private readonly known: () => ReadonlySet<string>,
-    /** Users were added. */
     private readonly changed: (users: readonly User[]) => void,
   ) {
     super();

@@ -25,7 +25,6 @@ export type TwoAnswer = PairAnswer | StyleAnswer;
 type Change = Partial<PairAnswer> | Partial<StyleAnswer>;
 
 interface PairEditorHost extends EditorHost<TwoAnswer> {
-  /** Style that the source states, if it does. */
   sourceStyle: string | null;
   /** Submits a verdict that needs no other fields. */
   reject(verdict: Verdict): void;
@@ -43,7 +42,6 @@ const REJECTS = [
 /** Styles that have a button; the others are chosen in the field beside, which proposes their names. */
 const MAX_STYLE_BUTTONS = 12;
 
-/** The parts of an extent. */
 const EXTENT_PARTS: Readonly<Record<Extent, readonly string[]>> = {
   lower: ["LOWER_BODY"],
   upper: ["UPPER_BODY"],
@@ -127,7 +125,6 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     this.edit({ extent, parts: EXTENT_PARTS[extent].filter((part) => known.has(part)) });
   }
 
-  /** Phrases that fit the kind of task. Those about the style name the chosen one. */
   private get phrases(): readonly string[] {
     const { project } = this.app.me;
     if (this.answer.kind === "pair") return project.templates;

@@ -28,7 +28,6 @@ import { PairEditor } from "./pair-editor";
 
 const CHOOSE: readonly ActionId[] = ["candidate_1", "candidate_2", "candidate_3", "candidate_4"];
 
-/** What the panel draws on beside itself. */
 export interface ReviewStage {
   /** Shows one answer; `glow` are the joints where answers differ. */
   paint(candidate: Candidate | undefined, glow: number): void;
@@ -36,7 +35,6 @@ export interface ReviewStage {
   paintParts(parts: readonly string[], glow?: number): void;
   /** Highlights what an answer takes, and shows the frames of its masks. */
   paintAnswer(answer: Answer): void;
-  /** Present for masks. */
   mask: MaskStage | null;
 }
 
@@ -58,9 +56,7 @@ export class ReviewPanel extends Component {
     private readonly app: App,
     private readonly review: ReviewView,
     private readonly stage: ReviewStage,
-    /** What stands above the task: the tabs of reviewing. */
     private readonly head: HTMLElement,
-    /** Opens the next task. */
     private readonly next: () => void,
   ) {
     super();

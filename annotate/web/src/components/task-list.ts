@@ -56,7 +56,6 @@ export class TaskList extends Component {
     return list.want(1);
   }
 
-  /** Goes on after a failed request. */
   again(): void {
     void this.list.again();
   }

@@ -133,7 +133,6 @@ export class TaskRecord extends Component {
     this.requestUpdate();
   }
 
-  /** Where the task stands. */
   private standing(): TemplateResult {
     const { row } = this.file;
     const basis = row.accepted_by ?? "";

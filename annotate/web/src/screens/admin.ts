@@ -21,7 +21,6 @@ import {
 } from "../wire";
 import { widePage } from "./frame";
 
-/** Polling interval of a running job. */
 const POLL_MS = 500;
 
 export async function openAdmin(app: App): Promise<Screen> {

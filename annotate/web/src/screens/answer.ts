@@ -106,20 +106,17 @@ export function answerScreen<A extends Answer, H extends EditorHost<A>>(
   editor: Editor<A, H> & { complete(): A | null | Promise<A | null>; perform(id: ActionId): boolean },
   rest: {
     title: string;
-    /** Name of the panel. */
     label: string;
     className: string;
     viewer: Viewer;
     /** What stands above the editor. */
     above: readonly Child[];
-    /** Label of the button that submits. */
     submit: string;
     finish: Finish;
     /** The keys of the kind of task. */
     scope: Scope;
     /** Actions of the kind of task, before those of all kinds. */
     deeds: Deeds;
-    /** Actions of the stage. */
     perform(id: ActionId, ten: boolean): boolean;
   },
 ): Screen {

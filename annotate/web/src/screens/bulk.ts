@@ -34,7 +34,6 @@ const MEANS: Readonly<Record<BulkAction, string>> = {
   assign: "They are reserved for this person, as long as a task that was sent back is for its author.",
 };
 
-/** Why tasks are left alone. */
 const LEFT_ALONE: Readonly<Record<string, string>> = {
   wrong_state: "their state does not allow it",
   own_work: "you answered them yourself; somebody else decides about them",
@@ -63,7 +62,6 @@ export function personSelect(people: readonly Person[]): HTMLSelectElement {
   return select([["", "choose a person"] as readonly [string, string], ...active.map(({ user }) => [String(user.id), user.name] as const)]);
 }
 
-/** The filter in words. */
 function wordsOf(app: App, filter: TaskFilter, people: readonly Person[]): string {
   const shown: Partial<Record<keyof TaskFilter, string | null>> = {
     kind: filter.kind && KIND_WORDS[filter.kind],

@@ -13,7 +13,6 @@ import { ROUTE_OF } from "./home";
 import { practiceOf } from "./practice";
 import { showTask } from "./shown";
 
-/** What is shown on the body. */
 type View = "known" | "yours" | "differs";
 
 const VIEWS: readonly (readonly [View, string])[] = [

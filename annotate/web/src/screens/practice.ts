@@ -17,7 +17,6 @@ const opened = new Set<TaskKind>();
 /** Where the page notes that a person has read what practice is. */
 const readMark = (app: App, kind: TaskKind): string => app.keep(`practice:${kind}`);
 
-/** Where this person stands with the practice of a kind. */
 export async function practiceOf(app: App, kind: TaskKind): Promise<Practice> {
   const all = await app.api.get<Practice[]>("practice");
   const own = all.find((practice) => practice.kind === kind);

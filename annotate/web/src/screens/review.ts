@@ -15,7 +15,6 @@ const QUEUES: readonly (readonly [ReviewQueue, string])[] = [
   ["returned", "Sent back"],
 ];
 
-/** Pages about reviewing, side by side: queues and decisions. */
 export function reviewTabs(app: App, current: string): HTMLElement {
   const queues = QUEUES.map(([name, label]) => [`review/${name}`, label] as const);
   return tabs(app, "Pages for reviewers", [...queues, ["decisions", "Decisions"]], current);

@@ -190,7 +190,6 @@ function earlier(rules: readonly Rule[], name: string): Rule[] {
   return all;
 }
 
-/** Limits of a rule in words. */
 function onlyOf(rule: Rule): string {
   const kinds = rule.kinds.length === 0 ? "all kinds" : rule.kinds.map((kind) => KIND_WORDS[kind].toLowerCase()).join(", ");
   const apart = rule.max_distance === 0 ? "equal" : `at most ${percent(rule.max_distance)} apart`;

@@ -57,7 +57,6 @@ export function moveTo(task: number): void {
   if (at >= 0) left.at = at;
 }
 
-/** The pages about all tasks. */
 export function taskTabs(app: App, current: "tasks" | "rules"): HTMLElement {
   return tabs(app, "Pages about tasks", [["tasks", "Tasks"], ["rules", "Rules"]], current);
 }

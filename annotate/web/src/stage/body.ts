@@ -78,7 +78,6 @@ export function bits(joints: readonly number[]): JointBits {
   return joints.reduce((set, joint) => set | (1 << joint), 0);
 }
 
-/** The joints of a set. */
 export function jointList(set: JointBits): number[] {
   return Array.from({ length: 32 }, (_, joint) => joint).filter((joint) => has(set, joint));
 }
@@ -87,14 +86,12 @@ export function has(set: JointBits, joint: number): boolean {
   return ((set >>> joint) & 1) === 1;
 }
 
-/** Highlighting of a body. */
 export interface Paint {
   /** Highlighted joints; without any, limbs have their side colours. */
   hard: JointBits;
   soft: JointBits;
   /** Whether joints outside the mask are greyed. */
   masked: boolean;
-  /** Joints where answers differ. */
   glow: JointBits;
 }
 

@@ -6,7 +6,6 @@ import type { Paint, Track } from "./body";
 export interface Body {
   track: Track;
   paint: Paint;
-  /** Shown frame of the clip. */
   frame: number;
   /** Transparent, for the other clip of an overlay. */
   ghost: boolean;

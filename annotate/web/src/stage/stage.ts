@@ -68,7 +68,6 @@ export class Stage {
     return this.renderer.kind;
   }
 
-  /** Links the cameras of two stages. */
   link(other: Stage): void {
     this.followers.push(other);
     other.followers.push(this);
