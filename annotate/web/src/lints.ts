@@ -1,6 +1,4 @@
-/**
- * Warnings about descriptions that are probably wrong. They never block, because an unusual text can be right.
- */
+/** Warnings about descriptions that are probably wrong. They never block, because an unusual text can be right. */
 
 import { maskKey } from "./masks";
 import { MAX_TEXT_CHARS, type MaskAnswer } from "./wire";
@@ -66,37 +64,24 @@ function union<T>(parts: readonly string[], table: Readonly<Record<string, reado
 export function lintText(text: string, parts: readonly string[]): Lint[] {
   const found: Lint[] = [];
   const trimmed = text.trim();
-  if (trimmed === "") {
-    return [{ code: "empty", message: "The description is empty." }];
-  }
+  if (trimmed === "") return [{ code: "empty", message: "The description is empty." }];
   if ([...text].length > MAX_TEXT_CHARS) {
     found.push({ code: "long", message: `The description is longer than ${MAX_TEXT_CHARS} characters.` });
   }
-  const sided = parts.length > 0 && parts.every((part) => SIDES[part] !== undefined);
-  const maskSides = union(parts, SIDES);
-  if (sided && maskSides.size === 1) {
-    const named = sidesNamed(trimmed);
-    const wrong = named.filter((side) => !maskSides.has(side));
-    if (wrong.length > 0 && !named.some((side) => maskSides.has(side))) {
-      const mask = [...maskSides].join("");
-      found.push({
-        code: "side",
-        message: `The text says “${wrong.join("")}”, the mask is on the ${mask}. Sides are the character's own.`,
-      });
-    }
+  const sides = parts.every((part) => SIDES[part] !== undefined) ? union(parts, SIDES) : new Set<Side>();
+  const wrong = strangers(sides, sidesNamed(trimmed)).join("");
+  if (wrong !== "") {
+    const message = `The text says “${wrong}”, the mask is on the ${[...sides].join("")}. Sides are the character's own.`;
+    found.push({ code: "side", message });
   }
-  const maskLimbs = union(parts, LIMBS);
-  if (maskLimbs.size === 1) {
-    const named = limbsNamed(trimmed);
-    const other = named.filter((limb) => !maskLimbs.has(limb));
-    if (other.length > 0 && !named.some((limb) => maskLimbs.has(limb))) {
-      found.push({
-        code: "limb",
-        message: `The text is about ${other.join(" and ")}s, the mask is not.`,
-      });
-    }
-  }
+  const others = strangers(union(parts, LIMBS), limbsNamed(trimmed)).join(" and ");
+  if (others !== "") found.push({ code: "limb", message: `The text is about ${others}s, the mask is not.` });
   return found;
+}
+
+/** What a text names although the mask has one thing alone, which the text does not name. */
+function strangers<T>(mask: ReadonlySet<T>, named: readonly T[]): readonly T[] {
+  return mask.size !== 1 || named.some((own) => mask.has(own)) ? [] : named;
 }
 
 export interface LintCard extends Pick<MaskAnswer, "parts" | "joints" | "range" | "text"> {

@@ -1,6 +1,4 @@
-/**
- * Work on one task: the answer with undo, sending of drafts, the lease, and working time.
- */
+/** Work on one task: the answer with undo, sending of drafts, the lease, and working time. */
 
 import { ApiError, newEvent, reason, transient } from "./api";
 import type { App, OpenSession } from "./app";

@@ -127,22 +127,15 @@ export function alertLine(trouble: string | false): Child {
   return trouble !== "" && trouble !== false && h("p", { class: "trouble", attrs: { role: "alert" } }, trouble);
 }
 
-/**
- * Asks for one of several reasons, by digit. Reason `other` needs a note, and is asked for again without one.
- */
+/** Asks for one of several reasons, by digit. Reason `other` needs a note, and is asked for again without one. */
 export async function askReason<T extends string>(
   title: string,
   reasons: readonly (readonly [T, string])[],
   lead: Child[] = [],
 ): Promise<{ reason: T; note: string } | null> {
-  const choices = reasons.map(([value, label], index) => ({
-    label,
-    value,
-    code: `Digit${index + 1}`,
-    hint: String(index + 1),
-  }));
+  const choices = reasons.map(([value, label], index) => ({ label, value, code: `Digit${index + 1}`, hint: String(index + 1) }));
   for (let again = false; ; again = true) {
-    const note = h("input", { attrs: { type: "text", maxlength: 2000 } });
+    const note = input("text", "", { maxlength: 2000 });
     const hint = alertLine(again && "Say what, in the note; then choose again.");
     const reason = await ask<T>(title, [...lead, hint, field("Note (needed for “something else”)", note)], choices, again ? note : undefined);
     if (reason === null) return null;
