@@ -140,6 +140,12 @@ export function newReview(task: number, decision: Decision): NewReview {
   return { idem_key: randomName(), task, lease_epoch: 0, decision, author: null, answer: null, comment: "" };
 }
 
+/** A query of parameters that have a value, with its question mark; empty without any. */
+export function queryOf(parameters: Readonly<Record<string, string | number | null>>): string {
+  const set = Object.entries(parameters).filter(([, value]) => value !== null && value !== "");
+  return set.length === 0 ? "" : `?${new URLSearchParams(set.map(([name, value]) => [name, String(value)])).toString()}`;
+}
+
 /** Message for the user about a failure. */
 export function reason(error: unknown): string {
   if (error instanceof ApiError) return error.problem.detail || error.problem.title;

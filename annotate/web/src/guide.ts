@@ -59,12 +59,8 @@ export function pictureName(file: string, taken: ReadonlySet<string>): string {
 export function pictureFigure(picture: GuidePicture): HTMLElement {
   const image = h("img", { attrs: { alt: picture.caption || picture.name, loading: "lazy" } });
   image.src = pictureUrl(picture.name);
-  return h(
-    "figure",
-    { class: `example ${picture.right ? "right" : "wrong"}` },
-    image,
-    h("figcaption", {}, h("strong", {}, picture.right ? "✓ Right: " : "✗ Wrong: "), picture.caption),
-  );
+  const caption = h("figcaption", {}, h("strong", {}, picture.right ? "✓ Right: " : "✗ Wrong: "), picture.caption);
+  return h("figure", { class: `example ${picture.right ? "right" : "wrong"}` }, image, caption);
 }
 
 /** What the guide says about a kind of task alone. */
@@ -104,12 +100,8 @@ export class GuideBeside {
     private readonly styles: readonly Style[],
     close: HTMLElement,
   ) {
-    this.element = h(
-      "aside",
-      { class: "guide-beside", attrs: { "aria-label": "Guide" } },
-      h("div", { class: "guide-head" }, this.title, h("span", { class: "spacer" }), close),
-      this.body,
-    );
+    const head = h("div", { class: "guide-head" }, this.title, h("span", { class: "spacer" }), close);
+    this.element = h("aside", { class: "guide-beside", attrs: { "aria-label": "Guide" } }, head, this.body);
   }
 
   async show(kind: TaskKind): Promise<void> {

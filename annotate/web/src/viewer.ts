@@ -38,9 +38,9 @@ export class Viewer {
   private moved: { ghost: Track; to: Track; stretch: boolean; track: Track } | null = null;
   private readonly playButton: HTMLButtonElement;
   private readonly range: HTMLInputElement;
-  private readonly readout: HTMLElement;
-  private readonly speed: HTMLElement;
-  private readonly loopText: HTMLElement;
+  private readonly readout = h("output", { class: "readout", attrs: { "aria-live": "off" } });
+  private readonly speed = h("output", { class: "speed" });
+  private readonly loopText = h("output", { class: "loop" });
   private readonly followButton: HTMLButtonElement;
 
   constructor(
@@ -65,31 +65,18 @@ export class Viewer {
       attrs: { type: "range", min: 0, max: 0, step: 1, value: 0, "aria-label": "Frame" },
       on: { input: () => this.clock.scrub(Number(this.range.value)) },
     });
-    this.readout = h("output", { class: "readout", attrs: { "aria-live": "off" } });
-    this.speed = h("output", { class: "speed" });
-    this.loopText = h("output", { class: "loop" });
     this.followButton = button("camera_follow", "Follow");
-    this.transport = h(
-      "div",
-      { class: "transport", attrs: { role: "group", "aria-label": "Playback" } },
-      h("div", { class: "transport-row" }, this.playButton, this.range, this.readout),
-      h(
-        "div",
-        { class: "transport-row small" },
-        button("step_back", "Back"),
-        button("step_forward", "Forward"),
-        h("span", { class: "group" }, button("slower", "Slower"), this.speed, button("faster", "Faster")),
-        h("span", { class: "group" }, button("loop_in", "In"), button("loop_out", "Out"), button("loop_clear", "Clear"), this.loopText),
-      ),
-    );
-    const cameras = h(
-      "div",
-      { class: "cameras", attrs: { role: "group", "aria-label": "Camera" } },
-      button("camera_front", "Front"),
-      button("camera_side", "Side"),
-      button("camera_top", "Top"),
-      this.followButton,
-    );
+    this.transport = element(html`<div class="transport" role="group" aria-label="Playback">
+      <div class="transport-row">${this.playButton}${this.range}${this.readout}</div>
+      <div class="transport-row small">
+        ${button("step_back", "Back")}${button("step_forward", "Forward")}
+        <span class="group">${button("slower", "Slower")}${this.speed}${button("faster", "Faster")}</span>
+        <span class="group">${button("loop_in", "In")}${button("loop_out", "Out")}${button("loop_clear", "Clear")}${this.loopText}</span>
+      </div>
+    </div>`);
+    const cameras = element(html`<div class="cameras" role="group" aria-label="Camera">
+      ${button("camera_front", "Front")}${button("camera_side", "Side")}${button("camera_top", "Top")}${this.followButton}
+    </div>`);
     this.element = h("div", { class: "viewer", data: { region: "stage" } }, h("div", { class: "stage-area" }, this.stageRow, cameras), this.transport, this.stripColumn);
     this.addStage("Motion");
     this.setFollow(prefs.follow_root ?? true);

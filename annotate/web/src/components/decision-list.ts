@@ -1,6 +1,7 @@
 /** Decisions of reviewers, newest first, with what became of each. */
 
 import { html, nothing, type TemplateResult } from "lit";
+import { queryOf } from "../api";
 import type { App } from "../app";
 import { when } from "../ui";
 import type { DecisionRow, Decisions } from "../wire";
@@ -34,11 +35,8 @@ export class DecisionList extends Component {
   /** Loads the first page, or the one after those shown. */
   async load(more = false): Promise<void> {
     const turn = ++this.asked;
-    const query = new URLSearchParams();
-    if (this.whose === "mine") query.set("reviewer", String(this.app.me.user.id));
-    if (this.kind !== "") query.set("decision", this.kind);
-    if (more && this.next !== null) query.set("before", String(this.next));
-    const page = await this.app.api.get<Decisions>(`reviews?${query.toString()}`);
+    const reviewer = this.whose === "mine" ? this.app.me.user.id : null;
+    const page = await this.app.api.get<Decisions>(`reviews${queryOf({ reviewer, decision: this.kind, before: more ? this.next : null })}`);
     if (turn !== this.asked) return;
     this.items = more ? [...this.items, ...page.items] : page.items;
     this.next = page.next;

@@ -1,6 +1,7 @@
 /** Administration: exports and imports, users and tokens, settings, the log. */
 
 import { html } from "lit";
+import { queryOf } from "../api";
 import type { App, Screen } from "../app";
 import { element } from "../components/component";
 import { NewcomersForm } from "../components/newcomers-form";
@@ -285,12 +286,8 @@ function auditSection(app: App): HTMLElement {
   const task = input("number", "", { min: 1 });
   let before: number | null = null;
   const search = async (more: boolean): Promise<void> => {
-    const query = new URLSearchParams({ limit: "50" });
-    if (actor.value) query.set("actor", actor.value);
-    if (kind.value.trim()) query.set("kind", kind.value.trim());
-    if (task.value) query.set("task", task.value);
-    if (more && before !== null) query.set("before", String(before));
-    const audit = await app.api.get<Audit>(`audit?${query.toString()}`);
+    const query = queryOf({ limit: 50, actor: actor.value, kind: kind.value.trim(), task: task.value, before: more ? before : null });
+    const audit = await app.api.get<Audit>(`audit${query}`);
     before = audit.next;
     const rows = table(
       "The log, newest first",

@@ -1,6 +1,8 @@
 /** What is learned from a practice task: the own answer beside the known one. */
 
+import { html } from "lit";
 import type { App, Screen } from "../app";
+import { element } from "../components/component";
 import { MARK_WORDS, compare, differingJoints, summary, type Compared } from "../compare";
 import { h, setAttr } from "../dom";
 import { perform, type Deeds } from "../keys";
@@ -76,11 +78,8 @@ export async function openFeedback(app: App, argument: string): Promise<Screen> 
 }
 
 function comparedRow({ what, mine, known, mark }: Compared): HTMLElement {
-  const side = (name: string, text: string): HTMLElement => h("div", {}, h("dt", {}, name), h("dd", {}, text));
-  return h(
-    "section",
-    { class: `compared ${mark}`, data: { mark } },
-    h("div", { class: "card-head" }, h("strong", {}, what), h("span", { class: "mark" }, MARK_WORDS[mark])),
-    h("dl", {}, side("you", mine), side("known", known)),
-  );
+  return element(html`<section class=${`compared ${mark}`} data-mark=${mark}>
+    <div class="card-head"><strong>${what}</strong><span class="mark">${MARK_WORDS[mark]}</span></div>
+    <dl><div><dt>you</dt><dd>${mine}</dd></div><div><dt>known</dt><dd>${known}</dd></div></dl>
+  </section>`);
 }

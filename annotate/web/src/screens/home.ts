@@ -1,6 +1,6 @@
 /** Home: open tasks, returned tasks, and today's figures. */
 
-import { html } from "lit";
+import { html, nothing } from "lit";
 import type { App, Screen } from "../app";
 import { element } from "../components/component";
 import { h } from "../dom";
@@ -30,22 +30,19 @@ export async function openHome(app: App): Promise<Screen> {
     start.setAttribute("aria-label", `${label}: ${KIND_WORDS[kind]}`);
     const share = queue.total > 0 ? queue.done / queue.total : 0;
     const meter = h("progress", { attrs: { max: 1, value: share, "aria-label": `${KIND_WORDS[kind]}: done by all` } });
-    return h(
-      "section",
-      { class: "card queue", data: { kind } },
-      h("h2", {}, KIND_WORDS[kind]),
-      h("p", {}, WHAT[kind]),
-      own && own.needed > 0 && h("p", { class: own.passed ? "practice-note passed" : "practice-note" }, practiceWords(own)),
-      meter,
-      figuresOf([
-        [practises ? "practice for you now" : "for you now", queue.open],
-        ["yours", queue.mine],
-        ["complete", queue.done],
-        ["in all", queue.total],
-      ]),
-      queue.held > 0 && h("p", { class: "note" }, inWork(queue)),
-      queue.open > 0 ? start : h("p", { class: "note" }, "Nothing for you at present."),
-    );
+    const figures = figuresOf([
+      [practises ? "practice for you now" : "for you now", queue.open],
+      ["yours", queue.mine],
+      ["complete", queue.done],
+      ["in all", queue.total],
+    ]);
+    const note = own && own.needed > 0 ? html`<p class=${own.passed ? "practice-note passed" : "practice-note"}>${practiceWords(own)}</p>` : nothing;
+    return element(html`<section class="card queue" data-kind=${kind}>
+      <h2>${KIND_WORDS[kind]}</h2>
+      <p>${WHAT[kind]}</p>
+      ${note}${meter}${figures} ${queue.held > 0 ? html`<p class="note">${inWork(queue)}</p>` : nothing}
+      ${queue.open > 0 ? start : html`<p class="note">Nothing for you at present.</p>`}
+    </section>`);
   };
   const returned = home.returned.map(
     (task) => html`<li>
@@ -54,30 +51,27 @@ export async function openHome(app: App): Promise<Screen> {
       <span class="note">yours alone ${until(task.until)}</span>
     </li>`,
   );
-  const page = h(
-    "div",
-    { class: "page home" },
-    h("h1", {}, `Good to see you, ${app.me.user.name}`),
-    returned.length > 0 &&
-      element(html`<section class="card returned">
-        <h2>Fix ${returned.length} returned ${returned.length === 1 ? "task" : "tasks"}</h2>
-        <ul>${returned}</ul>
-      </section>`),
-    h("div", { class: "cards" }, ...home.queues.map(card)),
-    h(
-      "section",
-      { class: "card" },
-      h("h2", {}, "Today"),
-      figuresOf([
-        ["by you", home.today],
-        ["by everybody", home.today_all],
-        ["your time", seconds(home.today_secs)],
-        ["your median", seconds(home.median_secs)],
-        ["your agreement", home.agreement ? estimate(home.agreement) : "after 30 shared items"],
-      ]),
-      h("p", {}, app.link("mine", "My answers"), " · ", app.link("guide", "Guide"), " · ", app.link("shelf", "Accepted examples")),
-    ),
-  );
+  const fix = html`<section class="card returned">
+    <h2>Fix ${returned.length} returned ${returned.length === 1 ? "task" : "tasks"}</h2>
+    <ul>${returned}</ul>
+  </section>`;
+  const today = figuresOf([
+    ["by you", home.today],
+    ["by everybody", home.today_all],
+    ["your time", seconds(home.today_secs)],
+    ["your median", seconds(home.median_secs)],
+    ["your agreement", home.agreement ? estimate(home.agreement) : "after 30 shared items"],
+  ]);
+  const page = element(html`<div class="page home">
+    <h1>Good to see you, ${app.me.user.name}</h1>
+    ${returned.length > 0 ? fix : nothing}
+    <div class="cards">${home.queues.map(card)}</div>
+    <section class="card">
+      <h2>Today</h2>
+      ${today}
+      <p>${app.link("mine", "My answers")} · ${app.link("guide", "Guide")} · ${app.link("shelf", "Accepted examples")}</p>
+    </section>
+  </div>`);
   return pageScreen("Home", page, page.querySelector<HTMLElement>("a.button"));
 }
 

@@ -1,6 +1,8 @@
 /** Masks and descriptions of one motion. */
 
+import { html } from "lit";
 import type { App, Screen } from "../app";
+import { element } from "../components/component";
 import { BLANK_MASKS, MaskEditor } from "../components/mask-editor";
 import { h } from "../dom";
 import { TaskSession } from "../session";
@@ -19,19 +21,14 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   let editor: MaskEditor | null = null;
   const session = await TaskSession.open<MaskTextAnswer>(app, view, BLANK_MASKS, (answer) => editor?.setAnswer(answer));
   editor = new MaskEditor(app, hostOf(app, view, session), view.suggestions, session.answer, stage);
-  const source = h(
-    "div",
-    { class: "captions" },
-    h("h2", {}, captions.length > 1 ? "Captions of the source" : "Caption of the source"),
-    captions.length > 0 ? listOf(captions) : h("p", { class: "note" }, "The source has none."),
-  );
-  const rule = h(
-    "p",
-    { class: "rule" },
-    h("strong", {}, "Choose the active parts"),
-    " — not those that stand still or only support. Then describe what each mask does. ",
-    app.guideButton(),
-  );
+  const source = element(html`<div class="captions">
+    <h2>${captions.length > 1 ? "Captions of the source" : "Caption of the source"}</h2>
+    ${captions.length > 0 ? listOf(captions) : html`<p class="note">The source has none.</p>`}
+  </div>`);
+  const rule = element(html`<p class="rule">
+    <strong>Choose the active parts</strong> — not those that stand still or only support. Then describe what each mask does.
+    ${app.guideButton()}
+  </p>`);
   return answerScreen(app, view, session, editor, {
     title: `Masks of ${id}`,
     label: "Masks and descriptions",

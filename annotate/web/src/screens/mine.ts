@@ -1,5 +1,6 @@
 /** What I handed in, where it stands, and what I can still do about it. */
 
+import { queryOf } from "../api";
 import type { App, Screen } from "../app";
 import { fill, h, setAttr, type Child } from "../dom";
 import type { ActionId } from "../keys";
@@ -76,9 +77,7 @@ class MyAnswersScreen implements Screen {
   }
 
   async load(more: boolean): Promise<void> {
-    const search = this.filter({ limit: "20" });
-    if (more && this.next !== null) search.set("before", this.next);
-    const page = await this.app.api.get<MyAnswers>(`answers?${search.toString()}`);
+    const page = await this.app.api.get<MyAnswers>(`answers${queryOf({ limit: 20, ...this.filter, before: more ? this.next : null })}`);
     this.items = more ? [...this.items, ...page.items] : page.items;
     this.next = page.next;
     this.drawList();
@@ -97,17 +96,12 @@ class MyAnswersScreen implements Screen {
     if (item) await this.open(item);
   }
 
-  /** The chosen filter, after other parameters. */
-  private filter(others: Record<string, string> = {}): URLSearchParams {
-    const search = new URLSearchParams(others);
-    if (this.standing.value) search.set("standing", this.standing.value);
-    if (this.kind.value) search.set("kind", this.kind.value);
-    return search;
+  private get filter(): { standing: string; kind: string } {
+    return { standing: this.standing.value, kind: this.kind.value };
   }
 
   private filtered(): void {
-    const query = this.filter().toString();
-    window.history.replaceState(null, "", `/app/mine${query ? `?${query}` : ""}`);
+    window.history.replaceState(null, "", `/app/mine${queryOf(this.filter)}`);
     this.try(this.load(false).then(() => this.choose(null)));
   }
 

@@ -1,6 +1,6 @@
 /** Practice: tasks with known answers that come before real work. */
 
-import { html } from "lit";
+import { html, nothing } from "lit";
 import type { App, Screen } from "../app";
 import { element } from "../components/component";
 import { h } from "../dom";
@@ -68,19 +68,17 @@ function practiceCard(app: App, practice: Practice): HTMLElement {
     app.go(ROUTE_OF[kind]);
   }, "primary");
   begin.setAttribute("aria-label", `${label}: ${KIND_WORDS[kind]}`);
-  return h(
-    "section",
-    { class: "card queue", data: { kind } },
-    h("h2", {}, KIND_WORDS[kind]),
-    h("p", { data: { standing: passed ? "passed" : "open" } }, practiceWords(practice)),
-    needed > 0 && h("progress", { attrs: { max: needed, value: done, "aria-label": `Practice of ${KIND_WORDS[kind]}: tasks done` } }),
-    needed > 0 &&
-      figuresOf([
-        ["practice tasks", needed],
-        ["done", done],
-        ["your mean score", percent(score)],
-        ["opens real work", percent(threshold)],
-      ]),
-    h("div", { class: "row" }, begin, app.link(`guide/${kind}`, "Guide", "button")),
-  );
+  const figures = figuresOf([
+    ["practice tasks", needed],
+    ["done", done],
+    ["your mean score", percent(score)],
+    ["opens real work", percent(threshold)],
+  ]);
+  const progress = h("progress", { attrs: { max: needed, value: done, "aria-label": `Practice of ${KIND_WORDS[kind]}: tasks done` } });
+  return element(html`<section class="card queue" data-kind=${kind}>
+    <h2>${KIND_WORDS[kind]}</h2>
+    <p data-standing=${passed ? "passed" : "open"}>${practiceWords(practice)}</p>
+    ${needed > 0 ? [progress, figures] : nothing}
+    <div class="row">${begin}${app.link(`guide/${kind}`, "Guide", "button")}</div>
+  </section>`);
 }

@@ -1,5 +1,6 @@
 /** The shelf: accepted answers of other tasks as examples. */
 
+import { queryOf } from "../api";
 import type { App, Screen } from "../app";
 import { fill, h, setAttr } from "../dom";
 import { describe } from "../merge";
@@ -56,11 +57,7 @@ export async function openShelf(app: App): Promise<Screen> {
     fill(list, ...cards, items.length === 0 && h("p", { class: "note" }, "Nothing has been accepted yet."), next !== null && more);
   };
   const load = async (more: boolean): Promise<void> => {
-    const search = new URLSearchParams({ limit: "20" });
-    if (query.value.trim()) search.set("q", query.value.trim());
-    if (part.value) search.set("part", part.value);
-    if (more && next !== null) search.set("before", String(next));
-    const shelf = await app.api.get<Shelf>(`shelf?${search.toString()}`);
+    const shelf = await app.api.get<Shelf>(`shelf${queryOf({ limit: 20, q: query.value.trim(), part: part.value, before: more ? next : null })}`);
     items = more ? [...items, ...shelf.items] : shelf.items;
     next = shelf.next;
     draw();

@@ -1,6 +1,9 @@
 /** The task browser: a filter that the address holds, and its tasks. */
 
+import { html } from "lit";
+import { queryOf } from "../api";
 import type { App, Screen } from "../app";
+import { element } from "../components/component";
 import { TaskList } from "../components/task-list";
 import { fill, h } from "../dom";
 import { SPLITS, filterOf, readAddress, writeAddress, type Chosen } from "../filter";
@@ -134,10 +137,8 @@ export async function openTasks(app: App): Promise<Screen> {
   );
   const load = (at = 0, top = 0): Promise<void> => {
     const query = writeAddress(current);
-    const page = (after: string | null): Promise<TaskPage> => {
-      const cursor = after === null ? "" : `&after=${encodeURIComponent(after)}`;
-      return app.api.get<TaskPage>(`tasks?limit=${ROWS}${cursor}${query === "" ? "" : `&${query}`}`);
-    };
+    const page = (after: string | null): Promise<TaskPage> =>
+      app.api.get<TaskPage>(`tasks${queryOf({ limit: ROWS, after })}${query === "" ? "" : `&${query}`}`);
     count.textContent = "Loading…";
     bulk.disabled = true;
     fill(often, tabs(app, "Filters that are often wanted", OFTEN.map(([own, label]) => [pathOf(own), label] as const), pathOf(query), "true"));
@@ -190,29 +191,20 @@ export async function openTasks(app: App): Promise<Screen> {
   );
   /** Reads the list anew, where the reader is. */
   const again = (): Promise<void> => load(list.place.at, list.place.top);
-  const element = h(
-    "div",
-    { class: "tasks" },
-    h("aside", { class: "tasks-filter", attrs: { "aria-label": "Filter" }, data: { region: "filter" } }, taskTabs(app, "tasks"), form),
-    h(
-      "section",
-      { class: "tasks-main" },
-      h("h1", { class: "out-of-sight" }, "Tasks"),
-      trouble,
-      h("div", { class: "row tasks-bar" }, often),
-      h(
-        "div",
-        { class: "row tasks-bar" },
-        count,
-        h("span", { class: "spacer" }),
-        h("label", { class: "inline" }, "Sorted by", sort),
-        h("label", { class: "inline" }, reverse, "reversed"),
-        plainButton("Reload", () => void again()),
-        bulk,
-      ),
-      list,
-    ),
-  );
+  const page = element(html`<div class="tasks">
+    <aside class="tasks-filter" aria-label="Filter" data-region="filter">${taskTabs(app, "tasks")}${form}</aside>
+    <section class="tasks-main">
+      <h1 class="out-of-sight">Tasks</h1>
+      ${trouble}
+      <div class="row tasks-bar">${often}</div>
+      <div class="row tasks-bar">
+        ${count}<span class="spacer"></span>
+        <label class="inline">Sorted by${sort}</label><label class="inline">${reverse}reversed</label>
+        ${plainButton("Reload", () => void again())}${bulk}
+      </div>
+      ${list}
+    </section>
+  </div>`);
   sort.addEventListener("change", apply);
   reverse.addEventListener("change", apply);
   fillForm();
@@ -239,7 +231,7 @@ export async function openTasks(app: App): Promise<Screen> {
     .then((rules) => offer(inputs.rule, rules.map(({ rule }) => [rule.name, rule.name])))
     .catch(() => undefined);
   return {
-    ...pageScreen("Tasks", element, list),
+    ...pageScreen("Tasks", page, list),
     leave: () => {
       if (timer !== null) window.clearTimeout(timer);
       left = { query: writeAddress(current), ...list.place };
