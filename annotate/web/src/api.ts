@@ -84,7 +84,6 @@ export class Api {
   }
 }
 
-/** The problem in a response, or one derived from its status. */
 async function problemOf(response: Response): Promise<Problem> {
   try {
     const problem = (await response.json()) as Problem;
@@ -135,7 +134,6 @@ export function newEvent(kind: EventKind, fields: Partial<NewEvent> = {}): NewEv
   };
 }
 
-/** A decision with a new idempotency key. */
 export function newReview(task: number, decision: Decision): NewReview {
   return { idem_key: randomName(), task, lease_epoch: 0, decision, author: null, answer: null, comment: "" };
 }

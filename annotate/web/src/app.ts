@@ -28,7 +28,6 @@ export interface Screen {
   readonly title: string;
   /** Active key scopes besides the global one. */
   readonly scopes: readonly Scope[];
-  /** Performs the action of a key; false if it does not apply now. */
   perform(action: ActionId, ten: boolean): boolean;
   /** Element focused while no text is typed. */
   readonly focusTarget: HTMLElement | null;
@@ -159,7 +158,6 @@ export class App {
     return `${this.me.store}:${this.me.user.id}:${task}:${this.tab}`;
   }
 
-  /** Key of this person's local data in the browser's storage. */
   keep(name: string): string {
     return `annotate:${this.me.store}:${this.me.user.id}:${name}`;
   }
@@ -226,7 +224,6 @@ export class App {
     if (inside) this.focusStage();
   }
 
-  /** Puts the open guide beside the work of a screen. */
   private placeGuide(screen: Screen): void {
     if (!this.beside || !screen.guide) return;
     screen.element.classList.add("with-guide");

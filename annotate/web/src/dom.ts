@@ -1,7 +1,4 @@
-/**
- * Creates elements without markup strings. Data reaches the page only as text nodes and as attributes of fixed
- * names, so it is never interpreted as markup.
- */
+/** Elements from code: data reaches the page as text nodes and attributes of fixed names, never as markup. */
 
 export type Child = Node | string | number | null | undefined | false;
 

@@ -1,7 +1,4 @@
-/**
- * Undo and redo by copies of the whole state. States are small (a few cards of text), so copies are simpler and
- * safer than inverse operations.
- */
+/** Undo and redo by copies of the whole state, which is small: simpler and safer than inverse operations. */
 
 export const HISTORY_LIMIT = 100;
 
@@ -36,10 +33,7 @@ export class History<T> {
     return { past: this.past, present: this.current, future: this.future };
   }
 
-  /**
-   * Adds a state. Consecutive edits of the same `kind`, such as the letters of one text, form one undo step;
-   * without a kind every edit is one step.
-   */
+  /** Adds a state. Consecutive edits of a `kind`, as the letters of a text, are one step; without a kind each is. */
   push(state: T, kind: string | null = null): void {
     if (same(state, this.current)) return;
     if (kind === null || kind !== this.kind) {
@@ -104,10 +98,7 @@ interface Saved<T> {
   data: HistoryData<T>;
 }
 
-/**
- * Stores a history for the next page load. It writes synchronously, because leaving the page aborts pending
- * IndexedDB writes.
- */
+/** Stores a history for the next page; at once, because leaving the page aborts pending writes of IndexedDB. */
 export function saveHistory<T>(chain: string, data: HistoryData<T>): void {
   const store = (past: T[]): void => {
     const saved: Saved<T> = { at: Date.now(), data: { ...data, past } };

@@ -1,9 +1,4 @@
-/**
- * Events on their way into the browser's database.
- *
- * A page that is left loses what its database has not finished. So an event is first kept in `localStorage`, where
- * writing is synchronous; the next page stores what it finds there.
- */
+/** Events on their way into the database, kept at once, because a page that is left loses what is not finished. */
 
 import type { Journal, OutboxItem } from "./outbox";
 

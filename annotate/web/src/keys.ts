@@ -142,10 +142,7 @@ export function perform(deeds: Deeds, id: ActionId): boolean {
 /** Keys by action that differ from the defaults. */
 export type KeyOverrides = Partial<Record<ActionId, readonly string[]>>;
 
-/**
- * Focused element: the stage or nothing, a button, a field that handles keys itself, or the text of a mask card,
- * where Tab goes to the next card.
- */
+/** What has the focus: the text of a mask card is apart, because Tab goes on to the next card. */
 export type Focus = "stage" | "button" | "text" | "card";
 
 const CODES: ReadonlySet<string> = new Set(KEY_CODES);
@@ -231,7 +228,6 @@ export class KeyMap {
     return Object.fromEntries(changed.map(({ id }) => [id, this.chordsOf(id)]));
   }
 
-  /** Reads the keyboard layout, if the browser reports it. */
   async learnLayout(): Promise<void> {
     type Keyboard = { getLayoutMap?(): Promise<ReadonlyMap<string, string>> };
     const keyboard = (navigator as { keyboard?: Keyboard }).keyboard;

@@ -26,7 +26,6 @@ export const toneClass = (index: number): string => `tone-${index % TONES}`;
 export class RangeLanes {
   readonly element = h("div", { class: "lanes", attrs: { role: "group", "aria-label": "Frames of the masks" } });
   private readonly handles: readonly [HTMLElement, HTMLElement] = [this.handle(0), this.handle(1)];
-  /** The range whose ends can be moved. */
   private open: { range: Span; edit: RangeEdit } | null = null;
 
   constructor(

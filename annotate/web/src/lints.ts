@@ -38,10 +38,7 @@ const LIMB_WORDS: Readonly<Record<Limb, RegExp>> = {
   leg: /\b(legs?|foot|feet|knees?|ankles?|thighs?|shins?|toes?|heels?)\b/i,
 };
 
-/**
- * "turns left", "to the right", "right away" and "all right" state a direction or no side at all, unless a body
- * part follows: "to the left hand" names a hand.
- */
+/** Without such a word after it, "turns left" or "to the right" states a direction, and "right away" no side at all. */
 const BODY_WORD = "(?:\\s+(?:upper\\s+|lower\\s+)?(?:arm|hand|elbow|wrist|shoulder|forearm|fist|leg|foot|knee|hip|ankle|thigh|shin|toe|heel|side)s?\\b)";
 const DIRECTIONS = new RegExp(
   `\\b(?:(?:to|toward|towards|from)\\s+(?:the|its|his|her|their)\\s+|(?:turn|step|lean|move|walk|look|veer|twist|sway)(?:s|ed|ing)?\\s+|all\\s+)(?:left|right)\\b(?!${BODY_WORD})|\\bright\\s+(?:away|after|before|now|then)\\b`,

@@ -20,10 +20,7 @@ export interface OutboxItem {
   task: number;
   chain: string;
   event: NewEvent;
-  /**
-   * Whether it was sent before. The server may have applied it although the response was lost, so it is repeated
-   * unchanged, and not replaced by a newer one.
-   */
+  /** Whether it was sent before: the server may have applied it, so it is repeated unchanged, and not replaced. */
   sent: boolean;
   problem: Problem | null;
 }
@@ -47,7 +44,6 @@ export interface OutboxStatus {
   waiting: number;
   /** Number of events the user has to resolve. */
   stuck: number;
-  /** Error of the last attempt, if it failed. */
   trouble: string | null;
 }
 
@@ -116,10 +112,7 @@ export class Outbox {
     return own.at(-1)?.event.answer ?? null;
   }
 
-  /**
-   * Stores an event and starts sending. Resolves once the event is stored in the browser's database. It replaces an older
-   * unsent draft of the same chain.
-   */
+  /** Stores an event and starts sending. It replaces an older unsent draft of the chain. Resolves once it is stored. */
   async add(task: number, chain: string, event: NewEvent): Promise<void> {
     const item: OutboxItem = {
       key: event.idem_key,
@@ -157,7 +150,6 @@ export class Outbox {
     await this.store.put("chains", chain, { rev });
   }
 
-  /** The revision a chain has seen. */
   async revOf(chain: string): Promise<number> {
     return (await this.store.get<{ rev: number }>("chains", chain))?.rev ?? 0;
   }

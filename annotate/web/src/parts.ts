@@ -15,7 +15,6 @@ export class Parts {
   readonly all: readonly PartInfo[];
   /** The five release parts, in the order of the strips' rows. */
   readonly release: readonly PartInfo[];
-  /** Names of the joints of the body, by number. */
   readonly bodyJoints: readonly string[];
   private readonly byName: Map<string, PartInfo>;
 
@@ -47,7 +46,6 @@ export class Parts {
     return { hard, soft: ((ring & rest) | chosen("soft")) & ~hard };
   }
 
-  /** Joints of all masks of an answer, or of its parts. */
   jointsOf(answer: Answer): Joints {
     const masks = answer.kind === "mask_text" ? answer.masks : [{ parts: answer.parts, soft: true, joints: [] }];
     const all = masks.map((mask) => this.joints(mask.parts, mask.soft, mask.joints));

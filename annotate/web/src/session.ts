@@ -12,7 +12,6 @@ import { WorkClock } from "./work";
 /** Pause in typing after which a draft is sent. */
 const DRAFT_AFTER_MS = 600;
 
-/** What became of the last event of a task. */
 export type Ending = "done" | "refused";
 
 /** Events whose working time the server counts. */
@@ -32,7 +31,6 @@ export class TaskSession<A extends Answer> implements OpenSession {
   private rev: number;
   /** A version from another window, until the user has chosen. */
   private conflict: { theirs: Revision; box: ConflictBox } | null = null;
-  /** A claim in progress after the lease was lost. */
   private claiming: Promise<boolean> | null = null;
   readonly chain: string;
   private readonly task: number;
@@ -51,10 +49,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     app.sessions.add(this);
   }
 
-  /**
-   * Opens a task with this tab's last state if nobody wrote since; else with the server's state, and this tab's
-   * state one undo step away.
-   */
+  /** Opens a task with this tab's last state if nobody wrote since; else with the server's, its own an undo away. */
   static async open<A extends Answer>(
     app: App,
     view: TaskView,
@@ -158,7 +153,6 @@ export class TaskSession<A extends Answer> implements OpenSession {
     await this.send("suggestion_used", { suggestion, used });
   }
 
-  /** Handles the result of an event of this chain. */
   async heard(outcome: Outcome): Promise<void> {
     if (outcome.item.chain !== this.chain) return;
     const { result, item } = outcome;

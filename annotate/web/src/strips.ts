@@ -118,7 +118,6 @@ export class Strip {
     return this.values.subarray(row * this.columns, (row + 1) * this.columns);
   }
 
-  /** Marks the rows of suggested and of chosen parts. */
   mark(suggested: ReadonlySet<string>, chosen: ReadonlySet<string>): void {
     this.rows.forEach((row, index) => {
       this.labels[index]?.classList.toggle("suggested", suggested.has(row.name));
@@ -134,7 +133,6 @@ export class Strip {
     this.dirty = true;
   }
 
-  /** The column with the largest value of a row. */
   peak(row: number): number {
     let best = 0;
     for (let column = 1; column < this.columns; column += 1) {

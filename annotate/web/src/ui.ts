@@ -68,10 +68,7 @@ export interface Choice<T> {
   hint?: string;
 }
 
-/**
- * A modal dialog; resolves with the choice, or null for Cancel and Escape. A dialog whose first choice only closes it
- * needs no Cancel.
- */
+/** A modal dialog; `null` for Cancel and Escape. One whose first choice only closes it needs no Cancel. */
 export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>[], focus?: HTMLElement): Promise<T | null> {
   return new Promise((resolve) => {
     const finish = (value: T | null): void => {
@@ -178,10 +175,7 @@ export function select<T extends string>(options: readonly (readonly [T, string]
   return own;
 }
 
-/**
- * Repeats a step until it returns false, over a bar and a button that stops between two steps. The step gets a function
- * that shows how much is done. Returns whether it was stopped; a failed step ends it with its error.
- */
+/** Repeats a step, which says how much is done, until it returns false or the user stops. Returns whether they did. */
 export async function inSteps(title: string, total: number, step: (done: (count: number) => void) => Promise<boolean>): Promise<boolean> {
   let stopped = false;
   const bar = h("progress", { attrs: { max: Math.max(1, total), value: 0, "aria-label": title } });

@@ -1,7 +1,4 @@
-/**
- * Stages, strips and playback controls of a task, all driven by one clock. Screens decide what is shown; the
- * viewer is independent of the kind of task.
- */
+/** Stages, strips and playback controls of a task of any kind, all driven by one clock. */
 
 import { html } from "lit";
 import { clipFrame, Clock, type ClockState } from "./clock";
@@ -101,7 +98,6 @@ export class Viewer {
     this.update(this.clock.now);
   }
 
-  /** Puts an element below the strips. */
   addBelow(element: HTMLElement): void {
     this.stripColumn.append(element);
   }
@@ -119,7 +115,6 @@ export class Viewer {
     this.clock.play(!window.matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
 
-  /** Shows other clips at the current frame. */
   replaceClips(clips: Clip[]): void {
     this.clips = clips;
     this.arrange();

@@ -116,10 +116,8 @@ export function shares(counts: Funnel["counts"][TaskKind]): { name: string; labe
 }
 
 const BAR_WIDTH = 640;
-/** About the width of a character in a bar. */
 const LETTER = 7;
 
-/** How far a kind is: one bar, of accepted, waiting, open and dropped tasks. */
 export function stateBar(title: string, counts: Funnel["counts"][TaskKind]): TemplateResult {
   const groups = shares(counts).filter((group) => group.tasks > 0);
   const words = groups.map((group) => `${group.tasks} ${group.label}`).join(", ") || "no tasks";

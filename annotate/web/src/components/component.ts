@@ -5,10 +5,7 @@ import type { Lint } from "../lints";
 import type { Style } from "../wire";
 import { paragraphs } from "../words";
 
-/**
- * A component that draws into the page itself, without a shadow root, so that the page's style sheet, keys and
- * focus rules apply to it. Drawing changes only what differs: focus and selections stay where they are.
- */
+/** A component without a shadow root, so that the page's style sheet, keys and focus rules apply to it. */
 export abstract class Component extends LitElement {
   protected override createRenderRoot(): HTMLElement {
     return this;

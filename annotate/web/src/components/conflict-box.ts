@@ -1,7 +1,4 @@
-/**
- * Two versions of an answer, of which the user chooses one or both. The box opens by itself while somebody types, so
- * it takes no focus, has no default button, and its keys work only after the user has moved into it.
- */
+/** Two versions of an answer to choose from. It opens while somebody types, so it takes no focus or keys at first. */
 
 import { html, type TemplateResult } from "lit";
 import { Component, define } from "./component";

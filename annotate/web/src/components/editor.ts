@@ -130,7 +130,6 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
     `;
   }
 
-  /** Phrases to begin or to go on with. */
   protected phraseRow(name: string, lead: unknown, phrases: readonly string[], use: (phrase: string, index: number) => void): TemplateResult | typeof nothing {
     if (phrases.length === 0) return nothing;
     return html`<div class="templates" role="group" aria-label=${name}>

@@ -250,10 +250,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
       });
   }
 
-  /**
-   * What the key of suggestions takes: on a card that has none or was filled by this key, the next one, so that every
-   * suggestion can be reached; else the first, on a new card.
-   */
+  /** What the key takes: after a suggestion that it filled in, or on an empty card, the next one; else the first. */
   private get nextOffer(): Offer | null {
     const offers = this.offers(this.selected);
     const at = offers.findIndex((offer) => keyOf(offer.parts) === keyOf(this.card.parts));

@@ -66,7 +66,6 @@ export class ReviewPanel extends Component {
     this.kept = app.keep(`merge:${review.task.id}`);
   }
 
-  /** The user did something on the page. */
   active(): void {
     this.work.active();
   }
@@ -257,7 +256,6 @@ export class ReviewPanel extends Component {
     `;
   }
 
-  /** Drafts and suggested parts that the annotators saw. */
   private offered(): TemplateResult | typeof nothing {
     const { suggestions } = this.review;
     if (suggestions.length === 0) return nothing;

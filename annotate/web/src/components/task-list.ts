@@ -170,7 +170,6 @@ export class TaskList extends Component {
     </div>`;
   }
 
-  /** Who answered, and what their answers say besides the text. */
   private peopleOf(row: TaskRow): string {
     const says = new Set(
       row.answers.flatMap(({ verdict, edit_type, parts }) => [

@@ -29,7 +29,6 @@ export async function openAnswer(app: App, kind: TaskKind, argument: string, sho
   return next.task ? show(app, next.task) : emptyScreen(app, kind, next.empty);
 }
 
-/** Says why a queue is empty. */
 function emptyScreen(app: App, kind: TaskKind, empty: Empty | null): Screen {
   const lines: string[] = [];
   if (empty) {
@@ -66,10 +65,7 @@ type Prepare = () => Promise<(() => Promise<Ending>) | null>;
 /** Ends the work on a task, opens `to` (the next task unless it says otherwise), and then calls `after`. */
 export type Finish = (prepare: Prepare, after?: () => void, to?: string) => Promise<void>;
 
-/**
- * A function that submits, skips or postpones, waits for the server, and then opens the next task of `route`. Calls
- * during another one are ignored, so that an answer is sent once however slow the server is.
- */
+/** Ends a task and opens the next of `route`. Calls during another are ignored, so that an answer is sent once. */
 export function finisher(app: App, route: string): Finish {
   let busy = false;
   return async (prepare, after, to = route) => {
@@ -109,11 +105,9 @@ export function answerScreen<A extends Answer, H extends EditorHost<A>>(
     label: string;
     className: string;
     viewer: Viewer;
-    /** What stands above the editor. */
     above: readonly Child[];
     submit: string;
     finish: Finish;
-    /** The keys of the kind of task. */
     scope: Scope;
     /** Actions of the kind of task, before those of all kinds. */
     deeds: Deeds;

@@ -25,7 +25,6 @@ const DONE: Readonly<Record<BulkAction, string>> = {
   assign: "assigned",
 };
 
-/** What happens to each task that is changed. */
 const MEANS: Readonly<Record<BulkAction, string>> = {
   accept: "The answer that was handed in first is accepted, and exports have it from then on.",
   return: "All their answers go back to their authors, with your comment.",

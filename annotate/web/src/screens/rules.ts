@@ -181,7 +181,6 @@ export async function openRules(app: App): Promise<Screen> {
   return widePage("Rules", taskTabs(app, "rules"), box);
 }
 
-/** The rules with one of them a place earlier. */
 function earlier(rules: readonly Rule[], name: string): Rule[] {
   const at = rules.findIndex((rule) => rule.name === name);
   const all = [...rules];

@@ -213,7 +213,6 @@ export async function openTasks(app: App): Promise<Screen> {
   const back = left.query === query ? left : { at: 0, top: 0 };
   await load(back.at, back.top);
 
-  /** Fills a list of choices, and keeps what is chosen. */
   const offer = (own: HTMLElement, options: readonly (readonly [string, string])[]): void => {
     if (!(own instanceof HTMLSelectElement)) return;
     const { value } = own;

@@ -168,10 +168,7 @@ export function headingAt(track: Track, frame: number): number {
   return Math.hypot(x, z) < 1e-6 ? 0 : Math.atan2(-z, x);
 }
 
-/**
- * A clip moved so that in each frame its pelvis stands where that of another clip stands at the same time, and faces
- * the same way. Poses can be compared then wherever the two bodies walk. Heights stay.
- */
+/** A clip moved so that its pelvis stands and faces as that of another clip at the same time; heights stay. */
 export function aligned(track: Track, to: Track, frameOfOther: (frame: number) => number): Track {
   const data = new Float32Array(track.data.length);
   const own: Vec3 = [0, 0, 0];

@@ -1,7 +1,4 @@
-/**
- * A view of bodies: a renderer, an overlay for tags, mouse control, and attributes that describe what is shown.
- * Without WebGL, or when its context is lost, Canvas 2D is used.
- */
+/** A view of bodies, drawn by Canvas 2D without WebGL or when its context is lost, with tags and mouse control. */
 
 import { h } from "../dom";
 import { OrbitCamera, type Preset } from "./camera";
@@ -33,7 +30,6 @@ export class Stage {
   private readonly observer: ResizeObserver;
   private readonly forget: () => void;
   followRoot = true;
-  /** Other stages whose cameras move with this one. */
   private followers: Stage[] = [];
 
   constructor(label: string, make: MakeRenderer) {
@@ -77,7 +73,6 @@ export class Stage {
     if (this.element.getAttribute("aria-label") !== text) this.element.setAttribute("aria-label", text);
   }
 
-  /** Shows bodies at a frame of the clock. */
   show(bodies: Body[], clockFrame: number): void {
     this.bodies = bodies;
     this.element.dataset.frame = String(clockFrame);

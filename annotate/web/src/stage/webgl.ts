@@ -269,10 +269,7 @@ export class WebglRenderer implements Renderer {
   }
 }
 
-/**
- * Creates renderers, and reuses those of closed stages: a new context with its shaders costs more than anything
- * else on the page.
- */
+/** Creates renderers and reuses those of closed stages: a new context costs more than anything else on the page. */
 export function rendererPool(lib: Lib, antialias: boolean): () => Renderer {
   const idle: WebglRenderer[] = [];
   return () => idle.pop() ?? new WebglRenderer(lib, idle, antialias);
