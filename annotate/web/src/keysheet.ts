@@ -42,35 +42,31 @@ export async function showKeySheet(keys: KeyMap, store: (keys: Record<string, st
     });
     fill(list, ...sections);
   };
-  const capture = (id: ActionId): void => {
-    waiting = id;
-    note.textContent = `Press the new key of “${label(id)}”. Esc leaves it as it is.`;
+  /** Says how it goes with the key of an action, and keeps the focus there. */
+  const show = (id: ActionId, next: ActionId | null, words: string): void => {
+    waiting = next;
+    note.textContent = words;
     draw();
     list.querySelector<HTMLElement>(`[data-action="${id}"]`)?.focus();
   };
+  const capture = (id: ActionId): void => show(id, id, `Press the new key of “${label(id)}”. Esc leaves it as it is.`);
   const pressed = (event: KeyboardEvent): void => {
     if (waiting === null || ["Shift", "Control", "Alt", "Meta"].includes(event.key)) return;
     event.preventDefault();
     event.stopImmediatePropagation();
     const id = waiting;
     const chord = chordOf(event);
+    const clash = chord === null ? [] : keys.clashes(id, chord);
     if (event.code === "Escape") {
-      waiting = null;
-      note.textContent = "";
+      show(id, null, "");
     } else if (chord === null) {
-      note.textContent = "That key cannot be used; press another.";
+      show(id, id, "That key cannot be used; press another.");
+    } else if (clash.length > 0) {
+      show(id, id, `${keys.labelOf(chord)} is the key of “${clash.map(label).join("”, “")}”; press another.`);
     } else {
-      const clash = keys.clashes(id, chord);
-      if (clash.length > 0) {
-        note.textContent = `${keys.labelOf(chord)} is the key of “${clash.map(label).join("”, “")}”; press another.`;
-      } else {
-        waiting = null;
-        note.textContent = `“${label(id)}” is now on ${keys.labelOf(chord)}.`;
-        save({ ...keys.overrides, [id]: [chord] });
-      }
+      save({ ...keys.overrides, [id]: [chord] });
+      show(id, null, `“${label(id)}” is now on ${keys.labelOf(chord)}.`);
     }
-    draw();
-    list.querySelector<HTMLElement>(`[data-action="${id}"]`)?.focus();
   };
   window.addEventListener("keydown", pressed, true);
   draw();

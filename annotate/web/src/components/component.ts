@@ -55,8 +55,8 @@ export function keyHint(hint: string): TemplateResult | typeof nothing {
   return hint ? html`<kbd>${hint}</kbd>` : nothing;
 }
 
-export function action(label: string, hint: string, run: () => void, className = ""): TemplateResult {
-  return html`<button type="button" class=${className} @click=${run}>${keyHint(hint)}<span class="button-label">${label}</span></button>`;
+export function action(label: string, hint: string, run: () => void, className = "", title = ""): TemplateResult {
+  return html`<button type="button" class=${className} title=${title || nothing} @click=${run}>${keyHint(hint)}<span class="button-label">${label}</span></button>`;
 }
 
 /** A square of a colour. An attribute of SVG, since the policy of the page refuses inline styles. */

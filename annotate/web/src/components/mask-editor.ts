@@ -14,7 +14,7 @@ import { askReason } from "../ui";
 import type { Clip, Viewer } from "../viewer";
 import { MAX_MASKS, type CountReason, type MaskAnswer, type MotionInfo, type PartInfo, type Suggestion } from "../wire";
 import { COUNT_CHOICES, type MaskTextAnswer } from "../words";
-import { action, choice, define, keyHint } from "./component";
+import { action, choice, define } from "./component";
 import { Editor, type EditorHost } from "./editor";
 
 export interface MaskStage {
@@ -38,9 +38,7 @@ interface Preview {
 
 interface Offer {
   parts: string[];
-  text: string;
-  id: number;
-  source: string;
+  why: string;
 }
 
 const keyOf = (parts: readonly string[]): string => [...parts].sort().join("+");
@@ -239,8 +237,8 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
       .filter((suggestion) => suggestion.source !== "llm")
       .flatMap((suggestion) =>
         suggestion.source === "heat"
-          ? suggestion.parts.map((part) => ({ parts: [part], text: "", id: suggestion.id, source: "activity" }))
-          : [{ parts: suggestion.parts, text: suggestion.text, id: suggestion.id, source: suggestion.model || "import" }],
+          ? suggestion.parts.map((part) => ({ parts: [part], why: "This part moves a lot" }))
+          : [{ parts: suggestion.parts, why: `From ${suggestion.model || "import"}` }],
       )
       .filter(({ parts }) => {
         const name = keyOf(parts);
@@ -390,14 +388,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     return html`<div class="suggestions">
       <span class="note">Suggested, not chosen:</span>
       ${open.map(
-        (suggestion) => html`<button
-          type="button"
-          class="suggestion"
-          title=${suggestion.source === "activity" ? "This part moves a lot" : `From ${suggestion.source}`}
-          @click=${() => this.take(suggestion.parts)}
-        >
-          ${keyHint(hint(suggestion))}<span class="button-label">${app.parts.phrases(suggestion.parts)}</span>
-        </button>`,
+        (offer) => action(app.parts.phrases(offer.parts), hint(offer), () => this.take(offer.parts), "suggestion", offer.why),
       )}
     </div>`;
   }

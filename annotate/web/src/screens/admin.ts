@@ -213,7 +213,6 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   const types = EDIT_TYPES.map((type) => [type, input("number", "", { min: 0 })] as const);
   const styles = new StyleRows();
   const phrases = new Map(PHRASES.map(([key]) => [key, h("textarea", { attrs: { rows: 4 } })]));
-  const guide = h("textarea", { attrs: { rows: 8 } });
   const zone = input("text", "", { placeholder: Intl.DateTimeFormat().resolvedOptions().timeZone });
   const show = (): void => {
     name.value = settings.name;
@@ -221,12 +220,11 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     for (const [type, own] of types) own.value = String(settings.edit_type_quota[type] ?? 0);
     styles.show(settings.styles);
     for (const [key, own] of phrases) own.value = settings[key].join("\n");
-    guide.value = settings.guide;
     zone.value = settings.time_zone;
   };
   show();
   const save = async (): Promise<void> => {
-    // Rules, guidelines and styles may have been added elsewhere since this page was opened.
+    // The guide, rules, guidelines and styles may have been changed elsewhere since this page was opened.
     const now = await app.api.get<Settings>("settings");
     const quotas = types.map(([type, own]) => [type, Number(own.value)] as const).filter(([, wanted]) => wanted !== 0);
     const changed: Settings = {
@@ -234,7 +232,6 @@ async function settingsSection(app: App): Promise<HTMLElement> {
       name: name.value.trim(),
       styles: styles.read(now.styles),
       edit_type_quota: Object.fromEntries(quotas),
-      guide: guide.value,
       time_zone: zone.value.trim(),
     };
     for (const [key, own] of numbers) changed[key] = Number(own.value);
@@ -250,7 +247,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
     <div class="numbers">${types.map(([type, own]) => field(`Pairs wanted of edit type “${type}” (0: any)`, own))}</div>
     ${field("Time zone in which days begin, such as Europe/Berlin", zone)} ${styles.element}
     ${PHRASES.map(([key, label]) => field(label, phrases.get(key) as HTMLTextAreaElement))}
-    ${field("Guide (plain text; # heading, - item)", guide)} ${button("Save settings", save, app, "primary")}
+    ${button("Save settings", save, app, "primary")}
   </section>`);
 }
 

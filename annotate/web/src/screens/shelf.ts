@@ -6,7 +6,7 @@ import { fill, h, setAttr } from "../dom";
 import { describe } from "../merge";
 import { shortName } from "../motions";
 import { field, input, plainButton, select } from "../ui";
-import type { Shelf, Task } from "../wire";
+import type { Shelf } from "../wire";
 import { KIND_WORDS } from "../words";
 import { panelOf, workScreen } from "./frame";
 
@@ -20,19 +20,7 @@ export async function openShelf(app: App): Promise<Screen> {
   let items: Item[] = [];
   let next: number | null = null;
 
-  const copy = (label: string, what: "gold" | "practice", done: string): HTMLElement => plainButton(label, () => void makeCopy(what, done));
-  const makeCopy = async (what: "gold" | "practice", done: string): Promise<void> => {
-    if (!chosen) return;
-    try {
-      await app.api.post<Task>(`tasks/${chosen.task.id}/${what}`);
-      app.toasts.show(done);
-    } catch (error) {
-      app.toasts.fail(error, `Not made ${what}: `);
-    }
-  };
-  let chosen: Item | null = null;
   const play = async (item: Item, button: HTMLElement): Promise<void> => {
-    chosen = item;
     for (const other of list.querySelectorAll("button")) setAttr(other, "aria-pressed", other === button ? "true" : "false");
     const tracks = await Promise.all(item.task.motions.map((motion) => app.motions.track(motion)));
     const { answer } = item;
@@ -44,12 +32,9 @@ export async function openShelf(app: App): Promise<Screen> {
   };
   const draw = (): void => {
     const cards = items.map((item) => {
-      const button = h(
-        "button",
-        { class: "shelf-item", attrs: { "aria-pressed": "false" } },
-        h("strong", {}, `${KIND_WORDS[item.task.kind]} · ${item.task.motions.map((motion) => shortName(motion.id)).join(" → ")}`),
-        ...describe(app.parts, item.answer).map((line) => h("span", {}, line)),
-      );
+      const title = `${KIND_WORDS[item.task.kind]} · ${item.task.motions.map((motion) => shortName(motion.id)).join(" → ")}`;
+      const lines = describe(app.parts, item.answer).map((line) => h("span", {}, line));
+      const button = h("button", { class: "shelf-item", attrs: { "aria-pressed": "false" } }, h("strong", {}, title), ...lines);
       button.addEventListener("click", () => void play(item, button).catch((error: unknown) => app.toasts.fail(error)));
       return button;
     });
@@ -66,13 +51,9 @@ export async function openShelf(app: App): Promise<Screen> {
   query.addEventListener("change", search);
   part.addEventListener("change", search);
   await load(false);
-  const copies = [
-    copy("Make this a hidden gold task", "gold", "A copy of this task is given out as gold from now on."),
-    copy("Make it practice", "practice", "A copy of this task is a practice task from now on."),
-  ];
   const head = [h("h2", {}, "Accepted examples"), h("div", { class: "row" }, field("Words", query), field("Part", part))];
   list.querySelector<HTMLElement>("button.shelf-item")?.click();
-  return workScreen(viewer, panelOf("Accepted examples", [...head, list], app.may("admin") ? copies : []), "shelf", null, {
+  return workScreen(viewer, panelOf("Accepted examples", [...head, list]), "shelf", null, {
     title: "Accepted examples",
     scopes: ["transport"],
     perform: (action, ten) => viewer.perform(action, ten),
