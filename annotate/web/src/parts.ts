@@ -18,7 +18,7 @@ export class Parts {
   readonly bodyJoints: readonly string[];
   private readonly byName: Map<string, PartInfo>;
 
-  constructor(skeleton: SkeletonInfo) {
+  constructor(skeleton: Pick<SkeletonInfo, "joints" | "parts">) {
     this.all = skeleton.parts;
     this.bodyJoints = skeleton.joints.slice(0, BODY_JOINTS);
     this.release = skeleton.parts.filter((part) => part.release);

@@ -12,10 +12,6 @@ import type { MaskTextAnswer } from "../src/words";
 
 const parts = new Parts({
   joints: ["pelvis", "left_hip", "left_collar", "left_shoulder"],
-  parents: [],
-  sides: [],
-  body_joint: [],
-  mask_def_version: 1,
   parts: [
     { name: "LEFT_ARM", phrase: "left arm", release: true, hard: [3], soft: [2] },
     { name: "LEFT_LEG", phrase: "left leg", release: false, hard: [1], soft: [] },

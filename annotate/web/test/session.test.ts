@@ -38,7 +38,7 @@ class Desk {
     outbox: this.outbox,
     chain: (task: number) => `store:1:${task}:tab`,
     me: { limits: { heartbeat_secs: 60, lease_secs: 900 } },
-    parts: new Parts({ joints: [], parents: [], sides: [], body_joint: [], mask_def_version: 1, parts: [] }),
+    parts: new Parts({ joints: [], parts: [] }),
     toasts: { show: (text: string) => this.toasts.push(text), fail: (error: Error, what: string) => this.toasts.push(what + error.message) },
     refreshChip: () => {},
     requireLogin: () => Promise.resolve(),
