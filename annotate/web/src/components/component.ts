@@ -108,27 +108,13 @@ export function pageLink(app: { go(path: string): void }, path: string, label: s
 
 /** A table from rows of cells; the first cell of a row names it. Without rows, `none` is shown in their place. */
 export function figureTable(caption: string, head: readonly string[], rows: readonly (readonly unknown[])[], none = "None."): TemplateResult {
+  const cells = (row: readonly unknown[]): TemplateResult[] =>
+    row.map((cell, index) => (index === 0 ? html`<th scope="row">${cell}</th>` : html`<td>${cell}</td>`));
+  const empty = html`<tr><td colspan=${head.length} class="note">${none}</td></tr>`;
   return html`<table>
-    <caption>
-      ${caption}
-    </caption>
-    <thead>
-      <tr>
-        ${head.map((cell) => html`<th scope="col">${cell}</th>`)}
-      </tr>
-    </thead>
-    <tbody>
-      ${rows.length === 0
-        ? html`<tr>
-            <td colspan=${head.length} class="note">${none}</td>
-          </tr>`
-        : rows.map(
-            (row) =>
-              html`<tr>
-                ${row.map((cell, index) => (index === 0 ? html`<th scope="row">${cell}</th>` : html`<td>${cell}</td>`))}
-              </tr>`,
-          )}
-    </tbody>
+    <caption>${caption}</caption>
+    <thead><tr>${head.map((cell) => html`<th scope="col">${cell}</th>`)}</tr></thead>
+    <tbody>${rows.length === 0 ? empty : rows.map((row) => html`<tr>${cells(row)}</tr>`)}</tbody>
   </table>`;
 }
 
@@ -140,9 +126,6 @@ export function switcher<T extends string | number>(
   choose: (value: T) => void,
 ): TemplateResult {
   return html`<div class="row switcher" role="group" aria-label=${label}>
-    ${options.map(
-      ([value, words]) =>
-        html`<button type="button" aria-pressed=${value === chosen ? "true" : "false"} @click=${() => choose(value)}>${words}</button>`,
-    )}
+    ${options.map(([value, words]) => html`<button type="button" aria-pressed=${String(value === chosen)} @click=${() => choose(value)}>${words}</button>`)}
   </div>`;
 }

@@ -16,7 +16,6 @@ const DEAF_MS = 1000;
 
 export class ConflictBox extends Component {
   private ready = false;
-  private timer: number | null = null;
   /** The text in which the user was before. */
   private text: HTMLTextAreaElement | null = null;
 
@@ -42,15 +41,10 @@ export class ConflictBox extends Component {
     super.connectedCallback();
     this.addEventListener("keydown", this.pressed);
     this.addEventListener("focusin", this.entered);
-    this.timer = window.setTimeout(() => {
+    window.setTimeout(() => {
       this.ready = true;
       this.requestUpdate();
     }, DEAF_MS);
-  }
-
-  override disconnectedCallback(): void {
-    super.disconnectedCallback();
-    if (this.timer !== null) window.clearTimeout(this.timer);
   }
 
   private readonly entered = (event: FocusEvent): void => {
@@ -94,26 +88,18 @@ export class ConflictBox extends Component {
     const column = (title: string, lines: readonly string[]): TemplateResult =>
       html`<section class="merge-column">
         <h3>${title}</h3>
-        <ul>
-          ${lines.map((line) => html`<li>${line}</li>`)}
-        </ul>
+        <ul>${lines.map((line) => html`<li>${line}</li>`)}</ul>
       </section>`;
+    const button = ([version, label]: (typeof CHOICES)[number], index: number): TemplateResult => {
+      const take = (): void => void (this.ready && this.take(version));
+      const deaf = this.ready ? "false" : "true";
+      return html`<button type="button" data-choice=${version} aria-disabled=${deaf} @click=${take}><kbd>${index + 1}</kbd>${label}</button>`;
+    };
     return html`
       <h2>This task was changed in another window</h2>
       <p>Both versions are kept in the log. Go on typing, or choose here; <kbd>F6</kbd> moves here.</p>
       <div class="merge">${column("In this window, now", this.mine())}${column("In the other window", this.theirs)}</div>
-      <div class="dialog-buttons">
-        ${CHOICES.map(
-          ([version, label], index) => html`<button
-            type="button"
-            data-choice=${version}
-            aria-disabled=${this.ready ? "false" : "true"}
-            @click=${() => this.ready && this.take(version)}
-          >
-            <kbd>${index + 1}</kbd>${label}
-          </button>`,
-        )}
-      </div>
+      <div class="dialog-buttons">${CHOICES.map(button)}</div>
     `;
   }
 }

@@ -496,13 +496,8 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     const joint = (name: string, at: number): TemplateResult => {
       const weight = parts.weightOf(mask, at);
       const chosen = mask.joints?.some((own) => own.joint === name) ?? false;
-      return html`<button
-        type="button"
-        class=${`joint ${weight}${chosen ? " chosen" : ""}`}
-        data-joint=${name}
-        data-weight=${weight}
-        @click=${() => this.edit({ joints: parts.nextChoices(mask, at) })}
-      >
+      const next = (): void => this.edit({ joints: parts.nextChoices(mask, at) });
+      return html`<button type="button" class=${`joint ${weight}${chosen ? " chosen" : ""}`} data-joint=${name} data-weight=${weight} @click=${next}>
         ${jointPhrase(name)} <span class="note">${weight}</span>
       </button>`;
     };

@@ -259,27 +259,21 @@ export class ReviewPanel extends Component {
   private offered(): TemplateResult | typeof nothing {
     const { suggestions } = this.review;
     if (suggestions.length === 0) return nothing;
-    const words = (parts: readonly string[]): string => parts.map((part) => this.app.parts.phrase(part)).join(", ");
+    const words = (parts: readonly string[], text: string): string =>
+      [parts.map((part) => this.app.parts.phrase(part)).join(", "), text && `“${text}”`].filter((own) => own !== "").join(": ");
+    const lines = suggestions.map(({ text, parts, model }) => html`<li>${words(parts, text)} <span class="note">${model}</span></li>`);
     return html`<details class="offered">
       <summary>What annotators were offered: ${suggestions.length === 1 ? "1 suggestion" : `${suggestions.length} suggestions`}</summary>
-      <ul>
-        ${suggestions.map(
-          ({ text, parts, model }) =>
-            html`<li>${[words(parts), text && `“${text}”`].filter((part) => part !== "").join(": ")} <span class="note">${model}</span></li>`,
-        )}
-      </ul>
+      <ul>${lines}</ul>
     </details>`;
   }
 
   private mergeBox(editor: MaskEditor | PairEditor): TemplateResult {
     const others = this.review.candidates.filter((_, index) => index !== this.selected);
+    const lines = others.flatMap(({ revision, author_name }) => describe(this.app.parts, revision.answer).map((line) => html`<li>${author_name}: ${line}</li>`));
     return html`<div class="merge-box">
       <h2>Merge and edit</h2>
-      <ul class="others">
-        ${others.flatMap((other) =>
-          describe(this.app.parts, other.revision.answer).map((line) => html`<li>${other.author_name}: ${line}</li>`),
-        )}
-      </ul>
+      <ul class="others">${lines}</ul>
       ${editor}
       <div class="row">
         ${action("Accept this", this.app.keys.hint("submit"), () => void this.commitMerge(), "primary")}

@@ -56,10 +56,6 @@ export class TaskList extends Component {
     return list.want(1);
   }
 
-  again(): void {
-    void this.list.again();
-  }
-
   /** Where the reader is, to come back to. */
   get place(): { at: number; top: number; rows: readonly TaskRow[] } {
     return { at: this.at, top: this.restore ?? this.scrollTop, rows: this.list.rows };
@@ -137,7 +133,7 @@ export class TaskList extends Component {
       </div>
       <div class="list-body" role="presentation"><div class="list-rows" role="presentation">${rows}</div></div>
       ${this.list.trouble === null ? nothing : html`<p class="list-trouble" role="alert">
-        Not loaded: ${reason(this.list.trouble)} <button type="button" @click=${() => this.again()}>Try again</button>
+        Not loaded: ${reason(this.list.trouble)} <button type="button" @click=${() => void this.list.again()}>Try again</button>
       </p>`}
     `;
   }
@@ -145,10 +141,10 @@ export class TaskList extends Component {
   private rowAt(index: number): TemplateResult {
     const row = this.list.rows[index];
     const chosen = index === this.at ? "true" : "false";
+    const id = `list-row-${index}`;
     if (!row) {
-      return html`<div class="list-row" role="row" id=${`list-row-${index}`} aria-rowindex=${index + 2} aria-selected=${chosen}>
-        <span class="cell note" role="gridcell">…</span>
-      </div>`;
+      const cell = html`<span class="cell note" role="gridcell">…</span>`;
+      return html`<div class="list-row" role="row" id=${id} aria-rowindex=${index + 2} aria-selected=${chosen}>${cell}</div>`;
     }
     const cell = (line: unknown, below: string): TemplateResult =>
       html`<span class="cell" role="gridcell"><span>${line}</span><span class="note">${below}</span></span>`;
@@ -157,7 +153,7 @@ export class TaskList extends Component {
     return html`<div
       class="list-row"
       role="row"
-      id=${`list-row-${index}`}
+      id=${id}
       aria-rowindex=${index + 2}
       aria-selected=${chosen}
       data-task=${row.id}

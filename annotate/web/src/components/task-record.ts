@@ -82,6 +82,7 @@ export class TaskRecord extends Component {
     const { keys } = this.app;
     const facts = [`key: ${row.key}`, `split: ${row.split}`, ...factsOf(task)];
     const captions = task.motions.flatMap((motion) => motion.captions);
+    const offerWords = (parts: readonly string[], text: string): string => `${this.app.parts.phrases(parts)}${text ? `: ${text}` : ""}`;
     return html`
       <div class="panel-scroll">
         <nav class="tabs" aria-label="The list">
@@ -101,27 +102,12 @@ export class TaskRecord extends Component {
           : answerCards(this.app, candidates, this.selected, (index) => this.select(index), {
               note: ({ revision }) => `${ANSWER_WORDS[revision.state]} · ${when(revision.at)}`,
             })}
-        ${section("Decisions", decisions.map((decision) => html`<li>${decisionWords(decision)} <span class="note">${when(decision.at)}</span></li>`))}
-        ${section(
-          "Skipped by",
-          row.skips.map(
-            (skip) => html`<li>
-              ${skip.name}: ${skip.postponed ? "postponed" : skip.reason ? SKIP_WORDS[skip.reason] : "no reason"}${skip.note ? ` (${skip.note})` : ""}
-              <span class="note">${when(skip.at)}</span>
-            </li>`,
-          ),
-        )}
-        ${section(
-          "Suggestions that annotators were offered",
-          suggestions.map(
-            ({ parts, text, model }) => html`<li>${this.app.parts.phrases(parts)}${text ? `: ${text}` : ""} <span class="note">${model || "the source"}</span></li>`,
-          ),
-        )}
+        ${section("Decisions", decisions.map((decision) => line(decisionWords(decision), when(decision.at))))}
+        ${section("Skipped by", row.skips.map((skip) => line(skipWords(skip), when(skip.at))))}
+        ${section("Suggestions that annotators were offered", suggestions.map(({ parts, text, model }) => line(offerWords(parts, text), model || "the source")))}
         <details class="history">
           <summary>History: ${this.history.length} entries of the log</summary>
-          <ol>
-            ${storyOf(this.history).map(({ at, who, what }) => html`<li>${who}: ${what} <span class="note">${when(at)}</span></li>`)}
-          </ol>
+          <ol>${storyOf(this.history).map(({ at, who, what }) => line(`${who}: ${what}`, when(at)))}</ol>
         </details>
       </div>
       <div class="panel-foot">${this.buttons()}</div>
@@ -137,12 +123,8 @@ export class TaskRecord extends Component {
     const { row } = this.file;
     const basis = row.accepted_by ?? "";
     const rule = basis.startsWith("rule:") ? basis.slice("rule:".length) : null;
-    const how =
-      rule !== null
-        ? html` by rule ${pageLink(this.app, `tasks?rule=${encodeURIComponent(rule)}`, rule)}`
-        : basis === ""
-          ? nothing
-          : html` ${acceptedHow(basis)}`;
+    const byRule = rule !== null && html` by rule ${pageLink(this.app, `tasks?rule=${encodeURIComponent(rule)}`, rule)}`;
+    const how = byRule || (basis === "" ? nothing : html` ${acceptedHow(basis)}`);
     const wanted = `${row.submitted} of ${row.wanted} ${row.wanted === 1 ? "answer" : "answers"} handed in`;
     const apart = row.distance === null ? "" : ` The answers ${apartWords(row.distance)}.`;
     return html`<strong data-state=${row.state}>${STATE_WORDS[row.state]}${how}</strong>; ${wanted}.${apart}`;
@@ -184,6 +166,15 @@ export class TaskRecord extends Component {
 
 function section(title: string, lines: readonly TemplateResult[]): TemplateResult | typeof nothing {
   return lines.length === 0 ? nothing : html`<h2>${title}</h2><ul class="record-lines">${lines}</ul>`;
+}
+
+function line(words: string, note: string): TemplateResult {
+  return html`<li>${words} <span class="note">${note}</span></li>`;
+}
+
+function skipWords({ name, postponed, reason, note }: TaskFile["row"]["skips"][number]): string {
+  const why = postponed ? "postponed" : reason ? SKIP_WORDS[reason] : "no reason";
+  return `${name}: ${why}${note ? ` (${note})` : ""}`;
 }
 
 function decisionWords({ decision, reviewer_name, authors, rule, comment }: DecisionRow): string {
