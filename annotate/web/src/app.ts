@@ -6,12 +6,11 @@ import { BrowserStore, MemoryStore, type KeyValue } from "./db";
 import { DiskWatch } from "./disk";
 import { fill, h, isTextField, setAttr } from "./dom";
 import { GuideBeside } from "./guide";
-import { LocalJournal } from "./journal";
 import { KeyMap, PART_ACTIONS, chordOf, isAction, type ActionId, type Focus, type KeyOverrides, type Scope } from "./keys";
 import { showKeySheet } from "./keysheet";
 import { adoptUnsent } from "./legacy";
 import { Motions } from "./motions";
-import { Outbox, type OutboxStatus, type Outcome } from "./outbox";
+import { Journal, Outbox, type OutboxStatus, type Outcome } from "./outbox";
 import { Parts } from "./parts";
 import { CanvasRenderer } from "./stage/canvas2d";
 import { PARENTS } from "./stage/body";
@@ -128,7 +127,7 @@ export class App {
     this.keys.override(this.me.prefs.keys as KeyOverrides);
     // Keys that are taken no more would make the server refuse every change of a setting.
     this.me.prefs.keys = Object.fromEntries(Object.entries(this.keys.overrides).map(([id, chords]) => [id, [...chords]]));
-    const journal = new LocalJournal(this.keep("unstored:"), localStorage);
+    const journal = new Journal(this.keep("unstored:"), localStorage);
     this.outbox = new Outbox(this.store, journal, this.me.user.id, {
       send: (task, events) => this.sendEvents(task, events),
       login: () => this.requireLogin(),

@@ -141,6 +141,6 @@ function prune(olderMs: number, except: string): void {
     if (!key.startsWith("annotate:") || !key.includes(MARK) || key === keyOf(except)) continue;
     const saved = kept<Saved<unknown>>(key);
     // Unreadable ones go, too.
-    if (saved === null || Date.now() - saved.at >= olderMs) localStorage.removeItem(key);
+    if (!saved || !(Date.now() - saved.at < olderMs)) localStorage.removeItem(key);
   }
 }

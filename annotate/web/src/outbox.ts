@@ -25,11 +25,31 @@ export interface OutboxItem {
   problem: Problem | null;
 }
 
-/** Keeps events at once, until the database has them. */
-export interface Journal {
-  all(): OutboxItem[];
-  put(item: OutboxItem): void;
-  remove(key: string): void;
+/** Keeps events at once, until the database has them: a page that is left loses what its database has not finished. */
+export class Journal {
+  /** `prefix` names the project and the person. */
+  constructor(
+    private readonly prefix: string,
+    private readonly storage: Storage,
+  ) {}
+
+  all(): OutboxItem[] {
+    const keys = Array.from({ length: this.storage.length }, (_, at) => this.storage.key(at) ?? "");
+    const texts = keys.filter((key) => key.startsWith(this.prefix)).map((key) => this.storage.getItem(key));
+    return texts.flatMap((text) => (text === null ? [] : [JSON.parse(text) as OutboxItem]));
+  }
+
+  put(item: OutboxItem): void {
+    try {
+      this.storage.setItem(this.prefix + item.key, JSON.stringify(item));
+    } catch {
+      // Storage is full; the database has room of its own.
+    }
+  }
+
+  remove(key: string): void {
+    this.storage.removeItem(this.prefix + key);
+  }
 }
 
 type Phase = "idle" | "sending" | "offline";
@@ -80,7 +100,7 @@ export class Outbox {
 
   constructor(
     private readonly store: KeyValue,
-    private readonly journal: Journal,
+    private readonly journal: Pick<Journal, "all" | "put" | "remove">,
     private readonly user: number,
     private readonly hooks: OutboxHooks,
   ) {}

@@ -2,8 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { ApiError, Unreachable, newEvent } from "../src/api";
 import { MemoryStore } from "../src/db";
-import { LocalJournal } from "../src/journal";
-import { Outbox, theirsOf, type Journal, type Outcome, type OutboxStatus } from "../src/outbox";
+import { Journal, Outbox, theirsOf, type Outcome, type OutboxStatus } from "../src/outbox";
 import type { Answer, Code, EventResult, NewEvent, Problem } from "../src/wire";
 
 const answer = (text: string): Answer => ({
@@ -98,7 +97,7 @@ class MapStorage implements Storage {
   }
 }
 
-const journal = (storage = new MapStorage()): Journal => new LocalJournal("unstored:", storage);
+const journal = (storage = new MapStorage()): Journal => new Journal("unstored:", storage);
 
 interface Bench {
   server: Server;

@@ -1,7 +1,7 @@
 /** Charts of the dashboard. The tables beside them have the same figures in words. */
 
 import { html, nothing, svg, type TemplateResult } from "lit";
-import { dateOf, hours, shortDate, type Period, type Work } from "../figures";
+import { dateOf, shortDate, type Period, type Work } from "../figures";
 import type { Funnel, PartAgreement, TaskKind, TaskState, Week } from "../wire";
 
 const WIDTH = 640;
@@ -165,8 +165,4 @@ export function daySpan(period: Period): string {
 /** The most that one person did on one day. */
 export function mostOf(period: Period, value: (work: Work) => number): number {
   return Math.max(0, ...period.people.flatMap((person) => person.days.map(value)));
-}
-
-export function measureWords(measure: "hours" | "answers", work: Work): string {
-  return measure === "hours" ? hours(work.secs) : String(work.answers);
 }

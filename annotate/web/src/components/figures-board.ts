@@ -22,7 +22,7 @@ import {
 } from "../wire";
 import { KIND_NAMES, KIND_WORDS, PURPOSE_WORDS, SHORT_KIND } from "../words";
 import { CapturesBoard } from "./captures-board";
-import { agreementByWeek, agreementChart, dayBars, daySpan, measureWords, mostOf, stateBar, throughput } from "./charts";
+import { agreementByWeek, agreementChart, dayBars, daySpan, mostOf, stateBar, throughput } from "./charts";
 import { Component, define, figureTable, pageLink, switcher } from "./component";
 
 const MEASURES = [
@@ -221,7 +221,7 @@ function dayTable(period: Period): TemplateResult {
   const cell = (work: PersonWork["all"] | undefined): string => {
     if (!work || work.secs + work.answers + work.skips + work.reviews === 0) return "";
     const done = [work.answers > 0 && `${work.answers} answers`, work.skips > 0 && `${work.skips} skips`, work.reviews > 0 && `${work.reviews} reviews`];
-    return [measureWords("hours", work), ...done.filter((part) => part !== false)].join(", ");
+    return [hours(work.secs), ...done.filter((part) => part !== false)].join(", ");
   };
   const rows = period.dates
     .map((date, index) => ({ date, cells: [period.all, ...period.people].map((person) => cell(person.days[index])) }))

@@ -1,11 +1,12 @@
 /** Review: the answers to one task side by side; joints where they differ glow on the body. */
 
 import type { App, Screen } from "../app";
+import { DecisionList } from "../components/decision-list";
 import { ReviewPanel } from "../components/review-panel";
 import { h } from "../dom";
 import type { Scope } from "../keys";
 import type { ReviewNext, ReviewQueue, ReviewView } from "../wire";
-import { listOf, pageScreen, tabs, workScreen } from "./frame";
+import { listOf, pageScreen, tabs, widePage, workScreen } from "./frame";
 import { quotaNote } from "./notes";
 import { showTask } from "./shown";
 
@@ -18,6 +19,13 @@ const QUEUES: readonly (readonly [ReviewQueue, string])[] = [
 export function reviewTabs(app: App, current: string): HTMLElement {
   const queues = QUEUES.map(([name, label]) => [`review/${name}`, label] as const);
   return tabs(app, "Pages for reviewers", [...queues, ["decisions", "Decisions"]], current);
+}
+
+/** What reviewers decided, and what became of it. */
+export async function openDecisions(app: App, argument: string): Promise<Screen> {
+  const list = new DecisionList(app, argument);
+  await list.load();
+  return widePage("Decisions", reviewTabs(app, "decisions"), list);
 }
 
 /** Opens the next task of a queue, or the task with the number. */
