@@ -1,6 +1,7 @@
 /** State shared by all screens: the user, requests, keys, the outbox, and the page frame. */
 
 import { Api, ApiError, Unreachable, reason } from "./api";
+import { element, pageLink } from "./components/component";
 import { ConflictBox, type Version } from "./components/conflict-box";
 import { BrowserStore, MemoryStore, type KeyValue } from "./db";
 import { DiskWatch } from "./disk";
@@ -176,14 +177,7 @@ export class App {
 
   /** A link to a screen that does not reload the page. */
   link(path: string, text: string, className = ""): HTMLAnchorElement {
-    const link = h("a", { class: className }, text);
-    link.href = `/app/${path}`;
-    link.addEventListener("click", (event) => {
-      if (event.ctrlKey || event.metaKey || event.shiftKey || event.button !== 0) return;
-      event.preventDefault();
-      this.go(path);
-    });
-    return link;
+    return element(pageLink(this, path, text, className));
   }
 
   /** Shows two versions of an answer over the screen, until it is removed or the screen is left. */

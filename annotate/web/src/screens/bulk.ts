@@ -9,28 +9,13 @@ import { BULK_ACTIONS, MAX_TEXT_CHARS, type BulkAction, type BulkDone, type Bulk
 import { KIND_WORDS, STATE_WORDS } from "../words";
 import { listOf } from "./frame";
 
-const LABELS: Readonly<Record<BulkAction, string>> = {
-  accept: "Accept",
-  return: "Send back",
-  drop: "Drop",
-  reopen: "Reopen",
-  assign: "Assign to a person",
-};
-
-const DONE: Readonly<Record<BulkAction, string>> = {
-  accept: "accepted",
-  return: "sent back",
-  drop: "dropped",
-  reopen: "reopened",
-  assign: "assigned",
-};
-
-const MEANS: Readonly<Record<BulkAction, string>> = {
-  accept: "The answer that was handed in first is accepted, and exports have it from then on.",
-  return: "All their answers go back to their authors, with your comment.",
-  drop: "Nobody gets them any more, and exports leave them out. Reopening takes this back.",
-  reopen: "What was decided is taken back: they wait for review again, or for answers. Exports leave them out until then.",
-  assign: "They are reserved for this person, as long as a task that was sent back is for its author.",
+/** The name of each action, what a task is afterwards, and what that means. */
+const WORDS: Readonly<Record<BulkAction, readonly [label: string, done: string, means: string]>> = {
+  accept: ["Accept", "accepted", "The answer that was handed in first is accepted, and exports have it from then on."],
+  return: ["Send back", "sent back", "All their answers go back to their authors, with your comment."],
+  drop: ["Drop", "dropped", "Nobody gets them any more, and exports leave them out. Reopening takes this back."],
+  reopen: ["Reopen", "reopened", "What was decided is taken back: they wait for review again, or for answers. Exports leave them out until then."],
+  assign: ["Assign to a person", "assigned", "They are reserved for this person, as long as a task that was sent back is for its author."],
 };
 
 const LEFT_ALONE: Readonly<Record<string, string>> = {
@@ -89,9 +74,10 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
   }
   if (!(await confirm(request, preview, people))) return false;
   const all: BulkDone = { looked_at: 0, done: 0, left_alone: {}, next: null };
+  const [label, done] = WORDS[request.action];
   let ending = "";
   try {
-    const stopped = await inSteps(`${LABELS[request.action]}: looking at ${plural(preview.looked_at)}`, preview.looked_at, async (show) => {
+    const stopped = await inSteps(`${label}: looking at ${plural(preview.looked_at)}`, preview.looked_at, async (show) => {
       const some = await app.api.post<BulkDone>("bulk", { ...request, after: all.next });
       all.looked_at += some.looked_at;
       all.done += some.done;
@@ -106,13 +92,13 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
   }
   const rest = leftAloneList(all.left_alone);
   if (rest.length === 0 && ending === "") rest.push(h("p", {}, "None was left alone."));
-  await tell(`${plural(all.done)} ${DONE[request.action]}`, [ending !== "" && h("p", { class: "trouble" }, ending), ...rest]);
+  await tell(`${plural(all.done)} ${done}`, [ending !== "" && h("p", { class: "trouble" }, ending), ...rest]);
   return true;
 }
 
 /** Asks for the action with its comment or person; `null` if the user cancels. */
 async function askRequest(app: App, filter: TaskFilter, people: readonly Person[]): Promise<BulkRequest | null> {
-  const action = select(BULK_ACTIONS.map((own) => [own, LABELS[own]] as const));
+  const action = select(BULK_ACTIONS.map((own) => [own, WORDS[own][0]] as const));
   const comment = h("textarea", { attrs: { rows: 3, maxlength: MAX_TEXT_CHARS } });
   const person = personSelect(people);
   const fields = { comment: field("Comment, for the authors and the log", comment), person: field("Person", person) };
@@ -121,7 +107,7 @@ async function askRequest(app: App, filter: TaskFilter, people: readonly Person[
     const chosen = action.value as BulkAction;
     fields.comment.hidden = chosen === "assign";
     fields.person.hidden = chosen !== "assign";
-    means.textContent = MEANS[chosen];
+    means.textContent = WORDS[chosen][2];
   };
   action.addEventListener("change", show);
   show();
@@ -149,18 +135,19 @@ async function askRequest(app: App, filter: TaskFilter, people: readonly Person[
 /** Says what would change; false if the user cancels or nothing would. */
 async function confirm(request: BulkRequest, preview: BulkDone, people: readonly Person[]): Promise<boolean> {
   const { action } = request;
+  const [name, done, means] = WORDS[action];
   const to = people.find(({ user }) => user.id === request.person)?.user.name;
   const rest = leftAloneList(preview.left_alone);
   if (preview.done === 0) {
-    await tell("Nothing to do", [h("p", {}, `None of ${plural(preview.looked_at)} would be ${DONE[action]}.`), ...rest]);
+    await tell("Nothing to do", [h("p", {}, `None of ${plural(preview.looked_at)} would be ${done}.`), ...rest]);
     return false;
   }
   const body: Child[] = [
-    h("p", {}, `${plural(preview.done)} of ${preview.looked_at} will be ${DONE[action]}${to ? ` to ${to}` : ""}. ${MEANS[action]}`),
+    h("p", {}, `${plural(preview.done)} of ${preview.looked_at} will be ${done}${to ? ` to ${to}` : ""}. ${means}`),
     request.comment !== "" && h("p", {}, "Your comment: ", h("q", {}, request.comment)),
     ...rest,
   ];
   const kind = action === "drop" || action === "reopen" ? ("danger" as const) : ("primary" as const);
-  const label = `${action === "assign" ? "Assign" : LABELS[action]} ${plural(preview.done)}`;
+  const label = `${action === "assign" ? "Assign" : name} ${plural(preview.done)}`;
   return (await ask(`${label}?`, body, [{ label, value: true, kind }])) === true;
 }

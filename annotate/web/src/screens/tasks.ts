@@ -76,23 +76,23 @@ export async function openTasks(app: App): Promise<Screen> {
     select([["", label] as readonly [string, string], ...values.map((value) => [value, words(value)] as const)]);
   const plain = (value: string): string => value.replaceAll("_", " ");
   const share = (): HTMLInputElement => input("number", "", { min: 0, max: 100, step: 1 });
-  const inputs: { readonly [K in keyof TaskFilter]-?: HTMLInputElement | HTMLSelectElement } = {
-    q: input("search", "", { maxlength: 200 }),
-    kind: any("any", TASK_KINDS, (kind) => KIND_WORDS[kind]),
-    state: any("any", TASK_STATES, (state) => STATE_WORDS[state]),
-    person: any("anybody", [], plain),
-    part: any("any", app.parts.all.map((part) => part.name), (part) => app.parts.phrase(part)),
-    verdict: any("any", VERDICTS, plain),
-    edit_type: any("any", EDIT_TYPES, plain),
-    category: input("text", "", { maxlength: 200 }),
-    split: any("any", SPLITS, plain),
-    min_distance: share(),
-    max_distance: share(),
-    skipped: select([["", "whatever"], ["any", "by somebody"], ["everybody", "nobody is left"]]),
-    rule: any("any", [], plain),
-    task: input("number", "", { min: 1 }),
+  const fields: { readonly [K in keyof TaskFilter]-?: readonly [label: string, input: HTMLInputElement | HTMLSelectElement] } = {
+    q: ["Words of texts, captions, motions", input("search", "", { maxlength: 200 })],
+    kind: ["Kind", any("any", TASK_KINDS, (kind) => KIND_WORDS[kind])],
+    state: ["State", any("any", TASK_STATES, (state) => STATE_WORDS[state])],
+    person: ["Person", any("anybody", [], plain)],
+    part: ["Part", any("any", app.parts.all.map((part) => part.name), (part) => app.parts.phrase(part))],
+    verdict: ["Verdict", any("any", VERDICTS, plain)],
+    edit_type: ["Edit type", any("any", EDIT_TYPES, plain)],
+    category: ["Category", input("text", "", { maxlength: 200 })],
+    split: ["Split", any("any", SPLITS, plain)],
+    min_distance: ["Apart from, %", share()],
+    max_distance: ["Apart up to, %", share()],
+    skipped: ["Skipped", select([["", "whatever"], ["any", "by somebody"], ["everybody", "nobody is left"]])],
+    rule: ["By rule", any("any", [], plain)],
+    task: ["Number", input("number", "", { min: 1 })],
   };
-  const names = Object.keys(inputs) as (keyof TaskFilter)[];
+  const names = Object.keys(fields) as (keyof TaskFilter)[];
   const isShare = (name: string): boolean => name === "min_distance" || name === "max_distance";
   const sort = select(SORTS);
   const reverse = input("checkbox");
@@ -100,7 +100,7 @@ export async function openTasks(app: App): Promise<Screen> {
   /** Shows the filter in the form. A value that its list does not have yet is added. */
   const fillForm = (): void => {
     for (const name of names) {
-      const own = inputs[name];
+      const [, own] = fields[name];
       const value = current.filter[name];
       const shown = value === null ? "" : isShare(name) ? String(Math.round(Number(value) * 10_000) / 100) : String(value);
       if (own instanceof HTMLSelectElement && ![...own.options].some((option) => option.value === shown)) {
@@ -113,7 +113,7 @@ export async function openTasks(app: App): Promise<Screen> {
   };
   const readForm = (): { wanted: Chosen; refused: string[] } => {
     const values = names.map((name): readonly [string, string] => {
-      const raw = inputs[name].value.trim();
+      const raw = fields[name][1].value.trim();
       return [name, raw !== "" && isShare(name) ? String(Number(raw) / 100) : raw];
     });
     const { filter, refused } = filterOf(values);
@@ -160,7 +160,7 @@ export async function openTasks(app: App): Promise<Screen> {
     void load();
   };
   const clear = (): void => {
-    for (const name of names) inputs[name].value = "";
+    for (const name of names) fields[name][1].value = "";
     sort.value = "id";
     reverse.checked = false;
     apply();
@@ -173,20 +173,7 @@ export async function openTasks(app: App): Promise<Screen> {
   const form = h(
     "form",
     { class: "filters", attrs: { "aria-label": "Filter" }, on: { change: apply, input: soon, submit: (event) => (event.preventDefault(), apply()) } },
-    h("div", { class: "filter-wide" }, field("Words of texts, captions, motions", inputs.q)),
-    field("Kind", inputs.kind),
-    field("State", inputs.state),
-    field("Person", inputs.person),
-    field("Part", inputs.part),
-    field("Verdict", inputs.verdict),
-    field("Edit type", inputs.edit_type),
-    field("Category", inputs.category),
-    field("Split", inputs.split),
-    field("Apart from, %", inputs.min_distance),
-    field("Apart up to, %", inputs.max_distance),
-    field("Skipped", inputs.skipped),
-    field("By rule", inputs.rule),
-    field("Number", inputs.task),
+    ...Object.values(fields).map(([label, own]) => field(label, own)),
     h("div", { class: "filter-end" }, plainButton("Clear", clear)),
   );
   /** Reads the list anew, where the reader is. */
@@ -223,11 +210,11 @@ export async function openTasks(app: App): Promise<Screen> {
     own.value = value;
   };
   void everybody.then((found) =>
-    offer(inputs.person, found.map(({ user }) => [String(user.id), `${user.name}${user.active ? "" : " (closed)"}`])),
+    offer(fields.person[1], found.map(({ user }) => [String(user.id), `${user.name}${user.active ? "" : " (closed)"}`])),
   );
   void app.api
     .get<RuleState[]>("rules")
-    .then((rules) => offer(inputs.rule, rules.map(({ rule }) => [rule.name, rule.name])))
+    .then((rules) => offer(fields.rule[1], rules.map(({ rule }) => [rule.name, rule.name])))
     .catch(() => undefined);
   return {
     ...pageScreen("Tasks", page, list),
