@@ -44,6 +44,11 @@ export class Api {
     return littleEndian(bytes);
   }
 
+  /** One attempt without the login dialog, with an answer in JSON. */
+  async attempt<T>(method: string, path: string, body?: unknown): Promise<T> {
+    return (await (await this.once(method, path, body)).json()) as T;
+  }
+
   /** One attempt without the login dialog, for the outbox and the login itself. */
   async once(method: string, path: string, body?: unknown): Promise<Response> {
     const headers: Record<string, string> = {};
@@ -79,7 +84,6 @@ export class Api {
   }
 }
 
-/** The problem in a response, or one derived from its status. */
 async function problemOf(response: Response): Promise<Problem> {
   try {
     const problem = (await response.json()) as Problem;
@@ -130,9 +134,14 @@ export function newEvent(kind: EventKind, fields: Partial<NewEvent> = {}): NewEv
   };
 }
 
-/** A decision with a new idempotency key. */
 export function newReview(task: number, decision: Decision): NewReview {
   return { idem_key: randomName(), task, lease_epoch: 0, decision, author: null, answer: null, comment: "" };
+}
+
+/** A query of parameters that have a value, with its question mark; empty without any. */
+export function queryOf(parameters: Readonly<Record<string, string | number | null>>): string {
+  const set = Object.entries(parameters).filter(([, value]) => value !== null && value !== "");
+  return set.length === 0 ? "" : `?${new URLSearchParams(set.map(([name, value]) => [name, String(value)])).toString()}`;
 }
 
 /** Message for the user about a failure. */

@@ -1,24 +1,24 @@
 /** State shared by all screens: the user, requests, keys, the outbox, and the page frame. */
 
 import { Api, ApiError, Unreachable, reason } from "./api";
+import { element, pageLink } from "./components/component";
 import { ConflictBox, type Version } from "./components/conflict-box";
 import { BrowserStore, MemoryStore, type KeyValue } from "./db";
 import { DiskWatch } from "./disk";
 import { fill, h, isTextField, setAttr } from "./dom";
 import { GuideBeside } from "./guide";
-import { LocalJournal } from "./journal";
 import { KeyMap, PART_ACTIONS, chordOf, isAction, type ActionId, type Focus, type KeyOverrides, type Scope } from "./keys";
 import { showKeySheet } from "./keysheet";
 import { adoptUnsent } from "./legacy";
 import { Motions } from "./motions";
-import { Outbox, type OutboxStatus, type Outcome } from "./outbox";
+import { Journal, Outbox, type OutboxStatus, type Outcome } from "./outbox";
 import { Parts } from "./parts";
 import { CanvasRenderer } from "./stage/canvas2d";
 import { PARENTS } from "./stage/body";
 import { rendererPool } from "./stage/webgl";
 import { leaveTab, nameOfTab } from "./tab";
 import type { MakeRenderer } from "./stage/stage";
-import { Toasts, keyButton } from "./ui";
+import { Toasts, keyButton, plainButton } from "./ui";
 import { showUnsent } from "./unsent";
 import { Viewer } from "./viewer";
 import type { EventResult, Guide, Me, NewEvent, Prefs, Role, SkeletonInfo, TaskKind } from "./wire";
@@ -28,7 +28,6 @@ export interface Screen {
   readonly title: string;
   /** Active key scopes besides the global one. */
   readonly scopes: readonly Scope[];
-  /** Performs the action of a key; false if it does not apply now. */
   perform(action: ActionId, ten: boolean): boolean;
   /** Element focused while no text is typed. */
   readonly focusTarget: HTMLElement | null;
@@ -39,19 +38,6 @@ export interface Screen {
   active?(): void;
   leave?(): void;
 }
-
-/** The box that shows two versions of an answer. */
-export interface ConflictView {
-  /** Shows a newer version of the other window. */
-  show(theirs: readonly string[]): void;
-  /** Shows this page's answer as it is now. */
-  refresh(): void;
-  /** Moves the focus into the box. */
-  enter(): void;
-  close(): void;
-}
-
-export type { Version };
 
 /** The task in work, as the page frame sees it. */
 export interface OpenSession {
@@ -68,7 +54,6 @@ interface Route {
   label: string;
   role: Role;
   open: Open;
-  /** Whether the navigation shows it. */
   listed: boolean;
   /** The listed route that it belongs to, if it is not listed itself. */
   within?: string;
@@ -79,6 +64,8 @@ export type Opening = "page" | "unasked" | "asked";
 
 /** Resolves with the user; or with null if the dialog over the page was cancelled. */
 type ShowLogin = (app: App, opening: Opening) => Promise<Me | null>;
+
+const HIDDEN = { hidden: true };
 
 const RANK: Readonly<Record<Role, number>> = { annotator: 0, reviewer: 1, admin: 2 };
 
@@ -93,22 +80,22 @@ export class App {
   me!: Me;
   parts!: Parts;
   private screen: Screen | null = null;
-  private makeWebgl: MakeRenderer | null = null;
+  private makeWebgl: MakeRenderer = () => new CanvasRenderer();
   private login: Promise<void> | null = null;
   private status: OutboxStatus = { phase: "idle", waiting: 0, stuck: 0, trouble: null };
   private readonly main = h("main", { id: "main" });
   private readonly nav = h("nav", { attrs: { "aria-label": "Screens" } });
   private readonly chip = h("output", { class: "chip", attrs: { "aria-live": "polite", "aria-label": "State of saving" } });
-  private readonly stuck = h("button", { class: "stuck", attrs: { type: "button" }, on: { click: () => void this.showStuck() } });
-  private readonly banner = h("div", { class: "banner", attrs: { role: "alert" } });
+  private readonly stuck = h("button", { class: "stuck", attrs: HIDDEN, on: { click: () => void showUnsent(this.outbox, this.parts) } });
+  private readonly banner = h("div", { class: "banner", attrs: { role: "alert", ...HIDDEN } });
   /** Says that the session has ended, without taking the focus from a text. */
-  private readonly ended = h("div", { class: "banner", attrs: { role: "alert" }, data: { region: "session" } });
+  private readonly ended = h("div", { class: "banner", attrs: { role: "alert", ...HIDDEN }, data: { region: "session" } });
   private readonly disk = new DiskWatch({
-    ask: async () => ((await (await this.api.once("GET", "me")).json()) as Me).read_only,
+    ask: async () => (await this.api.attempt<Me>("GET", "me")).read_only,
     show: (why) => this.showReadOnly(why),
     after: (ms, run) => window.setTimeout(run, ms),
   });
-  private readonly header: HTMLElement;
+  private readonly header = h("header", { class: "top", attrs: HIDDEN });
   private tab = "";
   /** The guide beside the work, while it is open. */
   private beside: GuideBeside | null = null;
@@ -119,11 +106,6 @@ export class App {
     private readonly routes: Readonly<Record<string, Route>>,
     private readonly showLogin: ShowLogin,
   ) {
-    this.stuck.hidden = true;
-    this.banner.hidden = true;
-    this.ended.hidden = true;
-    this.header = h("header", { class: "top" });
-    this.header.hidden = true;
     this.api.onUnauthenticated = () => this.requireLogin();
   }
 
@@ -146,12 +128,12 @@ export class App {
     this.keys.override(this.me.prefs.keys as KeyOverrides);
     // Keys that are taken no more would make the server refuse every change of a setting.
     this.me.prefs.keys = Object.fromEntries(Object.entries(this.keys.overrides).map(([id, chords]) => [id, [...chords]]));
-    const journal = new LocalJournal(this.keep("unstored:"), localStorage);
+    const journal = new Journal(this.keep("unstored:"), localStorage);
     this.outbox = new Outbox(this.store, journal, this.me.user.id, {
       send: (task, events) => this.sendEvents(task, events),
       login: () => this.requireLogin(),
       sleep: (ms) => new Promise((resolve) => window.setTimeout(resolve, ms)),
-      alone: (action) => alone(`annotate-outbox-${this.me.store}`, action),
+      alone: async (action) => (navigator.locks ? navigator.locks.request(`annotate-outbox-${this.me.store}`, action) : action()),
       status: (status) => {
         this.status = status;
         this.refreshChip();
@@ -176,7 +158,6 @@ export class App {
     return `${this.me.store}:${this.me.user.id}:${task}:${this.tab}`;
   }
 
-  /** Key of this person's local data in the browser's storage. */
   keep(name: string): string {
     return `annotate:${this.me.store}:${this.me.user.id}:${name}`;
   }
@@ -185,14 +166,8 @@ export class App {
     return RANK[this.me.user.role] >= RANK[role];
   }
 
-  readonly makeRenderer: MakeRenderer = () => {
-    if (!this.makeWebgl) return new CanvasRenderer();
-    return this.makeWebgl();
-  };
-
-  /** Stages and playback with this person's settings. */
   viewer(): Viewer {
-    return new Viewer(this.makeRenderer, this.keys, this.me.prefs, (change) => void this.savePrefs(change));
+    return new Viewer(this.makeWebgl, this.keys, this.me.prefs, (change) => void this.savePrefs(change));
   }
 
   go(path: string): void {
@@ -202,26 +177,14 @@ export class App {
 
   /** A link to a screen that does not reload the page. */
   link(path: string, text: string, className = ""): HTMLAnchorElement {
-    const link = h("a", { class: className }, text);
-    link.href = `/app/${path}`;
-    link.addEventListener("click", (event) => {
-      if (event.ctrlKey || event.metaKey || event.shiftKey || event.button !== 0) return;
-      event.preventDefault();
-      this.go(path);
-    });
-    return link;
+    return element(pageLink(this, path, text, className));
   }
 
-  /** Shows two versions of an answer over the screen, until it is closed or the screen is left. */
-  showConflict(mine: () => readonly string[], theirs: readonly string[], choose: (version: Version) => void): ConflictView {
+  /** Shows two versions of an answer over the screen, until it is removed or the screen is left. */
+  showConflict(mine: () => readonly string[], theirs: readonly string[], choose: (version: Version) => void): ConflictBox {
     const box = new ConflictBox(mine, theirs, choose);
     this.main.append(box);
-    return {
-      show: (newer) => box.show(newer),
-      refresh: () => box.requestUpdate(),
-      enter: () => box.enter(),
-      close: () => box.remove(),
-    };
+    return box;
   }
 
   /** Opens the guide beside the work, or closes it. The focus stays where it is. False if no task is shown. */
@@ -231,12 +194,8 @@ export class App {
     if (this.beside) {
       this.closeGuide();
     } else {
-      const close = h(
-        "button",
-        { attrs: { type: "button", "aria-label": "Close the guide" }, on: { click: () => this.closeGuide() } },
-        h("kbd", {}, this.keys.hint("guide_beside")),
-        "Close",
-      );
+      const close = keyButton("Close", this.keys.hint("guide_beside"), () => this.closeGuide());
+      setAttr(close, "aria-label", "Close the guide");
       this.beside = new GuideBeside(() => this.api.get<Guide>("guide"), this.me.project.styles, close);
       this.placeGuide(this.screen);
     }
@@ -258,7 +217,6 @@ export class App {
     if (inside) this.focusStage();
   }
 
-  /** Puts the open guide beside the work of a screen. */
   private placeGuide(screen: Screen): void {
     if (!this.beside || !screen.guide) return;
     screen.element.classList.add("with-guide");
@@ -325,12 +283,11 @@ export class App {
     }
   }
 
-  /** Says that the session has ended, with a button to log in. */
   private sayEnded(logIn: () => void): void {
     fill(
       this.ended,
       "Your session has ended. Go on typing: what you write is kept in this browser. ",
-      h("button", { attrs: { type: "button" }, on: { click: logIn } }, "Log in"),
+      plainButton("Log in", logIn),
     );
     this.ended.hidden = false;
   }
@@ -357,7 +314,7 @@ export class App {
     try {
       this.me.prefs = await this.api.json<Prefs>("PUT", "prefs", this.me.prefs);
     } catch (error) {
-      this.toasts.show(`The setting was not saved and applies to this page only: ${reason(error)}`, { kind: "error" });
+      this.toasts.fail(error, "The setting was not saved and applies to this page only: ");
     }
   }
 
@@ -367,7 +324,6 @@ export class App {
     fill(this.banner, why === null ? null : `Nothing can be saved on the server: ${why}. What you write is kept in this browser.`);
   }
 
-  /** State of saving: editing, saving, saved or offline. */
   refreshChip(): void {
     const { phase, waiting, stuck, trouble } = this.status;
     const editing = [...this.sessions].some((session) => session.isEditing);
@@ -382,15 +338,13 @@ export class App {
   private async firstLogin(token: string | null): Promise<Me> {
     if (token) {
       try {
-        const response = await this.api.once("POST", "session", { token });
-        return (await response.json()) as Me;
+        return await this.api.attempt<Me>("POST", "session", { token });
       } catch (error) {
-        this.toasts.show(`The token in the address was refused: ${reason(error)}`, { kind: "error" });
+        this.toasts.fail(error, "The token in the address was refused: ");
       }
     }
     try {
-      const response = await this.api.once("GET", "me");
-      return (await response.json()) as Me;
+      return await this.api.attempt<Me>("GET", "me");
     } catch (error) {
       if (error instanceof ApiError || error instanceof Unreachable) return this.askLogin("page");
       throw error;
@@ -411,8 +365,7 @@ export class App {
 
   private async sendEvents(task: number, events: NewEvent[]): Promise<EventResult[]> {
     try {
-      const response = await this.api.once("POST", `tasks/${task}/events`, { events });
-      const body = (await response.json()) as { results: EventResult[] };
+      const body = await this.api.attempt<{ results: EventResult[] }>("POST", `tasks/${task}/events`, { events });
       // A stored event is the proof that the disk takes writes.
       if (body.results.some((result) => result.seq !== null)) this.disk.set(null);
       return body.results;
@@ -446,13 +399,8 @@ export class App {
         return link;
       });
     fill(this.nav, ...links);
-    const keys = h(
-      "button",
-      { attrs: { type: "button", title: "Key sheet" }, on: { click: () => void this.showKeys() } },
-      h("kbd", {}, this.keys.hint("key_sheet")),
-      "Keys",
-    );
-    const out = h("button", { attrs: { type: "button" }, on: { click: () => void this.logOut() } }, "Log out");
+    const keys = keyButton("Keys", this.keys.hint("key_sheet"), () => void this.showKeys());
+    keys.title = "Key sheet";
     fill(
       this.header,
       h("span", { class: "brand", attrs: { title: this.me.project.name } }, this.me.project.name || "Annotation"),
@@ -462,7 +410,7 @@ export class App {
       this.chip,
       keys,
       h("span", { class: "who" }, `${this.me.user.name} · ${this.me.user.role}`),
-      out,
+      plainButton("Log out", () => void this.logOut()),
     );
     this.header.hidden = false;
     this.refreshChip();
@@ -497,7 +445,7 @@ export class App {
       this.show(screen);
     } catch (error) {
       if (turn !== this.opening) return;
-      const again = h("button", { class: "primary", attrs: { type: "button" }, on: { click: () => void this.route() } }, "Try again");
+      const again = plainButton("Try again", () => void this.route(), "primary");
       fill(this.main, h("div", { class: "page" }, h("h1", {}, "This page cannot be shown"), h("p", {}, reason(error)), again));
       again.focus();
     } finally {
@@ -586,17 +534,12 @@ export class App {
   /** Moves the focus to the next region: navigation, stage, panel, playback. */
   private nextRegion(): void {
     const bar = this.ended.hidden ? null : this.ended;
-    const regions = [bar, this.nav.querySelector<HTMLElement>("a"), ...this.main.querySelectorAll<HTMLElement>("[data-region]")].filter(
-      (region): region is HTMLElement => region !== null,
-    );
+    const all = [bar, this.nav.querySelector<HTMLElement>("a"), ...this.main.querySelectorAll<HTMLElement>("[data-region]")];
+    const regions = all.filter((region) => region !== null);
     const targets = regions.map((region) => (region.matches("a, button, [tabindex]") ? region : firstFocusable(region))).filter((target) => target !== null);
     const current = document.activeElement;
     const at = targets.findIndex((target, index) => target === current || (regions[index]?.contains(current) ?? false));
     targets[(at + 1) % targets.length]?.focus();
-  }
-
-  private async showStuck(): Promise<void> {
-    await showUnsent(this.outbox, this.parts);
   }
 
   private async showKeys(): Promise<void> {
@@ -610,15 +553,9 @@ function firstFocusable(region: HTMLElement): HTMLElement | null {
 }
 
 function focusOf(target: EventTarget | null): Focus {
-  if (target instanceof HTMLElement && target.dataset.cardText !== undefined) return "card";
+  if (target instanceof HTMLElement && target.matches(".mask-card textarea")) return "card";
   if (isTextField(target) || target instanceof HTMLSelectElement) return "text";
   if (target instanceof HTMLInputElement && (target.type === "range" || target.type === "radio")) return "text";
   if (target instanceof HTMLElement && target.closest("button, a, summary, input")) return "button";
   return "stage";
-}
-
-/** Runs under a lock shared by all tabs of this browser. */
-async function alone<T>(name: string, action: () => Promise<T>): Promise<T> {
-  if (!navigator.locks) return action();
-  return navigator.locks.request(name, action) as Promise<T>;
 }

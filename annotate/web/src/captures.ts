@@ -28,7 +28,6 @@ export interface Matrix {
   rows: { motion: string; cells: (CaptureCell | undefined)[] }[];
 }
 
-/** Motions by styles. */
 export function matrixOf(cells: readonly CaptureCell[]): Matrix {
   const styles = [...new Set(cells.map((cell) => cell.style))];
   const rows = new Map<string, Map<string, CaptureCell>>();

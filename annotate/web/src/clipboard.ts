@@ -17,7 +17,6 @@ export async function copyText(text: string): Promise<boolean> {
   }
 }
 
-/** Saves a text as a file of the browser's downloads. */
 export function saveText(name: string, type: string, text: string): void {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([text], { type }));

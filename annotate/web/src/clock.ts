@@ -1,7 +1,4 @@
-/**
- * One frame counter for every view. While playing, the position advances by seconds times speed times frame
- * rate, and views show its integer part. Views never count frames themselves, so they cannot drift apart.
- */
+/** One frame counter for every view. Views show its integer part and count none, so they cannot drift apart. */
 
 export const SPEEDS = [0.1, 0.25, 0.5, 0.75, 1, 1.5, 2] as const;
 
@@ -74,7 +71,6 @@ export class Clock {
     this.set({ playing, frame: Math.floor(this.position) });
   }
 
-  /** Steps by whole frames within the motion, and pauses. */
   step(frames: number): void {
     this.seek(this.state.frame + frames);
   }
@@ -104,7 +100,6 @@ export class Clock {
     this.set({ loopOut: frame, loopIn: loopIn < frame ? loopIn : 0 });
   }
 
-  /** Loops between two frames, both included. */
   setLoop(loopIn: number, loopOut: number): void {
     const last = this.state.frames - 1;
     this.set({ loopIn: Math.min(loopIn, last), loopOut: Math.min(loopOut, last) });
@@ -153,16 +148,12 @@ export class Clock {
   }
 }
 
-/** Length and rate of a clip. */
 export interface Length {
   frames: number;
   fps: number;
 }
 
-/**
- * The frame of a clip at a frame of the clock: the same time in seconds, or the last frame after the end of
- * the clip. With `stretch` the clip is spread over the whole clock, to compare clips of different length.
- */
+/** The frame of a clip at that time of the clock, the last one after its end. `stretch` spreads it over the clock. */
 export function clipFrame(clockFrame: number, clock: Length, clip: Length, stretch: boolean): number {
   const last = Math.max(0, clip.frames - 1);
   if (stretch) {

@@ -79,7 +79,6 @@ function compareMasks(parts: Parts, mine: Masks, known: Masks): Compared[] {
   return [...rows, ...more];
 }
 
-/** What differed, in a sentence. */
 export function summary(rows: readonly Compared[]): string {
   const differing = rows.filter((own) => own.mark === "differs").map((own) => own.what);
   return differing.length === 0 ? "All that is scored equals the known answer." : `Different: ${differing.join(", ")}.`;

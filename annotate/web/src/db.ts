@@ -1,7 +1,4 @@
-/**
- * Storage in the browser (IndexedDB), one database for each project: addresses and ports are used again. Edits are
- * stored here before they are sent, and removed only after the server has acknowledged them.
- */
+/** Storage in the browser: one database a project. Edits are removed only after the server has acknowledged them. */
 
 const VERSION = 1;
 const STORES = ["outbox", "chains"] as const;

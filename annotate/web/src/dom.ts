@@ -1,12 +1,9 @@
-/**
- * Creates elements without markup strings. Data reaches the page only as text nodes and as attributes of fixed
- * names, so it is never interpreted as markup.
- */
+/** Elements from code: data reaches the page as text nodes and attributes of fixed names, never as markup. */
 
 export type Child = Node | string | number | null | undefined | false;
 
 export interface Props {
-  class?: string;
+  class?: string | undefined;
   id?: string;
   /** Attributes by name; `true` sets an empty attribute, `false` and `null` omit it. */
   attrs?: Record<string, string | number | boolean | null | undefined>;
@@ -23,6 +20,8 @@ export function h<K extends keyof HTMLElementTagNameMap>(
   ...children: Child[]
 ): HTMLElementTagNameMap[K] {
   const element = document.createElement(tag);
+  // Without it a button would send the form around it.
+  if (tag === "button") element.setAttribute("type", "button");
   if (props.class) element.className = props.class;
   if (props.id) element.id = props.id;
   for (const [name, value] of Object.entries(props.attrs ?? {})) {
@@ -45,7 +44,6 @@ export function append(parent: Element, children: Child[]): void {
   }
 }
 
-/** Replaces all children. */
 export function fill(parent: Element, ...children: Child[]): void {
   parent.replaceChildren();
   append(parent, children);
@@ -64,14 +62,6 @@ export function setAttr(
   }
 }
 
-/** A link to a route of the page. */
-export function routeLink(route: string, text: string, props: Props = {}): HTMLAnchorElement {
-  const link = h("a", props, text);
-  link.href = `#/${route}`;
-  return link;
-}
-
-/** Whether the element takes text input. */
 export function isTextField(target: EventTarget | null): boolean {
   if (target instanceof HTMLTextAreaElement) return true;
   if (target instanceof HTMLInputElement) {

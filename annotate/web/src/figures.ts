@@ -34,7 +34,6 @@ export function datesTo(last: string, count: number): string[] {
   return Array.from({ length: count }, (_, index) => new Date(end - (count - 1 - index) * DAY_MS).toISOString().slice(0, 10));
 }
 
-/** A date for people, without the year. */
 export function shortDate(date: string): string {
   return new Date(`${date}T00:00:00Z`).toLocaleDateString(undefined, { timeZone: "UTC", day: "numeric", month: "short" });
 }
@@ -90,7 +89,6 @@ export function summarise(rows: readonly DayWork[], count: number, now: number, 
   return { dates, people: [...people.values()].sort((a, b) => b.all.secs - a.all.secs || a.name.localeCompare(b.name)), all };
 }
 
-/** Hours with one digit. */
 export function hours(secs: number): string {
   return `${(secs / 3600).toFixed(1)} h`;
 }
@@ -130,10 +128,7 @@ function duration(days: number): string {
   return whole < 60 ? count(whole, "day", "days") : `${Math.round(whole / 7)} weeks`;
 }
 
-/**
- * What is still wanted of the edit types that have a quota, the one furthest behind first, and of which there is enough.
- * Empty without quotas.
- */
+/** Edit types whose quota is open, the furthest behind first, and those that have enough. Empty without quotas. */
 export function quotaWords(counts: readonly EditTypeCount[]): string {
   const share = ({ kept, wanted }: EditTypeCount): number => kept / wanted;
   const words = ({ edit_type, kept, wanted }: EditTypeCount): string => `${edit_type} (${kept} of ${wanted})`;

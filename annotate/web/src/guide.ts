@@ -1,8 +1,11 @@
 /** The guide: what it says about a kind of task, as a page and beside the work. */
 
+import { html } from "lit";
+import { reason } from "./api";
+import { element, guidelinePanel, swatch } from "./components/component";
 import { fill, h, type Child } from "./dom";
 import type { Guide, GuidePicture, Style, TaskKind, TextForm } from "./wire";
-import { KIND_WORDS, paragraphs } from "./words";
+import { KIND_WORDS } from "./words";
 
 const FORM_WORDS: Readonly<Record<TextForm, string>> = {
   completion: "A description completes “The person is …”: “waving with the left arm”.",
@@ -24,10 +27,7 @@ export function formatGuide(text: string): HTMLElement[] {
     if (!item) list = null;
     if (item || heading || line.trim() === "") endParagraph();
     if (item) {
-      if (!list) {
-        list = h("ul", {});
-        blocks.push(list);
-      }
+      if (!list) blocks.push((list = h("ul", {})));
       list.append(h("li", {}, item[1] ?? ""));
     } else if (heading) {
       // Below the headings of the page.
@@ -40,7 +40,6 @@ export function formatGuide(text: string): HTMLElement[] {
   return blocks.length > 0 ? blocks : [h("p", { class: "note" }, "Nothing has been written yet.")];
 }
 
-/** The address of a picture. */
 export function pictureUrl(name: string): string {
   return `/api/v1/guide/pictures/${encodeURIComponent(name)}`;
 }
@@ -60,12 +59,8 @@ export function pictureName(file: string, taken: ReadonlySet<string>): string {
 export function pictureFigure(picture: GuidePicture): HTMLElement {
   const image = h("img", { attrs: { alt: picture.caption || picture.name, loading: "lazy" } });
   image.src = pictureUrl(picture.name);
-  return h(
-    "figure",
-    { class: `example ${picture.right ? "right" : "wrong"}` },
-    image,
-    h("figcaption", {}, h("strong", {}, picture.right ? "✓ Right: " : "✗ Wrong: "), picture.caption),
-  );
+  const caption = h("figcaption", {}, h("strong", {}, picture.right ? "✓ Right: " : "✗ Wrong: "), picture.caption);
+  return h("figure", { class: `example ${picture.right ? "right" : "wrong"}` }, image, caption);
 }
 
 /** What the guide says about a kind of task alone. */
@@ -86,26 +81,11 @@ function styleList(styles: readonly Style[]): HTMLElement[] {
   const isTold = ({ text, guideline }: Style): boolean => text !== "" || (guideline ?? "") !== "";
   const [told, bare] = [styles.filter(isTold), styles.filter((style) => !isTold(style))];
   const names = bare.map((style) => style.name).join(", ");
+  const own = told.map((style) => html`<dt>${swatch(style.colour)}${style.name}</dt><dd>${style.text}${guidelinePanel(style)}</dd>`);
   return [
-    ...(told.length > 0
-      ? [h("dl", { class: "styles" }, ...told.flatMap((style) => [h("dt", {}, colourMark(style.colour), style.name), h("dd", {}, style.text, guidelineOf(style))]))]
-      : []),
+    ...(told.length > 0 ? [element(html`<dl class="styles">${own}</dl>`)] : []),
     ...(names ? [h("p", {}, told.length > 0 ? `Further styles: ${names}.` : `Styles to choose from: ${names}.`)] : []),
   ];
-}
-
-/** How a style is performed, folded until somebody opens it. */
-function guidelineOf({ name, guideline }: Style): HTMLElement | null {
-  if (!guideline) return null;
-  const texts = paragraphs(guideline).map((text) => h("p", {}, text));
-  return h("details", { class: "guideline" }, h("summary", {}, `How “${name}” is performed`), ...texts);
-}
-
-function colourMark(colour: string | null): HTMLElement | null {
-  if (!colour) return null;
-  const mark = h("span", { class: "swatch" });
-  mark.style.background = colour;
-  return mark;
 }
 
 /** The guide in a column beside the work. It takes no focus when it opens. */
@@ -120,15 +100,10 @@ export class GuideBeside {
     private readonly styles: readonly Style[],
     close: HTMLElement,
   ) {
-    this.element = h(
-      "aside",
-      { class: "guide-beside", attrs: { "aria-label": "Guide" } },
-      h("div", { class: "guide-head" }, this.title, h("span", { class: "spacer" }), close),
-      this.body,
-    );
+    const head = h("div", { class: "guide-head" }, this.title, h("span", { class: "spacer" }), close);
+    this.element = h("aside", { class: "guide-beside", attrs: { "aria-label": "Guide" } }, head, this.body);
   }
 
-  /** Shows the guide of a kind of task. */
   async show(kind: TaskKind): Promise<void> {
     if (this.shown === kind) return;
     this.shown = kind;
@@ -139,7 +114,7 @@ export class GuideBeside {
       parts = [...kindGuide(guide, kind, this.styles), h("h3", {}, "For all tasks"), ...formatGuide(guide.text)];
     } catch (error) {
       if (this.shown === kind) this.shown = null;
-      parts = [h("p", { class: "trouble" }, `The guide was not loaded: ${error instanceof Error ? error.message : String(error)}`)];
+      parts = [h("p", { class: "trouble" }, `The guide was not loaded: ${reason(error)}`)];
     }
     // Another kind may have been asked for meanwhile.
     if (this.shown !== null && this.shown !== kind) return;

@@ -1,9 +1,5 @@
-/**
- * Undo and redo by copies of the whole state. States are small (a few cards of text), so copies are simpler and
- * safer than inverse operations.
- */
+/** Undo and redo by copies of the whole state, which is small: simpler and safer than inverse operations. */
 
-/** Maximum number of undo steps. */
 export const HISTORY_LIMIT = 100;
 
 export interface HistoryData<T> {
@@ -33,22 +29,11 @@ export class History<T> {
     return this.current;
   }
 
-  get canUndo(): boolean {
-    return this.past.length > 0;
-  }
-
-  get canRedo(): boolean {
-    return this.future.length > 0;
-  }
-
   get data(): HistoryData<T> {
     return { past: this.past, present: this.current, future: this.future };
   }
 
-  /**
-   * Adds a state. Consecutive edits of the same `kind`, such as the letters of one text, form one undo step;
-   * without a kind every edit is one step.
-   */
+  /** Adds a state. Consecutive edits of a `kind`, as the letters of a text, are one step; without a kind each is. */
   push(state: T, kind: string | null = null): void {
     if (same(state, this.current)) return;
     if (kind === null || kind !== this.kind) {
@@ -66,7 +51,6 @@ export class History<T> {
     this.kind = null;
   }
 
-  /** Undoes one step; `null` if there is none. */
   undo(): T | null {
     const before = this.past.pop();
     if (before === undefined) return null;
@@ -74,7 +58,6 @@ export class History<T> {
     return this.arrive(before);
   }
 
-  /** Redoes one step; `null` if there is none. */
   redo(): T | null {
     const after = this.future.pop();
     if (after === undefined) return null;
@@ -115,10 +98,7 @@ interface Saved<T> {
   data: HistoryData<T>;
 }
 
-/**
- * Stores a history for the next page load. It writes synchronously, because leaving the page aborts pending
- * IndexedDB writes.
- */
+/** Stores a history for the next page; at once, because leaving the page aborts pending writes of IndexedDB. */
 export function saveHistory<T>(chain: string, data: HistoryData<T>): void {
   const store = (past: T[]): void => {
     const saved: Saved<T> = { at: Date.now(), data: { ...data, past } };
@@ -139,9 +119,13 @@ export function saveHistory<T>(chain: string, data: HistoryData<T>): void {
 
 export function loadHistory<T>(chain: string): HistoryData<T> | null {
   prune(KEPT_MS, chain);
+  return kept<Saved<T>>(keyOf(chain))?.data ?? null;
+}
+
+/** What an earlier page kept under a key of `localStorage`; `null` if nothing, or nothing that can be read. */
+export function kept<T>(key: string): T | null {
   try {
-    const text = localStorage.getItem(keyOf(chain));
-    return text === null ? null : (JSON.parse(text) as Saved<T>).data;
+    return JSON.parse(localStorage.getItem(key) ?? "null") as T | null;
   } catch {
     return null;
   }
@@ -155,12 +139,8 @@ export function forgetHistory(chain: string): void {
 function prune(olderMs: number, except: string): void {
   for (const key of Object.keys(localStorage)) {
     if (!key.startsWith("annotate:") || !key.includes(MARK) || key === keyOf(except)) continue;
-    try {
-      const saved = JSON.parse(localStorage.getItem(key) ?? "") as Saved<unknown>;
-      if (Date.now() - saved.at < olderMs) continue;
-    } catch {
-      // Remove unreadable entries.
-    }
-    localStorage.removeItem(key);
+    const saved = kept<Saved<unknown>>(key);
+    // Unreadable ones go, too.
+    if (!saved || !(Date.now() - saved.at < olderMs)) localStorage.removeItem(key);
   }
 }

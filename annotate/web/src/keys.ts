@@ -115,51 +115,35 @@ export const TOGETHER: readonly (readonly Scope[])[] = [
   ["global", "transport", "review"],
 ];
 
-/** Keys of the parts, in the order of `SkeletonInfo.parts`. */
-export const PART_ACTIONS: readonly ActionId[] = [
-  "part_1",
-  "part_2",
-  "part_3",
-  "part_4",
-  "part_5",
-  "part_6",
-  "part_7",
-  "part_8",
-  "part_9",
-  "part_10",
-];
-
 export type ActionId = (typeof ACTIONS)[number][0];
 
 /** Does not compile if the server knows an action that has no key here. */
 const ALL_ACTIONS_HAVE_KEYS: [Exclude<WireAction, ActionId>] extends [never] ? true : never = true;
 void ALL_ACTIONS_HAVE_KEYS;
 
-export const DEFAULT_ACTIONS: readonly Action[] = ACTIONS.map(([id, label, scope, chords]) => ({
-  id,
-  label,
-  scope,
-  chords,
-}));
+export const DEFAULT_ACTIONS: readonly Action[] = ACTIONS.map(([id, label, scope, chords]) => ({ id, label, scope, chords }));
+
+/** Keys of the parts, in the order of `SkeletonInfo.parts`. */
+export const PART_ACTIONS: readonly ActionId[] = DEFAULT_ACTIONS.filter(({ scope }) => scope === "parts").map(({ id }) => id);
 
 export function isAction(name: string): name is ActionId {
   return ACTIONS.some(([id]) => id === name);
 }
 
+/** What actions do; one that returns `false` does not apply now. */
+export type Deeds = { readonly [K in ActionId]?: () => unknown };
+
+/** Performs an action; false if it is none of these or does not apply now. */
+export function perform(deeds: Deeds, id: ActionId): boolean {
+  const deed = deeds[id];
+  return deed !== undefined && deed() !== false;
+}
+
 /** Keys by action that differ from the defaults. */
 export type KeyOverrides = Partial<Record<ActionId, readonly string[]>>;
 
-/**
- * Focused element: the stage or nothing, a button, a field that handles keys itself, or the text of a mask card,
- * where Tab goes to the next card.
- */
+/** What has the focus: the text of a mask card is apart, because Tab goes on to the next card. */
 export type Focus = "stage" | "button" | "text" | "card";
-
-export interface Found {
-  id: ActionId;
-  /** A step of ten. */
-  ten: boolean;
-}
 
 const CODES: ReadonlySet<string> = new Set(KEY_CODES);
 
@@ -170,13 +154,7 @@ export function parseChord(text: string): string | null {
 }
 
 /** Fields of a key event that the map uses. */
-export interface Press {
-  code: string;
-  ctrlKey: boolean;
-  metaKey: boolean;
-  altKey: boolean;
-  shiftKey: boolean;
-}
+export type Press = Pick<KeyboardEvent, "code" | "ctrlKey" | "metaKey" | "altKey" | "shiftKey">;
 
 /** The chord of an event; none with Alt, which browsers and keyboard layouts use. */
 export function chordOf(press: Press): string | null {
@@ -200,12 +178,9 @@ function inert(chord: string, focus: Focus): boolean {
 
 const STEPS: ReadonlySet<ActionId> = new Set<ActionId>(["step_back", "step_forward"]);
 
-/** Names of keys without a printed character. */
+/** Names of keys without a printed character, where they differ from their codes. */
 const CODE_LABELS: Readonly<Record<string, string>> = {
-  Space: "Space",
-  Enter: "Enter",
   Escape: "Esc",
-  Tab: "Tab",
   Comma: ",",
   Period: ".",
   Slash: "/",
@@ -248,17 +223,11 @@ export class KeyMap {
     }
   }
 
-  /** Keys that differ from the defaults. */
   get overrides(): KeyOverrides {
-    const found: KeyOverrides = {};
-    for (const action of DEFAULT_ACTIONS) {
-      const chords = this.chords.get(action.id) ?? action.chords;
-      if (chords !== action.chords) found[action.id] = chords;
-    }
-    return found;
+    const changed = DEFAULT_ACTIONS.filter(({ id, chords }) => this.chordsOf(id) !== chords);
+    return Object.fromEntries(changed.map(({ id }) => [id, this.chordsOf(id)]));
   }
 
-  /** Reads the keyboard layout, if the browser reports it. */
   async learnLayout(): Promise<void> {
     type Keyboard = { getLayoutMap?(): Promise<ReadonlyMap<string, string>> };
     const keyboard = (navigator as { keyboard?: Keyboard }).keyboard;
@@ -274,8 +243,8 @@ export class KeyMap {
     this.printed = labels;
   }
 
-  /** The action of a chord in these scopes, with this focus. */
-  find(chord: string, scopes: readonly Scope[], focus: Focus): Found | null {
+  /** The action of a chord in these scopes, with this focus, and whether it is a step of ten. */
+  find(chord: string, scopes: readonly Scope[], focus: Focus): { id: ActionId; ten: boolean } | null {
     if (inert(chord, focus)) return null;
     const exact = this.lookUp(chord, scopes);
     if (exact) return { id: exact, ten: false };
@@ -285,10 +254,7 @@ export class KeyMap {
   }
 
   private lookUp(chord: string, scopes: readonly Scope[]): ActionId | null {
-    const action = DEFAULT_ACTIONS.find(
-      ({ id, scope, chords }) => scopes.includes(scope) && (this.chords.get(id) ?? chords).includes(chord),
-    );
-    return action?.id ?? null;
+    return DEFAULT_ACTIONS.find(({ id, scope }) => scopes.includes(scope) && this.chordsOf(id).includes(chord))?.id ?? null;
   }
 
   /** Actions that would conflict if `id` had this chord. */
@@ -299,23 +265,24 @@ export class KeyMap {
       (other) =>
         other.id !== id &&
         TOGETHER.some((scopes) => scopes.includes(own.scope) && scopes.includes(other.scope)) &&
-        (this.chords.get(other.id) ?? other.chords).includes(chord),
+        this.chordsOf(other.id).includes(chord),
     ).map((other) => other.id);
   }
 
-  /** The first chord of an action. */
-  chord(id: ActionId): string {
-    return this.chords.get(id)?.[0] ?? "";
+  private chordsOf(id: ActionId): readonly string[] {
+    return this.chords.get(id) ?? [];
   }
 
-  /** Label of the first chord of an action, for buttons. */
+  chord(id: ActionId): string {
+    return this.chordsOf(id)[0] ?? "";
+  }
+
   hint(id: ActionId): string {
     return this.labelOf(this.chord(id));
   }
 
-  /** Labels of all chords of an action. */
   hints(id: ActionId): string[] {
-    return (this.chords.get(id) ?? []).map((chord) => this.labelOf(chord));
+    return this.chordsOf(id).map((chord) => this.labelOf(chord));
   }
 
   labelOf(chord: string): string {

@@ -1,8 +1,8 @@
 /** The key sheet, where every key can be changed. */
 
-import { fill, h } from "./dom";
+import { fill, h, setAttr } from "./dom";
 import { DEFAULT_ACTIONS, chordOf, type ActionId, type KeyMap, type KeyOverrides, type Scope } from "./keys";
-import { ask } from "./ui";
+import { ask, plainButton } from "./ui";
 
 const HEADINGS: Readonly<Record<Scope, string>> = {
   global: "Everywhere",
@@ -31,55 +31,42 @@ export async function showKeySheet(keys: KeyMap, store: (keys: Record<string, st
   };
   const draw = (): void => {
     const sections = Object.entries(HEADINGS).map(([scope, heading]) => {
-      const rows = DEFAULT_ACTIONS.filter((action) => action.scope === scope).map((action) =>
-        h(
-          "div",
-          { class: "key-row" },
-          h("span", {}, action.label),
-          h("span", { class: "key-chords" }, ...keys.hints(action.id).map((hint) => h("kbd", {}, hint))),
-          h(
-            "button",
-            {
-              attrs: { type: "button", "aria-label": `Change the key of ${action.label}`, "data-action": action.id },
-              on: { click: () => capture(action.id) },
-            },
-            waiting === action.id ? "press a key…" : "change",
-          ),
-        ),
-      );
+      const rows = DEFAULT_ACTIONS.filter((action) => action.scope === scope).map(({ id, label }) => {
+        const chords = h("span", { class: "key-chords" }, ...keys.hints(id).map((hint) => h("kbd", {}, hint)));
+        const change = plainButton(waiting === id ? "press a key…" : "change", () => capture(id));
+        setAttr(change, "aria-label", `Change the key of ${label}`);
+        setAttr(change, "data-action", id);
+        return h("div", { class: "key-row" }, h("span", {}, label), chords, change);
+      });
       return h("section", {}, h("h3", {}, heading), ...rows);
     });
     fill(list, ...sections);
   };
-  const capture = (id: ActionId): void => {
-    waiting = id;
-    note.textContent = `Press the new key of “${label(id)}”. Esc leaves it as it is.`;
+  /** Says how it goes with the key of an action, and keeps the focus there. */
+  const show = (id: ActionId, next: ActionId | null, words: string): void => {
+    waiting = next;
+    note.textContent = words;
     draw();
     list.querySelector<HTMLElement>(`[data-action="${id}"]`)?.focus();
   };
+  const capture = (id: ActionId): void => show(id, id, `Press the new key of “${label(id)}”. Esc leaves it as it is.`);
   const pressed = (event: KeyboardEvent): void => {
     if (waiting === null || ["Shift", "Control", "Alt", "Meta"].includes(event.key)) return;
     event.preventDefault();
     event.stopImmediatePropagation();
     const id = waiting;
     const chord = chordOf(event);
+    const clash = chord === null ? [] : keys.clashes(id, chord);
     if (event.code === "Escape") {
-      waiting = null;
-      note.textContent = "";
+      show(id, null, "");
     } else if (chord === null) {
-      note.textContent = "That key cannot be used; press another.";
+      show(id, id, "That key cannot be used; press another.");
+    } else if (clash.length > 0) {
+      show(id, id, `${keys.labelOf(chord)} is the key of “${clash.map(label).join("”, “")}”; press another.`);
     } else {
-      const clash = keys.clashes(id, chord);
-      if (clash.length > 0) {
-        note.textContent = `${keys.labelOf(chord)} is the key of “${clash.map(label).join("”, “")}”; press another.`;
-      } else {
-        waiting = null;
-        note.textContent = `“${label(id)}” is now on ${keys.labelOf(chord)}.`;
-        save({ ...keys.overrides, [id]: [chord] });
-      }
+      save({ ...keys.overrides, [id]: [chord] });
+      show(id, null, `“${label(id)}” is now on ${keys.labelOf(chord)}.`);
     }
-    draw();
-    list.querySelector<HTMLElement>(`[data-action="${id}"]`)?.focus();
   };
   window.addEventListener("keydown", pressed, true);
   draw();

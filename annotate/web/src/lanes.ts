@@ -8,7 +8,6 @@ import type { MaskAnswer } from "./wire";
 export interface RangeEdit {
   /** `frame` is the frame at the end that moves. */
   move(range: [number, number], frame: number): void;
-  /** The end was let go. */
   done(): void;
 }
 
@@ -22,13 +21,11 @@ const STEPS: Readonly<Record<string, number>> = { ArrowLeft: -1, ArrowDown: -1, 
 /** Colours of bars and cards, which the style sheet has. */
 const TONES = 6;
 
-/** The class of the colour of a mask. */
 export const toneClass = (index: number): string => `tone-${index % TONES}`;
 
 export class RangeLanes {
   readonly element = h("div", { class: "lanes", attrs: { role: "group", "aria-label": "Frames of the masks" } });
   private readonly handles: readonly [HTMLElement, HTMLElement] = [this.handle(0), this.handle(1)];
-  /** The range whose ends can be moved. */
   private open: { range: Span; edit: RangeEdit } | null = null;
 
   constructor(

@@ -1,6 +1,4 @@
-/**
- * Warnings about descriptions that are probably wrong. They never block, because an unusual text can be right.
- */
+/** Warnings about descriptions that are probably wrong. They never block, because an unusual text can be right. */
 
 import { maskKey } from "./masks";
 import { MAX_TEXT_CHARS, type MaskAnswer } from "./wire";
@@ -40,23 +38,18 @@ const LIMB_WORDS: Readonly<Record<Limb, RegExp>> = {
   leg: /\b(legs?|foot|feet|knees?|ankles?|thighs?|shins?|toes?|heels?)\b/i,
 };
 
-/**
- * "turns left", "to the right", "right away" and "all right" state a direction or no side at all, unless a body
- * part follows: "to the left hand" names a hand.
- */
+/** Without such a word after it, "turns left" or "to the right" states a direction, and "right away" no side at all. */
 const BODY_WORD = "(?:\\s+(?:upper\\s+|lower\\s+)?(?:arm|hand|elbow|wrist|shoulder|forearm|fist|leg|foot|knee|hip|ankle|thigh|shin|toe|heel|side)s?\\b)";
 const DIRECTIONS = new RegExp(
   `\\b(?:(?:to|toward|towards|from)\\s+(?:the|its|his|her|their)\\s+|(?:turn|step|lean|move|walk|look|veer|twist|sway)(?:s|ed|ing)?\\s+|all\\s+)(?:left|right)\\b(?!${BODY_WORD})|\\bright\\s+(?:away|after|before|now|then)\\b`,
   "gi",
 );
 
-/** The sides of the body that a text names. */
 export function sidesNamed(text: string): Side[] {
   const rest = text.replace(DIRECTIONS, " ");
   return (["left", "right"] as const).filter((side) => new RegExp(`\\b${side}\\b`, "i").test(rest));
 }
 
-/** The limbs that a text names. */
 export function limbsNamed(text: string): Limb[] {
   return (["arm", "leg"] as const).filter((limb) => LIMB_WORDS[limb].test(text));
 }
@@ -65,41 +58,27 @@ function union<T>(parts: readonly string[], table: Readonly<Record<string, reado
   return new Set(parts.flatMap((part) => [...(table[part] ?? [])]));
 }
 
-/** Warnings about the text of one mask. */
 export function lintText(text: string, parts: readonly string[]): Lint[] {
   const found: Lint[] = [];
   const trimmed = text.trim();
-  if (trimmed === "") {
-    return [{ code: "empty", message: "The description is empty." }];
-  }
+  if (trimmed === "") return [{ code: "empty", message: "The description is empty." }];
   if ([...text].length > MAX_TEXT_CHARS) {
     found.push({ code: "long", message: `The description is longer than ${MAX_TEXT_CHARS} characters.` });
   }
-  const sided = parts.length > 0 && parts.every((part) => SIDES[part] !== undefined);
-  const maskSides = union(parts, SIDES);
-  if (sided && maskSides.size === 1) {
-    const named = sidesNamed(trimmed);
-    const wrong = named.filter((side) => !maskSides.has(side));
-    if (wrong.length > 0 && !named.some((side) => maskSides.has(side))) {
-      const mask = [...maskSides].join("");
-      found.push({
-        code: "side",
-        message: `The text says “${wrong.join("")}”, the mask is on the ${mask}. Sides are the character's own.`,
-      });
-    }
+  const sides = parts.every((part) => SIDES[part] !== undefined) ? union(parts, SIDES) : new Set<Side>();
+  const wrong = strangers(sides, sidesNamed(trimmed)).join("");
+  if (wrong !== "") {
+    const message = `The text says “${wrong}”, the mask is on the ${[...sides].join("")}. Sides are the character's own.`;
+    found.push({ code: "side", message });
   }
-  const maskLimbs = union(parts, LIMBS);
-  if (maskLimbs.size === 1) {
-    const named = limbsNamed(trimmed);
-    const other = named.filter((limb) => !maskLimbs.has(limb));
-    if (other.length > 0 && !named.some((limb) => maskLimbs.has(limb))) {
-      found.push({
-        code: "limb",
-        message: `The text is about ${other.join(" and ")}s, the mask is not.`,
-      });
-    }
-  }
+  const others = strangers(union(parts, LIMBS), limbsNamed(trimmed)).join(" and ");
+  if (others !== "") found.push({ code: "limb", message: `The text is about ${others}s, the mask is not.` });
   return found;
+}
+
+/** What a text names although the mask has one thing alone, which the text does not name. */
+function strangers<T>(mask: ReadonlySet<T>, named: readonly T[]): readonly T[] {
+  return mask.size !== 1 || named.some((own) => mask.has(own)) ? [] : named;
 }
 
 export interface LintCard extends Pick<MaskAnswer, "parts" | "joints" | "range" | "text"> {
@@ -107,7 +86,6 @@ export interface LintCard extends Pick<MaskAnswer, "parts" | "joints" | "range" 
   draft?: string | null;
 }
 
-/** Warnings about all cards of a task, by card. */
 export function lintCards(cards: readonly LintCard[]): Lint[][] {
   return cards.map((card, index) => {
     const found = lintText(card.text, card.parts);

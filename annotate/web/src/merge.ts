@@ -5,7 +5,6 @@ import type { Parts } from "./parts";
 import { bits } from "./stage/body";
 import type { Answer, Candidate, MaskAnswer } from "./wire";
 
-/** An answer in words, for comparison. */
 export function describe(parts: Parts, answer: Answer): string[] {
   if (answer.kind === "mask_text") {
     const lines = answer.masks.map((mask) => `${maskWords(parts, mask)}: ${mask.text || "—"}`);

@@ -13,6 +13,11 @@ export function shortName(id: string): string {
   return id.split("/").at(-1) ?? id;
 }
 
+/** The clip of the keypoints of all frames. */
+export function trackOf(data: Float32Array, fps: number): Track {
+  return { frames: Math.floor(data.length / (POINTS * 3)), points: POINTS, fps, data };
+}
+
 export class Motions {
   private readonly joints = new Map<string, Promise<Float32Array>>();
   private readonly heats = new Map<string, Promise<Float32Array>>();
@@ -20,8 +25,7 @@ export class Motions {
   constructor(private readonly api: Api) {}
 
   async track(motion: MotionInfo): Promise<Track> {
-    const data = await this.load(this.joints, motion.hash, "joints");
-    return { frames: Math.floor(data.length / (POINTS * 3)), points: POINTS, fps: motion.fps, data };
+    return trackOf(await this.load(this.joints, motion.hash, "joints"), motion.fps);
   }
 
   heat(motion: MotionInfo): Promise<Float32Array> {

@@ -14,10 +14,7 @@ export interface Newcomer {
 const MAX_LINES = 1000;
 const MAX_NAME = 64;
 
-/**
- * Reads lines of a name, or of a name and a role parted by a comma, a semicolon or a tab. Empty lines and a heading
- * `name,role` are passed over. `known` are the names that are taken.
- */
+/** Reads lines of a name, and a role after a comma, semicolon or tab. Empty lines and a heading do not count. */
 export function readNewcomers(text: string, known: ReadonlySet<string>): Newcomer[] {
   const found: Newcomer[] = [];
   const lineOf = new Map<string, number>();
@@ -47,7 +44,6 @@ function unquoted(text: string): string {
   return text.trim().replace(/^"+|"+$/g, "").trim();
 }
 
-/** Full addresses of the links. */
 export function linkOf(user: NewUserLink, origin: string): string {
   return `${origin}${user.path}`;
 }

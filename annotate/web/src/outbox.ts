@@ -14,37 +14,46 @@ import type { KeyValue } from "./db";
 import type { Answer, EventResult, NewEvent, Problem, Revision } from "./wire";
 
 export interface OutboxItem {
-  /** The idempotency key. */
   key: string;
-  /** Order of entry. */
   order: number;
   user: number;
   task: number;
   chain: string;
   event: NewEvent;
-  /**
-   * Whether it was sent before. The server may have applied it although the response was lost, so it is repeated
-   * unchanged, and not replaced by a newer one.
-   */
+  /** Whether it was sent before: the server may have applied it, so it is repeated unchanged, and not replaced. */
   sent: boolean;
-  /** Permanent failure of the event. */
   problem: Problem | null;
 }
 
-/** Keeps events at once, until the database has them. */
-export interface Journal {
-  all(): OutboxItem[];
-  put(item: OutboxItem): void;
-  remove(key: string): void;
+/** Keeps events at once, until the database has them: a page that is left loses what its database has not finished. */
+export class Journal {
+  /** `prefix` names the project and the person. */
+  constructor(
+    private readonly prefix: string,
+    private readonly storage: Storage,
+  ) {}
+
+  all(): OutboxItem[] {
+    const keys = Array.from({ length: this.storage.length }, (_, at) => this.storage.key(at) ?? "");
+    const texts = keys.filter((key) => key.startsWith(this.prefix)).map((key) => this.storage.getItem(key));
+    return texts.flatMap((text) => (text === null ? [] : [JSON.parse(text) as OutboxItem]));
+  }
+
+  put(item: OutboxItem): void {
+    try {
+      this.storage.setItem(this.prefix + item.key, JSON.stringify(item));
+    } catch {
+      // Storage is full; the database has room of its own.
+    }
+  }
+
+  remove(key: string): void {
+    this.storage.removeItem(this.prefix + key);
+  }
 }
 
-interface Chain {
-  rev: number;
-}
+type Phase = "idle" | "sending" | "offline";
 
-export type Phase = "idle" | "sending" | "offline";
-
-/** Notifications about single events. */
 export interface Outcome {
   item: OutboxItem;
   result: EventResult;
@@ -55,16 +64,13 @@ export interface OutboxStatus {
   waiting: number;
   /** Number of events the user has to resolve. */
   stuck: number;
-  /** Error of the last attempt, if it failed. */
   trouble: string | null;
 }
 
 export interface OutboxHooks {
   /** Sends events; throws [`ApiError`] or [`Unreachable`]. */
   send(task: number, events: NewEvent[]): Promise<EventResult[]>;
-  /** Waits for a login. */
   login(): Promise<void>;
-  /** Waits between attempts. */
   sleep(ms: number): Promise<void>;
   /** Runs under a lock shared by all tabs. */
   alone<T>(action: () => Promise<T>): Promise<T>;
@@ -94,7 +100,7 @@ export class Outbox {
 
   constructor(
     private readonly store: KeyValue,
-    private readonly journal: Journal,
+    private readonly journal: Pick<Journal, "all" | "put" | "remove">,
     private readonly user: number,
     private readonly hooks: OutboxHooks,
   ) {}
@@ -111,7 +117,6 @@ export class Outbox {
     this.report();
   }
 
-  /** All waiting and stuck events, in order. */
   get waiting(): readonly OutboxItem[] {
     return this.items;
   }
@@ -127,10 +132,7 @@ export class Outbox {
     return own.at(-1)?.event.answer ?? null;
   }
 
-  /**
-   * Stores an event and starts sending. Resolves once the event is stored in the browser's database. It replaces an older
-   * unsent draft of the same chain.
-   */
+  /** Stores an event and starts sending. It replaces an older unsent draft of the chain. Resolves once it is stored. */
   async add(task: number, chain: string, event: NewEvent): Promise<void> {
     const item: OutboxItem = {
       key: event.idem_key,
@@ -165,12 +167,11 @@ export class Outbox {
 
   /** Sets the revision that the next event of a chain is based on. */
   async setRev(chain: string, rev: number): Promise<void> {
-    await this.store.put("chains", chain, { rev } satisfies Chain);
+    await this.store.put("chains", chain, { rev });
   }
 
-  /** The revision a chain has seen. */
   async revOf(chain: string): Promise<number> {
-    return (await this.store.get<Chain>("chains", chain))?.rev ?? 0;
+    return (await this.store.get<{ rev: number }>("chains", chain))?.rev ?? 0;
   }
 
   /** Removes stuck events of a chain whose content was merged. */
@@ -181,7 +182,6 @@ export class Outbox {
     this.report();
   }
 
-  /** Sends all events that can be sent. */
   flush(): Promise<void> {
     this.wake?.();
     this.running ??= this.run().finally(() => {
@@ -317,16 +317,7 @@ export class Outbox {
   }
 }
 
-/** The conflicting revision, written by somebody else or in another tab. */
-export interface Conflict {
-  item: OutboxItem;
-  mine: Answer;
-  theirs: Revision;
-}
-
-export function conflictOf(outcome: Outcome): Conflict | null {
-  const { problem } = outcome.result;
-  const mine = outcome.item.event.answer;
-  if (problem?.code !== "stale_revision" || !problem.theirs || !mine) return null;
-  return { item: outcome.item, mine, theirs: problem.theirs };
+/** The revision that an answer conflicts with, written by somebody else or in another tab. */
+export function theirsOf({ item, result }: Outcome): Revision | null {
+  return result.problem?.code === "stale_revision" && item.event.answer ? (result.problem.theirs ?? null) : null;
 }

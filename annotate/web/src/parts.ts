@@ -15,11 +15,10 @@ export class Parts {
   readonly all: readonly PartInfo[];
   /** The five release parts, in the order of the strips' rows. */
   readonly release: readonly PartInfo[];
-  /** Names of the joints of the body, by number. */
   readonly bodyJoints: readonly string[];
   private readonly byName: Map<string, PartInfo>;
 
-  constructor(skeleton: SkeletonInfo) {
+  constructor(skeleton: Pick<SkeletonInfo, "joints" | "parts">) {
     this.all = skeleton.parts;
     this.bodyJoints = skeleton.joints.slice(0, BODY_JOINTS);
     this.release = skeleton.parts.filter((part) => part.release);
@@ -47,7 +46,6 @@ export class Parts {
     return { hard, soft: ((ring & rest) | chosen("soft")) & ~hard };
   }
 
-  /** Joints of all masks of an answer, or of its parts. */
   jointsOf(answer: Answer): Joints {
     const masks = answer.kind === "mask_text" ? answer.masks : [{ parts: answer.parts, soft: true, joints: [] }];
     const all = masks.map((mask) => this.joints(mask.parts, mask.soft, mask.joints));
@@ -55,7 +53,6 @@ export class Parts {
     return { hard, soft: all.reduce((set, own) => set | own.soft, 0) & ~hard };
   }
 
-  /** How a mask takes a joint of the body. */
   weightOf(mask: MaskAnswer, joint: number): JointWeight {
     const { hard, soft } = this.joints(mask.parts, mask.soft, mask.joints);
     return has(hard, joint) ? "hard" : has(soft, joint) ? "soft" : "none";

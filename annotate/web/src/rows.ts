@@ -27,9 +27,7 @@ export interface Page<T> {
 /** Rows of a list, fetched in order: each page begins where the one before ended. */
 export class PagedRows<T extends { id: number }> {
   readonly rows: T[] = [];
-  /** Number of all rows, as far as it is known. */
   total = 0;
-  /** Why the last request failed. */
   trouble: unknown = null;
   private readonly seen = new Set<number>();
   private next: string | null = null;
@@ -56,7 +54,6 @@ export class PagedRows<T extends { id: number }> {
     return this.loading;
   }
 
-  /** Goes on after a failure. */
   again(): Promise<void> {
     this.trouble = null;
     return this.want(this.wanted);

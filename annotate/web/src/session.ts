@@ -1,12 +1,10 @@
-/**
- * Work on one task: the answer with undo, sending of drafts, the lease, and working time.
- */
+/** Work on one task: the answer with undo, sending of drafts, the lease, and working time. */
 
 import { ApiError, newEvent, reason, transient } from "./api";
-import type { App, ConflictView, OpenSession, Version } from "./app";
+import type { App, OpenSession } from "./app";
+import type { ConflictBox, Version } from "./components/conflict-box";
 import { History, forgetHistory, loadHistory, same, saveHistory } from "./history";
-import type { Outcome } from "./outbox";
-import { conflictOf } from "./outbox";
+import { theirsOf, type Outcome } from "./outbox";
 import { both, describe } from "./merge";
 import type { Answer, EventKind, Lease, NewEvent, Revision, SkipReason, SuggestionUse, TaskView } from "./wire";
 import { WorkClock } from "./work";
@@ -14,16 +12,14 @@ import { WorkClock } from "./work";
 /** Pause in typing after which a draft is sent. */
 const DRAFT_AFTER_MS = 600;
 
-/** What became of the last event of a task. */
 export type Ending = "done" | "refused";
 
 /** Events whose working time the server counts. */
 const TIMED: ReadonlySet<EventKind> = new Set<EventKind>(["draft", "submit", "skip", "postpone"]);
 
 export class TaskSession<A extends Answer> implements OpenSession {
-  private history: History<A>;
   private draftTimer: number | null = null;
-  private heartbeat: number | null = null;
+  private readonly heartbeat: number;
   private lease: Lease | null;
   private readonly work = new WorkClock();
   private submitted = false;
@@ -34,31 +30,26 @@ export class TaskSession<A extends Answer> implements OpenSession {
   /** The latest revision known to this editor. */
   private rev: number;
   /** A version from another window, until the user has chosen. */
-  private conflict: { theirs: Revision; box: ConflictView } | null = null;
-  /** A claim in progress after the lease was lost. */
+  private conflict: { theirs: Revision; box: ConflictBox } | null = null;
   private claiming: Promise<boolean> | null = null;
   readonly chain: string;
-  readonly task: number;
+  private readonly task: number;
 
   private constructor(
     private readonly app: App,
-    readonly view: TaskView,
-    history: History<A>,
+    view: TaskView,
+    private readonly history: History<A>,
     private readonly onReplaced: (answer: A) => void,
   ) {
-    this.history = history;
     this.task = view.task.id;
     this.chain = app.chain(view.task.id);
     this.lease = view.lease;
     this.rev = view.mine?.rev ?? 0;
-    this.startHeartbeat();
+    this.heartbeat = window.setInterval(() => void this.renew(), app.me.limits.heartbeat_secs * 1000);
     app.sessions.add(this);
   }
 
-  /**
-   * Opens a task with this tab's last state if nobody wrote since; else with the server's state, and this tab's
-   * state one undo step away.
-   */
+  /** Opens a task with this tab's last state if nobody wrote since; else with the server's, its own an undo away. */
   static async open<A extends Answer>(
     app: App,
     view: TaskView,
@@ -84,14 +75,6 @@ export class TaskSession<A extends Answer> implements OpenSession {
     return this.history.present;
   }
 
-  get canUndo(): boolean {
-    return this.history.canUndo;
-  }
-
-  get canRedo(): boolean {
-    return this.history.canRedo;
-  }
-
   get isEditing(): boolean {
     return this.draftTimer !== null || this.conflict !== null;
   }
@@ -100,11 +83,10 @@ export class TaskSession<A extends Answer> implements OpenSession {
   change(answer: A, kind: string | null = null): void {
     this.active();
     this.history.push(answer, kind);
-    this.conflict?.box.refresh();
+    this.conflict?.box.requestUpdate();
     this.schedule();
   }
 
-  /** Starts a new undo step with the next edit. */
   seal(): void {
     this.history.seal();
   }
@@ -128,8 +110,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
   /** Sends the draft at once, for example when the page is left. */
   async flushDraft(): Promise<void> {
     if (this.draftTimer === null) return;
-    window.clearTimeout(this.draftTimer);
-    this.draftTimer = null;
+    this.cancelDraft();
     await this.send("draft", { answer: this.history.present });
   }
 
@@ -142,27 +123,21 @@ export class TaskSession<A extends Answer> implements OpenSession {
   }
 
   /** Submits the answer, and waits until the server has taken or refused it. */
-  async submit(answer: A): Promise<Ending> {
+  submit(answer: A): Promise<Ending> {
     this.cancelDraft();
-    this.refused = false;
     this.submitted = true;
-    await this.send("submit", { answer });
-    return this.ending();
+    return this.end("submit", { answer });
   }
 
-  async skip(why: SkipReason, note: string): Promise<Ending> {
+  skip(why: SkipReason, note: string): Promise<Ending> {
     this.cancelDraft();
-    this.refused = false;
     this.submitted = true;
-    await this.send("skip", { reason: why, note });
-    return this.ending();
+    return this.end("skip", { reason: why, note });
   }
 
   async postpone(): Promise<Ending> {
     await this.flushDraft();
-    this.refused = false;
-    await this.send("postpone", {});
-    return this.ending();
+    return this.end("postpone", {});
   }
 
   /** Withdraws a submitted answer; the caller reopens the task. */
@@ -178,7 +153,6 @@ export class TaskSession<A extends Answer> implements OpenSession {
     await this.send("suggestion_used", { suggestion, used });
   }
 
-  /** Handles the result of an event of this chain. */
   async heard(outcome: Outcome): Promise<void> {
     if (outcome.item.chain !== this.chain) return;
     const { result, item } = outcome;
@@ -187,10 +161,10 @@ export class TaskSession<A extends Answer> implements OpenSession {
       if (result.lease) this.lease = result.lease;
       return;
     }
-    const conflict = conflictOf(outcome);
-    if (conflict) {
+    const theirs = theirsOf(outcome);
+    if (theirs) {
       this.refuse();
-      await this.meet(conflict.theirs);
+      await this.meet(theirs);
       return;
     }
     if (result.problem.code === "lease_lost") {
@@ -210,12 +184,12 @@ export class TaskSession<A extends Answer> implements OpenSession {
 
   dispose(): void {
     if (this.conflict) {
-      this.conflict.box.close();
+      this.conflict.box.remove();
       this.conflict = null;
       this.schedule();
     }
     void this.flushDraft();
-    if (this.heartbeat !== null) window.clearInterval(this.heartbeat);
+    window.clearInterval(this.heartbeat);
     this.app.sessions.delete(this);
     if (this.submitted) forgetHistory(this.chain);
   }
@@ -233,8 +207,10 @@ export class TaskSession<A extends Answer> implements OpenSession {
     this.submitted = false;
   }
 
-  /** Waits as long as the server takes, and for a lease to be taken again. */
-  private async ending(): Promise<Ending> {
+  /** Sends the event that ends the task, and waits as long as the server takes, and for a lease to be taken again. */
+  private async end(kind: EventKind, rest: Partial<NewEvent>): Promise<Ending> {
+    this.refused = false;
+    await this.send(kind, rest);
     const { outbox } = this.app;
     await outbox.settled(this.task);
     while (this.claiming) {
@@ -266,7 +242,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
 
   /** Goes on with the chosen version. `mine` is what this page shows now, not what was sent. */
   private async resolve(version: Version, theirs: Revision): Promise<void> {
-    this.conflict?.box.close();
+    this.conflict?.box.remove();
     this.conflict = null;
     const mine = this.history.present;
     const other = theirs.answer as A;
@@ -285,7 +261,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
   private schedule(): void {
     // While two versions stand against each other, what is typed is kept in the history.
     if (this.conflict) return;
-    if (this.draftTimer !== null) window.clearTimeout(this.draftTimer);
+    this.cancelDraft();
     this.draftTimer = window.setTimeout(() => {
       this.draftTimer = null;
       void this.send("draft", { answer: this.history.present });
@@ -306,13 +282,8 @@ export class TaskSession<A extends Answer> implements OpenSession {
       await this.app.outbox.add(this.task, this.chain, event);
     } catch (error) {
       this.work.giveBack(secs);
-      this.app.toasts.show(`This browser could not keep the change: ${reason(error)}`, { kind: "error", ms: 15_000 });
+      this.app.toasts.fail(error, "This browser could not keep the change: ", { ms: 15_000 });
     }
-  }
-
-  private startHeartbeat(): void {
-    const ms = this.app.me.limits.heartbeat_secs * 1000;
-    this.heartbeat = window.setInterval(() => void this.renew(), ms);
   }
 
   private async renew(): Promise<void> {
@@ -325,8 +296,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
       return;
     }
     try {
-      const response = await this.app.api.once("POST", `leases/${this.lease.id}/renew`);
-      this.lease = (await response.json()) as Lease;
+      this.lease = await this.app.api.attempt<Lease>("POST", `leases/${this.lease.id}/renew`);
     } catch (error) {
       if (error instanceof ApiError && error.code === "lease_lost") {
         this.lease = null;
@@ -355,19 +325,12 @@ export class TaskSession<A extends Answer> implements OpenSession {
       return true;
     } catch (error) {
       this.lease = null;
-      if (error instanceof ApiError && !transient(error)) {
-        this.app.toasts.show(`This task is no longer yours: ${reason(error)}. Your text is kept as your draft.`, {
-          id: "lease",
-          kind: "error",
-          ms: 20_000,
-        });
-      } else {
-        // Nobody said that the task is taken: the next heartbeat asks again.
-        this.app.toasts.show(`The server does not answer (${reason(error)}). Your text is kept; the page goes on asking.`, {
-          id: "lease",
-          kind: "error",
-        });
-      }
+      const lost = error instanceof ApiError && !transient(error);
+      // Unless somebody said that the task is taken, the next heartbeat asks again.
+      const words = lost
+        ? `This task is no longer yours: ${reason(error)}. Your text is kept as your draft.`
+        : `The server does not answer (${reason(error)}). Your text is kept; the page goes on asking.`;
+      this.app.toasts.show(words, { id: "lease", kind: "error", ms: lost ? 20_000 : 5000 });
       return false;
     }
   }

@@ -2,7 +2,6 @@
 
 import type { AuditEntry } from "./wire";
 
-/** Words for entries of the log. */
 const EVENTS: Readonly<Record<string, string>> = {
   imported: "imported",
   filled: "an imported answer was accepted",

@@ -1,6 +1,7 @@
 /** Strips along the timeline: activity of parts, and the distance of two motions. */
 
 import { h } from "./dom";
+import { contextOf, pixelRatio } from "./stage/scene";
 import { onThemeChange, theme } from "./stage/theme";
 
 export interface Row {
@@ -72,9 +73,7 @@ export class Strip {
     seek: (frame: number) => void,
   ) {
     this.canvas = h("canvas", { class: "strip-canvas", attrs: { "aria-hidden": "true" } });
-    this.labels = rows.map((row) =>
-      h("div", { class: "strip-label", data: { row: row.name } }, row.hint ? h("kbd", {}, row.hint) : null, row.label),
-    );
+    this.labels = rows.map(({ name, hint, label }) => h("div", { class: "strip-label", data: { row: name } }, hint && h("kbd", {}, hint), label));
     this.element = h(
       "div",
       { class: "strip", attrs: { role: "img", "aria-label": title } },
@@ -93,13 +92,12 @@ export class Strip {
     this.canvas.addEventListener("pointermove", (event) => {
       if (event.buttons === 1) seek(at(event));
     });
-    this.observer = new ResizeObserver(() => {
+    const redraw = (): void => {
       this.dirty = true;
-    });
+    };
+    this.observer = new ResizeObserver(redraw);
     this.observer.observe(this.canvas);
-    this.forget = onThemeChange(() => {
-      this.dirty = true;
-    });
+    this.forget = onThemeChange(redraw);
   }
 
   /** Values `[rows][columns]`, spread over the frames of the clock. */
@@ -116,12 +114,10 @@ export class Strip {
     this.element.setAttribute("aria-label", `${this.title}. ${text}`);
   }
 
-  /** The values of a row. */
   rowValues(row: number): Float32Array {
     return this.values.subarray(row * this.columns, (row + 1) * this.columns);
   }
 
-  /** Marks the rows of suggested and of chosen parts. */
   mark(suggested: ReadonlySet<string>, chosen: ReadonlySet<string>): void {
     this.rows.forEach((row, index) => {
       this.labels[index]?.classList.toggle("suggested", suggested.has(row.name));
@@ -137,7 +133,6 @@ export class Strip {
     this.dirty = true;
   }
 
-  /** The column with the largest value of a row. */
   peak(row: number): number {
     let best = 0;
     for (let column = 1; column < this.columns; column += 1) {
@@ -155,13 +150,10 @@ export class Strip {
     const width = this.canvas.clientWidth;
     if (width === 0) return;
     this.dirty = false;
-    const ratio = Math.min(2, window.devicePixelRatio || 1);
     const height = this.rows.length * (ROW_HEIGHT + GAP) - GAP;
-    this.canvas.width = Math.round(width * ratio);
-    this.canvas.height = Math.round(height * ratio);
-    const context = this.canvas.getContext("2d");
+    const context = contextOf(this.canvas, { width, height, pixelRatio: pixelRatio() });
     if (!context) return;
-    context.scale(ratio, ratio);
+    context.clearRect(0, 0, width, height);
     context.imageSmoothingEnabled = false;
     const image = this.paint();
     this.rows.forEach((_, row) => {

@@ -1,6 +1,7 @@
 /** Rows in which an admin edits the styles of a project. */
 
 import { fill, h } from "./dom";
+import { input, plainButton } from "./ui";
 import { MAX_GUIDELINE_CHARS, MAX_NAME_CHARS, MAX_TEXT_CHARS, type Style } from "./wire";
 
 /** Shown by the picker of a style without a colour. */
@@ -13,7 +14,7 @@ export class StyleRows {
   private readonly list = h("div", {});
 
   constructor() {
-    const add = h("button", { attrs: { type: "button" }, on: { click: () => this.add({ name: "", text: "", colour: null }, true) } }, "Add a style");
+    const add = plainButton("Add a style", () => this.add({ name: "", text: "", colour: null }, true));
     this.element.append(h("div", { class: "label" }, "Styles"), this.list, add);
   }
 
@@ -33,31 +34,19 @@ export class StyleRows {
 
   private add(style: Style, focus: boolean): void {
     const called = style.name || "the new style";
-    const name = h("input", { attrs: { type: "text", maxlength: MAX_NAME_CHARS, "aria-label": "Name of the style", placeholder: "Name" } });
+    const name = input("text", style.name, { maxlength: MAX_NAME_CHARS, "aria-label": "Name of the style", placeholder: "Name" });
     const text = textField(style.text, 1, MAX_TEXT_CHARS, `What ${called} looks like`, "What it looks like");
-    const guideline = textField(
-      style.guideline ?? "",
-      2,
-      MAX_GUIDELINE_CHARS,
-      `How ${called} is performed`,
-      "How it is performed: what the body does, and what it must not do. An empty line ends a paragraph.",
-    );
-    const coloured = h("input", { attrs: { type: "checkbox", "aria-label": `${called} has a colour` } });
-    const colour = h("input", { attrs: { type: "color", "aria-label": `Colour of ${called}` } });
-    name.value = style.name;
+    const how = "How it is performed: what the body does, and what it must not do. An empty line ends a paragraph.";
+    const guideline = textField(style.guideline ?? "", 2, MAX_GUIDELINE_CHARS, `How ${called} is performed`, how);
+    const coloured = input("checkbox", "on", { "aria-label": `${called} has a colour` });
+    const colour = input("color", style.colour ?? NO_COLOUR, { "aria-label": `Colour of ${called}` });
     coloured.checked = style.colour !== null;
-    colour.value = style.colour ?? NO_COLOUR;
     colour.addEventListener("input", () => (coloured.checked = true));
-    const drop = h("button", { attrs: { type: "button", "aria-label": `Remove ${called}` } }, "Remove");
+    const drop = h("button", { attrs: { "aria-label": `Remove ${called}` } }, "Remove");
     const row = h("div", { class: "style-row" }, name, coloured, colour, text.element, drop, guideline.element);
     const own = {
       row,
-      read: (): Style => ({
-        name: name.value.trim(),
-        text: text.read(),
-        guideline: guideline.read(),
-        colour: coloured.checked ? colour.value : null,
-      }),
+      read: (): Style => ({ name: name.value.trim(), text: text.read(), guideline: guideline.read(), colour: coloured.checked ? colour.value : null }),
     };
     drop.addEventListener("click", () => {
       this.rows = this.rows.filter((other) => other !== own);

@@ -1,7 +1,8 @@
 /** User interface elements: toasts, dialogs, labelled buttons, formatted figures. */
 
 import { reason } from "./api";
-import { append, fill, h, setAttr, type Child } from "./dom";
+import { action, element, figureTable } from "./components/component";
+import { h, setAttr, type Child } from "./dom";
 import type { Estimate } from "./wire";
 
 /** Messages at the lower edge, announced by screen readers. */
@@ -17,9 +18,7 @@ export class Toasts {
     const id = options.id ?? message;
     this.shown.get(id)?.();
     const { action } = options;
-    const button = action
-      ? h("button", { class: "toast-action", attrs: { type: "button" }, on: { click: () => (close(), action.run()) } }, action.label)
-      : null;
+    const button = action && h("button", { class: "toast-action", on: { click: () => (close(), action.run()) } }, action.label);
     const toast = h("div", { class: `toast ${options.kind ?? "info"}` }, h("span", {}, message), button);
     const timer = window.setTimeout(() => close(), options.ms ?? 5000);
     const close = (): void => {
@@ -29,6 +28,11 @@ export class Toasts {
     };
     this.shown.set(id, close);
     this.element.append(toast);
+  }
+
+  /** Shows why something failed, after words that say what. */
+  fail(error: unknown, what = "", options: { id?: string; kind?: "info"; ms?: number } = {}): void {
+    this.show(what + reason(error), { kind: "error", ...options });
   }
 
   clear(id: string): void {
@@ -64,10 +68,7 @@ export interface Choice<T> {
   hint?: string;
 }
 
-/**
- * A modal dialog; resolves with the choice, or null for Cancel and Escape. A dialog whose first choice only closes it
- * needs no Cancel.
- */
+/** A modal dialog; `null` for Cancel and Escape. One whose first choice only closes it needs no Cancel. */
 export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>[], focus?: HTMLElement): Promise<T | null> {
   return new Promise((resolve) => {
     const finish = (value: T | null): void => {
@@ -75,37 +76,12 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
       dialog.remove();
       resolve(value);
     };
-    const heading = h("h2", { id: "dialog-title" }, title);
-    const buttons = choices.map((choice) =>
-      h(
-        "button",
-        {
-          class: choice.kind ?? "",
-          attrs: { type: "button", "data-choice": choice.label },
-          on: { click: () => finish(choice.value) },
-        },
-        choice.hint ? h("kbd", {}, choice.hint) : null,
-        choice.label,
-      ),
-    );
+    const button = (label: string, value: T | null, hint = "", kind = ""): HTMLElement =>
+      h("button", { class: kind, data: { choice: label }, on: { click: () => finish(value) } }, hint !== "" && h("kbd", {}, hint), label);
+    const buttons = choices.map(({ label, value, hint, kind }) => button(label, value, hint, kind));
     const closes = choices[0]?.label === "Close" || choices[0]?.label === "Done";
-    const cancel = h(
-      "button",
-      { attrs: { type: "button", "data-choice": "Cancel" }, on: { click: () => finish(null) } },
-      h("kbd", {}, "Esc"),
-      "Cancel",
-    );
-    const dialog = h(
-      "dialog",
-      { class: "dialog", attrs: { "aria-labelledby": "dialog-title" } },
-      heading,
-      h("div", { class: "dialog-body" }, ...body),
-      h("div", { class: "dialog-buttons" }, ...buttons, !closes && cancel),
-    );
-    dialog.addEventListener("cancel", (event) => {
-      event.preventDefault();
-      finish(null);
-    });
+    const foot = h("div", { class: "dialog-buttons" }, ...buttons, !closes && button("Cancel", null, "Esc"));
+    const dialog = openDialog(title, () => finish(null), h("div", { class: "dialog-body" }, ...body), foot);
     dialog.addEventListener("keydown", (event) => {
       event.stopPropagation();
       if (event.isComposing) return;
@@ -122,29 +98,42 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
         finish(chosen.value);
       }
     });
-    document.body.append(dialog);
-    dialog.showModal();
     (focus ?? buttons[0])?.focus();
   });
 }
 
-/**
- * Asks for one of several reasons, by digit. Reason `other` needs a note, and is asked for again without one.
- */
+/** A modal dialog with a title. Escape calls `cancel`, which closes it or not. */
+function openDialog(title: string, cancel: () => void, ...body: Child[]): HTMLDialogElement {
+  const dialog = h("dialog", { class: "dialog", attrs: { "aria-labelledby": "dialog-title" } }, h("h2", { id: "dialog-title" }, title), ...body);
+  dialog.addEventListener("cancel", (event) => {
+    event.preventDefault();
+    cancel();
+  });
+  document.body.append(dialog);
+  dialog.showModal();
+  return dialog;
+}
+
+/** Shows a text and a button that closes it. */
+export async function tell(title: string, body: Child[]): Promise<void> {
+  await ask(title, body, [{ label: "Close", value: true, kind: "primary" }]);
+}
+
+/** What is missing or wrong in a dialog that opens again. */
+export function alertLine(trouble: string | false): Child {
+  return trouble !== "" && trouble !== false && h("p", { class: "trouble", attrs: { role: "alert" } }, trouble);
+}
+
+/** Asks for one of several reasons, by digit. Reason `other` needs a note, and is asked for again without one. */
 export async function askReason<T extends string>(
   title: string,
   reasons: readonly (readonly [T, string])[],
   lead: Child[] = [],
 ): Promise<{ reason: T; note: string } | null> {
-  const choices = reasons.map(([value, label], index) => ({
-    label,
-    value,
-    code: `Digit${index + 1}`,
-    hint: String(index + 1),
-  }));
+  const choices = reasons.map(([value, label], index) => ({ label, value, code: `Digit${index + 1}`, hint: String(index + 1) }));
   for (let again = false; ; again = true) {
-    const note = h("input", { attrs: { type: "text", maxlength: 2000 } });
-    const hint = again && h("p", { class: "trouble", attrs: { role: "alert" } }, "Say what, in the note; then choose again.");
+    const note = input("text", "", { maxlength: 2000 });
+    const hint = alertLine(again && "Say what, in the note; then choose again.");
     const reason = await ask<T>(title, [...lead, hint, field("Note (needed for “something else”)", note)], choices, again ? note : undefined);
     if (reason === null) return null;
     const text = note.value.trim();
@@ -154,25 +143,29 @@ export async function askReason<T extends string>(
 
 /** A button that shows its key. */
 export function keyButton(label: string, hint: string, run: () => void, className = ""): HTMLButtonElement {
-  return h(
-    "button",
-    { class: className, attrs: { type: "button" }, on: { click: run } },
-    hint ? h("kbd", {}, hint) : null,
-    h("span", { class: "button-label" }, label),
-  );
+  return element<HTMLButtonElement>(action(label, hint, run, className));
 }
 
-/** A button that cannot be pressed again until its work is done, and shows why it failed. */
+/** A button that only has a label. */
+export function plainButton(label: string, run: () => void, className = ""): HTMLButtonElement {
+  return h("button", { class: className, on: { click: run } }, label);
+}
+
 export function button(label: string, run: () => Promise<void>, app: { readonly toasts: Toasts }, className = ""): HTMLButtonElement {
-  const own = h("button", { class: className, attrs: { type: "button" } }, label);
-  own.addEventListener("click", () => {
+  const own = plainButton(label, () => {
     own.disabled = true;
     run()
-      .catch((error: unknown) => app.toasts.show(reason(error), { kind: "error", ms: 15_000 }))
+      .catch((error: unknown) => app.toasts.fail(error, "", { ms: 15_000 }))
       .finally(() => {
         own.disabled = false;
       });
-  });
+  }, className);
+  return own;
+}
+
+export function input(type: string, value: string | number = "", attrs: Record<string, string | number | boolean> = {}): HTMLInputElement {
+  const own = h("input", { attrs: { type, ...attrs } });
+  own.value = String(value);
   return own;
 }
 
@@ -182,35 +175,18 @@ export function select<T extends string>(options: readonly (readonly [T, string]
   return own;
 }
 
-/**
- * Repeats a step until it returns false, over a bar and a button that stops between two steps. The step gets a function
- * that shows how much is done. Returns whether it was stopped; a failed step ends it with its error.
- */
+/** Repeats a step, which says how much is done, until it returns false or the user stops. Returns whether they did. */
 export async function inSteps(title: string, total: number, step: (done: (count: number) => void) => Promise<boolean>): Promise<boolean> {
   let stopped = false;
   const bar = h("progress", { attrs: { max: Math.max(1, total), value: 0, "aria-label": title } });
   const words = h("p", { attrs: { "aria-live": "polite" } }, `0 of ${total}`);
-  const stop = h("button", { attrs: { type: "button", "data-choice": "Stop" } }, h("kbd", {}, "Esc"), "Stop");
-  const dialog = h(
-    "dialog",
-    { class: "dialog", attrs: { "aria-labelledby": "steps-title" } },
-    h("h2", { id: "steps-title" }, title),
-    words,
-    bar,
-    h("div", { class: "dialog-buttons" }, stop),
-  );
   const halt = (): void => {
     stopped = true;
     stop.disabled = true;
     words.textContent = "Stopping…";
   };
-  stop.addEventListener("click", halt);
-  dialog.addEventListener("cancel", (event) => {
-    event.preventDefault();
-    halt();
-  });
-  document.body.append(dialog);
-  dialog.showModal();
+  const stop = h("button", { data: { choice: "Stop" }, on: { click: halt } }, h("kbd", {}, "Esc"), "Stop");
+  const dialog = openDialog(title, halt, words, bar, h("div", { class: "dialog-buttons" }, stop));
   try {
     const show = (count: number): void => {
       setAttr(bar, "value", Math.min(count, total));
@@ -230,29 +206,9 @@ export function field(label: string, control: HTMLElement, note = ""): HTMLEleme
   return h("div", { class: "field" }, h("label", { attrs: { for: id } }, label), control, note ? h("p", { class: "note" }, note) : null);
 }
 
-/** A table from rows of cells; the first row is the head. */
-export function table(caption: string, head: readonly string[], rows: readonly (readonly Child[])[]): HTMLTableElement {
-  const body = h("tbody", {});
-  for (const row of rows) {
-    const line = h("tr", {});
-    row.forEach((cell, index) => {
-      const tag = index === 0 ? h("th", { attrs: { scope: "row" } }) : h("td", {});
-      append(tag, [cell]);
-      line.append(tag);
-    });
-    body.append(line);
-  }
-  return h(
-    "table",
-    {},
-    h("caption", {}, caption),
-    h("thead", {}, h("tr", {}, ...head.map((cell) => h("th", { attrs: { scope: "col" } }, cell)))),
-    body,
-  );
-}
-
-export function replace(parent: Element, ...children: Child[]): void {
-  fill(parent, ...children);
+/** A table from rows of cells, which are not drawn again. */
+export function table(caption: string, head: readonly string[], rows: readonly (readonly Child[])[]): HTMLElement {
+  return element(figureTable(caption, head, rows));
 }
 
 export function percent(share: number | null): string {
@@ -277,7 +233,6 @@ export function when(ms: number | null): string {
   return new Date(ms).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" });
 }
 
-/** The time until a future moment, in words. */
 export function until(ms: number): string {
   const left = Math.round((ms - Date.now()) / 1000);
   if (left <= 0) return "now";

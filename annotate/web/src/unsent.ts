@@ -8,15 +8,10 @@ import { ask } from "./ui";
 
 export async function showUnsent(outbox: Outbox, parts: Parts): Promise<void> {
   const stuck = outbox.waiting.filter((item) => item.problem !== null);
-  const entries = stuck.map((item) =>
-    h(
-      "section",
-      { class: "unsent" },
-      h("h3", {}, `Task ${item.task}: ${item.event.kind}`),
-      h("p", { class: "trouble" }, item.problem?.detail ?? ""),
-      h("ul", {}, ...(item.event.answer ? describe(parts, item.event.answer) : []).map((line) => h("li", {}, line))),
-    ),
-  );
+  const entries = stuck.map(({ task, event, problem }) => {
+    const lines = (event.answer ? describe(parts, event.answer) : []).map((line) => h("li", {}, line));
+    return h("section", { class: "unsent" }, h("h3", {}, `Task ${task}: ${event.kind}`), h("p", { class: "trouble" }, problem?.detail ?? ""), h("ul", {}, ...lines));
+  });
   const choice = await ask(
     "The server refused these changes",
     [h("p", {}, "They stay in this browser until the task is saved again or you discard them."), ...entries],

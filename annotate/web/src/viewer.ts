@@ -1,11 +1,10 @@
-/**
- * Stages, strips and playback controls of a task, all driven by one clock. Screens decide what is shown; the
- * viewer is independent of the kind of task.
- */
+/** Stages, strips and playback controls of a task of any kind, all driven by one clock. */
 
+import { html } from "lit";
 import { clipFrame, Clock, type ClockState } from "./clock";
+import { element } from "./components/component";
 import { h } from "./dom";
-import type { ActionId, KeyMap } from "./keys";
+import { perform, type ActionId, type Deeds, type KeyMap } from "./keys";
 import { PLAIN, aligned, type Paint, type Track } from "./stage/body";
 import { Stage, type MakeRenderer } from "./stage/stage";
 import type { Strip } from "./strips";
@@ -26,7 +25,7 @@ export class Viewer {
   private readonly stages: Stage[] = [];
   private readonly stageRow = h("div", { class: "stages" });
   private readonly stripColumn = h("div", { class: "strips" });
-  private strips: Strip[] = [];
+  private readonly strips: Strip[] = [];
   private clips: Clip[] = [];
   private layout: Layout = "single";
   private swapped = false;
@@ -36,64 +35,48 @@ export class Viewer {
   private moved: { ghost: Track; to: Track; stretch: boolean; track: Track } | null = null;
   private readonly playButton: HTMLButtonElement;
   private readonly range: HTMLInputElement;
-  private readonly readout: HTMLElement;
-  private readonly speed: HTMLElement;
-  private readonly loopText: HTMLElement;
+  private readonly readout = h("output", { class: "readout", attrs: { "aria-live": "off" } });
+  private readonly speed = h("output", { class: "speed" });
+  private readonly loopText = h("output", { class: "loop" });
   private readonly followButton: HTMLButtonElement;
-  private readonly saveFollow: (follow: boolean) => void;
 
   constructor(
     private readonly makeRenderer: MakeRenderer,
     keys: KeyMap,
     prefs: Prefs,
-    save: (change: Partial<Prefs>) => void,
+    private readonly save: (change: Partial<Prefs>) => void,
   ) {
     const button = (action: ActionId, label: string, className = ""): HTMLButtonElement =>
-      h(
-        "button",
-        {
-          class: className,
-          attrs: { type: "button", title: `${label} (${keys.hint(action)})`, "aria-keyshortcuts": keys.chord(action) },
-          on: { click: () => this.perform(action, false) },
-        },
-        h("kbd", {}, keys.hint(action)),
-        h("span", { class: "button-label" }, label),
-      );
+      element(html`<button
+        type="button"
+        class=${className}
+        title=${`${label} (${keys.hint(action)})`}
+        aria-keyshortcuts=${keys.chord(action)}
+        @click=${() => this.perform(action, false)}
+      >
+        <kbd>${keys.hint(action)}</kbd><span class="button-label">${label}</span>
+      </button>`);
     this.playButton = button("play_pause", "Play", "play");
     this.range = h("input", {
       class: "scrub",
       attrs: { type: "range", min: 0, max: 0, step: 1, value: 0, "aria-label": "Frame" },
       on: { input: () => this.clock.scrub(Number(this.range.value)) },
     });
-    this.readout = h("output", { class: "readout", attrs: { "aria-live": "off" } });
-    this.speed = h("output", { class: "speed" });
-    this.loopText = h("output", { class: "loop" });
     this.followButton = button("camera_follow", "Follow");
-    this.transport = h(
-      "div",
-      { class: "transport", attrs: { role: "group", "aria-label": "Playback" } },
-      h("div", { class: "transport-row" }, this.playButton, this.range, this.readout),
-      h(
-        "div",
-        { class: "transport-row small" },
-        button("step_back", "Back"),
-        button("step_forward", "Forward"),
-        h("span", { class: "group" }, button("slower", "Slower"), this.speed, button("faster", "Faster")),
-        h("span", { class: "group" }, button("loop_in", "In"), button("loop_out", "Out"), button("loop_clear", "Clear"), this.loopText),
-      ),
-    );
-    const cameras = h(
-      "div",
-      { class: "cameras", attrs: { role: "group", "aria-label": "Camera" } },
-      button("camera_front", "Front"),
-      button("camera_side", "Side"),
-      button("camera_top", "Top"),
-      this.followButton,
-    );
-    this.element = h("div", { class: "viewer" }, h("div", { class: "stage-area" }, this.stageRow, cameras), this.transport, this.stripColumn);
+    this.transport = element(html`<div class="transport" role="group" aria-label="Playback">
+      <div class="transport-row">${this.playButton}${this.range}${this.readout}</div>
+      <div class="transport-row small">
+        ${button("step_back", "Back")}${button("step_forward", "Forward")}
+        <span class="group">${button("slower", "Slower")}${this.speed}${button("faster", "Faster")}</span>
+        <span class="group">${button("loop_in", "In")}${button("loop_out", "Out")}${button("loop_clear", "Clear")}${this.loopText}</span>
+      </div>
+    </div>`);
+    const cameras = element(html`<div class="cameras" role="group" aria-label="Camera">
+      ${button("camera_front", "Front")}${button("camera_side", "Side")}${button("camera_top", "Top")}${this.followButton}
+    </div>`);
+    this.element = h("div", { class: "viewer", data: { region: "stage" } }, h("div", { class: "stage-area" }, this.stageRow, cameras), this.transport, this.stripColumn);
     this.addStage("Motion");
     this.setFollow(prefs.follow_root ?? true);
-    this.saveFollow = (follow_root) => save({ follow_root });
     this.clock.setSpeed(prefs.speed ?? 1);
     let speed = this.clock.now.speed;
     this.clock.subscribe((state) => {
@@ -105,7 +88,6 @@ export class Viewer {
     });
   }
 
-  /** Element focused while no text is typed. */
   get focusTarget(): HTMLElement {
     return (this.stages[0] as Stage).element;
   }
@@ -113,17 +95,9 @@ export class Viewer {
   addStrip(strip: Strip): void {
     this.strips.push(strip);
     this.stripColumn.append(strip.element);
-  }
-
-  setStrips(strips: readonly Strip[]): void {
-    for (const strip of this.strips) strip.dispose();
-    this.strips = [];
-    this.stripColumn.replaceChildren();
-    for (const strip of strips) this.addStrip(strip);
     this.update(this.clock.now);
   }
 
-  /** Puts an element below the strips. */
   addBelow(element: HTMLElement): void {
     this.stripColumn.append(element);
   }
@@ -141,7 +115,6 @@ export class Viewer {
     this.clock.play(!window.matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
 
-  /** Shows other clips at the current frame. */
   replaceClips(clips: Clip[]): void {
     this.clips = clips;
     this.arrange();
@@ -198,52 +171,28 @@ export class Viewer {
 
   /** Performs a playback action; false for other actions. */
   perform(action: ActionId, ten: boolean): boolean {
-    const { clock } = this;
-    switch (action) {
-      case "play_pause":
-        clock.toggle();
-        return true;
-      case "step_back":
-        clock.step(ten ? -10 : -1);
-        return true;
-      case "step_forward":
-        clock.step(ten ? 10 : 1);
-        return true;
-      case "go_start":
-        clock.seek(clock.now.loopIn);
-        return true;
-      case "go_end":
-        clock.seek(clock.now.loopOut);
-        return true;
-      case "loop_in":
-        clock.setLoopIn();
-        return true;
-      case "loop_out":
-        clock.setLoopOut();
-        return true;
-      case "loop_clear":
-        clock.clearLoop();
-        return true;
-      case "slower":
-        clock.changeSpeed(-1);
-        return true;
-      case "faster":
-        clock.changeSpeed(1);
-        return true;
-      case "camera_front":
-      case "camera_side":
-      case "camera_top": {
-        const preset = action === "camera_front" ? "front" : action === "camera_side" ? "side" : "top";
-        this.stages[0]?.useCamera(preset);
-        return true;
-      }
-      case "camera_follow":
-        this.setFollow(!(this.stages[0]?.followRoot ?? false));
-        this.saveFollow(this.stages[0]?.followRoot ?? true);
-        return true;
-      default:
-        return false;
-    }
+    const { clock, stages } = this;
+    const deeds: Deeds = {
+      play_pause: () => clock.toggle(),
+      step_back: () => clock.step(ten ? -10 : -1),
+      step_forward: () => clock.step(ten ? 10 : 1),
+      go_start: () => clock.seek(clock.now.loopIn),
+      go_end: () => clock.seek(clock.now.loopOut),
+      loop_in: () => clock.setLoopIn(),
+      loop_out: () => clock.setLoopOut(),
+      loop_clear: () => clock.clearLoop(),
+      slower: () => clock.changeSpeed(-1),
+      faster: () => clock.changeSpeed(1),
+      camera_front: () => stages[0]?.useCamera("front"),
+      camera_side: () => stages[0]?.useCamera("side"),
+      camera_top: () => stages[0]?.useCamera("top"),
+      camera_follow: () => {
+        const follow_root = !(stages[0]?.followRoot ?? false);
+        this.setFollow(follow_root);
+        this.save({ follow_root });
+      },
+    };
+    return perform(deeds, action);
   }
 
   /** One animation frame: advances the clock, then draws what changed. */

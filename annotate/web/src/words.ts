@@ -24,7 +24,6 @@ export const KIND_WORDS: Readonly<Record<TaskKind, string>> = {
   style: "Style pairs",
 };
 
-/** The kind of a single task. */
 export const KIND_NAMES: Readonly<Record<TaskKind, string>> = { mask_text: "masks", pair: "pair", style: "style pair" };
 
 export const STATE_WORDS: Readonly<Record<TaskState, string>> = {
@@ -64,7 +63,6 @@ export function acceptedHow(basis: string): string {
   if (basis.startsWith("rule:")) return `by rule ${basis.slice("rule:".length)}`;
   return { review: "by a reviewer", own: "by its own author", import: "before its import" }[basis] ?? basis;
 }
-/** Kinds in the heads of tables. */
 export const SHORT_KIND: Readonly<Record<TaskKind, string>> = { mask_text: "Masks", pair: "Pairs", style: "Styles" };
 
 export const SKIP_WORDS: Readonly<Record<SkipReason, string>> = {
@@ -92,7 +90,6 @@ export function factsOf(task: Task): string[] {
   );
 }
 
-/** What a reviewer decided. */
 export const DECISION_WORDS: Readonly<Record<string, string>> = {
   accepted: "accepted",
   merged: "merged and accepted",

@@ -15,7 +15,6 @@ export class WorkClock {
     this.last = now;
   }
 
-  /** Milliseconds since the last action. */
   get idleMs(): number {
     return performance.now() - this.last;
   }

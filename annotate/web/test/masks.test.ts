@@ -12,8 +12,6 @@ import type { MaskTextAnswer } from "../src/words";
 
 const parts = new Parts({
   joints: ["pelvis", "left_hip", "left_collar", "left_shoulder"],
-  parents: [],
-  sides: [],
   parts: [
     { name: "LEFT_ARM", phrase: "left arm", release: true, hard: [3], soft: [2] },
     { name: "LEFT_LEG", phrase: "left leg", release: false, hard: [1], soft: [] },

@@ -2,8 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { ApiError, Unreachable, newEvent } from "../src/api";
 import { MemoryStore } from "../src/db";
-import { LocalJournal } from "../src/journal";
-import { Outbox, conflictOf, type Journal, type Outcome, type OutboxStatus } from "../src/outbox";
+import { Journal, Outbox, theirsOf, type Outcome, type OutboxStatus } from "../src/outbox";
 import type { Answer, Code, EventResult, NewEvent, Problem } from "../src/wire";
 
 const answer = (text: string): Answer => ({
@@ -98,7 +97,7 @@ class MapStorage implements Storage {
   }
 }
 
-const journal = (storage = new MapStorage()): Journal => new LocalJournal("unstored:", storage);
+const journal = (storage = new MapStorage()): Journal => new Journal("unstored:", storage);
 
 interface Bench {
   server: Server;
@@ -263,9 +262,9 @@ test("two editors of one task meet in a conflict that shows both texts", async (
   await box.flush();
   await box.add(7, "tab-two", event("draft", "second"));
   await box.flush();
-  const conflict = conflictOf(outcomes.at(-1) as Outcome);
-  assert.deepEqual(conflict?.mine, answer("second"));
-  assert.deepEqual(conflict?.theirs.answer, answer("theirs"));
+  const last = outcomes.at(-1) as Outcome;
+  assert.deepEqual(last.item.event.answer, answer("second"));
+  assert.deepEqual(theirsOf(last)?.answer, answer("theirs"));
   assert.equal(box.status.stuck, 1, "the text stays in the box");
   // The person decided; the chain goes on from the revision it has seen now.
   await box.discard("tab-two");

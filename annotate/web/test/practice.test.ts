@@ -9,8 +9,6 @@ import type { Answer, MyAnswer, Practice } from "../src/wire";
 const part = (name: string, hard: number[]) => ({ name, phrase: name.toLowerCase().replace("_", " "), release: true, hard, soft: [] });
 const parts = new Parts({
   joints: [],
-  parents: [],
-  sides: [],
   parts: [part("LEFT_ARM", [1, 2]), part("RIGHT_ARM", [3, 4]), part("BOTH_ARMS", [1, 2, 3, 4]), part("HEAD", [5])],
 });
 

@@ -1,7 +1,8 @@
 import assert from "node:assert/strict";
 import { afterEach, beforeEach, test } from "node:test";
 import { ApiError, Unreachable, newEvent } from "../src/api";
-import type { App, Version } from "../src/app";
+import type { App } from "../src/app";
+import type { Version } from "../src/components/conflict-box";
 import { MemoryStore } from "../src/db";
 import { Outbox } from "../src/outbox";
 import { Parts } from "../src/parts";
@@ -37,15 +38,15 @@ class Desk {
     outbox: this.outbox,
     chain: (task: number) => `store:1:${task}:tab`,
     me: { limits: { heartbeat_secs: 60, lease_secs: 900 } },
-    parts: new Parts({ joints: [], parents: [], sides: [], parts: [] }),
-    toasts: { show: (text: string) => this.toasts.push(text) },
+    parts: new Parts({ joints: [], parts: [] }),
+    toasts: { show: (text: string) => this.toasts.push(text), fail: (error: Error, what: string) => this.toasts.push(what + error.message) },
     refreshChip: () => {},
     requireLogin: () => Promise.resolve(),
     showConflict: (_mine: unknown, _theirs: unknown, choose: (version: Version) => void) => {
       this.boxes.push(choose);
-      return { show: () => {}, refresh: () => {}, enter: () => {}, close: () => {} };
+      return { show: () => {}, requestUpdate: () => {}, enter: () => {}, remove: () => {} };
     },
-    api: { post: () => this.claim(), once: () => Promise.reject(new Unreachable("down")) },
+    api: { post: () => this.claim(), attempt: () => Promise.reject(new Unreachable("down")) },
   } as unknown as App;
 
   set(run: () => void, ms: number): number {

@@ -19,8 +19,6 @@ const part = (name: string, hard: number[], soft: number[], release = true): Par
 
 const parts = new Parts({
   joints: [],
-  parents: [...PARENTS],
-  sides: [],
   parts: [
     part("UPPER_BODY", [9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21], [3, 6]),
     part("LOWER_BODY", [0, 1, 2, 4, 5, 7, 8, 10, 11], [3, 6]),

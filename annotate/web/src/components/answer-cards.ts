@@ -14,9 +14,7 @@ export function answerCards(
   selected: number,
   select: (index: number) => void,
   more: {
-    /** Key of an answer. */
     hint?: (index: number) => string;
-    /** Further words about an answer. */
     note?: (candidate: Candidate) => string;
   } = {},
 ): TemplateResult {
@@ -27,9 +25,7 @@ export function answerCards(
       <button type="button" class="card-title" aria-pressed=${index === selected ? "true" : "false"} @click=${() => select(index)}>
         ${keyHint(more.hint?.(index) ?? "")}<strong>${author_name}</strong>
       </button>
-      <ul>
-        ${all[index]?.map((line) => html`<li class=${differs(index, line) ? "differs" : ""}>${line}</li>`)}
-      </ul>
+      <ul>${all[index]?.map((line) => html`<li class=${differs(index, line) ? "differs" : ""}>${line}</li>`)}</ul>
       <p class="note">
         ${note === "" ? nothing : `${note} · `}${Math.round(revision.secs)} s${draft_distance === null ? nothing : ` · ${percent(draft_distance)} away from the draft`}
       </p>

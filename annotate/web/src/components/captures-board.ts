@@ -32,10 +32,7 @@ export class CapturesBoard extends Component {
         type="search"
         placeholder="Motion or style"
         aria-label="Only captures of this motion or style"
-        @input=${(event: Event) => {
-          this.sought = (event.target as HTMLInputElement).value;
-          this.requestUpdate();
-        }}
+        @input=${(event: Event) => this.filter((event.target as HTMLInputElement).value, this.opened)}
       />
       ${figureTable(
         "Still to capture",
@@ -44,15 +41,16 @@ export class CapturesBoard extends Component {
         "Nothing is missing.",
       )}
       ${missing.length > LISTED ? html`<p class="note">${missing.length - LISTED} more are not listed; filter them.</p>` : nothing}
-      <details ?open=${open} @toggle=${(event: Event) => this.toggled((event.target as HTMLDetailsElement).open)}>
+      <details ?open=${open} @toggle=${(event: Event) => this.filter(this.sought, (event.target as HTMLDetailsElement).open)}>
         <summary>Motions by styles</summary>
         ${open ? matrix(cells) : nothing}
       </details>
     `;
   }
 
-  private toggled(open: boolean): void {
-    this.opened = open;
+  private filter(sought: string, opened: boolean | null): void {
+    this.sought = sought;
+    this.opened = opened;
     this.requestUpdate();
   }
 }

@@ -1,7 +1,7 @@
 /** Charts of the dashboard. The tables beside them have the same figures in words. */
 
 import { html, nothing, svg, type TemplateResult } from "lit";
-import { dateOf, hours, shortDate, type Period, type Work } from "../figures";
+import { dateOf, shortDate, type Period, type Work } from "../figures";
 import type { Funnel, PartAgreement, TaskKind, TaskState, Week } from "../wire";
 
 const WIDTH = 640;
@@ -19,6 +19,19 @@ export function roundUp(most: number): number {
 
 const y = (share: number): number => HEIGHT - BOTTOM - share * (HEIGHT - BOTTOM - TOP);
 
+/** A chart with its caption; the table beside it has the figures. */
+function chart(name: string, caption: unknown, body: unknown): TemplateResult {
+  return html`<figure class="chart">
+    <figcaption>${caption}</figcaption>
+    <svg viewBox=${`0 0 ${WIDTH} ${HEIGHT}`} role="img" aria-label=${`${name}; the table beside it has the figures`}>${body}</svg>
+  </figure>`;
+}
+
+/** The middle of each of so many columns. */
+const middles = (count: number): number[] => Array.from({ length: count }, (_, index) => LEFT + ((WIDTH - LEFT) / count) * (index + 0.5));
+
+const below = (x: number, text: string): TemplateResult => svg`<text class="chart-text" x=${x} y=${HEIGHT - 8} text-anchor="middle">${text}</text>`;
+
 function axis(end: number, digits: number): TemplateResult {
   return svg`${[0, 0.5, 1].map(
     (share) => svg`<line class="chart-grid" x1=${LEFT} x2=${WIDTH} y1=${y(share)} y2=${y(share)}></line>
@@ -30,74 +43,56 @@ function axis(end: number, digits: number): TemplateResult {
 export function throughput(weeks: readonly Week[], zone: string): TemplateResult | typeof nothing {
   if (weeks.length === 0) return nothing;
   const end = roundUp(Math.max(...weeks.map((week) => Math.max(week.submitted, week.accepted, week.returned))));
-  const step = (WIDTH - LEFT) / weeks.length;
-  const bar = Math.min(26, step / 4);
+  const bar = Math.min(26, (WIDTH - LEFT) / weeks.length / 4);
   const series = [
     ["submitted", "handed in"],
     ["accepted", "accepted"],
     ["returned", "returned"],
   ] as const;
-  return html`<figure class="chart">
-    <figcaption>Answers by week${series.map(([name, label]) => html` <span class=${`chart-key ${name}`}>${label}</span>`)}</figcaption>
-    <svg viewBox=${`0 0 ${WIDTH} ${HEIGHT}`} role="img" aria-label="Answers by week; the table beside it has the figures">
-      ${axis(end, end < 4 ? 1 : 0)}
-      ${weeks.map((week, index) => {
-        const x = LEFT + step * (index + 0.5);
-        const day = shortDate(dateOf(week.start, zone));
-        return svg`${series.map(
-          ([name], at) => svg`<rect class=${`chart-${name}`} x=${x + (at - 1.5) * bar} width=${bar * 0.9}
-            y=${y(week[name] / end)} height=${y(0) - y(week[name] / end)}><title>${week[name]}</title></rect>`,
-        )}<text class="chart-text" x=${x} y=${HEIGHT - 8} text-anchor="middle">${day}</text>`;
-      })}
-    </svg>
-  </figure>`;
+  const keys = series.map(([name, label]) => html` <span class=${`chart-key ${name}`}>${label}</span>`);
+  const columns = middles(weeks.length).map((x, index) => {
+    const week = weeks[index] as Week;
+    const bars = series.map(
+      ([name], at) => svg`<rect class=${`chart-${name}`} x=${x + (at - 1.5) * bar} width=${bar * 0.9}
+        y=${y(week[name] / end)} height=${y(0) - y(week[name] / end)}><title>${week[name]}</title></rect>`,
+    );
+    return [bars, below(x, shortDate(dateOf(week.start, zone)))];
+  });
+  return chart("Answers by week", html`Answers by week${keys}`, [axis(end, end < 4 ? 1 : 0), columns]);
 }
 
 /** Gwet's AC1 of each decision with its interval. */
 export function agreementChart(rows: readonly PartAgreement[]): TemplateResult | typeof nothing {
-  const known = rows.filter((row) => row.gwet_ac1 !== null);
+  const known = rows.flatMap(({ part, gwet_ac1 }) => (gwet_ac1 ? [{ part, ...gwet_ac1 }] : []));
   if (known.length === 0) return nothing;
-  const step = (WIDTH - LEFT) / known.length;
-  return html`<figure class="chart">
-    <figcaption>Agreement (Gwet AC1) with 95 % intervals</figcaption>
-    <svg viewBox=${`0 0 ${WIDTH} ${HEIGHT}`} role="img" aria-label="Agreement by decision; the table beside it has the figures">
-      ${axis(1, 1)}
-      ${known.map((row, index) => {
-        const figure = row.gwet_ac1;
-        if (!figure) return nothing;
-        const x = LEFT + step * (index + 0.5);
-        const at = (value: number): number => y(Math.min(1, Math.max(0, value)));
-        return svg`<line class="chart-interval" x1=${x} x2=${x} y1=${at(figure.low)} y2=${at(figure.high)}></line>
-          <circle class="chart-value" cx=${x} cy=${at(figure.value)} r="5"><title>${figure.value.toFixed(2)}</title></circle>
-          <text class="chart-text" x=${x} y=${HEIGHT - 8} text-anchor="middle">${row.part.replaceAll("_", " ").toLowerCase()}</text>`;
-      })}
-    </svg>
-  </figure>`;
+  const places = middles(known.length);
+  const at = (value: number): number => y(Math.min(1, Math.max(0, value)));
+  const columns = known.map(({ part, value, low, high }, index) => {
+    const x = places[index] ?? 0;
+    return svg`<line class="chart-interval" x1=${x} x2=${x} y1=${at(low)} y2=${at(high)}></line>
+      <circle class="chart-value" cx=${x} cy=${at(value)} r="5"><title>${value.toFixed(2)}</title></circle>
+      ${below(x, part.replaceAll("_", " ").toLowerCase())}`;
+  });
+  return chart("Agreement by decision", "Agreement (Gwet AC1) with 95 % intervals", [axis(1, 1), columns]);
 }
 
 /** Mean agreement of each week; weeks without tasks of several answers leave a gap. */
 export function agreementByWeek(weeks: readonly Week[], zone: string): TemplateResult | typeof nothing {
   if (!weeks.some((week) => week.agreement !== null)) return nothing;
-  const step = (WIDTH - LEFT) / weeks.length;
-  const points = weeks.map((week, index) => ({ week, x: LEFT + step * (index + 0.5), at: week.agreement === null ? null : y(week.agreement) }));
+  const places = middles(weeks.length);
+  const points = weeks.map((week, index) => ({ week, x: places[index] ?? 0, at: week.agreement === null ? null : y(week.agreement) }));
   const line = points
     .map(({ x, at }, index) => (at === null ? "" : `${points[index - 1]?.at == null ? "M" : "L"}${x.toFixed(1)} ${at.toFixed(1)}`))
     .join("");
-  return html`<figure class="chart">
-    <figcaption>Agreement by week of the last answer</figcaption>
-    <svg viewBox=${`0 0 ${WIDTH} ${HEIGHT}`} role="img" aria-label="Agreement by week; the table beside it has the figures">
-      ${axis(1, 1)}
-      <path class="chart-line" d=${line}></path>
-      ${points.map(({ week, x, at }) => {
-        const label = svg`<text class="chart-text" x=${x} y=${HEIGHT - 8} text-anchor="middle">${shortDate(dateOf(week.start, zone))}</text>`;
-        if (at === null || week.agreement === null) return label;
-        // The figure stands below the point where there is no room above it.
-        const below = at < TOP + 20;
-        return svg`<circle class="chart-value" cx=${x} cy=${at} r="5"></circle>
-          <text class="chart-text" x=${x} y=${below ? at + 20 : at - 10} text-anchor="middle">${week.agreement.toFixed(2)}</text>${label}`;
-      })}
-    </svg>
-  </figure>`;
+  const columns = points.map(({ week, x, at }) => {
+    const label = below(x, shortDate(dateOf(week.start, zone)));
+    if (at === null || week.agreement === null) return label;
+    // The figure stands below the point where there is no room above it.
+    return svg`<circle class="chart-value" cx=${x} cy=${at} r="5"></circle>
+      <text class="chart-text" x=${x} y=${at < TOP + 20 ? at + 20 : at - 10} text-anchor="middle">${week.agreement.toFixed(2)}</text>${label}`;
+  });
+  const path = svg`<path class="chart-line" d=${line}></path>`;
+  return chart("Agreement by week", "Agreement by week of the last answer", [axis(1, 1), path, columns]);
 }
 
 /** Groups of states, as the bar of a kind shows them. */
@@ -121,10 +116,8 @@ export function shares(counts: Funnel["counts"][TaskKind]): { name: string; labe
 }
 
 const BAR_WIDTH = 640;
-/** About the width of a character in a bar. */
 const LETTER = 7;
 
-/** How far a kind is: one bar, of accepted, waiting, open and dropped tasks. */
 export function stateBar(title: string, counts: Funnel["counts"][TaskKind]): TemplateResult {
   const groups = shares(counts).filter((group) => group.tasks > 0);
   const words = groups.map((group) => `${group.tasks} ${group.label}`).join(", ") || "no tasks";
@@ -172,9 +165,4 @@ export function daySpan(period: Period): string {
 /** The most that one person did on one day. */
 export function mostOf(period: Period, value: (work: Work) => number): number {
   return Math.max(0, ...period.people.flatMap((person) => person.days.map(value)));
-}
-
-/** A value of a day in words. */
-export function measureWords(measure: "hours" | "answers", work: Work): string {
-  return measure === "hours" ? hours(work.secs) : String(work.answers);
 }

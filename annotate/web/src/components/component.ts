@@ -1,14 +1,11 @@
 /** The base of components, and the pieces that several of them show. */
 
-import { LitElement, html, nothing, type TemplateResult } from "lit";
+import { LitElement, html, nothing, render, type TemplateResult } from "lit";
 import type { Lint } from "../lints";
-import type { Style, Suggestion } from "../wire";
+import type { Style } from "../wire";
 import { paragraphs } from "../words";
 
-/**
- * A component that draws into the page itself, without a shadow root, so that the page's style sheet, keys and
- * focus rules apply to it. Drawing changes only what differs: focus and selections stay where they are.
- */
+/** A component without a shadow root, so that the page's style sheet, keys and focus rules apply to it. */
 export abstract class Component extends LitElement {
   protected override createRenderRoot(): HTMLElement {
     return this;
@@ -23,6 +20,14 @@ export abstract class Component extends LitElement {
     if (field && caret && field.isConnected && field.selectionStart !== caret[0]) field.setSelectionRange(...caret);
   }
 
+  /** What the element is on the page: its class, role, name and region. */
+  protected be(className: string, role: string, name: string, region: string): void {
+    this.className = className;
+    this.setAttribute("role", role);
+    this.setAttribute("aria-label", name);
+    this.dataset.region = region;
+  }
+
   /** Calls `action` once the present state is drawn. */
   protected drawn(action: () => void): void {
     this.requestUpdate();
@@ -35,18 +40,23 @@ export abstract class Component extends LitElement {
   }
 }
 
-/** Registers a component under the name of its element. */
 export function define(name: string, component: CustomElementConstructor): void {
   if (!customElements.get(name)) customElements.define(name, component);
+}
+
+/** The element of a template that is not drawn again. */
+export function element<E extends HTMLElement>(template: TemplateResult): E {
+  const drawn = document.createDocumentFragment();
+  render(template, drawn);
+  return drawn.firstElementChild as E;
 }
 
 export function keyHint(hint: string): TemplateResult | typeof nothing {
   return hint ? html`<kbd>${hint}</kbd>` : nothing;
 }
 
-/** A button that shows its key. */
-export function action(label: string, hint: string, run: () => void, className = ""): TemplateResult {
-  return html`<button type="button" class=${className} @click=${run}>${keyHint(hint)}<span class="button-label">${label}</span></button>`;
+export function action(label: string, hint: string, run: () => void, className = "", title = ""): TemplateResult {
+  return html`<button type="button" class=${className} title=${title || nothing} @click=${run}>${keyHint(hint)}<span class="button-label">${label}</span></button>`;
 }
 
 /** A square of a colour. An attribute of SVG, since the policy of the page refuses inline styles. */
@@ -98,27 +108,13 @@ export function pageLink(app: { go(path: string): void }, path: string, label: s
 
 /** A table from rows of cells; the first cell of a row names it. Without rows, `none` is shown in their place. */
 export function figureTable(caption: string, head: readonly string[], rows: readonly (readonly unknown[])[], none = "None."): TemplateResult {
+  const cells = (row: readonly unknown[]): TemplateResult[] =>
+    row.map((cell, index) => (index === 0 ? html`<th scope="row">${cell}</th>` : html`<td>${cell}</td>`));
+  const empty = html`<tr><td colspan=${head.length} class="note">${none}</td></tr>`;
   return html`<table>
-    <caption>
-      ${caption}
-    </caption>
-    <thead>
-      <tr>
-        ${head.map((cell) => html`<th scope="col">${cell}</th>`)}
-      </tr>
-    </thead>
-    <tbody>
-      ${rows.length === 0
-        ? html`<tr>
-            <td colspan=${head.length} class="note">${none}</td>
-          </tr>`
-        : rows.map(
-            (row) =>
-              html`<tr>
-                ${row.map((cell, index) => (index === 0 ? html`<th scope="row">${cell}</th>` : html`<td>${cell}</td>`))}
-              </tr>`,
-          )}
-    </tbody>
+    <caption>${caption}</caption>
+    <thead><tr>${head.map((cell) => html`<th scope="col">${cell}</th>`)}</tr></thead>
+    <tbody>${rows.length === 0 ? empty : rows.map((row) => html`<tr>${cells(row)}</tr>`)}</tbody>
   </table>`;
 }
 
@@ -130,32 +126,6 @@ export function switcher<T extends string | number>(
   choose: (value: T) => void,
 ): TemplateResult {
   return html`<div class="row switcher" role="group" aria-label=${label}>
-    ${options.map(
-      ([value, words]) =>
-        html`<button type="button" aria-pressed=${value === chosen ? "true" : "false"} @click=${() => choose(value)}>${words}</button>`,
-    )}
-  </div>`;
-}
-
-/** A draft that may be used or discarded, or the button that asks for one. */
-export function draftBox(
-  draft: Suggestion | null,
-  hint: string,
-  use: () => void,
-  discard: (draft: Suggestion) => void,
-  ask: { label: string; busy: boolean } | null,
-): TemplateResult | typeof nothing {
-  if (draft) {
-    return html`<div class="draft">
-      <p class="note">Draft by ${draft.model || "the source"}; a proposal, to be checked word by word</p>
-      <blockquote>${draft.text}</blockquote>
-      <div class="row">${action("Use and edit", hint, use)}${action("Discard", "", () => discard(draft))}</div>
-    </div>`;
-  }
-  if (!ask) return nothing;
-  return html`<div class="draft">
-    <button type="button" ?disabled=${ask.busy} @click=${use}>
-      ${keyHint(hint)}<span class="button-label">${ask.busy ? "Asking for a draft…" : `Ask ${ask.label} for a draft`}</span>
-    </button>
+    ${options.map(([value, words]) => html`<button type="button" aria-pressed=${String(value === chosen)} @click=${() => choose(value)}>${words}</button>`)}
   </div>`;
 }

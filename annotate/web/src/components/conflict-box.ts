@@ -1,7 +1,4 @@
-/**
- * Two versions of an answer, of which the user chooses one or both. The box opens by itself while somebody types, so
- * it takes no focus, has no default button, and its keys work only after the user has moved into it.
- */
+/** Two versions of an answer to choose from. It opens while somebody types, so it takes no focus or keys at first. */
 
 import { html, type TemplateResult } from "lit";
 import { Component, define } from "./component";
@@ -19,20 +16,18 @@ const DEAF_MS = 1000;
 
 export class ConflictBox extends Component {
   private ready = false;
-  private timer: number | null = null;
   /** The text in which the user was before. */
   private text: HTMLTextAreaElement | null = null;
 
   constructor(
-    /** The present answer of this page, in words. */
     private readonly mine: () => readonly string[],
     private theirs: readonly string[],
     private readonly choose: (version: Version) => void,
   ) {
     super();
+    this.be("conflict", "alertdialog", "This task was changed in another window", "conflict");
   }
 
-  /** Shows a newer version of the other window. */
   show(theirs: readonly string[]): void {
     this.theirs = theirs;
     this.requestUpdate();
@@ -44,21 +39,12 @@ export class ConflictBox extends Component {
 
   override connectedCallback(): void {
     super.connectedCallback();
-    this.classList.add("conflict");
-    this.setAttribute("role", "alertdialog");
-    this.setAttribute("aria-label", "This task was changed in another window");
-    this.dataset.region = "conflict";
     this.addEventListener("keydown", this.pressed);
     this.addEventListener("focusin", this.entered);
-    this.timer = window.setTimeout(() => {
+    window.setTimeout(() => {
       this.ready = true;
       this.requestUpdate();
     }, DEAF_MS);
-  }
-
-  override disconnectedCallback(): void {
-    super.disconnectedCallback();
-    if (this.timer !== null) window.clearTimeout(this.timer);
   }
 
   private readonly entered = (event: FocusEvent): void => {
@@ -102,26 +88,18 @@ export class ConflictBox extends Component {
     const column = (title: string, lines: readonly string[]): TemplateResult =>
       html`<section class="merge-column">
         <h3>${title}</h3>
-        <ul>
-          ${lines.map((line) => html`<li>${line}</li>`)}
-        </ul>
+        <ul>${lines.map((line) => html`<li>${line}</li>`)}</ul>
       </section>`;
+    const button = ([version, label]: (typeof CHOICES)[number], index: number): TemplateResult => {
+      const take = (): void => void (this.ready && this.take(version));
+      const deaf = this.ready ? "false" : "true";
+      return html`<button type="button" data-choice=${version} aria-disabled=${deaf} @click=${take}><kbd>${index + 1}</kbd>${label}</button>`;
+    };
     return html`
       <h2>This task was changed in another window</h2>
       <p>Both versions are kept in the log. Go on typing, or choose here; <kbd>F6</kbd> moves here.</p>
       <div class="merge">${column("In this window, now", this.mine())}${column("In the other window", this.theirs)}</div>
-      <div class="dialog-buttons">
-        ${CHOICES.map(
-          ([version, label], index) => html`<button
-            type="button"
-            data-choice=${version}
-            aria-disabled=${this.ready ? "false" : "true"}
-            @click=${() => this.ready && this.take(version)}
-          >
-            <kbd>${index + 1}</kbd>${label}
-          </button>`,
-        )}
-      </div>
+      <div class="dialog-buttons">${CHOICES.map(button)}</div>
     `;
   }
 }

@@ -1,7 +1,7 @@
 /** Decisions of reviewers, newest first, with what became of each. */
 
 import { html, nothing, type TemplateResult } from "lit";
-import { reason } from "../api";
+import { queryOf } from "../api";
 import type { App } from "../app";
 import { when } from "../ui";
 import type { DecisionRow, Decisions } from "../wire";
@@ -35,33 +35,26 @@ export class DecisionList extends Component {
   /** Loads the first page, or the one after those shown. */
   async load(more = false): Promise<void> {
     const turn = ++this.asked;
-    const query = new URLSearchParams();
-    if (this.whose === "mine") query.set("reviewer", String(this.app.me.user.id));
-    if (this.kind !== "") query.set("decision", this.kind);
-    if (more && this.next !== null) query.set("before", String(this.next));
-    const page = await this.app.api.get<Decisions>(`reviews?${query.toString()}`);
+    const reviewer = this.whose === "mine" ? this.app.me.user.id : null;
+    const page = await this.app.api.get<Decisions>(`reviews${queryOf({ reviewer, decision: this.kind, before: more ? this.next : null })}`);
     if (turn !== this.asked) return;
     this.items = more ? [...this.items, ...page.items] : page.items;
     this.next = page.next;
     this.requestUpdate();
   }
 
-  private reload(more = false): void {
-    this.load(more).catch((error: unknown) => this.app.toasts.show(`The decisions were not loaded: ${reason(error)}`, { id: "decisions", kind: "error" }));
+  private reload({ whose = this.whose, kind = this.kind, more = false }: { whose?: Whose; kind?: string; more?: boolean }): void {
+    this.whose = whose;
+    this.kind = kind;
+    this.load(more).catch((error: unknown) => this.app.toasts.fail(error, "The decisions were not loaded: ", { id: "decisions" }));
   }
 
   protected override render(): TemplateResult {
     const mine = this.whose === "mine";
     return html`
       <div class="row spread">
-        ${switcher("Whose decisions", WHOSE, this.whose, (whose) => {
-          this.whose = whose;
-          this.reload();
-        })}
-        ${switcher("Kind of decision", KINDS, this.kind, (kind) => {
-          this.kind = kind;
-          this.reload();
-        })}
+        ${switcher("Whose decisions", WHOSE, this.whose, (whose) => this.reload({ whose }))}
+        ${switcher("Kind of decision", KINDS, this.kind, (kind) => this.reload({ kind }))}
       </div>
       <section class="card">
         ${figureTable(
@@ -70,7 +63,7 @@ export class DecisionList extends Component {
           this.items.map((row) => this.cells(row, mine)),
           mine ? "You have decided nothing of this kind yet." : "Nothing of this kind was decided yet.",
         )}
-        ${this.next === null ? nothing : html`<div class="row">${action("Older", "", () => this.reload(true))}</div>`}
+        ${this.next === null ? nothing : html`<div class="row">${action("Older", "", () => this.reload({ more: true }))}</div>`}
       </section>
     `;
   }

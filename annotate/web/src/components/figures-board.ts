@@ -1,7 +1,6 @@
 /** The figures of the dashboard. They are drawn again after changes, so that focus and opened tables stay. */
 
 import { html, nothing, type TemplateResult } from "lit";
-import { reason } from "../api";
 import type { App } from "../app";
 import { PERIODS, dateOf, hours, outlookWords, periodStart, shortDate, summarise, workedWeeks, type Period, type PersonWork } from "../figures";
 import { estimate, percent, seconds, until, when } from "../ui";
@@ -23,7 +22,7 @@ import {
 } from "../wire";
 import { KIND_NAMES, KIND_WORDS, PURPOSE_WORDS, SHORT_KIND } from "../words";
 import { CapturesBoard } from "./captures-board";
-import { agreementByWeek, agreementChart, dayBars, daySpan, measureWords, mostOf, stateBar, throughput } from "./charts";
+import { agreementByWeek, agreementChart, dayBars, daySpan, mostOf, stateBar, throughput } from "./charts";
 import { Component, define, figureTable, pageLink, switcher } from "./component";
 
 const MEASURES = [
@@ -82,9 +81,8 @@ export class FiguresBoard extends Component {
     this.requestUpdate();
   }
 
-  /** Reloads, and says so if it fails. */
   private reload(): void {
-    this.load().catch((error: unknown) => this.app.toasts.show(`The figures were not loaded: ${reason(error)}`, { id: "figures", kind: "error" }));
+    this.load().catch((error: unknown) => this.app.toasts.fail(error, "The figures were not loaded: ", { id: "figures" }));
   }
 
   private get zone(): string {
@@ -200,7 +198,7 @@ export class FiguresBoard extends Component {
       await this.app.api.json<void>("DELETE", `leases/${held.lease.id}`);
       await this.load();
     } catch (error) {
-      this.app.toasts.show(`Not released: ${reason(error)}`, { kind: "error" });
+      this.app.toasts.fail(error, "Not released: ");
     }
   }
 }
@@ -223,7 +221,7 @@ function dayTable(period: Period): TemplateResult {
   const cell = (work: PersonWork["all"] | undefined): string => {
     if (!work || work.secs + work.answers + work.skips + work.reviews === 0) return "";
     const done = [work.answers > 0 && `${work.answers} answers`, work.skips > 0 && `${work.skips} skips`, work.reviews > 0 && `${work.reviews} reviews`];
-    return [measureWords("hours", work), ...done.filter((part) => part !== false)].join(", ");
+    return [hours(work.secs), ...done.filter((part) => part !== false)].join(", ");
   };
   const rows = period.dates
     .map((date, index) => ({ date, cells: [period.all, ...period.people].map((person) => cell(person.days[index])) }))
@@ -281,13 +279,7 @@ function agreementFacts(agreement: Agreement): TemplateResult {
     ["Seconds with and without draft", `${seconds(withDraft)} / ${seconds(without)}`],
   ];
   return html`<dl class="figures">
-    ${facts.map(
-      ([name, value]) =>
-        html`<div>
-          <dt>${name}</dt>
-          <dd>${value}</dd>
-        </div>`,
-    )}
+    ${facts.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}
   </dl>`;
 }
 

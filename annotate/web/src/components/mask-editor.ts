@@ -2,38 +2,21 @@
 
 import { html, nothing, type TemplateResult } from "lit";
 import { live } from "lit/directives/live.js";
-import { reason } from "../api";
 import type { App } from "../app";
 import { h } from "../dom";
-import { PART_ACTIONS, type ActionId } from "../keys";
+import { perform, type ActionId, type Deeds } from "../keys";
 import { toneClass, type RangeLanes } from "../lanes";
 import { lintCards } from "../lints";
 import { jointPhrase, rangeProblem, rangeWords } from "../masks";
-import { shortName } from "../motions";
+import { shortName, trackOf } from "../motions";
 import type { Strip } from "../strips";
 import { askReason } from "../ui";
 import type { Clip, Viewer } from "../viewer";
-import {
-  MAX_MASKS,
-  MAX_TEXT_CHARS,
-  type CountReason,
-  type MaskAnswer,
-  type MotionInfo,
-  type Suggestion,
-  type SuggestionUse,
-} from "../wire";
+import { MAX_MASKS, type CountReason, type MaskAnswer, type MotionInfo, type PartInfo, type Suggestion } from "../wire";
 import { COUNT_CHOICES, type MaskTextAnswer } from "../words";
-import { Component, action, choice, define, draftBox, keyHint, lintList } from "./component";
+import { action, choice, define } from "./component";
+import { Editor, type EditorHost } from "./editor";
 
-export interface MaskEditorHost {
-  change(answer: MaskTextAnswer, kind: string | null): void;
-  seal(): void;
-  suggestionUsed(id: number, used: SuggestionUse): void;
-  /** Asks the language model; absent where there is none or the task is blind. */
-  askDraft: ((parts: string[]) => Promise<Suggestion>) | null;
-}
-
-/** What the editor draws on beside itself. */
 export interface MaskStage {
   viewer: Viewer;
   strip: Strip;
@@ -53,38 +36,27 @@ interface Preview {
   alpha: number;
 }
 
-/** A suggested mask. */
 interface Offer {
   parts: string[];
-  text: string;
-  id: number;
-  source: string;
+  why: string;
 }
 
-/** Name of a set of parts. */
 const keyOf = (parts: readonly string[]): string => [...parts].sort().join("+");
 
-export class MaskEditor extends Component {
-  private answer: MaskTextAnswer;
+export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer>> {
   private selected = 0;
-  private readonly discarded = new Set<number>();
   private preview: Preview | null = null;
   private blendTimer: number | null = null;
-  private asking = false;
 
   constructor(
-    private readonly app: App,
-    private readonly stage: MaskStage,
-    private suggestions: readonly Suggestion[],
-    private readonly host: MaskEditorHost,
+    app: App,
+    host: EditorHost<MaskTextAnswer>,
+    suggestions: readonly Suggestion[],
     answer: MaskTextAnswer,
+    private readonly stage: MaskStage,
   ) {
-    super();
+    super(app, host, suggestions, answer);
     this.answer = this.filled(answer);
-  }
-
-  get current(): MaskTextAnswer {
-    return this.answer;
   }
 
   /** Sets the answer after undo or a merge. */
@@ -95,54 +67,26 @@ export class MaskEditor extends Component {
   }
 
   perform(id: ActionId): boolean {
-    const part = PART_ACTIONS.indexOf(id);
-    if (part >= 0) {
-      const name = this.app.parts.all[part]?.name;
-      if (name) this.togglePart(name);
-      return true;
-    }
-    switch (id) {
-      case "soft_ring":
-        this.edit({ soft: !this.card.soft });
-        return true;
-      case "range_set":
-        this.setRange();
-        return true;
-      case "range_clear":
-        this.edit({ range: null });
-        return true;
-      case "mask_new":
-        this.insert(this.emptyMask());
-        return true;
-      case "mask_delete":
-        this.removeMask(this.selected);
-        return true;
-      case "card_next":
-      case "card_previous": {
-        const typing = document.activeElement instanceof HTMLTextAreaElement;
-        const count = this.answer.masks.length;
-        this.select((this.selected + (id === "card_next" ? 1 : count - 1)) % count);
-        if (typing) this.focusText();
-        return true;
-      }
-      case "accept_heat":
-        this.takeNext();
-        return true;
-      case "draft_use":
-        void this.useDraft();
-        return true;
-      case "preview":
-        void this.togglePreview();
-        return true;
-      case "preview_partner":
-        void this.nextPartner();
-        return true;
-      case "text":
-        this.focusText();
-        return true;
-      default:
-        return false;
-    }
+    const step = (by: number): void => {
+      const typing = document.activeElement instanceof HTMLTextAreaElement;
+      this.select((this.selected + by) % this.answer.masks.length);
+      if (typing) this.focusText();
+    };
+    const deeds: Deeds = {
+      soft_ring: () => this.edit({ soft: !this.card.soft }),
+      range_set: () => this.setRange(),
+      range_clear: () => this.edit({ range: null }),
+      mask_new: () => this.insert(this.emptyMask()),
+      mask_delete: () => this.removeMask(this.selected),
+      card_next: () => step(1),
+      card_previous: () => step(this.answer.masks.length - 1),
+      accept_heat: () => this.takeNext(),
+      draft_use: () => this.useDraft(),
+      preview: () => this.togglePreview(),
+      preview_partner: () => this.nextPartner(),
+      text: () => this.focusText(),
+    };
+    return this.performPart(id) || perform(deeds, id);
   }
 
   /** The answer to submit, or `null` after telling the user what is missing. */
@@ -150,20 +94,15 @@ export class MaskEditor extends Component {
     const masks = this.answer.masks.filter((mask) => mask.parts.length > 0 || mask.text.trim() !== "");
     const lacking = masks.findIndex((mask) => mask.parts.length === 0 || mask.text.trim() === "");
     if (masks.length === 0 || lacking >= 0) {
-      const index = Math.max(0, lacking < 0 ? 0 : this.answer.masks.indexOf(masks[lacking] as MaskAnswer));
-      this.select(index);
-      const what = (this.answer.masks[index]?.parts.length ?? 0) === 0 ? "has no body part" : "has no description";
-      this.app.toasts.show(`Mask ${index + 1} ${what}.`, { id: "incomplete", kind: "error" });
+      const mask = masks[lacking] ?? this.answer.masks[0];
+      const what = (mask?.parts.length ?? 0) === 0 ? "has no body part" : "has no description";
+      this.refuse(mask, what);
       if (what === "has no description") this.focusText();
       return null;
     }
     for (const mask of masks) {
       const problem = this.problemOf(mask);
-      if (problem === null) continue;
-      const index = this.answer.masks.indexOf(mask);
-      this.select(index);
-      this.app.toasts.show(`Mask ${index + 1} ${problem}.`, { id: "incomplete", kind: "error" });
-      return null;
+      if (problem !== null) return this.refuse(mask, problem);
     }
     let complete: MaskTextAnswer = { ...this.answer, masks: masks.map((mask) => ({ ...mask, text: mask.text.trim() })) };
     const { min_masks, max_masks } = this.app.me.project;
@@ -179,20 +118,20 @@ export class MaskEditor extends Component {
       if (chosen === null) return null;
       complete = { ...complete, count_reason: chosen.reason, note: chosen.note || complete.note };
     }
-    for (const mask of complete.masks) {
-      const draft = this.suggestions.find((suggestion) => suggestion.id === mask.suggestion);
-      if (draft) this.host.suggestionUsed(draft.id, draft.text.trim() === mask.text ? "used" : "edited");
-    }
+    for (const mask of complete.masks) this.noteDraft(mask.suggestion, mask.text);
     return complete;
+  }
+
+  /** Says why a mask cannot be handed in. */
+  private refuse(mask: MaskAnswer | undefined, problem: string): null {
+    const index = Math.max(0, this.answer.masks.findIndex((own) => own === mask));
+    this.select(index);
+    this.app.toasts.show(`Mask ${index + 1} ${problem}.`, { id: "incomplete", kind: "error" });
+    return null;
   }
 
   focusText(): void {
     this.focusOn(".mask-card.selected textarea");
-  }
-
-  override connectedCallback(): void {
-    super.connectedCallback();
-    this.classList.add("editor", "mask-editor");
   }
 
   override disconnectedCallback(): void {
@@ -272,7 +211,7 @@ export class MaskEditor extends Component {
     this.refreshBlend();
   }
 
-  private togglePart(name: string): void {
+  protected togglePart(name: string): void {
     this.edit({ parts: this.app.parts.toggle(this.card.parts, name) });
   }
 
@@ -290,21 +229,16 @@ export class MaskEditor extends Component {
     this.refreshBlend();
   }
 
-  /** Suggestions that are not yet masks: active parts, and imported masks. */
-  private get open(): Offer[] {
-    return this.offers(null);
-  }
-
-  /** Suggestions that are not masks of cards other than `card`. */
-  private offers(card: number | null): Offer[] {
+  /** Suggestions that are not yet masks: active parts, and imported masks. Those of the card `card` count as open. */
+  private offers(card: number | null = null): Offer[] {
     const taken = new Set(this.answer.masks.filter((_, index) => index !== card).map((mask) => keyOf(mask.parts)));
     const seen = new Set<string>();
     return this.suggestions
       .filter((suggestion) => suggestion.source !== "llm")
       .flatMap((suggestion) =>
         suggestion.source === "heat"
-          ? suggestion.parts.map((part) => ({ parts: [part], text: "", id: suggestion.id, source: "activity" }))
-          : [{ parts: suggestion.parts, text: suggestion.text, id: suggestion.id, source: suggestion.model || "import" }],
+          ? suggestion.parts.map((part) => ({ parts: [part], why: "This part moves a lot" }))
+          : [{ parts: suggestion.parts, why: `From ${suggestion.model || "import"}` }],
       )
       .filter(({ parts }) => {
         const name = keyOf(parts);
@@ -314,14 +248,11 @@ export class MaskEditor extends Component {
       });
   }
 
-  /**
-   * What the key of suggestions takes: on a card that has none or was filled by this key, the next one, so that every
-   * suggestion can be reached; else the first, on a new card.
-   */
+  /** What the key takes: after a suggestion that it filled in, or on an empty card, the next one; else the first. */
   private get nextOffer(): Offer | null {
     const offers = this.offers(this.selected);
     const at = offers.findIndex((offer) => keyOf(offer.parts) === keyOf(this.card.parts));
-    if (this.card.text.trim() !== "" || (this.card.parts.length > 0 && at < 0)) return this.open[0] ?? null;
+    if (this.card.text.trim() !== "" || (this.card.parts.length > 0 && at < 0)) return this.offers()[0] ?? null;
     const next = offers[(at + 1) % Math.max(1, offers.length)];
     return next && offers.indexOf(next) !== at ? next : null;
   }
@@ -339,40 +270,15 @@ export class MaskEditor extends Component {
     else this.insert({ ...this.emptyMask(), parts });
   }
 
-  /** The draft that fits the parts of a card. */
   private draftOf(mask: MaskAnswer): Suggestion | null {
-    const key = keyOf(mask.parts);
-    const fitting = this.suggestions.filter(
-      (suggestion) => suggestion.text !== "" && !this.discarded.has(suggestion.id) && keyOf(suggestion.parts) === key,
-    );
+    const fitting = this.drafts.filter((suggestion) => keyOf(suggestion.parts) === keyOf(mask.parts));
     return fitting.find((suggestion) => suggestion.source === "llm") ?? fitting[0] ?? null;
   }
 
-  private async useDraft(): Promise<void> {
-    const draft = this.draftOf(this.card);
-    if (draft) {
-      this.edit({ text: draft.text, suggestion: draft.id });
-      this.focusText();
-    } else if (this.host.askDraft && this.card.parts.length > 0 && !this.asking) {
-      this.asking = true;
-      this.requestUpdate();
-      try {
-        this.suggestions = [...this.suggestions, await this.host.askDraft(this.card.parts)];
-      } catch (error) {
-        this.app.toasts.show(`No draft: ${reason(error)}`, { id: "draft" });
-      } finally {
-        this.asking = false;
-        this.requestUpdate();
-      }
-    } else {
-      this.app.toasts.show(this.card.parts.length === 0 ? "Pick the parts first." : "There is no draft for these parts.", { id: "draft" });
-    }
-  }
-
-  private discardDraft(draft: Suggestion): void {
-    this.discarded.add(draft.id);
-    this.host.suggestionUsed(draft.id, "discarded");
-    this.requestUpdate();
+  protected useDraft(): Promise<void> {
+    const parts = this.card.parts.length > 0 ? this.card.parts : null;
+    const none = parts ? "There is no draft for these parts." : "Pick the parts first.";
+    return this.takeDraft(this.draftOf(this.card), ({ text, id }) => this.edit({ text, suggestion: id }), parts, none);
   }
 
   private async togglePreview(): Promise<void> {
@@ -397,7 +303,7 @@ export class MaskEditor extends Component {
       this.requestUpdate();
       await this.blend();
     } catch (error) {
-      this.app.toasts.show(`No preview: ${reason(error)}`, { id: "preview", kind: "error" });
+      this.app.toasts.fail(error, "No preview: ", { id: "preview" });
     }
   }
 
@@ -436,16 +342,10 @@ export class MaskEditor extends Component {
         alpha: preview.alpha,
       });
       if (this.preview !== preview || preview.partners[preview.index] !== partner) return;
-      const frames = Math.floor(data.length / 84);
-      this.stage.viewer.replaceClips([
-        {
-          track: { frames, points: 28, fps: partner.fps, data },
-          paint: this.app.parts.paint(parts, soft, 0, joints),
-          label: `Blend: ${this.app.parts.phrases(parts)} of this motion on ${shortName(partner.id)}`,
-        },
-      ]);
+      const label = `Blend: ${this.app.parts.phrases(parts)} of this motion on ${shortName(partner.id)}`;
+      this.stage.viewer.replaceClips([{ track: trackOf(data, partner.fps), paint: this.app.parts.paint(parts, soft, 0, joints), label }]);
     } catch (error) {
-      this.app.toasts.show(`No preview: ${reason(error)}`, { id: "preview", kind: "error" });
+      this.app.toasts.fail(error, "No preview: ", { id: "preview" });
     }
   }
 
@@ -458,7 +358,7 @@ export class MaskEditor extends Component {
 
   protected override updated(): void {
     this.paint();
-    const suggested = new Set(this.open.flatMap((suggestion) => suggestion.parts));
+    const suggested = new Set(this.offers().flatMap((suggestion) => suggestion.parts));
     this.stage.strip.mark(suggested, new Set(this.card.parts));
     this.stage.lanes.show(this.answer.masks, this.selected, {
       move: (range, frame) => this.moveRange(range, frame),
@@ -480,21 +380,15 @@ export class MaskEditor extends Component {
   }
 
   private suggestionRow(): TemplateResult | typeof nothing {
-    const { app, open } = this;
+    const { app } = this;
+    const open = this.offers();
     if (open.length === 0) return nothing;
     const next = this.nextOffer;
     const hint = (offer: Offer): string => (next && keyOf(next.parts) === keyOf(offer.parts) ? app.keys.hint("accept_heat") : "");
     return html`<div class="suggestions">
       <span class="note">Suggested, not chosen:</span>
       ${open.map(
-        (suggestion) => html`<button
-          type="button"
-          class="suggestion"
-          title=${suggestion.source === "activity" ? "This part moves a lot" : `From ${suggestion.source}`}
-          @click=${() => this.take(suggestion.parts)}
-        >
-          ${keyHint(hint(suggestion))}<span class="button-label">${app.parts.phrases(suggestion.parts)}</span>
-        </button>`,
+        (offer) => action(app.parts.phrases(offer.parts), hint(offer), () => this.take(offer.parts), "suggestion", offer.why),
       )}
     </div>`;
   }
@@ -546,65 +440,36 @@ export class MaskEditor extends Component {
   }
 
   private cardBody(mask: MaskAnswer, index: number): TemplateResult {
-    const { keys } = this.app;
+    const typed = (text: string): void => this.typed(index, text);
+    const begin = (phrase: string): void => {
+      typed(`${phrase} `);
+      this.host.seal();
+      this.caretTo(".mask-card.selected textarea", (text) => text.length);
+    };
+    const name = `Description of mask ${index + 1}`;
+    const none = mask.text.trim() === "";
     return html`
       ${this.partPicker(mask)}
       ${this.rangeRow(mask, index)}
       ${this.jointPicker(mask)}
-      ${this.draft(mask)}
-      <div class="text-label">${keyHint(keys.hint("text"))}Description</div>
-      <textarea
-        rows="3"
-        maxlength=${MAX_TEXT_CHARS}
-        placeholder="The person is … (what these parts do)"
-        aria-label=${`Description of mask ${index + 1}`}
-        aria-keyshortcuts=${keys.chord("text")}
-        data-card-text
-        .value=${live(mask.text)}
-        @input=${(event: Event) => this.typed(index, (event.target as HTMLTextAreaElement).value)}
-        @blur=${() => this.host.seal()}
-      ></textarea>
-      ${lintList(this.lints[index] ?? [])}
-      ${mask.text.trim() === "" ? this.phrases(index) : nothing}
+      ${none ? this.draftBox(this.draftOf(mask), mask.parts.length > 0) : nothing}
+      ${this.textField("Description", name, "The person is … (what these parts do)", mask.text, this.lints[index] ?? [], typed)}
+      ${none ? this.phraseRow("Phrases to begin with", "The person is", this.app.me.project.mask_templates, begin) : nothing}
     `;
-  }
-
-  /** Phrases to begin a description with. */
-  private phrases(index: number): TemplateResult | typeof nothing {
-    const { mask_templates } = this.app.me.project;
-    if (mask_templates.length === 0) return nothing;
-    const use = (phrase: string): void => {
-      this.typed(index, `${phrase} `);
-      this.host.seal();
-      this.drawn(() => {
-        const field = this.querySelector<HTMLTextAreaElement>(".mask-card.selected textarea");
-        field?.focus();
-        field?.setSelectionRange(field.value.length, field.value.length);
-      });
-    };
-    return html`<div class="templates" role="group" aria-label="Phrases to begin with">
-      <span class="note">The person is</span>
-      ${mask_templates.map((phrase) => html`<button type="button" class="phrase" @click=${() => use(phrase)}>${phrase}</button>`)}
-    </div>`;
   }
 
   private partPicker(mask: MaskAnswer): TemplateResult {
     const { app } = this;
-    const button = (name: string, phrase: string, hint: string): TemplateResult => {
+    const button = ({ name, phrase }: PartInfo): TemplateResult => {
       // Pointing at a part previews its joints on the stage.
       const look = (): void => this.paint(app.parts.toggle(mask.parts, name));
       const back = (): void => this.paint();
       return html`<span class="look" @pointerenter=${look} @focusin=${look} @pointerleave=${back} @focusout=${back}
-        >${choice(name, phrase, hint, mask.parts.includes(name), () => this.togglePart(name))}</span
+        >${choice(name, phrase, app.partHint(name), mask.parts.includes(name), () => this.togglePart(name))}</span
       >`;
     };
     return html`<div class="part-picker" role="group" aria-label="Body parts">
-      <div class="part-row">
-        ${app.parts.release.map((part) => button(part.name, part.phrase, app.partHint(part.name)))}
-      </div>
-      <div class="part-row minor">
-        ${app.parts.all.filter((part) => !part.release).map((part) => button(part.name, part.phrase, app.partHint(part.name)))}
-      </div>
+      ${this.partRows(button)}
       <div class="part-row minor">
         ${choice("soft", "soft ring", app.keys.hint("soft_ring"), mask.soft, () => this.perform("soft_ring"))}
         ${choice("blend", "blend preview", app.keys.hint("preview"), this.preview !== null, () => this.perform("preview"))}
@@ -612,7 +477,6 @@ export class MaskEditor extends Component {
     </div>`;
   }
 
-  /** The frames that the mask holds for. */
   private rangeRow(mask: MaskAnswer, index: number): TemplateResult {
     const { keys } = this.app;
     const problem = this.problemOf(mask);
@@ -632,13 +496,8 @@ export class MaskEditor extends Component {
     const joint = (name: string, at: number): TemplateResult => {
       const weight = parts.weightOf(mask, at);
       const chosen = mask.joints?.some((own) => own.joint === name) ?? false;
-      return html`<button
-        type="button"
-        class=${`joint ${weight}${chosen ? " chosen" : ""}`}
-        data-joint=${name}
-        data-weight=${weight}
-        @click=${() => this.edit({ joints: parts.nextChoices(mask, at) })}
-      >
+      const next = (): void => this.edit({ joints: parts.nextChoices(mask, at) });
+      return html`<button type="button" class=${`joint ${weight}${chosen ? " chosen" : ""}`} data-joint=${name} data-weight=${weight} @click=${next}>
         ${jointPhrase(name)} <span class="note">${weight}</span>
       </button>`;
     };
@@ -649,26 +508,9 @@ export class MaskEditor extends Component {
     </details>`;
   }
 
-  private draft(mask: MaskAnswer): TemplateResult | typeof nothing {
-    if (mask.text.trim() !== "") return nothing;
-    const may = this.host.askDraft !== null && mask.parts.length > 0;
-    return draftBox(
-      this.draftOf(mask),
-      this.app.keys.hint("draft_use"),
-      () => void this.useDraft(),
-      (draft) => this.discardDraft(draft),
-      may ? { label: this.app.me.model ?? "the model", busy: this.asking } : null,
-    );
-  }
-
   private get lints(): ReturnType<typeof lintCards> {
     const drafts = new Map(this.suggestions.map((suggestion) => [suggestion.id, suggestion.text]));
-    return lintCards(
-      this.answer.masks.map((mask) => ({
-        ...mask,
-        draft: mask.suggestion === null ? null : (drafts.get(mask.suggestion) ?? null),
-      })),
-    );
+    return lintCards(this.answer.masks.map((mask) => ({ ...mask, draft: drafts.get(mask.suggestion ?? -1) ?? null })));
   }
 }
 

@@ -20,9 +20,7 @@ export class NewcomersForm extends Component {
 
   constructor(
     private readonly app: App,
-    /** Names that are taken. */
     private readonly known: () => ReadonlySet<string>,
-    /** Users were added. */
     private readonly changed: (users: readonly User[]) => void,
   ) {
     super();
@@ -69,9 +67,7 @@ export class NewcomersForm extends Component {
             min="1"
             max="365"
             .value=${String(this.days)}
-            @change=${(event: Event) => {
-              this.days = Number((event.target as HTMLInputElement).value);
-            }}
+            @change=${(event: Event) => (this.days = Number((event.target as HTMLInputElement).value))}
           />
           days
         </label>
@@ -100,6 +96,8 @@ export class NewcomersForm extends Component {
   private links(): TemplateResult {
     const { origin } = window.location;
     const ends = this.added[0]?.expires ?? 0;
+    const select = (event: Event): void => (event.target as HTMLInputElement).select();
+    const copyOne = (own: NewUserLink): void => void this.copy(linkOf(own, origin), `The link of ${own.user.name} is copied.`);
     return html`
       <div class="returned-note" data-links tabindex="-1">
         <strong>These links are shown only now.</strong> Each logs one person in until ${when(ends)}. Pass them on in private; a lost
@@ -119,15 +117,8 @@ export class NewcomersForm extends Component {
         this.added.map((own) => [
           own.user.name,
           own.user.role,
-          html`<input type="text" readonly class="link" aria-label=${`Link of ${own.user.name}`} .value=${linkOf(own, origin)} @focus=${(event: Event) =>
-            (event.target as HTMLInputElement).select()} />`,
-          html`<button
-            type="button"
-            aria-label=${`Copy the link of ${own.user.name}`}
-            @click=${() => void this.copy(linkOf(own, origin), `The link of ${own.user.name} is copied.`)}
-          >
-            copy
-          </button>`,
+          html`<input type="text" readonly class="link" aria-label=${`Link of ${own.user.name}`} .value=${linkOf(own, origin)} @focus=${select} />`,
+          html`<button type="button" aria-label=${`Copy the link of ${own.user.name}`} @click=${() => copyOne(own)}>copy</button>`,
         ]),
       )}
     `;
@@ -135,10 +126,8 @@ export class NewcomersForm extends Component {
 
   private async copy(text: string, done: string): Promise<void> {
     const copied = await copyText(text);
-    this.app.toasts.show(copied ? done : "The browser does not let this page copy; select the link and copy it, or download the file.", {
-      id: "copied",
-      kind: copied ? "info" : "error",
-    });
+    const refused = "The browser does not let this page copy; select the link and copy it, or download the file.";
+    this.app.toasts.show(copied ? done : refused, { id: "copied", kind: copied ? "info" : "error" });
   }
 }
 

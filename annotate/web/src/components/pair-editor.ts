@@ -2,35 +2,29 @@
 
 import { html, nothing, type TemplateResult } from "lit";
 import { live } from "lit/directives/live.js";
-import { reason } from "../api";
 import type { App } from "../app";
-import { PART_ACTIONS, type ActionId } from "../keys";
+import { perform, type ActionId, type Deeds } from "../keys";
 import { lintText } from "../lints";
 import {
   EDIT_TYPES,
   EXTENTS,
   MAX_NAME_CHARS,
-  MAX_TEXT_CHARS,
   type Extent,
+  type PartInfo,
   type Style,
   type Suggestion,
-  type SuggestionUse,
   type Task,
   type Verdict,
 } from "../wire";
 import type { PairAnswer, StyleAnswer } from "../words";
-import { Component, action, choice, define, draftBox, guidelinePanel, keyHint, lintList, swatch } from "./component";
+import { action, choice, define, guidelinePanel, keyHint, swatch } from "./component";
+import { Editor, type EditorHost } from "./editor";
 
 export type TwoAnswer = PairAnswer | StyleAnswer;
 
 type Change = Partial<PairAnswer> | Partial<StyleAnswer>;
 
-export interface PairEditorHost {
-  change(answer: TwoAnswer, kind: string | null): void;
-  seal(): void;
-  suggestionUsed(id: number, used: SuggestionUse): void;
-  askDraft: ((parts: string[]) => Promise<Suggestion>) | null;
-  /** Style that the source states, if it does. */
+interface PairEditorHost extends EditorHost<TwoAnswer> {
   sourceStyle: string | null;
   /** Submits a verdict that needs no other fields. */
   reject(verdict: Verdict): void;
@@ -38,16 +32,16 @@ export interface PairEditorHost {
   repaint(parts: readonly string[]): void;
 }
 
-const REJECTS: readonly (readonly [Verdict, ActionId, string])[] = [
-  ["unnatural", "unnatural", "Unnatural"],
-  ["unclear", "unclear", "Unclear"],
-  ["identical", "identical", "Identical"],
-];
+/** Verdicts that reject a pair, which have keys of the same names. */
+const REJECTS = [
+  ["unnatural", "Unnatural"],
+  ["unclear", "Unclear"],
+  ["identical", "Identical"],
+] as const satisfies readonly (readonly [Verdict & ActionId, string])[];
 
 /** Styles that have a button; the others are chosen in the field beside, which proposes their names. */
 const MAX_STYLE_BUTTONS = 12;
 
-/** The parts of an extent. */
 const EXTENT_PARTS: Readonly<Record<Extent, readonly string[]>> = {
   lower: ["LOWER_BODY"],
   upper: ["UPPER_BODY"],
@@ -61,22 +55,12 @@ export function blankTwo(task: Task): TwoAnswer {
     : { kind: "pair", ...rest, edit_type: null };
 }
 
-export class PairEditor extends Component {
+export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
   private phrase = -1;
-  private asking = false;
-  private readonly discarded = new Set<number>();
 
-  constructor(
-    private readonly app: App,
-    private readonly host: PairEditorHost,
-    private suggestions: readonly Suggestion[],
-    private answer: TwoAnswer,
-  ) {
-    super();
-  }
-
-  get current(): TwoAnswer {
-    return this.answer;
+  constructor(app: App, host: PairEditorHost, suggestions: readonly Suggestion[], answer: TwoAnswer) {
+    super(app, host, suggestions, answer);
+    this.classList.add("pair-editor");
   }
 
   setAnswer(answer: TwoAnswer): void {
@@ -85,42 +69,18 @@ export class PairEditor extends Component {
   }
 
   perform(id: ActionId): boolean {
-    const part = PART_ACTIONS.indexOf(id);
-    if (part >= 0) {
-      const name = this.app.parts.all[part]?.name;
-      if (name) this.togglePart(name);
-      return true;
-    }
-    const reject = REJECTS.find(([, action]) => action === id);
-    if (reject) {
-      this.host.reject(reject[0]);
-      return true;
-    }
-    switch (id) {
-      case "edit_type":
-        if (this.answer.kind !== "pair") return false;
-        this.edit({ edit_type: next(EDIT_TYPES, this.answer.edit_type) });
-        return true;
-      case "style":
-        if (this.answer.kind !== "style") return false;
-        this.edit({ style: next(this.styles.map((style) => style.name), this.answer.style) });
-        return true;
-      case "extent":
-        if (this.answer.kind !== "style") return false;
-        this.setExtent(next(EXTENTS, this.answer.extent));
-        return true;
-      case "template":
-        this.nextPhrase();
-        return true;
-      case "draft_use":
-        void this.useDraft();
-        return true;
-      case "text":
-        this.focusText();
-        return true;
-      default:
-        return false;
-    }
+    const { answer } = this;
+    const rejects = Object.fromEntries(REJECTS.map(([verdict]) => [verdict, () => this.host.reject(verdict)]));
+    const deeds: Deeds = {
+      ...rejects,
+      edit_type: () => answer.kind === "pair" && this.edit({ edit_type: next(EDIT_TYPES, answer.edit_type) }),
+      style: () => answer.kind === "style" && this.edit({ style: next(this.styles.map((style) => style.name), answer.style) }),
+      extent: () => answer.kind === "style" && this.setExtent(next(EXTENTS, answer.extent)),
+      template: () => this.nextPhrase(),
+      draft_use: () => this.useDraft(),
+      text: () => this.focusText(),
+    };
+    return this.performPart(id) || perform(deeds, id);
   }
 
   /** The answer to submit, or `null` after telling the user what is missing. */
@@ -138,8 +98,7 @@ export class PairEditor extends Component {
       if (lacking.length === 1 && answer.text === "") this.focusText();
       return null;
     }
-    const draft = this.suggestions.find((suggestion) => suggestion.id === answer.suggestion);
-    if (draft) this.host.suggestionUsed(draft.id, draft.text.trim() === answer.text ? "used" : "edited");
+    this.noteDraft(answer.suggestion, answer.text);
     return answer;
   }
 
@@ -147,26 +106,17 @@ export class PairEditor extends Component {
     this.focusOn("textarea");
   }
 
-  override connectedCallback(): void {
-    super.connectedCallback();
-    this.classList.add("editor", "pair-editor");
-  }
-
   private get styles(): readonly Style[] {
     return this.app.me.project.styles;
   }
 
-  private commit(change: Change, kind: string | null): void {
+  private edit(change: Change, kind: string | null = null): void {
     this.answer = { ...this.answer, ...change } as TwoAnswer;
     this.host.change(this.answer, kind);
     this.requestUpdate();
   }
 
-  private edit(change: Change): void {
-    this.commit(change, null);
-  }
-
-  private togglePart(name: string): void {
+  protected togglePart(name: string): void {
     this.edit({ parts: this.app.parts.toggle(this.answer.parts, name) });
   }
 
@@ -175,7 +125,6 @@ export class PairEditor extends Component {
     this.edit({ extent, parts: EXTENT_PARTS[extent].filter((part) => known.has(part)) });
   }
 
-  /** Phrases that fit the kind of task. Those about the style name the chosen one. */
   private get phrases(): readonly string[] {
     const { project } = this.app.me;
     if (this.answer.kind === "pair") return project.templates;
@@ -199,42 +148,12 @@ export class PairEditor extends Component {
     if (before !== undefined && text.endsWith(plain(before))) text = text.slice(0, -plain(before).length).trim();
     this.phrase = index;
     this.edit({ text: `${text} ${plain(this.phrases[index] ?? "")}`.trim() });
-    this.drawn(() => {
-      const field = this.querySelector("textarea");
-      field?.focus();
-      field?.setSelectionRange(0, 0);
-    });
+    this.caretTo("textarea", () => 0);
   }
 
-  private get draft(): Suggestion | null {
-    return this.suggestions.find((suggestion) => suggestion.text !== "" && !this.discarded.has(suggestion.id)) ?? null;
-  }
-
-  private async useDraft(): Promise<void> {
-    const { draft } = this;
-    if (draft) {
-      this.edit({ text: draft.text, suggestion: draft.id });
-      this.focusText();
-    } else if (this.host.askDraft && !this.asking) {
-      this.asking = true;
-      this.requestUpdate();
-      try {
-        this.suggestions = [...this.suggestions, await this.host.askDraft([...this.answer.parts])];
-      } catch (error) {
-        this.app.toasts.show(`No draft: ${reason(error)}`, { id: "draft" });
-      } finally {
-        this.asking = false;
-        this.requestUpdate();
-      }
-    } else {
-      this.app.toasts.show("There is no draft for this pair.", { id: "draft" });
-    }
-  }
-
-  private discardDraft(draft: Suggestion): void {
-    this.discarded.add(draft.id);
-    this.host.suggestionUsed(draft.id, "discarded");
-    this.requestUpdate();
+  protected useDraft(): Promise<void> {
+    const take = ({ text, id }: Suggestion): void => this.edit({ text, suggestion: id });
+    return this.takeDraft(this.drafts[0] ?? null, take, this.answer.parts, "There is no draft for this pair.");
   }
 
   protected override updated(): void {
@@ -243,27 +162,18 @@ export class PairEditor extends Component {
 
   protected override render(): TemplateResult {
     const { keys } = this.app;
-    const lints = lintText(this.answer.text, this.answer.parts);
+    const { parts, text } = this.answer;
     return html`
       <div class="verdicts" role="group" aria-label="Reject and go on">
-        ${REJECTS.map(([verdict, id, label]) => action(label, keys.hint(id), () => this.host.reject(verdict), `verdict ${verdict}`))}
+        ${REJECTS.map(([verdict, label]) => action(label, keys.hint(verdict), () => this.host.reject(verdict), `verdict ${verdict}`))}
       </div>
       <div class="choices">${this.choices()}</div>
       ${this.guidelines()}
-      ${this.draftOrQuestion()}
-      <div class="text-label">${keyHint(keys.hint("text"))}Instruction</div>
-      <textarea
-        rows="3"
-        maxlength=${MAX_TEXT_CHARS}
-        placeholder="The instruction that turns the first motion into the second"
-        aria-label="Instruction"
-        aria-keyshortcuts=${keys.chord("text")}
-        .value=${live(this.answer.text)}
-        @input=${(event: Event) => this.commit({ text: (event.target as HTMLTextAreaElement).value }, "text")}
-        @blur=${() => this.host.seal()}
-      ></textarea>
-      ${lintList(lints)}
-      ${this.templates()}
+      ${text.trim() === "" ? this.draftBox(this.drafts[0] ?? null, true) : nothing}
+      ${this.textField("Instruction", "Instruction", "The instruction that turns the first motion into the second", text, lintText(text, parts), (typed) =>
+        this.edit({ text: typed }, "text"),
+      )}
+      ${this.phraseRow("Template phrases", html`${keyHint(keys.hint("template"))} phrases`, this.phrases, (_, index) => this.usePhrase(index))}
     `;
   }
 
@@ -272,19 +182,14 @@ export class PairEditor extends Component {
     const { keys } = app;
     const group = (label: string, hint: string, rows: TemplateResult): TemplateResult =>
       html`<div class="choice-group" role="group" aria-label=${label}>
-        <div class="group-label">${keyHint(hint)}${label}</div>
+        <div class="text-label">${keyHint(hint)}${label}</div>
         ${rows}
       </div>`;
-    const part = (name: string, phrase: string, hint: string): TemplateResult =>
-      choice(name, phrase, hint, answer.parts.includes(name), () => this.togglePart(name));
+    const part = ({ name, phrase }: PartInfo): TemplateResult =>
+      choice(name, phrase, app.partHint(name), answer.parts.includes(name), () => this.togglePart(name));
     const options = <T extends string>(kind: string, all: readonly T[], chosen: string | null, take: (value: T) => void): TemplateResult =>
       html`<div class="part-row">${all.map((value) => choice(`${kind}-${value}`, value, "", value === chosen, () => take(value)))}</div>`;
-    const parts = html`
-      <div class="part-row">
-        ${app.parts.release.map((own) => part(own.name, own.phrase, app.partHint(own.name)))}
-      </div>
-      <div class="part-row minor">${app.parts.all.filter((own) => !own.release).map((own) => part(own.name, own.phrase, app.partHint(own.name)))}</div>
-    `;
+    const parts = this.partRows(part);
     if (answer.kind === "style") {
       return html`
         ${group("Style", keys.hint("style"), this.styleChoices(answer.style))}
@@ -306,7 +211,7 @@ export class PairEditor extends Component {
     if (known && !shown.includes(known)) shown.push(known);
     const button = ({ name, colour }: Style): TemplateResult =>
       choice(`style-${name}`, name, "", name === chosen, () => this.edit({ style: name }), swatch(colour));
-    const typed = (event: Event): void => this.commit({ style: (event.target as HTMLInputElement).value || null }, "style");
+    const typed = (event: Event): void => this.edit({ style: (event.target as HTMLInputElement).value || null }, "style");
     return html`
       <div class="part-row">${shown.map(button)}</div>
       <input
@@ -333,24 +238,6 @@ export class PairEditor extends Component {
     return names.flatMap((name) => this.styles.filter((style) => style.name === name)).map(guidelinePanel);
   }
 
-  private draftOrQuestion(): TemplateResult | typeof nothing {
-    if (this.answer.text.trim() !== "") return nothing;
-    return draftBox(
-      this.draft,
-      this.app.keys.hint("draft_use"),
-      () => void this.useDraft(),
-      (draft) => this.discardDraft(draft),
-      this.host.askDraft ? { label: this.app.me.model ?? "the model", busy: this.asking } : null,
-    );
-  }
-
-  private templates(): TemplateResult | typeof nothing {
-    if (this.phrases.length === 0) return nothing;
-    return html`<div class="templates" role="group" aria-label="Template phrases">
-      <span class="note">${keyHint(this.app.keys.hint("template"))} phrases</span>
-      ${this.phrases.map((phrase, index) => html`<button type="button" class="phrase" @click=${() => this.usePhrase(index)}>${phrase}</button>`)}
-    </div>`;
-  }
 }
 
 /** What the project says of the chosen style, or that it is new. */

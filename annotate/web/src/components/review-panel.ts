@@ -1,10 +1,11 @@
 /** The answers to one task side by side, and what a reviewer decides about them. */
 
 import { html, nothing, type TemplateResult } from "lit";
-import { ApiError, newReview, randomName, reason } from "../api";
+import { ApiError, newReview, randomName } from "../api";
 import type { App } from "../app";
 import { h } from "../dom";
-import type { ActionId, Scope } from "../keys";
+import { kept } from "../history";
+import { perform, type ActionId, type Deeds, type Scope } from "../keys";
 import { describe, differing } from "../merge";
 import { ask, field } from "../ui";
 import {
@@ -16,6 +17,7 @@ import {
   type NewReview,
   type ReviewDone,
   type ReviewView,
+  type Verdict,
 } from "../wire";
 import { KIND_WORDS, apartWords, factsOf } from "../words";
 import { WorkClock } from "../work";
@@ -26,7 +28,6 @@ import { PairEditor } from "./pair-editor";
 
 const CHOOSE: readonly ActionId[] = ["candidate_1", "candidate_2", "candidate_3", "candidate_4"];
 
-/** What the panel draws on beside itself. */
 export interface ReviewStage {
   /** Shows one answer; `glow` are the joints where answers differ. */
   paint(candidate: Candidate | undefined, glow: number): void;
@@ -34,7 +35,6 @@ export interface ReviewStage {
   paintParts(parts: readonly string[], glow?: number): void;
   /** Highlights what an answer takes, and shows the frames of its masks. */
   paintAnswer(answer: Answer): void;
-  /** Present for masks. */
   mask: MaskStage | null;
 }
 
@@ -56,18 +56,16 @@ export class ReviewPanel extends Component {
     private readonly app: App,
     private readonly review: ReviewView,
     private readonly stage: ReviewStage,
-    /** What stands above the task: the tabs of reviewing. */
     private readonly head: HTMLElement,
-    /** Opens the next task. */
     private readonly next: () => void,
   ) {
     super();
+    this.be("panel", "complementary", "Answers", "panel");
     this.lease = review.lease;
     this.glow = differing(review.candidates);
     this.kept = app.keep(`merge:${review.task.id}`);
   }
 
-  /** The user did something on the page. */
   active(): void {
     this.work.active();
   }
@@ -79,45 +77,25 @@ export class ReviewPanel extends Component {
 
   perform(id: ActionId): boolean {
     if (this.merging) {
-      if (id === "submit") {
-        void this.commitMerge();
-        return true;
-      }
-      if (id === "stage" && document.activeElement?.tagName !== "TEXTAREA") {
-        this.endMerge();
-        return true;
-      }
-      return this.merging.perform(id);
+      const deeds: Deeds = {
+        submit: () => this.commitMerge(),
+        stage: () => document.activeElement?.tagName !== "TEXTAREA" && this.endMerge(),
+      };
+      return perform(deeds, id) || this.merging.perform(id);
     }
     const at = CHOOSE.indexOf(id);
-    if (at >= 0) {
-      if (at < this.review.candidates.length) this.select(at);
-      return true;
-    }
-    switch (id) {
-      case "review_accept":
-        this.accept();
-        return true;
-      case "review_return":
-        void this.withComment("return");
-        return true;
-      case "review_merge":
-        this.merge();
-        return true;
-      case "review_drop":
-        void this.withComment("drop");
-        return true;
-      default:
-        return false;
-    }
+    if (at >= 0 && at < this.review.candidates.length) this.select(at);
+    const deeds: Deeds = {
+      review_accept: () => this.accept(),
+      review_return: () => this.withComment("return"),
+      review_merge: () => this.merge(),
+      review_drop: () => this.withComment("drop"),
+    };
+    return at >= 0 || perform(deeds, id);
   }
 
   override connectedCallback(): void {
     super.connectedCallback();
-    this.classList.add("panel");
-    this.setAttribute("role", "complementary");
-    this.setAttribute("aria-label", "Answers");
-    this.dataset.region = "panel";
     this.heartbeat ??= window.setInterval(() => void this.renew(), this.app.me.limits.heartbeat_secs * 1000);
   }
 
@@ -138,8 +116,7 @@ export class ReviewPanel extends Component {
 
   private async renew(): Promise<void> {
     try {
-      const response = await this.app.api.once("POST", `leases/${this.lease.id}/renew`);
-      this.lease = (await response.json()) as Lease;
+      this.lease = await this.app.api.attempt<Lease>("POST", `leases/${this.lease.id}/renew`);
     } catch (error) {
       if (error instanceof ApiError && error.code === "lease_lost") {
         this.app.toasts.show("Another reviewer may have this task now; deciding it may be refused.", { id: "lease", kind: "error" });
@@ -165,7 +142,7 @@ export class ReviewPanel extends Component {
       });
     } catch (error) {
       // The user can retry with the same key: the text is still on the page.
-      this.app.toasts.show(`Not decided: ${reason(error)}`, { id: "decided", kind: "error", ms: 15_000 });
+      this.app.toasts.fail(error, "Not decided: ", { id: "decided", ms: 15_000 });
     } finally {
       this.busy = false;
     }
@@ -177,7 +154,7 @@ export class ReviewPanel extends Component {
       await this.app.api.post<ReviewDone>("reviews", back);
       this.next();
     } catch (error) {
-      this.app.toasts.show(`Not reopened: ${reason(error)}`, { kind: "error" });
+      this.app.toasts.fail(error, "Not reopened: ");
     }
   }
 
@@ -215,7 +192,8 @@ export class ReviewPanel extends Component {
   private merge(): void {
     const chosen = this.candidate?.revision.answer;
     if (!chosen) return;
-    const start = unfinished(this.kept, chosen);
+    const saved = kept<Answer>(this.kept);
+    const start = saved?.kind === chosen.kind ? saved : chosen;
     const host = {
       change: (answer: Answer) => localStorage.setItem(this.kept, JSON.stringify(answer)),
       seal: () => {},
@@ -223,19 +201,15 @@ export class ReviewPanel extends Component {
       askDraft: null,
     };
     if (start.kind === "mask_text") {
-      if (this.stage.mask) this.merging = new MaskEditor(this.app, this.stage.mask, [], host, start);
+      if (this.stage.mask) this.merging = new MaskEditor(this.app, host, [], start, this.stage.mask);
     } else {
-      const editor: PairEditor = new PairEditor(
-        this.app,
-        {
-          ...host,
-          sourceStyle: this.review.task.style,
-          reject: (verdict) => void this.decide("merge", { answer: { ...editor.current, verdict } }),
-          repaint: (parts) => this.stage.paintParts(parts),
-        },
-        [],
-        start,
-      );
+      const pairHost = {
+        ...host,
+        sourceStyle: this.review.task.style,
+        reject: (verdict: Verdict) => void this.decide("merge", { answer: { ...editor.current, verdict } }),
+        repaint: (parts: readonly string[]) => this.stage.paintParts(parts),
+      };
+      const editor = new PairEditor(this.app, pairHost, [], start);
       this.merging = editor;
     }
     this.requestUpdate();
@@ -282,31 +256,24 @@ export class ReviewPanel extends Component {
     `;
   }
 
-  /** Drafts and suggested parts that the annotators saw. */
   private offered(): TemplateResult | typeof nothing {
     const { suggestions } = this.review;
     if (suggestions.length === 0) return nothing;
-    const words = (parts: readonly string[]): string => parts.map((part) => this.app.parts.phrase(part)).join(", ");
+    const words = (parts: readonly string[], text: string): string =>
+      [parts.map((part) => this.app.parts.phrase(part)).join(", "), text && `“${text}”`].filter((own) => own !== "").join(": ");
+    const lines = suggestions.map(({ text, parts, model }) => html`<li>${words(parts, text)} <span class="note">${model}</span></li>`);
     return html`<details class="offered">
       <summary>What annotators were offered: ${suggestions.length === 1 ? "1 suggestion" : `${suggestions.length} suggestions`}</summary>
-      <ul>
-        ${suggestions.map(
-          ({ text, parts, model }) =>
-            html`<li>${[words(parts), text && `“${text}”`].filter((part) => part !== "").join(": ")} <span class="note">${model}</span></li>`,
-        )}
-      </ul>
+      <ul>${lines}</ul>
     </details>`;
   }
 
   private mergeBox(editor: MaskEditor | PairEditor): TemplateResult {
     const others = this.review.candidates.filter((_, index) => index !== this.selected);
+    const lines = others.flatMap(({ revision, author_name }) => describe(this.app.parts, revision.answer).map((line) => html`<li>${author_name}: ${line}</li>`));
     return html`<div class="merge-box">
       <h2>Merge and edit</h2>
-      <ul class="others">
-        ${others.flatMap((other) =>
-          describe(this.app.parts, other.revision.answer).map((line) => html`<li>${other.author_name}: ${line}</li>`),
-        )}
-      </ul>
+      <ul class="others">${lines}</ul>
       ${editor}
       <div class="row">
         ${action("Accept this", this.app.keys.hint("submit"), () => void this.commitMerge(), "primary")}
@@ -323,16 +290,6 @@ export class ReviewPanel extends Component {
       ${action("Merge", keys.hint("review_merge"), () => this.merge())}
       ${action("Drop", keys.hint("review_drop"), () => void this.withComment("drop"))}
     </div>`;
-  }
-}
-
-/** The unfinished merge of an earlier page load, or else the chosen answer. */
-function unfinished(key: string, chosen: Answer): Answer {
-  try {
-    const saved = JSON.parse(localStorage.getItem(key) ?? "null") as Answer | null;
-    return saved !== null && saved.kind === chosen.kind ? saved : chosen;
-  } catch {
-    return chosen;
   }
 }
 

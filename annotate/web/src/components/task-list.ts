@@ -28,6 +28,7 @@ export class TaskList extends Component {
     private readonly changed: (list: PagedRows<TaskRow>) => void,
   ) {
     super();
+    this.be("", "grid", "Tasks", "list");
     this.addEventListener("scroll", () => this.requestUpdate());
     this.addEventListener("keydown", (event) => this.key(event));
     new ResizeObserver(() => this.requestUpdate()).observe(this);
@@ -35,10 +36,7 @@ export class TaskList extends Component {
 
   override connectedCallback(): void {
     super.connectedCallback();
-    this.setAttribute("role", "grid");
-    this.setAttribute("aria-label", "Tasks");
     this.tabIndex = 0;
-    this.dataset.region = "list";
     this.style.setProperty("--row", `${ROW}px`);
     this.style.setProperty("--head", `${HEAD}px`);
   }
@@ -56,11 +54,6 @@ export class TaskList extends Component {
     this.scrollTop = 0;
     this.requestUpdate();
     return list.want(1);
-  }
-
-  /** Goes on after a failed request. */
-  again(): void {
-    void this.list.again();
   }
 
   /** Where the reader is, to come back to. */
@@ -140,7 +133,7 @@ export class TaskList extends Component {
       </div>
       <div class="list-body" role="presentation"><div class="list-rows" role="presentation">${rows}</div></div>
       ${this.list.trouble === null ? nothing : html`<p class="list-trouble" role="alert">
-        Not loaded: ${reason(this.list.trouble)} <button type="button" @click=${() => this.again()}>Try again</button>
+        Not loaded: ${reason(this.list.trouble)} <button type="button" @click=${() => void this.list.again()}>Try again</button>
       </p>`}
     `;
   }
@@ -148,10 +141,10 @@ export class TaskList extends Component {
   private rowAt(index: number): TemplateResult {
     const row = this.list.rows[index];
     const chosen = index === this.at ? "true" : "false";
+    const id = `list-row-${index}`;
     if (!row) {
-      return html`<div class="list-row" role="row" id=${`list-row-${index}`} aria-rowindex=${index + 2} aria-selected=${chosen}>
-        <span class="cell note" role="gridcell">…</span>
-      </div>`;
+      const cell = html`<span class="cell note" role="gridcell">…</span>`;
+      return html`<div class="list-row" role="row" id=${id} aria-rowindex=${index + 2} aria-selected=${chosen}>${cell}</div>`;
     }
     const cell = (line: unknown, below: string): TemplateResult =>
       html`<span class="cell" role="gridcell"><span>${line}</span><span class="note">${below}</span></span>`;
@@ -160,7 +153,7 @@ export class TaskList extends Component {
     return html`<div
       class="list-row"
       role="row"
-      id=${`list-row-${index}`}
+      id=${id}
       aria-rowindex=${index + 2}
       aria-selected=${chosen}
       data-task=${row.id}
@@ -173,7 +166,6 @@ export class TaskList extends Component {
     </div>`;
   }
 
-  /** Who answered, and what their answers say besides the text. */
   private peopleOf(row: TaskRow): string {
     const says = new Set(
       row.answers.flatMap(({ verdict, edit_type, parts }) => [

@@ -1,14 +1,13 @@
 /** The record of a task: state, answers side by side, decisions, skips and history, and what may be done with it. */
 
 import { html, nothing, type TemplateResult } from "lit";
-import { reason } from "../api";
 import type { App } from "../app";
 import { differing } from "../merge";
 import { jointList } from "../stage/body";
 import { storyOf } from "../story";
 import { until, when } from "../ui";
 import type { AuditEntry, Candidate, DecisionRow, TaskFile } from "../wire";
-import { ANSWER_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, apartWords, factsOf } from "../words";
+import { ANSWER_WORDS, DECISION_WORDS, KIND_NAMES, PURPOSE_WORDS, SKIP_WORDS, STATE_WORDS, acceptedHow, apartWords, factsOf } from "../words";
 import { answerCards } from "./answer-cards";
 import { Component, define, pageLink } from "./component";
 import type { ReviewStage } from "./review-panel";
@@ -22,14 +21,6 @@ export interface RecordActions {
   gold(): Promise<void>;
   practice(): Promise<void>;
 }
-
-const DECISIONS: Readonly<Record<string, string>> = {
-  accepted: "accepted",
-  merged: "merged and accepted",
-  returned: "sent back",
-  dropped: "dropped",
-  reopened: "took the decision back",
-};
 
 export class TaskRecord extends Component {
   private selected = 0;
@@ -45,6 +36,7 @@ export class TaskRecord extends Component {
     private readonly actions: RecordActions,
   ) {
     super();
+    this.be("panel", "complementary", "Record of the task", "panel");
     this.selected = Math.max(0, this.candidates.findIndex(({ revision }) => revision.state === "accepted"));
   }
 
@@ -53,14 +45,6 @@ export class TaskRecord extends Component {
     this.history = history;
     this.selected = Math.min(this.selected, Math.max(0, this.candidates.length - 1));
     this.requestUpdate();
-  }
-
-  override connectedCallback(): void {
-    super.connectedCallback();
-    this.classList.add("panel");
-    this.setAttribute("role", "complementary");
-    this.setAttribute("aria-label", "Record of the task");
-    this.dataset.region = "panel";
   }
 
   /** The answers, and the accepted one if it is none of them: a reviewer merged it, or it was imported. */
@@ -80,7 +64,7 @@ export class TaskRecord extends Component {
     this.busy = true;
     this.requestUpdate();
     action()
-      .catch((error: unknown) => this.app.toasts.show(reason(error), { id: "record", kind: "error", ms: 15_000 }))
+      .catch((error: unknown) => this.app.toasts.fail(error, "", { id: "record", ms: 15_000 }))
       .finally(() => {
         this.busy = false;
         this.requestUpdate();
@@ -92,13 +76,13 @@ export class TaskRecord extends Component {
     if (candidates.length > 0) this.stage.paint(candidates[this.selected], differing(candidates));
   }
 
-  /** A link inside of the page. */
   protected override render(): TemplateResult {
     const { task, row, decisions, suggestions } = this.file;
     const { candidates } = this;
     const { keys } = this.app;
     const facts = [`key: ${row.key}`, `split: ${row.split}`, ...factsOf(task)];
     const captions = task.motions.flatMap((motion) => motion.captions);
+    const offerWords = (parts: readonly string[], text: string): string => `${this.app.parts.phrases(parts)}${text ? `: ${text}` : ""}`;
     return html`
       <div class="panel-scroll">
         <nav class="tabs" aria-label="The list">
@@ -118,27 +102,12 @@ export class TaskRecord extends Component {
           : answerCards(this.app, candidates, this.selected, (index) => this.select(index), {
               note: ({ revision }) => `${ANSWER_WORDS[revision.state]} · ${when(revision.at)}`,
             })}
-        ${section("Decisions", decisions.map((decision) => html`<li>${decisionWords(decision)} <span class="note">${when(decision.at)}</span></li>`))}
-        ${section(
-          "Skipped by",
-          row.skips.map(
-            (skip) => html`<li>
-              ${skip.name}: ${skip.postponed ? "postponed" : skip.reason ? SKIP_WORDS[skip.reason] : "no reason"}${skip.note ? ` (${skip.note})` : ""}
-              <span class="note">${when(skip.at)}</span>
-            </li>`,
-          ),
-        )}
-        ${section(
-          "Suggestions that annotators were offered",
-          suggestions.map(
-            ({ parts, text, model }) => html`<li>${this.app.parts.phrases(parts)}${text ? `: ${text}` : ""} <span class="note">${model || "the source"}</span></li>`,
-          ),
-        )}
+        ${section("Decisions", decisions.map((decision) => line(decisionWords(decision), when(decision.at))))}
+        ${section("Skipped by", row.skips.map((skip) => line(skipWords(skip), when(skip.at))))}
+        ${section("Suggestions that annotators were offered", suggestions.map(({ parts, text, model }) => line(offerWords(parts, text), model || "the source")))}
         <details class="history">
           <summary>History: ${this.history.length} entries of the log</summary>
-          <ol>
-            ${storyOf(this.history).map(({ at, who, what }) => html`<li>${who}: ${what} <span class="note">${when(at)}</span></li>`)}
-          </ol>
+          <ol>${storyOf(this.history).map(({ at, who, what }) => line(`${who}: ${what}`, when(at)))}</ol>
         </details>
       </div>
       <div class="panel-foot">${this.buttons()}</div>
@@ -150,17 +119,12 @@ export class TaskRecord extends Component {
     this.requestUpdate();
   }
 
-  /** Where the task stands. */
   private standing(): TemplateResult {
     const { row } = this.file;
     const basis = row.accepted_by ?? "";
     const rule = basis.startsWith("rule:") ? basis.slice("rule:".length) : null;
-    const how =
-      rule !== null
-        ? html` by rule ${pageLink(this.app, `tasks?rule=${encodeURIComponent(rule)}`, rule)}`
-        : basis === ""
-          ? nothing
-          : html` ${acceptedHow(basis)}`;
+    const byRule = rule !== null && html` by rule ${pageLink(this.app, `tasks?rule=${encodeURIComponent(rule)}`, rule)}`;
+    const how = byRule || (basis === "" ? nothing : html` ${acceptedHow(basis)}`);
     const wanted = `${row.submitted} of ${row.wanted} ${row.wanted === 1 ? "answer" : "answers"} handed in`;
     const apart = row.distance === null ? "" : ` The answers ${apartWords(row.distance)}.`;
     return html`<strong data-state=${row.state}>${STATE_WORDS[row.state]}${how}</strong>; ${wanted}.${apart}`;
@@ -173,32 +137,28 @@ export class TaskRecord extends Component {
       ${holders.map(
         (holder) => html`<li>
           <span><strong>${holder.name}</strong> ${PURPOSE_WORDS[holder.purpose] ?? holder.purpose}, ends ${until(holder.until)}</span>
-          <button
-            type="button"
-            aria-label=${`Release the task of ${holder.name}`}
-            ?disabled=${this.busy}
-            @click=${() => this.run(() => this.actions.release(holder.lease))}
-          >
-            Release
-          </button>
+          ${this.button("Release", () => this.actions.release(holder.lease), "", `Release the task of ${holder.name}`)}
         </li>`,
       )}
     </ul>`;
   }
 
+  private button(label: string, action: () => Promise<void>, className = "", name = label): TemplateResult {
+    const run = (): void => this.run(action);
+    return html`<button type="button" class=${className} aria-label=${name} ?disabled=${this.busy} @click=${run}>${label}</button>`;
+  }
+
   private buttons(): TemplateResult[] {
     const { task, row } = this.file;
     const { actions, app } = this;
-    const one = (label: string, action: () => Promise<void>, className = ""): TemplateResult =>
-      html`<button type="button" class=${className} ?disabled=${this.busy} @click=${() => this.run(action)}>${label}</button>`;
     const mine = row.holders.some((holder) => holder.user === app.me.user.id && holder.purpose === "review");
     const found: TemplateResult[] = [];
-    if (task.state === "submitted" || mine) found.push(one(mine ? "Go on with the review" : "Review", actions.review, "primary"));
-    if (task.state === "open" || task.state === "leased" || task.state === "returned") found.push(one("Assign", actions.assign));
-    if (task.state === "accepted" || task.state === "dropped") found.push(one("Reopen", actions.reopen));
-    else found.push(one("Drop", actions.drop));
+    if (task.state === "submitted" || mine) found.push(this.button(mine ? "Go on with the review" : "Review", actions.review, "primary"));
+    if (task.state === "open" || task.state === "leased" || task.state === "returned") found.push(this.button("Assign", actions.assign));
+    if (task.state === "accepted" || task.state === "dropped") found.push(this.button("Reopen", actions.reopen));
+    else found.push(this.button("Drop", actions.drop));
     if (task.state === "accepted" && app.may("admin")) {
-      found.push(one("Make gold", actions.gold), one("Make practice", actions.practice));
+      found.push(this.button("Make gold", actions.gold), this.button("Make practice", actions.practice));
     }
     return found;
   }
@@ -208,10 +168,20 @@ function section(title: string, lines: readonly TemplateResult[]): TemplateResul
   return lines.length === 0 ? nothing : html`<h2>${title}</h2><ul class="record-lines">${lines}</ul>`;
 }
 
+function line(words: string, note: string): TemplateResult {
+  return html`<li>${words} <span class="note">${note}</span></li>`;
+}
+
+function skipWords({ name, postponed, reason, note }: TaskFile["row"]["skips"][number]): string {
+  const why = postponed ? "postponed" : reason ? SKIP_WORDS[reason] : "no reason";
+  return `${name}: ${why}${note ? ` (${note})` : ""}`;
+}
+
 function decisionWords({ decision, reviewer_name, authors, rule, comment }: DecisionRow): string {
   const who = rule === null ? reviewer_name : decision === "reopened" ? `${reviewer_name || "the program"}, of rule ${rule}` : `rule ${rule}`;
   const whom = decision === "returned" && authors.length > 0 ? ` to ${authors.join(", ")}` : "";
-  return `${who}: ${DECISIONS[decision] ?? decision}${whom}${comment === "" ? "" : `, “${comment}”`}`;
+  const what = decision === "reopened" ? "took the decision back" : (DECISION_WORDS[decision] ?? decision);
+  return `${who}: ${what}${whom}${comment === "" ? "" : `, “${comment}”`}`;
 }
 
 define("task-record", TaskRecord);

@@ -1,34 +1,33 @@
 /** Administration: exports and imports, users and tokens, settings, the log. */
 
-import { reason } from "../api";
+import { html } from "lit";
+import { queryOf } from "../api";
 import type { App, Screen } from "../app";
+import { element } from "../components/component";
 import { NewcomersForm } from "../components/newcomers-form";
 import { fill, h, type Child } from "../dom";
 import { StyleRows } from "../style-rows";
-import { ask, button, field, select, table, when } from "../ui";
+import { ask, button, field, input, select, table, tell, when } from "../ui";
 import {
   EDIT_TYPES,
+  ROLES,
   type Audit,
   type ExportFormat,
   type ImportFormat,
   type Job,
-  type Role,
   type Settings,
   type TokenInfo,
   type TokenShown,
   type User,
 } from "../wire";
+import { widePage } from "./frame";
 
-/** Polling interval of a running job. */
 const POLL_MS = 500;
-const ROLES: readonly Role[] = ["annotator", "reviewer", "admin"];
 
 export async function openAdmin(app: App): Promise<Screen> {
   const people = h("div", { class: "stack" }, await peopleSection(app), modelSection(app), capturesSection(app));
   const sections = [exportsSection(app), people, await settingsSection(app), auditSection(app)];
-  const heading = h("h1", { attrs: { tabindex: -1 } }, "Administration");
-  const element = h("div", { class: "page wide" }, heading, h("div", { class: "dashboard" }, ...sections));
-  return { element, title: "Administration", scopes: [], perform: () => false, focusTarget: heading };
+  return widePage("Administration", null, h("div", { class: "dashboard" }, ...sections));
 }
 
 function exportsSection(app: App): HTMLElement {
@@ -39,16 +38,15 @@ function exportsSection(app: App): HTMLElement {
     ["stance", "JSON of the STANCE release"],
     ["csv", "CSV of all labels"],
   ]);
-  const events = h("input", { attrs: { type: "checkbox" } });
-  const file = h("input", { attrs: { type: "file" } });
+  const events = input("checkbox");
+  const file = input("file");
   const importFormat = select<ImportFormat>([
     ["stance", "STANCE release (mask_all, part_annotations)"],
     ["annotations", "annotations.parquet of an export"],
     ["dataset", "New motions of this dataset (no file)"],
   ]);
   const refresh = async (): Promise<void> => {
-    const all = await app.api.get<Job[]>("jobs");
-    fill(jobs, jobTable(all));
+    fill(jobs, jobTable(await app.api.get<Job[]>("jobs")));
   };
   const follow = async (job: Job): Promise<void> => {
     let current = job;
@@ -60,38 +58,25 @@ function exportsSection(app: App): HTMLElement {
     await refresh();
     app.toasts.show(`${current.kind} ${current.id} (${current.format}): ${current.state}`, { kind: current.state === "failed" ? "error" : "info" });
   };
-  refresh().catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }));
-  return h(
-    "section",
-    { class: "card wide" },
-    h("h2", {}, "Export and import"),
-    h(
-      "div",
-      { class: "forms" },
-      h(
-        "div",
-        { class: "row" },
-        field("Layout", format),
-        h("label", { class: "inline" }, events, "with the whole log"),
-        button("Export", async () => {
-          const job = await app.api.post<Job>("exports", { format: format.value, splits: [], events: events.checked });
-          await follow(job);
-        }, app, "primary"),
-      ),
-      h(
-        "div",
-        { class: "row" },
-        field("File", file),
-        field("Layout of the file", importFormat),
-        button("Import", async () => {
-          const chosen = file.files?.[0];
-          if (!chosen && importFormat.value !== "dataset") throw new Error("choose a file first");
-          await follow(await app.api.post<Job>(`imports?format=${importFormat.value}`, chosen ?? new Blob([])));
-        }, app),
-      ),
-    ),
-    jobs,
-  );
+  refresh().catch((error: unknown) => app.toasts.fail(error));
+  const exportNow = async (): Promise<void> => {
+    await follow(await app.api.post<Job>("exports", { format: format.value, splits: [], events: events.checked }));
+  };
+  const importNow = async (): Promise<void> => {
+    const chosen = file.files?.[0];
+    if (!chosen && importFormat.value !== "dataset") throw new Error("choose a file first");
+    await follow(await app.api.post<Job>(`imports?format=${importFormat.value}`, chosen ?? new Blob([])));
+  };
+  return element(html`<section class="card wide">
+    <h2>Export and import</h2>
+    <div class="forms">
+      <div class="row">
+        ${field("Layout", format)}<label class="inline">${events}with the whole log</label>${button("Export", exportNow, app, "primary")}
+      </div>
+      <div class="row">${field("File", file)}${field("Layout of the file", importFormat)}${button("Import", importNow, app)}</div>
+    </div>
+    ${jobs}
+  </section>`);
 }
 
 function jobTable(jobs: Job[]): HTMLElement {
@@ -143,7 +128,7 @@ async function peopleSection(app: App): Promise<HTMLElement> {
     own.addEventListener("change", () => {
       app.api
         .json<User>("PATCH", `users/${user.id}`, { role: own.value })
-        .catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }))
+        .catch((error: unknown) => app.toasts.fail(error))
         .finally(() => void refresh());
     });
     return own;
@@ -168,11 +153,10 @@ async function peopleSection(app: App): Promise<HTMLElement> {
             }, app),
       ]),
     );
-    await ask(`Tokens of ${user.name}`, [list], [{ label: "Close", value: true, kind: "primary" }]);
+    await tell(`Tokens of ${user.name}`, [list]);
   };
   const showToken = async (shown: TokenShown): Promise<void> => {
-    const value = h("input", { attrs: { type: "text", readonly: true } });
-    value.value = shown.token;
+    const value = input("text", shown.token, { readonly: true });
     await ask(
       `Token of ${shown.user.name}`,
       [h("p", {}, "The token is shown only now. Pass it on in private."), field(`Expires ${when(shown.expires)}`, value)],
@@ -180,27 +164,20 @@ async function peopleSection(app: App): Promise<HTMLElement> {
       value,
     );
   };
-  const name = h("input", { attrs: { type: "text", maxlength: 64 } });
+  const name = input("text", "", { maxlength: 64 });
   const role = select(ROLES.map((own) => [own, own] as const));
+  const add = async (): Promise<void> => {
+    const shown = await app.api.post<TokenShown>("users", { name: name.value.trim(), role: role.value });
+    name.value = "";
+    await refresh();
+    await showToken(shown);
+  };
   await refresh();
-  return h(
-    "section",
-    { class: "card" },
-    box,
-    h(
-      "div",
-      { class: "row" },
-      field("New name", name),
-      field("Role", role),
-      button("Add", async () => {
-        const shown = await app.api.post<TokenShown>("users", { name: name.value.trim(), role: role.value });
-        name.value = "";
-        await refresh();
-        await showToken(shown);
-      }, app, "primary"),
-    ),
-    new NewcomersForm(app, () => names, () => void refresh().catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }))),
-  );
+  return element(html`<section class="card">
+    ${box}
+    <div class="row">${field("New name", name)}${field("Role", role)}${button("Add", add, app, "primary")}</div>
+    ${new NewcomersForm(app, () => names, () => void refresh().catch((error: unknown) => app.toasts.fail(error)))}
+  </section>`);
 }
 
 type NumberKey = {
@@ -223,114 +200,91 @@ const NUMBERS: readonly (readonly [NumberKey, string])[] = [
   ["practice_percent", "Mean score that ends practice, %"],
 ];
 
+const PHRASES = [
+  ["mask_templates", "Phrases to begin descriptions of masks with, one a line; they complete “The person is …”"],
+  ["templates", "Template phrases of pairs, one a line"],
+  ["style_templates", "Template phrases of style pairs, one a line; {style} is the chosen style"],
+] as const;
+
 async function settingsSection(app: App): Promise<HTMLElement> {
   let settings = await app.api.get<Settings>("settings");
-  const name = h("input", { attrs: { type: "text" } });
-  const numbers = new Map(NUMBERS.map(([key]) => [key, h("input", { attrs: { type: "number", min: 0 } })]));
-  const types = EDIT_TYPES.map((type) => [type, h("input", { attrs: { type: "number", min: 0 } })] as const);
+  const name = input("text");
+  const numbers = new Map(NUMBERS.map(([key]) => [key, input("number", "", { min: 0 })]));
+  const types = EDIT_TYPES.map((type) => [type, input("number", "", { min: 0 })] as const);
   const styles = new StyleRows();
-  const templates = h("textarea", { attrs: { rows: 4 } });
-  const maskTemplates = h("textarea", { attrs: { rows: 4 } });
-  const styleTemplates = h("textarea", { attrs: { rows: 4 } });
-  const guide = h("textarea", { attrs: { rows: 8 } });
-  const zone = h("input", { attrs: { type: "text", placeholder: Intl.DateTimeFormat().resolvedOptions().timeZone } });
+  const phrases = new Map(PHRASES.map(([key]) => [key, h("textarea", { attrs: { rows: 4 } })]));
+  const zone = input("text", "", { placeholder: Intl.DateTimeFormat().resolvedOptions().timeZone });
   const show = (): void => {
     name.value = settings.name;
-    for (const [key, input] of numbers) input.value = String(settings[key]);
-    for (const [type, input] of types) input.value = String(settings.edit_type_quota[type] ?? 0);
+    for (const [key, own] of numbers) own.value = String(settings[key]);
+    for (const [type, own] of types) own.value = String(settings.edit_type_quota[type] ?? 0);
     styles.show(settings.styles);
-    templates.value = settings.templates.join("\n");
-    maskTemplates.value = settings.mask_templates.join("\n");
-    styleTemplates.value = settings.style_templates.join("\n");
-    guide.value = settings.guide;
+    for (const [key, own] of phrases) own.value = settings[key].join("\n");
     zone.value = settings.time_zone;
   };
   show();
-  const lines = (text: string): string[] => text.split(/\n/).map((item) => item.trim()).filter((item) => item !== "");
-  return h(
-    "section",
-    { class: "card" },
-    h("h2", {}, "Settings"),
-    field("Project", name),
-    h("div", { class: "numbers" }, ...NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))),
-    h("div", { class: "numbers" }, ...types.map(([type, input]) => field(`Pairs wanted of edit type “${type}” (0: any)`, input))),
-    field("Time zone in which days begin, such as Europe/Berlin", zone),
-    styles.element,
-    field("Phrases to begin descriptions of masks with, one a line; they complete “The person is …”", maskTemplates),
-    field("Template phrases of pairs, one a line", templates),
-    field("Template phrases of style pairs, one a line; {style} is the chosen style", styleTemplates),
-    field("Guide (plain text; # heading, - item)", guide),
-    button("Save settings", async () => {
-      // Rules, guidelines and styles may have been added elsewhere since this page was opened.
-      const now = await app.api.get<Settings>("settings");
-      const changed: Settings = {
-        ...now,
-        name: name.value.trim(),
-        styles: styles.read(now.styles),
-        templates: lines(templates.value),
-        mask_templates: lines(maskTemplates.value),
-        style_templates: lines(styleTemplates.value),
-        guide: guide.value,
-        time_zone: zone.value.trim(),
-      };
-      for (const [key, input] of numbers) changed[key] = Number(input.value);
-      const quotas = types.map(([type, input]) => [type, Number(input.value)] as const);
-      changed.edit_type_quota = Object.fromEntries(quotas.filter(([, wanted]) => wanted !== 0));
-      settings = await app.api.json<Settings>("PUT", "settings", changed);
-      show();
-      app.toasts.show("Settings are saved.");
-    }, app, "primary"),
-  );
-}
-
-function command(text: string): HTMLElement {
-  return h("pre", {}, h("code", {}, text));
+  const save = async (): Promise<void> => {
+    // The guide, rules, guidelines and styles may have been changed elsewhere since this page was opened.
+    const now = await app.api.get<Settings>("settings");
+    const quotas = types.map(([type, own]) => [type, Number(own.value)] as const).filter(([, wanted]) => wanted !== 0);
+    const changed: Settings = {
+      ...now,
+      name: name.value.trim(),
+      styles: styles.read(now.styles),
+      edit_type_quota: Object.fromEntries(quotas),
+      time_zone: zone.value.trim(),
+    };
+    for (const [key, own] of numbers) changed[key] = Number(own.value);
+    for (const [key, own] of phrases) changed[key] = own.value.split("\n").map((item) => item.trim()).filter((item) => item !== "");
+    settings = await app.api.json<Settings>("PUT", "settings", changed);
+    show();
+    app.toasts.show("Settings are saved.");
+  };
+  return element(html`<section class="card">
+    <h2>Settings</h2>
+    ${field("Project", name)}
+    <div class="numbers">${NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))}</div>
+    <div class="numbers">${types.map(([type, own]) => field(`Pairs wanted of edit type “${type}” (0: any)`, own))}</div>
+    ${field("Time zone in which days begin, such as Europe/Berlin", zone)} ${styles.element}
+    ${PHRASES.map(([key, label]) => field(label, phrases.get(key) as HTMLTextAreaElement))}
+    ${button("Save settings", save, app, "primary")}
+  </section>`);
 }
 
 /** The capture plan, which is a file. */
 function capturesSection(app: App): HTMLElement {
-  return h(
-    "section",
-    { class: "card" },
-    h("h2", {}, "Captures"),
-    h(
-      "p",
-      {},
-      "Which motions are captured in which styles is planned in a CSV file with lines motion,style,takes. ",
-      app.link("dashboard", "The dashboard"),
-      " shows what is still to capture.",
-    ),
-    command("stance annotate DATASET captures plan.csv"),
-    h("p", {}, "A page for performers, with the guideline of each style and what is still to capture in it:"),
-    command("stance annotate DATASET captures --sheet sheet.html"),
-  );
+  return element(html`<section class="card">
+    <h2>Captures</h2>
+    <p>
+      Which motions are captured in which styles is planned in a CSV file with lines motion,style,takes.
+      ${app.link("dashboard", "The dashboard")} shows what is still to capture.
+    </p>
+    <pre><code>stance annotate DATASET captures plan.csv</code></pre>
+    <p>A page for performers, with the guideline of each style and what is still to capture in it:</p>
+    <pre><code>stance annotate DATASET captures --sheet sheet.html</code></pre>
+  </section>`);
 }
 
 /** What a language model does in bulk, which is started on the command line. */
 function modelSection(app: App): HTMLElement {
-  return h(
-    "section",
-    { class: "card" },
-    h("h2", {}, "Language model"),
-    h("p", {}, app.me.model ? `Drafts come from ${app.me.model}.` : "The server was started without a language model (STANCE_MODEL_URL, STANCE_MODEL_NAME)."),
-    h("p", {}, "Drafts for all tasks before people start, again after new clips:"),
-    command("stance annotate DATASET drafts"),
-  );
+  const none = "The server was started without a language model (STANCE_MODEL_URL, STANCE_MODEL_NAME).";
+  return element(html`<section class="card">
+    <h2>Language model</h2>
+    <p>${app.me.model ? `Drafts come from ${app.me.model}.` : none}</p>
+    <p>Drafts for all tasks before people start, again after new clips:</p>
+    <pre><code>stance annotate DATASET drafts</code></pre>
+  </section>`);
 }
 
 function auditSection(app: App): HTMLElement {
   const results = h("div", {});
-  const actor = h("input", { attrs: { type: "number", min: 1 } });
-  const kind = h("input", { attrs: { type: "text" } });
-  const task = h("input", { attrs: { type: "number", min: 1 } });
+  const actor = input("number", "", { min: 1 });
+  const kind = input("text");
+  const task = input("number", "", { min: 1 });
   let before: number | null = null;
   const search = async (more: boolean): Promise<void> => {
-    const query = new URLSearchParams({ limit: "50" });
-    if (actor.value) query.set("actor", actor.value);
-    if (kind.value.trim()) query.set("kind", kind.value.trim());
-    if (task.value) query.set("task", task.value);
-    if (more && before !== null) query.set("before", String(before));
-    const audit = await app.api.get<Audit>(`audit?${query.toString()}`);
+    const query = queryOf({ limit: 50, actor: actor.value, kind: kind.value.trim(), task: task.value, before: more ? before : null });
+    const audit = await app.api.get<Audit>(`audit${query}`);
     before = audit.next;
     const rows = table(
       "The log, newest first",
@@ -346,20 +300,12 @@ function auditSection(app: App): HTMLElement {
     );
     fill(results, rows, before !== null && button("Older", () => search(true), app));
   };
-  return h(
-    "section",
-    { class: "card wide" },
-    h("h2", {}, "Log"),
-    h(
-      "div",
-      { class: "row" },
-      field("Person (number)", actor),
-      field("Kind", kind),
-      field("Task", task),
-      button("Search", () => search(false), app, "primary"),
-    ),
-    results,
-  );
+  const fields = [field("Person (number)", actor), field("Kind", kind), field("Task", task)];
+  return element(html`<section class="card wide">
+    <h2>Log</h2>
+    <div class="row">${fields}${button("Search", () => search(false), app, "primary")}</div>
+    ${results}
+  </section>`);
 }
 
 function shorten(text: string): string {

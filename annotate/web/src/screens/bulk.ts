@@ -4,36 +4,20 @@ import { reason } from "../api";
 import type { App } from "../app";
 import { h, type Child } from "../dom";
 import type { Chosen } from "../filter";
-import { ask, field, inSteps, select } from "../ui";
+import { alertLine, ask, field, inSteps, select, tell } from "../ui";
 import { BULK_ACTIONS, MAX_TEXT_CHARS, type BulkAction, type BulkDone, type BulkRequest, type Person, type TaskFilter } from "../wire";
 import { KIND_WORDS, STATE_WORDS } from "../words";
+import { listOf } from "./frame";
 
-const LABELS: Readonly<Record<BulkAction, string>> = {
-  accept: "Accept",
-  return: "Send back",
-  drop: "Drop",
-  reopen: "Reopen",
-  assign: "Assign to a person",
+/** The name of each action, what a task is afterwards, and what that means. */
+const WORDS: Readonly<Record<BulkAction, readonly [label: string, done: string, means: string]>> = {
+  accept: ["Accept", "accepted", "The answer that was handed in first is accepted, and exports have it from then on."],
+  return: ["Send back", "sent back", "All their answers go back to their authors, with your comment."],
+  drop: ["Drop", "dropped", "Nobody gets them any more, and exports leave them out. Reopening takes this back."],
+  reopen: ["Reopen", "reopened", "What was decided is taken back: they wait for review again, or for answers. Exports leave them out until then."],
+  assign: ["Assign to a person", "assigned", "They are reserved for this person, as long as a task that was sent back is for its author."],
 };
 
-const DONE: Readonly<Record<BulkAction, string>> = {
-  accept: "accepted",
-  return: "sent back",
-  drop: "dropped",
-  reopen: "reopened",
-  assign: "assigned",
-};
-
-/** What happens to each task that is changed. */
-const MEANS: Readonly<Record<BulkAction, string>> = {
-  accept: "The answer that was handed in first is accepted, and exports have it from then on.",
-  return: "All their answers go back to their authors, with your comment.",
-  drop: "Nobody gets them any more, and exports leave them out. Reopening takes this back.",
-  reopen: "What was decided is taken back: they wait for review again, or for answers. Exports leave them out until then.",
-  assign: "They are reserved for this person, as long as a task that was sent back is for its author.",
-};
-
-/** Why tasks are left alone. */
 const LEFT_ALONE: Readonly<Record<string, string>> = {
   wrong_state: "their state does not allow it",
   own_work: "you answered them yourself; somebody else decides about them",
@@ -48,6 +32,12 @@ export function leftAlone(counts: BulkDone["left_alone"]): string[] {
   return Object.entries(counts).map(([why, count]) => `${count ?? 0}: ${LEFT_ALONE[why] ?? why}`);
 }
 
+/** The tasks that are left alone, as a part of a dialog. */
+function leftAloneList(counts: BulkDone["left_alone"]): Child[] {
+  const lines = leftAlone(counts);
+  return lines.length === 0 ? [] : [h("p", {}, "Left alone:"), listOf(lines)];
+}
+
 const NEEDS_COMMENT: ReadonlySet<BulkAction> = new Set<BulkAction>(["return", "drop", "reopen"]);
 
 /** The people a task can be given to, for a list of choices. */
@@ -56,7 +46,6 @@ export function personSelect(people: readonly Person[]): HTMLSelectElement {
   return select([["", "choose a person"] as readonly [string, string], ...active.map(({ user }) => [String(user.id), user.name] as const)]);
 }
 
-/** The filter in words. */
 function wordsOf(app: App, filter: TaskFilter, people: readonly Person[]): string {
   const shown: Partial<Record<keyof TaskFilter, string | null>> = {
     kind: filter.kind && KIND_WORDS[filter.kind],
@@ -80,14 +69,15 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
   try {
     preview = await app.api.post<BulkDone>("bulk/preview", request);
   } catch (error) {
-    app.toasts.show(`Not counted: ${reason(error)}`, { kind: "error", ms: 15_000 });
+    app.toasts.fail(error, "Not counted: ", { ms: 15_000 });
     return false;
   }
   if (!(await confirm(request, preview, people))) return false;
   const all: BulkDone = { looked_at: 0, done: 0, left_alone: {}, next: null };
+  const [label, done] = WORDS[request.action];
   let ending = "";
   try {
-    const stopped = await inSteps(`${LABELS[request.action]}: looking at ${plural(preview.looked_at)}`, preview.looked_at, async (show) => {
+    const stopped = await inSteps(`${label}: looking at ${plural(preview.looked_at)}`, preview.looked_at, async (show) => {
       const some = await app.api.post<BulkDone>("bulk", { ...request, after: all.next });
       all.looked_at += some.looked_at;
       all.done += some.done;
@@ -100,23 +90,15 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
   } catch (error) {
     ending = `It ended early: ${reason(error)} What was done stays done; to go on, act again on the same filter.`;
   }
-  const rest = leftAlone(all.left_alone);
-  await ask(
-    `${plural(all.done)} ${DONE[request.action]}`,
-    [
-      ending !== "" && h("p", { class: "trouble" }, ending),
-      rest.length > 0 && h("p", {}, "Left alone:"),
-      rest.length > 0 && h("ul", { class: "left-alone" }, ...rest.map((line) => h("li", {}, line))),
-      rest.length === 0 && ending === "" && h("p", {}, "None was left alone."),
-    ],
-    [{ label: "Close", value: true, kind: "primary" }],
-  );
+  const rest = leftAloneList(all.left_alone);
+  if (rest.length === 0 && ending === "") rest.push(h("p", {}, "None was left alone."));
+  await tell(`${plural(all.done)} ${done}`, [ending !== "" && h("p", { class: "trouble" }, ending), ...rest]);
   return true;
 }
 
 /** Asks for the action with its comment or person; `null` if the user cancels. */
 async function askRequest(app: App, filter: TaskFilter, people: readonly Person[]): Promise<BulkRequest | null> {
-  const action = select(BULK_ACTIONS.map((own) => [own, LABELS[own]] as const));
+  const action = select(BULK_ACTIONS.map((own) => [own, WORDS[own][0]] as const));
   const comment = h("textarea", { attrs: { rows: 3, maxlength: MAX_TEXT_CHARS } });
   const person = personSelect(people);
   const fields = { comment: field("Comment, for the authors and the log", comment), person: field("Person", person) };
@@ -125,14 +107,14 @@ async function askRequest(app: App, filter: TaskFilter, people: readonly Person[
     const chosen = action.value as BulkAction;
     fields.comment.hidden = chosen === "assign";
     fields.person.hidden = chosen !== "assign";
-    means.textContent = MEANS[chosen];
+    means.textContent = WORDS[chosen][2];
   };
   action.addEventListener("change", show);
   show();
   for (let missing = ""; ; ) {
     const body: Child[] = [
       h("p", {}, wordsOf(app, filter, people)),
-      missing !== "" && h("p", { class: "trouble", attrs: { role: "alert" } }, missing),
+      alertLine(missing),
       field("Action", action),
       means,
       fields.comment,
@@ -144,13 +126,8 @@ async function askRequest(app: App, filter: TaskFilter, people: readonly Person[
     if (NEEDS_COMMENT.has(chosen) && comment.value.trim() === "") missing = "Write a comment: the authors and the log need it.";
     else if (chosen === "assign" && person.value === "") missing = "Choose a person.";
     else {
-      return {
-        filter,
-        action: chosen,
-        comment: chosen === "assign" ? "" : comment.value.trim(),
-        person: chosen === "assign" ? Number(person.value) : null,
-        after: null,
-      };
+      const assigns = chosen === "assign";
+      return { filter, action: chosen, comment: assigns ? "" : comment.value.trim(), person: assigns ? Number(person.value) : null, after: null };
     }
   }
 }
@@ -158,25 +135,19 @@ async function askRequest(app: App, filter: TaskFilter, people: readonly Person[
 /** Says what would change; false if the user cancels or nothing would. */
 async function confirm(request: BulkRequest, preview: BulkDone, people: readonly Person[]): Promise<boolean> {
   const { action } = request;
+  const [name, done, means] = WORDS[action];
   const to = people.find(({ user }) => user.id === request.person)?.user.name;
-  const rest = leftAlone(preview.left_alone);
-  const body: Child[] = [
-    h(
-      "p",
-      {},
-      preview.done === 0
-        ? `None of ${plural(preview.looked_at)} would be ${DONE[action]}.`
-        : `${plural(preview.done)} of ${preview.looked_at} will be ${DONE[action]}${to ? ` to ${to}` : ""}. ${MEANS[action]}`,
-    ),
-    request.comment !== "" && preview.done > 0 && h("p", {}, "Your comment: ", h("q", {}, request.comment)),
-    rest.length > 0 && h("p", {}, "Left alone:"),
-    rest.length > 0 && h("ul", { class: "left-alone" }, ...rest.map((line) => h("li", {}, line))),
-  ];
+  const rest = leftAloneList(preview.left_alone);
   if (preview.done === 0) {
-    await ask("Nothing to do", body, [{ label: "Close", value: true, kind: "primary" }]);
+    await tell("Nothing to do", [h("p", {}, `None of ${plural(preview.looked_at)} would be ${done}.`), ...rest]);
     return false;
   }
+  const body: Child[] = [
+    h("p", {}, `${plural(preview.done)} of ${preview.looked_at} will be ${done}${to ? ` to ${to}` : ""}. ${means}`),
+    request.comment !== "" && h("p", {}, "Your comment: ", h("q", {}, request.comment)),
+    ...rest,
+  ];
   const kind = action === "drop" || action === "reopen" ? ("danger" as const) : ("primary" as const);
-  const label = `${action === "assign" ? "Assign" : LABELS[action]} ${plural(preview.done)}`;
+  const label = `${action === "assign" ? "Assign" : name} ${plural(preview.done)}`;
   return (await ask(`${label}?`, body, [{ label, value: true, kind }])) === true;
 }

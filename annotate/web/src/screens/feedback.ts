@@ -1,18 +1,20 @@
 /** What is learned from a practice task: the own answer beside the known one. */
 
+import { html } from "lit";
 import type { App, Screen } from "../app";
+import { element } from "../components/component";
 import { MARK_WORDS, compare, differingJoints, summary, type Compared } from "../compare";
 import { h, setAttr } from "../dom";
-import type { ActionId } from "../keys";
+import { perform, type Deeds } from "../keys";
 import { TaskSession } from "../session";
 import { practiceWords } from "../standing";
 import { keyButton, percent } from "../ui";
 import type { MyAnswers } from "../wire";
+import { panelOf, workScreen } from "./frame";
 import { ROUTE_OF } from "./home";
 import { practiceOf } from "./practice";
 import { showTask } from "./shown";
 
-/** What is shown on the body. */
 type View = "known" | "yours" | "differs";
 
 const VIEWS: readonly (readonly [View, string])[] = [
@@ -23,18 +25,16 @@ const VIEWS: readonly (readonly [View, string])[] = [
 
 /** My answer to a practice task beside the known one. */
 export async function openFeedback(app: App, argument: string): Promise<Screen> {
-  const id = Number(argument);
-  const answers = await app.api.get<MyAnswers>(`answers?task=${id}&limit=1`);
+  const answers = await app.api.get<MyAnswers>(`answers?task=${Number(argument)}&limit=1`);
   const own = answers.items[0];
   if (!own?.feedback) throw new Error(`task ${argument} is no practice task that you have handed in`);
   const { task, mine } = own;
   const { known, score } = own.feedback;
-  const [practice, { viewer, stage, perform: performStage }] = await Promise.all([practiceOf(app, task.kind), showTask(app, task, true)]);
+  const [practice, shownTask] = await Promise.all([practiceOf(app, task.kind), showTask(app, task, true)]);
+  const { viewer, stage } = shownTask;
   const glow = differingJoints(app.parts, mine.answer, known);
   const views = VIEWS.filter(([name]) => name !== "differs" || glow !== 0);
-  const buttons = views.map(([name, label]) =>
-    h("button", { attrs: { type: "button" }, data: { shown: name }, on: { click: () => show(name) } }, label),
-  );
+  const buttons = views.map(([name, label]) => h("button", { data: { shown: name }, on: { click: () => show(name) } }, label));
   let shown: View = "known";
   const show = (name: View): void => {
     shown = name;
@@ -46,64 +46,40 @@ export async function openFeedback(app: App, argument: string): Promise<Screen> 
   const again = async (): Promise<void> => {
     if (await TaskSession.takeBack(app, task.id)) app.go(`${ROUTE_OF[task.kind]}/${task.id}`);
   };
-  const perform = (action: ActionId, ten: boolean): boolean => {
-    switch (action) {
-      case "practice_next":
-        next();
-        return true;
-      case "practice_again":
-        if (practice.passed) return false;
-        void again();
-        return true;
-      case "practice_compare":
-        show(views[(views.findIndex(([name]) => name === shown) + 1) % views.length]?.[0] ?? "known");
-        return true;
-      default:
-        return performStage(action, ten);
-    }
+  const deeds: Deeds = {
+    practice_next: next,
+    practice_again: () => !practice.passed && again(),
+    practice_compare: () => show(views[(views.findIndex(([name]) => name === shown) + 1) % views.length]?.[0] ?? "known"),
   };
   const rows = compare(app.parts, mine.answer, known);
   const { keys } = app;
   const onward = practice.passed ? "To the real work" : practice.done < practice.needed ? "Next practice task" : "Practise on";
-  const panel = h(
-    "aside",
-    { class: "panel", attrs: { "aria-label": "Feedback" }, data: { region: "panel" } },
-    h(
-      "div",
-      { class: "panel-scroll" },
+  const panel = panelOf(
+    "Feedback",
+    [
       h("h2", { attrs: { role: "status" } }, `Practice: ${percent(score)} right`),
       h("p", { class: practice.passed ? "practice-note passed" : "practice-note", data: { standing: practice.passed ? "passed" : "open" } }, practiceWords(practice)),
       h("p", { class: "summary" }, summary(rows)),
       ...rows.map(comparedRow),
       h("div", { class: "row", attrs: { role: "group", "aria-label": "Shown on the body" } }, h("kbd", {}, keys.hint("practice_compare")), ...buttons),
-    ),
-    h(
-      "div",
-      { class: "panel-foot" },
+    ],
+    [
       keyButton(onward, keys.hint("practice_next"), next, "primary"),
       !practice.passed && keyButton("Try again", keys.hint("practice_again"), () => void again()),
-    ),
+    ],
   );
-  viewer.element.dataset.region = "stage";
   show("known");
-  return {
-    element: h("div", { class: "work feedback", data: { task: String(task.id) } }, viewer.element, panel),
+  return workScreen(viewer, panel, "feedback", task.id, {
     title: `Feedback on practice task ${task.id}`,
     scopes: ["transport", "pair", "practice"],
     guide: task.kind,
-    perform,
-    focusTarget: viewer.focusTarget,
-    draw: (now) => viewer.draw(now),
-    leave: () => viewer.dispose(),
-  };
+    perform: (action, ten) => perform(deeds, action) || shownTask.perform(action, ten),
+  });
 }
 
 function comparedRow({ what, mine, known, mark }: Compared): HTMLElement {
-  const side = (name: string, text: string): HTMLElement => h("div", {}, h("dt", {}, name), h("dd", {}, text));
-  return h(
-    "section",
-    { class: `compared ${mark}`, data: { mark } },
-    h("div", { class: "card-head" }, h("strong", {}, what), h("span", { class: "mark" }, MARK_WORDS[mark])),
-    h("dl", {}, side("you", mine), side("known", known)),
-  );
+  return element(html`<section class=${`compared ${mark}`} data-mark=${mark}>
+    <div class="card-head"><strong>${what}</strong><span class="mark">${MARK_WORDS[mark]}</span></div>
+    <dl><div><dt>you</dt><dd>${mine}</dd></div><div><dt>known</dt><dd>${known}</dd></div></dl>
+  </section>`);
 }

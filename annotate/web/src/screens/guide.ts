@@ -1,12 +1,15 @@
 /** The guide as a page, and its editor for admins. */
 
-import { reason } from "../api";
 import type { App, Screen } from "../app";
-import { fill, h, setAttr, type Child } from "../dom";
+import { html } from "lit";
+import { element } from "../components/component";
+import { fill, h, type Child } from "../dom";
 import { formatGuide, kindGuide, pictureFigure, pictureName, pictureUrl } from "../guide";
-import { field } from "../ui";
+import { kept } from "../history";
+import { field, input, plainButton, select } from "../ui";
 import { TASK_KINDS, type Guide, type GuidePicture, type KindGuide, type PictureInfo, type Settings, type TaskKind } from "../wire";
 import { KIND_WORDS } from "../words";
+import { pageScreen, tabs } from "./frame";
 
 export async function openGuide(app: App, argument: string): Promise<Screen> {
   const kind = TASK_KINDS.find((known) => known === argument) ?? "mask_text";
@@ -14,7 +17,7 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
   const all = h("section", { class: "card", data: { guide: "all" } });
   let guide = await app.api.get<Guide>("guide");
 
-  const edit = (run: () => void): Child => app.may("admin") && h("button", { attrs: { type: "button" }, on: { click: run } }, "Edit");
+  const edit = (run: () => void): Child => app.may("admin") && plainButton("Edit", run);
   const head = (title: string, button: Child): HTMLElement => h("div", { class: "card-head" }, h("h2", {}, title), button);
   const draw = (): void => {
     fill(own, head(KIND_WORDS[kind], edit(() => editKind())), ...kindGuide(guide, kind, app.me.project.styles));
@@ -25,39 +28,22 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
     guide = await app.api.get<Guide>("guide");
     draw();
   };
-  const editKind = (): void => {
-    const start: KindGuide = guide.kinds[kind] ?? { text: "", pictures: [] };
-    const editor = new GuideEditor(app, kind, KIND_WORDS[kind], start, async (changed) => {
-      await app.api.json<KindGuide>("PUT", `guide/${kind}`, changed);
-      await reload();
-    }, draw);
-    fill(own, editor.element);
+  const open = (section: HTMLElement, of: TaskKind | null, title: string, start: KindGuide, save: (changed: KindGuide) => Promise<unknown>): void => {
+    const editor = new GuideEditor(app, of, title, start, (changed) => save(changed).then(reload), draw);
+    fill(section, editor.element);
     editor.focus();
   };
-  const editAll = (): void => {
-    const editor = new GuideEditor(app, null, "For all tasks", { text: guide.text, pictures: [] }, async ({ text }) => {
+  const editKind = (): void =>
+    open(own, kind, KIND_WORDS[kind], guide.kinds[kind] ?? { text: "", pictures: [] }, (changed) => app.api.json("PUT", `guide/${kind}`, changed));
+  const editAll = (): void =>
+    open(all, null, "For all tasks", { text: guide.text, pictures: [] }, async ({ text }) => {
       const settings = await app.api.get<Settings>("settings");
       await app.api.json<Settings>("PUT", "settings", { ...settings, guide: text });
-      await reload();
-    }, draw);
-    fill(all, editor.element);
-    editor.focus();
-  };
+    });
   draw();
-  const tabs = TASK_KINDS.map((known) => {
-    const link = app.link(`guide/${known}`, KIND_WORDS[known], "tab");
-    setAttr(link, "aria-current", known === kind ? "true" : null);
-    return link;
-  });
-  const element = h(
-    "div",
-    { class: "page guide", attrs: { tabindex: -1 } },
-    h("h1", {}, "Guide"),
-    h("nav", { class: "tabs", attrs: { "aria-label": "Kinds of task" } }, ...tabs),
-    own,
-    all,
-  );
-  return { element, title: "Guide", scopes: [], perform: () => false, focusTarget: element };
+  const kinds = tabs(app, "Kinds of task", TASK_KINDS.map((known) => [`guide/${known}`, KIND_WORDS[known]] as const), `guide/${kind}`, "true");
+  const page = h("div", { class: "page guide", attrs: { tabindex: -1 } }, h("h1", {}, "Guide"), kinds, own, all);
+  return pageScreen("Guide", page, page);
 }
 
 /** Text and pictures of a guide, with a preview. What is written is kept in the browser until it is saved. */
@@ -81,39 +67,27 @@ class GuideEditor {
     private readonly close: () => void,
   ) {
     this.kept = app.keep(`guide:${kind ?? "all"}`);
-    const { text, pictures } = unsaved(this.kept) ?? start;
+    const { text, pictures } = kept<KindGuide>(this.kept) ?? start;
     this.text.value = text;
     this.pictures = [...pictures];
     this.touched = new Set([...start.pictures, ...pictures].map((picture) => picture.name));
-    const file = h("input", { attrs: { type: "file", accept: "image/png,image/jpeg,image/gif,image/webp" } });
+    const file = input("file", "", { accept: "image/png,image/jpeg,image/gif,image/webp" });
     file.addEventListener("change", () => {
       const chosen = file.files?.[0];
       if (chosen) this.try(this.upload(chosen).finally(() => (file.value = "")));
     });
     this.text.addEventListener("input", () => this.changed());
-    this.element = h(
-      "div",
-      { class: "guide-editor" },
-      h("h2", {}, `Edit: ${title}`),
-      h(
-        "div",
-        { class: "guide-columns" },
-        h(
-          "div",
-          {},
-          field("Text", this.text, "Plain text. A line that begins with # is a heading, one with - an item of a list; an empty line ends a paragraph."),
-          kind !== null && this.rows,
-          kind !== null && field("Add a picture (PNG, JPEG, GIF or WebP, up to 2 MB)", file),
-        ),
-        h("div", {}, h("h3", {}, "Preview"), this.preview),
-      ),
-      h(
-        "div",
-        { class: "row" },
-        h("button", { class: "primary", attrs: { type: "button" }, on: { click: () => this.try(this.commit()) } }, "Save"),
-        h("button", { attrs: { type: "button" }, on: { click: () => this.try(this.cancel()) } }, "Cancel"),
-      ),
-    );
+    const how = "Plain text. A line that begins with # is a heading, one with - an item of a list; an empty line ends a paragraph.";
+    const more = kind === null ? [] : [this.rows, field("Add a picture (PNG, JPEG, GIF or WebP, up to 2 MB)", file)];
+    const buttons = [plainButton("Save", () => this.try(this.commit()), "primary"), plainButton("Cancel", () => this.try(this.cancel()))];
+    this.element = element(html`<div class="guide-editor">
+      <h2>Edit: ${title}</h2>
+      <div class="guide-columns">
+        <div>${field("Text", this.text, how)}${more}</div>
+        <div><h3>Preview</h3>${this.preview}</div>
+      </div>
+      <div class="row">${buttons}</div>
+    </div>`);
     this.drawRows();
     this.drawPreview();
   }
@@ -123,7 +97,7 @@ class GuideEditor {
   }
 
   private try(work: Promise<void>): void {
-    work.catch((error: unknown) => this.app.toasts.show(`Not saved: ${reason(error)}`, { kind: "error", ms: 15_000 }));
+    work.catch((error: unknown) => this.app.toasts.fail(error, "Not saved: ", { ms: 15_000 }));
   }
 
   private get current(): KindGuide {
@@ -149,11 +123,9 @@ class GuideEditor {
       this.pictures = this.pictures.map((own, at) => (at === index ? { ...own, ...change } : own));
       this.changed();
     };
-    const caption = h("input", { attrs: { type: "text", maxlength: 300 } });
-    caption.value = picture.caption;
+    const caption = input("text", picture.caption, { maxlength: 300 });
     caption.addEventListener("input", () => set({ caption: caption.value }));
-    const right = h("select", {}, h("option", { attrs: { value: "right" } }, "right"), h("option", { attrs: { value: "wrong" } }, "wrong"));
-    right.value = picture.right ? "right" : "wrong";
+    const right = select([["right", "right"], ["wrong", "wrong"]], picture.right ? "right" : "wrong");
     right.addEventListener("change", () => set({ right: right.value === "right" }));
     const thumbnail = h("img", { class: "thumbnail", attrs: { alt: "" } });
     thumbnail.src = pictureUrl(picture.name);
@@ -162,14 +134,8 @@ class GuideEditor {
       this.drawRows();
       this.changed();
     };
-    return h(
-      "li",
-      { class: "row" },
-      thumbnail,
-      field(`Caption of ${picture.name}`, caption),
-      field("It shows what is", right),
-      h("button", { class: "danger", attrs: { type: "button", "aria-label": `Remove ${picture.name}` }, on: { click: remove } }, "Remove"),
-    );
+    const button = h("button", { class: "danger", attrs: { "aria-label": `Remove ${picture.name}` }, on: { click: remove } }, "Remove");
+    return h("li", { class: "row" }, thumbnail, field(`Caption of ${picture.name}`, caption), field("It shows what is", right), button);
   }
 
   private async upload(file: File): Promise<void> {
@@ -206,14 +172,5 @@ class GuideEditor {
     for (const name of this.touched) {
       if (!used.has(name)) await this.app.api.json<void>("DELETE", `guide/pictures/${encodeURIComponent(name)}`);
     }
-  }
-}
-
-/** What an earlier page left unsaved. */
-function unsaved(key: string): KindGuide | null {
-  try {
-    return JSON.parse(localStorage.getItem(key) ?? "null") as KindGuide | null;
-  } catch {
-    return null;
   }
 }

@@ -1,11 +1,14 @@
 /** Home: open tasks, returned tasks, and today's figures. */
 
+import { html, nothing } from "lit";
 import type { App, Screen } from "../app";
+import { element } from "../components/component";
 import { h } from "../dom";
 import { practiceWords } from "../standing";
 import { estimate, seconds, until } from "../ui";
 import type { Home, Practice, QueueInfo, TaskKind } from "../wire";
 import { KIND_WORDS } from "../words";
+import { figuresOf, pageScreen } from "./frame";
 
 export const ROUTE_OF: Readonly<Record<TaskKind, string>> = { mask_text: "mask", pair: "pair", style: "style" };
 
@@ -27,60 +30,49 @@ export async function openHome(app: App): Promise<Screen> {
     start.setAttribute("aria-label", `${label}: ${KIND_WORDS[kind]}`);
     const share = queue.total > 0 ? queue.done / queue.total : 0;
     const meter = h("progress", { attrs: { max: 1, value: share, "aria-label": `${KIND_WORDS[kind]}: done by all` } });
-    const figure = (name: string, value: number): HTMLElement => h("div", {}, h("dt", {}, name), h("dd", {}, value));
-    return h(
-      "section",
-      { class: "card queue", data: { kind } },
-      h("h2", {}, KIND_WORDS[kind]),
-      h("p", {}, WHAT[kind]),
-      own && own.needed > 0 && h("p", { class: own.passed ? "practice-note passed" : "practice-note" }, practiceWords(own)),
-      meter,
-      h(
-        "dl",
-        { class: "figures" },
-        figure(practises ? "practice for you now" : "for you now", queue.open),
-        figure("yours", queue.mine),
-        figure("complete", queue.done),
-        figure("in all", queue.total),
-      ),
-      queue.held > 0 && h("p", { class: "note" }, inWork(queue)),
-      queue.open > 0 ? start : h("p", { class: "note" }, "Nothing for you at present."),
-    );
+    const figures = figuresOf([
+      [practises ? "practice for you now" : "for you now", queue.open],
+      ["yours", queue.mine],
+      ["complete", queue.done],
+      ["in all", queue.total],
+    ]);
+    const note = own && own.needed > 0 ? html`<p class=${own.passed ? "practice-note passed" : "practice-note"}>${practiceWords(own)}</p>` : nothing;
+    return element(html`<section class="card queue" data-kind=${kind}>
+      <h2>${KIND_WORDS[kind]}</h2>
+      <p>${WHAT[kind]}</p>
+      ${note}${meter}${figures} ${queue.held > 0 ? html`<p class="note">${inWork(queue)}</p>` : nothing}
+      ${queue.open > 0 ? start : html`<p class="note">Nothing for you at present.</p>`}
+    </section>`);
   };
-  const returned = home.returned.map((task) =>
-    h(
-      "li",
-      {},
-      app.link(`${ROUTE_OF[task.kind]}/${task.task}`, `Fix task ${task.task}`, "button"),
-      h("span", {}, task.comment || "no comment"),
-      h("span", { class: "note" }, `yours alone ${until(task.until)}`),
-    ),
+  const returned = home.returned.map(
+    (task) => html`<li>
+      ${app.link(`${ROUTE_OF[task.kind]}/${task.task}`, `Fix task ${task.task}`, "button")}
+      <span>${task.comment || "no comment"}</span>
+      <span class="note">yours alone ${until(task.until)}</span>
+    </li>`,
   );
-  const element = h(
-    "div",
-    { class: "page home" },
-    h("h1", {}, `Good to see you, ${app.me.user.name}`),
-    returned.length > 0 &&
-      h("section", { class: "card returned" }, h("h2", {}, `Fix ${returned.length} returned ${returned.length === 1 ? "task" : "tasks"}`), h("ul", {}, ...returned)),
-    h("div", { class: "cards" }, ...home.queues.map(card)),
-    h(
-      "section",
-      { class: "card" },
-      h("h2", {}, "Today"),
-      h(
-        "dl",
-        { class: "figures" },
-        h("div", {}, h("dt", {}, "by you"), h("dd", {}, home.today)),
-        h("div", {}, h("dt", {}, "by everybody"), h("dd", {}, home.today_all)),
-        h("div", {}, h("dt", {}, "your time"), h("dd", {}, seconds(home.today_secs))),
-        h("div", {}, h("dt", {}, "your median"), h("dd", {}, seconds(home.median_secs))),
-        h("div", {}, h("dt", {}, "your agreement"), h("dd", {}, home.agreement ? estimate(home.agreement) : "after 30 shared items")),
-      ),
-      h("p", {}, app.link("mine", "My answers"), " · ", app.link("guide", "Guide"), " · ", app.link("shelf", "Accepted examples")),
-    ),
-  );
-  const first = element.querySelector<HTMLElement>("a.button");
-  return { element, title: "Home", scopes: [], perform: () => false, focusTarget: first };
+  const fix = html`<section class="card returned">
+    <h2>Fix ${returned.length} returned ${returned.length === 1 ? "task" : "tasks"}</h2>
+    <ul>${returned}</ul>
+  </section>`;
+  const today = figuresOf([
+    ["by you", home.today],
+    ["by everybody", home.today_all],
+    ["your time", seconds(home.today_secs)],
+    ["your median", seconds(home.median_secs)],
+    ["your agreement", home.agreement ? estimate(home.agreement) : "after 30 shared items"],
+  ]);
+  const page = element(html`<div class="page home">
+    <h1>Good to see you, ${app.me.user.name}</h1>
+    ${returned.length > 0 ? fix : nothing}
+    <div class="cards">${home.queues.map(card)}</div>
+    <section class="card">
+      <h2>Today</h2>
+      ${today}
+      <p>${app.link("mine", "My answers")} · ${app.link("guide", "Guide")} · ${app.link("shelf", "Accepted examples")}</p>
+    </section>
+  </div>`);
+  return pageScreen("Home", page, page.querySelector<HTMLElement>("a.button"));
 }
 
 /** What is in work, and until when it is kept. */

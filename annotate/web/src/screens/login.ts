@@ -1,8 +1,10 @@
 /** Login by token. Also shown over the page when the session has expired; there it can be cancelled. */
 
+import { html, nothing } from "lit";
 import { reason } from "../api";
 import type { App, Opening } from "../app";
-import { fill, h } from "../dom";
+import { element } from "../components/component";
+import { h } from "../dom";
 import { deaf } from "../ui";
 import type { Me } from "../wire";
 
@@ -14,19 +16,15 @@ export function showLogin(app: App, opening: Opening): Promise<Me | null> {
       dialog.remove();
       resolve(me);
     };
-    const input = h("input", {
-      id: "token",
-      attrs: { type: "password", autocomplete: "current-password", spellcheck: "false", required: true },
-    });
+    const input = h("input", { id: "token", attrs: { type: "password", autocomplete: "current-password", spellcheck: "false", required: true } });
     const trouble = h("p", { class: "trouble", attrs: { role: "alert" } });
     const button = h("button", { class: "primary", attrs: { type: "submit" } }, "Log in");
-    const cancel = h("button", { attrs: { type: "button", "data-choice": "Cancel" }, on: { click: () => close(null) } }, "Cancel");
+    const cancel = h("button", { data: { choice: "Cancel" }, on: { click: () => close(null) } }, "Cancel");
     const submit = async (event: Event): Promise<void> => {
       event.preventDefault();
       button.disabled = true;
       try {
-        const response = await app.api.once("POST", "session", { token: input.value.trim() });
-        close((await response.json()) as Me);
+        close(await app.api.attempt<Me>("POST", "session", { token: input.value.trim() }));
       } catch (error) {
         trouble.textContent = reason(error);
         input.select();
@@ -34,24 +32,17 @@ export function showLogin(app: App, opening: Opening): Promise<Me | null> {
         button.disabled = false;
       }
     };
-    const form = h(
-      "form",
-      { class: "login-form", on: { submit: (event) => void submit(event) } },
-      h("h1", { id: "login-title" }, over ? "Your session has ended" : "Log in"),
-      h(
-        "p",
-        {},
-        over
-          ? "Log in again to continue. Your text is stored in this browser and is sent after login."
-          : "Paste your token. The operator of this server creates one with “stance annotate DATASET user add NAME”.",
-      ),
-      h("label", { attrs: { for: "token" } }, "Token"),
-      input,
-      trouble,
-      h("div", { class: "row" }, button, over && cancel),
-    );
-    const dialog = h("dialog", { class: "dialog login", attrs: { "aria-labelledby": "login-title", tabindex: -1 } });
-    fill(dialog, form);
+    const how = over
+      ? "Log in again to continue. Your text is stored in this browser and is sent after login."
+      : "Paste your token. The operator of this server creates one with “stance annotate DATASET user add NAME”.";
+    const form = html`<form class="login-form" @submit=${submit}>
+      <h1 id="login-title">${over ? "Your session has ended" : "Log in"}</h1>
+      <p>${how}</p>
+      <label for="token">Token</label>
+      ${input}${trouble}
+      <div class="row">${button}${over ? cancel : nothing}</div>
+    </form>`;
+    const dialog = element<HTMLDialogElement>(html`<dialog class="dialog login" aria-labelledby="login-title" tabindex="-1">${form}</dialog>`);
     dialog.addEventListener("cancel", (event) => {
       event.preventDefault();
       if (over) close(null);

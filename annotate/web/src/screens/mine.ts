@@ -1,6 +1,6 @@
 /** What I handed in, where it stands, and what I can still do about it. */
 
-import { reason } from "../api";
+import { queryOf } from "../api";
 import type { App, Screen } from "../app";
 import { fill, h, setAttr, type Child } from "../dom";
 import type { ActionId } from "../keys";
@@ -8,9 +8,10 @@ import { describe } from "../merge";
 import { shortName } from "../motions";
 import { TaskSession } from "../session";
 import { STANDING_WORDS, standingWords } from "../standing";
-import { field, until, when } from "../ui";
+import { field, plainButton, select, until, when } from "../ui";
 import { STANDINGS, TASK_KINDS, type Answer, type MyAnswer, type MyAnswers } from "../wire";
 import { KIND_WORDS } from "../words";
+import { listOf, noteBox, panelOf } from "./frame";
 import { ROUTE_OF } from "./home";
 import { showTask, type Shown } from "./shown";
 
@@ -39,25 +40,15 @@ class MyAnswersScreen implements Screen {
 
   constructor(private readonly app: App) {
     const asked = new URLSearchParams(window.location.search);
-    const select = (name: string, any: string, options: readonly (readonly [string, string])[]): HTMLSelectElement => {
-      const own = h("select", {}, h("option", { attrs: { value: "" } }, any), ...options.map(([value, label]) => h("option", { attrs: { value } }, label)));
-      own.value = options.some(([value]) => value === asked.get(name)) ? (asked.get(name) ?? "") : "";
+    const filter = (name: string, any: string, options: readonly (readonly [string, string])[]): HTMLSelectElement => {
+      const own = select([["", any], ...options], options.find(([value]) => value === asked.get(name))?.[0] ?? "");
       own.addEventListener("change", () => this.filtered());
       return own;
     };
-    this.standing = select("standing", "any", STANDINGS.map((standing) => [standing, STANDING_WORDS[standing]] as const));
-    this.kind = select("kind", "all", TASK_KINDS.map((kind) => [kind, KIND_WORDS[kind]] as const));
-    const panel = h(
-      "aside",
-      { class: "panel", attrs: { "aria-label": "My answers" }, data: { region: "panel" } },
-      h(
-        "div",
-        { class: "panel-scroll" },
-        h("h2", {}, "My answers"),
-        h("div", { class: "filters" }, field("State", this.standing), field("Kind", this.kind)),
-        this.list,
-      ),
-    );
+    this.standing = filter("standing", "any", STANDINGS.map((standing) => [standing, STANDING_WORDS[standing]] as const));
+    this.kind = filter("kind", "all", TASK_KINDS.map((kind) => [kind, KIND_WORDS[kind]] as const));
+    const filters = h("div", { class: "filters" }, field("State", this.standing), field("Kind", this.kind));
+    const panel = panelOf("My answers", [h("h2", {}, "My answers"), filters, this.list]);
     this.element = h("div", { class: "work mine" }, h("div", { class: "viewer" }), panel);
   }
 
@@ -86,11 +77,7 @@ class MyAnswersScreen implements Screen {
   }
 
   async load(more: boolean): Promise<void> {
-    const search = new URLSearchParams({ limit: "20" });
-    if (this.standing.value) search.set("standing", this.standing.value);
-    if (this.kind.value) search.set("kind", this.kind.value);
-    if (more && this.next !== null) search.set("before", this.next);
-    const page = await this.app.api.get<MyAnswers>(`answers?${search.toString()}`);
+    const page = await this.app.api.get<MyAnswers>(`answers${queryOf({ limit: 20, ...this.filter, before: more ? this.next : null })}`);
     this.items = more ? [...this.items, ...page.items] : page.items;
     this.next = page.next;
     this.drawList();
@@ -109,34 +96,33 @@ class MyAnswersScreen implements Screen {
     if (item) await this.open(item);
   }
 
+  private get filter(): { standing: string; kind: string } {
+    return { standing: this.standing.value, kind: this.kind.value };
+  }
+
   private filtered(): void {
-    const search = new URLSearchParams();
-    if (this.standing.value) search.set("standing", this.standing.value);
-    if (this.kind.value) search.set("kind", this.kind.value);
-    const query = search.toString();
-    window.history.replaceState(null, "", `/app/mine${query ? `?${query}` : ""}`);
+    window.history.replaceState(null, "", `/app/mine${queryOf(this.filter)}`);
     this.try(this.load(false).then(() => this.choose(null)));
   }
 
   private try(work: Promise<void>): void {
-    work.catch((error: unknown) => this.app.toasts.show(reason(error), { kind: "error" }));
+    work.catch((error: unknown) => this.app.toasts.fail(error));
   }
 
   private drawList(): void {
     const rows = this.items.flatMap((item): Child[] => {
       const button = h(
         "button",
-        { class: "shelf-item", attrs: { type: "button" }, data: { task: String(item.task.id), standing: item.standing } },
+        { class: "shelf-item", data: { task: String(item.task.id), standing: item.standing }, on: { click: () => this.try(this.open(item)) } },
         h("strong", { class: `standing ${item.standing}` }, standingWords(item)),
         h("span", {}, item.task.motions.map((motion) => shortName(motion.id)).join(" → ")),
         h("span", { class: "note" }, `${KIND_WORDS[item.task.kind]} · task ${item.task.id} · ${when(item.mine.at)}`),
       );
-      button.addEventListener("click", () => this.try(this.open(item)));
       const own = item === this.chosen;
       setAttr(button, "aria-pressed", own ? "true" : "false");
       return own ? [button, this.details] : [button];
     });
-    const more = h("button", { attrs: { type: "button" }, on: { click: () => this.try(this.load(true)) } }, "More");
+    const more = plainButton("More", () => this.try(this.load(true)));
     const none = this.standing.value || this.kind.value ? "No answer of yours is so." : "You have handed in nothing yet.";
     fill(this.list, ...rows, this.items.length === 0 && h("p", { class: "note" }, none), this.next !== null && more);
   }
@@ -150,7 +136,6 @@ class MyAnswersScreen implements Screen {
     if (turn !== this.turn) return shown.viewer.dispose();
     this.shown?.viewer.dispose();
     this.shown = shown;
-    shown.viewer.element.dataset.region = "stage";
     this.element.firstElementChild?.replaceWith(shown.viewer.element);
     shown.stage.paintAnswer(item.mine.answer);
     setAttr(this.element, "data-task", String(item.task.id));
@@ -160,15 +145,13 @@ class MyAnswersScreen implements Screen {
     const { app } = this;
     const { task, standing, comment } = item;
     const route = `${ROUTE_OF[task.kind]}/${task.id}`;
-    const button = (label: string, run: () => void, className = ""): HTMLElement =>
-      h("button", { class: className, attrs: { type: "button" }, on: { click: run } }, label);
     const takeBack = async (): Promise<void> => {
       if (await TaskSession.takeBack(app, task.id)) app.go(route);
       else await this.load(false).then(() => this.choose(task.id));
     };
     const holds = standing === "returned" || standing === "draft";
     return [
-      comment && h("div", { class: "returned-note", attrs: { role: "note" } }, h("strong", {}, standing === "dropped" ? "Why: " : "Returned: "), comment),
+      comment && noteBox(standing === "dropped" ? "Why: " : "Returned: ", comment),
       standing === "returned" && item.until !== null && h("p", { class: "note" }, `It is kept for you; others may take it ${until(item.until)}.`),
       h("h3", {}, "Your answer"),
       this.lines(item.mine.answer),
@@ -177,10 +160,10 @@ class MyAnswersScreen implements Screen {
       h(
         "div",
         { class: "row" },
-        standing === "returned" && button("Fix it", () => app.go(route), "primary"),
-        standing === "draft" && button("Go on with it", () => app.go(route), "primary"),
-        item.feedback && button("See the known answer", () => app.go(`feedback/${task.id}`)),
-        item.can_take_back && !item.feedback && button("Take back and change", () => this.try(takeBack())),
+        standing === "returned" && plainButton("Fix it", () => app.go(route), "primary"),
+        standing === "draft" && plainButton("Go on with it", () => app.go(route), "primary"),
+        item.feedback && plainButton("See the known answer", () => app.go(`feedback/${task.id}`)),
+        item.can_take_back && !item.feedback && plainButton("Take back and change", () => this.try(takeBack())),
         !item.can_take_back && !holds && h("span", { class: "note" }, "It can no longer be taken back."),
       ),
     ];
@@ -189,17 +172,13 @@ class MyAnswersScreen implements Screen {
   /** An answer in words. The parts of each mask can be shown on the body. */
   private lines(answer: Answer): HTMLElement {
     const { parts } = this.app;
-    const lines = describe(parts, answer);
-    if (answer.kind !== "mask_text") return h("ul", {}, ...lines.map((line) => h("li", {}, line)));
-    return h(
-      "ul",
-      {},
-      ...lines.map((line, index) => {
-        const mask = answer.masks[index];
-        if (!mask) return h("li", {}, line);
-        const show = (): void => this.shown?.stage.paintAnswer({ ...answer, masks: [mask] });
-        return h("li", {}, line, " ", h("button", { class: "phrase", attrs: { type: "button", "aria-label": `Show ${parts.phrases(mask.parts)} on the body` }, on: { click: show } }, "show"));
-      }),
-    );
+    const lines = describe(parts, answer).map((line, index) => {
+      const mask = answer.kind === "mask_text" ? answer.masks[index] : undefined;
+      if (!mask || answer.kind !== "mask_text") return line;
+      const show = plainButton("show", () => this.shown?.stage.paintAnswer({ ...answer, masks: [mask] }), "phrase");
+      setAttr(show, "aria-label", `Show ${parts.phrases(mask.parts)} on the body`);
+      return h("span", {}, `${line} `, show);
+    });
+    return listOf(lines);
   }
 }

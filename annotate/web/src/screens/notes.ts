@@ -5,19 +5,15 @@ import type { App } from "../app";
 import { h } from "../dom";
 import { quotaWords } from "../figures";
 import type { EditTypeCount, TaskKind, TaskView } from "../wire";
+import { noteBox } from "./frame";
 import { practiceNote } from "./practice";
 
 export async function notesOf(app: App, view: TaskView): Promise<HTMLElement[]> {
-  const note = (what: string, text: string): HTMLElement =>
-    h("div", { class: "returned-note", attrs: { role: "note" } }, h("strong", {}, what), text);
   const notes: HTMLElement[] = [];
   if (view.task.practice) notes.push(await practiceNote(app, view.task.kind));
-  if (view.comment) notes.push(note("Came back: ", view.comment));
-  if (view.clip_changed) {
-    notes.push(
-      note("The clip has changed: ", "it was ingested anew, with other content, after you answered. Look whether your answer still holds, then hand it in."),
-    );
-  }
+  if (view.comment) notes.push(noteBox("Came back: ", view.comment));
+  const changed = "it was ingested anew, with other content, after you answered. Look whether your answer still holds, then hand it in.";
+  if (view.clip_changed) notes.push(noteBox("The clip has changed: ", changed));
   return notes;
 }
 

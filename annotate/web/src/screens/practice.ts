@@ -1,11 +1,14 @@
 /** Practice: tasks with known answers that come before real work. */
 
+import { html, nothing } from "lit";
 import type { App, Screen } from "../app";
+import { element } from "../components/component";
 import { h } from "../dom";
 import { practiceWords } from "../standing";
-import { percent } from "../ui";
+import { percent, plainButton } from "../ui";
 import type { Practice, TaskKind } from "../wire";
 import { KIND_WORDS } from "../words";
+import { figuresOf, noteBox, pageScreen } from "./frame";
 import { ROUTE_OF } from "./home";
 
 /** Kinds whose real work is known to be open to the person of this page. */
@@ -14,7 +17,6 @@ const opened = new Set<TaskKind>();
 /** Where the page notes that a person has read what practice is. */
 const readMark = (app: App, kind: TaskKind): string => app.keep(`practice:${kind}`);
 
-/** Where this person stands with the practice of a kind. */
 export async function practiceOf(app: App, kind: TaskKind): Promise<Practice> {
   const all = await app.api.get<Practice[]>("practice");
   const own = all.find((practice) => practice.kind === kind);
@@ -35,12 +37,7 @@ export async function practiceFirst(app: App, kind: TaskKind): Promise<Screen | 
 export async function practiceNote(app: App, kind: TaskKind): Promise<HTMLElement> {
   const { needed, done } = await practiceOf(app, kind);
   const place = done < needed ? `task ${done + 1} of ${needed}. ` : "";
-  return h(
-    "div",
-    { class: "practice-note", attrs: { role: "note" } },
-    h("strong", {}, "Practice: "),
-    `${place}Its answer is known and will be shown beside yours.`,
-  );
+  return noteBox("Practice: ", `${place}Its answer is known and will be shown beside yours.`, "practice-note");
 }
 
 export async function openPractice(app: App, argument: string): Promise<Screen> {
@@ -50,57 +47,38 @@ export async function openPractice(app: App, argument: string): Promise<Screen> 
 }
 
 function introduction(app: App, kinds: readonly Practice[]): Screen {
-  const cards = kinds.map((practice) => practiceCard(app, practice));
-  const element = h(
-    "div",
-    { class: "page practice" },
-    h("h1", { attrs: { tabindex: -1 } }, "Practice"),
-    h(
-      "p",
-      {},
-      "A practice task is a task whose answer is known. You work on it as on any other. When you hand it in, the page shows the known answer beside yours and says what differs.",
-    ),
-    h("p", {}, "Nobody reviews practice, and it does not count as your work. You may try a task as often as you like."),
-    h("div", { class: "cards" }, ...cards),
-  );
-  const first = element.querySelector<HTMLElement>("button.primary") ?? element.querySelector("h1");
-  return { element, title: "Practice", scopes: [], perform: () => false, focusTarget: first };
+  const page = element(html`<div class="page practice">
+    <h1 tabindex="-1">Practice</h1>
+    <p>
+      A practice task is a task whose answer is known. You work on it as on any other. When you hand it in, the page shows the known
+      answer beside yours and says what differs.
+    </p>
+    <p>Nobody reviews practice, and it does not count as your work. You may try a task as often as you like.</p>
+    <div class="cards">${kinds.map((practice) => practiceCard(app, practice))}</div>
+  </div>`);
+  return pageScreen("Practice", page, page.querySelector<HTMLElement>("button.primary") ?? page.querySelector("h1"));
 }
 
 /** Where somebody stands with the practice of a kind, and the button that goes on. */
 function practiceCard(app: App, practice: Practice): HTMLElement {
   const { kind, needed, done, score, threshold, passed } = practice;
   const label = passed ? "To the tasks" : done === 0 ? "Begin" : "Continue";
-  const begin = h(
-    "button",
-    {
-      class: "primary",
-      attrs: { type: "button", "aria-label": `${label}: ${KIND_WORDS[kind]}` },
-      on: {
-        click: () => {
-          localStorage.setItem(readMark(app, kind), "read");
-          app.go(ROUTE_OF[kind]);
-        },
-      },
-    },
-    label,
-  );
-  const figure = (name: string, value: string | number): HTMLElement => h("div", {}, h("dt", {}, name), h("dd", {}, value));
-  return h(
-    "section",
-    { class: "card queue", data: { kind } },
-    h("h2", {}, KIND_WORDS[kind]),
-    h("p", { data: { standing: passed ? "passed" : "open" } }, practiceWords(practice)),
-    needed > 0 && h("progress", { attrs: { max: needed, value: done, "aria-label": `Practice of ${KIND_WORDS[kind]}: tasks done` } }),
-    needed > 0 &&
-      h(
-        "dl",
-        { class: "figures" },
-        figure("practice tasks", needed),
-        figure("done", done),
-        figure("your mean score", percent(score)),
-        figure("opens real work", percent(threshold)),
-      ),
-    h("div", { class: "row" }, begin, app.link(`guide/${kind}`, "Guide", "button")),
-  );
+  const begin = plainButton(label, () => {
+    localStorage.setItem(readMark(app, kind), "read");
+    app.go(ROUTE_OF[kind]);
+  }, "primary");
+  begin.setAttribute("aria-label", `${label}: ${KIND_WORDS[kind]}`);
+  const figures = figuresOf([
+    ["practice tasks", needed],
+    ["done", done],
+    ["your mean score", percent(score)],
+    ["opens real work", percent(threshold)],
+  ]);
+  const progress = h("progress", { attrs: { max: needed, value: done, "aria-label": `Practice of ${KIND_WORDS[kind]}: tasks done` } });
+  return element(html`<section class="card queue" data-kind=${kind}>
+    <h2>${KIND_WORDS[kind]}</h2>
+    <p data-standing=${passed ? "passed" : "open"}>${practiceWords(practice)}</p>
+    ${needed > 0 ? [progress, figures] : nothing}
+    <div class="row">${begin}${app.link(`guide/${kind}`, "Guide", "button")}</div>
+  </section>`);
 }

@@ -4,13 +4,12 @@ import { newReview } from "../api";
 import type { App, Screen } from "../app";
 import { TaskRecord, type RecordActions } from "../components/task-record";
 import { h } from "../dom";
-import type { ActionId } from "../keys";
-import { ask, field } from "../ui";
+import { perform, type Deeds } from "../keys";
+import { alertLine, ask, field } from "../ui";
 import {
   MAX_TEXT_CHARS,
   type AuditEntry,
   type BulkDone,
-  type Change,
   type Person,
   type ReviewDone,
   type Task,
@@ -18,6 +17,7 @@ import {
 } from "../wire";
 import { leftAlone, personSelect } from "./bulk";
 import { everything } from "../filter";
+import { onChange, workScreen } from "./frame";
 import { showTask } from "./shown";
 import { around, moveTo } from "./tasks";
 
@@ -29,7 +29,8 @@ export async function openRecord(app: App, argument: string): Promise<Screen> {
   const read = (): Promise<[TaskFile, AuditEntry[]]> =>
     Promise.all([app.api.get<TaskFile>(`tasks/${id}/record`), app.api.get<AuditEntry[]>(`tasks/${id}/history`)]);
   const [file, history] = await read();
-  const { viewer, stage, perform } = await showTask(app, file.task, true);
+  const shown = await showTask(app, file.task, true);
+  const { viewer, stage } = shown;
   moveTo(id);
   const near = around(id);
   const reload = async (): Promise<void> => panel.refresh(...(await read()));
@@ -40,7 +41,7 @@ export async function openRecord(app: App, argument: string): Promise<Screen> {
     for (let missing = false; ; missing = true) {
       const choice = await ask(
         title,
-        [missing && h("p", { class: "trouble", attrs: { role: "alert" } }, "Say why; the log needs it."), field("Reason", text)],
+        [alertLine(missing && "Say why; the log needs it."), field("Reason", text)],
         [{ label: decision === "drop" ? "Drop" : "Reopen", value: true, kind: "danger" }],
         text,
       );
@@ -82,39 +83,16 @@ export async function openRecord(app: App, argument: string): Promise<Screen> {
     },
   };
   const panel = new TaskRecord(app, file, history, stage, near, actions);
-  let timer: number | null = null;
-  const stream = new EventSource("/api/v1/stream");
-  const soon = (): void => {
-    timer ??= window.setTimeout(() => {
-      timer = null;
-      reload().catch(() => undefined);
-    }, REFRESH_AFTER_MS);
-  };
-  stream.addEventListener("change", (event) => {
-    if ((JSON.parse((event as MessageEvent<string>).data) as Change).task === id) soon();
-  });
-  stream.addEventListener("reset", soon);
   const step = (task: number | null): boolean => {
     if (task === null) return false;
     app.go(`task/${task}`);
     return true;
   };
-  viewer.element.dataset.region = "stage";
-  return {
-    element: h("div", { class: "work review record", data: { task: String(id) } }, viewer.element, panel),
+  const deeds: Deeds = { bundle_next: () => step(near.next), bundle_previous: () => step(near.previous) };
+  return workScreen(viewer, panel, "review record", id, {
     title: `Task ${id}`,
     scopes: ["transport", "pair"],
-    perform: (action: ActionId, ten) => {
-      if (action === "bundle_next") return step(near.next);
-      if (action === "bundle_previous") return step(near.previous);
-      return perform(action, ten);
-    },
-    focusTarget: viewer.focusTarget,
-    draw: (now) => viewer.draw(now),
-    leave: () => {
-      stream.close();
-      if (timer !== null) window.clearTimeout(timer);
-      viewer.dispose();
-    },
-  };
+    perform: (action, ten) => perform(deeds, action) || shown.perform(action, ten),
+    leave: onChange(REFRESH_AFTER_MS, reload, (change) => change.task === id),
+  });
 }

@@ -1,13 +1,32 @@
 /** Review: the answers to one task side by side; joints where they differ glow on the body. */
 
 import type { App, Screen } from "../app";
+import { DecisionList } from "../components/decision-list";
 import { ReviewPanel } from "../components/review-panel";
 import { h } from "../dom";
 import type { Scope } from "../keys";
 import type { ReviewNext, ReviewQueue, ReviewView } from "../wire";
+import { listOf, pageScreen, tabs, widePage, workScreen } from "./frame";
 import { quotaNote } from "./notes";
-import { QUEUES, reviewTabs } from "./review-tabs";
 import { showTask } from "./shown";
+
+const QUEUES: readonly (readonly [ReviewQueue, string])[] = [
+  ["disagreement", "Most different"],
+  ["sample", "Random sample"],
+  ["returned", "Sent back"],
+];
+
+export function reviewTabs(app: App, current: string): HTMLElement {
+  const queues = QUEUES.map(([name, label]) => [`review/${name}`, label] as const);
+  return tabs(app, "Pages for reviewers", [...queues, ["decisions", "Decisions"]], current);
+}
+
+/** What reviewers decided, and what became of it. */
+export async function openDecisions(app: App, argument: string): Promise<Screen> {
+  const list = new DecisionList(app, argument);
+  await list.load();
+  return widePage("Decisions", reviewTabs(app, "decisions"), list);
+}
 
 /** Opens the next task of a queue, or the task with the number. */
 export async function openReview(app: App, argument: string): Promise<Screen> {
@@ -20,22 +39,15 @@ export async function openReview(app: App, argument: string): Promise<Screen> {
   const queue = QUEUES.find(([name]) => name === argument)?.[0] ?? "disagreement";
   const next = await app.api.post<ReviewNext>("review/next", { queue });
   if (next.review) return reviewScreen(app, queue, next.review);
-  const lines = next.empty
-    ? [
-        `${next.empty.waiting} submitted tasks are in this queue.`,
-        next.empty.mine > 0 && `${next.empty.mine} of them you answered yourself; others review those.`,
-        next.empty.in_review > 0 && `${next.empty.in_review} are with another reviewer.`,
-      ].filter((line): line is string => typeof line === "string")
-    : [];
-  const tabs = reviewTabs(app, `review/${queue}`);
-  const element = h(
-    "div",
-    { class: "page empty" },
-    h("h1", {}, "Nothing to review now"),
-    tabs,
-    h("ul", {}, ...lines.map((line) => h("li", {}, line))),
-  );
-  return { element, title: "Review", scopes: [], perform: () => false, focusTarget: tabs.querySelector("a") };
+  const lines: string[] = [];
+  if (next.empty) {
+    lines.push(`${next.empty.waiting} submitted tasks are in this queue.`);
+    if (next.empty.mine > 0) lines.push(`${next.empty.mine} of them you answered yourself; others review those.`);
+    if (next.empty.in_review > 0) lines.push(`${next.empty.in_review} are with another reviewer.`);
+  }
+  const own = reviewTabs(app, `review/${queue}`);
+  const element = h("div", { class: "page empty" }, h("h1", {}, "Nothing to review now"), own, listOf(lines));
+  return pageScreen("Review", element, own.querySelector("a"));
 }
 
 /** Reviews a task of a queue, or one that was opened from its record, where the reviewer returns to. */
@@ -45,18 +57,13 @@ async function reviewScreen(app: App, queue: ReviewQueue | null, review: ReviewV
   const [{ viewer, stage, perform }, quotas] = await Promise.all([showTask(app, task, false), quotaNote(app, task.kind)]);
   const head = h("div", {}, reviewTabs(app, queue === null ? "" : `review/${queue}`), quotas);
   const panel = new ReviewPanel(app, review, stage, head, () => app.go(next));
-  viewer.element.dataset.region = "stage";
-  return {
-    element: h("div", { class: "work review", data: { task: String(task.id) } }, viewer.element, panel),
+  return workScreen(viewer, panel, "review", task.id, {
     title: `Review of task ${task.id}`,
     get scopes(): readonly Scope[] {
       return panel.scopes;
     },
     guide: task.kind,
     perform: (action, ten) => perform(action, ten) || panel.perform(action),
-    focusTarget: viewer.focusTarget,
-    draw: (now) => viewer.draw(now),
     active: () => panel.active(),
-    leave: () => viewer.dispose(),
-  };
+  });
 }

@@ -1,9 +1,11 @@
 /** Rules that accept answers without a reviewer: what each did and would do; admins change, apply and undo them. */
 
+import { html, nothing } from "lit";
 import { ApiError } from "../api";
 import type { App, Screen } from "../app";
+import { element } from "../components/component";
 import { fill, h, type Child } from "../dom";
-import { ask, button, field, inSteps, percent, select, table } from "../ui";
+import { alertLine, ask, button, field, input, inSteps, percent, select, table, tell } from "../ui";
 import {
   RULE_KINDS,
   TASK_KINDS,
@@ -17,6 +19,7 @@ import {
   type TaskPage,
 } from "../wire";
 import { KIND_WORDS, RULE_WORDS } from "../words";
+import { listOf, widePage } from "./frame";
 import { taskTabs } from "./tasks";
 
 const NEW_RULE: Rule = {
@@ -40,28 +43,19 @@ export async function openRules(app: App): Promise<Screen> {
   const load = async (): Promise<void> => {
     const [rules, everybody] = await Promise.all([app.api.get<RuleState[]>("rules"), app.api.get<Person[]>("stats/people")]);
     people = everybody;
-    fill(
-      box,
-      h(
-        "section",
-        { class: "card wide" },
-        h(
-          "p",
-          {},
-          "A rule looks at tasks that have all their answers, as the answers arrive. Rules are tried in this order, and the first that fits decides: " +
-            "it accepts the task, or leaves it to reviewers. A task that a reviewer sent back or reopened is never accepted by a rule.",
-        ),
-        rules.length === 0 ? h("p", { class: "note" }, "There are no rules: reviewers accept every answer.") : rulesTable(rules),
-        isAdmin &&
-          h(
-            "div",
-            { class: "row" },
-            button("Add a rule", () => edit(null), app, "primary"),
-            rules.some(({ rule, known }) => known && rule.enabled) && button("Apply to what waits…", () => apply(rules), app),
-          ),
-        isAdmin && h("p", { class: "note" }, "A new rule is off at first, so that its figures can be looked at before it accepts anything."),
-      ),
-    );
+    const own = rules.length === 0 ? html`<p class="note">There are no rules: reviewers accept every answer.</p>` : rulesTable(rules);
+    const applies = rules.some(({ rule, known }) => known && rule.enabled);
+    const buttons = [button("Add a rule", () => edit(null), app, "primary"), applies ? button("Apply to what waits…", () => apply(rules), app) : nothing];
+    const forAdmins = html`<div class="row">${buttons}</div>
+      <p class="note">A new rule is off at first, so that its figures can be looked at before it accepts anything.</p>`;
+    const section = html`<section class="card wide">
+      <p>
+        A rule looks at tasks that have all their answers, as the answers arrive. Rules are tried in this order, and the first that fits
+        decides: it accepts the task, or leaves it to reviewers. A task that a reviewer sent back or reopened is never accepted by a rule.
+      </p>
+      ${own} ${isAdmin ? forAdmins : nothing}
+    </section>`;
+    fill(box, element(section));
   };
 
   /** Changes the rules of the settings as they are now. */
@@ -85,25 +79,25 @@ export async function openRules(app: App): Promise<Screen> {
         accepted === 0 ? 0 : app.link(`tasks?rule=${encodeURIComponent(rule.name)}`, String(accepted)),
         known ? would_accept : "",
         known ? left_to_review : "",
-        ...(isAdmin
-          ? [
-              h(
-                "span",
-                { class: "row" },
-                known && named(button(rule.enabled ? "Turn off" : "Turn on", () => replace({ ...rule, enabled: !rule.enabled }), app), rule),
-                known && named(button("Edit", () => edit(rule), app), rule),
-                known && index > 0 && named(button("Earlier", () => save((all) => earlier(all, rule.name)), app), rule),
-                accepted > 0 && named(button("Undo…", () => undo(rule.name, accepted), app), rule),
-                known && named(button("Remove", () => remove(rule.name, accepted), app), rule),
-              ),
-            ]
-          : []),
+        ...(isAdmin ? [buttonsOf(rules[index] as RuleState, index)] : []),
       ]),
     );
-  /** Says in the name of a button which rule it is for. */
-  const named = (own: HTMLButtonElement, rule: Rule): HTMLButtonElement => {
-    own.setAttribute("aria-label", `${own.textContent}: ${rule.name}`);
-    return own;
+  const buttonsOf = ({ rule, known, accepted }: RuleState, index: number): HTMLElement => {
+    // The name of a button says which rule it is for.
+    const named = (label: string, run: () => Promise<void>): HTMLElement => {
+      const own = button(label, run, app);
+      own.setAttribute("aria-label", `${label}: ${rule.name}`);
+      return own;
+    };
+    return h(
+      "span",
+      { class: "row" },
+      known && named(rule.enabled ? "Turn off" : "Turn on", () => replace({ ...rule, enabled: !rule.enabled })),
+      known && named("Edit", () => edit(rule)),
+      known && index > 0 && named("Earlier", () => save((all) => earlier(all, rule.name))),
+      accepted > 0 && named("Undo…", () => undo(rule.name, accepted)),
+      known && named("Remove", () => remove(rule.name, accepted)),
+    );
   };
   const acceptsOf = (rule: Rule): string => {
     const names = rule.people.map((id) => people.find(({ user }) => user.id === id)?.user.name ?? `user ${id}`);
@@ -116,7 +110,7 @@ export async function openRules(app: App): Promise<Screen> {
     for (let trouble = ""; ; ) {
       const go = await ask(
         old ? `Rule ${old.name}` : "A new rule",
-        [trouble !== "" && h("p", { class: "trouble", attrs: { role: "alert" } }, trouble), ...form.body],
+        [alertLine(trouble), ...form.body],
         [{ label: old ? "Save" : "Add, off at first", value: true, kind: "primary" }],
         form.first,
       );
@@ -141,10 +135,10 @@ export async function openRules(app: App): Promise<Screen> {
     const waiting = page.total ?? 0;
     const lines = rules
       .filter(({ rule, known }) => known && rule.enabled)
-      .map(({ rule, would_accept }) => h("li", {}, `${rule.name}: would accept ${would_accept} by itself`));
+      .map(({ rule, would_accept }) => `${rule.name}: would accept ${would_accept} by itself`);
     const choice = await ask(
       `Apply the rules to ${plural(waiting, "task")} that ${waiting === 1 ? "waits" : "wait"} for review?`,
-      [h("p", {}, "Each task is accepted at most once, by the first rule that fits it."), h("ul", {}, ...lines)],
+      [h("p", {}, "Each task is accepted at most once, by the first rule that fits it."), listOf(lines)],
       [{ label: "Apply", value: true, kind: "primary" }],
     );
     if (choice === null) return;
@@ -159,16 +153,12 @@ export async function openRules(app: App): Promise<Screen> {
       show(looked);
       return after !== null;
     }).finally(load);
-    const done = Object.entries(all).map(([name, count]) => h("li", {}, `${name}: accepted ${plural(count, "task")}`));
-    await ask(
-      `${plural(Object.values(all).reduce((a, b) => a + b, 0), "task")} accepted`,
-      [
-        stopped && h("p", {}, "You stopped it; the other tasks wait as before."),
-        h("p", {}, `${plural(looked, "task")} looked at.`),
-        h("ul", {}, ...done),
-      ],
-      [{ label: "Close", value: true, kind: "primary" }],
-    );
+    const done = Object.entries(all).map(([name, count]) => `${name}: accepted ${plural(count, "task")}`);
+    await tell(`${plural(Object.values(all).reduce((a, b) => a + b, 0), "task")} accepted`, [
+      stopped && h("p", {}, "You stopped it; the other tasks wait as before."),
+      h("p", {}, `${plural(looked, "task")} looked at.`),
+      listOf(done),
+    ]);
   };
   const undo = async (name: string, accepted: number): Promise<void> => {
     const choice = await ask(
@@ -188,12 +178,9 @@ export async function openRules(app: App): Promise<Screen> {
   };
 
   await load();
-  const heading = h("h1", { attrs: { tabindex: -1 } }, "Rules");
-  const element = h("div", { class: "page wide" }, taskTabs(app, "rules"), heading, box);
-  return { element, title: "Rules", scopes: [], perform: () => false, focusTarget: heading };
+  return widePage("Rules", taskTabs(app, "rules"), box);
 }
 
-/** The rules with one of them a place earlier. */
 function earlier(rules: readonly Rule[], name: string): Rule[] {
   const at = rules.findIndex((rule) => rule.name === name);
   const all = [...rules];
@@ -202,7 +189,6 @@ function earlier(rules: readonly Rule[], name: string): Rule[] {
   return all;
 }
 
-/** Limits of a rule in words. */
 function onlyOf(rule: Rule): string {
   const kinds = rule.kinds.length === 0 ? "all kinds" : rule.kinds.map((kind) => KIND_WORDS[kind].toLowerCase()).join(", ");
   const apart = rule.max_distance === 0 ? "equal" : `at most ${percent(rule.max_distance)} apart`;
@@ -211,26 +197,20 @@ function onlyOf(rule: Rule): string {
 
 /** Fields of a rule. A name is not changed: what the rule accepted is known by it. */
 function ruleForm(old: Rule, isNew: boolean, people: readonly Person[]): { body: Child[]; first: HTMLElement; rule(): Rule } {
-  const name = h("input", { attrs: { type: "text", maxlength: 40, readonly: !isNew } });
-  name.value = old.name;
+  const name = input("text", old.name, { maxlength: 40, readonly: !isNew });
   const accepts = select(RULE_KINDS.map((kind) => [kind, RULE_WORDS[kind]] as const), old.accepts);
-  const number = (value: number, most: number, least = 0): HTMLInputElement => {
-    const own = h("input", { attrs: { type: "number", min: least, max: most } });
-    own.value = String(value);
-    return own;
-  };
-  const answers = number(old.min_answers, 50, 1);
-  const apart = number(Math.round(old.max_distance * 100), 100);
-  const share = number(old.review_percent, 100);
+  const answers = input("number", old.min_answers, { min: 1, max: 50 });
+  const apart = input("number", Math.round(old.max_distance * 100), { min: 0, max: 100 });
+  const share = input("number", old.review_percent, { min: 0, max: 100 });
   const boxes = <T>(values: readonly (readonly [T, string])[], chosen: readonly T[]): { row: HTMLElement; chosen(): T[] } => {
     const all = values.map(([value, label]) => {
-      const input = h("input", { attrs: { type: "checkbox" } });
-      input.checked = chosen.includes(value);
-      return { value, input, label: h("label", { class: "inline" }, input, label) };
+      const box = input("checkbox");
+      box.checked = chosen.includes(value);
+      return { value, box, label: h("label", { class: "inline" }, box, label) };
     });
     return {
       row: h("div", { class: "row" }, ...all.map(({ label }) => label)),
-      chosen: () => all.filter(({ input }) => input.checked).map(({ value }) => value),
+      chosen: () => all.filter(({ box }) => box.checked).map(({ value }) => value),
     };
   };
   const kinds = boxes(TASK_KINDS.map((kind) => [kind, KIND_WORDS[kind]] as const), old.kinds);

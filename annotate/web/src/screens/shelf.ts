@@ -1,43 +1,26 @@
 /** The shelf: accepted answers of other tasks as examples. */
 
-import { reason } from "../api";
+import { queryOf } from "../api";
 import type { App, Screen } from "../app";
 import { fill, h, setAttr } from "../dom";
 import { describe } from "../merge";
 import { shortName } from "../motions";
-import { field } from "../ui";
-import type { Shelf, Task } from "../wire";
+import { field, input, plainButton, select } from "../ui";
+import type { Shelf } from "../wire";
 import { KIND_WORDS } from "../words";
+import { panelOf, workScreen } from "./frame";
 
 type Item = Shelf["items"][number];
 
 export async function openShelf(app: App): Promise<Screen> {
   const viewer = app.viewer();
   const list = h("div", { class: "shelf-list" });
-  const query = h("input", { attrs: { type: "search" } });
-  const part = h(
-    "select",
-    {},
-    h("option", { attrs: { value: "" } }, "any part"),
-    ...app.parts.release.map((own) => h("option", { attrs: { value: own.name } }, own.phrase)),
-  );
+  const query = input("search");
+  const part = select<string>([["", "any part"], ...app.parts.release.map(({ name, phrase }) => [name, phrase] as const)]);
   let items: Item[] = [];
   let next: number | null = null;
 
-  const copy = (label: string, what: "gold" | "practice", done: string): HTMLElement =>
-    h("button", { attrs: { type: "button" }, on: { click: () => void makeCopy(what, done) } }, label);
-  const makeCopy = async (what: "gold" | "practice", done: string): Promise<void> => {
-    if (!chosen) return;
-    try {
-      await app.api.post<Task>(`tasks/${chosen.task.id}/${what}`);
-      app.toasts.show(done);
-    } catch (error) {
-      app.toasts.show(`Not made ${what}: ${reason(error)}`, { kind: "error" });
-    }
-  };
-  let chosen: Item | null = null;
   const play = async (item: Item, button: HTMLElement): Promise<void> => {
-    chosen = item;
     for (const other of list.querySelectorAll("button")) setAttr(other, "aria-pressed", other === button ? "true" : "false");
     const tracks = await Promise.all(item.task.motions.map((motion) => app.motions.track(motion)));
     const { answer } = item;
@@ -49,58 +32,30 @@ export async function openShelf(app: App): Promise<Screen> {
   };
   const draw = (): void => {
     const cards = items.map((item) => {
-      const button = h(
-        "button",
-        { class: "shelf-item", attrs: { type: "button", "aria-pressed": "false" } },
-        h("strong", {}, `${KIND_WORDS[item.task.kind]} · ${item.task.motions.map((motion) => shortName(motion.id)).join(" → ")}`),
-        ...describe(app.parts, item.answer).map((line) => h("span", {}, line)),
-      );
-      button.addEventListener("click", () => {
-        play(item, button).catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }));
-      });
+      const title = `${KIND_WORDS[item.task.kind]} · ${item.task.motions.map((motion) => shortName(motion.id)).join(" → ")}`;
+      const lines = describe(app.parts, item.answer).map((line) => h("span", {}, line));
+      const button = h("button", { class: "shelf-item", attrs: { "aria-pressed": "false" } }, h("strong", {}, title), ...lines);
+      button.addEventListener("click", () => void play(item, button).catch((error: unknown) => app.toasts.fail(error)));
       return button;
     });
-    const more = h("button", { attrs: { type: "button" }, on: { click: () => void load(true) } }, "More");
+    const more = plainButton("More", () => void load(true));
     fill(list, ...cards, items.length === 0 && h("p", { class: "note" }, "Nothing has been accepted yet."), next !== null && more);
   };
   const load = async (more: boolean): Promise<void> => {
-    const search = new URLSearchParams({ limit: "20" });
-    if (query.value.trim()) search.set("q", query.value.trim());
-    if (part.value) search.set("part", part.value);
-    if (more && next !== null) search.set("before", String(next));
-    const shelf = await app.api.get<Shelf>(`shelf?${search.toString()}`);
+    const shelf = await app.api.get<Shelf>(`shelf${queryOf({ limit: 20, q: query.value.trim(), part: part.value, before: more ? next : null })}`);
     items = more ? [...items, ...shelf.items] : shelf.items;
     next = shelf.next;
     draw();
   };
-  const search = (): void => {
-    load(false).catch((error: unknown) => app.toasts.show(reason(error), { kind: "error" }));
-  };
+  const search = (): void => void load(false).catch((error: unknown) => app.toasts.fail(error));
   query.addEventListener("change", search);
   part.addEventListener("change", search);
   await load(false);
-  viewer.element.dataset.region = "stage";
-  const panel = h(
-    "aside",
-    { class: "panel", attrs: { "aria-label": "Accepted examples" }, data: { region: "panel" } },
-    h("div", { class: "panel-scroll" }, h("h2", {}, "Accepted examples"), h("div", { class: "row" }, field("Words", query), field("Part", part)), list),
-    app.may("admin") &&
-      h(
-        "div",
-        { class: "panel-foot" },
-        copy("Make this a hidden gold task", "gold", "A copy of this task is given out as gold from now on."),
-        copy("Make it practice", "practice", "A copy of this task is a practice task from now on."),
-      ),
-  );
-  const first = list.querySelector<HTMLElement>("button.shelf-item");
-  first?.click();
-  return {
-    element: h("div", { class: "work shelf" }, viewer.element, panel),
+  const head = [h("h2", {}, "Accepted examples"), h("div", { class: "row" }, field("Words", query), field("Part", part))];
+  list.querySelector<HTMLElement>("button.shelf-item")?.click();
+  return workScreen(viewer, panelOf("Accepted examples", [...head, list]), "shelf", null, {
     title: "Accepted examples",
     scopes: ["transport"],
     perform: (action, ten) => viewer.perform(action, ten),
-    focusTarget: viewer.focusTarget,
-    draw: (now) => viewer.draw(now),
-    leave: () => viewer.dispose(),
-  };
+  });
 }

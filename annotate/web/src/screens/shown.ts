@@ -1,15 +1,26 @@
-/** The motions of a task, for those who judge its answers. */
+/** The motions of a task, for those who answer it and those who judge its answers. */
 
 import type { App } from "../app";
+import type { MaskStage } from "../components/mask-editor";
 import type { ReviewStage } from "../components/review-panel";
-import type { ActionId } from "../keys";
+import { h } from "../dom";
+import { perform, type ActionId, type Deeds } from "../keys";
 import { RangeLanes } from "../lanes";
 import { shortName } from "../motions";
 import { PLAIN, bits } from "../stage/body";
+import { Strip, spans } from "../strips";
+import { keyButton } from "../ui";
 import type { Clip, Viewer } from "../viewer";
 import type { Answer, Task } from "../wire";
-import { heatStrip, showHeat } from "./mask";
-import { PairView } from "./pair";
+
+/** Activity drawn in the darkest colour: the part's 95th percentile over the training split. */
+const HEAT_FULL = 1;
+
+/** Activity from which a part counts as moving: `ACTIVE` of the server, which suggests parts by it. */
+const MOVING = 0.4;
+
+/** Distance in metres drawn in the darkest colour, unless a pair differs more. */
+const DIFF_FULL = 0.15;
 
 /** The motions of a task as annotators see them, and what paints answers on them. */
 export interface Shown {
@@ -19,28 +30,37 @@ export interface Shown {
 }
 
 /** Shows the motions of a task. `pairKeys` says whether the keys of pairs are active on the screen. */
-export function showTask(app: App, task: Task, pairKeys: boolean): Promise<Shown> {
-  return task.kind === "mask_text" ? maskStage(app, task) : pairStage(app, task, pairKeys);
+export async function showTask(app: App, task: Task, pairKeys: boolean): Promise<Shown> {
+  return task.kind === "mask_text" ? judgeMasks(app, await maskStage(app, task)) : judgePair(await PairView.open(app, task), pairKeys);
 }
 
-async function maskStage(app: App, task: Task): Promise<Shown> {
+/** One motion with the activity of its parts and the lanes of masks. */
+export async function maskStage(app: App, task: Task): Promise<MaskStage> {
   const motion = task.motions[0];
   if (!motion) throw new Error(`task ${task.id} has no motion`);
-  const [track, values] = await Promise.all([app.motions.track(motion), app.motions.heat(motion)]);
+  const [track, heat] = await Promise.all([app.motions.track(motion), app.motions.heat(motion)]);
   const viewer = app.viewer();
-  const strip = heatStrip(app, viewer);
-  showHeat(app, strip, values, motion.fps);
-  viewer.setStrips([strip]);
+  const rows = app.parts.release.map((part) => ({ name: part.name, label: part.phrase, hint: app.partHint(part.name) }));
+  const strip = new Strip("Activity of the five parts over time", rows, HEAT_FULL, (frame) => viewer.clock.scrub(frame));
+  strip.setValues(heat, Math.floor(heat.length / 5));
+  const lines = app.parts.release.map((part, row) => `${part.phrase}: ${spans(strip.rowValues(row), MOVING, motion.fps) || "still"}`);
+  strip.describe(lines.join("; "));
+  viewer.addStrip(strip);
   const lanes = new RangeLanes(motion.frames, motion.fps);
   viewer.addBelow(lanes.element);
-  const show = (answer: Answer | undefined): void => lanes.show(answer?.kind === "mask_text" ? answer.masks : []);
   const clip: Clip = { track, paint: PLAIN, label: shortName(motion.id) };
   viewer.load([clip], "single");
+  return { viewer, strip, lanes, motion, clip };
+}
+
+function judgeMasks(app: App, mask: MaskStage): Shown {
+  const { viewer, lanes } = mask;
+  const show = (answer: Answer | undefined): void => lanes.show(answer?.kind === "mask_text" ? answer.masks : []);
   return {
     viewer,
     perform: (action, ten) => viewer.perform(action, ten),
     stage: {
-      mask: { viewer, strip, lanes, motion, clip },
+      mask,
       paint: (candidate, glow) => {
         viewer.setPaint(0, { hard: bits(candidate?.joints ?? []), soft: 0, masked: true, glow });
         show(candidate?.revision.answer);
@@ -55,20 +75,128 @@ async function maskStage(app: App, task: Task): Promise<Shown> {
   };
 }
 
-async function pairStage(app: App, task: Task, pairKeys: boolean): Promise<Shown> {
-  const pair = await PairView.open(app, task);
-  pair.viewer.transport.append(pair.buttons(pairKeys));
+function judgePair(pair: PairView, pairKeys: boolean): Shown {
+  pair.addButtons(pairKeys);
+  const paint = (answer: Answer | undefined, glow = 0): void => pair.paint(answer && answer.kind !== "mask_text" ? answer.parts : [], glow);
   return {
     viewer: pair.viewer,
     perform: (action, ten) => pair.perform(action, ten),
     stage: {
       mask: null,
-      paint: (candidate, glow) => {
-        const answer = candidate?.revision.answer;
-        pair.paint(answer && answer.kind !== "mask_text" ? answer.parts : [], glow);
-      },
+      paint: (candidate, glow) => paint(candidate?.revision.answer, glow),
       paintParts: (parts, glow = 0) => pair.paint(parts, glow),
-      paintAnswer: (answer) => pair.paint(answer.kind === "mask_text" ? [] : answer.parts),
+      paintAnswer: (answer) => paint(answer),
     },
   };
+}
+
+/** The two clips of a task, with the strip of their distance. */
+export class PairView {
+  readonly viewer: Viewer;
+  private readonly strip: Strip;
+
+  private constructor(
+    private readonly app: App,
+    private readonly task: Task,
+    private readonly clips: Clip[],
+  ) {
+    this.viewer = app.viewer();
+    const parts = app.parts.release.map((part) => ({ name: part.name, label: part.phrase, hint: "" }));
+    const rows = [{ name: "root", label: "root", hint: "" }, ...parts];
+    this.strip = new Strip("Distance of the two motions over time, by part", rows, 1, (frame) => this.viewer.clock.scrub(frame));
+    this.viewer.addStrip(this.strip);
+  }
+
+  static async open(app: App, task: Task): Promise<PairView> {
+    const [before, after] = task.motions;
+    if (!before || !after) throw new Error(`task ${task.id} does not have two motions`);
+    const [first, second] = await Promise.all([app.motions.track(before), app.motions.track(after)]);
+    const view = new PairView(app, task, [
+      { track: first, paint: PLAIN, label: `Before · ${shortName(before.id)}` },
+      { track: second, paint: PLAIN, label: `After · ${shortName(after.id)}` },
+    ]);
+    await view.loadDiff("none");
+    view.viewer.load(view.clips, (app.me.prefs.ghost ?? false) ? "ghost" : "side_by_side");
+    return view;
+  }
+
+  paint(parts: readonly string[], glow = 0): void {
+    const paint = this.app.parts.paint(parts, false, glow);
+    this.viewer.setPaint(0, paint);
+    this.viewer.setPaint(1, paint);
+  }
+
+  perform(action: ActionId, ten: boolean): boolean {
+    const { viewer } = this;
+    const deeds: Deeds = {
+      side_by_side: () => {
+        const ghost = viewer.currentLayout !== "ghost";
+        viewer.setLayout(ghost ? "ghost" : "side_by_side");
+        void this.app.savePrefs({ ghost });
+      },
+      swap: () => viewer.swap(),
+      largest_difference: () => this.toLargest(),
+      align_roots: () => this.setTogether(!viewer.isTogether),
+      align: () => this.align(),
+    };
+    return perform(deeds, action) || viewer.perform(action, ten);
+  }
+
+  /** Adds buttons of the views to the playback, with their keys where these are active. */
+  addButtons(withKeys: boolean): void {
+    const one = (label: string, action: ActionId): HTMLElement =>
+      keyButton(label, withKeys ? this.app.keys.hint(action) : "", () => this.perform(action, false));
+    const buttons = h(
+      "div",
+      { class: "view-buttons", attrs: { role: "group", "aria-label": "Views" } },
+      one("Ghost", "side_by_side"),
+      one("Roots together", "align_roots"),
+      one("Swap", "swap"),
+      one("Largest difference", "largest_difference"),
+      this.task.kind === "style" && one("Align", "align"),
+    );
+    this.viewer.transport.append(buttons);
+  }
+
+  /** Moves to the frame with the largest distance of a part. */
+  private toLargest(): void {
+    const best = [1, 2, 3, 4, 5]
+      .map((row) => ({ column: this.strip.peak(row), value: this.strip.value(row, this.strip.peak(row)) }))
+      .reduce((a, b) => (b.value > a.value ? b : a));
+    this.viewer.clock.seek(best.column);
+    // The strip compares poses without place and heading; the ghost shows that frame so, too.
+    if (this.viewer.currentLayout === "ghost" && !this.viewer.isTogether) this.setTogether(true);
+  }
+
+  private setTogether(together: boolean): void {
+    this.viewer.setTogether(together);
+    const words = together ? "The ghost stands where the other body stands." : "Both bodies stand where they were recorded.";
+    this.app.toasts.show(words, { id: "together", ms: 2500 });
+  }
+
+  /** Stretches the clips for viewing only; stored data does not change. */
+  private async align(): Promise<void> {
+    const stretch = !this.viewer.isStretched;
+    this.viewer.setStretch(stretch);
+    await this.loadDiff(stretch ? "stretch" : "none");
+    const words = stretch ? "Both motions are spread over the same time, for viewing only." : "Both motions run in their own time.";
+    this.app.toasts.show(words, { id: "align", ms: 2500 });
+  }
+
+  private async loadDiff(align: "none" | "stretch"): Promise<void> {
+    const diff = await this.app.api.floats("GET", `pairs/${this.task.id}/diff?align=${align}`);
+    const columns = Math.floor(diff.length / 6);
+    // Root positions may differ by metres, so limbs have a separate scale.
+    const root = diff.slice(0, columns).reduce((a, b) => Math.max(a, b), DIFF_FULL);
+    const parts = diff.slice(columns).reduce((a, b) => Math.max(a, b), DIFF_FULL);
+    this.strip.setValues(diff.map((value, index) => value / (index < columns ? root : parts)), columns);
+    const fps = this.clips[0]?.track.fps ?? 20;
+    const peaks = this.app.parts.release.map((part, index) => {
+      const column = this.strip.peak(index + 1);
+      const metres = this.strip.value(index + 1, column) * parts;
+      return `${part.phrase} at most ${metres.toFixed(2)} m apart, at ${(column / fps).toFixed(1)} s`;
+    });
+    this.strip.describe(peaks.join("; "));
+    this.strip.element.title = `darkest: root ${root.toFixed(2)} m, parts ${parts.toFixed(2)} m apart`;
+  }
 }

@@ -1,10 +1,13 @@
 /** The task browser: a filter that the address holds, and its tasks. */
 
+import { html } from "lit";
+import { queryOf } from "../api";
 import type { App, Screen } from "../app";
+import { element } from "../components/component";
 import { TaskList } from "../components/task-list";
-import { fill, h, setAttr } from "../dom";
+import { fill, h } from "../dom";
 import { SPLITS, filterOf, readAddress, writeAddress, type Chosen } from "../filter";
-import { field, select } from "../ui";
+import { field, input, plainButton, select } from "../ui";
 import {
   EDIT_TYPES,
   TASK_KINDS,
@@ -19,6 +22,7 @@ import {
 } from "../wire";
 import { KIND_WORDS, STATE_WORDS } from "../words";
 import { actOnAll } from "./bulk";
+import { pageScreen, tabs } from "./frame";
 
 /** Delay after a key before a typed filter is applied. */
 const TYPING_MS = 250;
@@ -47,7 +51,7 @@ let left: { query: string; at: number; top: number; rows: readonly TaskRow[] } =
 export function around(task: number): { list: string; previous: number | null; next: number | null } {
   const at = left.rows.findIndex((row) => row.id === task);
   const near = (by: number): number | null => (at < 0 ? null : (left.rows[at + by]?.id ?? null));
-  return { list: left.query === "" ? "tasks" : `tasks?${left.query}`, previous: near(-1), next: near(1) };
+  return { list: pathOf(left.query), previous: near(-1), next: near(1) };
 }
 
 /** Says that another task of the list is read now. */
@@ -56,15 +60,11 @@ export function moveTo(task: number): void {
   if (at >= 0) left.at = at;
 }
 
-/** The pages about all tasks. */
 export function taskTabs(app: App, current: "tasks" | "rules"): HTMLElement {
-  const tab = (path: "tasks" | "rules", label: string): HTMLElement => {
-    const link = app.link(path, label, "tab");
-    setAttr(link, "aria-current", path === current ? "page" : null);
-    return link;
-  };
-  return h("nav", { class: "tabs", attrs: { "aria-label": "Pages about tasks" } }, tab("tasks", "Tasks"), tab("rules", "Rules"));
+  return tabs(app, "Pages about tasks", [["tasks", "Tasks"], ["rules", "Rules"]], current);
 }
+
+const pathOf = (query: string): string => (query === "" ? "tasks" : `tasks?${query}`);
 
 export async function openTasks(app: App): Promise<Screen> {
   const { chosen, refused } = readAddress(window.location.search);
@@ -75,46 +75,45 @@ export async function openTasks(app: App): Promise<Screen> {
   const any = <T extends string>(label: string, values: readonly T[], words: (value: T) => string): HTMLSelectElement =>
     select([["", label] as readonly [string, string], ...values.map((value) => [value, words(value)] as const)]);
   const plain = (value: string): string => value.replaceAll("_", " ");
-  const text = (type: string, attrs: Record<string, string | number> = {}): HTMLInputElement => h("input", { attrs: { type, ...attrs } });
-  const share = (): HTMLInputElement => text("number", { min: 0, max: 100, step: 1 });
-  const inputs: { readonly [K in keyof TaskFilter]-?: HTMLInputElement | HTMLSelectElement } = {
-    q: text("search", { maxlength: 200 }),
-    kind: any("any", TASK_KINDS, (kind) => KIND_WORDS[kind]),
-    state: any("any", TASK_STATES, (state) => STATE_WORDS[state]),
-    person: any("anybody", [], plain),
-    part: any("any", app.parts.all.map((part) => part.name), (part) => app.parts.phrase(part)),
-    verdict: any("any", VERDICTS, plain),
-    edit_type: any("any", EDIT_TYPES, plain),
-    category: text("text", { maxlength: 200 }),
-    split: any("any", SPLITS, plain),
-    min_distance: share(),
-    max_distance: share(),
-    skipped: select([["", "whatever"], ["any", "by somebody"], ["everybody", "nobody is left"]]),
-    rule: any("any", [], plain),
-    task: text("number", { min: 1 }),
+  const share = (): HTMLInputElement => input("number", "", { min: 0, max: 100, step: 1 });
+  const fields: { readonly [K in keyof TaskFilter]-?: readonly [label: string, input: HTMLInputElement | HTMLSelectElement] } = {
+    q: ["Words of texts, captions, motions", input("search", "", { maxlength: 200 })],
+    kind: ["Kind", any("any", TASK_KINDS, (kind) => KIND_WORDS[kind])],
+    state: ["State", any("any", TASK_STATES, (state) => STATE_WORDS[state])],
+    person: ["Person", any("anybody", [], plain)],
+    part: ["Part", any("any", app.parts.all.map((part) => part.name), (part) => app.parts.phrase(part))],
+    verdict: ["Verdict", any("any", VERDICTS, plain)],
+    edit_type: ["Edit type", any("any", EDIT_TYPES, plain)],
+    category: ["Category", input("text", "", { maxlength: 200 })],
+    split: ["Split", any("any", SPLITS, plain)],
+    min_distance: ["Apart from, %", share()],
+    max_distance: ["Apart up to, %", share()],
+    skipped: ["Skipped", select([["", "whatever"], ["any", "by somebody"], ["everybody", "nobody is left"]])],
+    rule: ["By rule", any("any", [], plain)],
+    task: ["Number", input("number", "", { min: 1 })],
   };
-  const names = Object.keys(inputs) as (keyof TaskFilter)[];
+  const names = Object.keys(fields) as (keyof TaskFilter)[];
   const isShare = (name: string): boolean => name === "min_distance" || name === "max_distance";
   const sort = select(SORTS);
-  const reverse = h("input", { attrs: { type: "checkbox" } });
+  const reverse = input("checkbox");
 
   /** Shows the filter in the form. A value that its list does not have yet is added. */
   const fillForm = (): void => {
     for (const name of names) {
-      const input = inputs[name];
+      const [, own] = fields[name];
       const value = current.filter[name];
       const shown = value === null ? "" : isShare(name) ? String(Math.round(Number(value) * 10_000) / 100) : String(value);
-      if (input instanceof HTMLSelectElement && ![...input.options].some((option) => option.value === shown)) {
-        input.append(h("option", { attrs: { value: shown } }, shown));
+      if (own instanceof HTMLSelectElement && ![...own.options].some((option) => option.value === shown)) {
+        own.append(h("option", { attrs: { value: shown } }, shown));
       }
-      input.value = shown;
+      own.value = shown;
     }
     sort.value = current.sort;
     reverse.checked = current.reverse;
   };
   const readForm = (): { wanted: Chosen; refused: string[] } => {
     const values = names.map((name): readonly [string, string] => {
-      const raw = inputs[name].value.trim();
+      const raw = fields[name][1].value.trim();
       return [name, raw !== "" && isShare(name) ? String(Number(raw) / 100) : raw];
     });
     const { filter, refused } = filterOf(values);
@@ -122,8 +121,10 @@ export async function openTasks(app: App): Promise<Screen> {
   };
 
   const count = h("output", { class: "count", attrs: { "aria-live": "polite" } });
-  const bulk = h("button", { attrs: { type: "button" } }, "Act on all of them…");
-  const often = h("nav", { class: "tabs", attrs: { "aria-label": "Filters that are often wanted" } });
+  const bulk = plainButton("Act on all of them…", () => {
+    void everybody.then((people) => actOnAll(app, current, people)).then((acted) => (acted ? again() : undefined));
+  });
+  const often = h("div", {});
   const trouble = h("p", { class: "list-trouble", attrs: { role: "alert" } });
   const list = new TaskList(
     app,
@@ -136,18 +137,11 @@ export async function openTasks(app: App): Promise<Screen> {
   );
   const load = (at = 0, top = 0): Promise<void> => {
     const query = writeAddress(current);
-    const page = (after: string | null): Promise<TaskPage> => {
-      const cursor = after === null ? "" : `&after=${encodeURIComponent(after)}`;
-      return app.api.get<TaskPage>(`tasks?limit=${ROWS}${cursor}${query === "" ? "" : `&${query}`}`);
-    };
+    const page = (after: string | null): Promise<TaskPage> =>
+      app.api.get<TaskPage>(`tasks${queryOf({ limit: ROWS, after })}${query === "" ? "" : `&${query}`}`);
     count.textContent = "Loading…";
     bulk.disabled = true;
-    const links = OFTEN.map(([own, label]) => {
-      const link = app.link(own === "" ? "tasks" : `tasks?${own}`, label, "tab");
-      setAttr(link, "aria-current", own === query ? "true" : null);
-      return link;
-    });
-    fill(often, ...links);
+    fill(often, tabs(app, "Filters that are often wanted", OFTEN.map(([own, label]) => [pathOf(own), label] as const), pathOf(query), "true"));
     return list.show(page, at, top);
   };
   /** Says what of an address or the form is no filter. */
@@ -162,11 +156,11 @@ export async function openTasks(app: App): Promise<Screen> {
     sayRefused(refused);
     if (query === writeAddress(current)) return;
     current = wanted;
-    window.history.replaceState(null, "", query === "" ? "/app/tasks" : `/app/tasks?${query}`);
+    window.history.replaceState(null, "", `/app/${pathOf(query)}`);
     void load();
   };
   const clear = (): void => {
-    for (const name of names) inputs[name].value = "";
+    for (const name of names) fields[name][1].value = "";
     sort.value = "id";
     reverse.checked = false;
     apply();
@@ -179,59 +173,25 @@ export async function openTasks(app: App): Promise<Screen> {
   const form = h(
     "form",
     { class: "filters", attrs: { "aria-label": "Filter" }, on: { change: apply, input: soon, submit: (event) => (event.preventDefault(), apply()) } },
-    h("div", { class: "filter-wide" }, field("Words of texts, captions, motions", inputs.q)),
-    field("Kind", inputs.kind),
-    field("State", inputs.state),
-    field("Person", inputs.person),
-    field("Part", inputs.part),
-    field("Verdict", inputs.verdict),
-    field("Edit type", inputs.edit_type),
-    field("Category", inputs.category),
-    field("Split", inputs.split),
-    field("Apart from, %", inputs.min_distance),
-    field("Apart up to, %", inputs.max_distance),
-    field("Skipped", inputs.skipped),
-    field("By rule", inputs.rule),
-    field("Number", inputs.task),
-    h(
-      "div",
-      { class: "filter-end" },
-      h("button", { attrs: { type: "button" }, on: { click: clear } }, "Clear"),
-    ),
+    ...Object.values(fields).map(([label, own]) => field(label, own)),
+    h("div", { class: "filter-end" }, plainButton("Clear", clear)),
   );
   /** Reads the list anew, where the reader is. */
   const again = (): Promise<void> => load(list.place.at, list.place.top);
-  bulk.addEventListener("click", () => {
-    void everybody.then((people) => actOnAll(app, current, people)).then((acted) => (acted ? again() : undefined));
-  });
-  const element = h(
-    "div",
-    { class: "tasks" },
-    h(
-      "aside",
-      { class: "tasks-filter", attrs: { "aria-label": "Filter" }, data: { region: "filter" } },
-      taskTabs(app, "tasks"),
-      form,
-    ),
-    h(
-      "section",
-      { class: "tasks-main" },
-      h("h1", { class: "out-of-sight" }, "Tasks"),
-      trouble,
-      h("div", { class: "row tasks-bar" }, often),
-      h(
-        "div",
-        { class: "row tasks-bar" },
-        count,
-        h("span", { class: "spacer" }),
-        h("label", { class: "inline" }, "Sorted by", sort),
-        h("label", { class: "inline" }, reverse, "reversed"),
-        h("button", { attrs: { type: "button" }, on: { click: () => void again() } }, "Reload"),
-        bulk,
-      ),
-      list,
-    ),
-  );
+  const page = element(html`<div class="tasks">
+    <aside class="tasks-filter" aria-label="Filter" data-region="filter">${taskTabs(app, "tasks")}${form}</aside>
+    <section class="tasks-main">
+      <h1 class="out-of-sight">Tasks</h1>
+      ${trouble}
+      <div class="row tasks-bar">${often}</div>
+      <div class="row tasks-bar">
+        ${count}<span class="spacer"></span>
+        <label class="inline">Sorted by${sort}</label><label class="inline">${reverse}reversed</label>
+        ${plainButton("Reload", () => void again())}${bulk}
+      </div>
+      ${list}
+    </section>
+  </div>`);
   sort.addEventListener("change", apply);
   reverse.addEventListener("change", apply);
   fillForm();
@@ -240,29 +200,24 @@ export async function openTasks(app: App): Promise<Screen> {
   const back = left.query === query ? left : { at: 0, top: 0 };
   await load(back.at, back.top);
 
-  /** Fills a list of choices, and keeps what is chosen. */
-  const offer = (input: HTMLElement, options: readonly (readonly [string, string])[]): void => {
-    if (!(input instanceof HTMLSelectElement)) return;
-    const { value } = input;
-    const known = new Set(options.map(([name]) => name));
-    const first = input.options[0]?.textContent ?? "";
-    const others = value === "" || known.has(value) ? options : [...options, [value, value] as const];
-    fill(input, ...[["", first] as const, ...others].map(([name, label]) => h("option", { attrs: { value: name } }, label)));
-    input.value = value;
+  const offer = (own: HTMLElement, options: readonly (readonly [string, string])[]): void => {
+    if (!(own instanceof HTMLSelectElement)) return;
+    const { value } = own;
+    const known = options.some(([name]) => name === value);
+    const first = own.options[0]?.textContent ?? "";
+    const others = value === "" || known ? options : [...options, [value, value] as const];
+    own.replaceChildren(...select([["", first], ...others]).options);
+    own.value = value;
   };
   void everybody.then((found) =>
-    offer(inputs.person, found.map(({ user }) => [String(user.id), `${user.name}${user.active ? "" : " (closed)"}`])),
+    offer(fields.person[1], found.map(({ user }) => [String(user.id), `${user.name}${user.active ? "" : " (closed)"}`])),
   );
   void app.api
     .get<RuleState[]>("rules")
-    .then((rules) => offer(inputs.rule, rules.map(({ rule }) => [rule.name, rule.name])))
+    .then((rules) => offer(fields.rule[1], rules.map(({ rule }) => [rule.name, rule.name])))
     .catch(() => undefined);
   return {
-    element,
-    title: "Tasks",
-    scopes: [],
-    perform: () => false,
-    focusTarget: list,
+    ...pageScreen("Tasks", page, list),
     leave: () => {
       if (timer !== null) window.clearTimeout(timer);
       left = { query: writeAddress(current), ...list.place };

@@ -1,6 +1,4 @@
-/**
- * Drawing of a body: its limbs, their thickness and colours. All positions come from the server.
- */
+/** Drawing of a body: its limbs, their thickness and colours. All positions come from the server. */
 
 import { theme } from "./theme";
 
@@ -78,7 +76,6 @@ export function bits(joints: readonly number[]): JointBits {
   return joints.reduce((set, joint) => set | (1 << joint), 0);
 }
 
-/** The joints of a set. */
 export function jointList(set: JointBits): number[] {
   return Array.from({ length: 32 }, (_, joint) => joint).filter((joint) => has(set, joint));
 }
@@ -87,14 +84,12 @@ export function has(set: JointBits, joint: number): boolean {
   return ((set >>> joint) & 1) === 1;
 }
 
-/** Highlighting of a body. */
 export interface Paint {
   /** Highlighted joints; without any, limbs have their side colours. */
   hard: JointBits;
   soft: JointBits;
   /** Whether joints outside the mask are greyed. */
   masked: boolean;
-  /** Joints where answers differ. */
   glow: JointBits;
 }
 
@@ -113,14 +108,16 @@ export function mix(a: Rgb, b: Rgb, t: number): Rgb {
 
 /** Base colour of a limb; soft joints are hatched over the resting colour. */
 export function colourOf(paint: Paint, joint: number, side: Side): Rgb {
-  const full = SIDE_COLOURS[side];
-  const tone = toneOf(paint, joint);
-  const base = tone === "rest" ? mix(theme().rest, full, 0.14) : full;
+  const base = toneOf(paint, joint) === "rest" ? restColour(side) : SIDE_COLOURS[side];
   return has(paint.glow, joint) ? mix(base, GLOW, 0.75) : base;
 }
 
-/** Colour between the hatching of a soft joint. */
-export function restColour(side: Side): Rgb {
+/** Colour between the hatching of a soft joint; `null` for joints without. */
+export function hatchOf(paint: Paint, joint: number, side: Side): Rgb | null {
+  return toneOf(paint, joint) === "half" ? restColour(side) : null;
+}
+
+function restColour(side: Side): Rgb {
   return mix(theme().rest, SIDE_COLOURS[side], 0.14);
 }
 
@@ -131,7 +128,7 @@ export function css(colour: Rgb, alpha = 1): string {
 
 export type Vec3 = [number, number, number];
 
-export function pointAt(track: Track, frame: number, point: number, out: Vec3): Vec3 {
+export function pointAt(track: Track, frame: number, point: number, out: Vec3 = [0, 0, 0]): Vec3 {
   const at = (frame * track.points + point) * 3;
   out[0] = track.data[at] ?? 0;
   out[1] = track.data[at + 1] ?? 0;
@@ -140,11 +137,11 @@ export function pointAt(track: Track, frame: number, point: number, out: Vec3): 
 }
 
 /** Centre of the head's sphere, from neck, head joint and eyes. */
-export function headCentre(track: Track, frame: number, out: Vec3): Vec3 {
-  const neck = pointAt(track, frame, NECK, [0, 0, 0]);
-  const head = pointAt(track, frame, HEAD, [0, 0, 0]);
-  const left = pointAt(track, frame, LEFT_EYE, [0, 0, 0]);
-  const right = pointAt(track, frame, RIGHT_EYE, [0, 0, 0]);
+export function headCentre(track: Track, frame: number, out: Vec3 = [0, 0, 0]): Vec3 {
+  const neck = pointAt(track, frame, NECK);
+  const head = pointAt(track, frame, HEAD);
+  const left = pointAt(track, frame, LEFT_EYE);
+  const right = pointAt(track, frame, RIGHT_EYE);
   for (const axis of [0, 1, 2] as const) {
     const eyes = (left[axis] + right[axis]) / 2;
     out[axis] = head[axis] + 0.35 * (eyes - head[axis]) + 0.15 * (head[axis] - neck[axis]);
@@ -153,8 +150,8 @@ export function headCentre(track: Track, frame: number, out: Vec3): Vec3 {
 }
 
 /** The point of the head's sphere in the direction of an eye, which shows the face. */
-export function eyeOnHead(track: Track, frame: number, eye: number, out: Vec3): Vec3 {
-  const centre = headCentre(track, frame, [0, 0, 0]);
+export function eyeOnHead(track: Track, frame: number, eye: number, out: Vec3 = [0, 0, 0]): Vec3 {
+  const centre = headCentre(track, frame);
   pointAt(track, frame, eye, out);
   const offset: Vec3 = [out[0] - centre[0], out[1] - centre[1], out[2] - centre[2]];
   const length = Math.max(1e-6, Math.hypot(...offset));
@@ -162,21 +159,16 @@ export function eyeOnHead(track: Track, frame: number, eye: number, out: Vec3): 
   return out;
 }
 
-/**
- * Heading of the body in a frame, from its hips: the angle about the vertical from +z. The front camera uses it.
- */
+/** Heading of the body in a frame, from its hips: the angle about the vertical from +z. The front camera uses it. */
 export function headingAt(track: Track, frame: number): number {
-  const left = pointAt(track, frame, LEFT_HIP, [0, 0, 0]);
-  const right = pointAt(track, frame, RIGHT_HIP, [0, 0, 0]);
+  const left = pointAt(track, frame, LEFT_HIP);
+  const right = pointAt(track, frame, RIGHT_HIP);
   const x = left[0] - right[0];
   const z = left[2] - right[2];
   return Math.hypot(x, z) < 1e-6 ? 0 : Math.atan2(-z, x);
 }
 
-/**
- * A clip moved so that in each frame its pelvis stands where that of another clip stands at the same time, and faces
- * the same way. Poses can be compared then wherever the two bodies walk. Heights stay.
- */
+/** A clip moved so that its pelvis stands and faces as that of another clip at the same time; heights stay. */
 export function aligned(track: Track, to: Track, frameOfOther: (frame: number) => number): Track {
   const data = new Float32Array(track.data.length);
   const own: Vec3 = [0, 0, 0];

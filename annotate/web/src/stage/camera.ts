@@ -8,11 +8,13 @@ const FIELD_OF_VIEW = (38 * Math.PI) / 180;
 const NEAR = 0.05;
 const STEEPEST = Math.PI / 2 - 0.02;
 
-export interface Pose {
-  eye: Vec3;
-  target: Vec3;
-  fieldOfView: number;
-}
+/** Angles of the presets: from the heading of the body, and above the floor. The side is the character's own left. */
+const ANGLES: Readonly<Record<Preset, readonly [number, number]>> = {
+  front: [0, 0.06],
+  side: [Math.PI / 2, 0.06],
+  top: [0, STEEPEST],
+  free: [0.5, 0.16],
+};
 
 /** A screen point in pixels, and its depth. */
 export interface Projected {
@@ -34,21 +36,10 @@ export class OrbitCamera {
 
   use(preset: Preset): void {
     this.preset = preset;
+    const [turn, elevation] = ANGLES[preset];
     this.distance = 4.2;
-    if (preset === "front") {
-      this.azimuth = this.heading;
-      this.elevation = 0.06;
-    } else if (preset === "side") {
-      // From the character's own left.
-      this.azimuth = this.heading + Math.PI / 2;
-      this.elevation = 0.06;
-    } else if (preset === "top") {
-      this.azimuth = this.heading;
-      this.elevation = STEEPEST;
-    } else {
-      this.azimuth = this.heading + 0.5;
-      this.elevation = 0.16;
-    }
+    this.azimuth = this.heading + turn;
+    this.elevation = elevation;
   }
 
   orbit(dx: number, dy: number): void {
@@ -70,7 +61,7 @@ export class OrbitCamera {
     }
   }
 
-  get pose(): Pose {
+  get pose(): { eye: Vec3; target: Vec3; fieldOfView: number } {
     const flat = Math.cos(this.elevation) * this.distance;
     return {
       eye: [

@@ -2,7 +2,7 @@
 
 import type { OrbitCamera, Projected } from "./camera";
 import type { Body, Renderer, Scene } from "./scene";
-import { FLOOR } from "./scene";
+import { FLOOR, contextOf } from "./scene";
 import { theme } from "./theme";
 import {
   EYE_RADIUS,
@@ -14,11 +14,10 @@ import {
   colourOf,
   css,
   eyeOnHead,
+  hatchOf,
   headCentre,
   pointAt,
-  restColour,
   sideOf,
-  toneOf,
   type Vec3,
 } from "./body";
 
@@ -31,25 +30,14 @@ interface Piece {
 
 export class CanvasRenderer implements Renderer {
   readonly kind = "canvas2d";
-  readonly canvas: HTMLCanvasElement;
-  private readonly context: CanvasRenderingContext2D;
+  readonly canvas = document.createElement("canvas");
 
   constructor() {
-    this.canvas = document.createElement("canvas");
-    const context = this.canvas.getContext("2d");
-    if (!context) throw new Error("this browser draws neither WebGL nor Canvas 2D");
-    this.context = context;
+    if (!this.canvas.getContext("2d")) throw new Error("this browser draws neither WebGL nor Canvas 2D");
   }
 
   draw(scene: Scene): void {
-    const { context, canvas } = this;
-    const width = Math.round(scene.width * scene.pixelRatio);
-    const height = Math.round(scene.height * scene.pixelRatio);
-    if (canvas.width !== width || canvas.height !== height) {
-      canvas.width = width;
-      canvas.height = height;
-    }
-    context.setTransform(scene.pixelRatio, 0, 0, scene.pixelRatio, 0, 0);
+    const context = contextOf(this.canvas, scene) as CanvasRenderingContext2D;
     context.fillStyle = theme().ground;
     context.fillRect(0, 0, scene.width, scene.height);
     const project = scene.camera.projector(scene.width, scene.height);
@@ -93,14 +81,14 @@ function drawFloor(context: CanvasRenderingContext2D, project: Project): void {
 
 function piecesOf(body: Body, project: Project): Piece[] {
   const pieces: Piece[] = [];
-  const at = (point: number): Projected | null => project(pointAt(body.track, body.frame, point, [0, 0, 0]));
+  const at = (point: number): Projected | null => project(pointAt(body.track, body.frame, point));
   for (const limb of LIMBS) {
     const from = at(limb.from);
     const to = at(limb.to);
     if (!from || !to) continue;
     const side = sideOf(limb.to);
     const colour = css(colourOf(body.paint, limb.joint, side));
-    const half = toneOf(body.paint, limb.joint) === "half" ? css(restColour(side)) : null;
+    const hatch = hatchOf(body.paint, limb.joint, side);
     const width = Math.max(3, limb.radius * (from.scale + to.scale));
     pieces.push({
       depth: (from.depth + to.depth) / 2,
@@ -116,8 +104,8 @@ function piecesOf(body: Body, project: Project): Piece[] {
           context.stroke();
         };
         line("rgba(28, 39, 51, 0.35)", width + 2, []);
-        line(half ?? colour, width, []);
-        if (half) {
+        line(hatch ? css(hatch) : colour, width, []);
+        if (hatch) {
           context.lineCap = "butt";
           line(colour, width, [4, 4]);
         }
@@ -138,10 +126,7 @@ function piecesOf(body: Body, project: Project): Piece[] {
       },
     });
   };
-  const head = headCentre(body.track, body.frame, [0, 0, 0]);
-  ball(head, HEAD_RADIUS, css(colourOf(body.paint, HEAD, "middle")));
-  for (const eye of [LEFT_EYE, RIGHT_EYE]) {
-    ball(eyeOnHead(body.track, body.frame, eye, [0, 0, 0]), EYE_RADIUS, "#1f242b");
-  }
+  ball(headCentre(body.track, body.frame), HEAD_RADIUS, css(colourOf(body.paint, HEAD, "middle")));
+  for (const eye of [LEFT_EYE, RIGHT_EYE]) ball(eyeOnHead(body.track, body.frame, eye), EYE_RADIUS, "#1f242b");
   return pieces;
 }

@@ -6,7 +6,6 @@ import type { Paint, Track } from "./body";
 export interface Body {
   track: Track;
   paint: Paint;
-  /** Shown frame of the clip. */
   frame: number;
   /** Transparent, for the other clip of an overlay. */
   ghost: boolean;
@@ -19,6 +18,21 @@ export interface Scene {
   height: number;
   pixelRatio: number;
 }
+
+/** Gives a canvas the size of a view in pixels of the screen, and returns its context, which draws in those of the page. */
+export function contextOf(canvas: HTMLCanvasElement, { width, height, pixelRatio }: Pick<Scene, "width" | "height" | "pixelRatio">): CanvasRenderingContext2D | null {
+  const [wide, high] = [Math.round(width * pixelRatio), Math.round(height * pixelRatio)];
+  if (canvas.width !== wide || canvas.height !== high) {
+    canvas.width = wide;
+    canvas.height = high;
+  }
+  const context = canvas.getContext("2d");
+  context?.setTransform(pixelRatio, 0, 0, pixelRatio, 0, 0);
+  return context;
+}
+
+/** Pixels of the screen to one of the page, as far as the eye sees them. */
+export const pixelRatio = (): number => Math.min(2, window.devicePixelRatio || 1);
 
 export interface Renderer {
   readonly kind: "webgl2" | "canvas2d";

@@ -1,14 +1,11 @@
-/**
- * A view of bodies: a renderer, an overlay for tags, mouse control, and attributes that describe what is shown.
- * Without WebGL, or when its context is lost, Canvas 2D is used.
- */
+/** A view of bodies, drawn by Canvas 2D without WebGL or when its context is lost, with tags and mouse control. */
 
 import { h } from "../dom";
 import { OrbitCamera, type Preset } from "./camera";
 import { CanvasRenderer } from "./canvas2d";
-import type { Body, Renderer, Scene } from "./scene";
+import { contextOf, pixelRatio, type Body, type Renderer, type Scene } from "./scene";
 import { onThemeChange } from "./theme";
-import { PELVIS, headingAt, pointAt, type Vec3 } from "./body";
+import { PELVIS, headingAt, pointAt } from "./body";
 
 /** Creates a renderer; throws if it is not supported. */
 export type MakeRenderer = () => Renderer;
@@ -33,7 +30,6 @@ export class Stage {
   private readonly observer: ResizeObserver;
   private readonly forget: () => void;
   followRoot = true;
-  /** Other stages whose cameras move with this one. */
   private followers: Stage[] = [];
 
   constructor(label: string, make: MakeRenderer) {
@@ -64,11 +60,6 @@ export class Stage {
     this.mouse();
   }
 
-  get kind(): Renderer["kind"] {
-    return this.renderer.kind;
-  }
-
-  /** Links the cameras of two stages. */
   link(other: Stage): void {
     this.followers.push(other);
     other.followers.push(this);
@@ -82,7 +73,6 @@ export class Stage {
     if (this.element.getAttribute("aria-label") !== text) this.element.setAttribute("aria-label", text);
   }
 
-  /** Shows bodies at a frame of the clock. */
   show(bodies: Body[], clockFrame: number): void {
     this.bodies = bodies;
     this.element.dataset.frame = String(clockFrame);
@@ -98,7 +88,7 @@ export class Stage {
     if (!first) return;
     this.camera.heading = headingAt(first.track, 0);
     this.camera.use(this.camera.preset);
-    this.camera.target = pointAt(first.track, 0, PELVIS, [0, 0, 0]);
+    this.camera.target = pointAt(first.track, 0, PELVIS);
     this.camera.target[1] = 0.9;
     this.redraw();
   }
@@ -133,8 +123,7 @@ export class Stage {
     const height = this.element.clientHeight;
     if (width === 0 || height === 0) return;
     this.dirty = false;
-    const pixelRatio = Math.min(2, window.devicePixelRatio || 1);
-    const scene: Scene = { bodies: this.bodies, camera: this.camera, width, height, pixelRatio };
+    const scene: Scene = { bodies: this.bodies, camera: this.camera, width, height, pixelRatio: pixelRatio() };
     try {
       this.renderer.draw(scene);
     } catch (error) {
@@ -171,22 +160,13 @@ export class Stage {
   private follow(): void {
     const first = this.bodies[0];
     if (!first || !this.followRoot) return;
-    const root: Vec3 = pointAt(first.track, first.frame, PELVIS, [0, 0, 0]);
-    this.camera.target[0] = root[0];
-    this.camera.target[2] = root[2];
+    const [x, , z] = pointAt(first.track, first.frame, PELVIS);
+    this.camera.target = [x, this.camera.target[1], z];
   }
 
   private drawTags(scene: Scene): void {
-    const { overlay } = this;
-    const width = Math.round(scene.width * scene.pixelRatio);
-    const height = Math.round(scene.height * scene.pixelRatio);
-    if (overlay.width !== width || overlay.height !== height) {
-      overlay.width = width;
-      overlay.height = height;
-    }
-    const context = overlay.getContext("2d");
+    const context = contextOf(this.overlay, scene);
     if (!context) return;
-    context.setTransform(scene.pixelRatio, 0, 0, scene.pixelRatio, 0, 0);
     context.clearRect(0, 0, scene.width, scene.height);
     const project = scene.camera.projector(scene.width, scene.height);
     context.font = "600 11px system-ui, sans-serif";
@@ -195,7 +175,7 @@ export class Stage {
     for (const body of scene.bodies) {
       if (body.ghost) continue;
       for (const [point, text, colour] of TAGS) {
-        const at = project(pointAt(body.track, body.frame, point, [0, 0, 0]));
+        const at = project(pointAt(body.track, body.frame, point));
         if (!at) continue;
         context.fillStyle = "rgba(255, 255, 255, 0.86)";
         context.beginPath();
@@ -209,40 +189,31 @@ export class Stage {
 
   private mouse(): void {
     const { element } = this;
+    let pan = false;
     element.addEventListener("pointerdown", (event) => {
       if (event.button > 2) return;
       element.focus({ preventScroll: true });
       element.setPointerCapture(event.pointerId);
-      const pan = event.button !== 0 || event.shiftKey;
-      const move = (step: PointerEvent): void => {
-        const act = (stage: Stage): void => {
-          if (pan) stage.camera.pan(step.movementX, step.movementY, element.clientHeight);
-          else stage.camera.orbit(step.movementX, step.movementY);
-          stage.redraw();
-        };
-        for (const stage of [this, ...this.followers]) act(stage);
-      };
-      const end = (): void => {
-        element.removeEventListener("pointermove", move);
-        element.removeEventListener("pointerup", end);
-        element.removeEventListener("pointercancel", end);
-      };
-      element.addEventListener("pointermove", move);
-      element.addEventListener("pointerup", end);
-      element.addEventListener("pointercancel", end);
+      pan = event.button !== 0 || event.shiftKey;
+    });
+    element.addEventListener("pointermove", ({ pointerId, movementX, movementY }) => {
+      if (!element.hasPointerCapture(pointerId)) return;
+      if (pan) this.moveCameras((camera) => camera.pan(movementX, movementY, element.clientHeight));
+      else this.moveCameras((camera) => camera.orbit(movementX, movementY));
     });
     element.addEventListener("contextmenu", (event) => event.preventDefault());
-    element.addEventListener(
-      "wheel",
-      (event) => {
-        event.preventDefault();
-        for (const stage of [this, ...this.followers]) {
-          stage.camera.zoom(Math.exp(event.deltaY * 0.001));
-          stage.redraw();
-        }
-      },
-      { passive: false },
-    );
+    const zoom = (event: WheelEvent): void => {
+      event.preventDefault();
+      this.moveCameras((camera) => camera.zoom(Math.exp(event.deltaY * 0.001)));
+    };
+    element.addEventListener("wheel", zoom, { passive: false });
+  }
+
+  private moveCameras(move: (camera: OrbitCamera) => void): void {
+    for (const stage of [this, ...this.followers]) {
+      move(stage.camera);
+      stage.redraw();
+    }
   }
 }
 

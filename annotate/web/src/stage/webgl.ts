@@ -13,11 +13,10 @@ import {
   RIGHT_EYE,
   colourOf,
   eyeOnHead,
+  hatchOf,
   headCentre,
   pointAt,
-  restColour,
   sideOf,
-  toneOf,
   type Rgb,
   type Vec3,
 } from "./body";
@@ -43,6 +42,20 @@ function hatch(material: Three.MeshLambertMaterial): void {
   };
 }
 
+type Instance = ReturnType<typeof instance>;
+
+function instance(lib: Lib) {
+  return {
+    matrix: new lib.Matrix4(),
+    quaternion: new lib.Quaternion(),
+    position: new lib.Vector3(),
+    size: new lib.Vector3(),
+    direction: new lib.Vector3(),
+    up: new lib.Vector3(0, 1, 0),
+    colour: new lib.Color(),
+  };
+}
+
 class BodyMesh {
   readonly group: Three.Group;
   private readonly spheres: Three.InstancedMesh;
@@ -51,15 +64,11 @@ class BodyMesh {
   private readonly shadowMaterial: Three.MeshBasicMaterial;
   private readonly sphereRest: Three.InstancedBufferAttribute;
   private readonly tubeRest: Three.InstancedBufferAttribute;
-  private readonly matrix: Three.Matrix4;
-  private readonly quaternion: Three.Quaternion;
-  private readonly position: Three.Vector3;
-  private readonly size: Three.Vector3;
-  private readonly direction: Three.Vector3;
-  private readonly up: Three.Vector3;
-  private readonly colour: Three.Color;
+  /** Values of one instance, which are used again for the next. */
+  private readonly own: Instance;
 
   constructor(lib: Lib) {
+    this.own = instance(lib);
     this.group = new lib.Group();
     this.material = new lib.MeshLambertMaterial({ transparent: true });
     hatch(this.material);
@@ -96,14 +105,6 @@ class BodyMesh {
     this.group.add(shadow);
     this.spheres.frustumCulled = false;
     this.tubes.frustumCulled = false;
-
-    this.matrix = new lib.Matrix4();
-    this.quaternion = new lib.Quaternion();
-    this.position = new lib.Vector3();
-    this.size = new lib.Vector3();
-    this.direction = new lib.Vector3();
-    this.up = new lib.Vector3(0, 1, 0);
-    this.colour = new lib.Color();
   }
 
   update(body: Body): void {
@@ -113,35 +114,28 @@ class BodyMesh {
     this.shadowMaterial.visible = !ghost;
     const from: Vec3 = [0, 0, 0];
     const to: Vec3 = [0, 0, 0];
+    const { direction, position, quaternion, size, up } = this.own;
     let sphere = 0;
     LIMBS.forEach((limb, index) => {
       pointAt(track, body.frame, limb.from, from);
       pointAt(track, body.frame, limb.to, to);
       const side = sideOf(limb.to);
       const colour = colourOf(paint, limb.joint, side);
-      const half = toneOf(paint, limb.joint) === "half" ? restColour(side) : null;
-      this.direction.set(to[0] - from[0], to[1] - from[1], to[2] - from[2]);
-      const length = Math.max(1e-5, this.direction.length());
-      this.direction.divideScalar(length);
-      this.quaternion.setFromUnitVectors(this.up, this.direction);
-      this.position.set((from[0] + to[0]) / 2, (from[1] + to[1]) / 2, (from[2] + to[2]) / 2);
-      this.size.set(limb.radius, length, limb.radius);
-      this.place(this.tubes, index, colour, half, this.tubeRest);
-      this.quaternion.identity();
-      this.size.setScalar(limb.radius);
-      for (const end of [from, to]) {
-        this.position.set(...end);
-        this.place(this.spheres, sphere++, colour, half, this.sphereRest);
-      }
+      const hatched = hatchOf(paint, limb.joint, side);
+      direction.set(to[0] - from[0], to[1] - from[1], to[2] - from[2]);
+      const length = Math.max(1e-5, direction.length());
+      quaternion.setFromUnitVectors(up, direction.divideScalar(length));
+      position.set((from[0] + to[0]) / 2, (from[1] + to[1]) / 2, (from[2] + to[2]) / 2);
+      size.set(limb.radius, length, limb.radius);
+      this.place(this.tubes, index, colour, hatched, this.tubeRest);
+      quaternion.identity();
+      for (const end of [from, to]) this.ball(sphere++, end, limb.radius, colour, hatched);
     });
-    this.quaternion.identity();
-    this.ball(sphere++, pointAt(track, body.frame, PELVIS, from), 0.11, body, PELVIS);
-    this.ball(sphere++, headCentre(track, body.frame, from), HEAD_RADIUS, body, HEAD);
-    for (const eye of [LEFT_EYE, RIGHT_EYE]) {
-      this.position.set(...eyeOnHead(track, body.frame, eye, from));
-      this.size.setScalar(EYE_RADIUS);
-      this.place(this.spheres, sphere++, [0.12, 0.14, 0.17], null, this.sphereRest);
-    }
+    quaternion.identity();
+    const middle = (joint: number): [Rgb, Rgb | null] => [colourOf(paint, joint, "middle"), hatchOf(paint, joint, "middle")];
+    this.ball(sphere++, pointAt(track, body.frame, PELVIS, from), 0.11, ...middle(PELVIS));
+    this.ball(sphere++, headCentre(track, body.frame, from), HEAD_RADIUS, ...middle(HEAD));
+    for (const eye of [LEFT_EYE, RIGHT_EYE]) this.ball(sphere++, eyeOnHead(track, body.frame, eye, from), EYE_RADIUS, [0.12, 0.14, 0.17], null);
     for (const mesh of [this.spheres, this.tubes]) {
       mesh.instanceMatrix.needsUpdate = true;
       if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
@@ -159,34 +153,28 @@ class BodyMesh {
     this.shadowMaterial.dispose();
   }
 
-  private ball(index: number, at: Vec3, radius: number, body: Body, joint: number): void {
-    this.position.set(...at);
-    this.size.setScalar(radius);
-    const half = toneOf(body.paint, joint) === "half" ? restColour("middle") : null;
-    this.place(this.spheres, index, colourOf(body.paint, joint, "middle"), half, this.sphereRest);
+  private ball(index: number, at: Vec3, radius: number, colour: Rgb, hatched: Rgb | null): void {
+    this.own.position.set(...at);
+    this.own.size.setScalar(radius);
+    this.place(this.spheres, index, colour, hatched, this.sphereRest);
   }
 
-  private place(
-    mesh: Three.InstancedMesh,
-    index: number,
-    colour: Rgb,
-    half: Rgb | null,
-    rest: Three.InstancedBufferAttribute,
-  ): void {
-    this.matrix.compose(this.position, this.quaternion, this.size);
-    mesh.setMatrixAt(index, this.matrix);
-    this.colour.setRGB(...colour, "srgb");
-    mesh.setColorAt(index, this.colour);
-    this.colour.setRGB(...(half ?? colour), "srgb");
-    rest.setXYZW(index, this.colour.r, this.colour.g, this.colour.b, half ? 1 : 0);
+  private place(mesh: Three.InstancedMesh, index: number, colour: Rgb, hatched: Rgb | null, rest: Three.InstancedBufferAttribute): void {
+    const { matrix, position, quaternion, size, colour: own } = this.own;
+    mesh.setMatrixAt(index, matrix.compose(position, quaternion, size));
+    mesh.setColorAt(index, own.setRGB(...colour, "srgb"));
+    own.setRGB(...(hatched ?? colour), "srgb");
+    rest.setXYZW(index, own.r, own.g, own.b, hatched ? 1 : 0);
   }
 }
 
-/** The floor, and its lines by their name in the theme. */
-function floor(lib: Lib): { group: Three.Group; lines: [Three.LineBasicMaterial, "faint" | "line" | "axis"][] } {
+/** Lines of the floor, with their name in the theme. */
+type FloorLine = [Three.LineBasicMaterial, "faint" | "line" | "axis"];
+
+function floor(lib: Lib): { group: Three.Group; lines: FloorLine[] } {
   const group = new lib.Group();
-  const materials: [Three.LineBasicMaterial, "faint" | "line" | "axis"][] = [];
-  const lines = (step: number, skip: (k: number) => boolean, name: "faint" | "line" | "axis"): void => {
+  const materials: FloorLine[] = [];
+  const lines = (step: number, skip: (k: number) => boolean, name: FloorLine[1]): void => {
     const points: number[] = [];
     for (let k = -FLOOR / step; k <= FLOOR / step; k += 1) {
       if (skip(k)) continue;
@@ -211,7 +199,7 @@ export class WebglRenderer implements Renderer {
   private readonly scene: Three.Scene;
   private readonly camera: Three.PerspectiveCamera;
   private readonly meshes: BodyMesh[] = [];
-  private readonly lines: readonly [Three.LineBasicMaterial, "faint" | "line" | "axis"][];
+  private readonly lines: readonly FloorLine[];
   private theme: Theme | null = null;
   private width = 0;
   private height = 0;
@@ -281,10 +269,7 @@ export class WebglRenderer implements Renderer {
   }
 }
 
-/**
- * Creates renderers, and reuses those of closed stages: a new context with its shaders costs more than anything
- * else on the page.
- */
+/** Creates renderers and reuses those of closed stages: a new context costs more than anything else on the page. */
 export function rendererPool(lib: Lib, antialias: boolean): () => Renderer {
   const idle: WebglRenderer[] = [];
   return () => idle.pop() ?? new WebglRenderer(lib, idle, antialias);
