@@ -1,16 +1,16 @@
 //! Projections: applies log entries to the derived tables.
 
-use super::db::{Tx, params};
-use super::entry::{Body, Entry, LoggedTask, Place, json};
+use super::db::{Tx, json, params, unreadable};
+use super::entry::{Body, Entry, LoggedTask, Place};
 use super::projections::{
-    NewLease, accept_imported, end_lease_of, end_leases, is_kept_pair, kept_type, part_list,
-    put_lease, refresh, set_state, settle_clip, words,
+    Acceptance, IMPORTED, end_lease_of, end_leases, is_kept_pair, kept_type, part_list, put_lease,
+    refresh, set_state, settle_clip, words,
 };
 use super::records::{Credit, Millis};
-use super::rows::state;
+use super::rows::{self, LeaseRow};
 use crate::Error;
 use crate::state::{LogKind, Purpose, targets};
-use crate::wire::{Answer, EditType, RevisionState, SkipReason, TaskState, Verdict};
+use crate::wire::{Answer, EditType, Lease, RevisionState, SkipReason, TaskState, Verdict};
 
 /// Maximum number of leases of one entry. The id of a lease is the sequence number of its entry times this,
 /// plus its index.
@@ -62,12 +62,12 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<(), Erro
     if targets(before, kind).contains(&after) {
         return Ok(());
     }
-    Err(Error::Row {
-        table: "task",
-        problem: format!(
+    Err(unreadable(
+        "task",
+        format!(
             "entry {seq} ({kind}) would move task {task} from {before} to {after}, which is no legal move"
         ),
-    })
+    ))
 }
 
 /// Adds an entry to the work of its actor. What rules and bulk actions decide is nobody's work.
@@ -92,23 +92,22 @@ fn count_work(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(),
     else {
         return Ok(());
     };
-    tx.execute(
+    tx.run(
         "INSERT INTO work (seq, task, usr, at, secs, answers, skips, reviews) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
         params![seq, task, actor, entry.at, secs, answers, skips, reviews],
-    )?;
-    Ok(())
+    )
 }
 
 fn state_of(tx: &mut dyn Tx, task: i64) -> Result<TaskState, Error> {
-    let row = tx.one("SELECT state FROM task WHERE id = ?1", params![task])?;
-    state(row.ok_or_else(|| Error::not_found("task"))?.text(0)?)
+    let sql = "SELECT state FROM task WHERE id = ?1";
+    let state = tx.find(sql, params![task], |row| row.named(0, TaskState::parse))?;
+    state.ok_or_else(|| Error::not_found("task"))
 }
 
 fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result<(), Error> {
-    let id = entry.task.ok_or_else(|| Error::Row {
-        table: "event",
-        problem: format!("entry {seq} imports no task"),
-    })?;
+    let id = entry
+        .task
+        .ok_or_else(|| unreadable("event", format!("entry {seq} imports no task")))?;
     let state = if task.accepted.is_some() {
         TaskState::Accepted
     } else {
@@ -146,10 +145,27 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
             task.accepted.as_ref().and_then(kept_type)
         ],
     )?;
-    if let Some(answer) = &task.accepted {
-        accept_imported(tx, seq, entry, id, answer, task.credit.as_ref())?;
+    match &task.accepted {
+        Some(answer) => imported(answer, task.credit.as_ref(), entry).put(tx, seq, id, entry.at),
+        None => Ok(()),
     }
-    Ok(())
+}
+
+/// The acceptance of an imported answer.
+fn imported<'a>(answer: &'a Answer, credit: Option<&'a Credit>, entry: &Entry) -> Acceptance<'a> {
+    let actor = entry.actor.unwrap_or(0);
+    Acceptance {
+        author: actor,
+        reviewer: actor,
+        answer,
+        merged: credit.is_some_and(|credit| credit.merged),
+        credit: credit.and_then(|credit| credit.author.as_deref()),
+        keeps: is_kept_pair(answer),
+        basis: match credit.and_then(|credit| credit.accepted_by.as_deref()) {
+            Some(basis) => format!("{IMPORTED}:{basis}"),
+            None => IMPORTED.to_owned(),
+        },
+    }
 }
 
 /// Id of a lease created by an entry.
@@ -182,7 +198,10 @@ impl Change<'_> {
                 blind,
                 place,
             } => self.claim(tx, *purpose, *expires, *blind, *place),
-            Body::Renewed { lease, expires } => renew(tx, *lease, *expires),
+            Body::Renewed { lease, expires } => tx.run(
+                "UPDATE lease SET expires = ?2 WHERE id = ?1",
+                params![*lease, *expires],
+            ),
             Body::Released {
                 lease,
                 user,
@@ -191,12 +210,12 @@ impl Change<'_> {
                 ..
             } => self.release(tx, *lease, *user, *purpose, *reserved),
             Body::DraftSaved {
-                answer,
-                rev,
-                secs,
-                kept_aside,
+                kept_aside: Some(_),
                 ..
-            } => self.save_draft(tx, answer, *rev, *secs, kept_aside.is_some()),
+            } => Ok(()),
+            Body::DraftSaved {
+                answer, rev, secs, ..
+            } => self.put_revision(tx, RevisionState::Draft, answer, *rev, *secs),
             Body::Submitted {
                 answer,
                 rev,
@@ -255,26 +274,30 @@ impl Change<'_> {
         credit: Option<&Credit>,
         extra: Option<&serde_json::Value>,
     ) -> Result<(), Error> {
-        accept_imported(tx, self.seq, self.entry, self.task, answer, credit)?;
         if let Some(extra) = extra {
-            tx.execute(
+            tx.run(
                 "UPDATE task SET extra = ?2 WHERE id = ?1",
                 params![self.task, json(extra)?],
             )?;
         }
+        self.decide(tx, &imported(answer, credit, self.entry))
+    }
+
+    /// Accepts an answer.
+    fn decide(&self, tx: &mut dyn Tx, acceptance: &Acceptance<'_>) -> Result<(), Error> {
+        acceptance.put(tx, self.seq, self.task, self.entry.at)?;
         set_state(tx, self.task, TaskState::Accepted)
     }
 
     fn set_clip(&self, tx: &mut dyn Tx, source: &str, target: Option<&str>) -> Result<(), Error> {
         // Nobody has to be asked about a task without an answer.
-        tx.execute(
+        tx.run(
             "UPDATE task SET source = ?2, target = ?3, changed = CASE WHEN gold IS NOT NULL
                      OR EXISTS (SELECT 1 FROM revision WHERE task = ?1)
                      OR EXISTS (SELECT 1 FROM accepted WHERE task = ?1) THEN 1 ELSE 0 END
                  WHERE id = ?1",
             params![self.task, source, target],
-        )?;
-        Ok(())
+        )
     }
 
     fn claim(
@@ -293,8 +316,19 @@ impl Change<'_> {
             )?;
         }
         self.lease_to_actor(tx, purpose, expires, blind)?;
+        self.after_lease(tx, purpose, TaskState::InReview)
+    }
+
+    /// Derives the state of the task after a lease for `purpose` began or ended. One for a review gives it the state
+    /// `of_review`.
+    fn after_lease(
+        &self,
+        tx: &mut dyn Tx,
+        purpose: Purpose,
+        of_review: TaskState,
+    ) -> Result<(), Error> {
         match purpose {
-            Purpose::Review => set_state(tx, self.task, TaskState::InReview),
+            Purpose::Review => set_state(tx, self.task, of_review),
             Purpose::Annotate | Purpose::Returned | Purpose::Assigned => refresh(tx, self.task),
         }
     }
@@ -307,41 +341,50 @@ impl Change<'_> {
         expires: Millis,
         blind: bool,
     ) -> Result<(), Error> {
+        let lease = Lease {
+            id: lease_id(self.seq, 0),
+            task: self.task,
+            user: self.actor,
+            epoch: self.entry.epoch.unwrap_or(0),
+            expires,
+        };
         put_lease(
             tx,
-            &NewLease {
-                id: lease_id(self.seq, 0),
-                task: self.task,
-                user: self.actor,
-                epoch: self.entry.epoch.unwrap_or(0),
-                expires,
+            &LeaseRow {
+                lease,
                 purpose,
                 blind,
             },
         )
     }
 
-    /// Keeps the task for a person.
+    /// Keeps the task for people.
     fn reserve(
         &self,
         tx: &mut dyn Tx,
-        user: i64,
-        until: Millis,
+        users: &[i64],
+        expires: Millis,
         purpose: Purpose,
     ) -> Result<(), Error> {
         let epoch = tx.number("SELECT epoch FROM task WHERE id = ?1", params![self.task])?;
-        put_lease(
-            tx,
-            &NewLease {
-                id: lease_id(self.seq, 0),
+        for (number, &user) in users.iter().enumerate() {
+            let lease = Lease {
+                id: lease_id(self.seq, number),
                 task: self.task,
                 user,
-                epoch: epoch + 1,
-                expires: until,
-                purpose,
-                blind: false,
-            },
-        )
+                epoch: epoch + 1 + number as i64,
+                expires,
+            };
+            put_lease(
+                tx,
+                &LeaseRow {
+                    lease,
+                    purpose,
+                    blind: false,
+                },
+            )?;
+        }
+        Ok(())
     }
 
     fn release(
@@ -354,26 +397,9 @@ impl Change<'_> {
     ) -> Result<(), Error> {
         tx.execute("DELETE FROM lease WHERE id = ?1", params![lease])?;
         if let Some(until) = reserved {
-            self.reserve(tx, user, until, Purpose::Returned)?;
+            self.reserve(tx, &[user], until, Purpose::Returned)?;
         }
-        match purpose {
-            Purpose::Review => set_state(tx, self.task, TaskState::Submitted),
-            Purpose::Annotate | Purpose::Returned | Purpose::Assigned => refresh(tx, self.task),
-        }
-    }
-
-    fn save_draft(
-        &self,
-        tx: &mut dyn Tx,
-        answer: &Answer,
-        rev: i64,
-        secs: f64,
-        kept_aside: bool,
-    ) -> Result<(), Error> {
-        if kept_aside {
-            return Ok(());
-        }
-        self.put_revision(tx, RevisionState::Draft, answer, rev, secs)
+        self.after_lease(tx, purpose, TaskState::Submitted)
     }
 
     fn submit(
@@ -412,7 +438,7 @@ impl Change<'_> {
             "SELECT blind FROM lease WHERE task = ?1 AND usr = ?2",
             params![self.task, self.actor],
         )?;
-        tx.execute(
+        tx.run(
             "INSERT INTO revision (task, author, rev, state, answer, at, secs, blind, verdict, edit_type, words, parts)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)
          ON CONFLICT (task, author) DO UPDATE SET rev = excluded.rev, state = excluded.state,
@@ -434,8 +460,7 @@ impl Change<'_> {
                 words(answer),
                 part_list(answer)
             ],
-        )?;
-        Ok(())
+        )
     }
 
     fn skip(
@@ -463,25 +488,13 @@ impl Change<'_> {
         until: Millis,
     ) -> Result<(), Error> {
         end_leases(tx, self.task)?;
-        let epoch = tx.number("SELECT epoch FROM task WHERE id = ?1", params![self.task])?;
-        for (number, &author) in authors.iter().enumerate() {
-            tx.execute(
+        for author in authors {
+            tx.run(
                 "UPDATE revision SET state = 'returned' WHERE task = ?1 AND author = ?2",
-                params![self.task, author],
-            )?;
-            put_lease(
-                tx,
-                &NewLease {
-                    id: lease_id(self.seq, number),
-                    task: self.task,
-                    user: author,
-                    epoch: epoch + 1 + number as i64,
-                    expires: until,
-                    purpose: Purpose::Returned,
-                    blind: false,
-                },
+                params![self.task, *author],
             )?;
         }
+        self.reserve(tx, authors, until, Purpose::Returned)?;
         tx.execute(
             "UPDATE task SET came_back = 1 WHERE id = ?1",
             params![self.task],
@@ -504,26 +517,21 @@ impl Change<'_> {
                  WHERE task = ?1 AND state = 'submitted'",
             params![self.task, author],
         )?;
-        tx.execute(
-            "INSERT INTO accepted (task, author, reviewer, answer, merged, keeps, at, seq, basis, words, parts,
-                   edit_type)
-                 SELECT task, author, CAST(?3 AS BIGINT), answer, 0, CASE WHEN verdict = 'keep' THEN 1 ELSE 0 END,
-                   CAST(?4 AS BIGINT), CAST(?5 AS BIGINT), ?6, words, parts,
-                   CASE WHEN verdict = 'keep' THEN edit_type ELSE NULL END
-                 FROM revision WHERE task = ?1 AND author = ?2",
-            params![
-                self.task,
-                author,
-                self.actor,
-                self.entry.at,
-                self.seq,
-                basis(rule, own)
-            ],
-        )?;
+        let accepted = rows::revision(tx, self.task, author)?;
+        let answer = accepted.ok_or_else(|| Error::not_found("answer"))?.answer;
         end_leases(tx, self.task)?;
         self.put_review(tx, Some(author), comment, rule)?;
         settle_clip(tx, self.task)?;
-        set_state(tx, self.task, TaskState::Accepted)
+        let acceptance = Acceptance {
+            author,
+            reviewer: self.actor,
+            answer: &answer,
+            merged: false,
+            credit: None,
+            keeps: answer.verdict() == Some(Verdict::Keep),
+            basis: basis(rule, own),
+        };
+        self.decide(tx, &acceptance)
     }
 
     fn merge(
@@ -537,27 +545,19 @@ impl Change<'_> {
             "UPDATE revision SET state = 'superseded' WHERE task = ?1 AND state = 'submitted'",
             params![self.task],
         )?;
-        tx.execute(
-            "INSERT INTO accepted (task, author, reviewer, answer, merged, keeps, at, seq, basis, words, parts,
-                   edit_type)
-                 VALUES (?1, ?2, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
-            params![
-                self.task,
-                self.actor,
-                json(answer)?,
-                is_kept_pair(answer),
-                self.entry.at,
-                self.seq,
-                basis(None, own),
-                words(answer),
-                part_list(answer),
-                kept_type(answer)
-            ],
-        )?;
         end_leases(tx, self.task)?;
         self.put_review(tx, None, comment, None)?;
         settle_clip(tx, self.task)?;
-        set_state(tx, self.task, TaskState::Accepted)
+        let acceptance = Acceptance {
+            author: self.actor,
+            reviewer: self.actor,
+            answer,
+            merged: true,
+            credit: None,
+            keeps: is_kept_pair(answer),
+            basis: basis(None, own),
+        };
+        self.decide(tx, &acceptance)
     }
 
     fn drop_task(&self, tx: &mut dyn Tx, comment: &str) -> Result<(), Error> {
@@ -584,7 +584,7 @@ impl Change<'_> {
         comment: &str,
         rule: Option<&str>,
     ) -> Result<(), Error> {
-        tx.execute(
+        tx.run(
             "INSERT INTO review (seq, task, reviewer, decision, author, comment, at, rule) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
             params![
                 self.seq,
@@ -596,8 +596,7 @@ impl Change<'_> {
                 self.entry.at,
                 rule
             ],
-        )?;
-        Ok(())
+        )
     }
 
     fn assign(&self, tx: &mut dyn Tx, user: i64, until: Millis) -> Result<(), Error> {
@@ -606,7 +605,7 @@ impl Change<'_> {
             "DELETE FROM lease WHERE task = ?1 AND purpose IN ('returned', 'assigned')",
             params![self.task],
         )?;
-        self.reserve(tx, user, until, Purpose::Assigned)?;
+        self.reserve(tx, &[user], until, Purpose::Assigned)?;
         refresh(tx, self.task)
     }
 
@@ -636,29 +635,19 @@ impl Change<'_> {
     }
 
     fn use_suggestion(&self, tx: &mut dyn Tx, suggestion: i64, used: &str) -> Result<(), Error> {
-        tx.execute(
+        tx.run(
             "INSERT INTO suggestion_use (seq, task, usr, suggestion, used) VALUES (?1, ?2, ?3, ?4, ?5)",
             params![self.seq, self.task, self.actor, suggestion, used],
-        )?;
-        Ok(())
+        )
     }
 
     fn score(&self, tx: &mut dyn Tx, score: f64) -> Result<(), Error> {
-        tx.execute(
+        tx.run(
             "INSERT INTO gold_score (task, usr, score, at) VALUES (?1, ?2, ?3, ?4)
                  ON CONFLICT (task, usr) DO UPDATE SET score = excluded.score, at = excluded.at",
             params![self.task, self.actor, score, self.entry.at],
-        )?;
-        Ok(())
+        )
     }
-}
-
-fn renew(tx: &mut dyn Tx, lease: i64, expires: Millis) -> Result<(), Error> {
-    tx.execute(
-        "UPDATE lease SET expires = ?2 WHERE id = ?1",
-        params![lease, expires],
-    )?;
-    Ok(())
 }
 
 /// How an answer was accepted, for the column `accepted.basis`.

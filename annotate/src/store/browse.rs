@@ -6,12 +6,12 @@ use super::db::{Row, Tx, Value, params};
 use super::filter::{self, Values, condition};
 use super::projections::IMPORTED;
 use super::records::TaskRecord;
-use super::rows;
-use super::rows::NUM_TASK_COLUMNS;
+use super::rows::{self, NUM_TASK_COLUMNS};
+use super::store::Store;
 use crate::Error;
 use crate::wire::{
     AnswerBrief, DecisionRow, Decisions, Holder, SkipBrief, SkipReason, TaskFilter, TaskPage,
-    TaskRow, TaskSort,
+    TaskRow, TaskSort, TaskState,
 };
 
 /// Which page of the browser.
@@ -29,8 +29,64 @@ pub struct PageQuery {
     pub limit: usize,
 }
 
+/// Which decisions to list.
+#[derive(Clone, Debug, Default)]
+pub struct DecisionQuery {
+    /// Of this reviewer.
+    pub reviewer: Option<i64>,
+    /// Of this kind: `accepted`, `merged`, `returned`, `dropped` or `reopened`.
+    pub decision: Option<String>,
+    /// Before this sequence number of the log.
+    pub before: Option<i64>,
+    /// Maximum number.
+    pub limit: usize,
+}
+
+impl Store {
+    /// A page of the task browser.
+    ///
+    /// # Errors
+    /// `invalid`.
+    pub fn browse(&self, query: PageQuery) -> Result<TaskPage, Error> {
+        self.read(|tx| page(tx, &query))
+    }
+
+    /// The row of a task in the browser, and the decisions on it, oldest first.
+    ///
+    /// # Errors
+    /// `not_found`.
+    pub fn task_row(&self, task: i64) -> Result<(TaskRow, Vec<DecisionRow>), Error> {
+        self.read(|tx| {
+            let record = rows::task(tx, task)?;
+            let row = task_rows(tx, vec![record])?.pop();
+            let decisions = decisions(tx, "v.task = ?1 ORDER BY v.seq", params![task])?;
+            Ok((row.ok_or_else(|| Error::not_found("task"))?, decisions))
+        })
+    }
+
+    /// Decisions of reviewers, newest first: what was sent back, to whom, and what became of it.
+    pub fn decisions(&self, query: DecisionQuery) -> Result<Decisions, Error> {
+        let mut values = Values::default();
+        let mut place = format!("v.seq < {}", values.put(query.before.unwrap_or(i64::MAX)));
+        match query.reviewer {
+            Some(reviewer) => place += &format!(" AND v.reviewer = {}", values.put(reviewer)),
+            None => place += " AND v.reviewer <> 0",
+        }
+        if let Some(decision) = query.decision {
+            place += &format!(" AND v.decision = {}", values.put(decision));
+        }
+        let limit = values.put(query.limit as i64);
+        place += &format!(" ORDER BY v.seq DESC LIMIT {limit}");
+        let items = self.read(|tx| decisions(tx, &place, &values.0))?;
+        let next = (items.len() == query.limit)
+            .then(|| items.last().map(|item| item.seq))
+            .flatten();
+        Ok(Decisions { items, next })
+    }
+}
+
 /// A page of tasks. The cursor names the last row by its sort value and id, so that a late page is as fast as the first.
-pub(super) fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage, Error> {
+fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage, Error> {
     filter::check(&query.filter)?;
     let sort = query.sort.unwrap_or(TaskSort::Id);
     let (column, mut descending) = match sort {
@@ -103,12 +159,6 @@ fn count(tx: &mut dyn Tx, filter: &TaskFilter) -> Result<i64, Error> {
         &format!("SELECT COUNT(*) FROM task t WHERE {place}"),
         &values.0,
     )
-}
-
-/// A row of the browser.
-pub(super) fn task_row(tx: &mut dyn Tx, task: TaskRecord) -> Result<TaskRow, Error> {
-    let row = task_rows(tx, vec![task])?.pop();
-    row.ok_or_else(|| Error::not_found("task"))
 }
 
 /// What several tasks have, by their ids.
@@ -260,21 +310,14 @@ fn skips(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<SkipBrief>, Error> {
     )
 }
 
-const DECISION_COLUMNS: &str =
-    "v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), v.author, v.rule,
-  v.comment, v.at, t.state";
-
 fn decision(tx: &mut dyn Tx, row: &Row) -> Result<DecisionRow, Error> {
     let (task, author) = (row.int(1)?, row.opt_int(6)?);
-    let authors = tx
-        .query(
-            "SELECT COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
-             WHERE r.task = ?1 AND r.state <> 'draft' AND (?2 = -1 OR r.author = ?2) ORDER BY r.author",
-            params![task, author.unwrap_or(-1)],
-        )?
-        .iter()
-        .map(|row| row.string(0))
-        .collect::<Result<_, _>>()?;
+    let authors = tx.list(
+        "SELECT COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
+         WHERE r.task = ?1 AND r.state <> 'draft' AND (?2 = -1 OR r.author = ?2) ORDER BY r.author",
+        params![task, author.unwrap_or(-1)],
+        |row| row.string(0),
+    )?;
     Ok(DecisionRow {
         seq: row.int(0)?,
         task,
@@ -287,56 +330,21 @@ fn decision(tx: &mut dyn Tx, row: &Row) -> Result<DecisionRow, Error> {
         rule: row.opt_text(7)?,
         comment: row.string(8)?,
         at: row.int(9)?,
-        state: rows::state(row.text(10)?)?,
+        state: row.named(10, TaskState::parse)?,
     })
 }
 
-/// Decisions on a task, oldest first.
-pub(super) fn decisions_on(tx: &mut dyn Tx, task: i64) -> Result<Vec<DecisionRow>, Error> {
+/// Decisions `v` that fit what follows `WHERE` in a query.
+fn decisions(
+    tx: &mut dyn Tx,
+    condition: &str,
+    params: &[Value],
+) -> Result<Vec<DecisionRow>, Error> {
     let sql = format!(
-        "SELECT {DECISION_COLUMNS} FROM review v JOIN task t ON t.id = v.task LEFT JOIN usr u ON u.id = v.reviewer
-         WHERE v.task = ?1 ORDER BY v.seq"
+        "SELECT v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), v.author, v.rule, v.comment, v.at,
+           t.state
+         FROM review v JOIN task t ON t.id = v.task LEFT JOIN usr u ON u.id = v.reviewer WHERE {condition}"
     );
-    let found = tx.query(&sql, params![task])?;
+    let found = tx.query(&sql, params)?;
     found.iter().map(|row| decision(tx, row)).collect()
-}
-
-/// Which decisions to list.
-#[derive(Clone, Debug, Default)]
-pub struct DecisionQuery {
-    /// Of this reviewer.
-    pub reviewer: Option<i64>,
-    /// Of this kind: `accepted`, `merged`, `returned`, `dropped` or `reopened`.
-    pub decision: Option<String>,
-    /// Before this sequence number of the log.
-    pub before: Option<i64>,
-    /// Maximum number.
-    pub limit: usize,
-}
-
-/// Decisions of people, newest first: what was sent back, to whom, and what became of it.
-pub(super) fn decisions(tx: &mut dyn Tx, query: &DecisionQuery) -> Result<Decisions, Error> {
-    let mut values = Values::default();
-    let mut place = format!("v.seq < {}", values.put(query.before.unwrap_or(i64::MAX)));
-    match query.reviewer {
-        Some(reviewer) => place += &format!(" AND v.reviewer = {}", values.put(reviewer)),
-        None => place += " AND v.reviewer <> 0",
-    }
-    if let Some(decision) = &query.decision {
-        place += &format!(" AND v.decision = {}", values.put(decision));
-    }
-    let limit = values.put(query.limit as i64);
-    let sql = format!(
-        "SELECT {DECISION_COLUMNS} FROM review v JOIN task t ON t.id = v.task LEFT JOIN usr u ON u.id = v.reviewer
-         WHERE {place} ORDER BY v.seq DESC LIMIT {limit}"
-    );
-    let found = tx.query(&sql, &values.0)?;
-    let items: Vec<DecisionRow> = found
-        .iter()
-        .map(|row| decision(tx, row))
-        .collect::<Result<_, _>>()?;
-    let next = (items.len() == query.limit)
-        .then(|| items.last().map(|item| item.seq))
-        .flatten();
-    Ok(Decisions { items, next })
 }

@@ -7,11 +7,11 @@ use super::draw::percent;
 use super::entry::Place;
 use super::import::GOLD_KEY;
 use super::leases::{
-    MINUTE, PLACED, expire, lease_end, prolong, prolong_bundle, reserved_after, take, take_at,
+    MINUTE, PLACED, expire, lease_end, prolong, prolong_bundle, reserved_after, take,
 };
-use super::records::Millis;
-use super::{apply, rows};
-use super::{practice, project};
+use super::records::{Claimed, Millis, TaskDetail};
+use super::store::Store;
+use super::{apply, practice, project, read, rows};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
 use crate::wire::{Code, EditType, Empty, RevisionState, Settings, TaskKind, TaskState};
@@ -25,6 +25,41 @@ const FOR_ME: &str = "t.claimable = 1
 /// The order of [`PLACED`] tasks.
 const IN_BUNDLES: &str =
     "COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id";
+
+impl Store {
+    /// Claims the next task of a kind, or returns the one that the user holds, with the
+    /// motions of the next `ahead` tasks.
+    pub fn claim(
+        &self,
+        user: i64,
+        kind: TaskKind,
+        ahead: usize,
+        now: Millis,
+    ) -> Result<Claimed, Error> {
+        // The writer does both in one transaction: its page cache is warm, a reader's is invalid after
+        // every commit.
+        self.write(move |tx| {
+            Ok(match claim(tx, user, kind, now)? {
+                Ok(task) => Claimed::Task {
+                    detail: Box::new(read::detail(tx, user, task)?),
+                    upcoming: upcoming(tx, user, kind, task, ahead)?,
+                },
+                Err(empty) => Claimed::Nothing(empty),
+            })
+        })
+    }
+
+    /// Claims a given task.
+    ///
+    /// # Errors
+    /// `task_full`, `not_found`, `wrong_state`.
+    pub fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<TaskDetail, Error> {
+        self.write(move |tx| {
+            claim_task(tx, user, task, now)?;
+            read::detail(tx, user, task)
+        })
+    }
+}
 
 /// Tasks of a category that claims would give a user.
 #[derive(Default)]
@@ -136,7 +171,7 @@ fn expired_offers(
 }
 
 /// The next task of a user, or why there is none.
-pub(super) fn claim(
+fn claim(
     tx: &mut dyn Tx,
     user: i64,
     kind: TaskKind,
@@ -170,7 +205,7 @@ pub(super) fn claim(
     for ((task, place), gold) in places.into_iter().zip(golds) {
         // A gold task stands in for one of the tasks, which is left for a later claim.
         let (task, place) = gold.map_or((task, None), |gold| (gold, place));
-        take_at(tx, user, task, Purpose::Annotate, place, &settings, now)?;
+        take(tx, user, task, Purpose::Annotate, place, &settings, now)?;
         taken.push(task);
     }
     Ok(Ok(taken.first().copied().unwrap_or(first)))
@@ -184,29 +219,27 @@ fn due(
     settings: &Settings,
     now: Millis,
 ) -> Result<Option<i64>, Error> {
-    let sql = format!(
-        "SELECT {} FROM {PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2
-         ORDER BY {IN_BUNDLES} LIMIT 1",
-        rows::LEASE_COLUMNS
+    let from = format!(
+        "{PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2 ORDER BY {IN_BUNDLES} LIMIT 1"
     );
-    if let Some(row) = tx.one(&sql, params![user, kind.as_str()])? {
-        let held = rows::read_lease(&row)?;
+    if let Some(held) = rows::leases(tx, &from, params![user, kind.as_str()])?.pop() {
         if held.lease.expires < lease_end(settings, now) - MINUTE {
             prolong_bundle(tx, &held, settings, now)?;
         }
         return Ok(Some(held.lease.task));
     }
-    let back = tx.one(
+    let back = tx.find(
         "SELECT t.id FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?1 AND l.purpose IN ('returned', 'assigned') AND t.kind = ?2 ORDER BY l.id LIMIT 1",
         params![user, kind.as_str()],
+        |row| row.int(0),
     )?;
     let task = match back {
-        Some(row) => Some(row.int(0)?),
+        Some(task) => Some(task),
         None => practice::next(tx, user, kind, settings)?,
     };
     if let Some(task) = task {
-        take(tx, user, task, Purpose::Annotate, settings, now)?;
+        take(tx, user, task, Purpose::Annotate, None, settings, now)?;
     }
     Ok(task)
 }
@@ -274,10 +307,13 @@ fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>, Error> {
          SELECT category FROM task WHERE kind = 'pair' AND counted = 1
          UNION ALL SELECT category FROM task WHERE kind = 'pair' AND counted = 0 AND state IN ('submitted', 'in_review')
        ) p GROUP BY p.category";
-    tx.query(sql, &[])?
-        .iter()
-        .map(|row| Ok((row.opt_text(0)?, row.int(1)?)))
-        .collect()
+    counts(tx, sql)
+}
+
+/// A query for names and their counts.
+fn counts(tx: &mut dyn Tx, sql: &str) -> Result<BTreeMap<Option<String>, i64>, Error> {
+    let counts = tx.list(sql, &[], |row| Ok((row.opt_text(0)?, row.int(1)?)))?;
+    Ok(counts.into_iter().collect())
 }
 
 /// The room in each category, if the project has a quota for tasks of this kind.
@@ -343,13 +379,10 @@ fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<V
     // A pair that somebody is at work on counts as what it is stated to be.
     let sql = "SELECT COALESCE(kept_type, stated_type), COUNT(*) FROM task WHERE kind = 'pair' AND counted = 1
          GROUP BY COALESCE(kept_type, stated_type)";
-    let mut counted: BTreeMap<Option<String>, i64> = BTreeMap::new();
-    for row in tx.query(sql, &[])? {
-        counted.insert(row.opt_text(0)?, row.int(1)?);
-    }
+    let counted_as = counts(tx, sql)?;
     let counted = |edit_type: EditType| {
         let name = Some(edit_type.as_str().to_owned());
-        counted.get(&name).copied().unwrap_or(0)
+        counted_as.get(&name).copied().unwrap_or(0)
     };
     let (mut behind, full): (Vec<_>, Vec<_>) = quotas
         .into_iter()
@@ -417,7 +450,7 @@ fn candidate(
 
 /// Hashes of the motions of the tasks after the present one: those held, the next gold task, whose motions would
 /// otherwise come later than those of others, and new ones.
-pub(super) fn upcoming(
+fn upcoming(
     tx: &mut dyn Tx,
     user: i64,
     kind: TaskKind,
@@ -501,7 +534,7 @@ fn known_tasks(
     count: usize,
 ) -> Result<Vec<i64>, Error> {
     let prefix = GOLD_KEY.len() as i64 + 1;
-    tx.query(
+    tx.list(
         "SELECT t.id FROM task t WHERE t.gold IS NOT NULL AND t.practice = 0 AND t.kind = ?1 AND t.state IN ('open', 'leased')
            AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft')
            AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
@@ -512,52 +545,46 @@ fn known_tasks(
              OR EXISTS (SELECT 1 FROM accepted a WHERE a.task = o.id AND a.author = ?2)))
          ORDER BY t.shuffle, t.id LIMIT ?4",
         params![kind.as_str(), user, prefix, count as i64],
-    )?
-    .iter()
-    .map(|row| row.int(0))
-    .collect()
+        |row| row.int(0),
+    )
 }
 
 fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty, Error> {
-    let kind = kind.as_str();
     let mut empty = Empty::default();
     let counts = tx.query(
         "SELECT state, COUNT(*) FROM task WHERE kind = ?1 AND gold IS NULL GROUP BY state",
-        params![kind],
+        params![kind.as_str()],
     )?;
     for row in counts {
         let count = row.int(1)?;
         empty.total += count;
-        match rows::state(row.text(0)?)? {
+        match row.named(0, TaskState::parse)? {
             TaskState::Submitted | TaskState::InReview | TaskState::Accepted => empty.done += count,
             TaskState::Dropped => empty.dropped += count,
             TaskState::Open | TaskState::Leased | TaskState::Returned => {}
         }
     }
-    empty.waiting_for_others = tx.number(
-        "SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
-         WHERE r.author = ?2 AND r.state <> 'draft' AND t.kind = ?1 AND t.gold IS NULL
-           AND t.state IN ('open', 'leased', 'returned')",
-        params![kind, user],
-    )?;
-    let held = tx.one(
-        "SELECT COUNT(DISTINCT l.task), MIN(l.expires) FROM lease l JOIN task t ON t.id = l.task
+    let others = tx.one(
+        "SELECT COUNT(DISTINCT l.task), MIN(l.expires),
+           (SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
+            WHERE r.author = ?2 AND r.state <> 'draft' AND t.kind = ?1 AND t.gold IS NULL
+              AND t.state IN ('open', 'leased', 'returned')),
+           (SELECT COUNT(*) FROM skip s JOIN task t ON t.id = s.task
+            WHERE s.usr = ?2 AND t.kind = ?1 AND t.state IN ('open', 'leased', 'returned'))
+         FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr <> ?2 AND l.purpose <> 'review' AND t.kind = ?1 AND t.gold IS NULL",
-        params![kind, user],
+        params![kind.as_str(), user],
     )?;
-    if let Some(row) = held {
+    if let Some(row) = others {
         empty.leased_by_others = row.int(0)?;
         empty.soonest_expiry = row.opt_int(1)?;
+        empty.waiting_for_others = row.int(2)?;
+        empty.skipped_by_me = row.int(3)?;
     }
-    empty.skipped_by_me = tx.number(
-        "SELECT COUNT(*) FROM skip s JOIN task t ON t.id = s.task
-         WHERE s.usr = ?2 AND t.kind = ?1 AND t.state IN ('open', 'leased', 'returned')",
-        params![kind, user],
-    )?;
     Ok(empty)
 }
 
-pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<(), Error> {
+fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<(), Error> {
     expire(tx, user, now)?;
     let settings = project::settings(tx)?;
     let task = rows::task(tx, id)?;
@@ -567,17 +594,14 @@ pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Re
             return Ok(());
         }
         Some(held) if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) => {
-            return take(tx, user, id, Purpose::Annotate, &settings, now);
+            return take(tx, user, id, Purpose::Annotate, None, &settings, now);
         }
         Some(_) => return Err(Error::wrong_state(task.state, "answered by its reviewer")),
         None => {}
     }
     // Only users who have held the task may open it by number.
-    let known = tx.one(
-        "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 AND kind = 'claimed' LIMIT 1",
-        params![id, user],
-    )?;
-    if known.is_none() {
+    let known = "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 AND kind = 'claimed' LIMIT 1";
+    if !tx.has(known, params![id, user])? {
         return Err(Error::not_found("task"));
     }
     if let Some(mine) = rows::revision(tx, id, user)?
@@ -609,5 +633,5 @@ pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Re
             "its category has as many pairs as the project wants; your text is kept as a draft",
         ));
     }
-    take(tx, user, id, Purpose::Annotate, &settings, now)
+    take(tx, user, id, Purpose::Annotate, None, &settings, now)
 }

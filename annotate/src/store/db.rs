@@ -75,6 +75,19 @@ impl<T: Into<Value>> From<Option<T>> for Value {
     }
 }
 
+/// The error of a row that cannot be read, or of a value that cannot be stored.
+pub(crate) fn unreadable(table: &'static str, problem: impl std::fmt::Display) -> Error {
+    Error::Row {
+        table,
+        problem: problem.to_string(),
+    }
+}
+
+/// A value as a column of JSON.
+pub(crate) fn json<T: serde::Serialize>(value: &T) -> Result<String, Error> {
+    serde_json::to_string(value).map_err(|error| unreadable("of a request", error))
+}
+
 /// Values for the parameters of a statement.
 macro_rules! params {
     ($($value:expr),* $(,)?) => { &[$( $crate::store::db::Value::from($value), )*] };
@@ -87,13 +100,13 @@ pub(crate) struct Row(pub(crate) Vec<Value>);
 
 impl Row {
     fn wrong(&self, column: usize, expected: &str) -> Error {
-        Error::Row {
-            table: "of an answer",
-            problem: format!(
+        unreadable(
+            "of an answer",
+            format!(
                 "column {column} is {:?}, expected {expected}",
                 self.0.get(column)
             ),
-        }
+        )
     }
 
     pub(crate) fn int(&self, column: usize) -> Result<i64, Error> {
@@ -137,40 +150,38 @@ impl Row {
         self.text(column).map(str::to_owned)
     }
 
-    fn is_null(&self, column: usize) -> bool {
-        matches!(self.0.get(column), Some(Value::Null))
+    /// A column that may be NULL.
+    pub(crate) fn opt<T>(
+        &self,
+        column: usize,
+        read: impl FnOnce(&Self, usize) -> Result<T, Error>,
+    ) -> Result<Option<T>, Error> {
+        match self.0.get(column) {
+            Some(Value::Null) => Ok(None),
+            _ => read(self, column).map(Some),
+        }
     }
 
     pub(crate) fn opt_int(&self, column: usize) -> Result<Option<i64>, Error> {
-        if self.is_null(column) {
-            Ok(None)
-        } else {
-            self.int(column).map(Some)
-        }
-    }
-
-    pub(crate) fn opt_real(&self, column: usize) -> Result<Option<f64>, Error> {
-        if self.is_null(column) {
-            Ok(None)
-        } else {
-            self.real(column).map(Some)
-        }
+        self.opt(column, Self::int)
     }
 
     pub(crate) fn opt_text(&self, column: usize) -> Result<Option<String>, Error> {
-        if self.is_null(column) {
-            Ok(None)
-        } else {
-            self.string(column).map(Some)
-        }
+        self.opt(column, Self::string)
+    }
+
+    /// A column with one of a list of names.
+    pub(crate) fn named<T>(
+        &self,
+        column: usize,
+        parse: impl FnOnce(&str) -> Option<T>,
+    ) -> Result<T, Error> {
+        parse(self.text(column)?).ok_or_else(|| self.wrong(column, "a name that is known"))
     }
 
     /// A column of JSON.
     pub(crate) fn json<T: serde::de::DeserializeOwned>(&self, column: usize) -> Result<T, Error> {
-        serde_json::from_str(self.text(column)?).map_err(|error| Error::Row {
-            table: "of an answer",
-            problem: error.to_string(),
-        })
+        serde_json::from_str(self.text(column)?).map_err(|error| unreadable("of an answer", error))
     }
 }
 
@@ -195,10 +206,41 @@ pub(crate) trait Tx {
     }
 }
 
-/// Closure run in a transaction.
-pub(crate) type Work = Box<dyn FnOnce(&mut dyn Tx) -> Result<(), Error> + Send>;
+impl dyn Tx + '_ {
+    /// Runs a statement whose number of changed rows does not matter.
+    pub(crate) fn run(&mut self, sql: &str, params: &[Value]) -> Result<(), Error> {
+        self.execute(sql, params).map(|_| ())
+    }
 
-/// A database: write transactions run one after the other, read transactions beside them.
+    /// Runs a query and reads each of its rows.
+    pub(crate) fn list<T>(
+        &mut self,
+        sql: &str,
+        params: &[Value],
+        read: impl FnMut(&Row) -> Result<T, Error>,
+    ) -> Result<Vec<T>, Error> {
+        self.query(sql, params)?.iter().map(read).collect()
+    }
+
+    /// Runs a query with at most one row and reads it.
+    pub(crate) fn find<T>(
+        &mut self,
+        sql: &str,
+        params: &[Value],
+        read: impl FnOnce(&Row) -> Result<T, Error>,
+    ) -> Result<Option<T>, Error> {
+        self.one(sql, params)?.as_ref().map(read).transpose()
+    }
+
+    /// Whether a query has rows.
+    pub(crate) fn has(&mut self, sql: &str, params: &[Value]) -> Result<bool, Error> {
+        Ok(self.one(sql, params)?.is_some())
+    }
+}
+
+/// Closure run in a transaction.
+pub(crate) type Work<'a> = Box<dyn FnOnce(&mut dyn Tx) -> Result<(), Error> + Send + 'a>;
+
 /// What a copy of a store holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Content {
@@ -208,17 +250,16 @@ pub(crate) enum Content {
     WithoutTokens,
 }
 
+/// A database: write transactions run one after the other, read transactions beside them.
 pub(crate) trait Database: Send + Sync {
     /// Runs work in a transaction and returns once it is durable. Failed work is rolled back.
-    fn write(&self, work: Work) -> Result<(), Error>;
+    fn write(&self, work: Work<'static>) -> Result<(), Error>;
     /// Runs read-only work on a consistent snapshot.
-    fn read(&self, work: Work) -> Result<(), Error>;
+    fn read(&self, work: Work<'_>) -> Result<(), Error>;
     /// The database as it is now, whatever is written later.
     fn snapshot(&self) -> Result<Box<dyn Database>, Error>;
     /// Writes a backup to a new file without blocking others.
     fn backup(&self, path: &std::path::Path, content: Content) -> Result<(), Error>;
-    /// Checks that the store accepts writes, by writing.
-    fn check(&self) -> Result<(), Error>;
     /// Whether servers on several machines can share it.
     fn is_shared(&self) -> bool {
         false
@@ -238,16 +279,16 @@ pub(crate) fn write<T: Send + 'static>(
 }
 
 /// [`Database::read`] with a value as its result.
-pub(crate) fn read<T: Send + 'static>(
+pub(crate) fn read<'a, T: Send + 'a>(
     db: &dyn Database,
-    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'a,
 ) -> Result<T, Error> {
     with_value(|work| db.read(work), work)
 }
 
-fn with_value<T: Send + 'static>(
-    run: impl FnOnce(Work) -> Result<(), Error>,
-    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+fn with_value<'a, T: Send + 'a>(
+    run: impl FnOnce(Work<'a>) -> Result<(), Error>,
+    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'a,
 ) -> Result<T, Error> {
     let (sender, receiver) = std::sync::mpsc::channel();
     run(Box::new(move |tx| {
@@ -256,17 +297,4 @@ fn with_value<T: Send + 'static>(
         Ok(())
     }))?;
     receiver.try_recv().map_err(|_| Error::Closed)
-}
-
-/// Bytes of the write test: larger than any answer, so that a nearly full disk fails the test.
-const TRIED: usize = 64 * 1024;
-
-/// Write test of [`Database`].
-pub(crate) fn try_writing(tx: &mut dyn Tx) -> Result<(), Error> {
-    let body = Value::Text("-".repeat(TRIED));
-    tx.execute(
-        "INSERT INTO setting (name, body) VALUES ('ready', ?1) ON CONFLICT (name) DO UPDATE SET body = excluded.body",
-        &[body],
-    )?;
-    Ok(())
 }

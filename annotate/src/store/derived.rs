@@ -43,10 +43,7 @@ pub(super) fn define_projections(tx: &mut dyn Tx) -> Result<(), Error> {
 /// Entries of the log after a sequence number, up to [`BATCH`].
 pub(super) fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>, Error> {
     let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
-    tx.query(&sql, params![after, BATCH])?
-        .iter()
-        .map(read_entry)
-        .collect()
+    tx.list(&sql, params![after, BATCH], read_entry)
 }
 
 /// Fills the empty projections of a store from its log.

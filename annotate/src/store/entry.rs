@@ -64,10 +64,7 @@ pub(super) fn read_stored<T>(table: &'static str, text: &str) -> Result<T, Error
 where
     T: Default + Serialize + DeserializeOwned,
 {
-    stored(&mut serde_json::Deserializer::from_str(text)).map_err(|error| Error::Row {
-        table,
-        problem: error.to_string(),
-    })
+    stored(&mut serde_json::Deserializer::from_str(text)).map_err(|error| unreadable(table, error))
 }
 
 /// A place in a bundle.
@@ -312,20 +309,6 @@ pub(crate) struct Entry {
     pub(crate) body: Body,
 }
 
-/// Idempotency key of an entry, and the reply.
-pub(crate) struct Reply {
-    pub(crate) idem_key: String,
-    pub(crate) base_rev: i64,
-    pub(crate) result: String,
-}
-
-pub(super) fn json<T: Serialize>(value: &T) -> Result<String, Error> {
-    serde_json::to_string(value).map_err(|error| Error::Row {
-        table: "event",
-        problem: error.to_string(),
-    })
-}
-
 /// Columns of [`read_entry`].
 pub(crate) const ENTRY_COLUMNS: &str = "seq, at, actor, task, epoch, body, version";
 
@@ -333,18 +316,16 @@ pub(crate) const ENTRY_COLUMNS: &str = "seq, at, actor, task, epoch, body, versi
 pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry), Error> {
     let seq = row.int(0)?;
     if row.int(6)? != VERSION {
-        return Err(Error::Row {
-            table: "event",
-            problem: format!(
+        return Err(unreadable(
+            "event",
+            format!(
                 "entry {seq} is of version {}, this program knows {VERSION}",
                 row.int(6)?
             ),
-        });
+        ));
     }
-    let body = serde_json::from_str(row.text(5)?).map_err(|error| Error::Row {
-        table: "event",
-        problem: format!("entry {seq}: {error}"),
-    })?;
+    let body = serde_json::from_str(row.text(5)?)
+        .map_err(|error| unreadable("event", format!("entry {seq}: {error}")))?;
     let entry = Entry {
         at: row.int(1)?,
         actor: row.opt_int(2)?,
@@ -363,6 +344,6 @@ mod tests {
     fn a_task_without_a_stated_edit_type_is_written_as_before_there_were_any() {
         let stored = r#"{"event":"imported","task":{"key":"pair:1","kind":"pair","source":"a","target":"b","split":"train","bundle":7,"bundle_index":0,"category":null,"hint":"higher","style":null,"priority":0,"shuffle":3,"wanted":1,"gold":null,"extra":null,"accepted":null,"credit":null}}"#;
         let body: Body = serde_json::from_str(stored).expect("an entry");
-        assert_eq!(json(&body).expect("JSON"), stored);
+        assert_eq!(super::super::db::json(&body).expect("JSON"), stored);
     }
 }

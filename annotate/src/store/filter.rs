@@ -101,22 +101,29 @@ fn skipped(by: SkipFilter) -> String {
 fn contains(text: &str, values: &mut Values) -> String {
     let like = values.put(read::like(text));
     let fits = |column: &str| format!("{column} LIKE {like} ESCAPE '\\'");
-    format!(
-        "(EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.state <> 'draft' AND {})
-              OR EXISTS (SELECT 1 FROM accepted a WHERE a.task = t.id AND {})
-              OR EXISTS (SELECT 1 FROM motion m WHERE m.hash = t.source AND ({} OR {}))
-              OR EXISTS (SELECT 1 FROM motion m WHERE m.hash = t.target AND ({} OR {}))
-              OR {} OR {} OR {})",
-        fits("r.words"),
-        fits("a.words"),
-        fits("lower(m.id)"),
-        fits("lower(m.captions)"),
-        fits("lower(m.id)"),
-        fits("lower(m.captions)"),
+    let clip = |hash: &str| {
+        format!(
+            "EXISTS (SELECT 1 FROM motion m WHERE m.hash = {hash} AND ({} OR {}))",
+            fits("lower(m.id)"),
+            fits("lower(m.captions)")
+        )
+    };
+    let any = [
+        format!(
+            "EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.state <> 'draft' AND {})",
+            fits("r.words")
+        ),
+        format!(
+            "EXISTS (SELECT 1 FROM accepted a WHERE a.task = t.id AND {})",
+            fits("a.words")
+        ),
+        clip("t.source"),
+        clip("t.target"),
         fits("lower(t.category)"),
         fits("lower(t.hint)"),
         fits("lower(t.style)"),
-    )
+    ];
+    format!("({})", any.join(" OR "))
 }
 
 /// Checks a filter.
@@ -127,11 +134,8 @@ pub(super) fn check(filter: &TaskFilter) -> Result<(), Error> {
     {
         return Err(Error::invalid("part", error.to_string()));
     }
-    if filter
-        .q
-        .as_ref()
-        .is_some_and(|text| text.chars().count() > MAX_SEARCH)
-    {
+    let q = filter.q.as_ref();
+    if q.is_some_and(|text| text.chars().count() > MAX_SEARCH) {
         return Err(Error::invalid(
             "q",
             format!("search for up to {MAX_SEARCH} characters"),

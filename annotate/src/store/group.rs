@@ -19,7 +19,7 @@ pub(crate) trait Writer: Send + 'static {
     /// Begins a transaction.
     fn begin(&mut self) -> Result<(), Error>;
     /// Does work; rolls it back if it fails.
-    fn run(&mut self, work: Work) -> Result<(), Error>;
+    fn run(&mut self, work: Work<'_>) -> Result<(), Error>;
     /// Whether the transaction is still open.
     fn is_open(&self) -> bool;
     /// Makes the transaction durable.
@@ -31,7 +31,7 @@ pub(crate) trait Writer: Send + 'static {
 }
 
 struct Job {
-    work: Work,
+    work: Work<'static>,
     done: SyncSender<Result<(), Error>>,
 }
 
@@ -56,7 +56,7 @@ impl WriterThread {
     }
 
     /// Queues work and returns once it is durable.
-    pub(crate) fn write(&self, work: Work) -> Result<(), Error> {
+    pub(crate) fn write(&self, work: Work<'static>) -> Result<(), Error> {
         let (done, answer) = sync_channel(1);
         let jobs = lock(&self.jobs).clone().ok_or(Error::Closed)?;
         jobs.send(Job { work, done }).map_err(|_| Error::Closed)?;

@@ -2,10 +2,10 @@
 
 use super::db::{Tx, params};
 use super::draw::{draw, percent};
-use super::entry::{Body, Entry, LoggedTask};
-use super::project;
+use super::entry::{Body, LoggedTask};
 use super::records::{Imported, Millis, NewTask};
-use super::{log, rows, rules};
+use super::store::Store;
+use super::{log, project, read, rows, rules};
 use crate::Error;
 use crate::answer;
 use crate::wire::{Answer, Settings, TaskKind, TaskState};
@@ -15,9 +15,45 @@ pub(super) const GOLD_KEY: &str = "gold:";
 /// Answers wanted for a gold task: one of everybody.
 const GOLD_WANTED: u32 = 1_000_000;
 
-/// Imports tasks. Tasks with a known key stay as they are, except that an accepted answer fills one that nobody has
-/// worked on.
-pub(super) fn import(
+impl Store {
+    /// Imports tasks. Tasks with a known key stay as they are, except that an accepted answer fills one that nobody
+    /// has worked on.
+    pub fn import(
+        &self,
+        actor: Option<i64>,
+        tasks: Vec<NewTask>,
+        now: Millis,
+    ) -> Result<Imported, Error> {
+        let mut done = Imported::default();
+        for group in tasks.chunks(project::AT_ONCE) {
+            let group = group.to_vec();
+            let some = self.write(move |tx| import(tx, actor, &group, now))?;
+            done.new += some.new;
+            done.known += some.known;
+            done.filled += some.filled;
+            done.conflicts.extend(some.conflicts);
+        }
+        Ok(done)
+    }
+
+    /// Copies an accepted task as a hidden gold task, to measure people.
+    ///
+    /// # Errors
+    /// `wrong_state`, `not_found`.
+    pub fn make_gold(&self, actor: i64, task: i64, now: Millis) -> Result<i64, Error> {
+        self.write(move |tx| copy_known(tx, actor, task, false, now))
+    }
+
+    /// Copies an accepted task as a practice task, to learn from: the known answer is shown afterwards.
+    ///
+    /// # Errors
+    /// `wrong_state`, `not_found`.
+    pub fn make_practice(&self, actor: i64, task: i64, now: Millis) -> Result<i64, Error> {
+        self.write(move |tx| copy_known(tx, actor, task, true, now))
+    }
+}
+
+fn import(
     tx: &mut dyn Tx,
     actor: Option<i64>,
     tasks: &[NewTask],
@@ -80,9 +116,8 @@ fn fill(
     answer: &Answer,
     now: Millis,
 ) -> Result<Filled, Error> {
-    let accepted = tx.one("SELECT answer FROM accepted WHERE task = ?1", params![id])?;
-    if let Some(row) = accepted {
-        return Ok(if answer::says(&row.json(0)?, answer) {
+    if let Some(accepted) = read::accepted_answer(tx, id)? {
+        return Ok(if answer::says(&accepted, answer) {
             Filled::Before
         } else {
             Filled::Otherwise
@@ -97,18 +132,17 @@ fn fill(
     if touched > 0 || task.state != TaskState::Open || task.gold.is_some() {
         return Ok(Filled::Otherwise);
     }
-    let entry = Entry {
-        at: now,
+    log::note(
+        tx,
+        now,
         actor,
-        task: Some(id),
-        epoch: None,
-        body: Body::Filled {
+        Some(id),
+        Body::Filled {
             answer: answer.clone(),
             credit: new.credit.clone(),
             extra: new.extra.clone(),
         },
-    };
-    log::note(tx, &entry)?;
+    )?;
     Ok(Filled::Now)
 }
 
@@ -131,12 +165,12 @@ fn put_task(
     } else {
         wanted(settings, &task.key, bundle)
     };
-    let entry = Entry {
-        at: now,
+    log::note(
+        tx,
+        now,
         actor,
-        task: Some(id),
-        epoch: None,
-        body: Body::Imported {
+        Some(id),
+        Body::Imported {
             task: Box::new(LoggedTask {
                 key: task.key.clone(),
                 kind: task.kind,
@@ -159,8 +193,7 @@ fn put_task(
                 credit: task.credit.clone(),
             }),
         },
-    };
-    log::note(tx, &entry)?;
+    )?;
     for suggestion in &task.suggestions {
         project::put_suggestion(tx, id, suggestion, now)?;
     }
@@ -200,14 +233,13 @@ fn retarget_some(
         if wanted == row.count(3)? {
             continue;
         }
-        let entry = Entry {
-            at: now,
-            actor: Some(actor),
-            task: Some(task),
-            epoch: None,
-            body: Body::Retargeted { wanted },
-        };
-        log::note(tx, &entry)?;
+        log::note(
+            tx,
+            now,
+            Some(actor),
+            Some(task),
+            Body::Retargeted { wanted },
+        )?;
         rules::on_answer(tx, &settings, task, now)?;
     }
     found.last().map(|row| row.int(0)).transpose()
@@ -215,65 +247,43 @@ fn retarget_some(
 
 /// Brings the number of people of some more tasks up to date, and returns whether all are.
 pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool, Error> {
-    let row = tx.one(
-        "SELECT body FROM setting WHERE name = ?1",
-        params![project::RETARGETING],
-    )?;
-    let Some(row) = row else { return Ok(true) };
-    let after = row.text(0)?.parse().unwrap_or(0);
-    match retarget_some(tx, actor, after, now)? {
+    let Some(after) = project::get(tx, project::RETARGETING)? else {
+        return Ok(true);
+    };
+    match retarget_some(tx, actor, after.parse().unwrap_or(0), now)? {
         Some(last) => {
             project::put(tx, project::RETARGETING, &last.to_string())?;
             Ok(false)
         }
         None => {
-            tx.execute(
-                "DELETE FROM setting WHERE name = ?1",
-                params![project::RETARGETING],
-            )?;
+            let sql = "DELETE FROM setting WHERE name = ?1";
+            tx.run(sql, params![project::RETARGETING])?;
             Ok(true)
         }
     }
 }
 
-/// What a task with a known answer is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Known {
-    /// Hidden among others, to measure people.
-    Gold,
-    /// To learn from: the known answer is shown afterwards.
-    Practice,
-}
-
 /// Copies an accepted task as a gold or a practice task.
-pub(super) fn copy_known(
+fn copy_known(
     tx: &mut dyn Tx,
     actor: i64,
     id: i64,
-    known: Known,
+    practice: bool,
     now: Millis,
 ) -> Result<i64, Error> {
     let task = rows::task(tx, id)?;
-    let (name, prefix) = match known {
-        Known::Gold => ("gold", GOLD_KEY),
-        Known::Practice => ("practice", "practice:"),
+    let (name, prefix) = if practice {
+        ("practice", "practice:")
+    } else {
+        ("gold", GOLD_KEY)
     };
-    let row = tx.one("SELECT answer FROM accepted WHERE task = ?1", params![id])?;
-    let Some(row) = row else {
-        return Err(Error::wrong_state(
-            task.state,
-            &format!("made {name}; only accepted tasks can"),
-        ));
+    let refuse = |why: &str| Err(Error::wrong_state(task.state, &format!("made {name}{why}")));
+    let Some(known) = read::accepted_answer(tx, id)? else {
+        return refuse("; only accepted tasks can");
     };
     let key = format!("{prefix}{}", task.key);
-    if tx
-        .one("SELECT 1 FROM task WHERE key = ?1", params![&key])?
-        .is_some()
-    {
-        return Err(Error::wrong_state(
-            task.state,
-            &format!("made {name} twice"),
-        ));
+    if tx.has("SELECT 1 FROM task WHERE key = ?1", params![&key])? {
+        return refuse(" twice");
     }
     let copy = NewTask {
         key,
@@ -289,16 +299,15 @@ pub(super) fn copy_known(
         // The known answer says it.
         edit_type: None,
         priority: 0,
-        gold: Some(row.json(0)?),
+        gold: Some(known),
         extra: None,
         // Without drafts it would be told from other tasks.
-        suggestions: project::drafts_of(tx, id)?,
+        suggestions: project::drafts_where(tx, "task = ?1 ORDER BY id", params![id])?,
         accepted: None,
         credit: None,
     };
     let next = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM task", &[])?;
     let settings = project::settings(tx)?;
-    let practice = known == Known::Practice;
     put_task(tx, Some(actor), next, &copy, practice, &settings, now)?;
     Ok(next)
 }

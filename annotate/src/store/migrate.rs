@@ -79,7 +79,7 @@ CREATE INDEX paraphrase_state ON paraphrase (state, id);",
 pub(super) const VERSION: i64 = 1 + STEPS.len() as i64;
 
 /// Name of the setting that holds the id.
-const ID: &str = "id";
+pub(super) const ID: &str = "id";
 /// Bytes of the id.
 const ID_BYTES: usize = 8;
 
@@ -141,21 +141,9 @@ pub(super) fn apply(tx: &mut dyn Tx, plan: Plan) -> Result<(), Error> {
             derived::derive(tx)?;
         }
     }
-    identify(tx)
-}
-
-/// Gives the store an id, if it has none.
-fn identify(tx: &mut dyn Tx) -> Result<(), Error> {
-    tx.execute(
+    // An id, if it has none.
+    tx.run(
         "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO NOTHING",
         params![ID, people::random::<ID_BYTES>()?],
-    )?;
-    Ok(())
-}
-
-/// The id of the store, which its copies share.
-pub(super) fn id(tx: &mut dyn Tx) -> Result<String, Error> {
-    tx.one("SELECT body FROM setting WHERE name = ?1", params![ID])?
-        .ok_or(Error::Closed)?
-        .string(0)
+    )
 }

@@ -1,9 +1,10 @@
 //! What a person handed in, and where it stands.
 
 use super::append::take_back_window;
-use super::db::{Tx, params};
+use super::db::{Row, Tx, params};
 use super::records::{Millis, MineQuery, OwnAnswer, TaskRecord};
 use super::rows::{self, NUM_TASK_COLUMNS};
+use super::store::Store;
 use super::{project, read};
 use crate::Error;
 use crate::wire::{Feedback, RevisionState, Standing, TaskState};
@@ -11,8 +12,23 @@ use crate::wire::{Feedback, RevisionState, Standing, TaskState};
 /// Columns of a revision, after those of its task.
 const AFTER_REVISION: usize = NUM_TASK_COLUMNS + 7;
 
-/// A person's answers, newest first, from a cursor `at:task` on.
-pub(super) fn answers(
+impl Store {
+    /// A person's answers, newest first, with the cursor of the next page.
+    ///
+    /// # Errors
+    /// `invalid`.
+    pub fn answers_of(
+        &self,
+        user: i64,
+        query: MineQuery,
+        now: Millis,
+    ) -> Result<(Vec<OwnAnswer>, Option<String>), Error> {
+        self.read(|tx| answers(tx, user, &query, now))
+    }
+}
+
+/// A cursor is `at:task`.
+fn answers(
     tx: &mut dyn Tx,
     user: i64,
     query: &MineQuery,
@@ -72,7 +88,7 @@ pub(super) fn answers(
 fn own_answer(
     tx: &mut dyn Tx,
     user: i64,
-    row: &super::db::Row,
+    row: &Row,
     window: Millis,
     now: Millis,
 ) -> Result<OwnAnswer, Error> {
@@ -109,13 +125,7 @@ fn own_answer(
             } else {
                 "returned"
             };
-            tx.one(
-                "SELECT comment FROM review WHERE task = ?1 AND decision = ?2
-                   AND (author IS NULL OR author = ?3) ORDER BY seq DESC LIMIT 1",
-                params![task.id, decision, user],
-            )?
-            .map(|row| row.string(0))
-            .transpose()?
+            read::comment_to(tx, task.id, user, decision)?
         }
         _ => None,
     };
@@ -141,14 +151,10 @@ fn own_answer(
 
 /// What a practice task teaches a user who handed it in.
 fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feedback>, Error> {
-    let row = tx.one(
-        "SELECT score FROM gold_score WHERE task = ?1 AND usr = ?2",
-        params![task.id, user],
-    )?;
-    let score = row.map(|row| row.real(0)).transpose()?;
-    Ok(score
-        .zip(task.gold.clone())
-        .map(|(score, known)| Feedback { score, known }))
+    let sql = "SELECT score FROM gold_score WHERE task = ?1 AND usr = ?2";
+    let score = tx.find(sql, params![task.id, user], |row| row.real(0))?;
+    let known = score.zip(task.gold.clone());
+    Ok(known.map(|(score, known)| Feedback { score, known }))
 }
 
 /// Where an answer stands.

@@ -4,10 +4,11 @@
 //! entry is applied to them in the transaction that writes it, and [`Store::rebuild`] derives them again from
 //! the log.
 //!
-//! [`Store`] lists the operations. They are implemented in `claim` (who gets which task), `leases`, `append` (drafts,
+//! The operations of [`Store`] are in the module of their kind: `claim` (who gets which task), `leases`, `append` (drafts,
 //! submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with `filter`,
-//! `bulk` (actions on many tasks), `home`, `mine`, `captures` (the capture plan), `import` and `people`; `read` holds queries, `apply` writes the
-//! projections, `project` the tables beside the log, `db` abstracts from the database.
+//! `bulk` (actions on many tasks), `home`, `mine`, `work`, `captures` (the capture plan), `import`, `people`, `jobs` and
+//! `pictures`; `read` holds queries, `project` the tables beside the log. `apply` writes the projections, `db` abstracts
+//! from the database.
 
 mod append;
 mod apply;
@@ -24,6 +25,7 @@ mod filter;
 mod group;
 mod home;
 mod import;
+mod jobs;
 mod leases;
 mod log;
 mod migrate;
@@ -41,7 +43,6 @@ mod read;
 mod readers;
 mod rebuild;
 mod records;
-mod replies;
 mod review;
 mod rows;
 mod rules;
@@ -76,8 +77,7 @@ pub use store::Store;
 /// # Errors
 /// The file cannot be opened, is of a newer version, or lies on a network file system.
 pub fn open_sqlite(path: &Path) -> Result<Arc<Store>, Error> {
-    let db = sqlite::Sqlite::open(path)?;
-    let upgrade = db.upgrade();
+    let (db, upgrade) = sqlite::Sqlite::open(path)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }
 
@@ -88,7 +88,6 @@ pub fn open_sqlite(path: &Path) -> Result<Arc<Store>, Error> {
 /// The server cannot be reached, or its tables are of a newer version.
 #[cfg(feature = "postgres")]
 pub fn open_postgres(url: &str, schema: &str) -> Result<Arc<Store>, Error> {
-    let db = postgres::Postgres::open(url, schema)?;
-    let upgrade = db.upgrade();
+    let (db, upgrade) = postgres::Postgres::open(url, schema)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }

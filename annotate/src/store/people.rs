@@ -1,14 +1,18 @@
 //! Users, tokens and sessions. Tokens are stored as hashes.
 
 use std::collections::HashMap;
+use std::sync::MutexGuard;
 
 use sha2::{Digest, Sha256};
 
 use super::db::{Row, Tx, params};
-use super::entry::{Body, Entry};
+use super::entry::Body;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
-use super::{leases, log};
+use super::store::Store;
+use super::{leases, log, rows};
 use crate::Error;
+use crate::lock::lock;
+use crate::state::ReleaseReason;
 use crate::wire::{Code, Role, TokenInfo, User};
 
 /// Random bytes of a token.
@@ -16,12 +20,187 @@ const TOKEN_BYTES: usize = 32;
 /// Minimum interval between updates of a token's last use.
 const NOTE_EVERY: Millis = 60_000;
 
+impl Store {
+    fn known(&self) -> MutexGuard<'_, Known> {
+        lock(&self.known)
+    }
+
+    /// [`Self::write`] of users or tokens; clears the token cache.
+    fn write_people<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        let outcome = self.write(work);
+        self.known().clear();
+        outcome
+    }
+
+    /// All users.
+    pub fn users(&self) -> Result<Vec<User>, Error> {
+        self.read(users)
+    }
+
+    /// Adds many users, each with a token, or none if a line is wrong.
+    ///
+    /// # Errors
+    /// `invalid` names the line.
+    pub fn add_users(
+        &self,
+        actor: Option<i64>,
+        lines: &str,
+        expires: Millis,
+        now: Millis,
+    ) -> Result<Vec<IssuedToken>, Error> {
+        let new = parse_lines(lines)?;
+        self.write_people(move |tx| add_all(tx, actor, &new, expires, now))
+    }
+
+    /// Adds a user.
+    ///
+    /// # Errors
+    /// `invalid` for a bad or taken name.
+    pub fn add_user(
+        &self,
+        actor: Option<i64>,
+        name: &str,
+        role: Role,
+        now: Millis,
+    ) -> Result<User, Error> {
+        let name = name.to_owned();
+        self.write_people(move |tx| add(tx, actor, &name, role, now))
+    }
+
+    /// Changes a user. The last active admin cannot be demoted or disabled.
+    ///
+    /// # Errors
+    /// `invalid`, `not_found`.
+    pub fn change_user(
+        &self,
+        actor: Option<i64>,
+        user: i64,
+        role: Option<Role>,
+        active: Option<bool>,
+        now: Millis,
+    ) -> Result<User, Error> {
+        self.write_people(move |tx| change(tx, actor, user, role, active, now))
+    }
+
+    /// Creates a token.
+    ///
+    /// # Errors
+    /// `not_found`.
+    pub fn issue(
+        &self,
+        user: i64,
+        purpose: TokenUse,
+        expires: Millis,
+        now: Millis,
+    ) -> Result<IssuedToken, Error> {
+        self.write_people(move |tx| issue(tx, user, purpose, expires, now))
+    }
+
+    /// The user of a token, if it is valid for this purpose. A one-time token becomes invalid.
+    ///
+    /// # Errors
+    /// `unauthenticated`.
+    pub fn authenticate(
+        &self,
+        token: &str,
+        purposes: &[TokenUse],
+        now: Millis,
+    ) -> Result<Who, Error> {
+        let hash = hash(token);
+        let changes = {
+            let known = self.known();
+            if let Some(who) = known.find(&hash, purposes, now) {
+                return Ok(who);
+            }
+            known.changes()
+        };
+        let found = self.read(|tx| find(tx, &hash, purposes, now))?;
+        if found.needs_note {
+            let purposes = purposes.to_vec();
+            return self.write(move |tx| used(tx, &hash, &purposes, now));
+        }
+        let who = found.who.clone();
+        self.known().put(hash, found, changes, now);
+        Ok(who)
+    }
+
+    /// [`Self::authenticate`] without a record of the use.
+    ///
+    /// # Errors
+    /// `unauthenticated`.
+    pub fn recognise(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who, Error> {
+        let hash = hash(token);
+        Ok(self.read(|tx| find(tx, &hash, purposes, now))?.who)
+    }
+
+    /// Begins a session by a token, until a time or the end of the token.
+    ///
+    /// # Errors
+    /// `unauthenticated`.
+    pub fn log_in(
+        &self,
+        token: &str,
+        until: Millis,
+        now: Millis,
+    ) -> Result<(Who, IssuedToken), Error> {
+        let hash = hash(token);
+        self.write_people(move |tx| log_in(tx, &hash, until, now))
+    }
+
+    /// A user's tokens.
+    pub fn tokens(&self, user: i64) -> Result<Vec<TokenInfo>, Error> {
+        let sql = "SELECT id, usr, created, expires, last_used, revoked FROM token
+             WHERE usr = ?1 AND purpose <> 'session' ORDER BY id";
+        let read = |row: &Row| {
+            Ok(TokenInfo {
+                id: row.int(0)?,
+                user: row.int(1)?,
+                created: row.int(2)?,
+                expires: row.int(3)?,
+                last_used: row.opt_int(4)?,
+                revoked: row.flag(5)?,
+            })
+        };
+        self.read(|tx| tx.list(sql, params![user], read))
+    }
+
+    /// Revokes a token and all sessions of its owner: a thief of the token may have opened some.
+    ///
+    /// # Errors
+    /// `not_found`.
+    pub fn revoke(&self, token: i64) -> Result<(), Error> {
+        self.write_people(move |tx| {
+            let sql = "SELECT usr FROM token WHERE id = ?1";
+            let user = tx.find(sql, params![token], |row| row.int(0))?;
+            let user = user.ok_or_else(|| Error::not_found("token"))?;
+            tx.run(
+                "UPDATE token SET revoked = 1 WHERE id = ?1 OR (usr = ?2 AND purpose = 'session')",
+                params![token, user],
+            )
+        })
+    }
+
+    /// Revokes a session.
+    pub fn log_out(&self, token: &str) -> Result<(), Error> {
+        let hash = hash(token);
+        self.write_people(move |tx| {
+            tx.run(
+                "UPDATE token SET revoked = 1 WHERE hash = ?1",
+                params![&hash],
+            )
+        })
+    }
+}
+
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// SHA-256 of a token, hexadecimal.
-pub(super) fn hash(token: &str) -> String {
+fn hash(token: &str) -> String {
     hex(&Sha256::digest(token.trim().as_bytes()))
 }
 
@@ -37,59 +216,45 @@ pub(super) fn random<const BYTES: usize>() -> Result<String, Error> {
     Ok(hex(&bytes))
 }
 
-fn new_token() -> Result<String, Error> {
-    Ok(format!("ann_{}", random::<TOKEN_BYTES>()?))
-}
-
 fn read_user(row: &Row) -> Result<User, Error> {
     Ok(User {
         id: row.int(0)?,
         name: row.string(1)?,
-        role: role(row.text(2)?)?,
+        role: row.named(2, Role::parse)?,
         active: row.flag(3)?,
     })
 }
 
-fn role(text: &str) -> Result<Role, Error> {
-    Role::parse(text).ok_or_else(|| Error::Row {
-        table: "usr",
-        problem: format!("role {text:?} is not known"),
-    })
-}
-
 pub(super) fn users(tx: &mut dyn Tx) -> Result<Vec<User>, Error> {
-    tx.query("SELECT id, name, role, active FROM usr ORDER BY id", &[])?
-        .iter()
-        .map(read_user)
-        .collect()
+    tx.list(
+        "SELECT id, name, role, active FROM usr ORDER BY id",
+        &[],
+        read_user,
+    )
 }
 
 fn user(tx: &mut dyn Tx, id: i64) -> Result<User, Error> {
-    let row = tx.one(
-        "SELECT id, name, role, active FROM usr WHERE id = ?1",
-        params![id],
-    )?;
-    read_user(&row.ok_or_else(|| Error::not_found("user"))?)
+    let sql = "SELECT id, name, role, active FROM usr WHERE id = ?1";
+    let user = tx.find(sql, params![id], read_user)?;
+    user.ok_or_else(|| Error::not_found("user"))
 }
 
 fn logged(tx: &mut dyn Tx, actor: Option<i64>, user: &User, now: Millis) -> Result<(), Error> {
-    let entry = Entry {
-        at: now,
+    log::note(
+        tx,
+        now,
         actor,
-        task: None,
-        epoch: None,
-        body: Body::RoleChanged {
+        None,
+        Body::RoleChanged {
             user: user.id,
             name: user.name.clone(),
             role: user.role,
             active: user.active,
         },
-    };
-    log::note(tx, &entry)?;
-    Ok(())
+    )
 }
 
-pub(super) fn add(
+fn add(
     tx: &mut dyn Tx,
     actor: Option<i64>,
     name: &str,
@@ -104,10 +269,7 @@ pub(super) fn add(
             "a name must have 1 to 64 characters and no control characters",
         ));
     }
-    if tx
-        .one("SELECT 1 FROM usr WHERE name = ?1", params![name])?
-        .is_some()
-    {
+    if tx.has("SELECT 1 FROM usr WHERE name = ?1", params![name])? {
         return Err(Error::invalid(
             "name",
             format!("there is a user {name:?} already; choose another name"),
@@ -128,7 +290,7 @@ pub(super) fn add(
     Ok(user)
 }
 
-pub(super) fn change(
+fn change(
     tx: &mut dyn Tx,
     actor: Option<i64>,
     id: i64,
@@ -144,11 +306,8 @@ pub(super) fn change(
     };
     let is_admin = |user: &User| user.active && user.role == Role::Admin;
     if is_admin(&before) && !is_admin(&after) {
-        let others = tx.number(
-            "SELECT COUNT(*) FROM usr WHERE role = 'admin' AND active = 1 AND id <> ?1",
-            params![id],
-        )?;
-        if others == 0 {
+        let others = "SELECT 1 FROM usr WHERE role = 'admin' AND active = 1 AND id <> ?1";
+        if !tx.has(others, params![id])? {
             return Err(Error::invalid(
                 "role",
                 "this is the last admin; add another one first",
@@ -160,14 +319,18 @@ pub(super) fn change(
         params![id, after.role.as_str(), after.active],
     )?;
     if !after.active {
-        tx.execute("UPDATE token SET revoked = 1 WHERE usr = ?1", params![id])?;
-        leases::end_all(tx, id, actor, now)?;
+        tx.run("UPDATE token SET revoked = 1 WHERE usr = ?1", params![id])?;
+        // Others can take the tasks.
+        let from = "lease l WHERE l.usr = ?1 ORDER BY l.id";
+        for held in rows::leases(tx, from, params![id])? {
+            leases::end(tx, &held, actor, ReleaseReason::TakenAway, now)?;
+        }
     }
     logged(tx, actor, &after, now)?;
     Ok(after)
 }
 
-pub(super) fn issue(
+fn issue(
     tx: &mut dyn Tx,
     id: i64,
     purpose: TokenUse,
@@ -181,7 +344,7 @@ pub(super) fn issue(
             "this user is not active; activate them first",
         ));
     }
-    let token = new_token()?;
+    let token = format!("ann_{}", random::<TOKEN_BYTES>()?);
     let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM token", &[])?;
     tx.execute(
         "INSERT INTO token (id, usr, hash, purpose, created, expires, last_used, revoked)
@@ -201,7 +364,7 @@ const MAX_LINES: usize = 1000;
 
 /// Reads users from lines of a name, or of a name and a role parted by a comma, a semicolon or a tab. Empty lines
 /// and a heading `name,role` are passed over.
-pub(super) fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>, Error> {
+fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>, Error> {
     let mut users = Vec::new();
     for (index, line) in text.lines().enumerate() {
         let number = index + 1;
@@ -234,7 +397,7 @@ pub(super) fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>, Erro
 }
 
 /// Adds users with a token each.
-pub(super) fn add_all(
+fn add_all(
     tx: &mut dyn Tx,
     actor: Option<i64>,
     users: &[(usize, String, Role)],
@@ -258,14 +421,14 @@ pub(super) fn add_all(
 
 /// Owner of a token.
 #[derive(Clone)]
-pub(super) struct Found {
-    pub(super) who: Who,
+struct Found {
+    who: Who,
     purpose: String,
     expires: Millis,
     token: i64,
     once: bool,
     /// Whether to update its last use.
-    pub(super) needs_note: bool,
+    needs_note: bool,
 }
 
 /// Lifetime of a cached token. A token revoked through another server stays valid here for at most this long.
@@ -282,24 +445,24 @@ pub(super) struct Known {
 
 impl Known {
     /// Clears the cache.
-    pub(super) fn clear(&mut self) {
+    fn clear(&mut self) {
         self.by_hash.clear();
         self.changes += 1;
     }
 
     /// Number of clears. A lookup that began before a clear must not be stored after it.
-    pub(super) fn changes(&self) -> u64 {
+    fn changes(&self) -> u64 {
         self.changes
     }
 
-    pub(super) fn find(&self, hash: &str, purposes: &[TokenUse], now: Millis) -> Option<Who> {
+    fn find(&self, hash: &str, purposes: &[TokenUse], now: Millis) -> Option<Who> {
         let (at, found) = self.by_hash.get(hash)?;
         let is_fresh = (0..KNOWN_FOR).contains(&(now - at)) && now < found.expires;
         let fits = purposes.iter().any(|use_| use_.as_str() == found.purpose);
         (is_fresh && fits).then(|| found.who.clone())
     }
 
-    pub(super) fn put(&mut self, hash: String, found: Found, changes: u64, now: Millis) {
+    fn put(&mut self, hash: String, found: Found, changes: u64, now: Millis) {
         if found.needs_note || changes != self.changes {
             return;
         }
@@ -310,12 +473,7 @@ impl Known {
     }
 }
 
-pub(super) fn find(
-    tx: &mut dyn Tx,
-    hash: &str,
-    purposes: &[TokenUse],
-    now: Millis,
-) -> Result<Found, Error> {
+fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Found, Error> {
     let refused = || {
         Error::refused(
             Code::Unauthenticated,
@@ -341,7 +499,7 @@ pub(super) fn find(
         who: Who {
             id: row.int(4)?,
             name: row.string(5)?,
-            role: role(row.text(6)?)?,
+            role: row.named(6, Role::parse)?,
         },
         purpose: purpose.to_owned(),
         expires: row.int(2)?,
@@ -352,12 +510,7 @@ pub(super) fn find(
 }
 
 /// [`find`], and records the use. A one-time token becomes invalid.
-pub(super) fn used(
-    tx: &mut dyn Tx,
-    hash: &str,
-    purposes: &[TokenUse],
-    now: Millis,
-) -> Result<Who, Error> {
+fn used(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Who, Error> {
     let found = find(tx, hash, purposes, now)?;
     tx.execute(
         "UPDATE token SET last_used = ?2, revoked = ?3 WHERE id = ?1",
@@ -368,7 +521,7 @@ pub(super) fn used(
 
 /// Begins a session that ends with the token it was begun by. A one-time token only opens the door: its session
 /// lasts as long as any.
-pub(super) fn log_in(
+fn log_in(
     tx: &mut dyn Tx,
     hash: &str,
     until: Millis,
@@ -384,36 +537,4 @@ pub(super) fn log_in(
     let who = used(tx, hash, &purposes, now)?;
     let session = issue(tx, who.id, TokenUse::Session, until, now)?;
     Ok((who, session))
-}
-
-pub(super) fn tokens(tx: &mut dyn Tx, user: i64) -> Result<Vec<TokenInfo>, Error> {
-    tx.query(
-        "SELECT id, usr, created, expires, last_used, revoked FROM token
-         WHERE usr = ?1 AND purpose <> 'session' ORDER BY id",
-        params![user],
-    )?
-    .iter()
-    .map(|row| {
-        Ok(TokenInfo {
-            id: row.int(0)?,
-            user: row.int(1)?,
-            created: row.int(2)?,
-            expires: row.int(3)?,
-            last_used: row.opt_int(4)?,
-            revoked: row.flag(5)?,
-        })
-    })
-    .collect()
-}
-
-/// Revokes a token and all sessions of its owner: a thief of the token may have opened some.
-pub(super) fn revoke(tx: &mut dyn Tx, id: i64) -> Result<(), Error> {
-    let row = tx.one("SELECT usr FROM token WHERE id = ?1", params![id])?;
-    let user = row.ok_or_else(|| Error::not_found("token"))?.int(0)?;
-    tx.execute("UPDATE token SET revoked = 1 WHERE id = ?1", params![id])?;
-    tx.execute(
-        "UPDATE token SET revoked = 1 WHERE usr = ?1 AND purpose = 'session'",
-        params![user],
-    )?;
-    Ok(())
 }

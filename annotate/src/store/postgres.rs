@@ -46,7 +46,6 @@ struct Address {
 /// A store in a schema of a database.
 pub(crate) struct Postgres {
     address: Address,
-    upgrade: Option<Upgrade>,
     writer: WriterThread,
     readers: Readers<Connection>,
 }
@@ -54,24 +53,21 @@ pub(crate) struct Postgres {
 fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
     move |source| {
         let reason = match source.code().map(postgres::error::SqlState::code) {
-            Some("53100") => Some(
-                "the disk of the database is full; free space there and send the request again",
-            ),
-            Some("25006") => Some("the database is read-only; connect to its primary server"),
-            _ => None,
+            Some("53100") => {
+                "the disk of the database is full; free space there and send the request again"
+            }
+            Some("25006") => "the database is read-only; connect to its primary server",
+            _ => return Error::Postgres { action, source },
         };
-        if let Some(reason) = reason {
-            return Error::ReadOnly {
-                reason: reason.to_owned(),
-            };
+        Error::ReadOnly {
+            reason: reason.to_owned(),
         }
-        Error::Postgres { action, source }
     }
 }
 
 impl Postgres {
-    /// Connects, and creates missing tables.
-    pub(crate) fn open(url: &str, schema: &str) -> Result<Self, Error> {
+    /// Connects, and creates missing tables. Says what upgrade that made.
+    pub(crate) fn open(url: &str, schema: &str) -> Result<(Self, Option<Upgrade>), Error> {
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
         if schema.is_empty() || !schema.chars().all(plain) {
             return Err(Error::Open {
@@ -96,17 +92,12 @@ impl Postgres {
             path: address.place(),
             reason: format!("its writer does not start: {source}"),
         })?;
-        Ok(Self {
+        let store = Self {
             address,
-            upgrade,
             writer,
             readers,
-        })
-    }
-
-    /// The upgrade that opening made.
-    pub(crate) fn upgrade(&self) -> Option<Upgrade> {
-        self.upgrade.clone()
+        };
+        Ok((store, upgrade))
     }
 }
 
@@ -233,7 +224,7 @@ impl Writer for PostgresWriter {
         )
     }
 
-    fn run(&mut self, work: Work) -> Result<(), Error> {
+    fn run(&mut self, work: Work<'_>) -> Result<(), Error> {
         self.command("SAVEPOINT work", "begin a transaction")?;
         match caught(|| work(&mut PostgresTx(&mut self.connection))) {
             Ok(()) => self.command("RELEASE work", "commit"),
@@ -385,11 +376,11 @@ impl Tx for PostgresTx<'_> {
 }
 
 impl Database for Postgres {
-    fn write(&self, work: Work) -> Result<(), Error> {
+    fn write(&self, work: Work<'static>) -> Result<(), Error> {
         self.writer.write(work)
     }
 
-    fn read(&self, work: Work) -> Result<(), Error> {
+    fn read(&self, work: Work<'_>) -> Result<(), Error> {
         self.readers.with(
             |reader| {
                 if reader.client.is_closed() {
@@ -423,10 +414,6 @@ impl Database for Postgres {
         Ok(Box::new(Snapshot::new(reader, |reader, work| {
             work(&mut PostgresTx(reader))
         })))
-    }
-
-    fn check(&self) -> Result<(), Error> {
-        self.write(Box::new(super::db::try_writing))
     }
 
     fn is_shared(&self) -> bool {

@@ -1,8 +1,23 @@
 //! Practice: tasks with known answers that a new annotator does before real work.
 
 use super::db::{Tx, params};
+use super::project;
+use super::store::Store;
 use crate::Error;
-use crate::wire::{Practice, Role, Settings, TaskKind};
+use crate::wire::{Practice, Settings, TaskKind};
+
+impl Store {
+    /// A user's practice of each kind.
+    pub fn practice(&self, user: i64) -> Result<Vec<Practice>, Error> {
+        self.read(|tx| {
+            let settings = project::settings(tx)?;
+            let kinds = TaskKind::ALL.iter();
+            kinds
+                .map(|&kind| standing(tx, user, kind, &settings))
+                .collect()
+        })
+    }
+}
 
 /// Where a user stands with the practice tasks of a kind. Reviewers and admins need no practice.
 pub(super) fn standing(
@@ -16,35 +31,28 @@ pub(super) fn standing(
         params![kind.as_str()],
     )?;
     let needed = there.min(settings.practice_tasks.into());
-    let scores = tx
-        .query(
-            "SELECT g.score FROM gold_score g JOIN task t ON t.id = g.task
-             WHERE g.usr = ?1 AND t.practice = 1 AND t.kind = ?2 ORDER BY g.at DESC, g.task DESC LIMIT ?3",
-            params![user, kind.as_str(), needed],
-        )?
-        .iter()
-        .map(|row| row.real(0))
-        .collect::<Result<Vec<f64>, _>>()?;
+    let scores = tx.list(
+        "SELECT g.score FROM gold_score g JOIN task t ON t.id = g.task
+         WHERE g.usr = ?1 AND t.practice = 1 AND t.kind = ?2 ORDER BY g.at DESC, g.task DESC LIMIT ?3",
+        params![user, kind.as_str(), needed],
+        |row| row.real(0),
+    )?;
     let done = scores.len() as i64;
     let score = (done > 0).then(|| scores.iter().sum::<f64>() / done as f64);
     let threshold = f64::from(settings.practice_percent) / 100.0;
+    let annotates = tx.has(
+        "SELECT 1 FROM usr WHERE id = ?1 AND role = 'annotator'",
+        params![user],
+    )?;
     Ok(Practice {
         kind,
         needed,
         done,
         score,
         threshold,
-        passed: !annotates(tx, user)?
+        passed: !annotates
             || done >= needed && (needed == 0 || score.is_some_and(|score| score >= threshold)),
     })
-}
-
-fn annotates(tx: &mut dyn Tx, user: i64) -> Result<bool, Error> {
-    let role = tx.one("SELECT role FROM usr WHERE id = ?1", params![user])?;
-    Ok(role.is_some_and(|row| {
-        row.text(0)
-            .is_ok_and(|role| role == Role::Annotator.as_str())
-    }))
 }
 
 /// The practice task that a user has to do next, if real work of the kind is not open to them yet. New tasks come
@@ -58,13 +66,12 @@ pub(super) fn next(
     if settings.practice_tasks == 0 || standing(tx, user, kind, settings)?.passed {
         return Ok(None);
     }
-    tx.one(
+    tx.find(
         "SELECT t.id FROM task t LEFT JOIN gold_score g ON g.task = t.id AND g.usr = ?2
          WHERE t.practice = 1 AND t.kind = ?1 AND t.state IN ('open', 'leased')
          ORDER BY CASE WHEN g.at IS NULL THEN 0 ELSE 1 END,
            (SELECT COUNT(*) FROM skip s WHERE s.task = t.id AND s.usr = ?2), g.at, t.shuffle, t.id LIMIT 1",
         params![kind.as_str(), user],
-    )?
-    .map(|row| row.int(0))
-    .transpose()
+        |row| row.int(0),
+    )
 }

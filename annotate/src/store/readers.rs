@@ -62,7 +62,7 @@ impl<C, R> Snapshot<C, R> {
     /// Takes a connection with an open transaction, and how work runs on it.
     pub(crate) fn new(connection: C, run: R) -> Self
     where
-        R: Fn(&mut C, Work) -> Result<(), Error>,
+        R: Fn(&mut C, Work<'_>) -> Result<(), Error>,
     {
         Self {
             connection: Mutex::new(connection),
@@ -74,13 +74,13 @@ impl<C, R> Snapshot<C, R> {
 impl<C, R> Database for Snapshot<C, R>
 where
     C: Send,
-    R: Fn(&mut C, Work) -> Result<(), Error> + Send + Sync,
+    R: Fn(&mut C, Work<'_>) -> Result<(), Error> + Send + Sync,
 {
-    fn write(&self, _: Work) -> Result<(), Error> {
+    fn write(&self, _: Work<'static>) -> Result<(), Error> {
         Err(Error::Closed)
     }
 
-    fn read(&self, work: Work) -> Result<(), Error> {
+    fn read(&self, work: Work<'_>) -> Result<(), Error> {
         let mut connection = lock(&self.connection);
         caught(|| (self.run)(&mut connection, work))
     }
@@ -90,10 +90,6 @@ where
     }
 
     fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
-        Err(Error::Closed)
-    }
-
-    fn check(&self) -> Result<(), Error> {
         Err(Error::Closed)
     }
 }

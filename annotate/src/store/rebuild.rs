@@ -140,10 +140,7 @@ pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>, Error> 
         return Ok(Vec::new());
     }
     // Most of what was written meanwhile is applied before writers have to wait for the rest.
-    derived = db::read(store, move |tx| {
-        derived.catch_up(tx)?;
-        Ok(derived)
-    })?;
+    db::read(store, |tx| derived.catch_up(tx))?;
     let derived = Arc::new(Mutex::new(derived));
     let tasks: Vec<i64> = found
         .values()
@@ -233,7 +230,7 @@ mod tests {
     }
 
     impl Database for Counting {
-        fn write(&self, work: Work) -> Result<(), Error> {
+        fn write(&self, work: Work<'static>) -> Result<(), Error> {
             let (writes, longest) = (Arc::clone(&self.writes), Arc::clone(&self.longest));
             self.inner.write(Box::new(move |tx| {
                 let mut counting = CountingTx {
@@ -247,7 +244,7 @@ mod tests {
             }))
         }
 
-        fn read(&self, work: Work) -> Result<(), Error> {
+        fn read(&self, work: Work<'_>) -> Result<(), Error> {
             self.inner.read(work)
         }
 
@@ -257,10 +254,6 @@ mod tests {
 
         fn backup(&self, path: &std::path::Path, content: Content) -> Result<(), Error> {
             self.inner.backup(path, content)
-        }
-
-        fn check(&self) -> Result<(), Error> {
-            self.inner.check()
         }
     }
 
@@ -276,7 +269,7 @@ mod tests {
     fn neither_a_check_nor_a_rebuild_stops_writers_for_longer_than_a_claim() {
         const TASKS: usize = 1500;
         let folder = tempfile::tempdir().expect("a folder");
-        let inner = Sqlite::open(&folder.path().join("s.sqlite")).expect("a store");
+        let (inner, _) = Sqlite::open(&folder.path().join("s.sqlite")).expect("a store");
         let (writes, longest) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
         let database = Counting {
             inner,

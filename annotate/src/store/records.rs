@@ -249,14 +249,8 @@ pub struct Label {
     pub kind: TaskKind,
     /// Whether it is a gold task.
     pub gold: bool,
-    /// Its category.
-    pub category: Option<String>,
     /// Hash of its first motion.
     pub source: String,
-    /// Hash of its second motion.
-    pub target: Option<String>,
-    /// Split.
-    pub split: String,
     /// The answer.
     pub revision: Revision,
     /// Whether suggestions were withheld.

@@ -10,6 +10,8 @@ use crate::wire::{
 const MAX_NAMES: usize = 200;
 /// Maximum quota of an edit type.
 const MAX_QUOTA: u32 = 10_000_000;
+/// Minutes of a week.
+const WEEK: u32 = 7 * 24 * 60;
 /// Maximum number of styles: datasets of a hundred are published.
 const MAX_STYLES: usize = 2_000;
 
@@ -31,39 +33,22 @@ pub(super) fn check(settings: &Settings) -> Result<(), Error> {
 }
 
 fn check_numbers(settings: &Settings) -> Result<(), Error> {
-    let shares = [
-        ("overlap_percent", settings.overlap_percent),
-        ("gold_percent", settings.gold_percent),
-        ("blind_percent", settings.blind_percent),
-        ("review_percent", settings.review_percent),
-        ("practice_percent", settings.practice_percent),
-    ];
-    for (field, share) in shares {
-        if share > 100 {
-            return Err(Error::invalid(
-                field,
-                format!("{share} % is out of range; use 0 to 100"),
-            ));
-        }
-    }
     let ranges = [
+        ("overlap_percent", settings.overlap_percent, 0, 100),
+        ("gold_percent", settings.gold_percent, 0, 100),
+        ("blind_percent", settings.blind_percent, 0, 100),
+        ("review_percent", settings.review_percent, 0, 100),
+        ("practice_percent", settings.practice_percent, 0, 100),
         ("answers_per_task", settings.answers_per_task, 1, 50),
         ("lease_minutes", settings.lease_minutes, 1, 24 * 60),
         ("returned_days", settings.returned_days, 1, 365),
-        (
-            "take_back_minutes",
-            settings.take_back_minutes,
-            0,
-            7 * 24 * 60,
-        ),
+        ("take_back_minutes", settings.take_back_minutes, 0, WEEK),
         ("practice_tasks", settings.practice_tasks, 0, 100),
     ];
     for (field, value, least, most) in ranges {
         if !(least..=most).contains(&value) {
-            return Err(Error::invalid(
-                field,
-                format!("{value} is out of range; use {least} to {most}"),
-            ));
+            let problem = format!("{value} is out of range; use {least} to {most}");
+            return Err(Error::invalid(field, problem));
         }
     }
     if let Some((edit_type, wanted)) = settings
@@ -177,9 +162,6 @@ fn check_guides(settings: &Settings) -> Result<(), Error> {
 
 fn check_rules(rules: &[Rule]) -> Result<(), Error> {
     const MAX_RULES: usize = 20;
-    let refuse = |index: usize, field: &str, problem: String| {
-        Err(Error::invalid(&format!("rules.{index}.{field}"), problem))
-    };
     if rules.len() > MAX_RULES {
         return Err(Error::invalid(
             "rules",
@@ -187,44 +169,41 @@ fn check_rules(rules: &[Rule]) -> Result<(), Error> {
         ));
     }
     for (index, rule) in rules.iter().enumerate() {
-        let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
-        if !(1..=40).contains(&rule.name.len()) || !rule.name.chars().all(allowed) {
-            return refuse(
-                index,
-                "name",
-                format!(
-                    "{:?} is no name of a rule; use 1 to 40 letters, digits and dashes",
-                    rule.name
-                ),
-            );
-        }
-        if rules[..index].iter().any(|other| other.name == rule.name) {
-            return refuse(index, "name", format!("two rules are called {}", rule.name));
-        }
-        if rule.accepts == RuleKind::Trusted && rule.people.is_empty() {
-            return refuse(index, "people", "name the people to trust".to_owned());
-        }
-        if rule.accepts != RuleKind::Trusted && !rule.people.is_empty() {
-            return refuse(
-                index,
-                "people",
-                format!(
-                    "a rule that accepts {} has no people; leave them out",
-                    rule.accepts
-                ),
-            );
-        }
-        if !(1..=50).contains(&rule.min_answers) {
-            return refuse(index, "min_answers", "use 1 to 50".to_owned());
-        }
-        if !(0.0..=1.0).contains(&rule.max_distance) {
-            return refuse(index, "max_distance", "use 0 to 1".to_owned());
-        }
-        if rule.review_percent > 100 {
-            return refuse(index, "review_percent", "use 0 to 100".to_owned());
+        if let Some((field, problem)) = problem_of(rule, &rules[..index]) {
+            return Err(Error::invalid(&format!("rules.{index}.{field}"), problem));
         }
     }
     Ok(())
+}
+
+/// What is wrong with a rule after others: the field, and the problem.
+fn problem_of(rule: &Rule, before: &[Rule]) -> Option<(&'static str, String)> {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
+    let (name, trusts) = (&rule.name, rule.accepts == RuleKind::Trusted);
+    if !(1..=40).contains(&name.len()) || !name.chars().all(allowed) {
+        let problem =
+            format!("{name:?} is no name of a rule; use 1 to 40 letters, digits and dashes");
+        return Some(("name", problem));
+    }
+    if before.iter().any(|other| other.name == *name) {
+        return Some(("name", format!("two rules are called {name}")));
+    }
+    if trusts && rule.people.is_empty() {
+        return Some(("people", "name the people to trust".to_owned()));
+    }
+    if !trusts && !rule.people.is_empty() {
+        let kind = rule.accepts;
+        let problem = format!("a rule that accepts {kind} has no people; leave them out");
+        return Some(("people", problem));
+    }
+    if !(1..=50).contains(&rule.min_answers) {
+        return Some(("min_answers", "use 1 to 50".to_owned()));
+    }
+    if !(0.0..=1.0).contains(&rule.max_distance) {
+        return Some(("max_distance", "use 0 to 1".to_owned()));
+    }
+    let in_range = rule.review_percent <= 100;
+    (!in_range).then(|| ("review_percent", "use 0 to 100".to_owned()))
 }
 
 #[cfg(test)]

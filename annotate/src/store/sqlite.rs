@@ -31,38 +31,32 @@ BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;";
 /// A store in one file.
 pub(crate) struct Sqlite {
     path: PathBuf,
-    upgrade: Option<Upgrade>,
     writer: WriterThread,
     readers: Readers<Connection>,
 }
 
 impl Sqlite {
-    /// Opens the file, or creates it with all tables.
-    pub(crate) fn open(path: &Path) -> Result<Self, Error> {
+    /// Opens the file, or creates it with all tables. Says what upgrade that made.
+    pub(crate) fn open(path: &Path) -> Result<(Self, Option<Upgrade>), Error> {
         if let Some(kind) = network_file_system(path) {
-            return Err(Error::Open {
-                path: path.display().to_string(),
-                reason: format!(
+            return Err(open_error(
+                path,
+                format!(
                     "it lies on {kind}, where locks are unreliable and a crash can \
                      destroy the file; put it on a local disk with --store FILE, or use PostgreSQL"
                 ),
-            });
+            ));
         }
         let (writer, upgrade) = open_writer(path)?;
         let readers = Readers::open(|| open_reader(path))?;
         let writer = WriterThread::start(writer)
             .map_err(datasets_spec::Error::io("start the writer of", path))?;
-        Ok(Self {
+        let store = Self {
             path: path.to_owned(),
-            upgrade,
             writer,
             readers,
-        })
-    }
-
-    /// The upgrade that opening made.
-    pub(crate) fn upgrade(&self) -> Option<Upgrade> {
-        self.upgrade.clone()
+        };
+        Ok((store, upgrade))
     }
 }
 
@@ -89,25 +83,31 @@ fn open_error(path: &Path, reason: impl std::fmt::Display) -> Error {
     }
 }
 
-fn open_writer(path: &Path) -> Result<(Connection, Option<Upgrade>), Error> {
+/// Opens a connection, with settings of its own.
+fn connect(path: &Path, flags: OpenFlags, settings: &str) -> Result<Connection, Error> {
     let refuse = |error: rusqlite::Error| open_error(path, error);
-    let mut db = Connection::open(path).map_err(refuse)?;
+    let db = Connection::open_with_flags(path, flags).map_err(refuse)?;
     db.busy_timeout(BUSY).map_err(refuse)?;
     db.set_prepared_statement_cache_capacity(STATEMENTS);
+    db.execute_batch(settings).map_err(refuse)?;
+    Ok(db)
+}
+
+fn open_writer(path: &Path) -> Result<(Connection, Option<Upgrade>), Error> {
+    let settings = format!(
+        "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA wal_autocheckpoint=4000; \
+         PRAGMA cache_size=-{WRITER_CACHE_KB}; PRAGMA temp_store=MEMORY;"
+    );
+    let mut db = connect(path, OpenFlags::default(), &settings)?;
     let mode: String = db
         .query_row("PRAGMA journal_mode=WAL", [], |row| row.get(0))
-        .map_err(refuse)?;
+        .map_err(|error| open_error(path, error))?;
     if mode != "wal" {
         return Err(open_error(
             path,
             "its file system does not support a write-ahead log; put it on a local disk with --store FILE",
         ));
     }
-    db.execute_batch(&format!(
-        "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA wal_autocheckpoint=4000; \
-         PRAGMA cache_size=-{WRITER_CACHE_KB}; PRAGMA temp_store=MEMORY;"
-    ))
-    .map_err(refuse)?;
     let upgrade = prepare(&mut db, path)?;
     Ok((db, upgrade))
 }
@@ -209,13 +209,8 @@ fn publish(
 }
 
 fn open_reader(path: &Path) -> Result<Connection, Error> {
-    let refuse = |error: rusqlite::Error| open_error(path, error);
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let db = Connection::open_with_flags(path, flags).map_err(refuse)?;
-    db.busy_timeout(BUSY).map_err(refuse)?;
-    db.set_prepared_statement_cache_capacity(STATEMENTS);
-    db.execute_batch("PRAGMA query_only=ON").map_err(refuse)?;
-    Ok(db)
+    connect(path, flags, "PRAGMA query_only=ON")
 }
 
 impl Writer for Connection {
@@ -226,7 +221,7 @@ impl Writer for Connection {
             .map_err(failed("begin a transaction"))
     }
 
-    fn run(&mut self, work: Work) -> Result<(), Error> {
+    fn run(&mut self, work: Work<'_>) -> Result<(), Error> {
         let mut savepoint = self.savepoint().map_err(failed("begin a transaction"))?;
         let error = match caught(|| work(&mut SqliteTx { db: &savepoint })) {
             Ok(()) => return savepoint.commit().map_err(failed("commit")),
@@ -335,11 +330,11 @@ impl Tx for SqliteTx<'_> {
 }
 
 impl Database for Sqlite {
-    fn write(&self, work: Work) -> Result<(), Error> {
+    fn write(&self, work: Work<'static>) -> Result<(), Error> {
         self.writer.write(work)
     }
 
-    fn read(&self, work: Work) -> Result<(), Error> {
+    fn read(&self, work: Work<'_>) -> Result<(), Error> {
         self.readers.with(
             |reader| {
                 reader.execute_batch("BEGIN").map_err(failed("read"))?;
@@ -372,10 +367,6 @@ impl Database for Sqlite {
             work(&mut SqliteTx { db: reader })
         })))
     }
-
-    fn check(&self) -> Result<(), Error> {
-        self.write(Box::new(super::db::try_writing))
-    }
 }
 
 /// The network file system that a path lies on, if it can be determined.
@@ -392,54 +383,11 @@ fn network_file_system(path: &Path) -> Option<String> {
 fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
     // With and without the prefix `fuse.`. Those of clusters and of virtual machines are among them: each host
     // maps the shared memory of the write-ahead log for itself.
-    const NETWORK: &[&str] = &[
-        "9p",
-        "acfs",
-        "afs",
-        "beegfs",
-        "beegfs_nodev",
-        "blobfuse2",
-        "ceph",
-        "ceph-fuse",
-        "cifs",
-        "coda",
-        "cvmfs2",
-        "davfs",
-        "davfs2",
-        "fhgfs",
-        "gcsfuse",
-        "gfs2",
-        "glusterfs",
-        "goofys",
-        "gpfs",
-        "grpcfuse",
-        "juicefs",
-        "kafs",
-        "lustre",
-        "mount-s3",
-        "mountpoint-s3",
-        "ncpfs",
-        "nfs",
-        "nfs4",
-        "ocfs2",
-        "orangefs",
-        "panfs",
-        "prl_fs",
-        "pvfs2",
-        "quobyte",
-        "rclone",
-        "s3fs",
-        "seaweedfs",
-        "smb2",
-        "smb3",
-        "smbfs",
-        "sshfs",
-        "vboxsf",
-        "virtiofs",
-        "vmhgfs",
-        "vmhgfs-fuse",
-        "wekafs",
-    ];
+    const NETWORK: &str = "9p acfs afs beegfs beegfs_nodev blobfuse2 ceph ceph-fuse cifs coda cvmfs2 davfs davfs2 \
+        fhgfs gcsfuse gfs2 glusterfs goofys gpfs grpcfuse juicefs kafs lustre mount-s3 mountpoint-s3 ncpfs nfs nfs4 \
+        ocfs2 orangefs panfs prl_fs pvfs2 quobyte rclone s3fs seaweedfs smb2 smb3 smbfs sshfs vboxsf virtiofs vmhgfs \
+        vmhgfs-fuse wekafs";
+    let is_network = |kind: &str| NETWORK.split(' ').any(|name| name == kind);
     mounts
         .lines()
         .filter_map(|line| {
@@ -449,7 +397,7 @@ fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
             folder.starts_with(&point).then_some((point.len(), kind))
         })
         .max_by_key(|(length, _)| *length)
-        .filter(|(_, kind)| NETWORK.contains(&kind.strip_prefix("fuse.").unwrap_or(kind)))
+        .filter(|(_, kind)| is_network(kind.strip_prefix("fuse.").unwrap_or(kind)))
         .map(|(_, kind)| format!("a network file system ({kind})"))
 }
 
@@ -474,7 +422,7 @@ mod tests {
 
     fn store() -> (tempfile::TempDir, Sqlite) {
         let dir = tempfile::tempdir().expect("a folder");
-        let store = Sqlite::open(&dir.path().join("s.sqlite")).expect("opens");
+        let (store, _) = Sqlite::open(&dir.path().join("s.sqlite")).expect("opens");
         (dir, store)
     }
 
@@ -632,7 +580,7 @@ mod tests {
             let kept = &log[..log.len() - cut * log.len() / 8];
             std::fs::write(crashed.path().join("s.sqlite-wal"), kept).expect("a copy");
             // Cut to nothing, the first transaction is gone with the tables; they are made anew.
-            let reopened = Sqlite::open(&path).expect("opens without repair");
+            let (reopened, _) = Sqlite::open(&path).expect("opens without repair");
             let found = names(&reopened);
             assert_eq!(found, written[..found.len()], "a prefix, in order");
             assert_eq!(cut == 0, found.len() == written.len());
@@ -665,7 +613,7 @@ mod tests {
         let copy = dir.path().join("copy.sqlite");
         store.backup(&copy, Content::All).expect("copies");
         assert!(store.backup(&copy, Content::All).is_err());
-        assert_eq!(names(&Sqlite::open(&copy).expect("opens")), ["kept"]);
+        assert_eq!(names(&Sqlite::open(&copy).expect("opens").0), ["kept"]);
     }
 
     #[test]
@@ -689,35 +637,14 @@ mod tests {
 
     #[test]
     fn network_file_systems_are_known_by_their_mount() {
-        let kinds = [
-            "nfs",
-            "nfs4",
-            "cifs",
-            "smb3",
-            "gpfs",
-            "beegfs",
-            "lustre",
-            "9p",
-            "virtiofs",
-            "ceph",
-            "fuse.sshfs",
-            "fuse.juicefs",
-        ];
-        for kind in kinds {
+        let kinds =
+            "nfs nfs4 cifs smb3 gpfs beegfs lustre 9p virtiofs ceph fuse.sshfs fuse.juicefs";
+        for kind in kinds.split(' ') {
             let mounts = format!("/dev/sda1 / ext4 rw 0 0\nshare /data {kind} rw 0 0\n");
             let found = network_mount(&mounts, Path::new("/data/set"));
             assert!(found.is_some_and(|said| said.contains(kind)), "{kind}");
         }
-        for kind in [
-            "ext4",
-            "xfs",
-            "btrfs",
-            "zfs",
-            "tmpfs",
-            "overlay",
-            "fuseblk",
-            "fuse.mergerfs",
-        ] {
+        for kind in "ext4 xfs btrfs zfs tmpfs overlay fuseblk fuse.mergerfs".split(' ') {
             let mounts = format!("share / nfs rw 0 0\ndisk /data {kind} rw 0 0\n");
             assert_eq!(
                 network_mount(&mounts, Path::new("/data/set")),
