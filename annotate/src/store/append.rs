@@ -1,6 +1,6 @@
 //! Events of a task: drafts, submissions, skips and undo.
 
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::entry::{Body, Entry};
 use super::leases::{MINUTE, lease_end};
 use super::log::{self, Request};
@@ -38,7 +38,7 @@ impl Store {
         task: i64,
         events: Vec<NewEvent>,
         now: Millis,
-    ) -> Result<Vec<EventResult>, Error> {
+    ) -> Result<Vec<EventResult>> {
         self.write(move |tx| append(tx, user, task, &events, now))
     }
 }
@@ -49,7 +49,7 @@ fn append(
     id: i64,
     events: &[NewEvent],
     now: Millis,
-) -> Result<Vec<EventResult>, Error> {
+) -> Result<Vec<EventResult>> {
     // `+actor` makes SQLite use the index on tasks: a task has few log entries, a person has many.
     let known = "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 LIMIT 1";
     if !tx.has(known, params![id, user])? {
@@ -80,7 +80,7 @@ fn told(
     seq: Option<i64>,
     problem: Option<Problem>,
     feedback: Option<Feedback>,
-) -> Result<EventResult, Error> {
+) -> Result<EventResult> {
     let task = rows::task(tx, id)?;
     Ok(EventResult {
         idem_key: event.idem_key.clone(),
@@ -94,7 +94,7 @@ fn told(
     })
 }
 
-fn annotate_lease(tx: &mut dyn Tx, task: i64, user: i64) -> Result<Option<Lease>, Error> {
+fn annotate_lease(tx: &mut dyn Tx, task: i64, user: i64) -> Result<Option<Lease>> {
     Ok(rows::lease_of(tx, task, user)?
         .filter(|held| held.purpose == Purpose::Annotate)
         .map(|held| held.lease))
@@ -113,7 +113,7 @@ fn take(
     event: &NewEvent,
     settings: &Settings,
     now: Millis,
-) -> Result<EventResult, Error> {
+) -> Result<EventResult> {
     let request = Request::new(user, &event.idem_key, &(id, event))?;
     if let Some(result) = request.replay(tx)? {
         return Ok(result);
@@ -159,7 +159,7 @@ impl Taking<'_> {
         body: Body,
         problem: Option<Problem>,
         feedback: Option<Feedback>,
-    ) -> Result<EventResult, Error> {
+    ) -> Result<EventResult> {
         let (user, id, event) = (self.user, self.task.id, self.event);
         let entry = Entry {
             at: self.now,
@@ -174,7 +174,7 @@ impl Taking<'_> {
     }
 
     /// The user's lease on the task, if the event was made under it.
-    fn held(&self, tx: &mut dyn Tx) -> Result<Option<Lease>, Error> {
+    fn held(&self, tx: &mut dyn Tx) -> Result<Option<Lease>> {
         let held = annotate_lease(tx, self.task.id, self.user)?;
         Ok(held.filter(|held| held.epoch == self.event.lease_epoch))
     }
@@ -198,7 +198,7 @@ impl Taking<'_> {
         }
     }
 
-    fn answer(&self, tx: &mut dyn Tx) -> Result<EventResult, Error> {
+    fn answer(&self, tx: &mut dyn Tx) -> Result<EventResult> {
         let event = self.event;
         let answer = event.answer.clone();
         let answer = answer.ok_or_else(|| Error::invalid("answer", "the answer is missing"))?;
@@ -226,7 +226,7 @@ impl Taking<'_> {
     }
 
     /// Keeps an answer that is not based on the current one, `mine`, in the log alone.
-    fn stale(&self, tx: &mut dyn Tx, answer: Answer, rev: i64) -> Result<EventResult, Error> {
+    fn stale(&self, tx: &mut dyn Tx, answer: Answer, rev: i64) -> Result<EventResult> {
         let mut problem = Problem::new(
             Code::StaleRevision,
             format!(
@@ -242,12 +242,7 @@ impl Taking<'_> {
     }
 
     /// Keeps the answer of a person whose lease has ended: as a draft, or in the log alone if an answer of theirs is submitted.
-    fn without_lease(
-        &self,
-        tx: &mut dyn Tx,
-        answer: Answer,
-        rev: i64,
-    ) -> Result<EventResult, Error> {
+    fn without_lease(&self, tx: &mut dyn Tx, answer: Answer, rev: i64) -> Result<EventResult> {
         let handed_in = self.handed_in().is_some();
         let detail = if handed_in {
             "your answer is submitted; undo the submission before changing it"
@@ -264,13 +259,7 @@ impl Taking<'_> {
     }
 
     /// Hands an answer in, scores it if the right one is known, and lets the rules decide about it.
-    fn submit(
-        &self,
-        tx: &mut dyn Tx,
-        answer: Answer,
-        rev: i64,
-        epoch: i64,
-    ) -> Result<EventResult, Error> {
+    fn submit(&self, tx: &mut dyn Tx, answer: Answer, rev: i64, epoch: i64) -> Result<EventResult> {
         let mut answers = others(tx, self.task.id, self.user)?;
         answers.push(answer.clone());
         let frames = project::frames(tx, &self.task.source)?;
@@ -298,7 +287,7 @@ impl Taking<'_> {
     }
 
     /// Whether somebody else holds the task, or it wants no more answers.
-    fn taken(&self, tx: &mut dyn Tx) -> Result<bool, Error> {
+    fn taken(&self, tx: &mut dyn Tx) -> Result<bool> {
         tx.has(
             "SELECT 1 FROM task t WHERE t.id = ?1 AND t.claimable = 0
                AND EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr <> ?2)",
@@ -307,7 +296,7 @@ impl Taking<'_> {
     }
 
     /// Checks that a suggestion belongs to the task.
-    fn check_suggestion(&self, tx: &mut dyn Tx, id: i64) -> Result<(), Error> {
+    fn check_suggestion(&self, tx: &mut dyn Tx, id: i64) -> Result<()> {
         let sql = "SELECT 1 FROM suggestion WHERE id = ?1 AND task = ?2";
         if tx.has(sql, params![id, self.task.id])? {
             return Ok(());
@@ -318,7 +307,7 @@ impl Taking<'_> {
         ))
     }
 
-    fn skip(&self, tx: &mut dyn Tx) -> Result<EventResult, Error> {
+    fn skip(&self, tx: &mut dyn Tx) -> Result<EventResult> {
         let event = self.event;
         let postponed = event.kind == EventKind::Postpone;
         if !postponed && event.reason.is_none() {
@@ -343,7 +332,7 @@ impl Taking<'_> {
         self.log(tx, Some(held.epoch), body, None, None)
     }
 
-    fn undo(&self, tx: &mut dyn Tx) -> Result<EventResult, Error> {
+    fn undo(&self, tx: &mut dyn Tx) -> Result<EventResult> {
         let mut state = self.task.state;
         let Some(mine) = self.handed_in() else {
             return Err(Error::wrong_state(
@@ -370,7 +359,7 @@ impl Taking<'_> {
         self.log(tx, Some(epoch), body, None, None)
     }
 
-    fn suggestion_used(&self, tx: &mut dyn Tx) -> Result<EventResult, Error> {
+    fn suggestion_used(&self, tx: &mut dyn Tx) -> Result<EventResult> {
         let (Some(suggestion), Some(used)) = (self.event.suggestion, self.event.used) else {
             return Err(Error::invalid(
                 "suggestion",
@@ -393,7 +382,7 @@ pub(super) fn take_back_window(settings: &Settings) -> Millis {
 }
 
 /// Submitted answers to a task, except those of one author.
-fn others(tx: &mut dyn Tx, task: i64, but: i64) -> Result<Vec<Answer>, Error> {
+fn others(tx: &mut dyn Tx, task: i64, but: i64) -> Result<Vec<Answer>> {
     tx.list(
         "SELECT answer FROM revision WHERE task = ?1 AND author <> ?2
            AND state IN ('submitted', 'accepted', 'superseded') ORDER BY author",

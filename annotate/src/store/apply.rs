@@ -1,6 +1,6 @@
 //! Projections: applies log entries to the derived tables.
 
-use super::db::{Tx, json, params, unreadable};
+use super::db::{Result, Tx, json, params, unreadable};
 use super::entry::{Body, Entry, LoggedTask, Place};
 use super::projections::{
     Acceptance, IMPORTED, end_lease_of, end_leases, is_kept_pair, kept_type, part_list, put_lease,
@@ -17,7 +17,7 @@ use crate::wire::{Answer, EditType, Lease, RevisionState, SkipReason, TaskState,
 const LEASES_PER_ENTRY: i64 = 100;
 
 /// Checks that an entry is legal in the current state of the task.
-pub(crate) fn check_move(state: TaskState, kind: LogKind, what: &str) -> Result<(), Error> {
+pub(crate) fn check_move(state: TaskState, kind: LogKind, what: &str) -> Result<()> {
     if targets(state, kind).is_empty() {
         return Err(Error::wrong_state(state, what));
     }
@@ -25,7 +25,7 @@ pub(crate) fn check_move(state: TaskState, kind: LogKind, what: &str) -> Result<
 }
 
 /// Applies an entry to the projections.
-pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<(), Error> {
+pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<()> {
     if let Body::Imported { task } = &entry.body {
         return import(tx, seq, entry, task);
     }
@@ -71,7 +71,7 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<(), Erro
 }
 
 /// Adds an entry to the work of its actor. What rules and bulk actions decide is nobody's work.
-fn count_work(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Error> {
+fn count_work(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<()> {
     let (answers, skips, reviews): (i64, i64, i64) = match &entry.body {
         Body::Submitted { .. } => (1, 0, 0),
         Body::Skipped { .. } => (0, 1, 0),
@@ -98,13 +98,13 @@ fn count_work(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(),
     )
 }
 
-fn state_of(tx: &mut dyn Tx, task: i64) -> Result<TaskState, Error> {
+fn state_of(tx: &mut dyn Tx, task: i64) -> Result<TaskState> {
     let sql = "SELECT state FROM task WHERE id = ?1";
     let state = tx.find(sql, params![task], |row| row.named(0, TaskState::parse))?;
     state.ok_or_else(|| Error::not_found("task"))
 }
 
-fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result<(), Error> {
+fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result<()> {
     let id = entry
         .task
         .ok_or_else(|| unreadable("event", format!("entry {seq} imports no task")))?;
@@ -183,7 +183,7 @@ struct Change<'a> {
 }
 
 impl Change<'_> {
-    fn apply(&self, tx: &mut dyn Tx) -> Result<(), Error> {
+    fn apply(&self, tx: &mut dyn Tx) -> Result<()> {
         match &self.entry.body {
             Body::Filled {
                 answer,
@@ -273,7 +273,7 @@ impl Change<'_> {
         answer: &Answer,
         credit: Option<&Credit>,
         extra: Option<&serde_json::Value>,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         if let Some(extra) = extra {
             tx.run(
                 "UPDATE task SET extra = ?2 WHERE id = ?1",
@@ -284,12 +284,12 @@ impl Change<'_> {
     }
 
     /// Accepts an answer.
-    fn decide(&self, tx: &mut dyn Tx, acceptance: &Acceptance<'_>) -> Result<(), Error> {
+    fn decide(&self, tx: &mut dyn Tx, acceptance: &Acceptance<'_>) -> Result<()> {
         acceptance.put(tx, self.seq, self.task, self.entry.at)?;
         set_state(tx, self.task, TaskState::Accepted)
     }
 
-    fn set_clip(&self, tx: &mut dyn Tx, source: &str, target: Option<&str>) -> Result<(), Error> {
+    fn set_clip(&self, tx: &mut dyn Tx, source: &str, target: Option<&str>) -> Result<()> {
         // Nobody has to be asked about a task without an answer.
         tx.run(
             "UPDATE task SET source = ?2, target = ?3, changed = CASE WHEN gold IS NOT NULL
@@ -307,7 +307,7 @@ impl Change<'_> {
         expires: Millis,
         blind: bool,
         place: Option<Place>,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         if let Some(place) = place {
             tx.execute(
                 "INSERT INTO gold_place (task, usr, bundle, bundle_index) VALUES (?1, ?2, ?3, ?4)
@@ -321,12 +321,7 @@ impl Change<'_> {
 
     /// Derives the state of the task after a lease for `purpose` began or ended. One for a review gives it the state
     /// `of_review`.
-    fn after_lease(
-        &self,
-        tx: &mut dyn Tx,
-        purpose: Purpose,
-        of_review: TaskState,
-    ) -> Result<(), Error> {
+    fn after_lease(&self, tx: &mut dyn Tx, purpose: Purpose, of_review: TaskState) -> Result<()> {
         match purpose {
             Purpose::Review => set_state(tx, self.task, of_review),
             Purpose::Annotate | Purpose::Returned | Purpose::Assigned => refresh(tx, self.task),
@@ -340,7 +335,7 @@ impl Change<'_> {
         purpose: Purpose,
         expires: Millis,
         blind: bool,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         let lease = Lease {
             id: lease_id(self.seq, 0),
             task: self.task,
@@ -365,7 +360,7 @@ impl Change<'_> {
         users: &[i64],
         expires: Millis,
         purpose: Purpose,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         let epoch = tx.number("SELECT epoch FROM task WHERE id = ?1", params![self.task])?;
         for (number, &user) in users.iter().enumerate() {
             let lease = Lease {
@@ -394,7 +389,7 @@ impl Change<'_> {
         user: i64,
         purpose: Purpose,
         reserved: Option<Millis>,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         tx.execute("DELETE FROM lease WHERE id = ?1", params![lease])?;
         if let Some(until) = reserved {
             self.reserve(tx, &[user], until, Purpose::Returned)?;
@@ -409,7 +404,7 @@ impl Change<'_> {
         rev: i64,
         secs: f64,
         distance: Option<f64>,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         self.put_revision(tx, RevisionState::Submitted, answer, rev, secs)?;
         end_lease_of(tx, self.task, self.actor)?;
         tx.execute(
@@ -433,7 +428,7 @@ impl Change<'_> {
         answer: &Answer,
         rev: i64,
         secs: f64,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         let blind = tx.number(
             "SELECT blind FROM lease WHERE task = ?1 AND usr = ?2",
             params![self.task, self.actor],
@@ -469,7 +464,7 @@ impl Change<'_> {
         postponed: bool,
         reason: Option<SkipReason>,
         note: &str,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         end_lease_of(tx, self.task, self.actor)?;
         tx.execute(
             "INSERT INTO skip (task, usr, postponed, reason, note, at) VALUES (?1, ?2, ?3, ?4, ?5, ?6)
@@ -486,7 +481,7 @@ impl Change<'_> {
         authors: &[i64],
         comment: &str,
         until: Millis,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         end_leases(tx, self.task)?;
         for author in authors {
             tx.run(
@@ -511,7 +506,7 @@ impl Change<'_> {
         comment: &str,
         rule: Option<&str>,
         own: bool,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         tx.execute(
             "UPDATE revision SET state = CASE WHEN author = ?2 THEN 'accepted' ELSE 'superseded' END
                  WHERE task = ?1 AND state = 'submitted'",
@@ -534,13 +529,7 @@ impl Change<'_> {
         self.decide(tx, &acceptance)
     }
 
-    fn merge(
-        &self,
-        tx: &mut dyn Tx,
-        answer: &Answer,
-        comment: &str,
-        own: bool,
-    ) -> Result<(), Error> {
+    fn merge(&self, tx: &mut dyn Tx, answer: &Answer, comment: &str, own: bool) -> Result<()> {
         tx.execute(
             "UPDATE revision SET state = 'superseded' WHERE task = ?1 AND state = 'submitted'",
             params![self.task],
@@ -560,14 +549,14 @@ impl Change<'_> {
         self.decide(tx, &acceptance)
     }
 
-    fn drop_task(&self, tx: &mut dyn Tx, comment: &str) -> Result<(), Error> {
+    fn drop_task(&self, tx: &mut dyn Tx, comment: &str) -> Result<()> {
         end_leases(tx, self.task)?;
         self.put_review(tx, None, comment, None)?;
         settle_clip(tx, self.task)?;
         set_state(tx, self.task, TaskState::Dropped)
     }
 
-    fn reopen(&self, tx: &mut dyn Tx, comment: &str, rule: Option<&str>) -> Result<(), Error> {
+    fn reopen(&self, tx: &mut dyn Tx, comment: &str, rule: Option<&str>) -> Result<()> {
         tx.execute("DELETE FROM accepted WHERE task = ?1", params![self.task])?;
         tx.execute(
             "UPDATE revision SET state = 'submitted' WHERE task = ?1 AND state IN ('accepted', 'superseded')",
@@ -583,7 +572,7 @@ impl Change<'_> {
         author: Option<i64>,
         comment: &str,
         rule: Option<&str>,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         tx.run(
             "INSERT INTO review (seq, task, reviewer, decision, author, comment, at, rule) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
             params![
@@ -599,7 +588,7 @@ impl Change<'_> {
         )
     }
 
-    fn assign(&self, tx: &mut dyn Tx, user: i64, until: Millis) -> Result<(), Error> {
+    fn assign(&self, tx: &mut dyn Tx, user: i64, until: Millis) -> Result<()> {
         // The task leaves the person it was reserved for before.
         tx.execute(
             "DELETE FROM lease WHERE task = ?1 AND purpose IN ('returned', 'assigned')",
@@ -609,7 +598,7 @@ impl Change<'_> {
         refresh(tx, self.task)
     }
 
-    fn retarget(&self, tx: &mut dyn Tx, wanted: u32) -> Result<(), Error> {
+    fn retarget(&self, tx: &mut dyn Tx, wanted: u32) -> Result<()> {
         tx.execute(
             "UPDATE task SET wanted = ?2 WHERE id = ?1",
             params![self.task, wanted],
@@ -617,7 +606,7 @@ impl Change<'_> {
         refresh(tx, self.task)
     }
 
-    fn undo(&self, tx: &mut dyn Tx, rev: i64, expires: Millis) -> Result<(), Error> {
+    fn undo(&self, tx: &mut dyn Tx, rev: i64, expires: Millis) -> Result<()> {
         tx.execute(
             "UPDATE revision SET state = 'draft', rev = ?3, at = ?4 WHERE task = ?1 AND author = ?2",
             params![self.task, self.actor, rev, self.entry.at],
@@ -634,14 +623,14 @@ impl Change<'_> {
         refresh(tx, self.task)
     }
 
-    fn use_suggestion(&self, tx: &mut dyn Tx, suggestion: i64, used: &str) -> Result<(), Error> {
+    fn use_suggestion(&self, tx: &mut dyn Tx, suggestion: i64, used: &str) -> Result<()> {
         tx.run(
             "INSERT INTO suggestion_use (seq, task, usr, suggestion, used) VALUES (?1, ?2, ?3, ?4, ?5)",
             params![self.seq, self.task, self.actor, suggestion, used],
         )
     }
 
-    fn score(&self, tx: &mut dyn Tx, score: f64) -> Result<(), Error> {
+    fn score(&self, tx: &mut dyn Tx, score: f64) -> Result<()> {
         tx.run(
             "INSERT INTO gold_score (task, usr, score, at) VALUES (?1, ?2, ?3, ?4)
                  ON CONFLICT (task, usr) DO UPDATE SET score = excluded.score, at = excluded.at",

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::db::{Row, Tx, Value, params};
+use super::db::{Result, Row, Tx, Value, params};
 use super::filter::{self, Values, condition};
 use super::projections::IMPORTED;
 use super::records::TaskRecord;
@@ -47,7 +47,7 @@ impl Store {
     ///
     /// # Errors
     /// `invalid`.
-    pub fn browse(&self, query: PageQuery) -> Result<TaskPage, Error> {
+    pub fn browse(&self, query: PageQuery) -> Result<TaskPage> {
         self.read(|tx| page(tx, &query))
     }
 
@@ -55,7 +55,7 @@ impl Store {
     ///
     /// # Errors
     /// `not_found`.
-    pub fn task_row(&self, task: i64) -> Result<(TaskRow, Vec<DecisionRow>), Error> {
+    pub fn task_row(&self, task: i64) -> Result<(TaskRow, Vec<DecisionRow>)> {
         self.read(|tx| {
             let record = rows::task(tx, task)?;
             let row = task_rows(tx, vec![record])?.pop();
@@ -65,7 +65,7 @@ impl Store {
     }
 
     /// Decisions of reviewers, newest first: what was sent back, to whom, and what became of it.
-    pub fn decisions(&self, query: DecisionQuery) -> Result<Decisions, Error> {
+    pub fn decisions(&self, query: DecisionQuery) -> Result<Decisions> {
         let mut values = Values::default();
         let mut place = format!("v.seq < {}", values.put(query.before.unwrap_or(i64::MAX)));
         match query.reviewer {
@@ -86,7 +86,7 @@ impl Store {
 }
 
 /// A page of tasks. The cursor names the last row by its sort value and id, so that a late page is as fast as the first.
-fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage, Error> {
+fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
     filter::check(&query.filter)?;
     let sort = query.sort.unwrap_or(TaskSort::Id);
     let (column, mut descending) = match sort {
@@ -152,7 +152,7 @@ fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage, Error> {
     })
 }
 
-fn count(tx: &mut dyn Tx, filter: &TaskFilter) -> Result<i64, Error> {
+fn count(tx: &mut dyn Tx, filter: &TaskFilter) -> Result<i64> {
     let mut values = Values::default();
     let place = condition(filter, &mut values);
     tx.number(
@@ -169,8 +169,8 @@ fn by_task<T>(
     tx: &mut dyn Tx,
     sql: &str,
     ids: &Values,
-    read: impl Fn(&Row) -> Result<T, Error>,
-) -> Result<ByTask<T>, Error> {
+    read: impl Fn(&Row) -> Result<T>,
+) -> Result<ByTask<T>> {
     let places: Vec<String> = (1..=ids.0.len()).map(|place| format!("?{place}")).collect();
     let mut all = ByTask::new();
     for row in tx.query(&sql.replace("{}", &places.join(", ")), &ids.0)? {
@@ -180,7 +180,7 @@ fn by_task<T>(
 }
 
 /// Rows of the browser. Each table is read once for all of them.
-fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>, Error> {
+fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>> {
     if tasks.is_empty() {
         return Ok(Vec::new());
     }
@@ -246,7 +246,7 @@ fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>, Er
 }
 
 /// Answers that were handed in, in the order of time.
-fn answers(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<AnswerBrief>, Error> {
+fn answers(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<AnswerBrief>> {
     let sql = format!(
         "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
          WHERE r.task IN ({{}}) AND r.state <> 'draft' ORDER BY r.at, r.author",
@@ -273,7 +273,7 @@ fn answers(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<AnswerBrief>, Error> 
     })
 }
 
-fn holders(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<Holder>, Error> {
+fn holders(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<Holder>> {
     by_task(
         tx,
         "SELECT l.task, l.id, l.usr, COALESCE(u.name, ''), l.purpose, l.expires
@@ -291,7 +291,7 @@ fn holders(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<Holder>, Error> {
     )
 }
 
-fn skips(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<SkipBrief>, Error> {
+fn skips(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<SkipBrief>> {
     by_task(
         tx,
         "SELECT s.task, s.usr, COALESCE(u.name, ''), s.postponed, s.reason, s.note, s.at
@@ -310,7 +310,7 @@ fn skips(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<SkipBrief>, Error> {
     )
 }
 
-fn decision(tx: &mut dyn Tx, row: &Row) -> Result<DecisionRow, Error> {
+fn decision(tx: &mut dyn Tx, row: &Row) -> Result<DecisionRow> {
     let (task, author) = (row.int(1)?, row.opt_int(6)?);
     let authors = tx.list(
         "SELECT COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
@@ -335,11 +335,7 @@ fn decision(tx: &mut dyn Tx, row: &Row) -> Result<DecisionRow, Error> {
 }
 
 /// Decisions `v` that fit what follows `WHERE` in a query.
-fn decisions(
-    tx: &mut dyn Tx,
-    condition: &str,
-    params: &[Value],
-) -> Result<Vec<DecisionRow>, Error> {
+fn decisions(tx: &mut dyn Tx, condition: &str, params: &[Value]) -> Result<Vec<DecisionRow>> {
     let sql = format!(
         "SELECT v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), v.author, v.rule, v.comment, v.at,
            t.state

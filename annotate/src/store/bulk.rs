@@ -1,6 +1,6 @@
 //! Actions on all tasks of a filter.
 
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::entry::Body;
 use super::filter::{self, Values, condition};
 use super::leases::MINUTE;
@@ -22,12 +22,7 @@ impl Store {
     ///
     /// # Errors
     /// `invalid`.
-    pub fn preview_bulk(
-        &self,
-        who: &Who,
-        request: BulkRequest,
-        now: Millis,
-    ) -> Result<BulkDone, Error> {
+    pub fn preview_bulk(&self, who: &Who, request: BulkRequest, now: Millis) -> Result<BulkDone> {
         self.read(|tx| bulk(tx, who.id, &request, false, now))
     }
 
@@ -35,14 +30,14 @@ impl Store {
     ///
     /// # Errors
     /// `invalid`.
-    pub fn bulk(&self, who: &Who, request: BulkRequest, now: Millis) -> Result<BulkDone, Error> {
+    pub fn bulk(&self, who: &Who, request: BulkRequest, now: Millis) -> Result<BulkDone> {
         let who = who.id;
         self.write(move |tx| bulk(tx, who, &request, true, now))
     }
 }
 
 /// Checks a bulk request. A preview needs no comment.
-fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<(), Error> {
+fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<()> {
     filter::check(&request.filter)?;
     let needs_comment = matches!(
         request.action,
@@ -79,7 +74,7 @@ fn bulk(
     request: &BulkRequest,
     act: bool,
     now: Millis,
-) -> Result<BulkDone, Error> {
+) -> Result<BulkDone> {
     check_bulk(tx, request, act)?;
     let settings = project::settings(tx)?;
     let mut values = Values::default();
@@ -141,7 +136,7 @@ fn planned(
     settings: &Settings,
     one: &One,
     now: Millis,
-) -> Result<Planned, Error> {
+) -> Result<Planned> {
     let One { task, held, own } = one;
     let comment = request.comment.trim().to_owned();
     let kind = match request.action {
@@ -198,7 +193,7 @@ fn accepted(
     one: &One,
     settings: &Settings,
     comment: String,
-) -> Result<Planned, Error> {
+) -> Result<Planned> {
     let answers = rules::waiting_answers(tx, one.task.id)?;
     let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
     let frames = project::frames(tx, &one.task.source)?;
@@ -222,7 +217,7 @@ fn accepted(
 }
 
 /// Keeps a task for a person who neither holds nor answered it.
-fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Planned, Error> {
+fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Planned> {
     let row = tx.one(
         "SELECT t.wanted - t.submitted - (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'annotate'),
                    (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.usr = ?2),

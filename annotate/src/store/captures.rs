@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::MotionId;
 
-use super::db::{Row, Tx, json, params};
+use super::db::{Result, Row, Tx, json, params};
 use super::entry::Body;
 use super::records::Millis;
 use super::store::Store;
@@ -36,12 +36,7 @@ impl Store {
     ///
     /// # Errors
     /// `invalid`.
-    pub fn plan_captures(
-        &self,
-        actor: i64,
-        cells: Vec<PlannedCapture>,
-        now: Millis,
-    ) -> Result<(), Error> {
+    pub fn plan_captures(&self, actor: i64, cells: Vec<PlannedCapture>, now: Millis) -> Result<()> {
         self.write(move |tx| {
             check(&cells, &project::settings(tx)?)?;
             let mut named = BTreeSet::new();
@@ -54,12 +49,12 @@ impl Store {
     }
 
     /// The capture plan with what has arrived of it; empty without a plan.
-    pub fn captures(&self) -> Result<Captures, Error> {
+    pub fn captures(&self) -> Result<Captures> {
         self.read(captures)
     }
 }
 
-fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<(), Error> {
+fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<()> {
     if cells.len() > MAX_CELLS {
         return Err(Error::invalid(
             "cells",
@@ -104,7 +99,7 @@ fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<(), Error> {
     Ok(())
 }
 
-fn captures(tx: &mut dyn Tx) -> Result<Captures, Error> {
+fn captures(tx: &mut dyn Tx) -> Result<Captures> {
     let sql = "SELECT body FROM setting WHERE name = ?1";
     let plan: Option<Vec<PlannedCapture>> = tx.find(sql, params![PLAN], |row| row.json(0))?;
     let plan = plan.unwrap_or_default();
@@ -140,7 +135,7 @@ fn captures(tx: &mut dyn Tx) -> Result<Captures, Error> {
 }
 
 /// The style pairs of the project by source motion and style, and the number of those without a style.
-fn takes(tx: &mut dyn Tx) -> Result<(BTreeMap<Place, Takes>, u32), Error> {
+fn takes(tx: &mut dyn Tx) -> Result<(BTreeMap<Place, Takes>, u32)> {
     let sql = "SELECT m.id, t.style, t.state, t.changed, a.answer FROM task t JOIN motion m ON m.hash = t.source
          LEFT JOIN accepted a ON a.task = t.id WHERE t.kind = 'style' AND t.gold IS NULL";
     let (mut all, mut without_style) = (BTreeMap::<Place, Takes>::new(), 0);
@@ -158,7 +153,7 @@ fn takes(tx: &mut dyn Tx) -> Result<(BTreeMap<Place, Takes>, u32), Error> {
 
 /// The style of a pair, and whether the pair was rejected. An accepted answer that keeps the pair says its style, as in
 /// an export; before that the label of the dataset does. A rejection does not hold for a clip that was ingested anew.
-fn judged(row: &Row) -> Result<(Option<String>, bool), Error> {
+fn judged(row: &Row) -> Result<(Option<String>, bool)> {
     let label = row.opt_text(1)?;
     let (state, changed) = (row.named(2, TaskState::parse)?, row.flag(3)?);
     let answer: Option<Answer> = row.opt(4, Row::json)?;

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::db::{Row, Tx, Value, params};
+use super::db::{Result, Row, Tx, Value, params};
 use super::draw::percent;
 use super::entry::Place;
 use super::import::GOLD_KEY;
@@ -29,13 +29,7 @@ const IN_BUNDLES: &str =
 impl Store {
     /// Claims the next task of a kind, or returns the one that the user holds, with the
     /// motions of the next `ahead` tasks.
-    pub fn claim(
-        &self,
-        user: i64,
-        kind: TaskKind,
-        ahead: usize,
-        now: Millis,
-    ) -> Result<Claimed, Error> {
+    pub fn claim(&self, user: i64, kind: TaskKind, ahead: usize, now: Millis) -> Result<Claimed> {
         // The writer does both in one transaction: its page cache is warm, a reader's is invalid after
         // every commit.
         self.write(move |tx| {
@@ -53,7 +47,7 @@ impl Store {
     ///
     /// # Errors
     /// `task_full`, `not_found`, `wrong_state`.
-    pub fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<TaskDetail, Error> {
+    pub fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<TaskDetail> {
         self.write(move |tx| {
             claim_task(tx, user, task, now)?;
             read::detail(tx, user, task)
@@ -80,7 +74,7 @@ pub(super) fn on_offer(
     kind: TaskKind,
     settings: &Settings,
     now: Millis,
-) -> Result<i64, Error> {
+) -> Result<i64> {
     let quota = (kind == TaskKind::Pair && settings.category_quota > 0)
         .then(|| i64::from(settings.category_quota));
     let (columns, group) = match quota {
@@ -88,7 +82,7 @@ pub(super) fn on_offer(
         None => ("CAST(NULL AS TEXT), 0", ""),
     };
     let mut offers: BTreeMap<Option<String>, Offer> = BTreeMap::new();
-    let mut add = |row: &Row, sign: i64| -> Result<(), Error> {
+    let mut add = |row: &Row, sign: i64| -> Result<()> {
         let offer = offers.entry(row.opt_text(0)?).or_default();
         let count = sign * row.int(2)?;
         if row.flag(1)? {
@@ -137,7 +131,7 @@ fn expired_offers(
     by_category: bool,
     now: Millis,
     offers: &mut BTreeMap<Option<String>, Offer>,
-) -> Result<(), Error> {
+) -> Result<()> {
     let sql = format!(
         "SELECT {}, CASE WHEN t.claimable = 0
              AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
@@ -171,12 +165,7 @@ fn expired_offers(
 }
 
 /// The next task of a user, or why there is none.
-fn claim(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    now: Millis,
-) -> Result<Result<i64, Empty>, Error> {
+fn claim(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<Result<i64, Empty>> {
     let mut expired = expire(tx, user, now)?;
     let settings = project::settings(tx)?;
     if let Some(task) = due(tx, user, kind, &settings, now)? {
@@ -218,7 +207,7 @@ fn due(
     kind: TaskKind,
     settings: &Settings,
     now: Millis,
-) -> Result<Option<i64>, Error> {
+) -> Result<Option<i64>> {
     let from = format!(
         "{PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2 ORDER BY {IN_BUNDLES} LIMIT 1"
     );
@@ -251,13 +240,13 @@ fn places(
     first: i64,
     bundle: i64,
     mut room: Option<Room>,
-) -> Result<Vec<(i64, Option<Place>)>, Error> {
+) -> Result<Vec<(i64, Option<Place>)>> {
     let sql = format!(
         "SELECT t.id, t.bundle_index, t.category, t.counted FROM task t WHERE t.bundle = ?1 AND {FOR_ME}
                    AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
                  ORDER BY t.bundle_index, t.id"
     );
-    let mut has_room = |row: &Row| -> Result<bool, Error> {
+    let mut has_room = |row: &Row| -> Result<bool> {
         let name = row.opt_text(2)?;
         let category = room.as_mut().and_then(|room| room.get_mut(&name));
         Ok(row.flag(3)? || category.is_none_or(Category::use_one))
@@ -302,7 +291,7 @@ type Room = BTreeMap<Option<String>, Category>;
 
 /// Pairs that count toward the quota of each category, and those that wait for review, because a reviewer may send them
 /// back or keep them.
-fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>, Error> {
+fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>> {
     let sql = "SELECT p.category, COUNT(*) FROM (
          SELECT category FROM task WHERE kind = 'pair' AND counted = 1
          UNION ALL SELECT category FROM task WHERE kind = 'pair' AND counted = 0 AND state IN ('submitted', 'in_review')
@@ -311,13 +300,13 @@ fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>, Error> {
 }
 
 /// A query for names and their counts.
-fn counts(tx: &mut dyn Tx, sql: &str) -> Result<BTreeMap<Option<String>, i64>, Error> {
+fn counts(tx: &mut dyn Tx, sql: &str) -> Result<BTreeMap<Option<String>, i64>> {
     let counts = tx.list(sql, &[], |row| Ok((row.opt_text(0)?, row.int(1)?)))?;
     Ok(counts.into_iter().collect())
 }
 
 /// The room in each category, if the project has a quota for tasks of this kind.
-fn room(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Option<Room>, Error> {
+fn room(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Option<Room>> {
     if kind != TaskKind::Pair || settings.category_quota == 0 {
         return Ok(None);
     }
@@ -366,7 +355,7 @@ fn category_limits(room: Option<&Room>) -> Vec<(&'static str, Option<&String>)> 
 /// The conditions under which pairs are looked for within a category: those that are stated to be of the edit type
 /// whose quota is furthest behind first, then all but those of a type of which there is enough, and these last. None is
 /// held back. Without quotas, one condition that holds for all.
-fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Vec<String>, Error> {
+fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Vec<String>> {
     let quotas: Vec<(EditType, i64)> = settings
         .edit_type_quota
         .iter()
@@ -416,7 +405,7 @@ fn candidate(
     kind: TaskKind,
     room: Option<&Room>,
     settings: &Settings,
-) -> Result<Option<(i64, Option<i64>)>, Error> {
+) -> Result<Option<(i64, Option<i64>)>> {
     let (categories, types) = (category_limits(room), type_limits(tx, kind, settings)?);
     let fresh = |limit: &str| {
         format!(
@@ -456,7 +445,7 @@ fn upcoming(
     kind: TaskKind,
     present: i64,
     limit: usize,
-) -> Result<Vec<String>, Error> {
+) -> Result<Vec<String>> {
     let held = format!(
         "SELECT t.source, t.target, t.id FROM {PLACED} WHERE t.kind = ?1 AND l.usr = ?2 AND l.purpose = 'annotate'
          ORDER BY {IN_BUNDLES} LIMIT ?3"
@@ -500,7 +489,7 @@ fn gold_tasks(
     kind: TaskKind,
     count: usize,
     settings: &Settings,
-) -> Result<Vec<Option<i64>>, Error> {
+) -> Result<Vec<Option<i64>>> {
     let mut places = vec![None; count];
     if settings.gold_percent == 0 {
         return Ok(places);
@@ -527,12 +516,7 @@ fn gold_tasks(
 
 /// The next gold tasks of a user. Those are left out that the user answered, reviewed or began before they became
 /// gold, and those whose answer is no longer accepted.
-fn known_tasks(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    count: usize,
-) -> Result<Vec<i64>, Error> {
+fn known_tasks(tx: &mut dyn Tx, user: i64, kind: TaskKind, count: usize) -> Result<Vec<i64>> {
     let prefix = GOLD_KEY.len() as i64 + 1;
     tx.list(
         "SELECT t.id FROM task t WHERE t.gold IS NOT NULL AND t.practice = 0 AND t.kind = ?1 AND t.state IN ('open', 'leased')
@@ -549,7 +533,7 @@ fn known_tasks(
     )
 }
 
-fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty, Error> {
+fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty> {
     let mut empty = Empty::default();
     let counts = tx.query(
         "SELECT state, COUNT(*) FROM task WHERE kind = ?1 AND gold IS NULL GROUP BY state",
@@ -584,7 +568,7 @@ fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty, Error> {
     Ok(empty)
 }
 
-fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<(), Error> {
+fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
     expire(tx, user, now)?;
     let settings = project::settings(tx)?;
     let task = rows::task(tx, id)?;

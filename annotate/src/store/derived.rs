@@ -1,9 +1,8 @@
 //! The projections, and how they follow from the log.
 
 use super::apply::apply;
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
-use crate::Error;
 
 /// A projection.
 pub(super) struct Projection {
@@ -36,18 +35,18 @@ pub(super) const PROJECTIONS: [Projection; 10] = [
 const BATCH: i64 = 1000;
 
 /// Creates the projections.
-pub(super) fn define_projections(tx: &mut dyn Tx) -> Result<(), Error> {
+pub(super) fn define_projections(tx: &mut dyn Tx) -> Result<()> {
     tx.define(include_str!("projections.sql"))
 }
 
 /// Entries of the log after a sequence number, up to [`BATCH`].
-pub(super) fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>, Error> {
+pub(super) fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>> {
     let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
     tx.list(&sql, params![after, BATCH], read_entry)
 }
 
 /// Fills the empty projections of a store from its log.
-pub(super) fn derive(tx: &mut dyn Tx) -> Result<(), Error> {
+pub(super) fn derive(tx: &mut dyn Tx) -> Result<()> {
     let mut last = 0;
     loop {
         let some = entries(tx, last)?;

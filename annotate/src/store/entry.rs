@@ -3,7 +3,7 @@
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::db::Row;
+use super::db::{Result, Row, unreadable};
 use super::records::{Credit, Millis};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
@@ -60,7 +60,7 @@ where
 }
 
 /// [`stored`] for a column of JSON.
-pub(super) fn read_stored<T>(table: &'static str, text: &str) -> Result<T, Error>
+pub(super) fn read_stored<T>(table: &'static str, text: &str) -> Result<T>
 where
     T: Default + Serialize + DeserializeOwned,
 {
@@ -313,7 +313,7 @@ pub(crate) struct Entry {
 pub(crate) const ENTRY_COLUMNS: &str = "seq, at, actor, task, epoch, body, version";
 
 /// Reads an entry of [`ENTRY_COLUMNS`] with its sequence number.
-pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry), Error> {
+pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry)> {
     let seq = row.int(0)?;
     if row.int(6)? != VERSION {
         return Err(unreadable(

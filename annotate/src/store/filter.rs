@@ -1,6 +1,6 @@
 //! Filters of tasks, as conditions in SQL.
 
-use super::db::Value;
+use super::db::{Result, Value};
 use super::read;
 use crate::Error;
 use crate::wire::{SkipFilter, TaskFilter, TaskKind, TaskState};
@@ -127,7 +127,7 @@ fn contains(text: &str, values: &mut Values) -> String {
 }
 
 /// Checks a filter.
-pub(super) fn check(filter: &TaskFilter) -> Result<(), Error> {
+pub(super) fn check(filter: &TaskFilter) -> Result<()> {
     const MAX_SEARCH: usize = 200;
     if let Some(part) = &filter.part
         && let Err(error) = part.parse::<datasets_spec::BodyPart>()

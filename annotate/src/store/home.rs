@@ -2,7 +2,7 @@
 
 use datasets_spec::quantile;
 
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::records::Millis;
 use super::store::Store;
 use super::{claim, practice, project, rows};
@@ -12,12 +12,12 @@ use crate::wire::{Home, QueueInfo, ReturnedTask, Settings, TaskKind};
 
 impl Store {
     /// Contents of a user's home page.
-    pub fn home(&self, user: i64, now: Millis) -> Result<Home, Error> {
+    pub fn home(&self, user: i64, now: Millis) -> Result<Home> {
         self.read(|tx| home(tx, user, now))
     }
 }
 
-fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home, Error> {
+fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home> {
     let settings = project::settings(tx)?;
     let midnight = clock::midnight(&settings.time_zone, now);
     let mut queues = Vec::new();
@@ -61,7 +61,7 @@ fn queue(
     kind: TaskKind,
     settings: &Settings,
     now: Millis,
-) -> Result<QueueInfo, Error> {
+) -> Result<QueueInfo> {
     let counts = tx.one(
         "SELECT COUNT(*), COUNT(CASE WHEN state IN ('submitted', 'in_review', 'accepted') THEN 1 END),
            (SELECT COUNT(*) FROM (
@@ -99,7 +99,7 @@ fn queue(
 }
 
 /// Tasks whose answers were sent back to a person.
-fn returned(tx: &mut dyn Tx, user: i64) -> Result<Vec<ReturnedTask>, Error> {
+fn returned(tx: &mut dyn Tx, user: i64) -> Result<Vec<ReturnedTask>> {
     let sql = "SELECT t.id, t.kind, l.expires,
            (SELECT v.comment FROM review v WHERE v.task = t.id AND v.decision = 'returned' ORDER BY v.seq DESC LIMIT 1)
          FROM lease l JOIN task t ON t.id = l.task

@@ -1,6 +1,6 @@
 //! Import of tasks into the store, and of answers into tasks that exist.
 
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::draw::{draw, percent};
 use super::entry::{Body, LoggedTask};
 use super::records::{Imported, Millis, NewTask};
@@ -18,12 +18,7 @@ const GOLD_WANTED: u32 = 1_000_000;
 impl Store {
     /// Imports tasks. Tasks with a known key stay as they are, except that an accepted answer fills one that nobody
     /// has worked on.
-    pub fn import(
-        &self,
-        actor: Option<i64>,
-        tasks: Vec<NewTask>,
-        now: Millis,
-    ) -> Result<Imported, Error> {
+    pub fn import(&self, actor: Option<i64>, tasks: Vec<NewTask>, now: Millis) -> Result<Imported> {
         let mut done = Imported::default();
         for group in tasks.chunks(project::AT_ONCE) {
             let group = group.to_vec();
@@ -40,7 +35,7 @@ impl Store {
     ///
     /// # Errors
     /// `wrong_state`, `not_found`.
-    pub fn make_gold(&self, actor: i64, task: i64, now: Millis) -> Result<i64, Error> {
+    pub fn make_gold(&self, actor: i64, task: i64, now: Millis) -> Result<i64> {
         self.write(move |tx| copy_known(tx, actor, task, false, now))
     }
 
@@ -48,17 +43,12 @@ impl Store {
     ///
     /// # Errors
     /// `wrong_state`, `not_found`.
-    pub fn make_practice(&self, actor: i64, task: i64, now: Millis) -> Result<i64, Error> {
+    pub fn make_practice(&self, actor: i64, task: i64, now: Millis) -> Result<i64> {
         self.write(move |tx| copy_known(tx, actor, task, true, now))
     }
 }
 
-fn import(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    tasks: &[NewTask],
-    now: Millis,
-) -> Result<Imported, Error> {
+fn import(tx: &mut dyn Tx, actor: Option<i64>, tasks: &[NewTask], now: Millis) -> Result<Imported> {
     project::add_styles(tx, actor, tasks.iter().flat_map(styles), now)?;
     let settings = project::settings(tx)?;
     let mut done = Imported::default();
@@ -115,7 +105,7 @@ fn fill(
     new: &NewTask,
     answer: &Answer,
     now: Millis,
-) -> Result<Filled, Error> {
+) -> Result<Filled> {
     if let Some(accepted) = read::accepted_answer(tx, id)? {
         return Ok(if answer::says(&accepted, answer) {
             Filled::Before
@@ -154,7 +144,7 @@ fn put_task(
     practice: bool,
     settings: &Settings,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     // Ids of bundles are below 2^53, which JavaScript numbers hold exactly.
     let bundle = task
         .bundle
@@ -215,12 +205,7 @@ const RETARGETED_AT_ONCE: i64 = 1000;
 
 /// Gives the next unanswered and half-answered tasks after `after` the number of people that the settings ask for,
 /// and returns the last task looked at. Answers and leases that exist are kept, so a task never wants fewer.
-fn retarget_some(
-    tx: &mut dyn Tx,
-    actor: i64,
-    after: i64,
-    now: Millis,
-) -> Result<Option<i64>, Error> {
+fn retarget_some(tx: &mut dyn Tx, actor: i64, after: i64, now: Millis) -> Result<Option<i64>> {
     let settings = project::settings(tx)?;
     let found = tx.query(
         "SELECT id, key, bundle, wanted, submitted + leases FROM task
@@ -246,7 +231,7 @@ fn retarget_some(
 }
 
 /// Brings the number of people of some more tasks up to date, and returns whether all are.
-pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool, Error> {
+pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool> {
     let Some(after) = project::get(tx, project::RETARGETING)? else {
         return Ok(true);
     };
@@ -264,13 +249,7 @@ pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool,
 }
 
 /// Copies an accepted task as a gold or a practice task.
-fn copy_known(
-    tx: &mut dyn Tx,
-    actor: i64,
-    id: i64,
-    practice: bool,
-    now: Millis,
-) -> Result<i64, Error> {
+fn copy_known(tx: &mut dyn Tx, actor: i64, id: i64, practice: bool, now: Millis) -> Result<i64> {
     let task = rows::task(tx, id)?;
     let (name, prefix) = if practice {
         ("practice", "practice:")

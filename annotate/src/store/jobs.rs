@@ -2,12 +2,11 @@
 
 use std::io::Read;
 
-use super::db::{Row, Tx, json, params};
+use super::db::{Result, Row, Tx, json, params};
 use super::entry::{Body, read_stored};
 use super::log;
 use super::records::Millis;
 use super::store::Store;
-use crate::Error;
 use crate::wire::Job;
 
 /// Maximum number of listed jobs.
@@ -17,7 +16,7 @@ const FILE_PART: u64 = 1 << 20;
 
 impl Store {
     /// Stores a job; id 0 creates a new one.
-    pub fn put_job(&self, job: Job, now: Millis) -> Result<Job, Error> {
+    pub fn put_job(&self, job: Job, now: Millis) -> Result<Job> {
         self.write(move |tx| put_job(tx, job, now))
     }
 
@@ -28,7 +27,7 @@ impl Store {
         name: &str,
         mut content: impl Read,
         kept: i64,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         for number in 0_i64.. {
             let mut bytes = Vec::new();
             content
@@ -58,7 +57,7 @@ impl Store {
     }
 
     /// A file of a job, if the store keeps it.
-    pub(crate) fn file(&self, job: i64, name: &str) -> Result<Option<Vec<u8>>, Error> {
+    pub(crate) fn file(&self, job: i64, name: &str) -> Result<Option<Vec<u8>>> {
         let sql = "SELECT bytes FROM job_file WHERE job = ?1 AND name = ?2 AND part = ?3";
         let read = |row: &Row| Ok(row.bytes(0)?.to_vec());
         let mut content = None;
@@ -72,7 +71,7 @@ impl Store {
     }
 
     /// Records that a job runs.
-    pub fn beat(&self, job: i64, now: Millis) -> Result<(), Error> {
+    pub fn beat(&self, job: i64, now: Millis) -> Result<()> {
         let sql = "SELECT body FROM job WHERE id = ?1";
         self.write(move |tx| {
             let job: Option<Job> = tx.find(sql, params![job], |row| row.json(0))?;
@@ -84,7 +83,7 @@ impl Store {
     }
 
     /// Marks running jobs as failed if their server last reported them before `since`.
-    pub fn abandon(&self, since: Millis, now: Millis) -> Result<(), Error> {
+    pub fn abandon(&self, since: Millis, now: Millis) -> Result<()> {
         let is_lost = move |job: &Job| job.state == "running" && job.heartbeat < since;
         if !self.jobs()?.iter().any(is_lost) {
             return Ok(());
@@ -103,7 +102,7 @@ impl Store {
     }
 
     /// Jobs, newest first.
-    pub fn jobs(&self) -> Result<Vec<Job>, Error> {
+    pub fn jobs(&self) -> Result<Vec<Job>> {
         self.read(jobs)
     }
 
@@ -113,12 +112,12 @@ impl Store {
         actor: Option<i64>,
         export: serde_json::Value,
         now: Millis,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         self.write(move |tx| log::note(tx, now, actor, None, Body::Exported { export }))
     }
 }
 
-fn put_job(tx: &mut dyn Tx, mut job: Job, now: Millis) -> Result<Job, Error> {
+fn put_job(tx: &mut dyn Tx, mut job: Job, now: Millis) -> Result<Job> {
     job.heartbeat = now;
     if job.id == 0 {
         job.id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM job", &[])?;
@@ -130,7 +129,7 @@ fn put_job(tx: &mut dyn Tx, mut job: Job, now: Millis) -> Result<Job, Error> {
     Ok(job)
 }
 
-fn jobs(tx: &mut dyn Tx) -> Result<Vec<Job>, Error> {
+fn jobs(tx: &mut dyn Tx) -> Result<Vec<Job>> {
     let sql = "SELECT body FROM job ORDER BY id DESC LIMIT ?1";
     tx.list(sql, params![JOBS], |row| read_stored("job", row.text(0)?))
 }

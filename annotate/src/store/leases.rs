@@ -1,6 +1,6 @@
 //! Leases: assignment of tasks to people for a limited time.
 
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::draw::percent;
 use super::entry::{Body, ENTRY_COLUMNS, Entry, Place, read_entry};
 use super::log;
@@ -24,7 +24,7 @@ impl Store {
     ///
     /// # Errors
     /// `lease_lost`.
-    pub fn renew(&self, user: i64, lease: i64, now: Millis) -> Result<Lease, Error> {
+    pub fn renew(&self, user: i64, lease: i64, now: Millis) -> Result<Lease> {
         self.write(move |tx| {
             let settings = super::project::settings(tx)?;
             let held = rows::lease(tx, lease)?.filter(|held| held.lease.user == user);
@@ -46,7 +46,7 @@ impl Store {
     ///
     /// # Errors
     /// `not_found`.
-    pub fn release(&self, who: &Who, lease: i64, now: Millis) -> Result<(), Error> {
+    pub fn release(&self, who: &Who, lease: i64, now: Millis) -> Result<()> {
         let (user, role) = (who.id, who.role);
         self.write(move |tx| {
             let held = rows::lease(tx, lease)?
@@ -64,7 +64,7 @@ impl Store {
 
 /// Ends leases past their deadline, except those of `keep`, who may renew a lease that nobody has
 /// taken. Returns how many it ended.
-pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<usize, Error> {
+pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<usize> {
     let from = "lease l WHERE l.expires <= ?1 AND l.usr <> ?2 ORDER BY l.expires, l.id LIMIT ?3";
     let expired = rows::leases(tx, from, params![now, keep, EXPIRED_AT_ONCE])?;
     for held in &expired {
@@ -79,7 +79,7 @@ pub(super) fn reserved_after(
     held: &LeaseRow,
     reason: ReleaseReason,
     now: Millis,
-) -> Result<Option<Millis>, Error> {
+) -> Result<Option<Millis>> {
     // A reviewer who takes a task away wants others to have it.
     if held.purpose != Purpose::Annotate || reason == ReleaseReason::TakenAway {
         return Ok(None);
@@ -113,7 +113,7 @@ fn note(
     actor: Option<i64>,
     now: Millis,
     body: Body,
-) -> Result<(), Error> {
+) -> Result<()> {
     let entry = Entry {
         at: now,
         actor,
@@ -130,7 +130,7 @@ pub(super) fn end(
     actor: Option<i64>,
     reason: ReleaseReason,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     let body = Body::Released {
         lease: held.lease.id,
         user: held.lease.user,
@@ -154,7 +154,7 @@ pub(super) fn take(
     place: Option<Place>,
     settings: &Settings,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     let row = tx
         .one("SELECT epoch, key FROM task WHERE id = ?1", params![task])?
         .ok_or_else(|| Error::not_found("task"))?;
@@ -180,7 +180,7 @@ pub(super) fn prolong(
     held: &LeaseRow,
     settings: &Settings,
     now: Millis,
-) -> Result<Lease, Error> {
+) -> Result<Lease> {
     let expires = lease_end(settings, now);
     let lease = held.lease.id;
     let body = Body::Renewed { lease, expires };
@@ -197,7 +197,7 @@ pub(super) fn prolong_bundle(
     held: &LeaseRow,
     settings: &Settings,
     now: Millis,
-) -> Result<Lease, Error> {
+) -> Result<Lease> {
     let from = format!(
         "{PLACED}
          WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2 AND COALESCE(g.bundle, t.bundle) = (

@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::apply::apply;
-use super::db::{Row, Tx, json, params};
+use super::db::{Result, Row, Tx, json, params};
 use super::entry::{self, Body, Entry, VERSION};
 use super::records::Millis;
 use crate::Error;
@@ -17,7 +17,7 @@ pub(crate) fn note(
     actor: Option<i64>,
     task: Option<i64>,
     body: Body,
-) -> Result<(), Error> {
+) -> Result<()> {
     let entry = Entry {
         at,
         actor,
@@ -29,12 +29,12 @@ pub(crate) fn note(
 }
 
 /// Writes an entry and applies it.
-pub(crate) fn write(tx: &mut dyn Tx, entry: &Entry) -> Result<(), Error> {
+pub(crate) fn write(tx: &mut dyn Tx, entry: &Entry) -> Result<()> {
     let seq = apply_next(tx, entry)?;
     put(tx, seq, entry, None)
 }
 
-fn apply_next(tx: &mut dyn Tx, entry: &Entry) -> Result<i64, Error> {
+fn apply_next(tx: &mut dyn Tx, entry: &Entry) -> Result<i64> {
     let seq = 1 + tx.number("SELECT COALESCE(MAX(seq), 0) FROM event", &[])?;
     apply(tx, seq, entry)?;
     Ok(seq)
@@ -43,7 +43,7 @@ fn apply_next(tx: &mut dyn Tx, entry: &Entry) -> Result<i64, Error> {
 /// Key of a request, the revision that it is based on, and its reply.
 type Reply<'a> = (&'a str, i64, String);
 
-fn put(tx: &mut dyn Tx, seq: i64, entry: &Entry, reply: Option<Reply<'_>>) -> Result<(), Error> {
+fn put(tx: &mut dyn Tx, seq: i64, entry: &Entry, reply: Option<Reply<'_>>) -> Result<()> {
     let (key, base_rev, result) = reply.map_or((None, None, None), |(key, base_rev, result)| {
         (Some(key), Some(base_rev), Some(result))
     });
@@ -75,7 +75,7 @@ pub(super) struct Request {
 }
 
 impl Request {
-    pub(super) fn new<T: Serialize>(user: i64, key: &str, content: &T) -> Result<Self, Error> {
+    pub(super) fn new<T: Serialize>(user: i64, key: &str, content: &T) -> Result<Self> {
         let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
         if !(8..=64).contains(&key.len()) || !key.chars().all(allowed) {
             return Err(Error::invalid(
@@ -90,7 +90,7 @@ impl Request {
     }
 
     /// The reply that was given to this request before.
-    pub(super) fn replay<T: DeserializeOwned>(&self, tx: &mut dyn Tx) -> Result<Option<T>, Error> {
+    pub(super) fn replay<T: DeserializeOwned>(&self, tx: &mut dyn Tx) -> Result<Option<T>> {
         let sql = format!(
             "SELECT {}, result FROM event WHERE idem_key = ?1",
             entry::ENTRY_COLUMNS
@@ -115,8 +115,8 @@ impl Request {
         tx: &mut dyn Tx,
         entry: &Entry,
         base_rev: i64,
-        reply: impl FnOnce(&mut dyn Tx, i64) -> Result<T, Error>,
-    ) -> Result<T, Error> {
+        reply: impl FnOnce(&mut dyn Tx, i64) -> Result<T>,
+    ) -> Result<T> {
         let seq = apply_next(tx, entry)?;
         let reply = reply(tx, seq)?;
         put(

@@ -13,7 +13,7 @@
 //! Test `a_store_of_each_older_version_is_upgraded_after_a_copy` opens stores of older versions
 //! (`tests/stores`) and compares their tables with those of a new store.
 
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::{derived, people};
 use crate::Error;
 
@@ -106,7 +106,7 @@ pub(super) enum Plan {
 }
 
 /// Compares the version of a store's tables with that of this program; 0 is a store without tables.
-pub(super) fn plan(place: &str, found: i64) -> Result<Plan, Error> {
+pub(super) fn plan(place: &str, found: i64) -> Result<Plan> {
     match found {
         0 => Ok(Plan::Create),
         VERSION => Ok(Plan::Nothing),
@@ -122,7 +122,7 @@ pub(super) fn plan(place: &str, found: i64) -> Result<Plan, Error> {
 }
 
 /// Creates all tables, or upgrades them.
-pub(super) fn apply(tx: &mut dyn Tx, plan: Plan) -> Result<(), Error> {
+pub(super) fn apply(tx: &mut dyn Tx, plan: Plan) -> Result<()> {
     match plan {
         Plan::Nothing => return Ok(()),
         Plan::Create => {

@@ -1,7 +1,7 @@
 //! What a person handed in, and where it stands.
 
 use super::append::take_back_window;
-use super::db::{Row, Tx, params};
+use super::db::{Result, Row, Tx, params};
 use super::records::{Millis, MineQuery, OwnAnswer, TaskRecord};
 use super::rows::{self, NUM_TASK_COLUMNS};
 use super::store::Store;
@@ -22,7 +22,7 @@ impl Store {
         user: i64,
         query: MineQuery,
         now: Millis,
-    ) -> Result<(Vec<OwnAnswer>, Option<String>), Error> {
+    ) -> Result<(Vec<OwnAnswer>, Option<String>)> {
         self.read(|tx| answers(tx, user, &query, now))
     }
 }
@@ -33,7 +33,7 @@ fn answers(
     user: i64,
     query: &MineQuery,
     now: Millis,
-) -> Result<(Vec<OwnAnswer>, Option<String>), Error> {
+) -> Result<(Vec<OwnAnswer>, Option<String>)> {
     let bad = || Error::invalid("before", "this is no cursor of a page; begin at the first");
     let (mut at, mut task) = match &query.before {
         None => (i64::MAX, i64::MAX),
@@ -91,7 +91,7 @@ fn own_answer(
     row: &Row,
     window: Millis,
     now: Millis,
-) -> Result<OwnAnswer, Error> {
+) -> Result<OwnAnswer> {
     let task = rows::read_task(row)?;
     let mine = rows::read_revision(row, NUM_TASK_COLUMNS)?;
     let accepted_author = row.opt_int(AFTER_REVISION)?;
@@ -150,7 +150,7 @@ fn own_answer(
 }
 
 /// What a practice task teaches a user who handed it in.
-fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feedback>, Error> {
+fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feedback>> {
     let sql = "SELECT score FROM gold_score WHERE task = ?1 AND usr = ?2";
     let score = tx.find(sql, params![task.id, user], |row| row.real(0))?;
     let known = score.zip(task.gold.clone());

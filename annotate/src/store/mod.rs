@@ -58,7 +58,7 @@ mod work;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::Error;
+use db::Result;
 
 pub use backup::{back_up, backup_is_due};
 pub use browse::{DecisionQuery, PageQuery};
@@ -76,7 +76,7 @@ pub use store::Store;
 ///
 /// # Errors
 /// The file cannot be opened, is of a newer version, or lies on a network file system.
-pub fn open_sqlite(path: &Path) -> Result<Arc<Store>, Error> {
+pub fn open_sqlite(path: &Path) -> Result<Arc<Store>> {
     let (db, upgrade) = sqlite::Sqlite::open(path)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }
@@ -87,7 +87,7 @@ pub fn open_sqlite(path: &Path) -> Result<Arc<Store>, Error> {
 /// # Errors
 /// The server cannot be reached, or its tables are of a newer version.
 #[cfg(feature = "postgres")]
-pub fn open_postgres(url: &str, schema: &str) -> Result<Arc<Store>, Error> {
+pub fn open_postgres(url: &str, schema: &str) -> Result<Arc<Store>> {
     let (db, upgrade) = postgres::Postgres::open(url, schema)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }

@@ -5,7 +5,7 @@ use std::sync::MutexGuard;
 
 use sha2::{Digest, Sha256};
 
-use super::db::{Row, Tx, params};
+use super::db::{Result, Row, Tx, params};
 use super::entry::Body;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
 use super::store::Store;
@@ -28,15 +28,15 @@ impl Store {
     /// [`Self::write`] of users or tokens; clears the token cache.
     fn write_people<T: Send + 'static>(
         &self,
-        work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
-    ) -> Result<T, Error> {
+        work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'static,
+    ) -> Result<T> {
         let outcome = self.write(work);
         self.known().clear();
         outcome
     }
 
     /// All users.
-    pub fn users(&self) -> Result<Vec<User>, Error> {
+    pub fn users(&self) -> Result<Vec<User>> {
         self.read(users)
     }
 
@@ -50,7 +50,7 @@ impl Store {
         lines: &str,
         expires: Millis,
         now: Millis,
-    ) -> Result<Vec<IssuedToken>, Error> {
+    ) -> Result<Vec<IssuedToken>> {
         let new = parse_lines(lines)?;
         self.write_people(move |tx| add_all(tx, actor, &new, expires, now))
     }
@@ -65,7 +65,7 @@ impl Store {
         name: &str,
         role: Role,
         now: Millis,
-    ) -> Result<User, Error> {
+    ) -> Result<User> {
         let name = name.to_owned();
         self.write_people(move |tx| add(tx, actor, &name, role, now))
     }
@@ -81,7 +81,7 @@ impl Store {
         role: Option<Role>,
         active: Option<bool>,
         now: Millis,
-    ) -> Result<User, Error> {
+    ) -> Result<User> {
         self.write_people(move |tx| change(tx, actor, user, role, active, now))
     }
 
@@ -95,7 +95,7 @@ impl Store {
         purpose: TokenUse,
         expires: Millis,
         now: Millis,
-    ) -> Result<IssuedToken, Error> {
+    ) -> Result<IssuedToken> {
         self.write_people(move |tx| issue(tx, user, purpose, expires, now))
     }
 
@@ -103,12 +103,7 @@ impl Store {
     ///
     /// # Errors
     /// `unauthenticated`.
-    pub fn authenticate(
-        &self,
-        token: &str,
-        purposes: &[TokenUse],
-        now: Millis,
-    ) -> Result<Who, Error> {
+    pub fn authenticate(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
         let hash = hash(token);
         let changes = {
             let known = self.known();
@@ -131,7 +126,7 @@ impl Store {
     ///
     /// # Errors
     /// `unauthenticated`.
-    pub fn recognise(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who, Error> {
+    pub fn recognise(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
         let hash = hash(token);
         Ok(self.read(|tx| find(tx, &hash, purposes, now))?.who)
     }
@@ -140,18 +135,13 @@ impl Store {
     ///
     /// # Errors
     /// `unauthenticated`.
-    pub fn log_in(
-        &self,
-        token: &str,
-        until: Millis,
-        now: Millis,
-    ) -> Result<(Who, IssuedToken), Error> {
+    pub fn log_in(&self, token: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
         let hash = hash(token);
         self.write_people(move |tx| log_in(tx, &hash, until, now))
     }
 
     /// A user's tokens.
-    pub fn tokens(&self, user: i64) -> Result<Vec<TokenInfo>, Error> {
+    pub fn tokens(&self, user: i64) -> Result<Vec<TokenInfo>> {
         let sql = "SELECT id, usr, created, expires, last_used, revoked FROM token
              WHERE usr = ?1 AND purpose <> 'session' ORDER BY id";
         let read = |row: &Row| {
@@ -171,7 +161,7 @@ impl Store {
     ///
     /// # Errors
     /// `not_found`.
-    pub fn revoke(&self, token: i64) -> Result<(), Error> {
+    pub fn revoke(&self, token: i64) -> Result<()> {
         self.write_people(move |tx| {
             let sql = "SELECT usr FROM token WHERE id = ?1";
             let user = tx.find(sql, params![token], |row| row.int(0))?;
@@ -184,7 +174,7 @@ impl Store {
     }
 
     /// Revokes a session.
-    pub fn log_out(&self, token: &str) -> Result<(), Error> {
+    pub fn log_out(&self, token: &str) -> Result<()> {
         let hash = hash(token);
         self.write_people(move |tx| {
             tx.run(
@@ -205,7 +195,7 @@ fn hash(token: &str) -> String {
 }
 
 /// Random bytes, hexadecimal.
-pub(super) fn random<const BYTES: usize>() -> Result<String, Error> {
+pub(super) fn random<const BYTES: usize>() -> Result<String> {
     let mut bytes = [0; BYTES];
     getrandom::fill(&mut bytes)
         .map_err(|error| std::io::Error::other(error.to_string()))
@@ -216,7 +206,7 @@ pub(super) fn random<const BYTES: usize>() -> Result<String, Error> {
     Ok(hex(&bytes))
 }
 
-fn read_user(row: &Row) -> Result<User, Error> {
+fn read_user(row: &Row) -> Result<User> {
     Ok(User {
         id: row.int(0)?,
         name: row.string(1)?,
@@ -225,7 +215,7 @@ fn read_user(row: &Row) -> Result<User, Error> {
     })
 }
 
-pub(super) fn users(tx: &mut dyn Tx) -> Result<Vec<User>, Error> {
+pub(super) fn users(tx: &mut dyn Tx) -> Result<Vec<User>> {
     tx.list(
         "SELECT id, name, role, active FROM usr ORDER BY id",
         &[],
@@ -233,13 +223,13 @@ pub(super) fn users(tx: &mut dyn Tx) -> Result<Vec<User>, Error> {
     )
 }
 
-fn user(tx: &mut dyn Tx, id: i64) -> Result<User, Error> {
+fn user(tx: &mut dyn Tx, id: i64) -> Result<User> {
     let sql = "SELECT id, name, role, active FROM usr WHERE id = ?1";
     let user = tx.find(sql, params![id], read_user)?;
     user.ok_or_else(|| Error::not_found("user"))
 }
 
-fn logged(tx: &mut dyn Tx, actor: Option<i64>, user: &User, now: Millis) -> Result<(), Error> {
+fn logged(tx: &mut dyn Tx, actor: Option<i64>, user: &User, now: Millis) -> Result<()> {
     log::note(
         tx,
         now,
@@ -254,13 +244,7 @@ fn logged(tx: &mut dyn Tx, actor: Option<i64>, user: &User, now: Millis) -> Resu
     )
 }
 
-fn add(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    name: &str,
-    role: Role,
-    now: Millis,
-) -> Result<User, Error> {
+fn add(tx: &mut dyn Tx, actor: Option<i64>, name: &str, role: Role, now: Millis) -> Result<User> {
     let name = name.trim();
     let bad = |c: char| c.is_control();
     if name.is_empty() || name.chars().count() > 64 || name.chars().any(bad) {
@@ -297,7 +281,7 @@ fn change(
     role: Option<Role>,
     active: Option<bool>,
     now: Millis,
-) -> Result<User, Error> {
+) -> Result<User> {
     let before = user(tx, id)?;
     let after = User {
         role: role.unwrap_or(before.role),
@@ -336,7 +320,7 @@ fn issue(
     purpose: TokenUse,
     expires: Millis,
     now: Millis,
-) -> Result<IssuedToken, Error> {
+) -> Result<IssuedToken> {
     let user = user(tx, id)?;
     if !user.active {
         return Err(Error::invalid(
@@ -364,7 +348,7 @@ const MAX_LINES: usize = 1000;
 
 /// Reads users from lines of a name, or of a name and a role parted by a comma, a semicolon or a tab. Empty lines
 /// and a heading `name,role` are passed over.
-fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>, Error> {
+fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
     let mut users = Vec::new();
     for (index, line) in text.lines().enumerate() {
         let number = index + 1;
@@ -403,7 +387,7 @@ fn add_all(
     users: &[(usize, String, Role)],
     expires: Millis,
     now: Millis,
-) -> Result<Vec<IssuedToken>, Error> {
+) -> Result<Vec<IssuedToken>> {
     users
         .iter()
         .map(|(number, name, role)| {
@@ -473,7 +457,7 @@ impl Known {
     }
 }
 
-fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Found, Error> {
+fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Found> {
     let refused = || {
         Error::refused(
             Code::Unauthenticated,
@@ -510,7 +494,7 @@ fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Resu
 }
 
 /// [`find`], and records the use. A one-time token becomes invalid.
-fn used(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Who, Error> {
+fn used(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
     let found = find(tx, hash, purposes, now)?;
     tx.execute(
         "UPDATE token SET last_used = ?2, revoked = ?3 WHERE id = ?1",
@@ -521,12 +505,7 @@ fn used(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Resu
 
 /// Begins a session that ends with the token it was begun by. A one-time token only opens the door: its session
 /// lasts as long as any.
-fn log_in(
-    tx: &mut dyn Tx,
-    hash: &str,
-    until: Millis,
-    now: Millis,
-) -> Result<(Who, IssuedToken), Error> {
+fn log_in(tx: &mut dyn Tx, hash: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
     let purposes = [TokenUse::Token, TokenUse::Once];
     let found = find(tx, hash, &purposes, now)?;
     let until = if found.once {

@@ -3,7 +3,7 @@
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use super::db::{Row, Tx, params, unreadable};
+use super::db::{Result, Row, Tx, params, unreadable};
 use super::entry::Body;
 use super::log;
 use super::records::{Millis, Picture};
@@ -23,7 +23,7 @@ const TYPES: [(&[u8], &str); 4] = [
 
 impl Store {
     /// Pictures of the guide, without their content.
-    pub fn pictures(&self) -> Result<Vec<PictureInfo>, Error> {
+    pub fn pictures(&self) -> Result<Vec<PictureInfo>> {
         let sql = "SELECT name, mime, bytes FROM picture ORDER BY name";
         let read = |row: &Row| {
             Ok(PictureInfo {
@@ -39,7 +39,7 @@ impl Store {
     ///
     /// # Errors
     /// `not_found`.
-    pub fn picture(&self, name: &str) -> Result<Picture, Error> {
+    pub fn picture(&self, name: &str) -> Result<Picture> {
         let sql = "SELECT mime, bytes FROM picture WHERE name = ?1";
         let read = |row: &Row| {
             Ok(Picture {
@@ -61,7 +61,7 @@ impl Store {
         name: &str,
         bytes: Vec<u8>,
         now: Millis,
-    ) -> Result<PictureInfo, Error> {
+    ) -> Result<PictureInfo> {
         let name = name.to_owned();
         self.write(move |tx| put(tx, actor, name, &bytes, now))
     }
@@ -70,7 +70,7 @@ impl Store {
     ///
     /// # Errors
     /// `not_found`.
-    pub fn delete_picture(&self, actor: i64, name: &str, now: Millis) -> Result<(), Error> {
+    pub fn delete_picture(&self, actor: i64, name: &str, now: Millis) -> Result<()> {
         let name = name.to_owned();
         self.write(move |tx| {
             if tx.execute("DELETE FROM picture WHERE name = ?1", params![&name])? == 0 {
@@ -90,7 +90,7 @@ fn mime(bytes: &[u8]) -> Option<&'static str> {
 }
 
 /// Checks a name of a picture.
-pub(super) fn check_name(name: &str) -> Result<(), Error> {
+pub(super) fn check_name(name: &str) -> Result<()> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     if (1..=60).contains(&name.len()) && name.chars().all(allowed) {
         return Ok(());
@@ -103,7 +103,7 @@ pub(super) fn check_name(name: &str) -> Result<(), Error> {
     ))
 }
 
-fn decoded(text: &str) -> Result<Vec<u8>, Error> {
+fn decoded(text: &str) -> Result<Vec<u8>> {
     STANDARD
         .decode(text)
         .map_err(|error| unreadable("picture", error))
@@ -115,7 +115,7 @@ fn put(
     name: String,
     bytes: &[u8],
     now: Millis,
-) -> Result<PictureInfo, Error> {
+) -> Result<PictureInfo> {
     check_name(&name)?;
     let mime = mime(bytes).ok_or_else(|| {
         Error::invalid(

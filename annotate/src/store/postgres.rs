@@ -11,7 +11,7 @@ use std::path::Path;
 use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
 use postgres::{Client, Statement};
 
-use super::db::{Content, Database, Row, Tx, Value, Work, params};
+use super::db::{Content, Database, Result, Row, Tx, Value, Work, params};
 use super::group::{Writer, WriterThread, caught};
 use super::migrate::{self, Plan, Upgrade};
 use super::postgres_address;
@@ -67,7 +67,7 @@ fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
 
 impl Postgres {
     /// Connects, and creates missing tables. Says what upgrade that made.
-    pub(crate) fn open(url: &str, schema: &str) -> Result<(Self, Option<Upgrade>), Error> {
+    pub(crate) fn open(url: &str, schema: &str) -> Result<(Self, Option<Upgrade>)> {
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
         if schema.is_empty() || !schema.chars().all(plain) {
             return Err(Error::Open {
@@ -102,7 +102,7 @@ impl Postgres {
 }
 
 /// Creates the tables of a new store, or upgrades those of an older version after a copy.
-fn prepare(connection: &mut Connection, address: &Address) -> Result<Option<Upgrade>, Error> {
+fn prepare(connection: &mut Connection, address: &Address) -> Result<Option<Upgrade>> {
     let make = failed("make its tables");
     let schema = address.schema.as_str();
     let begin = format!(
@@ -142,7 +142,7 @@ fn prepare(connection: &mut Connection, address: &Address) -> Result<Option<Upgr
 }
 
 /// Copies all tables into a new schema and returns its name.
-fn copy_schema(tx: &mut PostgresTx<'_>, schema: &str, version: i64) -> Result<String, Error> {
+fn copy_schema(tx: &mut PostgresTx<'_>, schema: &str, version: i64) -> Result<String> {
     let mut copy = format!("{schema}_version_{version}");
     let mut number = 1;
     while tx.number(
@@ -175,7 +175,7 @@ impl Address {
         format!("{}, schema {}", self.database.place(), self.schema)
     }
 
-    fn connect(&self) -> Result<Connection, Error> {
+    fn connect(&self) -> Result<Connection> {
         let mut client = self.database.connect()?;
         client
             // Disable sequential scans: plans prepared on empty tables would otherwise keep scanning
@@ -201,7 +201,7 @@ struct PostgresWriter {
 }
 
 impl PostgresWriter {
-    fn command(&mut self, sql: &str, action: &'static str) -> Result<(), Error> {
+    fn command(&mut self, sql: &str, action: &'static str) -> Result<()> {
         self.connection
             .client
             .batch_execute(sql)
@@ -213,7 +213,7 @@ impl Writer for PostgresWriter {
     /// Bounded, because other servers wait for the lock.
     const GROUP: usize = 32;
 
-    fn begin(&mut self) -> Result<(), Error> {
+    fn begin(&mut self) -> Result<()> {
         if self.connection.client.is_closed() {
             self.connection = self.address.connect()?;
         }
@@ -224,7 +224,7 @@ impl Writer for PostgresWriter {
         )
     }
 
-    fn run(&mut self, work: Work<'_>) -> Result<(), Error> {
+    fn run(&mut self, work: Work<'_>) -> Result<()> {
         self.command("SAVEPOINT work", "begin a transaction")?;
         match caught(|| work(&mut PostgresTx(&mut self.connection))) {
             Ok(()) => self.command("RELEASE work", "commit"),
@@ -244,7 +244,7 @@ impl Writer for PostgresWriter {
         self.is_open && !self.connection.client.is_closed()
     }
 
-    fn commit(&mut self) -> Result<(), Error> {
+    fn commit(&mut self) -> Result<()> {
         let committed = self.command("COMMIT", "commit");
         self.is_open = committed.is_err();
         committed
@@ -263,7 +263,7 @@ impl Writer for PostgresWriter {
 struct PostgresTx<'a>(&'a mut Connection);
 
 impl PostgresTx<'_> {
-    fn statement(&mut self, sql: &str) -> Result<Statement, Error> {
+    fn statement(&mut self, sql: &str) -> Result<Statement> {
         if let Some(statement) = self.0.statements.get(sql) {
             return Ok(statement.clone());
         }
@@ -337,7 +337,7 @@ fn borrowed(params: &[Value]) -> Vec<&(dyn ToSql + Sync)> {
 }
 
 impl Tx for PostgresTx<'_> {
-    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error> {
+    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
         let statement = self.statement(sql)?;
         self.0
             .client
@@ -345,7 +345,7 @@ impl Tx for PostgresTx<'_> {
             .map_err(failed("write"))
     }
 
-    fn define(&mut self, sql: &str) -> Result<(), Error> {
+    fn define(&mut self, sql: &str) -> Result<()> {
         // Order keys by bytes, whatever the collation of the database.
         let sql = sql.replace(
             "key TEXT NOT NULL UNIQUE",
@@ -357,7 +357,7 @@ impl Tx for PostgresTx<'_> {
             .map_err(failed("make its tables"))
     }
 
-    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
+    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
         let statement = self.statement(sql)?;
         let rows = self
             .0
@@ -376,11 +376,11 @@ impl Tx for PostgresTx<'_> {
 }
 
 impl Database for Postgres {
-    fn write(&self, work: Work<'static>) -> Result<(), Error> {
+    fn write(&self, work: Work<'static>) -> Result<()> {
         self.writer.write(work)
     }
 
-    fn read(&self, work: Work<'_>) -> Result<(), Error> {
+    fn read(&self, work: Work<'_>) -> Result<()> {
         self.readers.with(
             |reader| {
                 if reader.client.is_closed() {
@@ -396,7 +396,7 @@ impl Database for Postgres {
         )
     }
 
-    fn backup(&self, _: &Path, _: Content) -> Result<(), Error> {
+    fn backup(&self, _: &Path, _: Content) -> Result<()> {
         Err(Error::Open {
             path: self.address.place(),
             reason: format!(
@@ -406,7 +406,7 @@ impl Database for Postgres {
         })
     }
 
-    fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
+    fn snapshot(&self) -> Result<Box<dyn Database>> {
         let mut reader = self.address.connect()?;
         reader.client.batch_execute(READ).map_err(failed("read"))?;
         // The first read fixes the point in time.
@@ -420,7 +420,7 @@ impl Database for Postgres {
         true
     }
 
-    fn time(&self) -> Result<Option<Millis>, Error> {
+    fn time(&self) -> Result<Option<Millis>> {
         super::db::read(self, |tx| {
             let millis = "CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT)";
             tx.number(&format!("SELECT {millis}"), &[]).map(Some)

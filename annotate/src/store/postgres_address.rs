@@ -10,6 +10,7 @@ use rustls::pki_types::pem::PemObject;
 use rustls::{ClientConfig, RootCertStore};
 use tokio_postgres_rustls::MakeRustlsConnect;
 
+use super::db::Result;
 use crate::Error;
 
 /// The address of a PostgreSQL database, with its TLS settings.
@@ -23,7 +24,7 @@ impl Address {
     /// Reads an address `postgres://USER@HOST/DATABASE?…`. Its parameters are those of PostgreSQL's own programs.
     /// A connection to another host is encrypted, and the server's certificate checked, unless `sslmode` says
     /// otherwise.
-    pub(super) fn parse(url: &str) -> Result<Self, Error> {
+    pub(super) fn parse(url: &str) -> Result<Self> {
         let (mut plain, parameters) = match url.rfind('?') {
             Some(at) if url.rfind('@').is_none_or(|host| host < at) => {
                 (url[..at].to_owned(), &url[at + 1..])
@@ -79,7 +80,7 @@ impl Address {
         format!("{}/{database}", hosts.join(","))
     }
 
-    pub(super) fn connect(&self) -> Result<Client, Error> {
+    pub(super) fn connect(&self) -> Result<Client> {
         self.config
             .connect(self.tls.clone())
             .map_err(|error| Error::Open {
@@ -129,7 +130,7 @@ fn is_local(host: &Host) -> bool {
 }
 
 /// Settings of TLS that trust the authorities of a file, or else those that browsers trust.
-fn tls(authorities: Option<&str>) -> Result<ClientConfig, Error> {
+fn tls(authorities: Option<&str>) -> Result<ClientConfig> {
     let mut roots = RootCertStore::empty();
     match authorities {
         None => roots.extend(webpki_roots::TLS_SERVER_ROOTS.iter().cloned()),

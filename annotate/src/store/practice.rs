@@ -1,14 +1,13 @@
 //! Practice: tasks with known answers that a new annotator does before real work.
 
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::project;
 use super::store::Store;
-use crate::Error;
 use crate::wire::{Practice, Settings, TaskKind};
 
 impl Store {
     /// A user's practice of each kind.
-    pub fn practice(&self, user: i64) -> Result<Vec<Practice>, Error> {
+    pub fn practice(&self, user: i64) -> Result<Vec<Practice>> {
         self.read(|tx| {
             let settings = project::settings(tx)?;
             let kinds = TaskKind::ALL.iter();
@@ -25,7 +24,7 @@ pub(super) fn standing(
     user: i64,
     kind: TaskKind,
     settings: &Settings,
-) -> Result<Practice, Error> {
+) -> Result<Practice> {
     let there = tx.number(
         "SELECT COUNT(*) FROM task WHERE practice = 1 AND kind = ?1 AND state IN ('open', 'leased')",
         params![kind.as_str()],
@@ -62,7 +61,7 @@ pub(super) fn next(
     user: i64,
     kind: TaskKind,
     settings: &Settings,
-) -> Result<Option<i64>, Error> {
+) -> Result<Option<i64>> {
     if settings.practice_tasks == 0 || standing(tx, user, kind, settings)?.passed {
         return Ok(None);
     }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::db::{Tx, Value, json, params};
+use super::db::{Result, Tx, Value, json, params};
 use super::entry::{Body, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
 use super::settings::{check, is_name};
@@ -21,7 +21,7 @@ pub(super) const AT_ONCE: usize = 500;
 
 impl Store {
     /// The settings.
-    pub fn settings(&self) -> Result<Settings, Error> {
+    pub fn settings(&self) -> Result<Settings> {
         self.read(settings)
     }
 
@@ -30,14 +30,14 @@ impl Store {
     ///
     /// # Errors
     /// `invalid`.
-    pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<(), Error> {
+    pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<()> {
         self.write(move |tx| put_settings(tx, Some(actor), settings, now))?;
         while !self.write(move |tx| import::retarget(tx, actor, now))? {}
         Ok(())
     }
 
     /// A user's preferences.
-    pub fn prefs(&self, user: i64) -> Result<Prefs, Error> {
+    pub fn prefs(&self, user: i64) -> Result<Prefs> {
         let sql = "SELECT body FROM pref WHERE usr = ?1";
         let stored: Option<serde_json::Value> =
             self.read(|tx| tx.find(sql, params![user], |row| row.json(0)))?;
@@ -55,7 +55,7 @@ impl Store {
     ///
     /// # Errors
     /// `invalid`.
-    pub fn put_prefs(&self, user: i64, prefs: Prefs) -> Result<(), Error> {
+    pub fn put_prefs(&self, user: i64, prefs: Prefs) -> Result<()> {
         check_prefs(&prefs)?;
         let body = json(&prefs)?;
         self.write(move |tx| {
@@ -67,18 +67,18 @@ impl Store {
     }
 
     /// A stored value, such as the dataset version imported last.
-    pub fn note(&self, name: &str) -> Result<Option<String>, Error> {
+    pub fn note(&self, name: &str) -> Result<Option<String>> {
         self.read(|tx| get(tx, &format!("note:{name}")))
     }
 
     /// Stores a value.
-    pub fn put_note(&self, name: &str, text: &str) -> Result<(), Error> {
+    pub fn put_note(&self, name: &str, text: &str) -> Result<()> {
         let (name, text) = (format!("note:{name}"), text.to_owned());
         self.write(move |tx| put(tx, &name, &text))
     }
 
     /// Adds or updates motions.
-    pub fn put_motions(&self, motions: Vec<MotionRecord>) -> Result<(), Error> {
+    pub fn put_motions(&self, motions: Vec<MotionRecord>) -> Result<()> {
         for group in motions.chunks(AT_ONCE) {
             let group = group.to_vec();
             self.write(move |tx| {
@@ -96,7 +96,7 @@ impl Store {
         actor: Option<i64>,
         motions: Vec<MotionRecord>,
         now: Millis,
-    ) -> Result<i64, Error> {
+    ) -> Result<i64> {
         self.write(move |tx| replace_motions(tx, actor, &motions, now))
     }
 
@@ -108,7 +108,7 @@ impl Store {
         tasks: &[i64],
         keep: bool,
         now: Millis,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         for some in tasks.chunks(AT_ONCE) {
             let some = some.to_vec();
             self.write(move |tx| {
@@ -120,7 +120,7 @@ impl Store {
     }
 
     /// Motions by their hashes, in this order and without unknown ones.
-    pub fn motions(&self, hashes: Vec<String>) -> Result<Vec<MotionRecord>, Error> {
+    pub fn motions(&self, hashes: Vec<String>) -> Result<Vec<MotionRecord>> {
         self.read(|tx| {
             let mut motions = Vec::new();
             for hash in hashes {
@@ -131,13 +131,13 @@ impl Store {
     }
 
     /// All motions.
-    pub fn all_motions(&self) -> Result<Vec<MotionRecord>, Error> {
+    pub fn all_motions(&self) -> Result<Vec<MotionRecord>> {
         self.read(|tx| motions_where(tx, "current = 1 ORDER BY id", &[]))
     }
 
     /// Up to `limit` other motions of the same split, for previews: the next ones in cyclic order of hashes. They are
     /// thus pseudo-random, and the same on every call.
-    pub fn partners(&self, hash: &str, limit: usize) -> Result<Vec<MotionRecord>, Error> {
+    pub fn partners(&self, hash: &str, limit: usize) -> Result<Vec<MotionRecord>> {
         self.read(|tx| {
             let Some(motion) = motions_where(tx, "hash = ?1", params![hash])?.pop() else {
                 return Err(Error::not_found("motion"));
@@ -156,12 +156,12 @@ impl Store {
     }
 
     /// Suggestions of a task.
-    pub fn suggestions_of(&self, task: i64) -> Result<Vec<Suggestion>, Error> {
+    pub fn suggestions_of(&self, task: i64) -> Result<Vec<Suggestion>> {
         self.read(|tx| suggestions_of(tx, task))
     }
 
     /// Suggestions by their ids.
-    pub fn suggestions(&self, ids: Vec<i64>) -> Result<Vec<Suggestion>, Error> {
+    pub fn suggestions(&self, ids: Vec<i64>) -> Result<Vec<Suggestion>> {
         self.read(|tx| {
             let mut found = Vec::new();
             for id in ids {
@@ -177,19 +177,19 @@ impl Store {
         task: i64,
         suggestion: NewSuggestion,
         now: Millis,
-    ) -> Result<Suggestion, Error> {
+    ) -> Result<Suggestion> {
         self.write(move |tx| put_suggestion(tx, task, &suggestion, now))
     }
 
     /// Stored suggestion for the same prompt.
-    pub fn cached_suggestion(&self, prompt_hash: &str) -> Result<Option<NewSuggestion>, Error> {
+    pub fn cached_suggestion(&self, prompt_hash: &str) -> Result<Option<NewSuggestion>> {
         let condition = "prompt_hash = ?1 ORDER BY id LIMIT 1";
         let mut found = self.read(|tx| drafts_where(tx, condition, params![prompt_hash]))?;
         Ok(found.pop())
     }
 }
 
-pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings, Error> {
+pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings> {
     match get(tx, SETTINGS)? {
         Some(body) => read_stored("setting", &body),
         None => Ok(Settings::default()),
@@ -197,7 +197,7 @@ pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings, Error> {
 }
 
 /// A stored value.
-pub(super) fn get(tx: &mut dyn Tx, name: &str) -> Result<Option<String>, Error> {
+pub(super) fn get(tx: &mut dyn Tx, name: &str) -> Result<Option<String>> {
     let sql = "SELECT body FROM setting WHERE name = ?1";
     tx.find(sql, params![name], |row| row.string(0))
 }
@@ -210,7 +210,7 @@ pub(super) fn put_settings(
     actor: Option<i64>,
     settings: Settings,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     check(&settings)?;
     let before = self::settings(tx)?;
     let people = |settings: &Settings| (settings.answers_per_task, settings.overlap_percent);
@@ -235,7 +235,7 @@ pub(super) fn add_styles<'a>(
     actor: Option<i64>,
     names: impl IntoIterator<Item = &'a str>,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     let mut settings = self::settings(tx)?;
     let known = settings.styles.len();
     for name in names {
@@ -250,7 +250,7 @@ pub(super) fn add_styles<'a>(
 }
 
 /// Stores a value under a name.
-pub(super) fn put(tx: &mut dyn Tx, name: &str, body: &str) -> Result<(), Error> {
+pub(super) fn put(tx: &mut dyn Tx, name: &str, body: &str) -> Result<()> {
     tx.run(
         "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET body = excluded.body",
         params![name, body],
@@ -258,7 +258,7 @@ pub(super) fn put(tx: &mut dyn Tx, name: &str, body: &str) -> Result<(), Error> 
 }
 
 /// Checks preferences: keys must be `KeyboardEvent.code` values with modifiers.
-fn check_prefs(prefs: &Prefs) -> Result<(), Error> {
+fn check_prefs(prefs: &Prefs) -> Result<()> {
     const MAX_KEYS: usize = 4;
     for (action, keys) in &prefs.keys {
         if keys.len() > MAX_KEYS {
@@ -290,7 +290,7 @@ fn check_prefs(prefs: &Prefs) -> Result<(), Error> {
     Ok(())
 }
 
-fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Result<(), Error> {
+fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Result<()> {
     let sql = format!(
         "INSERT INTO motion (hash, id, split, frames, fps, captions, style, action, current)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 1)
@@ -316,7 +316,7 @@ fn replace_motions(
     actor: Option<i64>,
     motions: &[MotionRecord],
     now: Millis,
-) -> Result<i64, Error> {
+) -> Result<i64> {
     let mut replaced: BTreeMap<String, String> = BTreeMap::new();
     for motion in motions {
         let before = tx.one(
@@ -372,7 +372,7 @@ fn settle_changed(
     task: i64,
     keep: bool,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     let state = rows::task(tx, task)?.state;
     let body = match (keep, state) {
         (true, _) => Body::ClipKept,
@@ -389,11 +389,7 @@ fn settle_changed(
 }
 
 /// Motions that fit what follows `WHERE` in a query.
-fn motions_where(
-    tx: &mut dyn Tx,
-    condition: &str,
-    params: &[Value],
-) -> Result<Vec<MotionRecord>, Error> {
+fn motions_where(tx: &mut dyn Tx, condition: &str, params: &[Value]) -> Result<Vec<MotionRecord>> {
     let columns = "hash, id, split, frames, fps, captions, style, action";
     let sql = format!("SELECT {columns} FROM motion WHERE {condition}");
     tx.list(&sql, params, |row| {
@@ -411,7 +407,7 @@ fn motions_where(
 }
 
 /// Frames of a motion; 1 for one that the store does not know, of which no range of frames can be chosen.
-pub(super) fn frames(tx: &mut dyn Tx, hash: &str) -> Result<i64, Error> {
+pub(super) fn frames(tx: &mut dyn Tx, hash: &str) -> Result<i64> {
     let sql = "SELECT frames FROM motion WHERE hash = ?1";
     let frames = tx.find(sql, params![hash], |row| row.int(0))?;
     Ok(frames.unwrap_or(1))
@@ -422,7 +418,7 @@ fn suggestions_where(
     tx: &mut dyn Tx,
     condition: &str,
     params: &[Value],
-) -> Result<Vec<Suggestion>, Error> {
+) -> Result<Vec<Suggestion>> {
     let sql = format!("SELECT id, source, parts, text, model FROM suggestion WHERE {condition}");
     tx.list(&sql, params, |row| {
         Ok(Suggestion {
@@ -435,7 +431,7 @@ fn suggestions_where(
     })
 }
 
-pub(super) fn suggestions_of(tx: &mut dyn Tx, task: i64) -> Result<Vec<Suggestion>, Error> {
+pub(super) fn suggestions_of(tx: &mut dyn Tx, task: i64) -> Result<Vec<Suggestion>> {
     suggestions_where(tx, "task = ?1 ORDER BY id", params![task])
 }
 
@@ -444,7 +440,7 @@ pub(super) fn put_suggestion(
     task: i64,
     new: &NewSuggestion,
     now: Millis,
-) -> Result<Suggestion, Error> {
+) -> Result<Suggestion> {
     let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM suggestion", &[])?;
     tx.execute(
         "INSERT INTO suggestion (id, task, source, parts, text, model, prompt_hash, params, tokens, response_hash, at)
@@ -477,7 +473,7 @@ pub(super) fn drafts_where(
     tx: &mut dyn Tx,
     condition: &str,
     params: &[Value],
-) -> Result<Vec<NewSuggestion>, Error> {
+) -> Result<Vec<NewSuggestion>> {
     let columns = "source, parts, text, model, prompt_hash, params, tokens, response_hash";
     let sql = format!("SELECT {columns} FROM suggestion WHERE {condition}");
     tx.list(&sql, params, |row| {

@@ -1,6 +1,6 @@
 //! Rows that entries of several kinds write, and the state of a task, which follows from these rows.
 
-use super::db::{Tx, json, params};
+use super::db::{Result, Tx, json, params};
 use super::records::Millis;
 use super::rows::LeaseRow;
 use crate::Error;
@@ -44,13 +44,7 @@ pub(super) struct Acceptance<'a> {
 }
 
 impl Acceptance<'_> {
-    pub(super) fn put(
-        &self,
-        tx: &mut dyn Tx,
-        seq: i64,
-        task: i64,
-        at: Millis,
-    ) -> Result<(), Error> {
+    pub(super) fn put(&self, tx: &mut dyn Tx, seq: i64, task: i64, at: Millis) -> Result<()> {
         tx.run(
             "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, edit_type, at, seq, basis,
                words, parts)
@@ -74,7 +68,7 @@ impl Acceptance<'_> {
     }
 }
 
-pub(super) fn put_lease(tx: &mut dyn Tx, row: &LeaseRow) -> Result<(), Error> {
+pub(super) fn put_lease(tx: &mut dyn Tx, row: &LeaseRow) -> Result<()> {
     let lease = &row.lease;
     end_lease_of(tx, lease.task, lease.user)?;
     tx.run(
@@ -95,14 +89,14 @@ pub(super) fn put_lease(tx: &mut dyn Tx, row: &LeaseRow) -> Result<(), Error> {
     )
 }
 
-pub(super) fn end_lease_of(tx: &mut dyn Tx, task: i64, user: i64) -> Result<(), Error> {
+pub(super) fn end_lease_of(tx: &mut dyn Tx, task: i64, user: i64) -> Result<()> {
     tx.run(
         "DELETE FROM lease WHERE task = ?1 AND usr = ?2",
         params![task, user],
     )
 }
 
-pub(super) fn end_leases(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+pub(super) fn end_leases(tx: &mut dyn Tx, task: i64) -> Result<()> {
     tx.run("DELETE FROM lease WHERE task = ?1", params![task])
 }
 
@@ -129,11 +123,11 @@ pub(super) fn part_list(answer: &Answer) -> String {
 }
 
 /// Notes that somebody decided about a task with its clip as it is now.
-pub(super) fn settle_clip(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+pub(super) fn settle_clip(tx: &mut dyn Tx, task: i64) -> Result<()> {
     tx.run("UPDATE task SET changed = 0 WHERE id = ?1", params![task])
 }
 
-pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<(), Error> {
+pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<()> {
     tx.execute(
         "UPDATE task SET state = ?2, claimable = 0,
            leases = (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose <> 'review') WHERE id = ?1",
@@ -145,7 +139,7 @@ pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<
 /// Derives whether a pair counts toward the quota of its category: an accepted answer keeps it; or, before a decision,
 /// a submitted answer keeps it, or somebody is at work on it. A claim can so leave room for those who are at work. A
 /// kept pair has the edit type of the answer that keeps it.
-fn count(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+fn count(tx: &mut dyn Tx, task: i64) -> Result<()> {
     tx.run(
         "UPDATE task SET counted = CASE
              WHEN gold IS NOT NULL OR state = 'dropped' THEN 0
@@ -164,7 +158,7 @@ fn count(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
 }
 
 /// Counts the answers and leases of an undecided task and derives its state.
-pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<()> {
     let row = tx
         .one(
             "SELECT wanted, CASE WHEN gold IS NULL THEN 0 ELSE 1 END,

@@ -1,6 +1,6 @@
 //! Queries on tasks and answers, for people, figures, exports and the log.
 
-use super::db::{Row, Tx, Value, params};
+use super::db::{Result, Row, Tx, Value, params};
 use super::filter::Values;
 use super::projections::IMPORTED;
 use super::records::{
@@ -21,7 +21,7 @@ const ACCEPTED_COLUMNS: &str = "a.author, a.merged, a.answer, a.at, a.seq, a.cre
 
 impl Store {
     /// Whether a user holds or answered a task.
-    pub fn concerns(&self, user: i64, task: i64) -> Result<bool, Error> {
+    pub fn concerns(&self, user: i64, task: i64) -> Result<bool> {
         self.read(|tx| concerns(tx, user, task))
     }
 
@@ -29,7 +29,7 @@ impl Store {
     ///
     /// # Errors
     /// `not_found`.
-    pub fn task(&self, who: &Who, task: i64) -> Result<TaskDetail, Error> {
+    pub fn task(&self, who: &Who, task: i64) -> Result<TaskDetail> {
         self.read(|tx| {
             if who.role < Role::Reviewer && !concerns(tx, who.id, task)? {
                 return Err(Error::not_found("task"));
@@ -42,19 +42,19 @@ impl Store {
     ///
     /// # Errors
     /// `not_found`.
-    pub fn task_record(&self, task: i64) -> Result<TaskRecord, Error> {
+    pub fn task_record(&self, task: i64) -> Result<TaskRecord> {
         self.read(|tx| rows::task(tx, task))
     }
 
     /// Key, source and target of each task about two motions, without gold tasks.
-    pub fn pairs(&self) -> Result<Vec<(String, String, String)>, Error> {
+    pub fn pairs(&self) -> Result<Vec<(String, String, String)>> {
         let sql = "SELECT key, source, target FROM task WHERE target IS NOT NULL AND gold IS NULL ORDER BY id";
         let read = |row: &Row| Ok((row.string(0)?, row.string(1)?, row.string(2)?));
         self.read(|tx| tx.list(sql, &[], read))
     }
 
     /// Tasks with an answer about a clip that was ingested anew since, with other content.
-    pub fn changed_tasks(&self) -> Result<Vec<TaskRecord>, Error> {
+    pub fn changed_tasks(&self) -> Result<Vec<TaskRecord>> {
         self.read(|tx| rows::tasks(tx, "t.changed = 1 ORDER BY t.id", &[]))
     }
 
@@ -64,7 +64,7 @@ impl Store {
         kind: Option<TaskKind>,
         after: i64,
         limit: usize,
-    ) -> Result<Vec<TaskRecord>, Error> {
+    ) -> Result<Vec<TaskRecord>> {
         let condition = "t.id > ?1 AND (?2 = '' OR t.kind = ?2) AND t.gold IS NULL
            AND t.state IN ('open', 'leased', 'returned')
            AND NOT EXISTS (SELECT 1 FROM suggestion g WHERE g.task = t.id AND g.source = 'llm')
@@ -74,12 +74,12 @@ impl Store {
     }
 
     /// The accepted answer to a task.
-    pub fn accepted_answer(&self, task: i64) -> Result<Option<Answer>, Error> {
+    pub fn accepted_answer(&self, task: i64) -> Result<Option<Answer>> {
         self.read(|tx| accepted_answer(tx, task))
     }
 
     /// Accepted answers.
-    pub fn shelf(&self, user: i64, filter: ShelfFilter) -> Result<Vec<AcceptedAnswer>, Error> {
+    pub fn shelf(&self, user: i64, filter: ShelfFilter) -> Result<Vec<AcceptedAnswer>> {
         let part = filter.part.map(|part| format!("%|{part}|%"));
         let text = filter.text.as_deref().map(like);
         // Exclude the motions of tasks that the user holds: their answers would be visible.
@@ -102,7 +102,7 @@ impl Store {
     }
 
     /// The range of the next keys after a key, or `None` after the last.
-    pub fn next_keys(&self, after: &str, count: usize) -> Result<Option<KeyRange>, Error> {
+    pub fn next_keys(&self, after: &str, count: usize) -> Result<Option<KeyRange>> {
         let sql =
             "SELECT MAX(n.key) FROM (SELECT key FROM task WHERE key > ?1 ORDER BY key LIMIT ?2) n";
         let last =
@@ -114,19 +114,19 @@ impl Store {
     }
 
     /// Accepted answers to a range of tasks, sorted by task key.
-    pub fn accepted(&self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
+    pub fn accepted(&self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>> {
         let from = "task t JOIN accepted a ON a.task = t.id WHERE t.key > ?1 AND t.key <= ?2 ORDER BY t.key";
         self.read(|tx| accepted(tx, from, params![&keys.after, &keys.up_to]))
     }
 
     /// Number of accepted answers by how they were accepted: `review`, `own`, `rule:NAME` or `import`.
-    pub fn accepted_by(&self) -> Result<Vec<(String, i64)>, Error> {
+    pub fn accepted_by(&self) -> Result<Vec<(String, i64)>> {
         let sql = "SELECT basis, COUNT(*) FROM accepted GROUP BY basis ORDER BY basis";
         self.read(|tx| tx.list(sql, &[], |row| Ok((row.string(0)?, row.int(1)?))))
     }
 
     /// Tasks whose answers changed after a place in the log, and the last place of the log.
-    pub fn answered_since(&self, after: i64) -> Result<(Vec<i64>, i64), Error> {
+    pub fn answered_since(&self, after: i64) -> Result<(Vec<i64>, i64)> {
         self.read(|tx| {
             let last = last_seq(tx)?;
             let tasks = tx.list(
@@ -141,7 +141,7 @@ impl Store {
     }
 
     /// Submitted answers to these tasks, by task.
-    pub fn labels_to(&self, tasks: Vec<i64>) -> Result<Vec<Label>, Error> {
+    pub fn labels_to(&self, tasks: Vec<i64>) -> Result<Vec<Label>> {
         let sql = format!(
             "SELECT {REVISION_COLUMNS}, t.kind, CASE WHEN t.gold IS NULL THEN 0 ELSE 1 END, t.source, r.blind
              FROM revision r JOIN task t ON t.id = r.task
@@ -168,7 +168,7 @@ impl Store {
     }
 
     /// Submitted answers to a range of tasks, sorted by task key and author.
-    pub fn labels_of(&self, keys: &KeyRange) -> Result<Vec<(TaskRecord, Label)>, Error> {
+    pub fn labels_of(&self, keys: &KeyRange) -> Result<Vec<(TaskRecord, Label)>> {
         let sql = format!(
             "SELECT {TASK_COLUMNS}, r.blind, {REVISION_COLUMNS}, a.basis FROM task t JOIN revision r ON r.task = t.id
              LEFT JOIN accepted a ON a.task = r.task AND a.author = r.author AND a.merged = 0 AND r.state = 'accepted'
@@ -191,7 +191,7 @@ impl Store {
     }
 
     /// Dropped and skipped tasks of a range.
-    pub fn rejects(&self, keys: &KeyRange) -> Result<Vec<Reject>, Error> {
+    pub fn rejects(&self, keys: &KeyRange) -> Result<Vec<Reject>> {
         let skipped = format!(
             "SELECT {TASK_COLUMNS}, s.usr, COALESCE(s.reason, ''), s.note FROM skip s JOIN task t ON t.id = s.task
              WHERE s.postponed = 0 AND t.key > ?1 AND t.key <= ?2 ORDER BY t.key, s.usr"
@@ -219,7 +219,7 @@ impl Store {
     }
 
     /// Pairs kept by category and edit type.
-    pub fn kept(&self) -> Result<Vec<(Option<String>, String, i64)>, Error> {
+    pub fn kept(&self) -> Result<Vec<(Option<String>, String, i64)>> {
         let sql = "SELECT category, kept_type, COUNT(*) FROM task
              WHERE kind = 'pair' AND counted = 1 AND kept_type IS NOT NULL
              GROUP BY category, kept_type ORDER BY category, kept_type";
@@ -228,7 +228,7 @@ impl Store {
     }
 
     /// Tasks by kind and state.
-    pub fn funnel(&self) -> Result<Vec<(TaskKind, TaskState, i64)>, Error> {
+    pub fn funnel(&self) -> Result<Vec<(TaskKind, TaskState, i64)>> {
         let sql = "SELECT kind, state, COUNT(*) FROM task WHERE gold IS NULL
              GROUP BY kind, state ORDER BY kind, state";
         let read = |row: &Row| {
@@ -239,7 +239,7 @@ impl Store {
     }
 
     /// Counts per week; `bounds` holds the starts of the weeks and the end of the last one.
-    pub fn weeks(&self, bounds: Vec<Millis>) -> Result<Vec<WeekCounts>, Error> {
+    pub fn weeks(&self, bounds: Vec<Millis>) -> Result<Vec<WeekCounts>> {
         let sql = "SELECT COUNT(CASE WHEN kind = 'submitted' THEN 1 END),
                COUNT(CASE WHEN kind IN ('accepted', 'merged') THEN 1 END), COUNT(CASE WHEN kind = 'returned' THEN 1 END)
              FROM event WHERE at >= ?1 AND at < ?2 AND kind IN ('submitted', 'accepted', 'merged', 'returned')";
@@ -258,7 +258,7 @@ impl Store {
     }
 
     /// Totals of every person.
-    pub fn people(&self) -> Result<Vec<PersonCounts>, Error> {
+    pub fn people(&self) -> Result<Vec<PersonCounts>> {
         self.read(|tx| {
             let users = people::users(tx)?;
             users.into_iter().map(|user| totals(tx, user)).collect()
@@ -266,7 +266,7 @@ impl Store {
     }
 
     /// All leases.
-    pub fn leases(&self, now: Millis) -> Result<Vec<HeldLease>, Error> {
+    pub fn leases(&self, now: Millis) -> Result<Vec<HeldLease>> {
         let sql = format!(
             "SELECT {}, COALESCE(u.name, ''), t.kind FROM lease l JOIN task t ON t.id = l.task
              LEFT JOIN usr u ON u.id = l.usr WHERE l.expires > ?1 ORDER BY l.expires, l.id LIMIT 1000",
@@ -285,7 +285,7 @@ impl Store {
     }
 
     /// Entries of the log, newest first.
-    pub fn audit(&self, filter: AuditFilter) -> Result<Audit, Error> {
+    pub fn audit(&self, filter: AuditFilter) -> Result<Audit> {
         let mut values = Values::default();
         let mut condition = format!("e.seq < {}", values.put(filter.before.unwrap_or(i64::MAX)));
         if let Some(actor) = filter.actor {
@@ -307,28 +307,28 @@ impl Store {
     }
 
     /// Entries of the log after a sequence number, oldest first.
-    pub fn log(&self, after: i64, limit: usize) -> Result<Vec<AuditEntry>, Error> {
+    pub fn log(&self, after: i64, limit: usize) -> Result<Vec<AuditEntry>> {
         let condition = "e.seq > ?1 ORDER BY e.seq LIMIT ?2";
         self.read(|tx| log(tx, condition, params![after, limit as i64]))
     }
 
     /// Last sequence number of the log.
-    pub fn last_seq(&self) -> Result<i64, Error> {
+    pub fn last_seq(&self) -> Result<i64> {
         self.read(last_seq)
     }
 }
 
-pub(super) fn last_seq(tx: &mut dyn Tx) -> Result<i64, Error> {
+pub(super) fn last_seq(tx: &mut dyn Tx) -> Result<i64> {
     tx.number("SELECT COALESCE(MAX(seq), 0) FROM event", &[])
 }
 
-fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool, Error> {
+fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool> {
     let held = rows::lease_of(tx, task, user)?.is_some();
     Ok(held || rows::revision(tx, task, user)?.is_some())
 }
 
 /// The accepted answer to a task.
-pub(super) fn accepted_answer(tx: &mut dyn Tx, task: i64) -> Result<Option<Answer>, Error> {
+pub(super) fn accepted_answer(tx: &mut dyn Tx, task: i64) -> Result<Option<Answer>> {
     let sql = "SELECT answer FROM accepted WHERE task = ?1";
     tx.find(sql, params![task], |row| row.json(0))
 }
@@ -339,7 +339,7 @@ pub(super) fn comment_to(
     task: i64,
     user: i64,
     decision: &str,
-) -> Result<Option<String>, Error> {
+) -> Result<Option<String>> {
     tx.find(
         "SELECT comment FROM review WHERE task = ?1 AND decision = ?3
            AND (author IS NULL OR author = ?2) ORDER BY seq DESC LIMIT 1",
@@ -349,7 +349,7 @@ pub(super) fn comment_to(
 }
 
 /// Task details for a user who may see the task.
-pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail, Error> {
+pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail> {
     let held = rows::lease_of(tx, id, user)?;
     let mine = rows::revision(tx, id, user)?;
     let task = rows::task(tx, id)?;
@@ -384,7 +384,7 @@ pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail, 
 }
 
 /// A task as a user may see it: a gold task looks like one that wants one answer, and stands in a bundle.
-pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<TaskRecord, Error> {
+pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<TaskRecord> {
     if task.gold.is_none() {
         return Ok(task);
     }
@@ -410,11 +410,11 @@ pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<
     Ok(task)
 }
 
-fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEntry>, Error> {
+fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEntry>> {
     let Some(bundle) = task.bundle else {
         return Ok(Vec::new());
     };
-    let read = |row: &Row| -> Result<(i64, BundleEntry), Error> {
+    let read = |row: &Row| -> Result<(i64, BundleEntry)> {
         let entry = BundleEntry {
             task: row.int(1)?,
             mine: row.opt(2, |row, at| row.named(at, RevisionState::parse))?,
@@ -470,7 +470,7 @@ pub(super) fn like(text: &str) -> String {
 }
 
 /// Accepted answers `a` to tasks `t` of what follows `FROM` in a query.
-fn accepted(tx: &mut dyn Tx, from: &str, params: &[Value]) -> Result<Vec<AcceptedAnswer>, Error> {
+fn accepted(tx: &mut dyn Tx, from: &str, params: &[Value]) -> Result<Vec<AcceptedAnswer>> {
     let sql = format!("SELECT {TASK_COLUMNS}, {ACCEPTED_COLUMNS} FROM {from}");
     let first = NUM_TASK_COLUMNS;
     tx.list(&sql, params, |row| {
@@ -491,7 +491,7 @@ fn accepted(tx: &mut dyn Tx, from: &str, params: &[Value]) -> Result<Vec<Accepte
 }
 
 /// Totals of a person.
-fn totals(tx: &mut dyn Tx, user: User) -> Result<PersonCounts, Error> {
+fn totals(tx: &mut dyn Tx, user: User) -> Result<PersonCounts> {
     let gold = tx.list(
         "SELECT g.score FROM gold_score g JOIN task t ON t.id = g.task
          WHERE g.usr = ?1 AND t.practice = 0 ORDER BY g.task",
@@ -520,7 +520,7 @@ fn totals(tx: &mut dyn Tx, user: User) -> Result<PersonCounts, Error> {
 }
 
 /// Entries `e` of the log that fit what follows `WHERE` in a query.
-fn log(tx: &mut dyn Tx, condition: &str, params: &[Value]) -> Result<Vec<AuditEntry>, Error> {
+fn log(tx: &mut dyn Tx, condition: &str, params: &[Value]) -> Result<Vec<AuditEntry>> {
     let sql = format!(
         "SELECT e.seq, e.at, e.actor, u.name, e.kind, e.task, e.body
          FROM event e LEFT JOIN usr u ON u.id = e.actor WHERE {condition}"

@@ -7,10 +7,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
 
 use super::apply::apply;
-use super::db::{self, Database, Row, Tx, Value, params};
+use super::db::{self, Database, Result, Row, Tx, Value, params};
 use super::derived::{PROJECTIONS, Projection, define_projections, entries};
 use super::sqlite::Scratch;
-use crate::Error;
 use crate::lock::lock;
 
 /// Tasks compared at a time.
@@ -25,14 +24,14 @@ struct Derived {
 }
 
 impl Derived {
-    fn new() -> Result<Self, Error> {
+    fn new() -> Result<Self> {
         let scratch = Scratch::new()?;
         define_projections(&mut scratch.tx())?;
         Ok(Self { scratch, last: 0 })
     }
 
     /// Applies the entries of a log that came since.
-    fn catch_up(&mut self, log: &mut dyn Tx) -> Result<(), Error> {
+    fn catch_up(&mut self, log: &mut dyn Tx) -> Result<()> {
         loop {
             let some = entries(log, self.last)?;
             if some.is_empty() {
@@ -46,7 +45,7 @@ impl Derived {
     }
 
     /// Replaces the rows of a task by those that follow from the log.
-    fn repair(&self, tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+    fn repair(&self, tx: &mut dyn Tx, task: i64) -> Result<()> {
         for Projection {
             table,
             task: column,
@@ -72,12 +71,7 @@ impl Derived {
 type Differing = BTreeMap<&'static str, BTreeSet<i64>>;
 
 /// Rows of a projection for tasks above `after` and up to `up_to`, with their task before their columns.
-fn rows_of(
-    tx: &mut dyn Tx,
-    projection: &Projection,
-    after: i64,
-    up_to: i64,
-) -> Result<Vec<Row>, Error> {
+fn rows_of(tx: &mut dyn Tx, projection: &Projection, after: i64, up_to: i64) -> Result<Vec<Row>> {
     let Projection { table, task, order } = projection;
     tx.query(
         &format!("SELECT p.{task}, p.* FROM {table} p WHERE p.{task} > ?1 AND p.{task} <= ?2 ORDER BY {order}"),
@@ -85,7 +79,7 @@ fn rows_of(
     )
 }
 
-fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>, Error> {
+fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>> {
     let mut tasks: BTreeMap<i64, Vec<Vec<Value>>> = BTreeMap::new();
     for row in rows {
         tasks.entry(row.int(0)?).or_default().push(row.0);
@@ -94,7 +88,7 @@ fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>, Error> {
 }
 
 /// Compares the projections of two databases.
-fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing, Error> {
+fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing> {
     let mut end = 0;
     for Projection { table, task, .. } in &PROJECTIONS {
         let sql = format!("SELECT COALESCE(MAX({task}), 0) FROM {table}");
@@ -124,7 +118,7 @@ fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing, Erro
 }
 
 /// Derives the projections from the log and compares them with those of the store.
-fn compare(tx: &mut dyn Tx) -> Result<(Derived, Differing), Error> {
+fn compare(tx: &mut dyn Tx) -> Result<(Derived, Differing)> {
     let mut derived = Derived::new()?;
     derived.catch_up(tx)?;
     let found = differing(tx, &mut derived.scratch.tx())?;
@@ -132,7 +126,7 @@ fn compare(tx: &mut dyn Tx) -> Result<(Derived, Differing), Error> {
 }
 
 /// Repairs the projections and returns the names of those that differed.
-pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>, Error> {
+pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>> {
     let snapshot = store.snapshot()?;
     let (mut derived, found) = db::read(snapshot.as_ref(), compare)?;
     drop(snapshot);
@@ -161,7 +155,7 @@ pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>, Error> 
 }
 
 /// Findings about the log and the projections.
-pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>, Error> {
+pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
     let mut findings = Vec::new();
     let row = tx.one("SELECT COUNT(*), COALESCE(MAX(seq), 0) FROM event", &[])?;
     if let Some(row) = row
@@ -214,23 +208,23 @@ mod tests {
     }
 
     impl Tx for CountingTx<'_> {
-        fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error> {
+        fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
             self.statements += 1;
             self.inner.execute(sql, params)
         }
 
-        fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
+        fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
             self.statements += 1;
             self.inner.query(sql, params)
         }
 
-        fn define(&mut self, sql: &str) -> Result<(), Error> {
+        fn define(&mut self, sql: &str) -> Result<()> {
             self.inner.define(sql)
         }
     }
 
     impl Database for Counting {
-        fn write(&self, work: Work<'static>) -> Result<(), Error> {
+        fn write(&self, work: Work<'static>) -> Result<()> {
             let (writes, longest) = (Arc::clone(&self.writes), Arc::clone(&self.longest));
             self.inner.write(Box::new(move |tx| {
                 let mut counting = CountingTx {
@@ -244,15 +238,15 @@ mod tests {
             }))
         }
 
-        fn read(&self, work: Work<'_>) -> Result<(), Error> {
+        fn read(&self, work: Work<'_>) -> Result<()> {
             self.inner.read(work)
         }
 
-        fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
+        fn snapshot(&self) -> Result<Box<dyn Database>> {
             self.inner.snapshot()
         }
 
-        fn backup(&self, path: &std::path::Path, content: Content) -> Result<(), Error> {
+        fn backup(&self, path: &std::path::Path, content: Content) -> Result<()> {
             self.inner.backup(path, content)
         }
     }

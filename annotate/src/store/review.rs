@@ -1,7 +1,7 @@
 //! Reviews: claiming a task to review, and decisions.
 
 use super::append::working;
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::entry::{Body, Entry};
 use super::leases::{MINUTE, expire, lease_end, prolong, take};
 use super::log::Request;
@@ -26,7 +26,7 @@ impl Store {
         queue: ReviewQueue,
         kind: Option<TaskKind>,
         now: Millis,
-    ) -> Result<ReviewClaimed, Error> {
+    ) -> Result<ReviewClaimed> {
         let kind = kind.map_or("", TaskKind::as_str);
         self.write(move |tx| match next(tx, user, queue, kind, now)? {
             Some(task) => Ok(ReviewClaimed::Task(Box::new(detail(tx, user, task)?))),
@@ -38,7 +38,7 @@ impl Store {
     ///
     /// # Errors
     /// `own_work`, `lease_lost`, `wrong_state`, `not_found`.
-    pub fn review_task(&self, user: i64, task: i64, now: Millis) -> Result<ReviewDetail, Error> {
+    pub fn review_task(&self, user: i64, task: i64, now: Millis) -> Result<ReviewDetail> {
         self.write(move |tx| {
             open(tx, user, task, now)?;
             detail(tx, user, task)
@@ -49,12 +49,12 @@ impl Store {
     ///
     /// # Errors
     /// `own_work`, `lease_lost`, `wrong_state`, `invalid`, `not_found`, `key_reused`.
-    pub fn review(&self, user: i64, new: NewReview, now: Millis) -> Result<ReviewDone, Error> {
+    pub fn review(&self, user: i64, new: NewReview, now: Millis) -> Result<ReviewDone> {
         self.write(move |tx| review(tx, user, &new, now))
     }
 
     /// All answers to a task that were handed in, with the names of their authors. Returned ones come last.
-    pub fn answers_to(&self, task: i64) -> Result<Vec<(Revision, String)>, Error> {
+    pub fn answers_to(&self, task: i64) -> Result<Vec<(Revision, String)>> {
         self.read(move |tx| answers_to(tx, task))
     }
 }
@@ -66,7 +66,7 @@ fn next(
     queue: ReviewQueue,
     kind: &str,
     now: Millis,
-) -> Result<Option<i64>, Error> {
+) -> Result<Option<i64>> {
     expire(tx, user, now)?;
     let settings = project::settings(tx)?;
     let from = "lease l JOIN task t ON t.id = l.task
@@ -98,7 +98,7 @@ fn next(
 }
 
 /// What is left to review, of a kind or any.
-fn empty(tx: &mut dyn Tx, user: i64, kind: &str) -> Result<ReviewEmpty, Error> {
+fn empty(tx: &mut dyn Tx, user: i64, kind: &str) -> Result<ReviewEmpty> {
     let found = tx.find(
         "SELECT COUNT(CASE WHEN t.state = 'submitted' THEN 1 END),
            COUNT(CASE WHEN t.state = 'submitted' AND EXISTS (
@@ -118,7 +118,7 @@ fn empty(tx: &mut dyn Tx, user: i64, kind: &str) -> Result<ReviewEmpty, Error> {
 }
 
 /// Claims a task to review, or goes on with it.
-fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<(), Error> {
+fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
     expire(tx, user, now)?;
     let settings = project::settings(tx)?;
     let task = rows::task(tx, id)?;
@@ -141,7 +141,7 @@ fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<(), Error> {
 }
 
 /// Whether a reviewer answered the task, which only a project of one person allows.
-fn check_own(tx: &mut dyn Tx, user: i64, task: i64, settings: &Settings) -> Result<bool, Error> {
+fn check_own(tx: &mut dyn Tx, user: i64, task: i64, settings: &Settings) -> Result<bool> {
     let mine = rows::revision(tx, task, user)?;
     let own = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
     if own && !settings.solo {
@@ -154,7 +154,7 @@ fn check_own(tx: &mut dyn Tx, user: i64, task: i64, settings: &Settings) -> Resu
 }
 
 /// A task as its reviewer sees it.
-fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
+fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail> {
     let task = rows::task(tx, id)?;
     let lease = rows::lease_of(tx, id, user)?.ok_or(Error::Closed)?.lease;
     let mut candidates = answers_to(tx, id)?;
@@ -177,7 +177,7 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
     })
 }
 
-fn answers_to(tx: &mut dyn Tx, task: i64) -> Result<Vec<(Revision, String)>, Error> {
+fn answers_to(tx: &mut dyn Tx, task: i64) -> Result<Vec<(Revision, String)>> {
     let sql = format!(
         "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
          WHERE r.task = ?1 AND r.state <> 'draft'
@@ -201,12 +201,7 @@ struct Deciding<'a> {
     now: Millis,
 }
 
-fn review(
-    tx: &mut dyn Tx,
-    user: i64,
-    review: &NewReview,
-    now: Millis,
-) -> Result<ReviewDone, Error> {
+fn review(tx: &mut dyn Tx, user: i64, review: &NewReview, now: Millis) -> Result<ReviewDone> {
     let request = Request::new(user, &review.idem_key, review)?;
     if let Some(done) = request.replay(tx)? {
         return Ok(done);
@@ -232,7 +227,7 @@ fn review(
 }
 
 impl Deciding<'_> {
-    fn check_state(&self) -> Result<(), Error> {
+    fn check_state(&self) -> Result<()> {
         if self.task.gold.is_some() {
             return Err(Error::wrong_state(
                 self.task.state,
@@ -244,7 +239,7 @@ impl Deciding<'_> {
     }
 
     /// The comment, where the decision needs one.
-    fn comment(&self) -> Result<String, Error> {
+    fn comment(&self) -> Result<String> {
         let needs_comment = matches!(
             self.review.decision,
             Decision::Return | Decision::Drop | Decision::Reopen
@@ -253,7 +248,7 @@ impl Deciding<'_> {
     }
 
     /// Checks that nobody else reviews the task, and that the reviewer holds it if the decision is on answers.
-    fn check_lease(&self, tx: &mut dyn Tx) -> Result<(), Error> {
+    fn check_lease(&self, tx: &mut dyn Tx) -> Result<()> {
         let from = "lease l WHERE l.task = ?1 AND l.purpose = 'review'";
         let held = rows::leases(tx, from, params![self.task.id])?.pop();
         let ours = held.as_ref().is_some_and(|held| {
@@ -274,7 +269,7 @@ impl Deciding<'_> {
     }
 
     /// Authors of the answers that the decision is on.
-    fn authors(&self, tx: &mut dyn Tx) -> Result<Vec<i64>, Error> {
+    fn authors(&self, tx: &mut dyn Tx) -> Result<Vec<i64>> {
         let authors: Vec<i64> = tx.list(
             "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author",
             params![self.task.id],
@@ -291,7 +286,7 @@ impl Deciding<'_> {
     }
 
     /// The body of the log entry.
-    fn body(&self, tx: &mut dyn Tx, comment: String) -> Result<Body, Error> {
+    fn body(&self, tx: &mut dyn Tx, comment: String) -> Result<Body> {
         let authors = self.authors(tx)?;
         let request = self.request.hash.clone();
         let secs = working(self.review.secs);
@@ -347,7 +342,7 @@ impl Deciding<'_> {
     }
 
     /// Who accepts an answer with a new style accepts its name for the project.
-    fn take_style(&self, tx: &mut dyn Tx, body: &Body) -> Result<(), Error> {
+    fn take_style(&self, tx: &mut dyn Tx, body: &Body) -> Result<()> {
         let answer = match body {
             Body::Accepted { author, .. } => {
                 rows::revision(tx, self.task.id, *author)?.map(|own| own.answer)
@@ -367,7 +362,7 @@ impl Deciding<'_> {
     }
 
     /// Writes the entry and returns the reply, which is stored for repetitions of the same key.
-    fn log(&self, tx: &mut dyn Tx, body: Body) -> Result<ReviewDone, Error> {
+    fn log(&self, tx: &mut dyn Tx, body: Body) -> Result<ReviewDone> {
         let id = self.task.id;
         let entry = Entry {
             at: self.now,
@@ -395,7 +390,7 @@ fn log_kind(decision: Decision) -> LogKind {
 }
 
 /// The comment of a decision, which `readers` and the log may need.
-pub(super) fn comment(text: &str, is_needed: bool, readers: &str) -> Result<String, Error> {
+pub(super) fn comment(text: &str, is_needed: bool, readers: &str) -> Result<String> {
     let comment = text.trim().to_owned();
     if comment.chars().count() > MAX_TEXT_CHARS {
         return Err(Error::invalid("comment", "the comment is too long"));

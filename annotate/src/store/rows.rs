@@ -1,6 +1,6 @@
 //! Reads tasks, revisions and leases from rows.
 
-use super::db::{Row, Tx, Value, params};
+use super::db::{Result, Row, Tx, Value, params};
 use super::records::TaskRecord;
 use crate::Error;
 use crate::state::Purpose;
@@ -14,7 +14,7 @@ pub(crate) const TASK_COLUMNS: &str = "t.id, t.key, t.kind, t.source, t.target, 
 pub(crate) const NUM_TASK_COLUMNS: usize = 20;
 
 /// Reads a task of [`TASK_COLUMNS`].
-pub(crate) fn read_task(row: &Row) -> Result<TaskRecord, Error> {
+pub(crate) fn read_task(row: &Row) -> Result<TaskRecord> {
     Ok(TaskRecord {
         id: row.int(0)?,
         key: row.string(1)?,
@@ -40,17 +40,13 @@ pub(crate) fn read_task(row: &Row) -> Result<TaskRecord, Error> {
 }
 
 /// Tasks `t` that fit what follows `WHERE` in a query.
-pub(crate) fn tasks(
-    tx: &mut dyn Tx,
-    condition: &str,
-    params: &[Value],
-) -> Result<Vec<TaskRecord>, Error> {
+pub(crate) fn tasks(tx: &mut dyn Tx, condition: &str, params: &[Value]) -> Result<Vec<TaskRecord>> {
     let sql = format!("SELECT {TASK_COLUMNS} FROM task t WHERE {condition}");
     tx.list(&sql, params, read_task)
 }
 
 /// The task with this id.
-pub(crate) fn task(tx: &mut dyn Tx, id: i64) -> Result<TaskRecord, Error> {
+pub(crate) fn task(tx: &mut dyn Tx, id: i64) -> Result<TaskRecord> {
     let found = tasks(tx, "t.id = ?1", params![id])?.pop();
     found.ok_or_else(|| Error::not_found("task"))
 }
@@ -60,7 +56,7 @@ pub(crate) const REVISION_COLUMNS: &str =
     "r.task, r.author, r.rev, r.state, r.answer, r.at, r.secs";
 
 /// Reads a revision of [`REVISION_COLUMNS`] that start at column `from`.
-pub(crate) fn read_revision(row: &Row, from: usize) -> Result<Revision, Error> {
+pub(crate) fn read_revision(row: &Row, from: usize) -> Result<Revision> {
     Ok(Revision {
         task: row.int(from)?,
         author: row.int(from + 1)?,
@@ -77,13 +73,13 @@ pub(crate) fn revisions(
     tx: &mut dyn Tx,
     condition: &str,
     params: &[Value],
-) -> Result<Vec<Revision>, Error> {
+) -> Result<Vec<Revision>> {
     let sql = format!("SELECT {REVISION_COLUMNS} FROM revision r WHERE {condition}");
     tx.list(&sql, params, |row| read_revision(row, 0))
 }
 
 /// A user's answer to a task.
-pub(crate) fn revision(tx: &mut dyn Tx, task: i64, author: i64) -> Result<Option<Revision>, Error> {
+pub(crate) fn revision(tx: &mut dyn Tx, task: i64, author: i64) -> Result<Option<Revision>> {
     Ok(revisions(tx, "r.task = ?1 AND r.author = ?2", params![task, author])?.pop())
 }
 
@@ -100,7 +96,7 @@ pub(crate) const LEASE_COLUMNS: &str =
     "l.id, l.task, l.usr, l.epoch, l.expires, l.purpose, l.blind";
 
 /// Reads a lease of [`LEASE_COLUMNS`].
-pub(crate) fn read_lease(row: &Row) -> Result<LeaseRow, Error> {
+pub(crate) fn read_lease(row: &Row) -> Result<LeaseRow> {
     Ok(LeaseRow {
         lease: Lease {
             id: row.int(0)?,
@@ -115,22 +111,18 @@ pub(crate) fn read_lease(row: &Row) -> Result<LeaseRow, Error> {
 }
 
 /// Leases `l` of what follows `FROM` in a query.
-pub(crate) fn leases(
-    tx: &mut dyn Tx,
-    from: &str,
-    params: &[Value],
-) -> Result<Vec<LeaseRow>, Error> {
+pub(crate) fn leases(tx: &mut dyn Tx, from: &str, params: &[Value]) -> Result<Vec<LeaseRow>> {
     let sql = format!("SELECT {LEASE_COLUMNS} FROM {from}");
     tx.list(&sql, params, read_lease)
 }
 
 /// A user's lease on a task.
-pub(crate) fn lease_of(tx: &mut dyn Tx, task: i64, user: i64) -> Result<Option<LeaseRow>, Error> {
+pub(crate) fn lease_of(tx: &mut dyn Tx, task: i64, user: i64) -> Result<Option<LeaseRow>> {
     let from = "lease l WHERE l.task = ?1 AND l.usr = ?2";
     Ok(leases(tx, from, params![task, user])?.pop())
 }
 
 /// The lease of this id.
-pub(crate) fn lease(tx: &mut dyn Tx, id: i64) -> Result<Option<LeaseRow>, Error> {
+pub(crate) fn lease(tx: &mut dyn Tx, id: i64) -> Result<Option<LeaseRow>> {
     Ok(leases(tx, "lease l WHERE l.id = ?1", params![id])?.pop())
 }

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::entry::Body;
 use super::records::{Millis, TaskRecord};
 use super::store::Store;
@@ -27,12 +27,12 @@ const UNTOUCHED: &str = "NOT EXISTS (SELECT 1 FROM review v WHERE v.task = t.id
 
 impl Store {
     /// The rules of the settings, and removed ones whose acceptances stand, with their counts.
-    pub fn rules(&self) -> Result<Vec<RuleState>, Error> {
+    pub fn rules(&self) -> Result<Vec<RuleState>> {
         self.read(states)
     }
 
     /// Applies the enabled rules to up to 2,000 tasks that wait for review, with ids above `after`.
-    pub fn apply_rules(&self, after: i64, now: Millis) -> Result<RulesApplied, Error> {
+    pub fn apply_rules(&self, after: i64, now: Millis) -> Result<RulesApplied> {
         self.write(move |tx| apply(tx, after, now))
     }
 
@@ -40,7 +40,7 @@ impl Store {
     ///
     /// # Errors
     /// `not_found`.
-    pub fn undo_rule(&self, actor: i64, rule: &str, now: Millis) -> Result<RuleUndone, Error> {
+    pub fn undo_rule(&self, actor: i64, rule: &str, now: Millis) -> Result<RuleUndone> {
         let rule = rule.to_owned();
         self.write(move |tx| undo(tx, actor, &rule, now))
     }
@@ -107,7 +107,7 @@ fn fit(
 }
 
 /// Answers of a task that wait for review, in the order they were handed in.
-pub(super) fn waiting_answers(tx: &mut dyn Tx, task: i64) -> Result<Vec<Revision>, Error> {
+pub(super) fn waiting_answers(tx: &mut dyn Tx, task: i64) -> Result<Vec<Revision>> {
     let condition = "r.task = ?1 AND r.state = 'submitted' ORDER BY r.at, r.author";
     rows::revisions(tx, condition, params![task])
 }
@@ -118,7 +118,7 @@ fn decide(
     settings: &Settings,
     task: &TaskRecord,
     now: Millis,
-) -> Result<Option<String>, Error> {
+) -> Result<Option<String>> {
     let answers = waiting_answers(tx, task.id)?;
     let frames = project::frames(tx, &task.source)?;
     for rule in settings.rules.iter().filter(|rule| rule.enabled) {
@@ -154,7 +154,7 @@ pub(super) fn on_answer(
     settings: &Settings,
     task: i64,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     if !settings.rules.iter().any(|rule| rule.enabled) {
         return Ok(());
     }
@@ -165,14 +165,14 @@ pub(super) fn on_answer(
 }
 
 /// Waiting tasks that rules may decide, with ids above `after` up to `up_to`.
-fn waiting(tx: &mut dyn Tx, after: i64, up_to: i64, limit: i64) -> Result<Vec<TaskRecord>, Error> {
+fn waiting(tx: &mut dyn Tx, after: i64, up_to: i64, limit: i64) -> Result<Vec<TaskRecord>> {
     let condition = format!(
         "t.state = 'submitted' AND t.gold IS NULL AND t.id > ?1 AND t.id <= ?2 AND {UNTOUCHED} ORDER BY t.id LIMIT ?3"
     );
     rows::tasks(tx, &condition, params![after, up_to, limit])
 }
 
-fn apply(tx: &mut dyn Tx, after: i64, now: Millis) -> Result<RulesApplied, Error> {
+fn apply(tx: &mut dyn Tx, after: i64, now: Millis) -> Result<RulesApplied> {
     let settings = project::settings(tx)?;
     let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
     let mut done = RulesApplied {
@@ -190,7 +190,7 @@ fn apply(tx: &mut dyn Tx, after: i64, now: Millis) -> Result<RulesApplied, Error
     Ok(done)
 }
 
-fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>, Error> {
+fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>> {
     let settings = project::settings(tx)?;
     let mut accepted: BTreeMap<String, i64> = BTreeMap::new();
     for row in tx.query(
@@ -245,7 +245,7 @@ fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>, Error> {
     Ok(states)
 }
 
-fn undo(tx: &mut dyn Tx, actor: i64, name: &str, now: Millis) -> Result<RuleUndone, Error> {
+fn undo(tx: &mut dyn Tx, actor: i64, name: &str, now: Millis) -> Result<RuleUndone> {
     let mut settings = project::settings(tx)?;
     let rule = settings.rules.iter_mut().find(|rule| rule.name == name);
     let known = rule.is_some();
@@ -284,7 +284,7 @@ pub(super) fn reopen(
     rule: &str,
     comment: &str,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     log::note(
         tx,
         now,
@@ -299,10 +299,7 @@ pub(super) fn reopen(
 }
 
 /// The rule that accepted a task, and when.
-pub(super) fn accepted_by_rule(
-    tx: &mut dyn Tx,
-    task: i64,
-) -> Result<Option<(String, Millis)>, Error> {
+pub(super) fn accepted_by_rule(tx: &mut dyn Tx, task: i64) -> Result<Option<(String, Millis)>> {
     let sql = "SELECT basis, at FROM accepted WHERE task = ?1";
     let Some(row) = tx.one(sql, params![task])? else {
         return Ok(None);

@@ -1,5 +1,6 @@
 //! Checks of new settings.
 
+use super::db::Result;
 use super::pictures;
 use crate::Error;
 use crate::wire::{
@@ -16,7 +17,7 @@ const WEEK: u32 = 7 * 24 * 60;
 const MAX_STYLES: usize = 2_000;
 
 /// Checks new settings.
-pub(super) fn check(settings: &Settings) -> Result<(), Error> {
+pub(super) fn check(settings: &Settings) -> Result<()> {
     check_numbers(settings)?;
     check_names(settings)?;
     if !crate::clock::is_zone(&settings.time_zone) {
@@ -32,7 +33,7 @@ pub(super) fn check(settings: &Settings) -> Result<(), Error> {
     check_guides(settings)
 }
 
-fn check_numbers(settings: &Settings) -> Result<(), Error> {
+fn check_numbers(settings: &Settings) -> Result<()> {
     let ranges = [
         ("overlap_percent", settings.overlap_percent, 0, 100),
         ("gold_percent", settings.gold_percent, 0, 100),
@@ -73,7 +74,7 @@ fn check_numbers(settings: &Settings) -> Result<(), Error> {
     Ok(())
 }
 
-fn check_names(settings: &Settings) -> Result<(), Error> {
+fn check_names(settings: &Settings) -> Result<()> {
     if !is_name(&settings.name) {
         return Err(Error::invalid(
             "name",
@@ -101,7 +102,7 @@ pub(super) fn is_name(text: &str) -> bool {
     !text.trim().is_empty() && text.chars().count() <= MAX_NAME_CHARS
 }
 
-fn check_styles(styles: &[Style]) -> Result<(), Error> {
+fn check_styles(styles: &[Style]) -> Result<()> {
     let refuse = |problem: String| Err(Error::invalid("styles", problem));
     if styles.len() > MAX_STYLES {
         return refuse(format!("use up to {MAX_STYLES} styles"));
@@ -138,7 +139,7 @@ fn check_styles(styles: &[Style]) -> Result<(), Error> {
     Ok(())
 }
 
-fn check_guides(settings: &Settings) -> Result<(), Error> {
+fn check_guides(settings: &Settings) -> Result<()> {
     const MAX_GUIDE: usize = 100_000;
     for (kind, guide) in &settings.guides {
         if guide.text.chars().count() > MAX_GUIDE || guide.pictures.len() > MAX_NAMES {
@@ -160,7 +161,7 @@ fn check_guides(settings: &Settings) -> Result<(), Error> {
     Ok(())
 }
 
-fn check_rules(rules: &[Rule]) -> Result<(), Error> {
+fn check_rules(rules: &[Rule]) -> Result<()> {
     const MAX_RULES: usize = 20;
     if rules.len() > MAX_RULES {
         return Err(Error::invalid(

@@ -8,7 +8,7 @@ use std::time::Duration;
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, TransactionBehavior, params_from_iter};
 
-use super::db::{Content, Database, Row, Tx, Value, Work};
+use super::db::{Content, Database, Result, Row, Tx, Value, Work};
 use super::group::{Writer, WriterThread, caught};
 use super::migrate::{self, Plan, Upgrade};
 use super::readers::{Readers, Snapshot};
@@ -37,7 +37,7 @@ pub(crate) struct Sqlite {
 
 impl Sqlite {
     /// Opens the file, or creates it with all tables. Says what upgrade that made.
-    pub(crate) fn open(path: &Path) -> Result<(Self, Option<Upgrade>), Error> {
+    pub(crate) fn open(path: &Path) -> Result<(Self, Option<Upgrade>)> {
         if let Some(kind) = network_file_system(path) {
             return Err(open_error(
                 path,
@@ -84,7 +84,7 @@ fn open_error(path: &Path, reason: impl std::fmt::Display) -> Error {
 }
 
 /// Opens a connection, with settings of its own.
-fn connect(path: &Path, flags: OpenFlags, settings: &str) -> Result<Connection, Error> {
+fn connect(path: &Path, flags: OpenFlags, settings: &str) -> Result<Connection> {
     let refuse = |error: rusqlite::Error| open_error(path, error);
     let db = Connection::open_with_flags(path, flags).map_err(refuse)?;
     db.busy_timeout(BUSY).map_err(refuse)?;
@@ -93,7 +93,7 @@ fn connect(path: &Path, flags: OpenFlags, settings: &str) -> Result<Connection, 
     Ok(db)
 }
 
-fn open_writer(path: &Path) -> Result<(Connection, Option<Upgrade>), Error> {
+fn open_writer(path: &Path) -> Result<(Connection, Option<Upgrade>)> {
     let settings = format!(
         "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA wal_autocheckpoint=4000; \
          PRAGMA cache_size=-{WRITER_CACHE_KB}; PRAGMA temp_store=MEMORY;"
@@ -112,13 +112,13 @@ fn open_writer(path: &Path) -> Result<(Connection, Option<Upgrade>), Error> {
     Ok((db, upgrade))
 }
 
-fn version(db: &Connection) -> Result<i64, Error> {
+fn version(db: &Connection) -> Result<i64> {
     db.query_row("PRAGMA user_version", [], |row| row.get(0))
         .map_err(failed("read its version"))
 }
 
 /// Creates the tables of a new store, or upgrades those of an older version after a copy.
-fn prepare(db: &mut Connection, path: &Path) -> Result<Option<Upgrade>, Error> {
+fn prepare(db: &mut Connection, path: &Path) -> Result<Option<Upgrade>> {
     let place = path.display().to_string();
     let copy = match migrate::plan(&place, version(db)?)? {
         Plan::Nothing => return Ok(None),
@@ -167,7 +167,7 @@ fn unused(path: &Path, version: i64) -> PathBuf {
 }
 
 /// Copies a database to a new file, which appears whole and on the disk or not at all.
-fn copy_to(db: &Connection, path: &Path, content: Content) -> Result<(), Error> {
+fn copy_to(db: &Connection, path: &Path, content: Content) -> Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
     let copied = (|| {
@@ -200,7 +200,7 @@ fn publish(
     temporary: &Path,
     path: &Path,
     sync: &mut dyn FnMut(&Path) -> std::io::Result<()>,
-) -> Result<(), Error> {
+) -> Result<()> {
     sync(temporary).map_err(datasets_spec::Error::io("write", temporary))?;
     std::fs::rename(temporary, path).map_err(datasets_spec::Error::io("rename", path))?;
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
@@ -208,7 +208,7 @@ fn publish(
     Ok(sync(folder).map_err(datasets_spec::Error::io("write folder", folder))?)
 }
 
-fn open_reader(path: &Path) -> Result<Connection, Error> {
+fn open_reader(path: &Path) -> Result<Connection> {
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     connect(path, flags, "PRAGMA query_only=ON")
 }
@@ -216,12 +216,12 @@ fn open_reader(path: &Path) -> Result<Connection, Error> {
 impl Writer for Connection {
     const GROUP: usize = 128;
 
-    fn begin(&mut self) -> Result<(), Error> {
+    fn begin(&mut self) -> Result<()> {
         self.execute_batch("BEGIN IMMEDIATE")
             .map_err(failed("begin a transaction"))
     }
 
-    fn run(&mut self, work: Work<'_>) -> Result<(), Error> {
+    fn run(&mut self, work: Work<'_>) -> Result<()> {
         let mut savepoint = self.savepoint().map_err(failed("begin a transaction"))?;
         let error = match caught(|| work(&mut SqliteTx { db: &savepoint })) {
             Ok(()) => return savepoint.commit().map_err(failed("commit")),
@@ -240,7 +240,7 @@ impl Writer for Connection {
         !self.is_autocommit()
     }
 
-    fn commit(&mut self) -> Result<(), Error> {
+    fn commit(&mut self) -> Result<()> {
         self.execute_batch("COMMIT").map_err(failed("commit"))
     }
 
@@ -263,7 +263,7 @@ pub(crate) struct SqliteTx<'a> {
 pub(crate) struct Scratch(Connection);
 
 impl Scratch {
-    pub(crate) fn new() -> Result<Self, Error> {
+    pub(crate) fn new() -> Result<Self> {
         let make = failed("make a scratch database");
         let db = Connection::open("").map_err(&make)?;
         db.set_prepared_statement_cache_capacity(STATEMENTS);
@@ -291,14 +291,14 @@ impl ToSql for Value {
 }
 
 impl Tx for SqliteTx<'_> {
-    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error> {
+    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
         let wrap = failed("write");
         let mut statement = self.db.prepare_cached(sql).map_err(&wrap)?;
         let changed = statement.execute(params_from_iter(params)).map_err(&wrap)?;
         Ok(changed as u64)
     }
 
-    fn define(&mut self, sql: &str) -> Result<(), Error> {
+    fn define(&mut self, sql: &str) -> Result<()> {
         // INTEGER PRIMARY KEY makes the id the rowid, so SQLite keeps no extra index.
         let sql = sql.replace("BIGINT PRIMARY KEY", "INTEGER PRIMARY KEY");
         self.db
@@ -306,7 +306,7 @@ impl Tx for SqliteTx<'_> {
             .map_err(failed("make its tables"))
     }
 
-    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
+    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
         let wrap = failed("read");
         let mut statement = self.db.prepare_cached(sql).map_err(&wrap)?;
         let columns = statement.column_count();
@@ -330,11 +330,11 @@ impl Tx for SqliteTx<'_> {
 }
 
 impl Database for Sqlite {
-    fn write(&self, work: Work<'static>) -> Result<(), Error> {
+    fn write(&self, work: Work<'static>) -> Result<()> {
         self.writer.write(work)
     }
 
-    fn read(&self, work: Work<'_>) -> Result<(), Error> {
+    fn read(&self, work: Work<'_>) -> Result<()> {
         self.readers.with(
             |reader| {
                 reader.execute_batch("BEGIN").map_err(failed("read"))?;
@@ -347,7 +347,7 @@ impl Database for Sqlite {
         )
     }
 
-    fn backup(&self, path: &Path, content: Content) -> Result<(), Error> {
+    fn backup(&self, path: &Path, content: Content) -> Result<()> {
         if path.exists() {
             return Err(open_error(path, "the file exists; choose another name"));
         }
@@ -358,7 +358,7 @@ impl Database for Sqlite {
         copy_to(&reader, path, content)
     }
 
-    fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
+    fn snapshot(&self) -> Result<Box<dyn Database>> {
         let reader = open_reader(&self.path)?;
         reader.execute_batch("BEGIN").map_err(failed("read"))?;
         // The first read fixes the point in time.
@@ -426,7 +426,7 @@ mod tests {
         (dir, store)
     }
 
-    fn put(name: &str) -> impl FnOnce(&mut dyn Tx) -> Result<(), Error> + Send + 'static {
+    fn put(name: &str) -> impl FnOnce(&mut dyn Tx) -> Result<()> + Send + 'static {
         let name = name.to_owned();
         move |tx| {
             tx.execute(
@@ -489,7 +489,7 @@ mod tests {
     }
 
     /// A row that takes a few pages.
-    fn put_much(store: &Sqlite, name: &str) -> Result<(), Error> {
+    fn put_much(store: &Sqlite, name: &str) -> Result<()> {
         let name = name.to_owned();
         db::write(store, move |tx| {
             let body = "x".repeat(20_000);

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use super::db::{self, Content, Database, Tx};
+use super::db::{self, Content, Database, Result, Tx};
 use super::migrate::{self, Upgrade};
 use super::{people, project, rebuild};
 use crate::Error;
@@ -38,21 +38,21 @@ impl Store {
     }
 
     /// The id of the store, drawn when it was created; its copies share it.
-    pub fn id(&self) -> Result<String, Error> {
+    pub fn id(&self) -> Result<String> {
         self.read(|tx| project::get(tx, migrate::ID)?.ok_or(Error::Closed))
     }
 
     pub(super) fn write<T: Send + 'static>(
         &self,
-        work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
-    ) -> Result<T, Error> {
+        work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'static,
+    ) -> Result<T> {
         db::write(self.db.as_ref(), work)
     }
 
     pub(super) fn read<T: Send>(
         &self,
-        work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send,
-    ) -> Result<T, Error> {
+        work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send,
+    ) -> Result<T> {
         db::read(self.db.as_ref(), work)
     }
 
@@ -66,24 +66,24 @@ impl Store {
     ///
     /// # Errors
     /// An entry of the log cannot be read.
-    pub fn rebuild(&self) -> Result<Vec<&'static str>, Error> {
+    pub fn rebuild(&self) -> Result<Vec<&'static str>> {
         rebuild::rebuild(self.db.as_ref())
     }
 
     /// Findings of a check of the whole store: gaps in the log, projections that do not follow from it. Writers do
     /// not wait for it.
-    pub fn verify(&self) -> Result<Vec<String>, Error> {
+    pub fn verify(&self) -> Result<Vec<String>> {
         self.snapshot()?.read(rebuild::verify)
     }
 
     /// Changes rows past the log, for tests of what notices it.
     #[cfg(test)]
-    pub(super) fn damage(&self, sql: &'static str) -> Result<u64, Error> {
+    pub(super) fn damage(&self, sql: &'static str) -> Result<u64> {
         self.write(move |tx| tx.execute(sql, &[]))
     }
 
     /// The store as it is now, for reading alone: what is written later does not appear in it.
-    pub fn snapshot(&self) -> Result<Self, Error> {
+    pub fn snapshot(&self) -> Result<Self> {
         Ok(Self::new(self.db.snapshot()?, None))
     }
 
@@ -91,7 +91,7 @@ impl Store {
     ///
     /// # Errors
     /// The file exists.
-    pub fn backup(&self, path: &Path) -> Result<(), Error> {
+    pub fn backup(&self, path: &Path) -> Result<()> {
         self.db.backup(path, Content::All)
     }
 
@@ -99,7 +99,7 @@ impl Store {
     ///
     /// # Errors
     /// As [`Self::backup`].
-    pub fn pack(&self, path: &Path) -> Result<(), Error> {
+    pub fn pack(&self, path: &Path) -> Result<()> {
         self.db.backup(path, Content::WithoutTokens)
     }
 
@@ -108,7 +108,7 @@ impl Store {
     ///
     /// # Errors
     /// It does not answer, or is read-only.
-    pub fn ready(&self) -> Result<(), Error> {
+    pub fn ready(&self) -> Result<()> {
         self.read(|tx| tx.number("SELECT COUNT(*) FROM pref WHERE usr = 0", &[]))?;
         // A transaction without changes takes the writer's lock, and commits nothing.
         self.write(|_| Ok(()))
@@ -118,13 +118,13 @@ impl Store {
     ///
     /// # Errors
     /// It does not.
-    pub fn check(&self) -> Result<(), Error> {
+    pub fn check(&self) -> Result<()> {
         self.write(|tx| project::put(tx, "ready", &"-".repeat(TRIED)))
     }
 
     /// The clock of the database, for a store that several servers share. Their own clocks may differ by more than
     /// a lease lasts.
-    pub fn clock(self: &Arc<Self>) -> Result<Option<Clock>, Error> {
+    pub fn clock(self: &Arc<Self>) -> Result<Option<Clock>> {
         if self.db.time()?.is_none() {
             return Ok(None);
         }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use datasets_spec::quantile;
 
-use super::db::{Tx, params};
+use super::db::{Result, Tx, params};
 use super::project;
 use super::records::Millis;
 use super::store::Store;
@@ -19,12 +19,12 @@ const PACE_DAYS: i64 = 7;
 
 impl Store {
     /// Work by person, day and kind between two times. Days begin in the project's time zone.
-    pub fn work(&self, from: Millis, to: Millis) -> Result<Vec<DayWork>, Error> {
+    pub fn work(&self, from: Millis, to: Millis) -> Result<Vec<DayWork>> {
         self.read(|tx| days(tx, from, to))
     }
 
     /// What is left of each kind, and when it is done at the pace of the last days.
-    pub fn outlook(&self, now: Millis) -> Result<Vec<Outlook>, Error> {
+    pub fn outlook(&self, now: Millis) -> Result<Vec<Outlook>> {
         self.read(|tx| {
             let kinds = TaskKind::ALL.iter();
             kinds.map(|&kind| outlook(tx, kind, now)).collect()
@@ -32,7 +32,7 @@ impl Store {
     }
 }
 
-fn days(tx: &mut dyn Tx, from: Millis, to: Millis) -> Result<Vec<DayWork>, Error> {
+fn days(tx: &mut dyn Tx, from: Millis, to: Millis) -> Result<Vec<DayWork>> {
     let zone = project::settings(tx)?.time_zone;
     let mut days: BTreeMap<(Millis, i64, TaskKind), DayWork> = BTreeMap::new();
     // The database adds up quarters of an hour, of which the days of every time zone consist.
@@ -65,7 +65,7 @@ fn days(tx: &mut dyn Tx, from: Millis, to: Millis) -> Result<Vec<DayWork>, Error
     Ok(days.into_values().collect())
 }
 
-fn outlook(tx: &mut dyn Tx, kind: TaskKind, now: Millis) -> Result<Outlook, Error> {
+fn outlook(tx: &mut dyn Tx, kind: TaskKind, now: Millis) -> Result<Outlook> {
     let name = kind.as_str();
     let recent = now - PACE_DAYS * DAY;
     let left = tx.one(
