@@ -1,13 +1,13 @@
 //! Projections: applies log entries to the derived tables.
 
-use super::db::{Result, Tx, json, params, unreadable};
-use super::entry::{Body, Entry, LoggedTask, Place};
+use super::db::{Result, Tx, Value, json, params, unreadable};
+use super::entry::{Body, Entry, LoggedTask};
 use super::projections::{
-    Acceptance, IMPORTED, end_lease_of, end_leases, is_kept_pair, kept_type, part_list, put_lease,
-    refresh, set_state, settle_clip, words,
+    Acceptance, IMPORTED, end_leases, is_kept_pair, kept_type, part_list, put_lease, refresh,
+    set_state, words,
 };
 use super::records::{Credit, Millis};
-use super::rows::{self, LeaseRow};
+use super::rows;
 use crate::Error;
 use crate::state::{LogKind, Purpose, targets};
 use crate::wire::{Answer, EditType, Lease, RevisionState, SkipReason, TaskState, Verdict};
@@ -52,10 +52,7 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<()> {
             | LogKind::Reopened
             | LogKind::Undone
     ) {
-        tx.execute(
-            "UPDATE task SET touched = ?2 WHERE id = ?1",
-            params![task, entry.at],
-        )?;
+        change.set(tx, "touched", entry.at)?;
     }
     count_work(tx, seq, entry, task)?;
     let after = state_of(tx, task)?;
@@ -169,7 +166,7 @@ fn imported<'a>(answer: &'a Answer, credit: Option<&'a Credit>, entry: &Entry) -
 }
 
 /// Id of a lease created by an entry.
-pub(crate) fn lease_id(seq: i64, number: usize) -> i64 {
+fn lease_id(seq: i64, number: usize) -> i64 {
     seq * LEASES_PER_ENTRY + number as i64
 }
 
@@ -185,78 +182,25 @@ struct Change<'a> {
 impl Change<'_> {
     fn apply(&self, tx: &mut dyn Tx) -> Result<()> {
         match &self.entry.body {
-            Body::Filled {
-                answer,
-                credit,
-                extra,
-            } => self.fill(tx, answer, credit.as_ref(), extra.as_ref()),
-            Body::ClipChanged { source, target } => self.set_clip(tx, source, target.as_deref()),
-            Body::ClipKept => settle_clip(tx, self.task),
-            Body::Claimed {
-                purpose,
-                expires,
-                blind,
-                place,
-            } => self.claim(tx, *purpose, *expires, *blind, *place),
-            Body::Renewed { lease, expires } => tx.run(
-                "UPDATE lease SET expires = ?2 WHERE id = ?1",
-                params![*lease, *expires],
-            ),
-            Body::Released {
-                lease,
-                user,
-                purpose,
-                reserved,
-                ..
-            } => self.release(tx, *lease, *user, *purpose, *reserved),
-            Body::DraftSaved {
-                kept_aside: Some(_),
-                ..
-            } => Ok(()),
-            Body::DraftSaved {
-                answer, rev, secs, ..
-            } => self.put_revision(tx, RevisionState::Draft, answer, *rev, *secs),
-            Body::Submitted {
-                answer,
-                rev,
-                secs,
-                distance,
-                ..
-            } => self.submit(tx, answer, *rev, *secs, *distance),
-            Body::Skipped {
-                postponed,
-                reason,
-                note,
-                ..
-            } => self.skip(tx, *postponed, *reason, note),
-            Body::Returned {
-                authors,
-                comment,
-                until,
-                ..
-            } => self.send_back(tx, authors, comment, *until),
-            Body::Accepted {
-                author,
-                comment,
-                rule,
-                own,
-                ..
-            } => self.accept(tx, *author, comment, rule.as_deref(), *own),
-            Body::Merged {
-                answer,
-                comment,
-                own,
-                ..
-            } => self.merge(tx, answer, comment, *own),
-            Body::Dropped { comment, .. } => self.drop_task(tx, comment),
-            Body::Reopened { comment, rule, .. } => self.reopen(tx, comment, rule.as_deref()),
-            Body::Assigned { user, until } => self.assign(tx, *user, *until),
-            Body::Retargeted { wanted } => self.retarget(tx, *wanted),
-            Body::Undone { rev, expires, .. } => self.undo(tx, *rev, *expires),
-            Body::SuggestionUsed {
-                suggestion, used, ..
-            } => self.use_suggestion(tx, *suggestion, used.as_str()),
-            Body::GoldScored { score } => self.score(tx, *score),
+            Body::Claimed { .. }
+            | Body::Renewed { .. }
+            | Body::Released { .. }
+            | Body::Assigned { .. }
+            | Body::Retargeted { .. } => self.apply_lease(tx),
+            Body::DraftSaved { .. }
+            | Body::Submitted { .. }
+            | Body::Skipped { .. }
+            | Body::Undone { .. }
+            | Body::SuggestionUsed { .. }
+            | Body::GoldScored { .. } => self.apply_answer(tx),
+            Body::Filled { .. } | Body::ClipChanged { .. } | Body::ClipKept => {
+                self.apply_import(tx)
+            }
+            Body::Returned { .. }
+            | Body::Accepted { .. }
+            | Body::Merged { .. }
+            | Body::Dropped { .. }
+            | Body::Reopened { .. } => self.apply_decision(tx),
             Body::Imported { .. }
             | Body::RoleChanged { .. }
             | Body::SettingsChanged { .. }
@@ -267,56 +211,274 @@ impl Change<'_> {
         }
     }
 
-    fn fill(
-        &self,
-        tx: &mut dyn Tx,
-        answer: &Answer,
-        credit: Option<&Credit>,
-        extra: Option<&serde_json::Value>,
-    ) -> Result<()> {
-        if let Some(extra) = extra {
-            tx.run(
-                "UPDATE task SET extra = ?2 WHERE id = ?1",
-                params![self.task, json(extra)?],
-            )?;
+    /// Applies what changes who holds the task, or how many may.
+    fn apply_lease(&self, tx: &mut dyn Tx) -> Result<()> {
+        let task = self.task;
+        match &self.entry.body {
+            Body::Claimed {
+                purpose,
+                expires,
+                blind,
+                place,
+            } => {
+                if let Some(place) = place {
+                    tx.run(
+                        "INSERT INTO gold_place (task, usr, bundle, bundle_index) VALUES (?1, ?2, ?3, ?4)
+                         ON CONFLICT (task, usr) DO UPDATE SET bundle = excluded.bundle, bundle_index = excluded.bundle_index",
+                        params![task, self.actor, place.bundle, place.index],
+                    )?;
+                }
+                self.lease_to_actor(tx, *purpose, *expires, *blind)?;
+                self.after_lease(tx, *purpose, TaskState::InReview)
+            }
+            Body::Renewed { lease, expires } => {
+                let sql = "UPDATE lease SET expires = ?2 WHERE id = ?1";
+                tx.run(sql, params![*lease, *expires])
+            }
+            Body::Released {
+                lease,
+                user,
+                purpose,
+                reserved,
+                ..
+            } => {
+                tx.run("DELETE FROM lease WHERE id = ?1", params![*lease])?;
+                if let Some(until) = reserved {
+                    self.reserve(tx, &[*user], *until, Purpose::Returned)?;
+                }
+                self.after_lease(tx, *purpose, TaskState::Submitted)
+            }
+            Body::Assigned { user, until } => {
+                // The task leaves the person it was reserved for before.
+                let sql =
+                    "DELETE FROM lease WHERE task = ?1 AND purpose IN ('returned', 'assigned')";
+                tx.run(sql, params![task])?;
+                self.reserve(tx, &[*user], *until, Purpose::Assigned)?;
+                refresh(tx, task)
+            }
+            Body::Retargeted { wanted } => {
+                self.set(tx, "wanted", *wanted)?;
+                refresh(tx, task)
+            }
+            _ => Ok(()),
         }
-        self.decide(tx, &imported(answer, credit, self.entry))
     }
 
-    /// Accepts an answer.
-    fn decide(&self, tx: &mut dyn Tx, acceptance: &Acceptance<'_>) -> Result<()> {
-        acceptance.put(tx, self.seq, self.task, self.entry.at)?;
-        set_state(tx, self.task, TaskState::Accepted)
+    /// Applies what its author does with an answer.
+    fn apply_answer(&self, tx: &mut dyn Tx) -> Result<()> {
+        let (task, actor, at) = (self.task, self.actor, self.entry.at);
+        match &self.entry.body {
+            Body::DraftSaved {
+                answer,
+                rev,
+                secs,
+                kept_aside: None,
+                ..
+            } => self.put_revision(tx, RevisionState::Draft, answer, *rev, *secs),
+            Body::Submitted {
+                answer,
+                rev,
+                secs,
+                distance,
+                ..
+            } => {
+                self.put_revision(tx, RevisionState::Submitted, answer, *rev, *secs)?;
+                self.forget(tx, "lease")?;
+                self.forget(tx, "skip")?;
+                // Its author saw the clip as it is now.
+                tx.run(
+                    "UPDATE task SET distance = ?2, changed = CASE WHEN EXISTS (
+                       SELECT 1 FROM revision WHERE task = ?1 AND author <> ?3) THEN changed ELSE 0 END
+                     WHERE id = ?1",
+                    params![task, *distance, actor],
+                )?;
+                refresh(tx, task)
+            }
+            Body::Skipped {
+                postponed,
+                reason,
+                note,
+                ..
+            } => {
+                self.forget(tx, "lease")?;
+                let reason = reason.map(SkipReason::as_str);
+                tx.run(
+                    "INSERT INTO skip (task, usr, postponed, reason, note, at) VALUES (?1, ?2, ?3, ?4, ?5, ?6)
+                     ON CONFLICT (task, usr) DO UPDATE SET postponed = excluded.postponed,
+                       reason = excluded.reason, note = excluded.note, at = excluded.at",
+                    params![task, actor, *postponed, reason, note, at],
+                )?;
+                refresh(tx, task)
+            }
+            Body::Undone { rev, expires, .. } => {
+                tx.run(
+                    "UPDATE revision SET state = 'draft', rev = ?3, at = ?4 WHERE task = ?1 AND author = ?2",
+                    params![task, actor, *rev, at],
+                )?;
+                let blind = "SELECT blind FROM revision WHERE task = ?1 AND author = ?2";
+                let blind = tx.number(blind, params![task, actor])? != 0;
+                self.lease_to_actor(tx, Purpose::Annotate, *expires, blind)?;
+                self.forget(tx, "gold_score")?;
+                refresh(tx, task)
+            }
+            Body::SuggestionUsed {
+                suggestion, used, ..
+            } => tx.run(
+                "INSERT INTO suggestion_use (seq, task, usr, suggestion, used) VALUES (?1, ?2, ?3, ?4, ?5)",
+                params![self.seq, task, actor, *suggestion, used.as_str()],
+            ),
+            Body::GoldScored { score } => tx.run(
+                "INSERT INTO gold_score (task, usr, score, at) VALUES (?1, ?2, ?3, ?4)
+                 ON CONFLICT (task, usr) DO UPDATE SET score = excluded.score, at = excluded.at",
+                params![task, actor, *score, at],
+            ),
+            _ => Ok(()),
+        }
     }
 
-    fn set_clip(&self, tx: &mut dyn Tx, source: &str, target: Option<&str>) -> Result<()> {
-        // Nobody has to be asked about a task without an answer.
-        tx.run(
-            "UPDATE task SET source = ?2, target = ?3, changed = CASE WHEN gold IS NOT NULL
-                     OR EXISTS (SELECT 1 FROM revision WHERE task = ?1)
-                     OR EXISTS (SELECT 1 FROM accepted WHERE task = ?1) THEN 1 ELSE 0 END
+    /// Applies what came with a dataset, and what is decided about it.
+    fn apply_import(&self, tx: &mut dyn Tx) -> Result<()> {
+        match &self.entry.body {
+            Body::Filled {
+                answer,
+                credit,
+                extra,
+            } => {
+                if let Some(extra) = extra {
+                    self.set(tx, "extra", json(extra)?)?;
+                }
+                self.accept(tx, &imported(answer, credit.as_ref(), self.entry))
+            }
+            // Nobody has to be asked about a task without an answer.
+            Body::ClipChanged { source, target } => tx.run(
+                "UPDATE task SET source = ?2, target = ?3, changed = CASE WHEN gold IS NOT NULL
+                   OR EXISTS (SELECT 1 FROM revision WHERE task = ?1)
+                   OR EXISTS (SELECT 1 FROM accepted WHERE task = ?1) THEN 1 ELSE 0 END
                  WHERE id = ?1",
-            params![self.task, source, target],
+                params![self.task, source, target.as_deref()],
+            ),
+            Body::ClipKept => self.set(tx, "changed", false),
+            _ => Ok(()),
+        }
+    }
+
+    /// Applies what a reviewer or a rule decides about answers.
+    fn apply_decision(&self, tx: &mut dyn Tx) -> Result<()> {
+        let task = self.task;
+        match &self.entry.body {
+            Body::Returned {
+                authors,
+                comment,
+                until,
+                ..
+            } => {
+                end_leases(tx, task)?;
+                let sql = "UPDATE revision SET state = 'returned' WHERE task = ?1 AND author = ?2";
+                for author in authors {
+                    tx.run(sql, params![task, *author])?;
+                }
+                self.reserve(tx, authors, *until, Purpose::Returned)?;
+                self.set(tx, "came_back", true)?;
+                let author = (authors.len() == 1).then(|| authors[0]);
+                self.put_review(tx, author, comment, None)?;
+                refresh(tx, task)
+            }
+            Body::Accepted {
+                author,
+                comment,
+                rule,
+                own,
+                ..
+            } => {
+                self.hand_over(tx, *author)?;
+                let accepted = rows::revision(tx, task, *author)?;
+                let answer = accepted.ok_or_else(|| Error::not_found("answer"))?.answer;
+                self.settle(tx, Some(*author), comment, rule.as_deref())?;
+                let acceptance = Acceptance {
+                    author: *author,
+                    reviewer: self.actor,
+                    answer: &answer,
+                    merged: false,
+                    credit: None,
+                    keeps: answer.verdict() == Some(Verdict::Keep),
+                    basis: basis(rule.as_deref(), *own),
+                };
+                self.accept(tx, &acceptance)
+            }
+            Body::Merged {
+                answer,
+                comment,
+                own,
+                ..
+            } => {
+                // No answer of an author is the accepted one.
+                self.hand_over(tx, 0)?;
+                self.settle(tx, None, comment, None)?;
+                let acceptance = Acceptance {
+                    author: self.actor,
+                    reviewer: self.actor,
+                    answer,
+                    merged: true,
+                    credit: None,
+                    keeps: is_kept_pair(answer),
+                    basis: basis(None, *own),
+                };
+                self.accept(tx, &acceptance)
+            }
+            Body::Dropped { comment, .. } => {
+                self.settle(tx, None, comment, None)?;
+                set_state(tx, task, TaskState::Dropped)
+            }
+            Body::Reopened { comment, rule, .. } => {
+                tx.run("DELETE FROM accepted WHERE task = ?1", params![task])?;
+                tx.run(
+                    "UPDATE revision SET state = 'submitted' WHERE task = ?1 AND state IN ('accepted', 'superseded')",
+                    params![task],
+                )?;
+                self.put_review(tx, None, comment, rule.as_deref())?;
+                refresh(tx, task)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Sets a column of the task.
+    fn set(&self, tx: &mut dyn Tx, column: &str, value: impl Into<Value>) -> Result<()> {
+        let sql = format!("UPDATE task SET {column} = ?2 WHERE id = ?1");
+        tx.run(&sql, params![self.task, value.into()])
+    }
+
+    /// Deletes the row of the task and the actor.
+    fn forget(&self, tx: &mut dyn Tx, table: &str) -> Result<()> {
+        let sql = format!("DELETE FROM {table} WHERE task = ?1 AND usr = ?2");
+        tx.run(&sql, params![self.task, self.actor])
+    }
+
+    /// Ends the review of the submitted answers: that of an author is accepted, the others are not.
+    fn hand_over(&self, tx: &mut dyn Tx, accepted: i64) -> Result<()> {
+        tx.run(
+            "UPDATE revision SET state = CASE WHEN author = ?2 THEN 'accepted' ELSE 'superseded' END
+             WHERE task = ?1 AND state = 'submitted'",
+            params![self.task, accepted],
         )
     }
 
-    fn claim(
+    /// Ends the work on a task with a decision about its clip as it is now.
+    fn settle(
         &self,
         tx: &mut dyn Tx,
-        purpose: Purpose,
-        expires: Millis,
-        blind: bool,
-        place: Option<Place>,
+        author: Option<i64>,
+        comment: &str,
+        rule: Option<&str>,
     ) -> Result<()> {
-        if let Some(place) = place {
-            tx.execute(
-                "INSERT INTO gold_place (task, usr, bundle, bundle_index) VALUES (?1, ?2, ?3, ?4)
-                     ON CONFLICT (task, usr) DO UPDATE SET bundle = excluded.bundle, bundle_index = excluded.bundle_index",
-                params![self.task, self.actor, place.bundle, place.index],
-            )?;
-        }
-        self.lease_to_actor(tx, purpose, expires, blind)?;
-        self.after_lease(tx, purpose, TaskState::InReview)
+        end_leases(tx, self.task)?;
+        self.put_review(tx, author, comment, rule)?;
+        self.set(tx, "changed", false)
+    }
+
+    fn accept(&self, tx: &mut dyn Tx, acceptance: &Acceptance<'_>) -> Result<()> {
+        acceptance.put(tx, self.seq, self.task, self.entry.at)?;
+        set_state(tx, self.task, TaskState::Accepted)
     }
 
     /// Derives the state of the task after a lease for `purpose` began or ended. One for a review gives it the state
@@ -343,14 +505,7 @@ impl Change<'_> {
             epoch: self.entry.epoch.unwrap_or(0),
             expires,
         };
-        put_lease(
-            tx,
-            &LeaseRow {
-                lease,
-                purpose,
-                blind,
-            },
-        )
+        put_lease(tx, &lease, purpose, blind)
     }
 
     /// Keeps the task for people.
@@ -370,55 +525,9 @@ impl Change<'_> {
                 epoch: epoch + 1 + number as i64,
                 expires,
             };
-            put_lease(
-                tx,
-                &LeaseRow {
-                    lease,
-                    purpose,
-                    blind: false,
-                },
-            )?;
+            put_lease(tx, &lease, purpose, false)?;
         }
         Ok(())
-    }
-
-    fn release(
-        &self,
-        tx: &mut dyn Tx,
-        lease: i64,
-        user: i64,
-        purpose: Purpose,
-        reserved: Option<Millis>,
-    ) -> Result<()> {
-        tx.execute("DELETE FROM lease WHERE id = ?1", params![lease])?;
-        if let Some(until) = reserved {
-            self.reserve(tx, &[user], until, Purpose::Returned)?;
-        }
-        self.after_lease(tx, purpose, TaskState::Submitted)
-    }
-
-    fn submit(
-        &self,
-        tx: &mut dyn Tx,
-        answer: &Answer,
-        rev: i64,
-        secs: f64,
-        distance: Option<f64>,
-    ) -> Result<()> {
-        self.put_revision(tx, RevisionState::Submitted, answer, rev, secs)?;
-        end_lease_of(tx, self.task, self.actor)?;
-        tx.execute(
-            "DELETE FROM skip WHERE task = ?1 AND usr = ?2",
-            params![self.task, self.actor],
-        )?;
-        // Its author saw the clip as it is now.
-        tx.execute(
-            "UPDATE task SET distance = ?2, changed = CASE WHEN EXISTS (
-                     SELECT 1 FROM revision WHERE task = ?1 AND author <> ?3) THEN changed ELSE 0 END
-                 WHERE id = ?1",
-            params![self.task, distance, self.actor],
-        )?;
-        refresh(tx, self.task)
     }
 
     fn put_revision(
@@ -458,114 +567,6 @@ impl Change<'_> {
         )
     }
 
-    fn skip(
-        &self,
-        tx: &mut dyn Tx,
-        postponed: bool,
-        reason: Option<SkipReason>,
-        note: &str,
-    ) -> Result<()> {
-        end_lease_of(tx, self.task, self.actor)?;
-        tx.execute(
-            "INSERT INTO skip (task, usr, postponed, reason, note, at) VALUES (?1, ?2, ?3, ?4, ?5, ?6)
-                 ON CONFLICT (task, usr) DO UPDATE SET postponed = excluded.postponed,
-                   reason = excluded.reason, note = excluded.note, at = excluded.at",
-            params![self.task, self.actor, postponed, reason.map(SkipReason::as_str), note, self.entry.at],
-        )?;
-        refresh(tx, self.task)
-    }
-
-    fn send_back(
-        &self,
-        tx: &mut dyn Tx,
-        authors: &[i64],
-        comment: &str,
-        until: Millis,
-    ) -> Result<()> {
-        end_leases(tx, self.task)?;
-        for author in authors {
-            tx.run(
-                "UPDATE revision SET state = 'returned' WHERE task = ?1 AND author = ?2",
-                params![self.task, *author],
-            )?;
-        }
-        self.reserve(tx, authors, until, Purpose::Returned)?;
-        tx.execute(
-            "UPDATE task SET came_back = 1 WHERE id = ?1",
-            params![self.task],
-        )?;
-        let author = (authors.len() == 1).then(|| authors[0]);
-        self.put_review(tx, author, comment, None)?;
-        refresh(tx, self.task)
-    }
-
-    fn accept(
-        &self,
-        tx: &mut dyn Tx,
-        author: i64,
-        comment: &str,
-        rule: Option<&str>,
-        own: bool,
-    ) -> Result<()> {
-        tx.execute(
-            "UPDATE revision SET state = CASE WHEN author = ?2 THEN 'accepted' ELSE 'superseded' END
-                 WHERE task = ?1 AND state = 'submitted'",
-            params![self.task, author],
-        )?;
-        let accepted = rows::revision(tx, self.task, author)?;
-        let answer = accepted.ok_or_else(|| Error::not_found("answer"))?.answer;
-        end_leases(tx, self.task)?;
-        self.put_review(tx, Some(author), comment, rule)?;
-        settle_clip(tx, self.task)?;
-        let acceptance = Acceptance {
-            author,
-            reviewer: self.actor,
-            answer: &answer,
-            merged: false,
-            credit: None,
-            keeps: answer.verdict() == Some(Verdict::Keep),
-            basis: basis(rule, own),
-        };
-        self.decide(tx, &acceptance)
-    }
-
-    fn merge(&self, tx: &mut dyn Tx, answer: &Answer, comment: &str, own: bool) -> Result<()> {
-        tx.execute(
-            "UPDATE revision SET state = 'superseded' WHERE task = ?1 AND state = 'submitted'",
-            params![self.task],
-        )?;
-        end_leases(tx, self.task)?;
-        self.put_review(tx, None, comment, None)?;
-        settle_clip(tx, self.task)?;
-        let acceptance = Acceptance {
-            author: self.actor,
-            reviewer: self.actor,
-            answer,
-            merged: true,
-            credit: None,
-            keeps: is_kept_pair(answer),
-            basis: basis(None, own),
-        };
-        self.decide(tx, &acceptance)
-    }
-
-    fn drop_task(&self, tx: &mut dyn Tx, comment: &str) -> Result<()> {
-        end_leases(tx, self.task)?;
-        self.put_review(tx, None, comment, None)?;
-        settle_clip(tx, self.task)?;
-        set_state(tx, self.task, TaskState::Dropped)
-    }
-
-    fn reopen(&self, tx: &mut dyn Tx, comment: &str, rule: Option<&str>) -> Result<()> {
-        tx.execute("DELETE FROM accepted WHERE task = ?1", params![self.task])?;
-        tx.execute(
-            "UPDATE revision SET state = 'submitted' WHERE task = ?1 AND state IN ('accepted', 'superseded')",
-            params![self.task],
-        )?;
-        self.put_review(tx, None, comment, rule)?;
-        refresh(tx, self.task)
-    }
-
     fn put_review(
         &self,
         tx: &mut dyn Tx,
@@ -585,56 +586,6 @@ impl Change<'_> {
                 self.entry.at,
                 rule
             ],
-        )
-    }
-
-    fn assign(&self, tx: &mut dyn Tx, user: i64, until: Millis) -> Result<()> {
-        // The task leaves the person it was reserved for before.
-        tx.execute(
-            "DELETE FROM lease WHERE task = ?1 AND purpose IN ('returned', 'assigned')",
-            params![self.task],
-        )?;
-        self.reserve(tx, &[user], until, Purpose::Assigned)?;
-        refresh(tx, self.task)
-    }
-
-    fn retarget(&self, tx: &mut dyn Tx, wanted: u32) -> Result<()> {
-        tx.execute(
-            "UPDATE task SET wanted = ?2 WHERE id = ?1",
-            params![self.task, wanted],
-        )?;
-        refresh(tx, self.task)
-    }
-
-    fn undo(&self, tx: &mut dyn Tx, rev: i64, expires: Millis) -> Result<()> {
-        tx.execute(
-            "UPDATE revision SET state = 'draft', rev = ?3, at = ?4 WHERE task = ?1 AND author = ?2",
-            params![self.task, self.actor, rev, self.entry.at],
-        )?;
-        let blind = tx.number(
-            "SELECT blind FROM revision WHERE task = ?1 AND author = ?2",
-            params![self.task, self.actor],
-        )?;
-        self.lease_to_actor(tx, Purpose::Annotate, expires, blind != 0)?;
-        tx.execute(
-            "DELETE FROM gold_score WHERE task = ?1 AND usr = ?2",
-            params![self.task, self.actor],
-        )?;
-        refresh(tx, self.task)
-    }
-
-    fn use_suggestion(&self, tx: &mut dyn Tx, suggestion: i64, used: &str) -> Result<()> {
-        tx.run(
-            "INSERT INTO suggestion_use (seq, task, usr, suggestion, used) VALUES (?1, ?2, ?3, ?4, ?5)",
-            params![self.seq, self.task, self.actor, suggestion, used],
-        )
-    }
-
-    fn score(&self, tx: &mut dyn Tx, score: f64) -> Result<()> {
-        tx.run(
-            "INSERT INTO gold_score (task, usr, score, at) VALUES (?1, ?2, ?3, ?4)
-                 ON CONFLICT (task, usr) DO UPDATE SET score = excluded.score, at = excluded.at",
-            params![self.task, self.actor, score, self.entry.at],
         )
     }
 }

@@ -2,9 +2,9 @@
 
 use super::db::{Result, Tx, json, params};
 use super::records::Millis;
-use super::rows::LeaseRow;
 use crate::Error;
-use crate::wire::{Answer, EditType, TaskState, Verdict};
+use crate::state::Purpose;
+use crate::wire::{Answer, EditType, Lease, TaskState, Verdict};
 
 /// Column `accepted.basis` of an imported answer; behind a colon follows how it was accepted elsewhere.
 pub(super) const IMPORTED: &str = "import";
@@ -68,9 +68,16 @@ impl Acceptance<'_> {
     }
 }
 
-pub(super) fn put_lease(tx: &mut dyn Tx, row: &LeaseRow) -> Result<()> {
-    let lease = &row.lease;
-    end_lease_of(tx, lease.task, lease.user)?;
+pub(super) fn put_lease(
+    tx: &mut dyn Tx,
+    lease: &Lease,
+    purpose: Purpose,
+    blind: bool,
+) -> Result<()> {
+    tx.run(
+        "DELETE FROM lease WHERE task = ?1 AND usr = ?2",
+        params![lease.task, lease.user],
+    )?;
     tx.run(
         "INSERT INTO lease (id, task, usr, epoch, expires, purpose, blind) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
         params![
@@ -79,20 +86,13 @@ pub(super) fn put_lease(tx: &mut dyn Tx, row: &LeaseRow) -> Result<()> {
             lease.user,
             lease.epoch,
             lease.expires,
-            row.purpose.as_str(),
-            row.blind
+            purpose.as_str(),
+            blind
         ],
     )?;
     tx.run(
         "UPDATE task SET epoch = ?2 WHERE id = ?1",
         params![lease.task, lease.epoch],
-    )
-}
-
-pub(super) fn end_lease_of(tx: &mut dyn Tx, task: i64, user: i64) -> Result<()> {
-    tx.run(
-        "DELETE FROM lease WHERE task = ?1 AND usr = ?2",
-        params![task, user],
     )
 }
 
@@ -120,11 +120,6 @@ pub(super) fn part_list(answer: &Answer) -> String {
         return String::new();
     }
     format!("|{}|", names.join("|"))
-}
-
-/// Notes that somebody decided about a task with its clip as it is now.
-pub(super) fn settle_clip(tx: &mut dyn Tx, task: i64) -> Result<()> {
-    tx.run("UPDATE task SET changed = 0 WHERE id = ?1", params![task])
 }
 
 pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<()> {
