@@ -5,6 +5,7 @@ use super::entry::{Body, Entry};
 use super::leases::{MINUTE, lease_end};
 use super::log::{self, Request};
 use super::records::{Millis, TaskRecord};
+use super::settings::{has_up_to, require};
 use super::store::Store;
 use super::{apply, project, read, rows, rules};
 use crate::Error;
@@ -39,36 +40,30 @@ impl Store {
         events: Vec<NewEvent>,
         now: Millis,
     ) -> Result<Vec<EventResult>> {
-        self.write(move |tx| append(tx, user, task, &events, now))
+        self.write(move |tx| {
+            // `+actor` makes SQLite use the index on tasks: a task has few log entries, a person has many.
+            let known = "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 LIMIT 1";
+            if !tx.has(known, params![task, user])? {
+                return Err(Error::not_found("task"));
+            }
+            let settings = project::settings(tx)?;
+            let mut results = Vec::new();
+            for event in &events {
+                let result = match take(tx, user, task, event, &settings, now) {
+                    Err(Error::Refused(problem)) => {
+                        told(tx, user, task, event, None, Some(*problem), None)?
+                    }
+                    result => result?,
+                };
+                let ok = result.status == 200;
+                results.push(result);
+                if !ok {
+                    break;
+                }
+            }
+            Ok(results)
+        })
     }
-}
-
-fn append(
-    tx: &mut dyn Tx,
-    user: i64,
-    id: i64,
-    events: &[NewEvent],
-    now: Millis,
-) -> Result<Vec<EventResult>> {
-    // `+actor` makes SQLite use the index on tasks: a task has few log entries, a person has many.
-    let known = "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 LIMIT 1";
-    if !tx.has(known, params![id, user])? {
-        return Err(Error::not_found("task"));
-    }
-    let settings = project::settings(tx)?;
-    let mut results = Vec::new();
-    for event in events {
-        let result = match take(tx, user, id, event, &settings, now) {
-            Err(Error::Refused(problem)) => told(tx, user, id, event, None, Some(*problem), None)?,
-            result => result?,
-        };
-        let ok = result.status == 200;
-        results.push(result);
-        if !ok {
-            break;
-        }
-    }
-    Ok(results)
 }
 
 /// The reply to an event, which was logged at place `seq`.
@@ -118,9 +113,8 @@ fn take(
     if let Some(result) = request.replay(tx)? {
         return Ok(result);
     }
-    if event.note.chars().count() > MAX_TEXT_CHARS {
-        return Err(Error::invalid("note", "the note is too long"));
-    }
+    let is_short = has_up_to(&event.note, MAX_TEXT_CHARS);
+    require(is_short, "note", "the note is too long")?;
     let taking = Taking {
         user,
         task: rows::task(tx, id)?,
@@ -298,24 +292,19 @@ impl Taking<'_> {
     /// Checks that a suggestion belongs to the task.
     fn check_suggestion(&self, tx: &mut dyn Tx, id: i64) -> Result<()> {
         let sql = "SELECT 1 FROM suggestion WHERE id = ?1 AND task = ?2";
-        if tx.has(sql, params![id, self.task.id])? {
-            return Ok(());
-        }
-        Err(Error::invalid(
-            "suggestion",
-            format!("suggestion {id} does not belong to this task"),
-        ))
+        let belongs = tx.has(sql, params![id, self.task.id])?;
+        let problem = format!("suggestion {id} does not belong to this task");
+        require(belongs, "suggestion", problem)
     }
 
     fn skip(&self, tx: &mut dyn Tx) -> Result<EventResult> {
         let event = self.event;
         let postponed = event.kind == EventKind::Postpone;
-        if !postponed && event.reason.is_none() {
-            return Err(Error::invalid(
-                "reason",
-                "choose a reason for skipping the task",
-            ));
-        }
+        require(
+            postponed || event.reason.is_some(),
+            "reason",
+            "choose a reason for skipping the task",
+        )?;
         let held = self.held(tx)?.ok_or_else(|| {
             Error::refused(
                 Code::LeaseLost,

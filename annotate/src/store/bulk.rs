@@ -6,6 +6,7 @@ use super::filter::{self, Values, condition};
 use super::leases::MINUTE;
 use super::records::{Millis, TaskRecord, Who};
 use super::rows::NUM_TASK_COLUMNS;
+use super::settings::require;
 use super::store::Store;
 use super::{log, project, review, rows, rules};
 use crate::Error;
@@ -45,25 +46,18 @@ fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<()> {
     );
     review::comment(&request.comment, act && needs_comment, "authors")?;
     match (request.action, request.person) {
-        (BulkAction::Assign, None) => Err(Error::invalid(
-            "person",
-            "name the person to give the tasks to",
-        )),
+        (BulkAction::Assign, None) => {
+            require(false, "person", "name the person to give the tasks to")
+        }
         (BulkAction::Assign, Some(person)) => {
             let active = "SELECT 1 FROM usr WHERE id = ?1 AND active = 1";
-            if !tx.has(active, params![person])? {
-                return Err(Error::invalid(
-                    "person",
-                    format!("there is no active user {person}"),
-                ));
-            }
-            Ok(())
+            let problem = format!("there is no active user {person}");
+            require(tx.has(active, params![person])?, "person", problem)
         }
-        (_, Some(_)) => Err(Error::invalid(
-            "person",
-            "only the action assign has a person",
-        )),
-        (_, None) => Ok(()),
+        (_, person) => {
+            let problem = "only the action assign has a person";
+            require(person.is_none(), "person", problem)
+        }
     }
 }
 

@@ -8,6 +8,7 @@ use datasets_spec::MotionId;
 use super::db::{Result, Row, Tx, json, params};
 use super::entry::Body;
 use super::records::Millis;
+use super::settings::require;
 use super::store::Store;
 use super::{log, project};
 use crate::Error;
@@ -55,12 +56,8 @@ impl Store {
 }
 
 fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<()> {
-    if cells.len() > MAX_CELLS {
-        return Err(Error::invalid(
-            "cells",
-            format!("{} cells are too many; plan up to {MAX_CELLS}", cells.len()),
-        ));
-    }
+    let problem = format!("{} cells are too many; plan up to {MAX_CELLS}", cells.len());
+    require(cells.len() <= MAX_CELLS, "cells", problem)?;
     let (mut places, mut styles) = (BTreeSet::new(), BTreeSet::new());
     for (index, cell) in cells.iter().enumerate() {
         let PlannedCapture {

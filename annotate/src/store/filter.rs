@@ -2,6 +2,7 @@
 
 use super::db::{Result, Value};
 use super::read;
+use super::settings::{has_up_to, require};
 use crate::Error;
 use crate::wire::{SkipFilter, TaskFilter, TaskKind, TaskState};
 
@@ -134,20 +135,15 @@ pub(super) fn check(filter: &TaskFilter) -> Result<()> {
     {
         return Err(Error::invalid("part", error.to_string()));
     }
-    let q = filter.q.as_ref();
-    if q.is_some_and(|text| text.chars().count() > MAX_SEARCH) {
-        return Err(Error::invalid(
-            "q",
-            format!("search for up to {MAX_SEARCH} characters"),
-        ));
-    }
+    let is_short = |text: &String| has_up_to(text, MAX_SEARCH);
+    let problem = format!("search for up to {MAX_SEARCH} characters");
+    require(filter.q.as_ref().is_none_or(is_short), "q", problem)?;
     for (field, value) in [
         ("min_distance", filter.min_distance),
         ("max_distance", filter.max_distance),
     ] {
-        if value.is_some_and(|value| !(0.0..=1.0).contains(&value)) {
-            return Err(Error::invalid(field, "a distance is 0 to 1"));
-        }
+        let is_share = value.is_none_or(|value| (0.0..=1.0).contains(&value));
+        require(is_share, field, "a distance is 0 to 1")?;
     }
     Ok(())
 }

@@ -122,17 +122,12 @@ fn fill(
     if touched > 0 || task.state != TaskState::Open || task.gold.is_some() {
         return Ok(Filled::Otherwise);
     }
-    log::note(
-        tx,
-        now,
-        actor,
-        Some(id),
-        Body::Filled {
-            answer: answer.clone(),
-            credit: new.credit.clone(),
-            extra: new.extra.clone(),
-        },
-    )?;
+    let body = Body::Filled {
+        answer: answer.clone(),
+        credit: new.credit.clone(),
+        extra: new.extra.clone(),
+    };
+    log::note(tx, now, actor, Some(id), body)?;
     Ok(Filled::Now)
 }
 
@@ -155,35 +150,30 @@ fn put_task(
     } else {
         wanted(settings, &task.key, bundle)
     };
-    log::note(
-        tx,
-        now,
-        actor,
-        Some(id),
-        Body::Imported {
-            task: Box::new(LoggedTask {
-                key: task.key.clone(),
-                kind: task.kind,
-                source: task.source.clone(),
-                target: task.target.clone(),
-                split: task.split.clone(),
-                bundle,
-                bundle_index: task.bundle_index,
-                category: task.category.clone(),
-                hint: task.hint.clone(),
-                style: task.style.clone(),
-                edit_type: task.edit_type,
-                priority: task.priority,
-                shuffle: percent(&["shuffle", &task.key]).into(),
-                wanted,
-                gold: task.gold.clone(),
-                practice,
-                extra: task.extra.clone(),
-                accepted: task.accepted.clone(),
-                credit: task.credit.clone(),
-            }),
-        },
-    )?;
+    let body = Body::Imported {
+        task: Box::new(LoggedTask {
+            key: task.key.clone(),
+            kind: task.kind,
+            source: task.source.clone(),
+            target: task.target.clone(),
+            split: task.split.clone(),
+            bundle,
+            bundle_index: task.bundle_index,
+            category: task.category.clone(),
+            hint: task.hint.clone(),
+            style: task.style.clone(),
+            edit_type: task.edit_type,
+            priority: task.priority,
+            shuffle: percent(&["shuffle", &task.key]).into(),
+            wanted,
+            gold: task.gold.clone(),
+            practice,
+            extra: task.extra.clone(),
+            accepted: task.accepted.clone(),
+            credit: task.credit.clone(),
+        }),
+    };
+    log::note(tx, now, actor, Some(id), body)?;
     for suggestion in &task.suggestions {
         project::put_suggestion(tx, id, suggestion, now)?;
     }
@@ -218,13 +208,8 @@ fn retarget_some(tx: &mut dyn Tx, actor: i64, after: i64, now: Millis) -> Result
         if wanted == row.count(3)? {
             continue;
         }
-        log::note(
-            tx,
-            now,
-            Some(actor),
-            Some(task),
-            Body::Retargeted { wanted },
-        )?;
+        let body = Body::Retargeted { wanted };
+        log::note(tx, now, Some(actor), Some(task), body)?;
         rules::on_answer(tx, &settings, task, now)?;
     }
     found.last().map(|row| row.int(0)).transpose()

@@ -7,6 +7,7 @@ use super::apply::apply;
 use super::db::{Result, Row, Tx, json, params};
 use super::entry::{self, Body, Entry, VERSION};
 use super::records::Millis;
+use super::settings::{is_word, require};
 use crate::Error;
 use crate::wire::Code;
 
@@ -76,13 +77,11 @@ pub(super) struct Request {
 
 impl Request {
     pub(super) fn new<T: Serialize>(user: i64, key: &str, content: &T) -> Result<Self> {
-        let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
-        if !(8..=64).contains(&key.len()) || !key.chars().all(allowed) {
-            return Err(Error::invalid(
-                "idem_key",
-                "a key must have 8 to 64 letters, digits and dashes",
-            ));
-        }
+        require(
+            is_word(key, 8..=64),
+            "idem_key",
+            "a key must have 8 to 64 letters, digits and dashes",
+        )?;
         Ok(Self {
             key: format!("{user}:{key}"),
             hash: blake3::hash(json(content)?.as_bytes()).to_hex()[..32].to_owned(),

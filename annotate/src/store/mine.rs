@@ -23,65 +23,58 @@ impl Store {
         query: MineQuery,
         now: Millis,
     ) -> Result<(Vec<OwnAnswer>, Option<String>)> {
-        self.read(|tx| answers(tx, user, &query, now))
-    }
-}
-
-/// A cursor is `at:task`.
-fn answers(
-    tx: &mut dyn Tx,
-    user: i64,
-    query: &MineQuery,
-    now: Millis,
-) -> Result<(Vec<OwnAnswer>, Option<String>)> {
-    let bad = || Error::invalid("before", "this is no cursor of a page; begin at the first");
-    let (mut at, mut task) = match &query.before {
-        None => (i64::MAX, i64::MAX),
-        Some(cursor) => {
-            let (at, task) = cursor.split_once(':').ok_or_else(bad)?;
-            (
-                at.parse::<i64>().map_err(|_| bad())?,
-                task.parse::<i64>().map_err(|_| bad())?,
-            )
-        }
-    };
-    let window = take_back_window(&project::settings(tx)?);
-    let sql = format!(
-        "SELECT {}, {}, a.author, a.merged, a.answer, a.at, a.basis FROM revision r
-         JOIN task t ON t.id = r.task LEFT JOIN accepted a ON a.task = r.task
-         WHERE r.author = ?1 AND (r.at, r.task) < (?2, ?3) AND (?4 = '' OR t.kind = ?4)
-           AND (CAST(?6 AS BIGINT) = 0 OR r.task = ?6)
-         ORDER BY r.at DESC, r.task DESC LIMIT ?5",
-        rows::TASK_COLUMNS,
-        rows::REVISION_COLUMNS
-    );
-    let kind = query.kind.map_or("", |kind| kind.as_str());
-    let batch = query.limit as i64 + 1;
-    let mut found = Vec::new();
-    // The standing is not a column, so rows of another standing are read and passed over.
-    loop {
-        let rows = tx.query(
-            &sql,
-            params![user, at, task, kind, batch, query.task.unwrap_or(0)],
-        )?;
-        let read = rows.len() as i64;
-        for row in &rows {
-            let own = own_answer(tx, user, row, window, now)?;
-            (at, task) = (own.mine.at, own.mine.task);
-            if query.standing.is_none_or(|wanted| wanted == own.standing) {
-                found.push(own);
+        self.read(|tx| {
+            let bad =
+                || Error::invalid("before", "this is no cursor of a page; begin at the first");
+            let (mut at, mut task) = match &query.before {
+                None => (i64::MAX, i64::MAX),
+                Some(cursor) => {
+                    let (at, task) = cursor.split_once(':').ok_or_else(bad)?;
+                    (
+                        at.parse::<i64>().map_err(|_| bad())?,
+                        task.parse::<i64>().map_err(|_| bad())?,
+                    )
+                }
+            };
+            let window = take_back_window(&project::settings(tx)?);
+            let sql = format!(
+                "SELECT {}, {}, a.author, a.merged, a.answer, a.at, a.basis FROM revision r
+                 JOIN task t ON t.id = r.task LEFT JOIN accepted a ON a.task = r.task
+                 WHERE r.author = ?1 AND (r.at, r.task) < (?2, ?3) AND (?4 = '' OR t.kind = ?4)
+                   AND (CAST(?6 AS BIGINT) = 0 OR r.task = ?6)
+                 ORDER BY r.at DESC, r.task DESC LIMIT ?5",
+                rows::TASK_COLUMNS,
+                rows::REVISION_COLUMNS
+            );
+            let kind = query.kind.map_or("", |kind| kind.as_str());
+            let batch = query.limit as i64 + 1;
+            let mut found = Vec::new();
+            // The standing is not a column, so rows of another standing are read and passed over.
+            loop {
+                let rows = tx.query(
+                    &sql,
+                    params![user, at, task, kind, batch, query.task.unwrap_or(0)],
+                )?;
+                let read = rows.len() as i64;
+                for row in &rows {
+                    let own = own_answer(tx, user, row, window, now)?;
+                    (at, task) = (own.mine.at, own.mine.task);
+                    if query.standing.is_none_or(|wanted| wanted == own.standing) {
+                        found.push(own);
+                    }
+                    if found.len() > query.limit {
+                        found.truncate(query.limit);
+                        let cursor = found
+                            .last()
+                            .map(|last| format!("{}:{}", last.mine.at, last.mine.task));
+                        return Ok((found, cursor));
+                    }
+                }
+                if read < batch {
+                    return Ok((found, None));
+                }
             }
-            if found.len() > query.limit {
-                found.truncate(query.limit);
-                let cursor = found
-                    .last()
-                    .map(|last| format!("{}:{}", last.mine.at, last.mine.task));
-                return Ok((found, cursor));
-            }
-        }
-        if read < batch {
-            return Ok((found, None));
-        }
+        })
     }
 }
 

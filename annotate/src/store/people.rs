@@ -8,6 +8,7 @@ use sha2::{Digest, Sha256};
 use super::db::{Result, Row, Tx, params};
 use super::entry::Body;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
+use super::settings::{has_up_to, require};
 use super::store::Store;
 use super::{leases, log, rows};
 use crate::Error;
@@ -52,7 +53,20 @@ impl Store {
         now: Millis,
     ) -> Result<Vec<IssuedToken>> {
         let new = parse_lines(lines)?;
-        self.write_people(move |tx| add_all(tx, actor, &new, expires, now))
+        self.write_people(move |tx| {
+            new.iter()
+                .map(|(number, name, role)| {
+                    let user = add(tx, actor, name, *role, now).map_err(|error| match error {
+                        Error::Refused(problem) => Error::invalid(
+                            &format!("lines.{number}"),
+                            format!("line {number}: {}; no user was added", problem.detail),
+                        ),
+                        other => other,
+                    })?;
+                    issue(tx, user.id, TokenUse::Token, expires, now)
+                })
+                .collect()
+        })
     }
 
     /// Adds a user.
@@ -82,7 +96,34 @@ impl Store {
         active: Option<bool>,
         now: Millis,
     ) -> Result<User> {
-        self.write_people(move |tx| change(tx, actor, user, role, active, now))
+        self.write_people(move |tx| {
+            let before = self::user(tx, user)?;
+            let after = User {
+                role: role.unwrap_or(before.role),
+                active: active.unwrap_or(before.active),
+                ..before.clone()
+            };
+            let is_admin = |user: &User| user.active && user.role == Role::Admin;
+            if is_admin(&before) && !is_admin(&after) {
+                let others = "SELECT 1 FROM usr WHERE role = 'admin' AND active = 1 AND id <> ?1";
+                let problem = "this is the last admin; add another one first";
+                require(tx.has(others, params![user])?, "role", problem)?;
+            }
+            tx.execute(
+                "UPDATE usr SET role = ?2, active = ?3 WHERE id = ?1",
+                params![user, after.role.as_str(), after.active],
+            )?;
+            if !after.active {
+                tx.run("UPDATE token SET revoked = 1 WHERE usr = ?1", params![user])?;
+                // Others can take the tasks.
+                let from = "lease l WHERE l.usr = ?1 ORDER BY l.id";
+                for held in rows::leases(tx, from, params![user])? {
+                    leases::end(tx, &held, actor, ReleaseReason::TakenAway, now)?;
+                }
+            }
+            logged(tx, actor, &after, now)?;
+            Ok(after)
+        })
     }
 
     /// Creates a token.
@@ -137,7 +178,18 @@ impl Store {
     /// `unauthenticated`.
     pub fn log_in(&self, token: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
         let hash = hash(token);
-        self.write_people(move |tx| log_in(tx, &hash, until, now))
+        self.write_people(move |tx| {
+            let purposes = [TokenUse::Token, TokenUse::Once];
+            let found = find(tx, &hash, &purposes, now)?;
+            let until = if found.once {
+                until
+            } else {
+                until.min(found.expires)
+            };
+            let who = used(tx, &hash, &purposes, now)?;
+            let session = issue(tx, who.id, TokenUse::Session, until, now)?;
+            Ok((who, session))
+        })
     }
 
     /// A user's tokens.
@@ -230,35 +282,28 @@ fn user(tx: &mut dyn Tx, id: i64) -> Result<User> {
 }
 
 fn logged(tx: &mut dyn Tx, actor: Option<i64>, user: &User, now: Millis) -> Result<()> {
-    log::note(
-        tx,
-        now,
-        actor,
-        None,
-        Body::RoleChanged {
-            user: user.id,
-            name: user.name.clone(),
-            role: user.role,
-            active: user.active,
-        },
-    )
+    let body = Body::RoleChanged {
+        user: user.id,
+        name: user.name.clone(),
+        role: user.role,
+        active: user.active,
+    };
+    log::note(tx, now, actor, None, body)
 }
 
 fn add(tx: &mut dyn Tx, actor: Option<i64>, name: &str, role: Role, now: Millis) -> Result<User> {
     let name = name.trim();
     let bad = |c: char| c.is_control();
-    if name.is_empty() || name.chars().count() > 64 || name.chars().any(bad) {
-        return Err(Error::invalid(
-            "name",
-            "a name must have 1 to 64 characters and no control characters",
-        ));
-    }
-    if tx.has("SELECT 1 FROM usr WHERE name = ?1", params![name])? {
-        return Err(Error::invalid(
-            "name",
-            format!("there is a user {name:?} already; choose another name"),
-        ));
-    }
+    require(
+        !name.is_empty() && has_up_to(name, 64) && !name.chars().any(bad),
+        "name",
+        "a name must have 1 to 64 characters and no control characters",
+    )?;
+    require(
+        !tx.has("SELECT 1 FROM usr WHERE name = ?1", params![name])?,
+        "name",
+        format!("there is a user {name:?} already; choose another name"),
+    )?;
     let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM usr", &[])?;
     tx.execute(
         "INSERT INTO usr (id, name, role, active, created) VALUES (?1, ?2, ?3, 1, ?4)",
@@ -274,46 +319,6 @@ fn add(tx: &mut dyn Tx, actor: Option<i64>, name: &str, role: Role, now: Millis)
     Ok(user)
 }
 
-fn change(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    id: i64,
-    role: Option<Role>,
-    active: Option<bool>,
-    now: Millis,
-) -> Result<User> {
-    let before = user(tx, id)?;
-    let after = User {
-        role: role.unwrap_or(before.role),
-        active: active.unwrap_or(before.active),
-        ..before.clone()
-    };
-    let is_admin = |user: &User| user.active && user.role == Role::Admin;
-    if is_admin(&before) && !is_admin(&after) {
-        let others = "SELECT 1 FROM usr WHERE role = 'admin' AND active = 1 AND id <> ?1";
-        if !tx.has(others, params![id])? {
-            return Err(Error::invalid(
-                "role",
-                "this is the last admin; add another one first",
-            ));
-        }
-    }
-    tx.execute(
-        "UPDATE usr SET role = ?2, active = ?3 WHERE id = ?1",
-        params![id, after.role.as_str(), after.active],
-    )?;
-    if !after.active {
-        tx.run("UPDATE token SET revoked = 1 WHERE usr = ?1", params![id])?;
-        // Others can take the tasks.
-        let from = "lease l WHERE l.usr = ?1 ORDER BY l.id";
-        for held in rows::leases(tx, from, params![id])? {
-            leases::end(tx, &held, actor, ReleaseReason::TakenAway, now)?;
-        }
-    }
-    logged(tx, actor, &after, now)?;
-    Ok(after)
-}
-
 fn issue(
     tx: &mut dyn Tx,
     id: i64,
@@ -322,12 +327,8 @@ fn issue(
     now: Millis,
 ) -> Result<IssuedToken> {
     let user = user(tx, id)?;
-    if !user.active {
-        return Err(Error::invalid(
-            "user",
-            "this user is not active; activate them first",
-        ));
-    }
+    let problem = "this user is not active; activate them first";
+    require(user.active, "user", problem)?;
     let token = format!("ann_{}", random::<TOKEN_BYTES>()?);
     let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM token", &[])?;
     tx.execute(
@@ -371,36 +372,12 @@ fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
         };
         users.push((number, name, role));
     }
-    if users.is_empty() || users.len() > MAX_LINES {
-        return Err(Error::invalid(
-            "lines",
-            format!("write 1 to {MAX_LINES} lines, each a name or NAME,ROLE"),
-        ));
-    }
+    require(
+        (1..=MAX_LINES).contains(&users.len()),
+        "lines",
+        format!("write 1 to {MAX_LINES} lines, each a name or NAME,ROLE"),
+    )?;
     Ok(users)
-}
-
-/// Adds users with a token each.
-fn add_all(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    users: &[(usize, String, Role)],
-    expires: Millis,
-    now: Millis,
-) -> Result<Vec<IssuedToken>> {
-    users
-        .iter()
-        .map(|(number, name, role)| {
-            let user = add(tx, actor, name, *role, now).map_err(|error| match error {
-                Error::Refused(problem) => Error::invalid(
-                    &format!("lines.{number}"),
-                    format!("line {number}: {}; no user was added", problem.detail),
-                ),
-                other => other,
-            })?;
-            issue(tx, user.id, TokenUse::Token, expires, now)
-        })
-        .collect()
 }
 
 /// Owner of a token.
@@ -501,19 +478,4 @@ fn used(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Resu
         params![found.token, now, found.once],
     )?;
     Ok(found.who)
-}
-
-/// Begins a session that ends with the token it was begun by. A one-time token only opens the door: its session
-/// lasts as long as any.
-fn log_in(tx: &mut dyn Tx, hash: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
-    let purposes = [TokenUse::Token, TokenUse::Once];
-    let found = find(tx, hash, &purposes, now)?;
-    let until = if found.once {
-        until
-    } else {
-        until.min(found.expires)
-    };
-    let who = used(tx, hash, &purposes, now)?;
-    let session = issue(tx, who.id, TokenUse::Session, until, now)?;
-    Ok((who, session))
 }

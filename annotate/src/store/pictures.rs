@@ -7,6 +7,7 @@ use super::db::{Result, Row, Tx, params, unreadable};
 use super::entry::Body;
 use super::log;
 use super::records::{Millis, Picture};
+use super::settings::require;
 use super::store::Store;
 use crate::Error;
 use crate::wire::{MAX_PICTURE_BYTES, PictureInfo};
@@ -92,15 +93,13 @@ fn mime(bytes: &[u8]) -> Option<&'static str> {
 /// Checks a name of a picture.
 pub(super) fn check_name(name: &str) -> Result<()> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    if (1..=60).contains(&name.len()) && name.chars().all(allowed) {
-        return Ok(());
-    }
-    Err(Error::invalid(
+    require(
+        (1..=60).contains(&name.len()) && name.chars().all(allowed),
         "name",
         format!(
             "{name:?} is no name of a picture; use up to 60 letters, digits, dashes, dots and underscores"
         ),
-    ))
+    )
 }
 
 fn decoded(text: &str) -> Result<Vec<u8>> {
@@ -123,19 +122,14 @@ fn put(
             "this is no PNG, JPEG, GIF or WebP; convert the picture",
         )
     })?;
-    if bytes.len() > MAX_PICTURE_BYTES {
-        return Err(Error::invalid("body", "the picture is larger than 2 MB"));
-    }
+    let is_small = bytes.len() <= MAX_PICTURE_BYTES;
+    require(is_small, "body", "the picture is larger than 2 MB")?;
     let others = tx.number(
         "SELECT COUNT(*) FROM picture WHERE name <> ?1",
         params![&name],
     )?;
-    if others >= MAX_PICTURES {
-        return Err(Error::invalid(
-            "name",
-            format!("there are {MAX_PICTURES} pictures already; delete one"),
-        ));
-    }
+    let problem = format!("there are {MAX_PICTURES} pictures already; delete one");
+    require(others < MAX_PICTURES, "name", problem)?;
     tx.execute(
         "INSERT INTO picture (name, mime, bytes, at) VALUES (?1, ?2, ?3, ?4)
          ON CONFLICT (name) DO UPDATE SET mime = excluded.mime, bytes = excluded.bytes, at = excluded.at",

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::db::{Result, Tx, Value, json, params};
 use super::entry::{Body, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
-use super::settings::{check, is_name};
+use super::settings::{check, is_name, require};
 use super::store::Store;
 use super::{import, log, rows};
 use crate::Error;
@@ -97,7 +97,48 @@ impl Store {
         motions: Vec<MotionRecord>,
         now: Millis,
     ) -> Result<i64> {
-        self.write(move |tx| replace_motions(tx, actor, &motions, now))
+        self.write(move |tx| {
+            let mut replaced: BTreeMap<String, String> = BTreeMap::new();
+            for motion in &motions {
+                let before = tx.one(
+                    "SELECT hash FROM motion WHERE id = ?1 AND current = 1",
+                    params![&motion.id],
+                )?;
+                if let Some(row) = before
+                    && row.text(0)? != motion.hash
+                {
+                    replaced.insert(row.string(0)?, motion.hash.clone());
+                }
+            }
+            // Two clips may have changed places, so all earlier contents go before the first new one comes.
+            for hash in replaced.keys() {
+                tx.execute(
+                    "UPDATE motion SET current = 0 WHERE hash = ?1",
+                    params![hash],
+                )?;
+            }
+            for motion in &motions {
+                let update = "UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
+                   style = excluded.style, action = excluded.action, current = 1";
+                put_motion(tx, motion, update)?;
+            }
+            let mut count = 0;
+            for row in tx.query("SELECT id, source, target FROM task ORDER BY id", &[])? {
+                let (source, target) = (row.string(1)?, row.opt_text(2)?);
+                let now_of = |hash: &String| replaced.get(hash).unwrap_or(hash).clone();
+                let new = (now_of(&source), target.as_ref().map(now_of));
+                if new == (source, target) {
+                    continue;
+                }
+                let body = Body::ClipChanged {
+                        source: new.0,
+                        target: new.1,
+                    };
+                log::note(tx, now, actor, Some(row.int(0)?), body)?;
+                count += 1;
+            }
+            Ok(count)
+        })
     }
 
     /// Decides about tasks of [`Self::changed_tasks`]: with `keep` their answers hold, else accepted ones go back to
@@ -218,15 +259,10 @@ pub(super) fn put_settings(
         put(tx, RETARGETING, "0")?;
     }
     put(tx, SETTINGS, &json(&settings)?)?;
-    log::note(
-        tx,
-        now,
-        actor,
-        None,
-        Body::SettingsChanged {
-            settings: Box::new(settings),
-        },
-    )
+    let body = Body::SettingsChanged {
+        settings: Box::new(settings),
+    };
+    log::note(tx, now, actor, None, body)
 }
 
 /// Adds styles that the project does not have, in their order. What cannot be a name is no style.
@@ -261,33 +297,22 @@ pub(super) fn put(tx: &mut dyn Tx, name: &str, body: &str) -> Result<()> {
 fn check_prefs(prefs: &Prefs) -> Result<()> {
     const MAX_KEYS: usize = 4;
     for (action, keys) in &prefs.keys {
-        if keys.len() > MAX_KEYS {
-            return Err(Error::invalid(
-                "keys",
-                format!("{action} has more than {MAX_KEYS} keys"),
-            ));
-        }
+        let problem = format!("{action} has more than {MAX_KEYS} keys");
+        require(keys.len() <= MAX_KEYS, "keys", problem)?;
         for key in keys {
             let mut rest = key.as_str();
             for modifier in KEY_MODIFIERS {
                 rest = rest.strip_prefix(modifier).unwrap_or(rest);
             }
-            if !KEY_CODES.contains(&rest) {
-                return Err(Error::invalid(
-                    "keys",
-                    format!(
-                        "{key:?} is not a key; write Ctrl+ and Shift+ in this order before a KeyboardEvent.code"
-                    ),
-                ));
-            }
+            let problem = format!(
+                "{key:?} is not a key; write Ctrl+ and Shift+ in this order before a KeyboardEvent.code"
+            );
+            require(KEY_CODES.contains(&rest), "keys", problem)?;
         }
     }
-    if let Some(speed) = prefs.speed
-        && !(0.1..=2.0).contains(&speed)
-    {
-        return Err(Error::invalid("speed", "0.1 to 2 will do"));
-    }
-    Ok(())
+    let allowed = 0.1..=2.0;
+    let is_allowed = prefs.speed.is_none_or(|speed| allowed.contains(&speed));
+    require(is_allowed, "speed", "0.1 to 2 will do")
 }
 
 fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Result<()> {
@@ -309,60 +334,6 @@ fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Resu
             motion.action.clone()
         ],
     )
-}
-
-fn replace_motions(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    motions: &[MotionRecord],
-    now: Millis,
-) -> Result<i64> {
-    let mut replaced: BTreeMap<String, String> = BTreeMap::new();
-    for motion in motions {
-        let before = tx.one(
-            "SELECT hash FROM motion WHERE id = ?1 AND current = 1",
-            params![&motion.id],
-        )?;
-        if let Some(row) = before
-            && row.text(0)? != motion.hash
-        {
-            replaced.insert(row.string(0)?, motion.hash.clone());
-        }
-    }
-    // Two clips may have changed places, so all earlier contents go before the first new one comes.
-    for hash in replaced.keys() {
-        tx.execute(
-            "UPDATE motion SET current = 0 WHERE hash = ?1",
-            params![hash],
-        )?;
-    }
-    for motion in motions {
-        let update =
-            "UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
-           style = excluded.style, action = excluded.action, current = 1";
-        put_motion(tx, motion, update)?;
-    }
-    let mut count = 0;
-    for row in tx.query("SELECT id, source, target FROM task ORDER BY id", &[])? {
-        let (source, target) = (row.string(1)?, row.opt_text(2)?);
-        let now_of = |hash: &String| replaced.get(hash).unwrap_or(hash).clone();
-        let new = (now_of(&source), target.as_ref().map(now_of));
-        if new == (source, target) {
-            continue;
-        }
-        log::note(
-            tx,
-            now,
-            actor,
-            Some(row.int(0)?),
-            Body::ClipChanged {
-                source: new.0,
-                target: new.1,
-            },
-        )?;
-        count += 1;
-    }
-    Ok(count)
 }
 
 /// Decides about a task whose clip was ingested anew: its answers hold, or it goes back to review.

@@ -6,6 +6,7 @@ use super::entry::{Body, Entry};
 use super::leases::{MINUTE, expire, lease_end, prolong, take};
 use super::log::Request;
 use super::records::{Millis, ReviewClaimed, ReviewDetail, TaskRecord};
+use super::settings::{has_up_to, require};
 use super::store::Store;
 use super::{apply, project, rows};
 use crate::Error;
@@ -50,7 +51,30 @@ impl Store {
     /// # Errors
     /// `own_work`, `lease_lost`, `wrong_state`, `invalid`, `not_found`, `key_reused`.
     pub fn review(&self, user: i64, new: NewReview, now: Millis) -> Result<ReviewDone> {
-        self.write(move |tx| review(tx, user, &new, now))
+        self.write(move |tx| {
+            let request = Request::new(user, &new.idem_key, &new)?;
+            if let Some(done) = request.replay(tx)? {
+                return Ok(done);
+            }
+            let settings = project::settings(tx)?;
+            let task = rows::task(tx, new.task)?;
+            let own = check_own(tx, user, task.id, &settings)?;
+            let deciding = Deciding {
+                user,
+                review: &new,
+                request,
+                task,
+                settings,
+                own,
+                now,
+            };
+            deciding.check_state()?;
+            let comment = deciding.comment()?;
+            deciding.check_lease(tx)?;
+            let body = deciding.body(tx, comment)?;
+            deciding.take_style(tx, &body)?;
+            deciding.log(tx, body)
+        })
     }
 
     /// All answers to a task that were handed in, with the names of their authors. Returned ones come last.
@@ -199,31 +223,6 @@ struct Deciding<'a> {
     /// Whether the reviewer answered the task too.
     own: bool,
     now: Millis,
-}
-
-fn review(tx: &mut dyn Tx, user: i64, review: &NewReview, now: Millis) -> Result<ReviewDone> {
-    let request = Request::new(user, &review.idem_key, review)?;
-    if let Some(done) = request.replay(tx)? {
-        return Ok(done);
-    }
-    let settings = project::settings(tx)?;
-    let task = rows::task(tx, review.task)?;
-    let own = check_own(tx, user, task.id, &settings)?;
-    let deciding = Deciding {
-        user,
-        review,
-        request,
-        task,
-        settings,
-        own,
-        now,
-    };
-    deciding.check_state()?;
-    let comment = deciding.comment()?;
-    deciding.check_lease(tx)?;
-    let body = deciding.body(tx, comment)?;
-    deciding.take_style(tx, &body)?;
-    deciding.log(tx, body)
 }
 
 impl Deciding<'_> {
@@ -392,14 +391,12 @@ fn log_kind(decision: Decision) -> LogKind {
 /// The comment of a decision, which `readers` and the log may need.
 pub(super) fn comment(text: &str, is_needed: bool, readers: &str) -> Result<String> {
     let comment = text.trim().to_owned();
-    if comment.chars().count() > MAX_TEXT_CHARS {
-        return Err(Error::invalid("comment", "the comment is too long"));
-    }
-    if is_needed && comment.is_empty() {
-        return Err(Error::invalid(
-            "comment",
-            format!("write a comment; the {readers} and the log need it"),
-        ));
-    }
+    let is_short = has_up_to(&comment, MAX_TEXT_CHARS);
+    require(is_short, "comment", "the comment is too long")?;
+    require(
+        !is_needed || !comment.is_empty(),
+        "comment",
+        format!("write a comment; the {readers} and the log need it"),
+    )?;
     Ok(comment)
 }

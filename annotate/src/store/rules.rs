@@ -33,7 +33,23 @@ impl Store {
 
     /// Applies the enabled rules to up to 2,000 tasks that wait for review, with ids above `after`.
     pub fn apply_rules(&self, after: i64, now: Millis) -> Result<RulesApplied> {
-        self.write(move |tx| apply(tx, after, now))
+        self.write(move |tx| {
+            let settings = project::settings(tx)?;
+            let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
+            let mut done = RulesApplied {
+                looked_at: tasks.len() as i64,
+                next: (tasks.len() as i64 == AT_ONCE)
+                    .then(|| tasks.last().map(|task| task.id))
+                    .flatten(),
+                ..RulesApplied::default()
+            };
+            for task in tasks {
+                if let Some(rule) = decide(tx, &settings, &task, now)? {
+                    *done.accepted.entry(rule).or_default() += 1;
+                }
+            }
+            Ok(done)
+        })
     }
 
     /// Disables a rule and takes back up to 2,000 of its acceptances.
@@ -41,8 +57,37 @@ impl Store {
     /// # Errors
     /// `not_found`.
     pub fn undo_rule(&self, actor: i64, rule: &str, now: Millis) -> Result<RuleUndone> {
-        let rule = rule.to_owned();
-        self.write(move |tx| undo(tx, actor, &rule, now))
+        let name = rule.to_owned();
+        self.write(move |tx| {
+            let mut settings = project::settings(tx)?;
+            let rule = settings.rules.iter_mut().find(|rule| rule.name == name);
+            let known = rule.is_some();
+            if let Some(rule) = rule
+                && rule.enabled
+            {
+                rule.enabled = false;
+                project::put_settings(tx, Some(actor), settings, now)?;
+            }
+            let basis = format!("rule:{name}");
+            let tasks = tx.list(
+                "SELECT task FROM accepted WHERE basis = ?1 ORDER BY task LIMIT ?2",
+                params![&basis, AT_ONCE],
+                |row| row.int(0),
+            )?;
+            if tasks.is_empty() && !known {
+                return Err(Error::not_found("rule"));
+            }
+            for &task in &tasks {
+                reopen(tx, actor, task, &name, "", now)?;
+            }
+            Ok(RuleUndone {
+                reopened: tasks.len() as i64,
+                left: tx.number(
+                    "SELECT COUNT(*) FROM accepted WHERE basis = ?1",
+                    params![&basis],
+                )?,
+            })
+        })
     }
 }
 
@@ -127,20 +172,15 @@ fn decide(
             // The first rule that fits decides, so that a later one does not accept what this one left to reviewers.
             Fit::Review => return Ok(None),
             Fit::Accept(author) => {
-                log::note(
-                    tx,
-                    now,
-                    None,
-                    Some(task.id),
-                    Body::Accepted {
-                        author,
-                        comment: String::new(),
-                        secs: 0.0,
-                        request: String::new(),
-                        rule: Some(rule.name.clone()),
-                        own: false,
-                    },
-                )?;
+                let body = Body::Accepted {
+                    author,
+                    comment: String::new(),
+                    secs: 0.0,
+                    request: String::new(),
+                    rule: Some(rule.name.clone()),
+                    own: false,
+                };
+                log::note(tx, now, None, Some(task.id), body)?;
                 return Ok(Some(rule.name.clone()));
             }
         }
@@ -170,24 +210,6 @@ fn waiting(tx: &mut dyn Tx, after: i64, up_to: i64, limit: i64) -> Result<Vec<Ta
         "t.state = 'submitted' AND t.gold IS NULL AND t.id > ?1 AND t.id <= ?2 AND {UNTOUCHED} ORDER BY t.id LIMIT ?3"
     );
     rows::tasks(tx, &condition, params![after, up_to, limit])
-}
-
-fn apply(tx: &mut dyn Tx, after: i64, now: Millis) -> Result<RulesApplied> {
-    let settings = project::settings(tx)?;
-    let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
-    let mut done = RulesApplied {
-        looked_at: tasks.len() as i64,
-        next: (tasks.len() as i64 == AT_ONCE)
-            .then(|| tasks.last().map(|task| task.id))
-            .flatten(),
-        ..RulesApplied::default()
-    };
-    for task in tasks {
-        if let Some(rule) = decide(tx, &settings, &task, now)? {
-            *done.accepted.entry(rule).or_default() += 1;
-        }
-    }
-    Ok(done)
 }
 
 fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>> {
@@ -245,37 +267,6 @@ fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>> {
     Ok(states)
 }
 
-fn undo(tx: &mut dyn Tx, actor: i64, name: &str, now: Millis) -> Result<RuleUndone> {
-    let mut settings = project::settings(tx)?;
-    let rule = settings.rules.iter_mut().find(|rule| rule.name == name);
-    let known = rule.is_some();
-    if let Some(rule) = rule
-        && rule.enabled
-    {
-        rule.enabled = false;
-        project::put_settings(tx, Some(actor), settings, now)?;
-    }
-    let basis = format!("rule:{name}");
-    let tasks = tx.list(
-        "SELECT task FROM accepted WHERE basis = ?1 ORDER BY task LIMIT ?2",
-        params![&basis, AT_ONCE],
-        |row| row.int(0),
-    )?;
-    if tasks.is_empty() && !known {
-        return Err(Error::not_found("rule"));
-    }
-    for &task in &tasks {
-        reopen(tx, actor, task, name, "", now)?;
-    }
-    Ok(RuleUndone {
-        reopened: tasks.len() as i64,
-        left: tx.number(
-            "SELECT COUNT(*) FROM accepted WHERE basis = ?1",
-            params![&basis],
-        )?,
-    })
-}
-
 /// Takes back an acceptance of a rule.
 pub(super) fn reopen(
     tx: &mut dyn Tx,
@@ -285,17 +276,12 @@ pub(super) fn reopen(
     comment: &str,
     now: Millis,
 ) -> Result<()> {
-    log::note(
-        tx,
-        now,
-        Some(actor),
-        Some(task),
-        Body::Reopened {
-            comment: comment.to_owned(),
-            request: String::new(),
-            rule: Some(rule.to_owned()),
-        },
-    )
+    let body = Body::Reopened {
+        comment: comment.to_owned(),
+        request: String::new(),
+        rule: Some(rule.to_owned()),
+    };
+    log::note(tx, now, Some(actor), Some(task), body)
 }
 
 /// The rule that accepted a task, and when.

@@ -4,7 +4,7 @@ use super::db::Result;
 use super::pictures;
 use crate::Error;
 use crate::wire::{
-    MAX_GUIDELINE_CHARS, MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style,
+    MAX_GUIDELINE_CHARS, MAX_MASKS, MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style,
 };
 
 /// Maximum number of phrases in a list, and of pictures in a guide.
@@ -16,19 +16,24 @@ const WEEK: u32 = 7 * 24 * 60;
 /// Maximum number of styles: datasets of a hundred are published.
 const MAX_STYLES: usize = 2_000;
 
+/// Refuses a field unless a condition holds.
+pub(super) fn require(holds: bool, field: &str, problem: impl Into<String>) -> Result<()> {
+    if holds {
+        return Ok(());
+    }
+    Err(Error::invalid(field, problem))
+}
+
 /// Checks new settings.
 pub(super) fn check(settings: &Settings) -> Result<()> {
+    let zone = &settings.time_zone;
     check_numbers(settings)?;
     check_names(settings)?;
-    if !crate::clock::is_zone(&settings.time_zone) {
-        return Err(Error::invalid(
-            "time_zone",
-            format!(
-                "{:?} is no time zone; write a name such as Europe/Berlin or UTC",
-                settings.time_zone
-            ),
-        ));
-    }
+    require(
+        crate::clock::is_zone(zone),
+        "time_zone",
+        format!("{zone:?} is no time zone; write a name such as Europe/Berlin or UTC"),
+    )?;
     check_rules(&settings.rules)?;
     check_guides(settings)
 }
@@ -47,94 +52,89 @@ fn check_numbers(settings: &Settings) -> Result<()> {
         ("practice_tasks", settings.practice_tasks, 0, 100),
     ];
     for (field, value, least, most) in ranges {
-        if !(least..=most).contains(&value) {
-            let problem = format!("{value} is out of range; use {least} to {most}");
-            return Err(Error::invalid(field, problem));
-        }
+        let problem = format!("{value} is out of range; use {least} to {most}");
+        require((least..=most).contains(&value), field, problem)?;
     }
-    if let Some((edit_type, wanted)) = settings
-        .edit_type_quota
-        .iter()
-        .find(|(_, wanted)| **wanted > MAX_QUOTA)
-    {
-        return Err(Error::invalid(
-            "edit_type_quota",
-            format!("{wanted} pairs of {edit_type} are out of range; use 0 to {MAX_QUOTA}"),
-        ));
+    for (edit_type, wanted) in &settings.edit_type_quota {
+        let problem =
+            format!("{wanted} pairs of {edit_type} are out of range; use 0 to {MAX_QUOTA}");
+        require(*wanted <= MAX_QUOTA, "edit_type_quota", problem)?;
     }
-    if settings.min_masks > settings.max_masks || settings.max_masks > crate::wire::MAX_MASKS {
-        return Err(Error::invalid(
-            "max_masks",
-            format!(
-                "use at least min_masks and at most {}",
-                crate::wire::MAX_MASKS
-            ),
-        ));
-    }
-    Ok(())
+    require(
+        settings.min_masks <= settings.max_masks && settings.max_masks <= MAX_MASKS,
+        "max_masks",
+        format!("use at least min_masks and at most {MAX_MASKS}"),
+    )
 }
 
 fn check_names(settings: &Settings) -> Result<()> {
-    if !is_name(&settings.name) {
-        return Err(Error::invalid(
-            "name",
-            format!("the project needs a name of up to {MAX_NAME_CHARS} characters"),
-        ));
-    }
+    require(
+        is_name(&settings.name),
+        "name",
+        format!("the project needs a name of up to {MAX_NAME_CHARS} characters"),
+    )?;
     check_styles(&settings.styles)?;
     for (field, names) in [
         ("templates", &settings.templates),
         ("mask_templates", &settings.mask_templates),
         ("style_templates", &settings.style_templates),
     ] {
-        if names.len() > MAX_NAMES || !names.iter().all(|name| is_name(name)) {
-            return Err(Error::invalid(
-                field,
-                format!("use up to {MAX_NAMES} names of up to {MAX_NAME_CHARS} characters"),
-            ));
-        }
+        require(
+            names.len() <= MAX_NAMES && names.iter().all(|name| is_name(name)),
+            field,
+            format!("use up to {MAX_NAMES} names of up to {MAX_NAME_CHARS} characters"),
+        )?;
     }
     Ok(())
 }
 
 /// Whether a text can be a name: it is not blank, and short enough for a button.
 pub(super) fn is_name(text: &str) -> bool {
-    !text.trim().is_empty() && text.chars().count() <= MAX_NAME_CHARS
+    !text.trim().is_empty() && has_up_to(text, MAX_NAME_CHARS)
+}
+
+/// Whether a text has no more than so many characters.
+pub(super) fn has_up_to(text: &str, most: usize) -> bool {
+    text.chars().count() <= most
+}
+
+/// Whether a text is a word of letters, digits and dashes.
+pub(super) fn is_word(text: &str, lengths: std::ops::RangeInclusive<usize>) -> bool {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
+    lengths.contains(&text.len()) && text.chars().all(allowed)
 }
 
 fn check_styles(styles: &[Style]) -> Result<()> {
-    let refuse = |problem: String| Err(Error::invalid("styles", problem));
-    if styles.len() > MAX_STYLES {
-        return refuse(format!("use up to {MAX_STYLES} styles"));
-    }
+    let require = |holds: bool, problem: String| require(holds, "styles", problem);
+    let most = format!("use up to {MAX_STYLES} styles");
+    require(styles.len() <= MAX_STYLES, most)?;
     for (index, style) in styles.iter().enumerate() {
         let name = &style.name;
-        if !is_name(name) {
-            return refuse(format!(
-                "name each style in up to {MAX_NAME_CHARS} characters"
-            ));
-        }
-        if styles[..index].iter().any(|other| other.name == *name) {
-            return refuse(format!("two styles are called {name:?}"));
-        }
-        if style.text.chars().count() > MAX_TEXT_CHARS {
-            return refuse(format!(
-                "the text of {name:?} has more than {MAX_TEXT_CHARS} characters"
-            ));
-        }
-        if style.guideline.chars().count() > MAX_GUIDELINE_CHARS {
-            return refuse(format!(
-                "the guideline of {name:?} has more than {MAX_GUIDELINE_CHARS} characters"
-            ));
-        }
+        require(
+            is_name(name),
+            format!("name each style in up to {MAX_NAME_CHARS} characters"),
+        )?;
+        require(
+            styles[..index].iter().all(|other| other.name != *name),
+            format!("two styles are called {name:?}"),
+        )?;
+        require(
+            has_up_to(&style.text, MAX_TEXT_CHARS),
+            format!("the text of {name:?} has more than {MAX_TEXT_CHARS} characters"),
+        )?;
+        require(
+            has_up_to(&style.guideline, MAX_GUIDELINE_CHARS),
+            format!("the guideline of {name:?} has more than {MAX_GUIDELINE_CHARS} characters"),
+        )?;
         let is_colour = |text: &String| {
             text.strip_prefix('#').is_some_and(|digits| {
                 digits.len() == 6 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())
             })
         };
-        if !style.colour.as_ref().is_none_or(is_colour) {
-            return refuse(format!("the colour of {name:?} is not written as #rrggbb"));
-        }
+        require(
+            style.colour.as_ref().is_none_or(is_colour),
+            format!("the colour of {name:?} is not written as #rrggbb"),
+        )?;
     }
     Ok(())
 }
@@ -142,69 +142,56 @@ fn check_styles(styles: &[Style]) -> Result<()> {
 fn check_guides(settings: &Settings) -> Result<()> {
     const MAX_GUIDE: usize = 100_000;
     for (kind, guide) in &settings.guides {
-        if guide.text.chars().count() > MAX_GUIDE || guide.pictures.len() > MAX_NAMES {
-            return Err(Error::invalid(
-                &format!("guides.{kind}"),
-                format!("use up to {MAX_GUIDE} characters and {MAX_NAMES} pictures"),
-            ));
-        }
+        require(
+            has_up_to(&guide.text, MAX_GUIDE) && guide.pictures.len() <= MAX_NAMES,
+            &format!("guides.{kind}"),
+            format!("use up to {MAX_GUIDE} characters and {MAX_NAMES} pictures"),
+        )?;
         for picture in &guide.pictures {
             pictures::check_name(&picture.name)?;
         }
     }
-    if settings.guide.chars().count() > MAX_GUIDE {
-        return Err(Error::invalid(
-            "guide",
-            format!("use up to {MAX_GUIDE} characters"),
-        ));
-    }
-    Ok(())
+    let problem = format!("use up to {MAX_GUIDE} characters");
+    require(has_up_to(&settings.guide, MAX_GUIDE), "guide", problem)
 }
 
 fn check_rules(rules: &[Rule]) -> Result<()> {
     const MAX_RULES: usize = 20;
-    if rules.len() > MAX_RULES {
-        return Err(Error::invalid(
-            "rules",
-            format!("use up to {MAX_RULES} rules"),
-        ));
-    }
+    let problem = format!("use up to {MAX_RULES} rules");
+    require(rules.len() <= MAX_RULES, "rules", problem)?;
     for (index, rule) in rules.iter().enumerate() {
-        if let Some((field, problem)) = problem_of(rule, &rules[..index]) {
-            return Err(Error::invalid(&format!("rules.{index}.{field}"), problem));
+        let (name, kind) = (&rule.name, rule.accepts);
+        let require = |holds: bool, field: &str, problem: &str| {
+            require(holds, &format!("rules.{index}.{field}"), problem)
+        };
+        require(
+            is_word(name, 1..=40),
+            "name",
+            &format!("{name:?} is no name of a rule; use 1 to 40 letters, digits and dashes"),
+        )?;
+        require(
+            rules[..index].iter().all(|other| other.name != *name),
+            "name",
+            &format!("two rules are called {name}"),
+        )?;
+        if kind == RuleKind::Trusted {
+            let named = !rule.people.is_empty();
+            require(named, "people", "name the people to trust")?;
+        } else {
+            let problem = format!("a rule that accepts {kind} has no people; leave them out");
+            require(rule.people.is_empty(), "people", &problem)?;
         }
+        let (answers, distance) = (rule.min_answers, rule.max_distance);
+        let is_share = rule.review_percent <= 100;
+        require((1..=50).contains(&answers), "min_answers", "use 1 to 50")?;
+        require(
+            (0.0..=1.0).contains(&distance),
+            "max_distance",
+            "use 0 to 1",
+        )?;
+        require(is_share, "review_percent", "use 0 to 100")?;
     }
     Ok(())
-}
-
-/// What is wrong with a rule after others: the field, and the problem.
-fn problem_of(rule: &Rule, before: &[Rule]) -> Option<(&'static str, String)> {
-    let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
-    let (name, trusts) = (&rule.name, rule.accepts == RuleKind::Trusted);
-    if !(1..=40).contains(&name.len()) || !name.chars().all(allowed) {
-        let problem =
-            format!("{name:?} is no name of a rule; use 1 to 40 letters, digits and dashes");
-        return Some(("name", problem));
-    }
-    if before.iter().any(|other| other.name == *name) {
-        return Some(("name", format!("two rules are called {name}")));
-    }
-    if trusts && rule.people.is_empty() {
-        return Some(("people", "name the people to trust".to_owned()));
-    }
-    if !trusts && !rule.people.is_empty() {
-        let kind = rule.accepts;
-        let problem = format!("a rule that accepts {kind} has no people; leave them out");
-        return Some(("people", problem));
-    }
-    if !(1..=50).contains(&rule.min_answers) {
-        return Some(("min_answers", "use 1 to 50".to_owned()));
-    }
-    if !(0.0..=1.0).contains(&rule.max_distance) {
-        return Some(("max_distance", "use 0 to 1".to_owned()));
-    }
-    let in_range = rule.review_percent <= 100;
-    (!in_range).then(|| ("review_percent", "use 0 to 100".to_owned()))
 }
 
 #[cfg(test)]
