@@ -311,10 +311,8 @@ impl Change<'_> {
                 refresh(tx, task)
             }
             Body::Undone { rev, expires, .. } => {
-                tx.run(
-                    "UPDATE revision SET state = 'draft', rev = ?3, at = ?4 WHERE task = ?1 AND author = ?2",
-                    params![task, actor, *rev, at],
-                )?;
+                let sql = "UPDATE revision SET state = 'draft', rev = ?3, at = ?4 WHERE task = ?1 AND author = ?2";
+                tx.run(sql, params![task, actor, *rev, at])?;
                 let blind = "SELECT blind FROM revision WHERE task = ?1 AND author = ?2";
                 let blind = tx.number(blind, params![task, actor])? != 0;
                 self.lease_to_actor(tx, Purpose::Annotate, *expires, blind)?;
@@ -538,10 +536,8 @@ impl Change<'_> {
         rev: i64,
         secs: f64,
     ) -> Result<()> {
-        let blind = tx.number(
-            "SELECT blind FROM lease WHERE task = ?1 AND usr = ?2",
-            params![self.task, self.actor],
-        )?;
+        let sql = "SELECT blind FROM lease WHERE task = ?1 AND usr = ?2";
+        let blind = tx.number(sql, params![self.task, self.actor])?;
         tx.run(
             "INSERT INTO revision (task, author, rev, state, answer, at, secs, blind, verdict, edit_type, words, parts)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)

@@ -68,13 +68,12 @@ impl Store {
     pub fn decisions(&self, query: DecisionQuery) -> Result<Decisions> {
         let mut values = Values::default();
         let mut place = format!("v.seq < {}", values.put(query.before.unwrap_or(i64::MAX)));
-        match query.reviewer {
-            Some(reviewer) => place += &format!(" AND v.reviewer = {}", values.put(reviewer)),
-            None => place += " AND v.reviewer <> 0",
-        }
-        if let Some(decision) = query.decision {
-            place += &format!(" AND v.decision = {}", values.put(decision));
-        }
+        place += match query.reviewer {
+            Some(_) => "",
+            None => " AND v.reviewer <> 0",
+        };
+        place += &values.equal("v.reviewer", query.reviewer);
+        place += &values.equal("v.decision", query.decision);
         let limit = values.put(query.limit as i64);
         place += &format!(" ORDER BY v.seq DESC LIMIT {limit}");
         let items = self.read(|tx| decisions(tx, &place, &values.0))?;
@@ -185,48 +184,35 @@ fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>> {
         return Ok(Vec::new());
     }
     let ids = Values(tasks.iter().map(|task| task.id.into()).collect());
-    let mut motions = by_task(
+    let mut facts = by_task(
         tx,
-        "SELECT t.id, s.id, o.id FROM task t LEFT JOIN motion s ON s.hash = t.source
-         LEFT JOIN motion o ON o.hash = t.target WHERE t.id IN ({})",
+        "SELECT t.id, s.id, o.id, t.touched, a.basis FROM task t LEFT JOIN motion s ON s.hash = t.source
+         LEFT JOIN motion o ON o.hash = t.target LEFT JOIN accepted a ON a.task = t.id WHERE t.id IN ({})",
         &ids,
-        |row| Ok((row.opt_text(1)?, row.opt_text(2)?)),
+        |row| {
+            // How it was accepted elsewhere cannot be undone here.
+            let basis = row.opt_text(4)?.map(|basis| {
+                let is_imported = basis.split(':').next() == Some(IMPORTED);
+                if is_imported { IMPORTED.to_owned() } else { basis }
+            });
+            Ok((row.opt_text(1)?, row.opt_text(2)?, row.int(3)?, basis))
+        },
     )?;
     let mut answers = answers(tx, &ids)?;
     let mut holders = holders(tx, &ids)?;
     let mut skips = skips(tx, &ids)?;
-    let mut accepted = by_task(
-        tx,
-        "SELECT task, basis FROM accepted WHERE task IN ({})",
-        &ids,
-        |row| {
-            // How it was accepted elsewhere cannot be undone here.
-            let basis = row.text(1)?;
-            let is_imported = basis.split(':').next() == Some(IMPORTED);
-            Ok(if is_imported { IMPORTED } else { basis }.to_owned())
-        },
-    )?;
-    let mut touched = by_task(
-        tx,
-        "SELECT id, touched FROM task WHERE id IN ({})",
-        &ids,
-        |row| row.int(1),
-    )?;
     Ok(tasks
         .into_iter()
         .map(|task| {
             let id = &task.id;
-            let motions = motions.remove(id).and_then(|mut one| one.pop());
-            let (source, target) = motions.unwrap_or_default();
+            let facts = facts.remove(id).and_then(|mut one| one.pop());
+            let (source, target, touched, accepted_by) = facts.unwrap_or_default();
             TaskRow {
                 answers: answers.remove(id).unwrap_or_default(),
                 holders: holders.remove(id).unwrap_or_default(),
                 skips: skips.remove(id).unwrap_or_default(),
-                accepted_by: accepted.remove(id).and_then(|mut one| one.pop()),
-                touched: touched
-                    .remove(id)
-                    .and_then(|mut one| one.pop())
-                    .unwrap_or(0),
+                accepted_by,
+                touched,
                 source_id: source.unwrap_or(task.source),
                 target_id: target.or(task.target),
                 id: task.id,

@@ -3,9 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::db::{Result, Row, Tx, Value, params};
-use super::draw::percent;
 use super::entry::Place;
-use super::import::GOLD_KEY;
+use super::import::{GOLD_KEY, percent};
 use super::leases::{
     MINUTE, PLACED, expire, lease_end, prolong, prolong_bundle, reserved_after, take,
 };
@@ -535,10 +534,8 @@ fn known_tasks(tx: &mut dyn Tx, user: i64, kind: TaskKind, count: usize) -> Resu
 
 fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty> {
     let mut empty = Empty::default();
-    let counts = tx.query(
-        "SELECT state, COUNT(*) FROM task WHERE kind = ?1 AND gold IS NULL GROUP BY state",
-        params![kind.as_str()],
-    )?;
+    let sql = "SELECT state, COUNT(*) FROM task WHERE kind = ?1 AND gold IS NULL GROUP BY state";
+    let counts = tx.query(sql, params![kind.as_str()])?;
     for row in counts {
         let count = row.int(1)?;
         empty.total += count;

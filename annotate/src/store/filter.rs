@@ -16,23 +16,24 @@ impl Values {
         self.0.push(value.into());
         format!("?{}", self.0.len())
     }
+
+    /// The further condition that a column has a value, if one is asked for.
+    pub(super) fn equal(&mut self, column: &str, value: Option<impl Into<Value>>) -> String {
+        value.map_or(String::new(), |value| {
+            format!(" AND {column} = {}", self.put(value))
+        })
+    }
 }
 
 /// The SQL condition of a filter on task `t`.
 pub(super) fn condition(filter: &TaskFilter, values: &mut Values) -> String {
-    let mut all = vec!["t.gold IS NULL".to_owned()];
-    let mut equal = |column: &str, value: Option<&str>, values: &mut Values| {
-        if let Some(value) = value {
-            all.push(format!("t.{column} = {}", values.put(value)));
-        }
-    };
-    equal("kind", filter.kind.map(TaskKind::as_str), values);
-    equal("state", filter.state.map(TaskState::as_str), values);
-    equal("category", filter.category.as_deref(), values);
-    equal("split", filter.split.as_deref(), values);
-    if let Some(task) = filter.task {
-        all.push(format!("t.id = {}", values.put(task)));
-    }
+    let mut equal = "t.gold IS NULL".to_owned();
+    equal += &values.equal("t.kind", filter.kind.map(TaskKind::as_str));
+    equal += &values.equal("t.state", filter.state.map(TaskState::as_str));
+    equal += &values.equal("t.category", filter.category.as_deref());
+    equal += &values.equal("t.split", filter.split.as_deref());
+    equal += &values.equal("t.id", filter.task);
+    let mut all = vec![equal];
     if let Some(person) = filter.person {
         let who = values.put(person);
         all.push(format!(

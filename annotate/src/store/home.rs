@@ -37,11 +37,8 @@ fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home> {
         &format!("SELECT COUNT(*) FROM revision r {handed_in} AND r.at >= ?1"),
         params![midnight],
     )?;
-    let worked = tx.find(
-        "SELECT COALESCE(SUM(secs), 0.0) FROM work WHERE usr = ?1 AND at >= ?2",
-        params![user, midnight],
-        |row| row.real(0),
-    )?;
+    let sql = "SELECT COALESCE(SUM(secs), 0.0) FROM work WHERE usr = ?1 AND at >= ?2";
+    let worked = tx.find(sql, params![user, midnight], |row| row.real(0))?;
     Ok(Home {
         queues,
         returned: returned(tx, user)?,

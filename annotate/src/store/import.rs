@@ -1,7 +1,6 @@
 //! Import of tasks into the store, and of answers into tasks that exist.
 
 use super::db::{Result, Tx, params};
-use super::draw::{draw, percent};
 use super::entry::{Body, LoggedTask};
 use super::records::{Imported, Millis, NewTask};
 use super::store::Store;
@@ -274,4 +273,14 @@ fn copy_known(tx: &mut dyn Tx, actor: i64, id: i64, practice: bool, now: Millis)
     let settings = project::settings(tx)?;
     put_task(tx, Some(actor), next, &copy, practice, &settings, now)?;
     Ok(next)
+}
+
+/// The pseudo-random number of a key, the same on every call and in a store opened again.
+fn draw(parts: &[&str]) -> u64 {
+    datasets_spec::Seed(0).draw_u64(parts)
+}
+
+/// [`draw`] as a number from 0 to 99.
+pub(super) fn percent(parts: &[&str]) -> u32 {
+    (draw(parts) % 100) as u32
 }

@@ -38,10 +38,8 @@ impl Store {
             let is_last = (bytes.len() as u64) < FILE_PART;
             let name = name.to_owned();
             self.write(move |tx| {
-                tx.run(
-                    "INSERT INTO job_file (job, name, part, bytes) VALUES (?1, ?2, ?3, ?4)",
-                    params![job, name, number, bytes],
-                )
+                let sql = "INSERT INTO job_file (job, name, part, bytes) VALUES (?1, ?2, ?3, ?4)";
+                tx.run(sql, params![job, name, number, bytes])
             })?;
             if is_last {
                 break;
@@ -122,10 +120,8 @@ fn put_job(tx: &mut dyn Tx, mut job: Job, now: Millis) -> Result<Job> {
     if job.id == 0 {
         job.id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM job", &[])?;
     }
-    tx.run(
-        "INSERT INTO job (id, body) VALUES (?1, ?2) ON CONFLICT (id) DO UPDATE SET body = excluded.body",
-        params![job.id, json(&job)?],
-    )?;
+    let sql = "INSERT INTO job (id, body) VALUES (?1, ?2) ON CONFLICT (id) DO UPDATE SET body = excluded.body";
+    tx.run(sql, params![job.id, json(&job)?])?;
     Ok(job)
 }
 

@@ -3,7 +3,7 @@
 //! # To change the tables
 //!
 //! 1. Change `schema.sql` (what is not derived) or `projections.sql` (what is derived from the log) to what a new
-//!    store gets. A new projection also has a line in [`derived::PROJECTIONS`].
+//!    store gets. A new projection also has a line in [`rebuild::PROJECTIONS`].
 //! 2. Append a step to [`STEPS`]: SQL for both databases that brings the tables of `schema.sql` from the version
 //!    before to the new one. It is empty if only projections or their rows changed: every upgrade drops the
 //!    projections, creates them anew and derives them from the log.
@@ -14,7 +14,7 @@
 //! (`tests/stores`) and compares their tables with those of a new store.
 
 use super::db::{Result, Tx, params};
-use super::{derived, people};
+use super::{people, rebuild};
 use crate::Error;
 
 const SCHEMA: &str = include_str!("schema.sql");
@@ -127,23 +127,21 @@ pub(super) fn apply(tx: &mut dyn Tx, plan: Plan) -> Result<()> {
         Plan::Nothing => return Ok(()),
         Plan::Create => {
             tx.define(SCHEMA)?;
-            derived::define_projections(tx)?;
+            rebuild::define_projections(tx)?;
         }
         Plan::Upgrade(from) => {
             let done = usize::try_from(from - 1).unwrap_or(0);
             for step in STEPS.iter().skip(done) {
                 tx.define(step)?;
             }
-            for projection in &derived::PROJECTIONS {
-                tx.define(&format!("DROP TABLE IF EXISTS {}", projection.table))?;
+            for (table, ..) in rebuild::PROJECTIONS {
+                tx.define(&format!("DROP TABLE IF EXISTS {table}"))?;
             }
-            derived::define_projections(tx)?;
-            derived::derive(tx)?;
+            rebuild::define_projections(tx)?;
+            rebuild::derive(tx)?;
         }
     }
     // An id, if it has none.
-    tx.run(
-        "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO NOTHING",
-        params![ID, people::random::<ID_BYTES>()?],
-    )
+    let sql = "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO NOTHING";
+    tx.run(sql, params![ID, people::random::<ID_BYTES>()?])
 }

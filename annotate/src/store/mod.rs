@@ -18,8 +18,6 @@ mod bulk;
 mod captures;
 mod claim;
 pub(crate) mod db;
-mod derived;
-mod draw;
 mod entry;
 mod filter;
 mod group;

@@ -109,10 +109,8 @@ impl Store {
                 let problem = "this is the last admin; add another one first";
                 require(tx.has(others, params![user])?, "role", problem)?;
             }
-            tx.execute(
-                "UPDATE usr SET role = ?2, active = ?3 WHERE id = ?1",
-                params![user, after.role.as_str(), after.active],
-            )?;
+            let sql = "UPDATE usr SET role = ?2, active = ?3 WHERE id = ?1";
+            tx.run(sql, params![user, after.role.as_str(), after.active])?;
             if !after.active {
                 tx.run("UPDATE token SET revoked = 1 WHERE usr = ?1", params![user])?;
                 // Others can take the tasks.
@@ -181,7 +179,7 @@ impl Store {
         self.write_people(move |tx| {
             let purposes = [TokenUse::Token, TokenUse::Once];
             let found = find(tx, &hash, &purposes, now)?;
-            let until = if found.once {
+            let until = if found.purpose == TokenUse::Once {
                 until
             } else {
                 until.min(found.expires)
@@ -218,10 +216,9 @@ impl Store {
             let sql = "SELECT usr FROM token WHERE id = ?1";
             let user = tx.find(sql, params![token], |row| row.int(0))?;
             let user = user.ok_or_else(|| Error::not_found("token"))?;
-            tx.run(
-                "UPDATE token SET revoked = 1 WHERE id = ?1 OR (usr = ?2 AND purpose = 'session')",
-                params![token, user],
-            )
+            let sql =
+                "UPDATE token SET revoked = 1 WHERE id = ?1 OR (usr = ?2 AND purpose = 'session')";
+            tx.run(sql, params![token, user])
         })
     }
 
@@ -229,10 +226,8 @@ impl Store {
     pub fn log_out(&self, token: &str) -> Result<()> {
         let hash = hash(token);
         self.write_people(move |tx| {
-            tx.run(
-                "UPDATE token SET revoked = 1 WHERE hash = ?1",
-                params![&hash],
-            )
+            let sql = "UPDATE token SET revoked = 1 WHERE hash = ?1";
+            tx.run(sql, params![&hash])
         })
     }
 }
@@ -268,11 +263,8 @@ fn read_user(row: &Row) -> Result<User> {
 }
 
 pub(super) fn users(tx: &mut dyn Tx) -> Result<Vec<User>> {
-    tx.list(
-        "SELECT id, name, role, active FROM usr ORDER BY id",
-        &[],
-        read_user,
-    )
+    let sql = "SELECT id, name, role, active FROM usr ORDER BY id";
+    tx.list(sql, &[], read_user)
 }
 
 fn user(tx: &mut dyn Tx, id: i64) -> Result<User> {
@@ -305,10 +297,8 @@ fn add(tx: &mut dyn Tx, actor: Option<i64>, name: &str, role: Role, now: Millis)
         format!("there is a user {name:?} already; choose another name"),
     )?;
     let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM usr", &[])?;
-    tx.execute(
-        "INSERT INTO usr (id, name, role, active, created) VALUES (?1, ?2, ?3, 1, ?4)",
-        params![id, name, role.as_str(), now],
-    )?;
+    let sql = "INSERT INTO usr (id, name, role, active, created) VALUES (?1, ?2, ?3, 1, ?4)";
+    tx.run(sql, params![id, name, role.as_str(), now])?;
     let user = User {
         id,
         name: name.to_owned(),
@@ -384,10 +374,9 @@ fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
 #[derive(Clone)]
 struct Found {
     who: Who,
-    purpose: String,
+    purpose: TokenUse,
     expires: Millis,
     token: i64,
-    once: bool,
     /// Whether to update its last use.
     needs_note: bool,
 }
@@ -419,7 +408,7 @@ impl Known {
     fn find(&self, hash: &str, purposes: &[TokenUse], now: Millis) -> Option<Who> {
         let (at, found) = self.by_hash.get(hash)?;
         let is_fresh = (0..KNOWN_FOR).contains(&(now - at)) && now < found.expires;
-        let fits = purposes.iter().any(|use_| use_.as_str() == found.purpose);
+        let fits = purposes.contains(&found.purpose);
         (is_fresh && fits).then(|| found.who.clone())
     }
 
@@ -449,9 +438,8 @@ fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Resu
             params![hash],
         )?
         .ok_or_else(refused)?;
-    let purpose = row.text(1)?;
-    let once = purpose == TokenUse::Once.as_str();
-    let fits = purposes.iter().any(|allowed| allowed.as_str() == purpose);
+    let purpose = row.named(1, TokenUse::parse)?;
+    let fits = purposes.contains(&purpose);
     if !fits || row.int(2)? <= now {
         return Err(refused());
     }
@@ -462,20 +450,20 @@ fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Resu
             name: row.string(5)?,
             role: row.named(6, Role::parse)?,
         },
-        purpose: purpose.to_owned(),
+        purpose,
         expires: row.int(2)?,
         token: row.int(0)?,
-        once,
-        needs_note: once || last_used.is_none_or(|at| now - at > NOTE_EVERY),
+        needs_note: purpose == TokenUse::Once || last_used.is_none_or(|at| now - at > NOTE_EVERY),
     })
 }
 
 /// [`find`], and records the use. A one-time token becomes invalid.
 fn used(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
     let found = find(tx, hash, purposes, now)?;
-    tx.execute(
-        "UPDATE token SET last_used = ?2, revoked = ?3 WHERE id = ?1",
-        params![found.token, now, found.once],
+    let sql = "UPDATE token SET last_used = ?2, revoked = ?3 WHERE id = ?1";
+    tx.run(
+        sql,
+        params![found.token, now, found.purpose == TokenUse::Once],
     )?;
     Ok(found.who)
 }

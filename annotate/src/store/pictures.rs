@@ -124,10 +124,8 @@ fn put(
     })?;
     let is_small = bytes.len() <= MAX_PICTURE_BYTES;
     require(is_small, "body", "the picture is larger than 2 MB")?;
-    let others = tx.number(
-        "SELECT COUNT(*) FROM picture WHERE name <> ?1",
-        params![&name],
-    )?;
+    let sql = "SELECT COUNT(*) FROM picture WHERE name <> ?1";
+    let others = tx.number(sql, params![&name])?;
     let problem = format!("there are {MAX_PICTURES} pictures already; delete one");
     require(others < MAX_PICTURES, "name", problem)?;
     tx.execute(

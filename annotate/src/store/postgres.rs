@@ -111,10 +111,8 @@ fn prepare(connection: &mut Connection, address: &Address) -> Result<Option<Upgr
     // After an error the connection is dropped, which rolls all of it back.
     connection.client.batch_execute(&begin).map_err(&make)?;
     let mut tx = PostgresTx(connection);
-    let there = tx.number(
-        "SELECT COUNT(*) FROM information_schema.tables WHERE table_schema = ?1 AND table_name = 'version'",
-        params![schema],
-    )?;
+    let sql = "SELECT COUNT(*) FROM information_schema.tables WHERE table_schema = ?1 AND table_name = 'version'";
+    let there = tx.number(sql, params![schema])?;
     let found = if there == 0 {
         0
     } else {

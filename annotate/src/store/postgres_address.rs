@@ -13,6 +13,14 @@ use tokio_postgres_rustls::MakeRustlsConnect;
 use super::db::Result;
 use crate::Error;
 
+/// The error of an address that cannot be used.
+fn refused(reason: String) -> Error {
+    Error::Open {
+        path: "on PostgreSQL".to_owned(),
+        reason,
+    }
+}
+
 /// The address of a PostgreSQL database, with its TLS settings.
 #[derive(Clone)]
 pub(super) struct Address {
@@ -30,10 +38,6 @@ impl Address {
                 (url[..at].to_owned(), &url[at + 1..])
             }
             _ => (url.to_owned(), ""),
-        };
-        let refused = |reason: String| Error::Open {
-            path: "on PostgreSQL".to_owned(),
-            reason,
         };
         let (mut mode, mut authorities) = (None, None);
         // Whoever parses the address knows neither the certificates of authorities nor all modes.
@@ -135,30 +139,25 @@ fn tls(authorities: Option<&str>) -> Result<ClientConfig> {
     match authorities {
         None => roots.extend(webpki_roots::TLS_SERVER_ROOTS.iter().cloned()),
         Some(file) => {
-            let unreadable = |problem: String| Error::Open {
-                path: "on PostgreSQL".to_owned(),
-                reason: format!("cannot read the certificates of sslrootcert={file}: {problem}"),
+            let unreadable = |problem: &dyn std::fmt::Display| {
+                refused(format!(
+                    "cannot read the certificates of sslrootcert={file}: {problem}"
+                ))
             };
-            let found = CertificateDer::pem_file_iter(file)
-                .map_err(|error| unreadable(error.to_string()))?;
+            let found = CertificateDer::pem_file_iter(file).map_err(|error| unreadable(&error))?;
             for certificate in found {
-                let certificate = certificate.map_err(|error| unreadable(error.to_string()))?;
-                roots
-                    .add(certificate)
-                    .map_err(|error| unreadable(error.to_string()))?;
+                let certificate = certificate.map_err(|error| unreadable(&error))?;
+                roots.add(certificate).map_err(|error| unreadable(&error))?;
             }
             if roots.is_empty() {
-                return Err(unreadable("it holds none".to_owned()));
+                return Err(unreadable(&"it holds none"));
             }
         }
     }
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let builder = ClientConfig::builder_with_provider(provider)
         .with_safe_default_protocol_versions()
-        .map_err(|error| Error::Open {
-            path: "on PostgreSQL".to_owned(),
-            reason: error.to_string(),
-        })?;
+        .map_err(|error| refused(error.to_string()))?;
     Ok(builder.with_root_certificates(roots).with_no_client_auth())
 }
 
@@ -190,40 +189,25 @@ mod tests {
 
     #[test]
     fn a_connection_to_another_host_is_encrypted_unless_the_address_says_otherwise() {
-        for (url, expected) in [
-            ("postgres://ann@db.example/stance", SslMode::Require),
-            (
-                "postgres://ann@10.0.0.5/stance?connect_timeout=3",
-                SslMode::Require,
-            ),
-            (
-                "postgres://ann@localhost,db.example/stance",
-                SslMode::Require,
-            ),
-            ("postgres://ann@localhost/stance", SslMode::Disable),
-            ("postgres://ann@127.0.0.1:5433/stance", SslMode::Disable),
-            (
-                "postgres://ann@%2Frun%2Fpostgresql/stance",
-                SslMode::Disable,
-            ),
-            ("postgres:///stance?host=/run/postgresql", SslMode::Disable),
-            (
-                "postgres://ann@db.example/stance?sslmode=disable",
-                SslMode::Disable,
-            ),
-            (
-                "postgres://ann@db.example/stance?sslmode=prefer",
-                SslMode::Prefer,
-            ),
-            (
-                "postgres://ann@localhost/stance?sslmode=verify-full",
-                SslMode::Require,
-            ),
-            (
-                "postgres://ann:a%3Fb@localhost/stance?sslmode=require&connect_timeout=3",
-                SslMode::Require,
-            ),
-        ] {
+        let of_others = [
+            "ann@db.example/stance",
+            "ann@10.0.0.5/stance?connect_timeout=3",
+            "ann@localhost,db.example/stance",
+            "ann@localhost/stance?sslmode=verify-full",
+            "ann:a%3Fb@localhost/stance?sslmode=require&connect_timeout=3",
+        ];
+        let local = [
+            "ann@localhost/stance",
+            "ann@127.0.0.1:5433/stance",
+            "ann@%2Frun%2Fpostgresql/stance",
+            "/stance?host=/run/postgresql",
+            "ann@db.example/stance?sslmode=disable",
+        ];
+        let of_others = of_others.map(|url| (url, SslMode::Require));
+        let local = local.map(|url| (url, SslMode::Disable));
+        let either = [("ann@db.example/stance?sslmode=prefer", SslMode::Prefer)];
+        for (url, expected) in of_others.into_iter().chain(local).chain(either) {
+            let url = &format!("postgres://{url}");
             assert_eq!(mode(url), expected, "{url}");
         }
     }

@@ -25,10 +25,8 @@ pub(super) fn standing(
     kind: TaskKind,
     settings: &Settings,
 ) -> Result<Practice> {
-    let there = tx.number(
-        "SELECT COUNT(*) FROM task WHERE practice = 1 AND kind = ?1 AND state IN ('open', 'leased')",
-        params![kind.as_str()],
-    )?;
+    let sql = "SELECT COUNT(*) FROM task WHERE practice = 1 AND kind = ?1 AND state IN ('open', 'leased')";
+    let there = tx.number(sql, params![kind.as_str()])?;
     let needed = there.min(settings.practice_tasks.into());
     let scores = tx.list(
         "SELECT g.score FROM gold_score g JOIN task t ON t.id = g.task
@@ -39,10 +37,8 @@ pub(super) fn standing(
     let done = scores.len() as i64;
     let score = (done > 0).then(|| scores.iter().sum::<f64>() / done as f64);
     let threshold = f64::from(settings.practice_percent) / 100.0;
-    let annotates = tx.has(
-        "SELECT 1 FROM usr WHERE id = ?1 AND role = 'annotator'",
-        params![user],
-    )?;
+    let sql = "SELECT 1 FROM usr WHERE id = ?1 AND role = 'annotator'";
+    let annotates = tx.has(sql, params![user])?;
     Ok(Practice {
         kind,
         needed,

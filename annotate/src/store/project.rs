@@ -100,10 +100,8 @@ impl Store {
         self.write(move |tx| {
             let mut replaced: BTreeMap<String, String> = BTreeMap::new();
             for motion in &motions {
-                let before = tx.one(
-                    "SELECT hash FROM motion WHERE id = ?1 AND current = 1",
-                    params![&motion.id],
-                )?;
+                let sql = "SELECT hash FROM motion WHERE id = ?1 AND current = 1";
+                let before = tx.one(sql, params![&motion.id])?;
                 if let Some(row) = before
                     && row.text(0)? != motion.hash
                 {
@@ -112,10 +110,8 @@ impl Store {
             }
             // Two clips may have changed places, so all earlier contents go before the first new one comes.
             for hash in replaced.keys() {
-                tx.execute(
-                    "UPDATE motion SET current = 0 WHERE hash = ?1",
-                    params![hash],
-                )?;
+                let sql = "UPDATE motion SET current = 0 WHERE hash = ?1";
+                tx.run(sql, params![hash])?;
             }
             for motion in &motions {
                 let update = "UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
@@ -287,10 +283,8 @@ pub(super) fn add_styles<'a>(
 
 /// Stores a value under a name.
 pub(super) fn put(tx: &mut dyn Tx, name: &str, body: &str) -> Result<()> {
-    tx.run(
-        "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET body = excluded.body",
-        params![name, body],
-    )
+    let sql = "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET body = excluded.body";
+    tx.run(sql, params![name, body])
 }
 
 /// Checks preferences: keys must be `KeyboardEvent.code` values with modifiers.

@@ -74,10 +74,8 @@ pub(super) fn put_lease(
     purpose: Purpose,
     blind: bool,
 ) -> Result<()> {
-    tx.run(
-        "DELETE FROM lease WHERE task = ?1 AND usr = ?2",
-        params![lease.task, lease.user],
-    )?;
+    let sql = "DELETE FROM lease WHERE task = ?1 AND usr = ?2";
+    tx.run(sql, params![lease.task, lease.user])?;
     tx.run(
         "INSERT INTO lease (id, task, usr, epoch, expires, purpose, blind) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
         params![
@@ -90,10 +88,8 @@ pub(super) fn put_lease(
             blind
         ],
     )?;
-    tx.run(
-        "UPDATE task SET epoch = ?2 WHERE id = ?1",
-        params![lease.task, lease.epoch],
-    )
+    let sql = "UPDATE task SET epoch = ?2 WHERE id = ?1";
+    tx.run(sql, params![lease.task, lease.epoch])
 }
 
 pub(super) fn end_leases(tx: &mut dyn Tx, task: i64) -> Result<()> {
@@ -176,8 +172,10 @@ pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<()> {
         TaskState::Open
     };
     let claimable = !gold && submitted + active + kept < wanted;
-    tx.execute(
-        "UPDATE task SET state = ?2, submitted = ?3, leases = ?4, claimable = ?5 WHERE id = ?1",
+    let sql =
+        "UPDATE task SET state = ?2, submitted = ?3, leases = ?4, claimable = ?5 WHERE id = ?1";
+    tx.run(
+        sql,
         params![task, state.as_str(), submitted, active + kept, claimable],
     )?;
     count(tx, task)

@@ -11,7 +11,7 @@ use super::rows::{self, NUM_TASK_COLUMNS, REVISION_COLUMNS, TASK_COLUMNS};
 use super::store::Store;
 use super::{people, project};
 use crate::Error;
-use crate::state::Purpose;
+use crate::state::{LogKind, Purpose};
 use crate::wire::{
     Answer, Audit, AuditEntry, HeldLease, RevisionState, Role, TaskKind, TaskState, User, Verdict,
 };
@@ -288,15 +288,9 @@ impl Store {
     pub fn audit(&self, filter: AuditFilter) -> Result<Audit> {
         let mut values = Values::default();
         let mut condition = format!("e.seq < {}", values.put(filter.before.unwrap_or(i64::MAX)));
-        if let Some(actor) = filter.actor {
-            condition += &format!(" AND e.actor = {}", values.put(actor));
-        }
-        if let Some(kind) = filter.kind {
-            condition += &format!(" AND e.kind = {}", values.put(kind.as_str()));
-        }
-        if let Some(task) = filter.task {
-            condition += &format!(" AND e.task = {}", values.put(task));
-        }
+        condition += &values.equal("e.actor", filter.actor);
+        condition += &values.equal("e.kind", filter.kind.map(LogKind::as_str));
+        condition += &values.equal("e.task", filter.task);
         let limit = values.put(filter.limit as i64);
         condition += &format!(" ORDER BY e.seq DESC LIMIT {limit}");
         let entries = self.read(|tx| log(tx, &condition, &values.0))?;
@@ -399,10 +393,8 @@ pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<
     } else {
         TaskState::Open
     };
-    let place = tx.one(
-        "SELECT bundle, bundle_index FROM gold_place WHERE task = ?1 AND usr = ?2",
-        params![task.id, user],
-    )?;
+    let sql = "SELECT bundle, bundle_index FROM gold_place WHERE task = ?1 AND usr = ?2";
+    let place = tx.one(sql, params![task.id, user])?;
     if let Some(place) = place {
         task.bundle = Some(place.int(0)?);
         task.bundle_index = place.int(1)?;

@@ -1,21 +1,66 @@
-//! Derives the projections from the log again, to check and to repair them.
+//! The projections, and how they follow from the log: for an upgrade, and to check and to repair them.
 //!
-//! Neither stops writers: the log is read from a snapshot and applied to a scratch database, which is compared with
-//! the snapshot. Only tasks whose rows differ are written, a few in a transaction.
+//! Neither a check nor a repair stops writers: the log is read from a snapshot and applied to a scratch database, which
+//! is compared with the snapshot. Only tasks whose rows differ are written, a few in a transaction.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
 
 use super::apply::apply;
 use super::db::{self, Database, Result, Row, Tx, Value, params};
-use super::derived::{PROJECTIONS, Projection, define_projections, entries};
+use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
 use super::sqlite::Scratch;
 use crate::lock::lock;
 
+/// A table of a projection, its column with the task that a row belongs to, and its sort columns.
+type Projection = (&'static str, &'static str, &'static str);
+
+/// The projections.
+pub(super) const PROJECTIONS: [Projection; 10] = [
+    ("task", "id", "id"),
+    ("lease", "task", "id"),
+    ("revision", "task", "task, author"),
+    ("review", "task", "seq"),
+    ("accepted", "task", "task"),
+    ("skip", "task", "task, usr"),
+    ("suggestion_use", "task", "seq"),
+    ("gold_score", "task", "task, usr"),
+    ("work", "task", "seq"),
+    ("gold_place", "task", "task, usr"),
+];
+
+/// Entries read at a time.
+const BATCH: i64 = 1000;
 /// Tasks compared at a time.
 const COMPARED: i64 = 1000;
 /// Tasks repaired in a transaction: as much as claiming two bundles writes.
 const REPAIRED: usize = 16;
+
+/// Creates the projections.
+pub(super) fn define_projections(tx: &mut dyn Tx) -> Result<()> {
+    tx.define(include_str!("projections.sql"))
+}
+
+/// Entries of the log after a sequence number, up to [`BATCH`].
+fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>> {
+    let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
+    tx.list(&sql, params![after, BATCH], read_entry)
+}
+
+/// Fills the empty projections of a store from its log.
+pub(super) fn derive(tx: &mut dyn Tx) -> Result<()> {
+    let mut last = 0;
+    loop {
+        let some = entries(tx, last)?;
+        if some.is_empty() {
+            return Ok(());
+        }
+        for (seq, entry) in some {
+            apply(tx, seq, &entry)?;
+            last = seq;
+        }
+    }
+}
 
 /// What follows from the log up to an entry.
 struct Derived {
@@ -46,16 +91,9 @@ impl Derived {
 
     /// Replaces the rows of a task by those that follow from the log.
     fn repair(&self, tx: &mut dyn Tx, task: i64) -> Result<()> {
-        for Projection {
-            table,
-            task: column,
-            order,
-        } in &PROJECTIONS
-        {
-            tx.execute(
-                &format!("DELETE FROM {table} WHERE {column} = ?1"),
-                params![task],
-            )?;
+        for (table, column, order) in PROJECTIONS {
+            let sql = format!("DELETE FROM {table} WHERE {column} = ?1");
+            tx.run(&sql, params![task])?;
             let sql = format!("SELECT * FROM {table} WHERE {column} = ?1 ORDER BY {order}");
             for row in self.scratch.tx().query(&sql, params![task])? {
                 let places: Vec<String> = (1..=row.0.len()).map(|at| format!("?{at}")).collect();
@@ -71,12 +109,16 @@ impl Derived {
 type Differing = BTreeMap<&'static str, BTreeSet<i64>>;
 
 /// Rows of a projection for tasks above `after` and up to `up_to`, with their task before their columns.
-fn rows_of(tx: &mut dyn Tx, projection: &Projection, after: i64, up_to: i64) -> Result<Vec<Row>> {
-    let Projection { table, task, order } = projection;
-    tx.query(
-        &format!("SELECT p.{task}, p.* FROM {table} p WHERE p.{task} > ?1 AND p.{task} <= ?2 ORDER BY {order}"),
-        params![after, up_to],
-    )
+fn rows_of(
+    tx: &mut dyn Tx,
+    (table, task, order): Projection,
+    after: i64,
+    up_to: i64,
+) -> Result<Vec<Row>> {
+    let sql = format!(
+        "SELECT p.{task}, p.* FROM {table} p WHERE p.{task} > ?1 AND p.{task} <= ?2 ORDER BY {order}"
+    );
+    tx.query(&sql, params![after, up_to])
 }
 
 fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>> {
@@ -90,7 +132,7 @@ fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>> {
 /// Compares the projections of two databases.
 fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing> {
     let mut end = 0;
-    for Projection { table, task, .. } in &PROJECTIONS {
+    for (table, task, _) in PROJECTIONS {
         let sql = format!("SELECT COALESCE(MAX({task}), 0) FROM {table}");
         end = end
             .max(store.number(&sql, &[])?)
@@ -98,15 +140,15 @@ fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing> {
     }
     let mut found = Differing::new();
     for after in (0..end).step_by(COMPARED as usize) {
-        for projection in &PROJECTIONS {
-            let range = (after, after + COMPARED);
-            let is = rows_of(store, projection, range.0, range.1)?;
-            let should = rows_of(derived, projection, range.0, range.1)?;
+        for projection in PROJECTIONS {
+            let up_to = after + COMPARED;
+            let is = rows_of(store, projection, after, up_to)?;
+            let should = rows_of(derived, projection, after, up_to)?;
             if is == should {
                 continue;
             }
             let (is, should) = (by_task(is)?, by_task(should)?);
-            let tasks = found.entry(projection.table).or_default();
+            let tasks = found.entry(projection.0).or_default();
             tasks.extend(
                 is.keys()
                     .chain(should.keys())
@@ -167,10 +209,8 @@ pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
             row.int(1)?
         ));
     }
-    let over = tx.number(
-        "SELECT COUNT(*) FROM task WHERE submitted + leases > wanted",
-        &[],
-    )?;
+    let sql = "SELECT COUNT(*) FROM task WHERE submitted + leases > wanted";
+    let over = tx.number(sql, &[])?;
     if over > 0 {
         findings.push(format!(
             "{over} tasks have more answers and leases than wanted"

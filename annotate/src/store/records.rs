@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::state::LogKind;
 use crate::wire::{
     Answer, EditType, Empty, Feedback, Lease, ReviewEmpty, Revision, RevisionState, Role, Standing,
-    Suggestion, SuggestionSource, TaskKind, TaskState, User, Verdict,
+    Suggestion, SuggestionSource, TaskKind, TaskState, User, Verdict, names,
 };
 
 /// Milliseconds since the epoch.
@@ -424,24 +424,14 @@ pub struct Imported {
     pub conflicts: Vec<String>,
 }
 
-/// Purpose of a token.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TokenUse {
-    /// Access token of a user or a program, for login or as a bearer token.
-    Token,
-    /// Valid for one login.
-    Once,
-    /// The cookie of a browser.
-    Session,
-}
-
-impl TokenUse {
-    /// Its name in the store.
-    pub(crate) fn as_str(self) -> &'static str {
-        match self {
-            Self::Token => "token",
-            Self::Once => "once",
-            Self::Session => "session",
-        }
+names! {
+    /// Purpose of a token.
+    pub enum TokenUse {
+        /// Access token of a user or a program, for login or as a bearer token.
+        Token = "token",
+        /// Valid for one login.
+        Once = "once",
+        /// The cookie of a browser.
+        Session = "session",
     }
 }

@@ -188,11 +188,8 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail> {
             RevisionState::Submitted | RevisionState::Returned
         )
     });
-    let comments = tx.list(
-        "SELECT comment FROM review WHERE task = ?1 AND comment <> '' ORDER BY seq",
-        params![id],
-        |row| row.string(0),
-    )?;
+    let sql = "SELECT comment FROM review WHERE task = ?1 AND comment <> '' ORDER BY seq";
+    let comments = tx.list(sql, params![id], |row| row.string(0))?;
     Ok(ReviewDetail {
         task,
         lease,
@@ -269,11 +266,9 @@ impl Deciding<'_> {
 
     /// Authors of the answers that the decision is on.
     fn authors(&self, tx: &mut dyn Tx) -> Result<Vec<i64>> {
-        let authors: Vec<i64> = tx.list(
-            "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author",
-            params![self.task.id],
-            |row| row.int(0),
-        )?;
+        let sql =
+            "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author";
+        let authors: Vec<i64> = tx.list(sql, params![self.task.id], |row| row.int(0))?;
         match self.review.author {
             None => Ok(authors),
             Some(author) if authors.contains(&author) => Ok(vec![author]),

@@ -69,11 +69,8 @@ impl Store {
                 project::put_settings(tx, Some(actor), settings, now)?;
             }
             let basis = format!("rule:{name}");
-            let tasks = tx.list(
-                "SELECT task FROM accepted WHERE basis = ?1 ORDER BY task LIMIT ?2",
-                params![&basis, AT_ONCE],
-                |row| row.int(0),
-            )?;
+            let sql = "SELECT task FROM accepted WHERE basis = ?1 ORDER BY task LIMIT ?2";
+            let tasks = tx.list(sql, params![&basis, AT_ONCE], |row| row.int(0))?;
             if tasks.is_empty() && !known {
                 return Err(Error::not_found("rule"));
             }

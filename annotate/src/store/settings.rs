@@ -202,56 +202,42 @@ mod tests {
     #[test]
     fn settings_are_bounded() {
         assert!(check(&Settings::default()).is_ok());
-        let styles = |styles| Settings {
-            styles,
-            ..Settings::default()
+        let good = Style {
+            name: "old".to_owned(),
+            text: "Short steps.".to_owned(),
+            guideline: "Bend the knees.\n\nDo not limp.".to_owned(),
+            colour: Some("#8f6B00".to_owned()),
         };
+        let styles = vec![good];
         assert!(
-            check(&styles(vec![Style {
-                name: "old".to_owned(),
-                text: "Short steps.".to_owned(),
-                guideline: "Bend the knees.\n\nDo not limp.".to_owned(),
-                colour: Some("#8f6B00".to_owned()),
-            }]))
+            check(&Settings {
+                styles,
+                ..Settings::default()
+            })
             .is_ok()
         );
-        for broken in [
-            Settings {
-                gold_percent: 101,
-                ..Settings::default()
+        let broken: [fn(&mut Settings); 10] = [
+            |settings| settings.gold_percent = 101,
+            |settings| settings.answers_per_task = 0,
+            |settings| settings.lease_minutes = 0,
+            |settings| settings.min_masks = 5,
+            |settings| settings.edit_type_quota = [(EditType::Speed, MAX_QUOTA + 1)].into(),
+            |settings| settings.styles = vec![Style::default()],
+            |settings| settings.styles = vec![Style::named("old"), Style::named("old")],
+            |settings| {
+                settings.styles = vec![Style::named("old")];
+                settings.styles[0].colour = Some("red".to_owned());
             },
-            Settings {
-                answers_per_task: 0,
-                ..Settings::default()
+            |settings| {
+                settings.styles = vec![Style::named("old")];
+                settings.styles[0].guideline = "x".repeat(MAX_GUIDELINE_CHARS + 1);
             },
-            Settings {
-                lease_minutes: 0,
-                ..Settings::default()
-            },
-            Settings {
-                min_masks: 5,
-                ..Settings::default()
-            },
-            Settings {
-                edit_type_quota: [(EditType::Speed, MAX_QUOTA + 1)].into(),
-                ..Settings::default()
-            },
-            styles(vec![Style::default()]),
-            styles(vec![Style::named("old"), Style::named("old")]),
-            styles(vec![Style {
-                colour: Some("red".to_owned()),
-                ..Style::named("old")
-            }]),
-            styles(vec![Style {
-                guideline: "x".repeat(MAX_GUIDELINE_CHARS + 1),
-                ..Style::named("old")
-            }]),
-            Settings {
-                name: " ".to_owned(),
-                ..Settings::default()
-            },
-        ] {
-            assert!(check(&broken).is_err());
+            |settings| settings.name = " ".to_owned(),
+        ];
+        for (index, change) in broken.iter().enumerate() {
+            let mut broken = Settings::default();
+            change(&mut broken);
+            assert!(check(&broken).is_err(), "{index}");
         }
     }
 }

@@ -417,7 +417,7 @@ fn unescaped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::db::{self, params};
+    use super::super::{db, project};
     use super::*;
 
     fn store() -> (tempfile::TempDir, Sqlite) {
@@ -428,26 +428,12 @@ mod tests {
 
     fn put(name: &str) -> impl FnOnce(&mut dyn Tx) -> Result<()> + Send + 'static {
         let name = name.to_owned();
-        move |tx| {
-            tx.execute(
-                "INSERT INTO setting (name, body) VALUES (?1, '')",
-                params![&name],
-            )?;
-            Ok(())
-        }
+        move |tx| project::put(tx, &name, "")
     }
 
     fn names(store: &Sqlite) -> Vec<String> {
-        db::read(store, |tx| {
-            tx.query(
-                "SELECT name FROM setting WHERE name <> 'id' ORDER BY name",
-                &[],
-            )?
-            .iter()
-            .map(|row| row.string(0))
-            .collect()
-        })
-        .expect("reads")
+        let sql = "SELECT name FROM setting WHERE name <> 'id' ORDER BY name";
+        db::read(store, |tx| tx.list(sql, &[], |row| row.string(0))).expect("reads")
     }
 
     #[test]
@@ -492,12 +478,7 @@ mod tests {
     fn put_much(store: &Sqlite, name: &str) -> Result<()> {
         let name = name.to_owned();
         db::write(store, move |tx| {
-            let body = "x".repeat(20_000);
-            tx.execute(
-                "INSERT INTO setting (name, body) VALUES (?1, ?2)",
-                params![&name, &body],
-            )?;
-            Ok(())
+            project::put(tx, &name, &"x".repeat(20_000))
         })
     }
 
