@@ -324,10 +324,8 @@ impl Taking<'_> {
     fn undo(&self, tx: &mut dyn Tx) -> Result<EventResult> {
         let mut state = self.task.state;
         let Some(mine) = self.handed_in() else {
-            return Err(Error::wrong_state(
-                state,
-                "taken back: you have no answer waiting for review",
-            ));
+            let problem = "taken back: you have no answer waiting for review";
+            return Err(Error::wrong_state(state, problem));
         };
         // No person has decided yet: the rule's acceptance goes first.
         if let Some((rule, at)) = rules::accepted_by_rule(tx, self.task.id)?
@@ -350,10 +348,8 @@ impl Taking<'_> {
 
     fn suggestion_used(&self, tx: &mut dyn Tx) -> Result<EventResult> {
         let (Some(suggestion), Some(used)) = (self.event.suggestion, self.event.used) else {
-            return Err(Error::invalid(
-                "suggestion",
-                "the suggestion, or what became of it, is missing",
-            ));
+            let problem = "the suggestion, or what became of it, is missing";
+            return Err(Error::invalid("suggestion", problem));
         };
         self.check_suggestion(tx, suggestion)?;
         let body = Body::SuggestionUsed {

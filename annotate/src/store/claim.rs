@@ -589,10 +589,8 @@ fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
         && mine.state != RevisionState::Draft
         && mine.state != RevisionState::Returned
     {
-        return Err(Error::wrong_state(
-            task.state,
-            "taken again: your answer is handed in",
-        ));
+        let problem = "taken again: your answer is handed in";
+        return Err(Error::wrong_state(task.state, problem));
     }
     apply::check_move(task.state, LogKind::Claimed, "taken")?;
     let sql = "SELECT claimable, counted FROM task WHERE id = ?1";
@@ -600,19 +598,16 @@ fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
         .one(sql, params![id])?
         .ok_or_else(|| Error::not_found("task"))?;
     if !row.flag(0)? && task.gold.is_none() {
-        return Err(Error::refused(
-            Code::TaskFull,
-            "the task has enough annotators by now; your text is kept as a draft",
-        ));
+        let problem = "the task has enough annotators by now; your text is kept as a draft";
+        return Err(Error::refused(Code::TaskFull, problem));
     }
     let room = room(tx, task.kind, &settings)?;
     let category = room.as_ref().and_then(|room| room.get(&task.category));
     let is_full = category.is_some_and(|category| category.room == 0);
     if is_full && !row.flag(1)? && task.gold.is_none() {
-        return Err(Error::refused(
-            Code::TaskFull,
-            "its category has as many pairs as the project wants; your text is kept as a draft",
-        ));
+        let problem =
+            "its category has as many pairs as the project wants; your text is kept as a draft";
+        return Err(Error::refused(Code::TaskFull, problem));
     }
     take(tx, user, id, Purpose::Annotate, None, &settings, now)
 }

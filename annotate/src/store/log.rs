@@ -99,10 +99,8 @@ impl Request {
         };
         let (_, entry) = entry::read_entry(&row)?;
         if entry.body.request() != Some(self.hash.as_str()) {
-            return Err(Error::refused(
-                Code::KeyReused,
-                "this key was used for another request; use a new one",
-            ));
+            let problem = "this key was used for another request; use a new one";
+            return Err(Error::refused(Code::KeyReused, problem));
         }
         row.opt(7, Row::json)
     }

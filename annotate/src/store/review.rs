@@ -152,10 +152,8 @@ fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
         return prolong(tx, &held, &settings, now).map(|_| ());
     }
     if task.state == TaskState::InReview {
-        return Err(Error::refused(
-            Code::LeaseLost,
-            "another reviewer looks at this task; the record of the task says who, and can release it",
-        ));
+        let problem = "another reviewer looks at this task; the record of the task says who, and can release it";
+        return Err(Error::refused(Code::LeaseLost, problem));
     }
     if task.state != TaskState::Submitted || task.gold.is_some() {
         return Err(Error::wrong_state(task.state, "reviewed"));
@@ -169,10 +167,8 @@ fn check_own(tx: &mut dyn Tx, user: i64, task: i64, settings: &Settings) -> Resu
     let mine = rows::revision(tx, task, user)?;
     let own = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
     if own && !settings.solo {
-        return Err(Error::refused(
-            Code::OwnWork,
-            "you answered this task yourself; somebody else has to review it",
-        ));
+        let problem = "you answered this task yourself; somebody else has to review it";
+        return Err(Error::refused(Code::OwnWork, problem));
     }
     Ok(own)
 }
@@ -225,10 +221,8 @@ struct Deciding<'a> {
 impl Deciding<'_> {
     fn check_state(&self) -> Result<()> {
         if self.task.gold.is_some() {
-            return Err(Error::wrong_state(
-                self.task.state,
-                "reviewed: its answer is known",
-            ));
+            let problem = "reviewed: its answer is known";
+            return Err(Error::wrong_state(self.task.state, problem));
         }
         let kind = log_kind(self.review.decision);
         apply::check_move(self.task.state, kind, "decided so")
@@ -256,10 +250,8 @@ impl Deciding<'_> {
         );
         let somebody_else = held.is_some_and(|held| held.lease.user != self.user);
         if (needs_lease && !ours) || somebody_else {
-            return Err(Error::refused(
-                Code::LeaseLost,
-                "your lease on this review expired; claim the task again from the queue",
-            ));
+            let problem = "your lease on this review expired; claim the task again from the queue";
+            return Err(Error::refused(Code::LeaseLost, problem));
         }
         Ok(())
     }
@@ -295,10 +287,8 @@ impl Deciding<'_> {
                     own: self.own && *author == self.user,
                 },
                 _ => {
-                    return Err(Error::invalid(
-                        "author",
-                        format!("{} answers wait; choose one", authors.len()),
-                    ));
+                    let problem = format!("{} answers wait; choose one", authors.len());
+                    return Err(Error::invalid("author", problem));
                 }
             },
             Decision::Merge => {
