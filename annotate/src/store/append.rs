@@ -29,10 +29,7 @@ pub(super) fn working(secs: f64) -> f64 {
 }
 
 impl Store {
-    /// Applies events of a task in order, up to the first that fails.
-    ///
-    /// # Errors
-    /// `not_found`.
+    /// Applies events of a task in order, up to the first that fails. Refused with `not_found`.
     pub fn append(
         &self,
         user: i64,

@@ -43,18 +43,12 @@ pub struct DecisionQuery {
 }
 
 impl Store {
-    /// A page of the task browser.
-    ///
-    /// # Errors
-    /// `invalid`.
+    /// A page of the task browser. Refused with `invalid`.
     pub fn browse(&self, query: PageQuery) -> Result<TaskPage> {
         self.read(|tx| page(tx, &query))
     }
 
-    /// The row of a task in the browser, and the decisions on it, oldest first.
-    ///
-    /// # Errors
-    /// `not_found`.
+    /// The row of a task in the browser, and the decisions on it, oldest first. Refused with `not_found`.
     pub fn task_row(&self, task: i64) -> Result<(TaskRow, Vec<DecisionRow>)> {
         self.read(|tx| {
             let record = rows::task(tx, task)?;

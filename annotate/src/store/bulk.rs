@@ -19,18 +19,12 @@ const BULK_AT_ONCE: i64 = 2000;
 const DAY: Millis = 24 * 60 * MINUTE;
 
 impl Store {
-    /// Counts what a bulk action would change.
-    ///
-    /// # Errors
-    /// `invalid`.
+    /// Counts what a bulk action would change. Refused with `invalid`.
     pub fn preview_bulk(&self, who: &Who, request: BulkRequest, now: Millis) -> Result<BulkDone> {
         self.read(|tx| bulk(tx, who.id, &request, false, now))
     }
 
-    /// Acts on up to 2,000 tasks of a filter.
-    ///
-    /// # Errors
-    /// `invalid`.
+    /// Acts on up to 2,000 tasks of a filter. Refused with `invalid`.
     pub fn bulk(&self, who: &Who, request: BulkRequest, now: Millis) -> Result<BulkDone> {
         let who = who.id;
         self.write(move |tx| bulk(tx, who, &request, true, now))

@@ -33,10 +33,7 @@ struct Takes {
 }
 
 impl Store {
-    /// Replaces the capture plan. Its styles join those of the project.
-    ///
-    /// # Errors
-    /// `invalid`.
+    /// Replaces the capture plan. Its styles join those of the project. Refused with `invalid`.
     pub fn plan_captures(&self, actor: i64, cells: Vec<PlannedCapture>, now: Millis) -> Result<()> {
         self.write(move |tx| {
             check(&cells, &project::settings(tx)?)?;

@@ -86,6 +86,21 @@ pub(crate) fn unreadable(table: &'static str, problem: impl std::fmt::Display) -
     }
 }
 
+/// The error of a store that cannot be opened.
+pub(crate) fn not_opened(path: impl std::fmt::Display, reason: impl std::fmt::Display) -> Error {
+    Error::Open {
+        path: path.to_string(),
+        reason: reason.to_string(),
+    }
+}
+
+/// The error of a store that takes no writes.
+pub(crate) fn read_only(reason: impl Into<String>) -> Error {
+    Error::ReadOnly {
+        reason: reason.into(),
+    }
+}
+
 /// A value as a column of JSON.
 pub(crate) fn json<T: serde::Serialize>(value: &T) -> Result<String> {
     serde_json::to_string(value).map_err(|error| unreadable("of a request", error))

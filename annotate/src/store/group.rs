@@ -7,7 +7,7 @@ use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::thread::JoinHandle;
 
-use super::db::{Result, Work};
+use super::db::{Result, Work, read_only};
 use crate::Error;
 use crate::lock::lock;
 
@@ -111,9 +111,7 @@ fn write_group(writer: &mut impl Writer, group: Vec<Job>) {
     for (done, answer) in answers {
         let answer = match &failure {
             None => answer,
-            Some(reason) => Err(Error::ReadOnly {
-                reason: reason.clone(),
-            }),
+            Some(reason) => Err(read_only(reason)),
         };
         // The sender may have gone away.
         let _told = done.send(answer);

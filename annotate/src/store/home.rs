@@ -5,7 +5,7 @@ use datasets_spec::quantile;
 use super::db::{Result, Tx, params};
 use super::records::Millis;
 use super::store::Store;
-use super::{claim, practice, project, rows};
+use super::{claim, project, rows};
 use crate::Error;
 use crate::clock;
 use crate::wire::{Home, QueueInfo, ReturnedTask, Settings, TaskKind};
@@ -77,7 +77,7 @@ fn queue(
         params![kind.as_str(), user],
     )?;
     let (counts, leases) = counts.zip(leases).ok_or(Error::Closed)?;
-    let practice = practice::standing(tx, user, kind, settings)?;
+    let practice = claim::standing(tx, user, kind, settings)?;
     let new = if practice.passed {
         claim::on_offer(tx, user, kind, settings, now)?
     } else {

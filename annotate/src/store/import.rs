@@ -30,18 +30,13 @@ impl Store {
         Ok(done)
     }
 
-    /// Copies an accepted task as a hidden gold task, to measure people.
-    ///
-    /// # Errors
-    /// `wrong_state`, `not_found`.
+    /// Copies an accepted task as a hidden gold task, to measure people. Refused with `wrong_state`, `not_found`.
     pub fn make_gold(&self, actor: i64, task: i64, now: Millis) -> Result<i64> {
         self.write(move |tx| copy_known(tx, actor, task, false, now))
     }
 
     /// Copies an accepted task as a practice task, to learn from: the known answer is shown afterwards.
-    ///
-    /// # Errors
-    /// `wrong_state`, `not_found`.
+    /// Refused with `wrong_state`, `not_found`.
     pub fn make_practice(&self, actor: i64, task: i64, now: Millis) -> Result<i64> {
         self.write(move |tx| copy_known(tx, actor, task, true, now))
     }

@@ -20,10 +20,7 @@ pub(super) const PLACED: &str = "lease l JOIN task t ON t.id = l.task
   LEFT JOIN gold_place g ON g.task = l.task AND g.usr = l.usr";
 
 impl Store {
-    /// Renews a lease.
-    ///
-    /// # Errors
-    /// `lease_lost`.
+    /// Renews a lease. Refused with `lease_lost`.
     pub fn renew(&self, user: i64, lease: i64, now: Millis) -> Result<Lease> {
         self.write(move |tx| {
             let settings = super::project::settings(tx)?;
@@ -42,10 +39,7 @@ impl Store {
         })
     }
 
-    /// Releases a lease; a reviewer may release those of others.
-    ///
-    /// # Errors
-    /// `not_found`.
+    /// Releases a lease; a reviewer may release those of others. Refused with `not_found`.
     pub fn release(&self, who: &Who, lease: i64, now: Millis) -> Result<()> {
         let (user, role) = (who.id, who.role);
         self.write(move |tx| {

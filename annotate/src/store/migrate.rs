@@ -13,9 +13,8 @@
 //! Test `a_store_of_each_older_version_is_upgraded_after_a_copy` opens stores of older versions
 //! (`tests/stores`) and compares their tables with those of a new store.
 
-use super::db::{Result, Tx, params};
+use super::db::{Result, Tx, not_opened, params};
 use super::{people, rebuild};
-use crate::Error;
 
 const SCHEMA: &str = include_str!("schema.sql");
 
@@ -111,13 +110,13 @@ pub(super) fn plan(place: &str, found: i64) -> Result<Plan> {
         0 => Ok(Plan::Create),
         VERSION => Ok(Plan::Nothing),
         older if (1..VERSION).contains(&older) => Ok(Plan::Upgrade(older)),
-        newer => Err(Error::Open {
-            path: place.to_owned(),
-            reason: format!(
+        newer => {
+            let reason = format!(
                 "its tables have version {newer}, this program knows versions up to {VERSION}; use the stance that \
                  wrote it, or a newer one"
-            ),
-        }),
+            );
+            Err(not_opened(place, reason))
+        }
     }
 }
 

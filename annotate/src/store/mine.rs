@@ -13,10 +13,7 @@ use crate::wire::{Feedback, RevisionState, Standing, TaskState};
 const AFTER_REVISION: usize = NUM_TASK_COLUMNS + 7;
 
 impl Store {
-    /// A person's answers, newest first, with the cursor of the next page.
-    ///
-    /// # Errors
-    /// `invalid`.
+    /// A person's answers, newest first, with the cursor of the next page. Refused with `invalid`.
     pub fn answers_of(
         &self,
         user: i64,

@@ -34,7 +34,6 @@ mod pictures;
 mod postgres;
 #[cfg(feature = "postgres")]
 mod postgres_address;
-mod practice;
 mod project;
 mod projections;
 mod read;

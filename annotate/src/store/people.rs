@@ -42,9 +42,7 @@ impl Store {
     }
 
     /// Adds many users, each with a token, or none if a line is wrong.
-    ///
-    /// # Errors
-    /// `invalid` names the line.
+    /// Refused with `invalid`, which names the line.
     pub fn add_users(
         &self,
         actor: Option<i64>,
@@ -70,9 +68,7 @@ impl Store {
     }
 
     /// Adds a user.
-    ///
-    /// # Errors
-    /// `invalid` for a bad or taken name.
+    /// Refused with `invalid` for a bad or taken name.
     pub fn add_user(
         &self,
         actor: Option<i64>,
@@ -84,10 +80,7 @@ impl Store {
         self.write_people(move |tx| add(tx, actor, &name, role, now))
     }
 
-    /// Changes a user. The last active admin cannot be demoted or disabled.
-    ///
-    /// # Errors
-    /// `invalid`, `not_found`.
+    /// Changes a user. The last active admin cannot be demoted or disabled. Refused with `invalid`, `not_found`.
     pub fn change_user(
         &self,
         actor: Option<i64>,
@@ -124,10 +117,7 @@ impl Store {
         })
     }
 
-    /// Creates a token.
-    ///
-    /// # Errors
-    /// `not_found`.
+    /// Creates a token. Refused with `not_found`.
     pub fn issue(
         &self,
         user: i64,
@@ -139,9 +129,7 @@ impl Store {
     }
 
     /// The user of a token, if it is valid for this purpose. A one-time token becomes invalid.
-    ///
-    /// # Errors
-    /// `unauthenticated`.
+    /// Refused with `unauthenticated`.
     pub fn authenticate(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
         let hash = hash(token);
         let changes = {
@@ -161,19 +149,13 @@ impl Store {
         Ok(who)
     }
 
-    /// [`Self::authenticate`] without a record of the use.
-    ///
-    /// # Errors
-    /// `unauthenticated`.
+    /// [`Self::authenticate`] without a record of the use. Refused with `unauthenticated`.
     pub fn recognise(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
         let hash = hash(token);
         Ok(self.read(|tx| find(tx, &hash, purposes, now))?.who)
     }
 
-    /// Begins a session by a token, until a time or the end of the token.
-    ///
-    /// # Errors
-    /// `unauthenticated`.
+    /// Begins a session by a token, until a time or the end of the token. Refused with `unauthenticated`.
     pub fn log_in(&self, token: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
         let hash = hash(token);
         self.write_people(move |tx| {
@@ -208,9 +190,7 @@ impl Store {
     }
 
     /// Revokes a token and all sessions of its owner: a thief of the token may have opened some.
-    ///
-    /// # Errors
-    /// `not_found`.
+    /// Refused with `not_found`.
     pub fn revoke(&self, token: i64) -> Result<()> {
         self.write_people(move |tx| {
             let sql = "SELECT usr FROM token WHERE id = ?1";

@@ -36,10 +36,7 @@ impl Store {
         self.read(|tx| tx.list(sql, &[], read))
     }
 
-    /// A picture of the guide.
-    ///
-    /// # Errors
-    /// `not_found`.
+    /// A picture of the guide. Refused with `not_found`.
     pub fn picture(&self, name: &str) -> Result<Picture> {
         let sql = "SELECT mime, bytes FROM picture WHERE name = ?1";
         let read = |row: &Row| {
@@ -52,10 +49,7 @@ impl Store {
         found.ok_or_else(|| Error::not_found("picture"))
     }
 
-    /// Stores a picture of the guide, in place of one of the same name.
-    ///
-    /// # Errors
-    /// `invalid`.
+    /// Stores a picture of the guide, in place of one of the same name. Refused with `invalid`.
     pub fn put_picture(
         &self,
         actor: i64,
@@ -67,10 +61,7 @@ impl Store {
         self.write(move |tx| put(tx, actor, name, &bytes, now))
     }
 
-    /// Deletes a picture of the guide.
-    ///
-    /// # Errors
-    /// `not_found`.
+    /// Deletes a picture of the guide. Refused with `not_found`.
     pub fn delete_picture(&self, actor: i64, name: &str, now: Millis) -> Result<()> {
         let name = name.to_owned();
         self.write(move |tx| {

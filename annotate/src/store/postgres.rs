@@ -11,7 +11,7 @@ use std::path::Path;
 use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
 use postgres::{Client, Statement};
 
-use super::db::{Content, Database, Result, Row, Tx, Value, Work, params};
+use super::db::{Content, Database, Result, Row, Tx, Value, Work, not_opened, params, read_only};
 use super::group::{Writer, WriterThread, caught};
 use super::migrate::{self, Plan, Upgrade};
 use super::postgres_address;
@@ -59,9 +59,7 @@ fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
             Some("25006") => "the database is read-only; connect to its primary server",
             _ => return Error::Postgres { action, source },
         };
-        Error::ReadOnly {
-            reason: reason.to_owned(),
-        }
+        read_only(reason)
     }
 }
 
@@ -70,11 +68,8 @@ impl Postgres {
     pub(crate) fn open(url: &str, schema: &str) -> Result<(Self, Option<Upgrade>)> {
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
         if schema.is_empty() || !schema.chars().all(plain) {
-            return Err(Error::Open {
-                path: schema.to_owned(),
-                reason: "the name of a schema may have lower-case letters, digits and underscores"
-                    .to_owned(),
-            });
+            let reason = "the name of a schema may have lower-case letters, digits and underscores";
+            return Err(not_opened(schema, reason));
         }
         let address = Address {
             database: postgres_address::Address::parse(url)?,
@@ -88,9 +83,9 @@ impl Postgres {
             connection: first,
             is_open: false,
         };
-        let writer = WriterThread::start(writer).map_err(|source| Error::Open {
-            path: address.place(),
-            reason: format!("its writer does not start: {source}"),
+        let writer = WriterThread::start(writer).map_err(|source| {
+            let reason = format!("its writer does not start: {source}");
+            not_opened(address.place(), reason)
         })?;
         let store = Self {
             address,
@@ -395,13 +390,10 @@ impl Database for Postgres {
     }
 
     fn backup(&self, _: &Path, _: Content) -> Result<()> {
-        Err(Error::Open {
-            path: self.address.place(),
-            reason: format!(
-                "back up a PostgreSQL store with its own program: pg_dump --schema={}",
-                self.address.schema
-            ),
-        })
+        let schema = &self.address.schema;
+        let reason =
+            format!("back up a PostgreSQL store with its own program: pg_dump --schema={schema}");
+        Err(not_opened(self.address.place(), reason))
     }
 
     fn snapshot(&self) -> Result<Box<dyn Database>> {

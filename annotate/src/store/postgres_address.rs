@@ -10,15 +10,12 @@ use rustls::pki_types::pem::PemObject;
 use rustls::{ClientConfig, RootCertStore};
 use tokio_postgres_rustls::MakeRustlsConnect;
 
-use super::db::Result;
+use super::db::{Result, not_opened};
 use crate::Error;
 
 /// The error of an address that cannot be used.
-fn refused(reason: String) -> Error {
-    Error::Open {
-        path: "on PostgreSQL".to_owned(),
-        reason,
-    }
+fn refused(reason: impl std::fmt::Display) -> Error {
+    not_opened("on PostgreSQL", reason)
 }
 
 /// The address of a PostgreSQL database, with its TLS settings.
@@ -87,10 +84,7 @@ impl Address {
     pub(super) fn connect(&self) -> Result<Client> {
         self.config
             .connect(self.tls.clone())
-            .map_err(|error| Error::Open {
-                path: self.place(),
-                reason: self.advice(&causes(&error)),
-            })
+            .map_err(|error| not_opened(self.place(), self.advice(&causes(&error))))
     }
 
     /// A failure to connect, and what to do about it.
@@ -157,7 +151,7 @@ fn tls(authorities: Option<&str>) -> Result<ClientConfig> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let builder = ClientConfig::builder_with_provider(provider)
         .with_safe_default_protocol_versions()
-        .map_err(|error| refused(error.to_string()))?;
+        .map_err(refused)?;
     Ok(builder.with_root_certificates(roots).with_no_client_auth())
 }
 

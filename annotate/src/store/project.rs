@@ -26,10 +26,7 @@ impl Store {
     }
 
     /// Changes the settings. A changed number of people is applied to all tasks that still want answers, some at
-    /// a time.
-    ///
-    /// # Errors
-    /// `invalid`.
+    /// a time. Refused with `invalid`.
     pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<()> {
         self.write(move |tx| put_settings(tx, Some(actor), settings, now))?;
         while !self.write(move |tx| import::retarget(tx, actor, now))? {}
@@ -51,10 +48,7 @@ impl Store {
         read_stored("pref", &stored.to_string())
     }
 
-    /// Changes a user's preferences.
-    ///
-    /// # Errors
-    /// `invalid`.
+    /// Changes a user's preferences. Refused with `invalid`.
     pub fn put_prefs(&self, user: i64, prefs: Prefs) -> Result<()> {
         check_prefs(&prefs)?;
         let body = json(&prefs)?;

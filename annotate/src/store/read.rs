@@ -25,10 +25,7 @@ impl Store {
         self.read(|tx| concerns(tx, user, task))
     }
 
-    /// Task details for a user who may see the task.
-    ///
-    /// # Errors
-    /// `not_found`.
+    /// Task details for a user who may see the task. Refused with `not_found`.
     pub fn task(&self, who: &Who, task: i64) -> Result<TaskDetail> {
         self.read(|tx| {
             if who.role < Role::Reviewer && !concerns(tx, who.id, task)? {
@@ -38,10 +35,7 @@ impl Store {
         })
     }
 
-    /// A task, without access check.
-    ///
-    /// # Errors
-    /// `not_found`.
+    /// A task, without access check. Refused with `not_found`.
     pub fn task_record(&self, task: i64) -> Result<TaskRecord> {
         self.read(|tx| rows::task(tx, task))
     }

@@ -36,9 +36,7 @@ impl Store {
     }
 
     /// Claims a task to review, or goes on with it.
-    ///
-    /// # Errors
-    /// `own_work`, `lease_lost`, `wrong_state`, `not_found`.
+    /// Refused with `own_work`, `lease_lost`, `wrong_state`, `not_found`.
     pub fn review_task(&self, user: i64, task: i64, now: Millis) -> Result<ReviewDetail> {
         self.write(move |tx| {
             open(tx, user, task, now)?;
@@ -47,9 +45,7 @@ impl Store {
     }
 
     /// Applies a reviewer's decision.
-    ///
-    /// # Errors
-    /// `own_work`, `lease_lost`, `wrong_state`, `invalid`, `not_found`, `key_reused`.
+    /// Refused with `own_work`, `lease_lost`, `wrong_state`, `invalid`, `not_found`, `key_reused`.
     pub fn review(&self, user: i64, new: NewReview, now: Millis) -> Result<ReviewDone> {
         self.write(move |tx| {
             let request = Request::new(user, &new.idem_key, &new)?;

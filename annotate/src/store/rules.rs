@@ -52,10 +52,7 @@ impl Store {
         })
     }
 
-    /// Disables a rule and takes back up to 2,000 of its acceptances.
-    ///
-    /// # Errors
-    /// `not_found`.
+    /// Disables a rule and takes back up to 2,000 of its acceptances. Refused with `not_found`.
     pub fn undo_rule(&self, actor: i64, rule: &str, now: Millis) -> Result<RuleUndone> {
         let name = rule.to_owned();
         self.write(move |tx| {

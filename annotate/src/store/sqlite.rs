@@ -8,7 +8,7 @@ use std::time::Duration;
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, TransactionBehavior, params_from_iter};
 
-use super::db::{Content, Database, Result, Row, Tx, Value, Work};
+use super::db::{Content, Database, Result, Row, Tx, Value, Work, not_opened, read_only};
 use super::group::{Writer, WriterThread, caught};
 use super::migrate::{self, Plan, Upgrade};
 use super::readers::{Readers, Snapshot};
@@ -62,25 +62,21 @@ impl Sqlite {
 
 fn failed(action: &'static str) -> impl Fn(rusqlite::Error) -> Error {
     move |source| match source.sqlite_error_code() {
-        Some(ErrorCode::DiskFull) => Error::ReadOnly {
-            reason: "the disk is full; free disk space and send the request again".to_owned(),
-        },
-        Some(ErrorCode::ReadOnly) => Error::ReadOnly {
-            reason: "the file or its folder is read-only; make both writable for this program"
-                .to_owned(),
-        },
-        Some(ErrorCode::SystemIoFailure) => Error::ReadOnly {
-            reason: format!("the disk reports an error ({source}); check the disk"),
-        },
+        Some(ErrorCode::DiskFull) => {
+            read_only("the disk is full; free disk space and send the request again")
+        }
+        Some(ErrorCode::ReadOnly) => {
+            read_only("the file or its folder is read-only; make both writable for this program")
+        }
+        Some(ErrorCode::SystemIoFailure) => read_only(format!(
+            "the disk reports an error ({source}); check the disk"
+        )),
         _ => Error::Sqlite { action, source },
     }
 }
 
 fn open_error(path: &Path, reason: impl std::fmt::Display) -> Error {
-    Error::Open {
-        path: path.display().to_string(),
-        reason: reason.to_string(),
-    }
+    not_opened(path.display(), reason)
 }
 
 /// Opens a connection, with settings of its own.

@@ -16,7 +16,7 @@ const TRIED: usize = 64 * 1024;
 /// The caller passes the time: a store has no clock.
 ///
 /// # Errors
-/// Every operation fails if the database does. The codes of the refusals that an operation makes are listed with it.
+/// Every operation fails if the database does; the codes that a request is refused with are named with its operation.
 pub struct Store {
     db: Box<dyn Database>,
     upgrade: Option<Upgrade>,
