@@ -224,7 +224,8 @@ impl Change<'_> {
                 if let Some(place) = place {
                     tx.run(
                         "INSERT INTO gold_place (task, usr, bundle, bundle_index) VALUES (?1, ?2, ?3, ?4)
-                         ON CONFLICT (task, usr) DO UPDATE SET bundle = excluded.bundle, bundle_index = excluded.bundle_index",
+                         ON CONFLICT (task, usr) DO UPDATE SET bundle = excluded.bundle,
+                           bundle_index = excluded.bundle_index",
                         params![task, self.actor, place.bundle, place.index],
                     )?;
                 }
@@ -571,7 +572,8 @@ impl Change<'_> {
         rule: Option<&str>,
     ) -> Result<()> {
         tx.run(
-            "INSERT INTO review (seq, task, reviewer, decision, author, comment, at, rule) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
+            "INSERT INTO review (seq, task, reviewer, decision, author, comment, at, rule)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
             params![
                 self.seq,
                 self.task,

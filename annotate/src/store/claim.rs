@@ -1,5 +1,5 @@
-//! Claims: which task a person gets next. Real work of a kind is open to new annotators after practice: tasks with known
-//! answers.
+//! Claims: which task a person gets next. Real work of a kind is open to new annotators after practice: tasks with
+//! known answers.
 
 use std::collections::{BTreeMap, BTreeSet};
 

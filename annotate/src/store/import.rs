@@ -57,12 +57,7 @@ fn import(tx: &mut dyn Tx, actor: Option<i64>, tasks: &[NewTask], now: Millis) -
             }
             (Some(_), None) => done.known += 1,
             (Some(row), Some(answer)) => {
-                let filled = fill(tx, actor, row.int(0)?, task, answer, now)?;
-                match filled {
-                    Filled::Now => done.filled += 1,
-                    Filled::Before => done.known += 1,
-                    Filled::Otherwise => done.conflicts.push(task.key.clone()),
-                }
+                fill(tx, actor, row.int(0)?, task, answer, &mut done, now)?;
             }
         }
     }
@@ -82,30 +77,22 @@ fn styles(task: &NewTask) -> impl Iterator<Item = &str> {
     label.into_iter().chain(answered)
 }
 
-/// What became of an imported answer to a known task.
-enum Filled {
-    /// It was accepted.
-    Now,
-    /// The task has an accepted answer that says the same.
-    Before,
-    /// The task has another answer, or somebody is at work on it or has decided about it.
-    Otherwise,
-}
-
+/// Accepts an imported answer to a known task, unless it has another answer, or somebody is at work on it or has
+/// decided about it.
 fn fill(
     tx: &mut dyn Tx,
     actor: Option<i64>,
     id: i64,
     new: &NewTask,
     answer: &Answer,
+    done: &mut Imported,
     now: Millis,
-) -> Result<Filled> {
-    if let Some(accepted) = read::accepted_answer(tx, id)? {
-        return Ok(if answer::says(&accepted, answer) {
-            Filled::Before
-        } else {
-            Filled::Otherwise
-        });
+) -> Result<()> {
+    if let Some(accepted) = read::accepted_answer(tx, id)?
+        && answer::says(&accepted, answer)
+    {
+        done.known += 1;
+        return Ok(());
     }
     let touched = tx.number(
         "SELECT (SELECT COUNT(*) FROM revision WHERE task = ?1) + (SELECT COUNT(*) FROM lease WHERE task = ?1)
@@ -114,7 +101,8 @@ fn fill(
     )?;
     let task = rows::task(tx, id)?;
     if touched > 0 || task.state != TaskState::Open || task.gold.is_some() {
-        return Ok(Filled::Otherwise);
+        done.conflicts.push(new.key.clone());
+        return Ok(());
     }
     let body = Body::Filled {
         answer: answer.clone(),
@@ -122,7 +110,8 @@ fn fill(
         extra: new.extra.clone(),
     };
     log::note(tx, now, actor, Some(id), body)?;
-    Ok(Filled::Now)
+    done.filled += 1;
+    Ok(())
 }
 
 fn put_task(

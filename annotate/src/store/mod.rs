@@ -4,11 +4,11 @@
 //! entry is applied to them in the transaction that writes it, and [`Store::rebuild`] derives them again from
 //! the log.
 //!
-//! The operations of [`Store`] are in the module of their kind: `claim` (who gets which task), `leases`, `append` (drafts,
-//! submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with `filter`,
-//! `bulk` (actions on many tasks), `home`, `mine`, `work`, `captures` (the capture plan), `import`, `people`, `jobs` and
-//! `pictures`; `read` holds queries, `project` the tables beside the log. `apply` writes the projections, `db` abstracts
-//! from the database.
+//! The operations of [`Store`] are in the module of their kind: `claim` (who gets which task), `leases`, `append`
+//! (drafts, submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with
+//! `filter`, `bulk` (actions on many tasks), `home`, `mine`, `work`, `captures` (the capture plan), `import`, `people`,
+//! `jobs` and `pictures`; `read` holds queries, `project` the tables beside the log. `apply` writes the projections,
+//! `db` abstracts from the database.
 
 mod append;
 mod apply;

@@ -41,8 +41,7 @@ impl Store {
         self.read(users)
     }
 
-    /// Adds many users, each with a token, or none if a line is wrong.
-    /// Refused with `invalid`, which names the line.
+    /// Adds many users, each with a token, or none if a line is wrong. Refused with `invalid`, which names the line.
     pub fn add_users(
         &self,
         actor: Option<i64>,
@@ -67,8 +66,7 @@ impl Store {
         })
     }
 
-    /// Adds a user.
-    /// Refused with `invalid` for a bad or taken name.
+    /// Adds a user. Refused with `invalid` for a bad or taken name.
     pub fn add_user(
         &self,
         actor: Option<i64>,

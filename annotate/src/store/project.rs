@@ -16,6 +16,10 @@ use crate::wire::{
 
 /// Key of the settings.
 const SETTINGS: &str = "settings";
+/// What happens to a motion that is known and is ingested anew.
+const ANEW: &str =
+    "UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
+  style = excluded.style, action = excluded.action, current = 1";
 /// Motions or tasks written per transaction; bounds how long others wait.
 pub(super) const AT_ONCE: usize = 500;
 
@@ -83,8 +87,8 @@ impl Store {
         Ok(())
     }
 
-    /// Gives clips new content. Tasks on the earlier content get the new one; those with an answer say so until somebody
-    /// has decided about them again ([`TaskRecord::changed`](super::TaskRecord::changed)). Returns the number of tasks.
+    /// Gives clips new content. Tasks on the earlier content get the new one; those with an answer say so until
+    /// somebody has decided about them again ([`TaskRecord::changed`](super::TaskRecord::changed)). Returns the number of tasks.
     pub fn replace_motions(
         &self,
         actor: Option<i64>,
@@ -108,9 +112,7 @@ impl Store {
                 tx.run(sql, params![hash])?;
             }
             for motion in &motions {
-                let update = "UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
-                   style = excluded.style, action = excluded.action, current = 1";
-                put_motion(tx, motion, update)?;
+                put_motion(tx, motion, ANEW)?;
             }
             let mut count = 0;
             for row in tx.query("SELECT id, source, target FROM task ORDER BY id", &[])? {
@@ -121,9 +123,9 @@ impl Store {
                     continue;
                 }
                 let body = Body::ClipChanged {
-                        source: new.0,
-                        target: new.1,
-                    };
+                    source: new.0,
+                    target: new.1,
+                };
                 log::note(tx, now, actor, Some(row.int(0)?), body)?;
                 count += 1;
             }
