@@ -69,20 +69,20 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<()> {
 
 /// Adds an entry to the work of its actor. What rules and bulk actions decide is nobody's work.
 fn count_work(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<()> {
+    let (secs, request) = entry.body.work();
     let (answers, skips, reviews): (i64, i64, i64) = match &entry.body {
         Body::Submitted { .. } => (1, 0, 0),
         Body::Skipped { .. } => (0, 1, 0),
-        Body::Accepted { request, .. }
-        | Body::Merged { request, .. }
-        | Body::Returned { request, .. }
-        | Body::Dropped { request, .. }
-            if !request.is_empty() =>
+        Body::Accepted { .. }
+        | Body::Merged { .. }
+        | Body::Returned { .. }
+        | Body::Dropped { .. }
+            if request != Some("") =>
         {
             (0, 0, 1)
         }
         _ => (0, 0, 0),
     };
-    let secs = entry.body.secs();
     let Some(actor) = entry
         .actor
         .filter(|_| secs > 0.0 || answers + skips + reviews > 0)

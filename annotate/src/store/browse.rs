@@ -131,7 +131,12 @@ fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
     };
     let total = match query.after {
         Some(_) => None,
-        None => Some(count(tx, &query.filter)?),
+        None => {
+            let mut values = Values::default();
+            let place = condition(&query.filter, &mut values);
+            let sql = format!("SELECT COUNT(*) FROM task t WHERE {place}");
+            Some(tx.number(&sql, &values.0)?)
+        }
     };
     let tasks = found
         .iter()
@@ -143,15 +148,6 @@ fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
         total,
         sort,
     })
-}
-
-fn count(tx: &mut dyn Tx, filter: &TaskFilter) -> Result<i64> {
-    let mut values = Values::default();
-    let place = condition(filter, &mut values);
-    tx.number(
-        &format!("SELECT COUNT(*) FROM task t WHERE {place}"),
-        &values.0,
-    )
 }
 
 /// What several tasks have, by their ids.

@@ -267,34 +267,21 @@ impl Body {
         }
     }
 
-    /// Seconds of work that the entry reports: on answers, skips and reviews. 0 where an older log has none.
-    pub(crate) fn secs(&self) -> f64 {
+    /// Seconds of work that the entry reports, on answers, skips and reviews, and the hash of its request. An older log
+    /// has no seconds.
+    pub(crate) fn work(&self) -> (f64, Option<&str>) {
         match self {
-            Self::DraftSaved { secs, .. }
-            | Self::Submitted { secs, .. }
-            | Self::Skipped { secs, .. }
-            | Self::Returned { secs, .. }
-            | Self::Accepted { secs, .. }
-            | Self::Merged { secs, .. }
-            | Self::Dropped { secs, .. } => *secs,
-            _ => 0.0,
-        }
-    }
-
-    /// Hash of the request.
-    pub(crate) fn request(&self) -> Option<&str> {
-        match self {
-            Self::DraftSaved { request, .. }
-            | Self::Submitted { request, .. }
-            | Self::Skipped { request, .. }
-            | Self::Returned { request, .. }
-            | Self::Accepted { request, .. }
-            | Self::Merged { request, .. }
-            | Self::Dropped { request, .. }
-            | Self::Reopened { request, .. }
+            Self::DraftSaved { secs, request, .. }
+            | Self::Submitted { secs, request, .. }
+            | Self::Skipped { secs, request, .. }
+            | Self::Returned { secs, request, .. }
+            | Self::Accepted { secs, request, .. }
+            | Self::Merged { secs, request, .. }
+            | Self::Dropped { secs, request, .. } => (*secs, Some(request)),
+            Self::Reopened { request, .. }
             | Self::Undone { request, .. }
-            | Self::SuggestionUsed { request, .. } => Some(request),
-            _ => None,
+            | Self::SuggestionUsed { request, .. } => (0.0, Some(request)),
+            _ => (0.0, None),
         }
     }
 }

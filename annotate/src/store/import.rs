@@ -176,9 +176,13 @@ fn wanted(settings: &Settings, key: &str, bundle: Option<i64>) -> u32 {
 /// Tasks that one transaction of [`retarget`] looks at.
 const RETARGETED_AT_ONCE: i64 = 1000;
 
-/// Gives the next unanswered and half-answered tasks after `after` the number of people that the settings ask for,
-/// and returns the last task looked at. Answers and leases that exist are kept, so a task never wants fewer.
-fn retarget_some(tx: &mut dyn Tx, actor: i64, after: i64, now: Millis) -> Result<Option<i64>> {
+/// Gives some more unanswered and half-answered tasks the number of people that the settings ask for, and returns whether
+/// all have it. Answers and leases that exist are kept, so a task never wants fewer.
+pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool> {
+    let Some(after) = project::get(tx, project::RETARGETING)? else {
+        return Ok(true);
+    };
+    let after: i64 = after.parse().unwrap_or(0);
     let settings = project::settings(tx)?;
     let found = tx.query(
         "SELECT id, key, bundle, wanted, submitted + leases FROM task
@@ -195,25 +199,13 @@ fn retarget_some(tx: &mut dyn Tx, actor: i64, after: i64, now: Millis) -> Result
         log::note(tx, now, Some(actor), Some(task), body)?;
         rules::on_answer(tx, &settings, task, now)?;
     }
-    found.last().map(|row| row.int(0)).transpose()
-}
-
-/// Brings the number of people of some more tasks up to date, and returns whether all are.
-pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool> {
-    let Some(after) = project::get(tx, project::RETARGETING)? else {
-        return Ok(true);
-    };
-    match retarget_some(tx, actor, after.parse().unwrap_or(0), now)? {
-        Some(last) => {
-            project::put(tx, project::RETARGETING, &last.to_string())?;
-            Ok(false)
-        }
-        None => {
-            let sql = "DELETE FROM setting WHERE name = ?1";
-            tx.run(sql, params![project::RETARGETING])?;
-            Ok(true)
-        }
+    if let Some(last) = found.last() {
+        project::put(tx, project::RETARGETING, &last.int(0)?.to_string())?;
+        return Ok(false);
     }
+    let sql = "DELETE FROM setting WHERE name = ?1";
+    tx.run(sql, params![project::RETARGETING])?;
+    Ok(true)
 }
 
 /// Copies an accepted task as a gold or a practice task.

@@ -98,7 +98,7 @@ impl Request {
             return Ok(None);
         };
         let (_, entry) = entry::read_entry(&row)?;
-        if entry.body.request() != Some(self.hash.as_str()) {
+        if entry.body.work().1 != Some(self.hash.as_str()) {
             let problem = "this key was used for another request; use a new one";
             return Err(Error::refused(Code::KeyReused, problem));
         }

@@ -1,7 +1,6 @@
 //! Users, tokens and sessions. Tokens are stored as hashes.
 
 use std::collections::HashMap;
-use std::sync::MutexGuard;
 
 use sha2::{Digest, Sha256};
 
@@ -22,17 +21,13 @@ const TOKEN_BYTES: usize = 32;
 const NOTE_EVERY: Millis = 60_000;
 
 impl Store {
-    fn known(&self) -> MutexGuard<'_, Known> {
-        lock(&self.known)
-    }
-
     /// [`Self::write`] of users or tokens; clears the token cache.
     fn write_people<T: Send + 'static>(
         &self,
         work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'static,
     ) -> Result<T> {
         let outcome = self.write(work);
-        self.known().clear();
+        lock(&self.known).clear();
         outcome
     }
 
@@ -131,11 +126,11 @@ impl Store {
     pub fn authenticate(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
         let hash = hash(token);
         let changes = {
-            let known = self.known();
+            let known = lock(&self.known);
             if let Some(who) = known.find(&hash, purposes, now) {
                 return Ok(who);
             }
-            known.changes()
+            known.changes
         };
         let found = self.read(|tx| find(tx, &hash, purposes, now))?;
         if found.needs_note {
@@ -143,7 +138,7 @@ impl Store {
             return self.write(move |tx| used(tx, &hash, &purposes, now));
         }
         let who = found.who.clone();
-        self.known().put(hash, found, changes, now);
+        lock(&self.known).put(hash, found, changes, now);
         Ok(who)
     }
 
@@ -368,6 +363,7 @@ const MOST_KNOWN: usize = 4096;
 #[derive(Default)]
 pub(super) struct Known {
     by_hash: HashMap<String, (Millis, Found)>,
+    /// Number of clears. A lookup that began before a clear must not be stored after it.
     changes: u64,
 }
 
@@ -376,11 +372,6 @@ impl Known {
     fn clear(&mut self) {
         self.by_hash.clear();
         self.changes += 1;
-    }
-
-    /// Number of clears. A lookup that began before a clear must not be stored after it.
-    fn changes(&self) -> u64 {
-        self.changes
     }
 
     fn find(&self, hash: &str, purposes: &[TokenUse], now: Millis) -> Option<Who> {

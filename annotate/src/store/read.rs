@@ -16,9 +16,6 @@ use crate::wire::{
     Answer, Audit, AuditEntry, HeldLease, RevisionState, Role, TaskKind, TaskState, User, Verdict,
 };
 
-/// Columns of an accepted answer, after those of its task.
-const ACCEPTED_COLUMNS: &str = "a.author, a.merged, a.answer, a.at, a.seq, a.credit, a.basis";
-
 impl Store {
     /// Whether a user holds or answered a task.
     pub fn concerns(&self, user: i64, task: i64) -> Result<bool> {
@@ -457,7 +454,8 @@ pub(super) fn like(text: &str) -> String {
 
 /// Accepted answers `a` to tasks `t` of what follows `FROM` in a query.
 fn accepted(tx: &mut dyn Tx, from: &str, params: &[Value]) -> Result<Vec<AcceptedAnswer>> {
-    let sql = format!("SELECT {TASK_COLUMNS}, {ACCEPTED_COLUMNS} FROM {from}");
+    let columns = "a.author, a.merged, a.answer, a.at, a.seq, a.credit, a.basis";
+    let sql = format!("SELECT {TASK_COLUMNS}, {columns} FROM {from}");
     let first = NUM_TASK_COLUMNS;
     tx.list(&sql, params, |row| {
         let basis = row.text(first + 6)?;

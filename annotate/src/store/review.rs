@@ -65,7 +65,11 @@ impl Store {
                 now,
             };
             deciding.check_state()?;
-            let comment = deciding.comment()?;
+            let needs_comment = matches!(
+                new.decision,
+                Decision::Return | Decision::Drop | Decision::Reopen
+            );
+            let comment = comment(&new.comment, needs_comment, "author")?;
             deciding.check_lease(tx)?;
             let body = deciding.body(tx, comment)?;
             deciding.take_style(tx, &body)?;
@@ -222,15 +226,6 @@ impl Deciding<'_> {
         }
         let kind = log_kind(self.review.decision);
         apply::check_move(self.task.state, kind, "decided so")
-    }
-
-    /// The comment, where the decision needs one.
-    fn comment(&self) -> Result<String> {
-        let needs_comment = matches!(
-            self.review.decision,
-            Decision::Return | Decision::Drop | Decision::Reopen
-        );
-        comment(&self.review.comment, needs_comment, "author")
     }
 
     /// Checks that nobody else reviews the task, and that the reviewer holds it if the decision is on answers.
