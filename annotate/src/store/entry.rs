@@ -277,10 +277,10 @@ impl Body {
             | Self::Returned { secs, request, .. }
             | Self::Accepted { secs, request, .. }
             | Self::Merged { secs, request, .. }
-            | Self::Dropped { secs, request, .. } => (*secs, Some(request)),
+            | Self::Dropped { secs, request, .. } => (*secs, Some(request.as_str())),
             Self::Reopened { request, .. }
             | Self::Undone { request, .. }
-            | Self::SuggestionUsed { request, .. } => (0.0, Some(request)),
+            | Self::SuggestionUsed { request, .. } => (0.0, Some(request.as_str())),
             _ => (0.0, None),
         }
     }
