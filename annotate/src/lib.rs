@@ -39,7 +39,7 @@
 //! }))?;
 //! let results = store.append(ann.id, lease.task, vec![submit], now)?;
 //! assert_eq!(results[0].status, 200);
-//! assert_eq!(store.labels(0, 10)?.len(), 1);
+//! assert_eq!(store.labels_to(vec![lease.task])?.len(), 1);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

@@ -1,12 +1,13 @@
 //! Events of a task: drafts, submissions, skips and undo.
 
-use super::db::{Tx, params};
-use super::entry::{Body, Entry, Reply};
+use super::db::{Result, Tx, params};
+use super::entry::{Body, Entry};
 use super::leases::{MINUTE, lease_end};
-use super::project;
+use super::log::{self, Request};
 use super::records::{Millis, TaskRecord};
-use super::replies::{full_key, hash_of, parsed, replay};
-use super::{apply, log, read, rows, rules};
+use super::settings::{has_up_to, require};
+use super::store::Store;
+use super::{apply, project, read, rows, rules};
 use crate::Error;
 use crate::answer;
 use crate::state::{LogKind, Purpose};
@@ -27,259 +28,213 @@ pub(super) fn working(secs: f64) -> f64 {
     }
 }
 
-/// Context of an event: its author, its task, the settings and the time.
-struct Taking {
-    user: i64,
-    task: TaskRecord,
-    settings: Settings,
-    now: Millis,
+impl Store {
+    /// Applies events of a task in order, up to the first that fails. Refused with `not_found`.
+    pub fn append(
+        &self,
+        user: i64,
+        task: i64,
+        events: Vec<NewEvent>,
+        now: Millis,
+    ) -> Result<Vec<EventResult>> {
+        self.write(move |tx| {
+            // `+actor` makes SQLite use the index on tasks: a task has few log entries, a person has many.
+            let known = "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 LIMIT 1";
+            if !tx.has(known, params![task, user])? {
+                return Err(Error::not_found("task"));
+            }
+            let settings = project::settings(tx)?;
+            let mut results = Vec::new();
+            for event in &events {
+                let result = match take(tx, user, task, event, &settings, now) {
+                    Err(Error::Refused(problem)) => {
+                        told(tx, user, task, event, None, Some(*problem), None)?
+                    }
+                    result => result?,
+                };
+                let ok = result.status == 200;
+                results.push(result);
+                if !ok {
+                    break;
+                }
+            }
+            Ok(results)
+        })
+    }
 }
 
-/// An answer that came with an event.
-struct Written<'a> {
-    event: &'a NewEvent,
-    key: String,
-    request: String,
-    answer: Answer,
-    /// The number of the current revision.
-    rev: i64,
-}
-
-/// Applies events of a task in order, up to the first that fails.
-pub(super) fn append(
+/// The reply to an event, which was logged at place `seq`.
+fn told(
     tx: &mut dyn Tx,
     user: i64,
     id: i64,
-    events: &[NewEvent],
-    now: Millis,
-) -> Result<Vec<EventResult>, Error> {
-    // `+actor` makes SQLite use the index on tasks: a task has few log entries, a person has many.
-    let known = tx.one(
-        "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 LIMIT 1",
-        params![id, user],
-    )?;
-    if known.is_none() {
-        return Err(Error::not_found("task"));
-    }
-    let settings = project::settings(tx)?;
-    let mut results = Vec::new();
-    for event in events {
-        let taking = Taking {
-            user,
-            task: rows::task(tx, id)?,
-            settings: settings.clone(),
-            now,
-        };
-        let result = match taking.event(tx, event) {
-            Ok(result) => result,
-            Err(Error::Refused(problem)) => refused(tx, &taking, event, *problem)?,
-            Err(error) => return Err(error),
-        };
-        let ok = result.status == 200;
-        results.push(result);
-        if !ok {
-            break;
-        }
-    }
-    Ok(results)
-}
-
-/// The reply to an event that was not logged.
-fn refused(
-    tx: &mut dyn Tx,
-    taking: &Taking,
     event: &NewEvent,
-    problem: Problem,
-) -> Result<EventResult, Error> {
+    seq: Option<i64>,
+    problem: Option<Problem>,
+    feedback: Option<Feedback>,
+) -> Result<EventResult> {
+    let task = rows::task(tx, id)?;
     Ok(EventResult {
         idem_key: event.idem_key.clone(),
-        status: problem.status,
-        seq: None,
-        rev: rows::revision(tx, taking.task.id, taking.user)?.map_or(0, |mine| mine.rev),
-        state: Some(state_for(tx, taking.task.id, taking.user)?),
-        lease: annotate_lease(tx, taking.task.id, taking.user)?,
-        problem: Some(problem),
-        feedback: None,
+        status: problem.as_ref().map_or(200, |problem| problem.status),
+        seq,
+        rev: rev_of(rows::revision(tx, id, user)?.as_ref()),
+        state: Some(read::shown(tx, task, user)?.state),
+        lease: annotate_lease(tx, id, user)?,
+        problem,
+        feedback,
     })
 }
 
-/// State of a task as its user is told it.
-fn state_for(tx: &mut dyn Tx, task: i64, user: i64) -> Result<TaskState, Error> {
-    let task = rows::task(tx, task)?;
-    Ok(read::shown(tx, task, user)?.state)
-}
-
-fn annotate_lease(tx: &mut dyn Tx, task: i64, user: i64) -> Result<Option<Lease>, Error> {
+fn annotate_lease(tx: &mut dyn Tx, task: i64, user: i64) -> Result<Option<Lease>> {
     Ok(rows::lease_of(tx, task, user)?
         .filter(|held| held.purpose == Purpose::Annotate)
         .map(|held| held.lease))
 }
 
-impl Taking {
-    fn event(&self, tx: &mut dyn Tx, event: &NewEvent) -> Result<EventResult, Error> {
-        let key = full_key(self.user, &event.idem_key)?;
-        let request = hash_of(&(self.task.id, event))?;
-        if let Some(result) = replay(tx, &key, &request)? {
-            return parsed(&result);
-        }
-        if event.note.chars().count() > MAX_TEXT_CHARS {
-            return Err(Error::invalid("note", "the note is too long"));
-        }
-        let mine = rows::revision(tx, self.task.id, self.user)?;
-        match event.kind {
-            EventKind::Draft | EventKind::Submit => self.answer(tx, event, key, request, mine),
-            EventKind::Skip | EventKind::Postpone => self.skip(tx, event, key, request),
-            EventKind::Undo => self.undo(tx, event, key, request, mine),
-            EventKind::SuggestionUsed => self.suggestion_used(tx, event, key, request),
-        }
-    }
+/// The number of an answer's current revision; 0 without an answer.
+fn rev_of(mine: Option<&Revision>) -> i64 {
+    mine.map_or(0, |mine| mine.rev)
+}
 
-    fn entry(&self, epoch: Option<i64>, body: Body) -> Entry {
-        Entry {
-            at: self.now,
-            actor: Some(self.user),
-            task: Some(self.task.id),
-            epoch,
-            body,
-        }
+/// Applies an event, or returns the reply that it got before.
+fn take(
+    tx: &mut dyn Tx,
+    user: i64,
+    id: i64,
+    event: &NewEvent,
+    settings: &Settings,
+    now: Millis,
+) -> Result<EventResult> {
+    let request = Request::new(user, &event.idem_key, &(id, event))?;
+    if let Some(result) = request.replay(tx)? {
+        return Ok(result);
     }
+    let is_short = has_up_to(&event.note, MAX_TEXT_CHARS);
+    require(is_short, "note", "the note is too long")?;
+    let taking = Taking {
+        user,
+        task: rows::task(tx, id)?,
+        settings,
+        event,
+        request,
+        mine: rows::revision(tx, id, user)?,
+        now,
+    };
+    match event.kind {
+        EventKind::Draft | EventKind::Submit => taking.answer(tx),
+        EventKind::Skip | EventKind::Postpone => taking.skip(tx),
+        EventKind::Undo => taking.undo(tx),
+        EventKind::SuggestionUsed => taking.suggestion_used(tx),
+    }
+}
 
+/// An event with its author, its task and all else that its entry depends on.
+struct Taking<'a> {
+    user: i64,
+    task: TaskRecord,
+    settings: &'a Settings,
+    event: &'a NewEvent,
+    request: Request,
+    /// The author's current answer.
+    mine: Option<Revision>,
+    now: Millis,
+}
+
+impl Taking<'_> {
     /// Writes an entry and returns the reply, which is stored for repetitions of the same key.
     fn log(
         &self,
         tx: &mut dyn Tx,
-        entry: &Entry,
-        event: &NewEvent,
-        key: String,
-        problem: Option<Problem>,
-    ) -> Result<EventResult, Error> {
-        self.log_with(tx, entry, event, key, problem, None)
-    }
-
-    /// [`Self::log`] with the known answer of a practice task.
-    fn log_with(
-        &self,
-        tx: &mut dyn Tx,
-        entry: &Entry,
-        event: &NewEvent,
-        key: String,
+        epoch: Option<i64>,
+        body: Body,
         problem: Option<Problem>,
         feedback: Option<Feedback>,
-    ) -> Result<EventResult, Error> {
-        let mut answered = None;
-        log::write(tx, entry, |tx, seq| {
-            let result = EventResult {
-                idem_key: event.idem_key.clone(),
-                status: problem.as_ref().map_or(200, |problem| problem.status),
-                seq: Some(seq),
-                rev: rows::revision(tx, self.task.id, self.user)?.map_or(0, |mine| mine.rev),
-                state: Some(state_for(tx, self.task.id, self.user)?),
-                lease: annotate_lease(tx, self.task.id, self.user)?,
-                problem,
-                feedback,
-            };
-            let text = serde_json::to_string(&result).map_err(|error| Error::Row {
-                table: "event",
-                problem: error.to_string(),
-            })?;
-            answered = Some(result);
-            Ok(Some(Reply {
-                idem_key: key,
-                base_rev: event.base_rev,
-                result: text,
-            }))
-        })?;
-        answered.ok_or(Error::Closed)
+    ) -> Result<EventResult> {
+        let (user, id, event) = (self.user, self.task.id, self.event);
+        let entry = Entry {
+            at: self.now,
+            actor: Some(user),
+            task: Some(id),
+            epoch,
+            body,
+        };
+        self.request.log(tx, &entry, event.base_rev, |tx, seq| {
+            told(tx, user, id, event, Some(seq), problem, feedback)
+        })
     }
 
-    fn answer(
-        &self,
-        tx: &mut dyn Tx,
-        event: &NewEvent,
-        key: String,
-        request: String,
-        mine: Option<Revision>,
-    ) -> Result<EventResult, Error> {
-        let answer = event
-            .answer
-            .clone()
-            .ok_or_else(|| Error::invalid("answer", "the answer is missing"))?;
+    /// The user's lease on the task, if the event was made under it.
+    fn held(&self, tx: &mut dyn Tx) -> Result<Option<Lease>> {
+        let held = annotate_lease(tx, self.task.id, self.user)?;
+        Ok(held.filter(|held| held.epoch == self.event.lease_epoch))
+    }
+
+    /// The author's answer, if it is handed in.
+    fn handed_in(&self) -> Option<&Revision> {
+        let is_handed_in = |mine: &&Revision| {
+            !matches!(mine.state, RevisionState::Draft | RevisionState::Returned)
+        };
+        self.mine.as_ref().filter(is_handed_in)
+    }
+
+    /// The entry of an answer that is no submission.
+    fn draft(&self, answer: Answer, rev: i64, secs: f64, kept_aside: Option<Code>) -> Body {
+        Body::DraftSaved {
+            answer,
+            rev,
+            secs,
+            kept_aside: kept_aside.map(|code| code.to_string()),
+            request: self.request.hash.clone(),
+        }
+    }
+
+    fn answer(&self, tx: &mut dyn Tx) -> Result<EventResult> {
+        let event = self.event;
+        let answer = event.answer.clone();
+        let answer = answer.ok_or_else(|| Error::invalid("answer", "the answer is missing"))?;
         answer::check_draft(&answer, self.task.kind)?;
-        self.check_suggestions(tx, &answer)?;
+        for id in answer.texts().into_iter().filter_map(|(_, id)| id) {
+            self.check_suggestion(tx, id)?;
+        }
         if event.kind == EventKind::Submit {
             let frames = project::frames(tx, &self.task.source)?;
-            answer::check_submission(&answer, self.task.kind, &self.settings, frames)?;
+            answer::check_submission(&answer, self.task.kind, self.settings, frames)?;
         }
-        let held = rows::lease_of(tx, self.task.id, self.user)?.filter(|held| {
-            held.purpose == Purpose::Annotate && held.lease.epoch == event.lease_epoch
-        });
-        let written = Written {
-            event,
-            key,
-            request,
-            answer,
-            rev: mine.as_ref().map_or(0, |mine| mine.rev),
-        };
-        if event.base_rev != written.rev {
-            return self.stale(tx, written, mine);
+        let held = self.held(tx)?;
+        let rev = rev_of(self.mine.as_ref());
+        if event.base_rev != rev {
+            return self.stale(tx, answer, rev);
         }
         let Some(held) = held else {
-            return self.without_lease(tx, written, mine);
+            return self.without_lease(tx, answer, rev);
         };
-        let epoch = Some(held.lease.epoch);
         if event.kind == EventKind::Submit {
-            return self.submit(tx, written, epoch);
+            return self.submit(tx, answer, rev, held.epoch);
         }
-        let body = Body::DraftSaved {
-            answer: written.answer,
-            rev: written.rev + 1,
-            secs: working(event.secs),
-            kept_aside: None,
-            request: written.request,
-        };
-        self.log(tx, &self.entry(epoch, body), event, written.key, None)
+        let body = self.draft(answer, rev + 1, working(event.secs), None);
+        self.log(tx, Some(held.epoch), body, None, None)
     }
 
     /// Keeps an answer that is not based on the current one, `mine`, in the log alone.
-    fn stale(
-        &self,
-        tx: &mut dyn Tx,
-        written: Written<'_>,
-        mine: Option<Revision>,
-    ) -> Result<EventResult, Error> {
-        let Written { event, rev, .. } = written;
+    fn stale(&self, tx: &mut dyn Tx, answer: Answer, rev: i64) -> Result<EventResult> {
         let mut problem = Problem::new(
             Code::StaleRevision,
             format!(
                 "this change is based on revision {}, but {rev} is current; both are in the log",
-                event.base_rev
+                self.event.base_rev
             ),
         );
-        if let Some(mine) = mine {
-            problem = problem.with_theirs(mine);
+        if let Some(mine) = &self.mine {
+            problem = problem.with_theirs(mine.clone());
         }
-        let body = Body::DraftSaved {
-            answer: written.answer,
-            rev,
-            secs: 0.0,
-            kept_aside: Some(Code::StaleRevision.to_string()),
-            request: written.request,
-        };
-        let entry = self.entry(Some(event.lease_epoch), body);
-        self.log(tx, &entry, event, written.key, Some(problem))
+        let body = self.draft(answer, rev, 0.0, Some(Code::StaleRevision));
+        self.log(tx, Some(self.event.lease_epoch), body, Some(problem), None)
     }
 
     /// Keeps the answer of a person whose lease has ended: as a draft, or in the log alone if an answer of theirs is submitted.
-    fn without_lease(
-        &self,
-        tx: &mut dyn Tx,
-        written: Written<'_>,
-        mine: Option<Revision>,
-    ) -> Result<EventResult, Error> {
-        let Written { event, rev, .. } = written;
-        let handed_in = mine.is_some_and(|mine| {
-            !matches!(mine.state, RevisionState::Draft | RevisionState::Returned)
-        });
+    fn without_lease(&self, tx: &mut dyn Tx, answer: Answer, rev: i64) -> Result<EventResult> {
+        let handed_in = self.handed_in().is_some();
         let detail = if handed_in {
             "your answer is submitted; undo the submission before changing it"
         } else if self.taken(tx)? {
@@ -287,198 +242,119 @@ impl Taking {
         } else {
             "your lease on this task expired; your text is kept as a draft, claim the task again to go on"
         };
-        let body = Body::DraftSaved {
-            answer: written.answer,
-            rev: if handed_in { rev } else { rev + 1 },
-            secs: working(event.secs),
-            kept_aside: handed_in.then(|| Code::LeaseLost.to_string()),
-            request: written.request,
-        };
+        let kept_aside = handed_in.then_some(Code::LeaseLost);
+        let rev = if handed_in { rev } else { rev + 1 };
+        let body = self.draft(answer, rev, working(self.event.secs), kept_aside);
         let problem = Problem::new(Code::LeaseLost, detail);
-        let entry = self.entry(Some(event.lease_epoch), body);
-        self.log(tx, &entry, event, written.key, Some(problem))
+        self.log(tx, Some(self.event.lease_epoch), body, Some(problem), None)
     }
 
     /// Hands an answer in, scores it if the right one is known, and lets the rules decide about it.
-    fn submit(
-        &self,
-        tx: &mut dyn Tx,
-        written: Written<'_>,
-        epoch: Option<i64>,
-    ) -> Result<EventResult, Error> {
-        let Written { event, answer, .. } = written;
-        let mut answers = handed_in(tx, self.task.id, self.user)?;
+    fn submit(&self, tx: &mut dyn Tx, answer: Answer, rev: i64, epoch: i64) -> Result<EventResult> {
+        let mut answers = others(tx, self.task.id, self.user)?;
         answers.push(answer.clone());
         let frames = project::frames(tx, &self.task.source)?;
-        let score = self
-            .task
-            .gold
-            .as_ref()
-            .map(|gold| 1.0 - answer::distance(gold, &answer, frames));
+        let score = |known: &Answer| 1.0 - answer::distance(known, &answer, frames);
+        let scored = self.task.gold.as_ref().map(|known| Feedback {
+            score: score(known),
+            known: known.clone(),
+        });
+        let score = scored.as_ref().map(|feedback| feedback.score);
         let body = Body::Submitted {
             answer,
-            rev: written.rev + 1,
-            secs: working(event.secs),
+            rev: rev + 1,
+            secs: working(self.event.secs),
             distance: answer::spread(&answers, frames),
-            request: written.request,
+            request: self.request.hash.clone(),
         };
-        let feedback = self
-            .task
-            .gold
-            .clone()
-            .zip(score)
-            .filter(|_| self.task.practice)
-            .map(|(known, score)| Feedback { score, known });
-        let entry = self.entry(epoch, body);
-        let result = self.log_with(tx, &entry, event, written.key, None, feedback)?;
+        let feedback = scored.filter(|_| self.task.practice);
+        let result = self.log(tx, Some(epoch), body, None, feedback)?;
         if let Some(score) = score {
-            log::note(tx, &self.entry(None, Body::GoldScored { score }))?;
+            let (user, task) = (Some(self.user), Some(self.task.id));
+            log::note(tx, self.now, user, task, Body::GoldScored { score })?;
         }
-        rules::on_answer(tx, &self.settings, self.task.id, self.now)?;
+        rules::on_answer(tx, self.settings, self.task.id, self.now)?;
         Ok(result)
     }
 
     /// Whether somebody else holds the task, or it wants no more answers.
-    fn taken(&self, tx: &mut dyn Tx) -> Result<bool, Error> {
-        let others = tx.number(
-            "SELECT COUNT(*) FROM lease WHERE task = ?1 AND usr <> ?2",
+    fn taken(&self, tx: &mut dyn Tx) -> Result<bool> {
+        tx.has(
+            "SELECT 1 FROM task t WHERE t.id = ?1 AND t.claimable = 0
+               AND EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr <> ?2)",
             params![self.task.id, self.user],
-        )?;
-        let free = tx.number(
-            "SELECT claimable FROM task WHERE id = ?1",
-            params![self.task.id],
-        )?;
-        Ok(others > 0 && free == 0)
+        )
     }
 
-    /// Checks that the suggestions an answer names belong to its task.
-    fn check_suggestions(&self, tx: &mut dyn Tx, answer: &Answer) -> Result<(), Error> {
-        for (_, suggestion) in answer.texts() {
-            if let Some(id) = suggestion {
-                self.check_suggestion(tx, id)?;
-            }
-        }
-        Ok(())
+    /// Checks that a suggestion belongs to the task.
+    fn check_suggestion(&self, tx: &mut dyn Tx, id: i64) -> Result<()> {
+        let sql = "SELECT 1 FROM suggestion WHERE id = ?1 AND task = ?2";
+        let belongs = tx.has(sql, params![id, self.task.id])?;
+        let problem = format!("suggestion {id} does not belong to this task");
+        require(belongs, "suggestion", problem)
     }
 
-    fn check_suggestion(&self, tx: &mut dyn Tx, id: i64) -> Result<(), Error> {
-        let found = tx.one(
-            "SELECT 1 FROM suggestion WHERE id = ?1 AND task = ?2",
-            params![id, self.task.id],
-        )?;
-        match found {
-            Some(_) => Ok(()),
-            None => Err(Error::invalid(
-                "suggestion",
-                format!("suggestion {id} does not belong to this task"),
-            )),
-        }
-    }
-
-    fn skip(
-        &self,
-        tx: &mut dyn Tx,
-        event: &NewEvent,
-        key: String,
-        request: String,
-    ) -> Result<EventResult, Error> {
+    fn skip(&self, tx: &mut dyn Tx) -> Result<EventResult> {
+        let event = self.event;
         let postponed = event.kind == EventKind::Postpone;
-        if !postponed && event.reason.is_none() {
-            return Err(Error::invalid(
-                "reason",
-                "choose a reason for skipping the task",
-            ));
-        }
-        let held = rows::lease_of(tx, self.task.id, self.user)?
-            .filter(|held| {
-                held.purpose == Purpose::Annotate && held.lease.epoch == event.lease_epoch
-            })
-            .ok_or_else(|| {
-                Error::refused(
-                    Code::LeaseLost,
-                    "your lease on this task expired; there is nothing to skip",
-                )
-            })?;
+        require(
+            postponed || event.reason.is_some(),
+            "reason",
+            "choose a reason for skipping the task",
+        )?;
+        let held = self.held(tx)?.ok_or_else(|| {
+            Error::refused(
+                Code::LeaseLost,
+                "your lease on this task expired; there is nothing to skip",
+            )
+        })?;
         let body = Body::Skipped {
             postponed,
             reason: event.reason.filter(|_| !postponed),
             note: event.note.trim().to_owned(),
             secs: working(event.secs),
-            request,
+            request: self.request.hash.clone(),
         };
-        self.log(
-            tx,
-            &self.entry(Some(held.lease.epoch), body),
-            event,
-            key,
-            None,
-        )
+        self.log(tx, Some(held.epoch), body, None, None)
     }
 
-    fn undo(
-        &self,
-        tx: &mut dyn Tx,
-        event: &NewEvent,
-        key: String,
-        request: String,
-        mine: Option<Revision>,
-    ) -> Result<EventResult, Error> {
-        let handed_in = mine
-            .filter(|mine| !matches!(mine.state, RevisionState::Draft | RevisionState::Returned));
-        let Some(mine) = handed_in else {
-            return Err(Error::wrong_state(
-                self.task.state,
-                "taken back: you have no answer waiting for review",
-            ));
-        };
+    fn undo(&self, tx: &mut dyn Tx) -> Result<EventResult> {
         let mut state = self.task.state;
+        let Some(mine) = self.handed_in() else {
+            let problem = "taken back: you have no answer waiting for review";
+            return Err(Error::wrong_state(state, problem));
+        };
         // No person has decided yet: the rule's acceptance goes first.
         if let Some((rule, at)) = rules::accepted_by_rule(tx, self.task.id)?
-            && self.now - at <= take_back_window(&self.settings)
+            && self.now - at <= take_back_window(self.settings)
         {
             let comment = "taken back by its author";
-            rules::reopen(tx, Some(self.user), self.task.id, &rule, comment, self.now)?;
+            rules::reopen(tx, self.user, self.task.id, &rule, comment, self.now)?;
             state = TaskState::Submitted;
         }
         apply::check_move(state, LogKind::Undone, "taken back")?;
-        let epoch = 1 + tx.number(
-            "SELECT epoch FROM task WHERE id = ?1",
-            params![self.task.id],
-        )?;
+        let sql = "SELECT epoch FROM task WHERE id = ?1";
+        let epoch = 1 + tx.number(sql, params![self.task.id])?;
         let body = Body::Undone {
             rev: mine.rev + 1,
-            expires: lease_end(&self.settings, self.now),
-            request,
+            expires: lease_end(self.settings, self.now),
+            request: self.request.hash.clone(),
         };
-        self.log(tx, &self.entry(Some(epoch), body), event, key, None)
+        self.log(tx, Some(epoch), body, None, None)
     }
 
-    fn suggestion_used(
-        &self,
-        tx: &mut dyn Tx,
-        event: &NewEvent,
-        key: String,
-        request: String,
-    ) -> Result<EventResult, Error> {
-        let (Some(suggestion), Some(used)) = (event.suggestion, event.used) else {
-            return Err(Error::invalid(
-                "suggestion",
-                "the suggestion, or what became of it, is missing",
-            ));
+    fn suggestion_used(&self, tx: &mut dyn Tx) -> Result<EventResult> {
+        let (Some(suggestion), Some(used)) = (self.event.suggestion, self.event.used) else {
+            let problem = "the suggestion, or what became of it, is missing";
+            return Err(Error::invalid("suggestion", problem));
         };
         self.check_suggestion(tx, suggestion)?;
         let body = Body::SuggestionUsed {
             suggestion,
             used,
-            request,
+            request: self.request.hash.clone(),
         };
-        self.log(
-            tx,
-            &self.entry(Some(event.lease_epoch), body),
-            event,
-            key,
-            None,
-        )
+        self.log(tx, Some(self.event.lease_epoch), body, None, None)
     }
 }
 
@@ -488,13 +364,11 @@ pub(super) fn take_back_window(settings: &Settings) -> Millis {
 }
 
 /// Submitted answers to a task, except those of one author.
-fn handed_in(tx: &mut dyn Tx, task: i64, but: i64) -> Result<Vec<Answer>, Error> {
-    tx.query(
+fn others(tx: &mut dyn Tx, task: i64, but: i64) -> Result<Vec<Answer>> {
+    tx.list(
         "SELECT answer FROM revision WHERE task = ?1 AND author <> ?2
            AND state IN ('submitted', 'accepted', 'superseded') ORDER BY author",
         params![task, but],
-    )?
-    .iter()
-    .map(|row| row.json(0))
-    .collect()
+        |row| row.json(0),
+    )
 }

@@ -1,23 +1,23 @@
 //! Projections: applies log entries to the derived tables.
 
-use super::db::{Tx, params};
-use super::entry::{Body, Entry, LoggedTask, Place, json};
+use super::db::{Result, Tx, Value, json, params, unreadable};
+use super::entry::{Body, Entry, LoggedTask};
 use super::projections::{
-    NewLease, accept_imported, end_lease_of, end_leases, is_kept_pair, kept_type, part_list,
-    put_lease, refresh, set_state, settle_clip, words,
+    Acceptance, IMPORTED, end_leases, is_kept_pair, kept_type, part_list, put_lease, refresh,
+    set_state, words,
 };
 use super::records::{Credit, Millis};
-use super::rows::state;
+use super::rows;
 use crate::Error;
 use crate::state::{LogKind, Purpose, targets};
-use crate::wire::{Answer, EditType, RevisionState, SkipReason, TaskState, Verdict};
+use crate::wire::{Answer, EditType, Lease, RevisionState, SkipReason, TaskState, Verdict};
 
 /// Maximum number of leases of one entry. The id of a lease is the sequence number of its entry times this,
 /// plus its index.
 const LEASES_PER_ENTRY: i64 = 100;
 
 /// Checks that an entry is legal in the current state of the task.
-pub(crate) fn check_move(state: TaskState, kind: LogKind, what: &str) -> Result<(), Error> {
+pub(crate) fn check_move(state: TaskState, kind: LogKind, what: &str) -> Result<()> {
     if targets(state, kind).is_empty() {
         return Err(Error::wrong_state(state, what));
     }
@@ -25,7 +25,7 @@ pub(crate) fn check_move(state: TaskState, kind: LogKind, what: &str) -> Result<
 }
 
 /// Applies an entry to the projections.
-pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<(), Error> {
+pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<()> {
     if let Body::Imported { task } = &entry.body {
         return import(tx, seq, entry, task);
     }
@@ -52,63 +52,59 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<(), Erro
             | LogKind::Reopened
             | LogKind::Undone
     ) {
-        tx.execute(
-            "UPDATE task SET touched = ?2 WHERE id = ?1",
-            params![task, entry.at],
-        )?;
+        change.set(tx, "touched", entry.at)?;
     }
     count_work(tx, seq, entry, task)?;
     let after = state_of(tx, task)?;
     if targets(before, kind).contains(&after) {
         return Ok(());
     }
-    Err(Error::Row {
-        table: "task",
-        problem: format!(
+    Err(unreadable(
+        "task",
+        format!(
             "entry {seq} ({kind}) would move task {task} from {before} to {after}, which is no legal move"
         ),
-    })
+    ))
 }
 
 /// Adds an entry to the work of its actor. What rules and bulk actions decide is nobody's work.
-fn count_work(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<(), Error> {
+fn count_work(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<()> {
+    let (secs, request) = entry.body.work();
     let (answers, skips, reviews): (i64, i64, i64) = match &entry.body {
         Body::Submitted { .. } => (1, 0, 0),
         Body::Skipped { .. } => (0, 1, 0),
-        Body::Accepted { request, .. }
-        | Body::Merged { request, .. }
-        | Body::Returned { request, .. }
-        | Body::Dropped { request, .. }
-            if !request.is_empty() =>
+        Body::Accepted { .. }
+        | Body::Merged { .. }
+        | Body::Returned { .. }
+        | Body::Dropped { .. }
+            if request != Some("") =>
         {
             (0, 0, 1)
         }
         _ => (0, 0, 0),
     };
-    let secs = entry.body.secs();
     let Some(actor) = entry
         .actor
         .filter(|_| secs > 0.0 || answers + skips + reviews > 0)
     else {
         return Ok(());
     };
-    tx.execute(
+    tx.run(
         "INSERT INTO work (seq, task, usr, at, secs, answers, skips, reviews) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
         params![seq, task, actor, entry.at, secs, answers, skips, reviews],
-    )?;
-    Ok(())
+    )
 }
 
-fn state_of(tx: &mut dyn Tx, task: i64) -> Result<TaskState, Error> {
-    let row = tx.one("SELECT state FROM task WHERE id = ?1", params![task])?;
-    state(row.ok_or_else(|| Error::not_found("task"))?.text(0)?)
+fn state_of(tx: &mut dyn Tx, task: i64) -> Result<TaskState> {
+    let sql = "SELECT state FROM task WHERE id = ?1";
+    let state = tx.find(sql, params![task], |row| row.named(0, TaskState::parse))?;
+    state.ok_or_else(|| Error::not_found("task"))
 }
 
-fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result<(), Error> {
-    let id = entry.task.ok_or_else(|| Error::Row {
-        table: "event",
-        problem: format!("entry {seq} imports no task"),
-    })?;
+fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result<()> {
+    let id = entry
+        .task
+        .ok_or_else(|| unreadable("event", format!("entry {seq} imports no task")))?;
     let state = if task.accepted.is_some() {
         TaskState::Accepted
     } else {
@@ -146,14 +142,31 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
             task.accepted.as_ref().and_then(kept_type)
         ],
     )?;
-    if let Some(answer) = &task.accepted {
-        accept_imported(tx, seq, entry, id, answer, task.credit.as_ref())?;
+    match &task.accepted {
+        Some(answer) => imported(answer, task.credit.as_ref(), entry).put(tx, seq, id, entry.at),
+        None => Ok(()),
     }
-    Ok(())
+}
+
+/// The acceptance of an imported answer.
+fn imported<'a>(answer: &'a Answer, credit: Option<&'a Credit>, entry: &Entry) -> Acceptance<'a> {
+    let actor = entry.actor.unwrap_or(0);
+    Acceptance {
+        author: actor,
+        reviewer: actor,
+        answer,
+        merged: credit.is_some_and(|credit| credit.merged),
+        credit: credit.and_then(|credit| credit.author.as_deref()),
+        keeps: is_kept_pair(answer),
+        basis: match credit.and_then(|credit| credit.accepted_by.as_deref()) {
+            Some(basis) => format!("{IMPORTED}:{basis}"),
+            None => IMPORTED.to_owned(),
+        },
+    }
 }
 
 /// Id of a lease created by an entry.
-pub(crate) fn lease_id(seq: i64, number: usize) -> i64 {
+fn lease_id(seq: i64, number: usize) -> i64 {
     seq * LEASES_PER_ENTRY + number as i64
 }
 
@@ -167,77 +180,27 @@ struct Change<'a> {
 }
 
 impl Change<'_> {
-    fn apply(&self, tx: &mut dyn Tx) -> Result<(), Error> {
+    fn apply(&self, tx: &mut dyn Tx) -> Result<()> {
         match &self.entry.body {
-            Body::Filled {
-                answer,
-                credit,
-                extra,
-            } => self.fill(tx, answer, credit.as_ref(), extra.as_ref()),
-            Body::ClipChanged { source, target } => self.set_clip(tx, source, target.as_deref()),
-            Body::ClipKept => settle_clip(tx, self.task),
-            Body::Claimed {
-                purpose,
-                expires,
-                blind,
-                place,
-            } => self.claim(tx, *purpose, *expires, *blind, *place),
-            Body::Renewed { lease, expires } => renew(tx, *lease, *expires),
-            Body::Released {
-                lease,
-                user,
-                purpose,
-                reserved,
-                ..
-            } => self.release(tx, *lease, *user, *purpose, *reserved),
-            Body::DraftSaved {
-                answer,
-                rev,
-                secs,
-                kept_aside,
-                ..
-            } => self.save_draft(tx, answer, *rev, *secs, kept_aside.is_some()),
-            Body::Submitted {
-                answer,
-                rev,
-                secs,
-                distance,
-                ..
-            } => self.submit(tx, answer, *rev, *secs, *distance),
-            Body::Skipped {
-                postponed,
-                reason,
-                note,
-                ..
-            } => self.skip(tx, *postponed, *reason, note),
-            Body::Returned {
-                authors,
-                comment,
-                until,
-                ..
-            } => self.send_back(tx, authors, comment, *until),
-            Body::Accepted {
-                author,
-                comment,
-                rule,
-                own,
-                ..
-            } => self.accept(tx, *author, comment, rule.as_deref(), *own),
-            Body::Merged {
-                answer,
-                comment,
-                own,
-                ..
-            } => self.merge(tx, answer, comment, *own),
-            Body::Dropped { comment, .. } => self.drop_task(tx, comment),
-            Body::Reopened { comment, rule, .. } => self.reopen(tx, comment, rule.as_deref()),
-            Body::Assigned { user, until } => self.assign(tx, *user, *until),
-            Body::Retargeted { wanted } => self.retarget(tx, *wanted),
-            Body::Undone { rev, expires, .. } => self.undo(tx, *rev, *expires),
-            Body::SuggestionUsed {
-                suggestion, used, ..
-            } => self.use_suggestion(tx, *suggestion, used.as_str()),
-            Body::GoldScored { score } => self.score(tx, *score),
+            Body::Claimed { .. }
+            | Body::Renewed { .. }
+            | Body::Released { .. }
+            | Body::Assigned { .. }
+            | Body::Retargeted { .. } => self.apply_lease(tx),
+            Body::DraftSaved { .. }
+            | Body::Submitted { .. }
+            | Body::Skipped { .. }
+            | Body::Undone { .. }
+            | Body::SuggestionUsed { .. }
+            | Body::GoldScored { .. } => self.apply_answer(tx),
+            Body::Filled { .. } | Body::ClipChanged { .. } | Body::ClipKept => {
+                self.apply_import(tx)
+            }
+            Body::Returned { .. }
+            | Body::Accepted { .. }
+            | Body::Merged { .. }
+            | Body::Dropped { .. }
+            | Body::Reopened { .. } => self.apply_decision(tx),
             Body::Imported { .. }
             | Body::RoleChanged { .. }
             | Body::SettingsChanged { .. }
@@ -248,53 +211,280 @@ impl Change<'_> {
         }
     }
 
-    fn fill(
+    /// Applies what changes who holds the task, or how many may.
+    fn apply_lease(&self, tx: &mut dyn Tx) -> Result<()> {
+        let task = self.task;
+        match &self.entry.body {
+            Body::Claimed {
+                purpose,
+                expires,
+                blind,
+                place,
+            } => {
+                if let Some(place) = place {
+                    tx.run(
+                        "INSERT INTO gold_place (task, usr, bundle, bundle_index) VALUES (?1, ?2, ?3, ?4)
+                         ON CONFLICT (task, usr) DO UPDATE SET bundle = excluded.bundle,
+                           bundle_index = excluded.bundle_index",
+                        params![task, self.actor, place.bundle, place.index],
+                    )?;
+                }
+                self.lease_to_actor(tx, *purpose, *expires, *blind)?;
+                self.after_lease(tx, *purpose, TaskState::InReview)
+            }
+            Body::Renewed { lease, expires } => {
+                let sql = "UPDATE lease SET expires = ?2 WHERE id = ?1";
+                tx.run(sql, params![*lease, *expires])
+            }
+            Body::Released {
+                lease,
+                user,
+                purpose,
+                reserved,
+                ..
+            } => {
+                tx.run("DELETE FROM lease WHERE id = ?1", params![*lease])?;
+                if let Some(until) = reserved {
+                    self.reserve(tx, &[*user], *until, Purpose::Returned)?;
+                }
+                self.after_lease(tx, *purpose, TaskState::Submitted)
+            }
+            Body::Assigned { user, until } => {
+                // The task leaves the person it was reserved for before.
+                let sql =
+                    "DELETE FROM lease WHERE task = ?1 AND purpose IN ('returned', 'assigned')";
+                tx.run(sql, params![task])?;
+                self.reserve(tx, &[*user], *until, Purpose::Assigned)?;
+                refresh(tx, task)
+            }
+            Body::Retargeted { wanted } => {
+                self.set(tx, "wanted", *wanted)?;
+                refresh(tx, task)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Applies what its author does with an answer.
+    fn apply_answer(&self, tx: &mut dyn Tx) -> Result<()> {
+        let (task, actor, at) = (self.task, self.actor, self.entry.at);
+        match &self.entry.body {
+            Body::DraftSaved {
+                answer,
+                rev,
+                secs,
+                kept_aside: None,
+                ..
+            } => self.put_revision(tx, RevisionState::Draft, answer, *rev, *secs),
+            Body::Submitted {
+                answer,
+                rev,
+                secs,
+                distance,
+                ..
+            } => {
+                self.put_revision(tx, RevisionState::Submitted, answer, *rev, *secs)?;
+                self.forget(tx, "lease")?;
+                self.forget(tx, "skip")?;
+                // Its author saw the clip as it is now.
+                tx.run(
+                    "UPDATE task SET distance = ?2, changed = CASE WHEN EXISTS (
+                       SELECT 1 FROM revision WHERE task = ?1 AND author <> ?3) THEN changed ELSE 0 END
+                     WHERE id = ?1",
+                    params![task, *distance, actor],
+                )?;
+                refresh(tx, task)
+            }
+            Body::Skipped {
+                postponed,
+                reason,
+                note,
+                ..
+            } => {
+                self.forget(tx, "lease")?;
+                let reason = reason.map(SkipReason::as_str);
+                tx.run(
+                    "INSERT INTO skip (task, usr, postponed, reason, note, at) VALUES (?1, ?2, ?3, ?4, ?5, ?6)
+                     ON CONFLICT (task, usr) DO UPDATE SET postponed = excluded.postponed,
+                       reason = excluded.reason, note = excluded.note, at = excluded.at",
+                    params![task, actor, *postponed, reason, note, at],
+                )?;
+                refresh(tx, task)
+            }
+            Body::Undone { rev, expires, .. } => {
+                let sql = "UPDATE revision SET state = 'draft', rev = ?3, at = ?4 WHERE task = ?1 AND author = ?2";
+                tx.run(sql, params![task, actor, *rev, at])?;
+                let blind = "SELECT blind FROM revision WHERE task = ?1 AND author = ?2";
+                let blind = tx.number(blind, params![task, actor])? != 0;
+                self.lease_to_actor(tx, Purpose::Annotate, *expires, blind)?;
+                self.forget(tx, "gold_score")?;
+                refresh(tx, task)
+            }
+            Body::SuggestionUsed {
+                suggestion, used, ..
+            } => tx.run(
+                "INSERT INTO suggestion_use (seq, task, usr, suggestion, used) VALUES (?1, ?2, ?3, ?4, ?5)",
+                params![self.seq, task, actor, *suggestion, used.as_str()],
+            ),
+            Body::GoldScored { score } => tx.run(
+                "INSERT INTO gold_score (task, usr, score, at) VALUES (?1, ?2, ?3, ?4)
+                 ON CONFLICT (task, usr) DO UPDATE SET score = excluded.score, at = excluded.at",
+                params![task, actor, *score, at],
+            ),
+            _ => Ok(()),
+        }
+    }
+
+    /// Applies what came with a dataset, and what is decided about it.
+    fn apply_import(&self, tx: &mut dyn Tx) -> Result<()> {
+        match &self.entry.body {
+            Body::Filled {
+                answer,
+                credit,
+                extra,
+            } => {
+                if let Some(extra) = extra {
+                    self.set(tx, "extra", json(extra)?)?;
+                }
+                self.accept(tx, &imported(answer, credit.as_ref(), self.entry))
+            }
+            // Nobody has to be asked about a task without an answer.
+            Body::ClipChanged { source, target } => tx.run(
+                "UPDATE task SET source = ?2, target = ?3, changed = CASE WHEN gold IS NOT NULL
+                   OR EXISTS (SELECT 1 FROM revision WHERE task = ?1)
+                   OR EXISTS (SELECT 1 FROM accepted WHERE task = ?1) THEN 1 ELSE 0 END
+                 WHERE id = ?1",
+                params![self.task, source, target.as_deref()],
+            ),
+            Body::ClipKept => self.set(tx, "changed", false),
+            _ => Ok(()),
+        }
+    }
+
+    /// Applies what a reviewer or a rule decides about answers.
+    fn apply_decision(&self, tx: &mut dyn Tx) -> Result<()> {
+        let task = self.task;
+        match &self.entry.body {
+            Body::Returned {
+                authors,
+                comment,
+                until,
+                ..
+            } => {
+                end_leases(tx, task)?;
+                let sql = "UPDATE revision SET state = 'returned' WHERE task = ?1 AND author = ?2";
+                for author in authors {
+                    tx.run(sql, params![task, *author])?;
+                }
+                self.reserve(tx, authors, *until, Purpose::Returned)?;
+                self.set(tx, "came_back", true)?;
+                let author = (authors.len() == 1).then(|| authors[0]);
+                self.put_review(tx, author, comment, None)?;
+                refresh(tx, task)
+            }
+            Body::Accepted {
+                author,
+                comment,
+                rule,
+                own,
+                ..
+            } => {
+                self.hand_over(tx, *author)?;
+                let accepted = rows::revision(tx, task, *author)?;
+                let answer = accepted.ok_or_else(|| Error::not_found("answer"))?.answer;
+                self.settle(tx, Some(*author), comment, rule.as_deref())?;
+                let acceptance = Acceptance {
+                    author: *author,
+                    reviewer: self.actor,
+                    answer: &answer,
+                    merged: false,
+                    credit: None,
+                    keeps: answer.verdict() == Some(Verdict::Keep),
+                    basis: basis(rule.as_deref(), *own),
+                };
+                self.accept(tx, &acceptance)
+            }
+            Body::Merged {
+                answer,
+                comment,
+                own,
+                ..
+            } => {
+                // No answer of an author is the accepted one.
+                self.hand_over(tx, 0)?;
+                self.settle(tx, None, comment, None)?;
+                let acceptance = Acceptance {
+                    author: self.actor,
+                    reviewer: self.actor,
+                    answer,
+                    merged: true,
+                    credit: None,
+                    keeps: is_kept_pair(answer),
+                    basis: basis(None, *own),
+                };
+                self.accept(tx, &acceptance)
+            }
+            Body::Dropped { comment, .. } => {
+                self.settle(tx, None, comment, None)?;
+                set_state(tx, task, TaskState::Dropped)
+            }
+            Body::Reopened { comment, rule, .. } => {
+                tx.run("DELETE FROM accepted WHERE task = ?1", params![task])?;
+                tx.run(
+                    "UPDATE revision SET state = 'submitted' WHERE task = ?1 AND state IN ('accepted', 'superseded')",
+                    params![task],
+                )?;
+                self.put_review(tx, None, comment, rule.as_deref())?;
+                refresh(tx, task)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Sets a column of the task.
+    fn set(&self, tx: &mut dyn Tx, column: &str, value: impl Into<Value>) -> Result<()> {
+        let sql = format!("UPDATE task SET {column} = ?2 WHERE id = ?1");
+        tx.run(&sql, params![self.task, value.into()])
+    }
+
+    /// Deletes the row of the task and the actor.
+    fn forget(&self, tx: &mut dyn Tx, table: &str) -> Result<()> {
+        let sql = format!("DELETE FROM {table} WHERE task = ?1 AND usr = ?2");
+        tx.run(&sql, params![self.task, self.actor])
+    }
+
+    /// Ends the review of the submitted answers: that of an author is accepted, the others are not.
+    fn hand_over(&self, tx: &mut dyn Tx, accepted: i64) -> Result<()> {
+        tx.run(
+            "UPDATE revision SET state = CASE WHEN author = ?2 THEN 'accepted' ELSE 'superseded' END
+             WHERE task = ?1 AND state = 'submitted'",
+            params![self.task, accepted],
+        )
+    }
+
+    /// Ends the work on a task with a decision about its clip as it is now.
+    fn settle(
         &self,
         tx: &mut dyn Tx,
-        answer: &Answer,
-        credit: Option<&Credit>,
-        extra: Option<&serde_json::Value>,
-    ) -> Result<(), Error> {
-        accept_imported(tx, self.seq, self.entry, self.task, answer, credit)?;
-        if let Some(extra) = extra {
-            tx.execute(
-                "UPDATE task SET extra = ?2 WHERE id = ?1",
-                params![self.task, json(extra)?],
-            )?;
-        }
+        author: Option<i64>,
+        comment: &str,
+        rule: Option<&str>,
+    ) -> Result<()> {
+        end_leases(tx, self.task)?;
+        self.put_review(tx, author, comment, rule)?;
+        self.set(tx, "changed", false)
+    }
+
+    fn accept(&self, tx: &mut dyn Tx, acceptance: &Acceptance<'_>) -> Result<()> {
+        acceptance.put(tx, self.seq, self.task, self.entry.at)?;
         set_state(tx, self.task, TaskState::Accepted)
     }
 
-    fn set_clip(&self, tx: &mut dyn Tx, source: &str, target: Option<&str>) -> Result<(), Error> {
-        // Nobody has to be asked about a task without an answer.
-        tx.execute(
-            "UPDATE task SET source = ?2, target = ?3, changed = CASE WHEN gold IS NOT NULL
-                     OR EXISTS (SELECT 1 FROM revision WHERE task = ?1)
-                     OR EXISTS (SELECT 1 FROM accepted WHERE task = ?1) THEN 1 ELSE 0 END
-                 WHERE id = ?1",
-            params![self.task, source, target],
-        )?;
-        Ok(())
-    }
-
-    fn claim(
-        &self,
-        tx: &mut dyn Tx,
-        purpose: Purpose,
-        expires: Millis,
-        blind: bool,
-        place: Option<Place>,
-    ) -> Result<(), Error> {
-        if let Some(place) = place {
-            tx.execute(
-                "INSERT INTO gold_place (task, usr, bundle, bundle_index) VALUES (?1, ?2, ?3, ?4)
-                     ON CONFLICT (task, usr) DO UPDATE SET bundle = excluded.bundle, bundle_index = excluded.bundle_index",
-                params![self.task, self.actor, place.bundle, place.index],
-            )?;
-        }
-        self.lease_to_actor(tx, purpose, expires, blind)?;
+    /// Derives the state of the task after a lease for `purpose` began or ended. One for a review gives it the state
+    /// `of_review`.
+    fn after_lease(&self, tx: &mut dyn Tx, purpose: Purpose, of_review: TaskState) -> Result<()> {
         match purpose {
-            Purpose::Review => set_state(tx, self.task, TaskState::InReview),
+            Purpose::Review => set_state(tx, self.task, of_review),
             Purpose::Annotate | Purpose::Returned | Purpose::Assigned => refresh(tx, self.task),
         }
     }
@@ -306,98 +496,37 @@ impl Change<'_> {
         purpose: Purpose,
         expires: Millis,
         blind: bool,
-    ) -> Result<(), Error> {
-        put_lease(
-            tx,
-            &NewLease {
-                id: lease_id(self.seq, 0),
-                task: self.task,
-                user: self.actor,
-                epoch: self.entry.epoch.unwrap_or(0),
-                expires,
-                purpose,
-                blind,
-            },
-        )
+    ) -> Result<()> {
+        let lease = Lease {
+            id: lease_id(self.seq, 0),
+            task: self.task,
+            user: self.actor,
+            epoch: self.entry.epoch.unwrap_or(0),
+            expires,
+        };
+        put_lease(tx, &lease, purpose, blind)
     }
 
-    /// Keeps the task for a person.
+    /// Keeps the task for people.
     fn reserve(
         &self,
         tx: &mut dyn Tx,
-        user: i64,
-        until: Millis,
+        users: &[i64],
+        expires: Millis,
         purpose: Purpose,
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         let epoch = tx.number("SELECT epoch FROM task WHERE id = ?1", params![self.task])?;
-        put_lease(
-            tx,
-            &NewLease {
-                id: lease_id(self.seq, 0),
+        for (number, &user) in users.iter().enumerate() {
+            let lease = Lease {
+                id: lease_id(self.seq, number),
                 task: self.task,
                 user,
-                epoch: epoch + 1,
-                expires: until,
-                purpose,
-                blind: false,
-            },
-        )
-    }
-
-    fn release(
-        &self,
-        tx: &mut dyn Tx,
-        lease: i64,
-        user: i64,
-        purpose: Purpose,
-        reserved: Option<Millis>,
-    ) -> Result<(), Error> {
-        tx.execute("DELETE FROM lease WHERE id = ?1", params![lease])?;
-        if let Some(until) = reserved {
-            self.reserve(tx, user, until, Purpose::Returned)?;
+                epoch: epoch + 1 + number as i64,
+                expires,
+            };
+            put_lease(tx, &lease, purpose, false)?;
         }
-        match purpose {
-            Purpose::Review => set_state(tx, self.task, TaskState::Submitted),
-            Purpose::Annotate | Purpose::Returned | Purpose::Assigned => refresh(tx, self.task),
-        }
-    }
-
-    fn save_draft(
-        &self,
-        tx: &mut dyn Tx,
-        answer: &Answer,
-        rev: i64,
-        secs: f64,
-        kept_aside: bool,
-    ) -> Result<(), Error> {
-        if kept_aside {
-            return Ok(());
-        }
-        self.put_revision(tx, RevisionState::Draft, answer, rev, secs)
-    }
-
-    fn submit(
-        &self,
-        tx: &mut dyn Tx,
-        answer: &Answer,
-        rev: i64,
-        secs: f64,
-        distance: Option<f64>,
-    ) -> Result<(), Error> {
-        self.put_revision(tx, RevisionState::Submitted, answer, rev, secs)?;
-        end_lease_of(tx, self.task, self.actor)?;
-        tx.execute(
-            "DELETE FROM skip WHERE task = ?1 AND usr = ?2",
-            params![self.task, self.actor],
-        )?;
-        // Its author saw the clip as it is now.
-        tx.execute(
-            "UPDATE task SET distance = ?2, changed = CASE WHEN EXISTS (
-                     SELECT 1 FROM revision WHERE task = ?1 AND author <> ?3) THEN changed ELSE 0 END
-                 WHERE id = ?1",
-            params![self.task, distance, self.actor],
-        )?;
-        refresh(tx, self.task)
+        Ok(())
     }
 
     fn put_revision(
@@ -407,12 +536,10 @@ impl Change<'_> {
         answer: &Answer,
         rev: i64,
         secs: f64,
-    ) -> Result<(), Error> {
-        let blind = tx.number(
-            "SELECT blind FROM lease WHERE task = ?1 AND usr = ?2",
-            params![self.task, self.actor],
-        )?;
-        tx.execute(
+    ) -> Result<()> {
+        let sql = "SELECT blind FROM lease WHERE task = ?1 AND usr = ?2";
+        let blind = tx.number(sql, params![self.task, self.actor])?;
+        tx.run(
             "INSERT INTO revision (task, author, rev, state, answer, at, secs, blind, verdict, edit_type, words, parts)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)
          ON CONFLICT (task, author) DO UPDATE SET rev = excluded.rev, state = excluded.state,
@@ -434,147 +561,7 @@ impl Change<'_> {
                 words(answer),
                 part_list(answer)
             ],
-        )?;
-        Ok(())
-    }
-
-    fn skip(
-        &self,
-        tx: &mut dyn Tx,
-        postponed: bool,
-        reason: Option<SkipReason>,
-        note: &str,
-    ) -> Result<(), Error> {
-        end_lease_of(tx, self.task, self.actor)?;
-        tx.execute(
-            "INSERT INTO skip (task, usr, postponed, reason, note, at) VALUES (?1, ?2, ?3, ?4, ?5, ?6)
-                 ON CONFLICT (task, usr) DO UPDATE SET postponed = excluded.postponed,
-                   reason = excluded.reason, note = excluded.note, at = excluded.at",
-            params![self.task, self.actor, postponed, reason.map(SkipReason::as_str), note, self.entry.at],
-        )?;
-        refresh(tx, self.task)
-    }
-
-    fn send_back(
-        &self,
-        tx: &mut dyn Tx,
-        authors: &[i64],
-        comment: &str,
-        until: Millis,
-    ) -> Result<(), Error> {
-        end_leases(tx, self.task)?;
-        let epoch = tx.number("SELECT epoch FROM task WHERE id = ?1", params![self.task])?;
-        for (number, &author) in authors.iter().enumerate() {
-            tx.execute(
-                "UPDATE revision SET state = 'returned' WHERE task = ?1 AND author = ?2",
-                params![self.task, author],
-            )?;
-            put_lease(
-                tx,
-                &NewLease {
-                    id: lease_id(self.seq, number),
-                    task: self.task,
-                    user: author,
-                    epoch: epoch + 1 + number as i64,
-                    expires: until,
-                    purpose: Purpose::Returned,
-                    blind: false,
-                },
-            )?;
-        }
-        tx.execute(
-            "UPDATE task SET came_back = 1 WHERE id = ?1",
-            params![self.task],
-        )?;
-        let author = (authors.len() == 1).then(|| authors[0]);
-        self.put_review(tx, author, comment, None)?;
-        refresh(tx, self.task)
-    }
-
-    fn accept(
-        &self,
-        tx: &mut dyn Tx,
-        author: i64,
-        comment: &str,
-        rule: Option<&str>,
-        own: bool,
-    ) -> Result<(), Error> {
-        tx.execute(
-            "UPDATE revision SET state = CASE WHEN author = ?2 THEN 'accepted' ELSE 'superseded' END
-                 WHERE task = ?1 AND state = 'submitted'",
-            params![self.task, author],
-        )?;
-        tx.execute(
-            "INSERT INTO accepted (task, author, reviewer, answer, merged, keeps, at, seq, basis, words, parts,
-                   edit_type)
-                 SELECT task, author, CAST(?3 AS BIGINT), answer, 0, CASE WHEN verdict = 'keep' THEN 1 ELSE 0 END,
-                   CAST(?4 AS BIGINT), CAST(?5 AS BIGINT), ?6, words, parts,
-                   CASE WHEN verdict = 'keep' THEN edit_type ELSE NULL END
-                 FROM revision WHERE task = ?1 AND author = ?2",
-            params![
-                self.task,
-                author,
-                self.actor,
-                self.entry.at,
-                self.seq,
-                basis(rule, own)
-            ],
-        )?;
-        end_leases(tx, self.task)?;
-        self.put_review(tx, Some(author), comment, rule)?;
-        settle_clip(tx, self.task)?;
-        set_state(tx, self.task, TaskState::Accepted)
-    }
-
-    fn merge(
-        &self,
-        tx: &mut dyn Tx,
-        answer: &Answer,
-        comment: &str,
-        own: bool,
-    ) -> Result<(), Error> {
-        tx.execute(
-            "UPDATE revision SET state = 'superseded' WHERE task = ?1 AND state = 'submitted'",
-            params![self.task],
-        )?;
-        tx.execute(
-            "INSERT INTO accepted (task, author, reviewer, answer, merged, keeps, at, seq, basis, words, parts,
-                   edit_type)
-                 VALUES (?1, ?2, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
-            params![
-                self.task,
-                self.actor,
-                json(answer)?,
-                is_kept_pair(answer),
-                self.entry.at,
-                self.seq,
-                basis(None, own),
-                words(answer),
-                part_list(answer),
-                kept_type(answer)
-            ],
-        )?;
-        end_leases(tx, self.task)?;
-        self.put_review(tx, None, comment, None)?;
-        settle_clip(tx, self.task)?;
-        set_state(tx, self.task, TaskState::Accepted)
-    }
-
-    fn drop_task(&self, tx: &mut dyn Tx, comment: &str) -> Result<(), Error> {
-        end_leases(tx, self.task)?;
-        self.put_review(tx, None, comment, None)?;
-        settle_clip(tx, self.task)?;
-        set_state(tx, self.task, TaskState::Dropped)
-    }
-
-    fn reopen(&self, tx: &mut dyn Tx, comment: &str, rule: Option<&str>) -> Result<(), Error> {
-        tx.execute("DELETE FROM accepted WHERE task = ?1", params![self.task])?;
-        tx.execute(
-            "UPDATE revision SET state = 'submitted' WHERE task = ?1 AND state IN ('accepted', 'superseded')",
-            params![self.task],
-        )?;
-        self.put_review(tx, None, comment, rule)?;
-        refresh(tx, self.task)
+        )
     }
 
     fn put_review(
@@ -583,9 +570,10 @@ impl Change<'_> {
         author: Option<i64>,
         comment: &str,
         rule: Option<&str>,
-    ) -> Result<(), Error> {
-        tx.execute(
-            "INSERT INTO review (seq, task, reviewer, decision, author, comment, at, rule) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
+    ) -> Result<()> {
+        tx.run(
+            "INSERT INTO review (seq, task, reviewer, decision, author, comment, at, rule)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
             params![
                 self.seq,
                 self.task,
@@ -596,69 +584,8 @@ impl Change<'_> {
                 self.entry.at,
                 rule
             ],
-        )?;
-        Ok(())
+        )
     }
-
-    fn assign(&self, tx: &mut dyn Tx, user: i64, until: Millis) -> Result<(), Error> {
-        // The task leaves the person it was reserved for before.
-        tx.execute(
-            "DELETE FROM lease WHERE task = ?1 AND purpose IN ('returned', 'assigned')",
-            params![self.task],
-        )?;
-        self.reserve(tx, user, until, Purpose::Assigned)?;
-        refresh(tx, self.task)
-    }
-
-    fn retarget(&self, tx: &mut dyn Tx, wanted: u32) -> Result<(), Error> {
-        tx.execute(
-            "UPDATE task SET wanted = ?2 WHERE id = ?1",
-            params![self.task, wanted],
-        )?;
-        refresh(tx, self.task)
-    }
-
-    fn undo(&self, tx: &mut dyn Tx, rev: i64, expires: Millis) -> Result<(), Error> {
-        tx.execute(
-            "UPDATE revision SET state = 'draft', rev = ?3, at = ?4 WHERE task = ?1 AND author = ?2",
-            params![self.task, self.actor, rev, self.entry.at],
-        )?;
-        let blind = tx.number(
-            "SELECT blind FROM revision WHERE task = ?1 AND author = ?2",
-            params![self.task, self.actor],
-        )?;
-        self.lease_to_actor(tx, Purpose::Annotate, expires, blind != 0)?;
-        tx.execute(
-            "DELETE FROM gold_score WHERE task = ?1 AND usr = ?2",
-            params![self.task, self.actor],
-        )?;
-        refresh(tx, self.task)
-    }
-
-    fn use_suggestion(&self, tx: &mut dyn Tx, suggestion: i64, used: &str) -> Result<(), Error> {
-        tx.execute(
-            "INSERT INTO suggestion_use (seq, task, usr, suggestion, used) VALUES (?1, ?2, ?3, ?4, ?5)",
-            params![self.seq, self.task, self.actor, suggestion, used],
-        )?;
-        Ok(())
-    }
-
-    fn score(&self, tx: &mut dyn Tx, score: f64) -> Result<(), Error> {
-        tx.execute(
-            "INSERT INTO gold_score (task, usr, score, at) VALUES (?1, ?2, ?3, ?4)
-                 ON CONFLICT (task, usr) DO UPDATE SET score = excluded.score, at = excluded.at",
-            params![self.task, self.actor, score, self.entry.at],
-        )?;
-        Ok(())
-    }
-}
-
-fn renew(tx: &mut dyn Tx, lease: i64, expires: Millis) -> Result<(), Error> {
-    tx.execute(
-        "UPDATE lease SET expires = ?2 WHERE id = ?1",
-        params![lease, expires],
-    )?;
-    Ok(())
 }
 
 /// How an answer was accepted, for the column `accepted.basis`.

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use super::db::Result;
 use super::records::Millis;
 use super::store::Store;
-use crate::Error;
 
 const PREFIX: &str = "store-";
 const SUFFIX: &str = ".sqlite";
@@ -16,7 +16,7 @@ const TIME_CHARS: usize = 16;
 ///
 /// # Errors
 /// The store fails, is on PostgreSQL, or the folder cannot be written.
-pub fn back_up(store: &Store, folder: &Path, keep: usize, now: Millis) -> Result<PathBuf, Error> {
+pub fn back_up(store: &Store, folder: &Path, keep: usize, now: Millis) -> Result<PathBuf> {
     std::fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;
     let path = folder.join(name(now));
     store.backup(&path)?;
@@ -33,13 +33,13 @@ pub fn back_up(store: &Store, folder: &Path, keep: usize, now: Millis) -> Result
 ///
 /// # Errors
 /// The folder cannot be read.
-pub fn backup_is_due(folder: &Path, every: Millis, now: Millis) -> Result<bool, Error> {
+pub fn backup_is_due(folder: &Path, every: Millis, now: Millis) -> Result<bool> {
     let newest = copies(folder)?.into_iter().max();
     Ok(newest.is_none_or(|newest| newest <= name(now - every)))
 }
 
 /// Names of the copies in a folder.
-fn copies(folder: &Path) -> Result<Vec<String>, Error> {
+fn copies(folder: &Path) -> Result<Vec<String>> {
     let entries = match std::fs::read_dir(folder) {
         Ok(entries) => entries,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),

@@ -2,16 +2,16 @@
 
 use std::collections::BTreeMap;
 
-use super::db::{Row, Tx, Value, params};
+use super::db::{Result, Row, Tx, Value, params};
 use super::filter::{self, Values, condition};
 use super::projections::IMPORTED;
 use super::records::TaskRecord;
-use super::rows;
-use super::rows::NUM_TASK_COLUMNS;
+use super::rows::{self, NUM_TASK_COLUMNS};
+use super::store::Store;
 use crate::Error;
 use crate::wire::{
     AnswerBrief, DecisionRow, Decisions, Holder, SkipBrief, SkipReason, TaskFilter, TaskPage,
-    TaskRow, TaskSort,
+    TaskRow, TaskSort, TaskState,
 };
 
 /// Which page of the browser.
@@ -29,8 +29,58 @@ pub struct PageQuery {
     pub limit: usize,
 }
 
+/// Which decisions to list.
+#[derive(Clone, Debug, Default, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DecisionQuery {
+    /// Of this reviewer.
+    pub reviewer: Option<i64>,
+    /// Of this kind: `accepted`, `merged`, `returned`, `dropped` or `reopened`.
+    pub decision: Option<String>,
+    /// Before this sequence number of the log.
+    pub before: Option<i64>,
+    /// Maximum number.
+    pub limit: usize,
+}
+
+impl Store {
+    /// A page of the task browser. Refused with `invalid`.
+    pub fn browse(&self, query: PageQuery) -> Result<TaskPage> {
+        self.read(|tx| page(tx, &query))
+    }
+
+    /// The row of a task in the browser, and the decisions on it, oldest first. Refused with `not_found`.
+    pub fn task_row(&self, task: i64) -> Result<(TaskRow, Vec<DecisionRow>)> {
+        self.read(|tx| {
+            let record = rows::task(tx, task)?;
+            let row = task_rows(tx, vec![record])?.pop();
+            let decisions = decisions(tx, "v.task = ?1 ORDER BY v.seq", params![task])?;
+            Ok((row.ok_or_else(|| Error::not_found("task"))?, decisions))
+        })
+    }
+
+    /// Decisions of reviewers, newest first: what was sent back, to whom, and what became of it.
+    pub fn decisions(&self, query: DecisionQuery) -> Result<Decisions> {
+        let mut values = Values::default();
+        let mut place = format!("v.seq < {}", values.put(query.before.unwrap_or(i64::MAX)));
+        place += match query.reviewer {
+            Some(_) => "",
+            None => " AND v.reviewer <> 0",
+        };
+        place += &values.equal("v.reviewer", query.reviewer);
+        place += &values.equal("v.decision", query.decision);
+        let limit = values.put(query.limit as i64);
+        place += &format!(" ORDER BY v.seq DESC LIMIT {limit}");
+        let items = self.read(|tx| decisions(tx, &place, &values.0))?;
+        let next = (items.len() == query.limit)
+            .then(|| items.last().map(|item| item.seq))
+            .flatten();
+        Ok(Decisions { items, next })
+    }
+}
+
 /// A page of tasks. The cursor names the last row by its sort value and id, so that a late page is as fast as the first.
-pub(super) fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage, Error> {
+fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
     filter::check(&query.filter)?;
     let sort = query.sort.unwrap_or(TaskSort::Id);
     let (column, mut descending) = match sort {
@@ -82,7 +132,12 @@ pub(super) fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage, Error
     };
     let total = match query.after {
         Some(_) => None,
-        None => Some(count(tx, &query.filter)?),
+        None => {
+            let mut values = Values::default();
+            let place = condition(&query.filter, &mut values);
+            let sql = format!("SELECT COUNT(*) FROM task t WHERE {place}");
+            Some(tx.number(&sql, &values.0)?)
+        }
     };
     let tasks = found
         .iter()
@@ -96,21 +151,6 @@ pub(super) fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage, Error
     })
 }
 
-fn count(tx: &mut dyn Tx, filter: &TaskFilter) -> Result<i64, Error> {
-    let mut values = Values::default();
-    let place = condition(filter, &mut values);
-    tx.number(
-        &format!("SELECT COUNT(*) FROM task t WHERE {place}"),
-        &values.0,
-    )
-}
-
-/// A row of the browser.
-pub(super) fn task_row(tx: &mut dyn Tx, task: TaskRecord) -> Result<TaskRow, Error> {
-    let row = task_rows(tx, vec![task])?.pop();
-    row.ok_or_else(|| Error::not_found("task"))
-}
-
 /// What several tasks have, by their ids.
 type ByTask<T> = BTreeMap<i64, Vec<T>>;
 
@@ -119,8 +159,8 @@ fn by_task<T>(
     tx: &mut dyn Tx,
     sql: &str,
     ids: &Values,
-    read: impl Fn(&Row) -> Result<T, Error>,
-) -> Result<ByTask<T>, Error> {
+    read: impl Fn(&Row) -> Result<T>,
+) -> Result<ByTask<T>> {
     let places: Vec<String> = (1..=ids.0.len()).map(|place| format!("?{place}")).collect();
     let mut all = ByTask::new();
     for row in tx.query(&sql.replace("{}", &places.join(", ")), &ids.0)? {
@@ -130,53 +170,40 @@ fn by_task<T>(
 }
 
 /// Rows of the browser. Each table is read once for all of them.
-fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>, Error> {
+fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>> {
     if tasks.is_empty() {
         return Ok(Vec::new());
     }
     let ids = Values(tasks.iter().map(|task| task.id.into()).collect());
-    let mut motions = by_task(
+    let mut facts = by_task(
         tx,
-        "SELECT t.id, s.id, o.id FROM task t LEFT JOIN motion s ON s.hash = t.source
-         LEFT JOIN motion o ON o.hash = t.target WHERE t.id IN ({})",
+        "SELECT t.id, s.id, o.id, t.touched, a.basis FROM task t LEFT JOIN motion s ON s.hash = t.source
+         LEFT JOIN motion o ON o.hash = t.target LEFT JOIN accepted a ON a.task = t.id WHERE t.id IN ({})",
         &ids,
-        |row| Ok((row.opt_text(1)?, row.opt_text(2)?)),
+        |row| {
+            // How it was accepted elsewhere cannot be undone here.
+            let basis = row.opt_text(4)?.map(|basis| {
+                let is_imported = basis.split(':').next() == Some(IMPORTED);
+                if is_imported { IMPORTED.to_owned() } else { basis }
+            });
+            Ok((row.opt_text(1)?, row.opt_text(2)?, row.int(3)?, basis))
+        },
     )?;
     let mut answers = answers(tx, &ids)?;
     let mut holders = holders(tx, &ids)?;
     let mut skips = skips(tx, &ids)?;
-    let mut accepted = by_task(
-        tx,
-        "SELECT task, basis FROM accepted WHERE task IN ({})",
-        &ids,
-        |row| {
-            // How it was accepted elsewhere cannot be undone here.
-            let basis = row.text(1)?;
-            let is_imported = basis.split(':').next() == Some(IMPORTED);
-            Ok(if is_imported { IMPORTED } else { basis }.to_owned())
-        },
-    )?;
-    let mut touched = by_task(
-        tx,
-        "SELECT id, touched FROM task WHERE id IN ({})",
-        &ids,
-        |row| row.int(1),
-    )?;
     Ok(tasks
         .into_iter()
         .map(|task| {
             let id = &task.id;
-            let motions = motions.remove(id).and_then(|mut one| one.pop());
-            let (source, target) = motions.unwrap_or_default();
+            let facts = facts.remove(id).and_then(|mut one| one.pop());
+            let (source, target, touched, accepted_by) = facts.unwrap_or_default();
             TaskRow {
                 answers: answers.remove(id).unwrap_or_default(),
                 holders: holders.remove(id).unwrap_or_default(),
                 skips: skips.remove(id).unwrap_or_default(),
-                accepted_by: accepted.remove(id).and_then(|mut one| one.pop()),
-                touched: touched
-                    .remove(id)
-                    .and_then(|mut one| one.pop())
-                    .unwrap_or(0),
+                accepted_by,
+                touched,
                 source_id: source.unwrap_or(task.source),
                 target_id: target.or(task.target),
                 id: task.id,
@@ -196,7 +223,7 @@ fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>, Er
 }
 
 /// Answers that were handed in, in the order of time.
-fn answers(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<AnswerBrief>, Error> {
+fn answers(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<AnswerBrief>> {
     let sql = format!(
         "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
          WHERE r.task IN ({{}}) AND r.state <> 'draft' ORDER BY r.at, r.author",
@@ -223,7 +250,7 @@ fn answers(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<AnswerBrief>, Error> 
     })
 }
 
-fn holders(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<Holder>, Error> {
+fn holders(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<Holder>> {
     by_task(
         tx,
         "SELECT l.task, l.id, l.usr, COALESCE(u.name, ''), l.purpose, l.expires
@@ -241,7 +268,7 @@ fn holders(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<Holder>, Error> {
     )
 }
 
-fn skips(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<SkipBrief>, Error> {
+fn skips(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<SkipBrief>> {
     by_task(
         tx,
         "SELECT s.task, s.usr, COALESCE(u.name, ''), s.postponed, s.reason, s.note, s.at
@@ -260,21 +287,14 @@ fn skips(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<SkipBrief>, Error> {
     )
 }
 
-const DECISION_COLUMNS: &str =
-    "v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), v.author, v.rule,
-  v.comment, v.at, t.state";
-
-fn decision(tx: &mut dyn Tx, row: &Row) -> Result<DecisionRow, Error> {
+fn decision(tx: &mut dyn Tx, row: &Row) -> Result<DecisionRow> {
     let (task, author) = (row.int(1)?, row.opt_int(6)?);
-    let authors = tx
-        .query(
-            "SELECT COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
-             WHERE r.task = ?1 AND r.state <> 'draft' AND (?2 = -1 OR r.author = ?2) ORDER BY r.author",
-            params![task, author.unwrap_or(-1)],
-        )?
-        .iter()
-        .map(|row| row.string(0))
-        .collect::<Result<_, _>>()?;
+    let authors = tx.list(
+        "SELECT COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
+         WHERE r.task = ?1 AND r.state <> 'draft' AND (?2 = -1 OR r.author = ?2) ORDER BY r.author",
+        params![task, author.unwrap_or(-1)],
+        |row| row.string(0),
+    )?;
     Ok(DecisionRow {
         seq: row.int(0)?,
         task,
@@ -287,57 +307,17 @@ fn decision(tx: &mut dyn Tx, row: &Row) -> Result<DecisionRow, Error> {
         rule: row.opt_text(7)?,
         comment: row.string(8)?,
         at: row.int(9)?,
-        state: rows::state(row.text(10)?)?,
+        state: row.named(10, TaskState::parse)?,
     })
 }
 
-/// Decisions on a task, oldest first.
-pub(super) fn decisions_on(tx: &mut dyn Tx, task: i64) -> Result<Vec<DecisionRow>, Error> {
+/// Decisions `v` that fit what follows `WHERE` in a query.
+fn decisions(tx: &mut dyn Tx, condition: &str, params: &[Value]) -> Result<Vec<DecisionRow>> {
     let sql = format!(
-        "SELECT {DECISION_COLUMNS} FROM review v JOIN task t ON t.id = v.task LEFT JOIN usr u ON u.id = v.reviewer
-         WHERE v.task = ?1 ORDER BY v.seq"
+        "SELECT v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), v.author, v.rule, v.comment, v.at,
+           t.state
+         FROM review v JOIN task t ON t.id = v.task LEFT JOIN usr u ON u.id = v.reviewer WHERE {condition}"
     );
-    let found = tx.query(&sql, params![task])?;
+    let found = tx.query(&sql, params)?;
     found.iter().map(|row| decision(tx, row)).collect()
-}
-
-/// Which decisions to list.
-#[derive(Clone, Debug, Default, serde::Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct DecisionQuery {
-    /// Of this reviewer.
-    pub reviewer: Option<i64>,
-    /// Of this kind: `accepted`, `merged`, `returned`, `dropped` or `reopened`.
-    pub decision: Option<String>,
-    /// Before this sequence number of the log.
-    pub before: Option<i64>,
-    /// Maximum number.
-    pub limit: usize,
-}
-
-/// Decisions of people, newest first: what was sent back, to whom, and what became of it.
-pub(super) fn decisions(tx: &mut dyn Tx, query: &DecisionQuery) -> Result<Decisions, Error> {
-    let mut values = Values::default();
-    let mut place = format!("v.seq < {}", values.put(query.before.unwrap_or(i64::MAX)));
-    match query.reviewer {
-        Some(reviewer) => place += &format!(" AND v.reviewer = {}", values.put(reviewer)),
-        None => place += " AND v.reviewer <> 0",
-    }
-    if let Some(decision) = &query.decision {
-        place += &format!(" AND v.decision = {}", values.put(decision));
-    }
-    let limit = values.put(query.limit as i64);
-    let sql = format!(
-        "SELECT {DECISION_COLUMNS} FROM review v JOIN task t ON t.id = v.task LEFT JOIN usr u ON u.id = v.reviewer
-         WHERE {place} ORDER BY v.seq DESC LIMIT {limit}"
-    );
-    let found = tx.query(&sql, &values.0)?;
-    let items: Vec<DecisionRow> = found
-        .iter()
-        .map(|row| decision(tx, row))
-        .collect::<Result<_, _>>()?;
-    let next = (items.len() == query.limit)
-        .then(|| items.last().map(|item| item.seq))
-        .flatten();
-    Ok(Decisions { items, next })
 }

@@ -1,78 +1,75 @@
 //! Actions on all tasks of a filter.
 
-use super::db::{Tx, params};
-use super::entry::{Body, Entry};
+use super::db::{Result, Tx, params};
+use super::entry::Body;
 use super::filter::{self, Values, condition};
 use super::leases::MINUTE;
 use super::records::{Millis, TaskRecord, Who};
 use super::rows::NUM_TASK_COLUMNS;
-use super::{log, project, rows, rules};
+use super::settings::require;
+use super::store::Store;
+use super::{log, project, review, rows, rules};
 use crate::Error;
 use crate::answer;
 use crate::state::{LogKind, targets};
-use crate::wire::{BulkAction, BulkDone, BulkRequest, MAX_TEXT_CHARS, Settings};
+use crate::wire::{BulkAction, BulkDone, BulkRequest, Settings};
 
 /// Tasks that one bulk request looks at.
 const BULK_AT_ONCE: i64 = 2000;
 const DAY: Millis = 24 * 60 * MINUTE;
 
-/// Checks a bulk request. A preview needs no comment.
-fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<(), Error> {
-    filter::check(&request.filter)?;
-    if request.comment.chars().count() > MAX_TEXT_CHARS {
-        return Err(Error::invalid("comment", "the comment is too long"));
+impl Store {
+    /// Counts what a bulk action would change. Refused with `invalid`.
+    pub fn preview_bulk(&self, who: &Who, request: BulkRequest, now: Millis) -> Result<BulkDone> {
+        self.read(|tx| bulk(tx, who.id, &request, false, now))
     }
+
+    /// Acts on up to 2,000 tasks of a filter. Refused with `invalid`.
+    pub fn bulk(&self, who: &Who, request: BulkRequest, now: Millis) -> Result<BulkDone> {
+        let who = who.id;
+        self.write(move |tx| bulk(tx, who, &request, true, now))
+    }
+}
+
+/// Checks a bulk request. A preview needs no comment.
+fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<()> {
+    filter::check(&request.filter)?;
     let needs_comment = matches!(
         request.action,
         BulkAction::Return | BulkAction::Drop | BulkAction::Reopen
     );
-    if act && needs_comment && request.comment.trim().is_empty() {
-        return Err(Error::invalid(
-            "comment",
-            "write a comment; the authors and the log need it",
-        ));
-    }
+    review::comment(&request.comment, act && needs_comment, "authors")?;
     match (request.action, request.person) {
-        (BulkAction::Assign, None) => Err(Error::invalid(
-            "person",
-            "name the person to give the tasks to",
-        )),
-        (BulkAction::Assign, Some(person)) => {
-            let active = tx.number(
-                "SELECT COUNT(*) FROM usr WHERE id = ?1 AND active = 1",
-                params![person],
-            )?;
-            if active == 0 {
-                return Err(Error::invalid(
-                    "person",
-                    format!("there is no active user {person}"),
-                ));
-            }
-            Ok(())
+        (BulkAction::Assign, None) => {
+            require(false, "person", "name the person to give the tasks to")
         }
-        (_, Some(_)) => Err(Error::invalid(
-            "person",
-            "only the action assign has a person",
-        )),
-        (_, None) => Ok(()),
+        (BulkAction::Assign, Some(person)) => {
+            let active = "SELECT 1 FROM usr WHERE id = ?1 AND active = 1";
+            let problem = format!("there is no active user {person}");
+            require(tx.has(active, params![person])?, "person", problem)
+        }
+        (_, person) => {
+            let problem = "only the action assign has a person";
+            require(person.is_none(), "person", problem)
+        }
     }
 }
 
 /// Looks at tasks of a filter, and acts on them if `act` is set. Without it all tasks are counted.
-pub(super) fn bulk(
+fn bulk(
     tx: &mut dyn Tx,
-    who: &Who,
+    who: i64,
     request: &BulkRequest,
     act: bool,
     now: Millis,
-) -> Result<BulkDone, Error> {
+) -> Result<BulkDone> {
     check_bulk(tx, request, act)?;
     let settings = project::settings(tx)?;
     let mut values = Values::default();
     let place = condition(&request.filter, &mut values);
     let after = values.put(request.after.unwrap_or(0));
     let limit = values.put(if act { BULK_AT_ONCE } else { i64::MAX });
-    let me = values.put(who.id);
+    let me = values.put(who);
     let sql = format!(
         "SELECT {}, (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'review' AND l.usr <> {me}),
            (SELECT COUNT(*) FROM revision r WHERE r.task = t.id AND r.author = {me} AND r.state <> 'draft')
@@ -96,14 +93,7 @@ pub(super) fn bulk(
             Ok(body) => {
                 done.done += 1;
                 if act {
-                    let entry = Entry {
-                        at: now,
-                        actor: Some(who.id),
-                        task: Some(id),
-                        epoch: None,
-                        body,
-                    };
-                    log::note(tx, &entry)?;
+                    log::note(tx, now, Some(who), Some(id), body)?;
                 }
             }
             Err(reason) => *done.left_alone.entry(reason.to_owned()).or_default() += 1,
@@ -129,15 +119,14 @@ type Planned = Result<Body, &'static str>;
 /// What a bulk action does to a task.
 fn planned(
     tx: &mut dyn Tx,
-    who: &Who,
+    who: i64,
     request: &BulkRequest,
     settings: &Settings,
     one: &One,
     now: Millis,
-) -> Result<Planned, Error> {
+) -> Result<Planned> {
     let One { task, held, own } = one;
     let comment = request.comment.trim().to_owned();
-    let empty = String::new();
     let kind = match request.action {
         BulkAction::Accept => LogKind::Accepted,
         BulkAction::Return => LogKind::Returned,
@@ -164,17 +153,17 @@ fn planned(
                 comment,
                 until,
                 secs: 0.0,
-                request: empty,
+                request: String::new(),
             }
         }
         BulkAction::Drop => Body::Dropped {
             comment,
             secs: 0.0,
-            request: empty,
+            request: String::new(),
         },
         BulkAction::Reopen => Body::Reopened {
             comment,
-            request: empty,
+            request: String::new(),
             rule: None,
         },
         BulkAction::Assign => {
@@ -188,11 +177,11 @@ fn planned(
 /// Accepts the first of answers that agree.
 fn accepted(
     tx: &mut dyn Tx,
-    who: &Who,
+    who: i64,
     one: &One,
     settings: &Settings,
     comment: String,
-) -> Result<Planned, Error> {
+) -> Result<Planned> {
     let answers = rules::waiting_answers(tx, one.task.id)?;
     let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
     let frames = project::frames(tx, &one.task.source)?;
@@ -211,12 +200,12 @@ fn accepted(
         secs: 0.0,
         request: String::new(),
         rule: None,
-        own: one.own && first.author == who.id,
+        own: one.own && first.author == who,
     }))
 }
 
 /// Keeps a task for a person who neither holds nor answered it.
-fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Planned, Error> {
+fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Planned> {
     let row = tx.one(
         "SELECT t.wanted - t.submitted - (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'annotate'),
                    (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.usr = ?2),

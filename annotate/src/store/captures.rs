@@ -5,10 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::MotionId;
 
-use super::db::{Row, Tx, params};
-use super::entry::{Body, Entry, json};
+use super::db::{Result, Row, Tx, json, params};
+use super::entry::Body;
 use super::records::Millis;
-use super::{log, project, rows};
+use super::settings::require;
+use super::store::Store;
+use super::{log, project};
 use crate::Error;
 use crate::answer::check_style_name;
 use crate::wire::{Answer, CaptureCell, Captures, PlannedCapture, Settings, TaskState, Verdict};
@@ -30,41 +32,29 @@ struct Takes {
     rejected: u32,
 }
 
-fn plan(tx: &mut dyn Tx) -> Result<Vec<PlannedCapture>, Error> {
-    let row = tx.one("SELECT body FROM setting WHERE name = ?1", params![PLAN])?;
-    row.map_or(Ok(Vec::new()), |row| row.json(0))
-}
-
-/// Replaces the plan. Its styles join those of the project.
-pub(super) fn put_plan(
-    tx: &mut dyn Tx,
-    actor: i64,
-    cells: Vec<PlannedCapture>,
-    now: Millis,
-) -> Result<(), Error> {
-    check(&cells, &project::settings(tx)?)?;
-    let mut named = BTreeSet::new();
-    let styles = cells.iter().map(|cell| cell.style.as_str());
-    let styles: Vec<&str> = styles.filter(|style| named.insert(*style)).collect();
-    project::add_styles(tx, Some(actor), styles, now)?;
-    project::put(tx, PLAN, &json(&cells)?)?;
-    let entry = Entry {
-        at: now,
-        actor: Some(actor),
-        task: None,
-        epoch: None,
-        body: Body::CapturesPlanned { cells },
-    };
-    log::note(tx, &entry).map(|_| ())
-}
-
-fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<(), Error> {
-    if cells.len() > MAX_CELLS {
-        return Err(Error::invalid(
-            "cells",
-            format!("{} cells are too many; plan up to {MAX_CELLS}", cells.len()),
-        ));
+impl Store {
+    /// Replaces the capture plan. Its styles join those of the project. Refused with `invalid`.
+    pub fn plan_captures(&self, actor: i64, cells: Vec<PlannedCapture>, now: Millis) -> Result<()> {
+        self.write(move |tx| {
+            check(&cells, &project::settings(tx)?)?;
+            let mut named = BTreeSet::new();
+            let styles = cells.iter().map(|cell| cell.style.as_str());
+            let styles: Vec<&str> = styles.filter(|style| named.insert(*style)).collect();
+            project::add_styles(tx, Some(actor), styles, now)?;
+            project::put(tx, PLAN, &json(&cells)?)?;
+            log::note(tx, now, Some(actor), None, Body::CapturesPlanned { cells })
+        })
     }
+
+    /// The capture plan with what has arrived of it; empty without a plan.
+    pub fn captures(&self) -> Result<Captures> {
+        self.read(captures)
+    }
+}
+
+fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<()> {
+    let problem = format!("{} cells are too many; plan up to {MAX_CELLS}", cells.len());
+    require(cells.len() <= MAX_CELLS, "cells", problem)?;
     let (mut places, mut styles) = (BTreeSet::new(), BTreeSet::new());
     for (index, cell) in cells.iter().enumerate() {
         let PlannedCapture {
@@ -103,17 +93,16 @@ fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<(), Error> {
     Ok(())
 }
 
-/// The plan with what has arrived; empty without a plan.
-pub(super) fn captures(tx: &mut dyn Tx) -> Result<Captures, Error> {
-    let plan = plan(tx)?;
+fn captures(tx: &mut dyn Tx) -> Result<Captures> {
+    let sql = "SELECT body FROM setting WHERE name = ?1";
+    let plan: Option<Vec<PlannedCapture>> = tx.find(sql, params![PLAN], |row| row.json(0))?;
+    let plan = plan.unwrap_or_default();
     if plan.is_empty() {
         return Ok(Captures::default());
     }
-    let known: BTreeSet<String> = tx
-        .query("SELECT id FROM motion WHERE current = 1", &[])?
-        .iter()
-        .map(|row| row.string(0))
-        .collect::<Result<_, _>>()?;
+    let known = "SELECT id FROM motion WHERE current = 1";
+    let known = tx.list(known, &[], |row| row.string(0))?;
+    let known: BTreeSet<String> = known.into_iter().collect();
     let (mut takes, without_style) = takes(tx)?;
     let cells = plan
         .into_iter()
@@ -140,7 +129,7 @@ pub(super) fn captures(tx: &mut dyn Tx) -> Result<Captures, Error> {
 }
 
 /// The style pairs of the project by source motion and style, and the number of those without a style.
-fn takes(tx: &mut dyn Tx) -> Result<(BTreeMap<Place, Takes>, u32), Error> {
+fn takes(tx: &mut dyn Tx) -> Result<(BTreeMap<Place, Takes>, u32)> {
     let sql = "SELECT m.id, t.style, t.state, t.changed, a.answer FROM task t JOIN motion m ON m.hash = t.source
          LEFT JOIN accepted a ON a.task = t.id WHERE t.kind = 'style' AND t.gold IS NULL";
     let (mut all, mut without_style) = (BTreeMap::<Place, Takes>::new(), 0);
@@ -158,13 +147,10 @@ fn takes(tx: &mut dyn Tx) -> Result<(BTreeMap<Place, Takes>, u32), Error> {
 
 /// The style of a pair, and whether the pair was rejected. An accepted answer that keeps the pair says its style, as in
 /// an export; before that the label of the dataset does. A rejection does not hold for a clip that was ingested anew.
-fn judged(row: &Row) -> Result<(Option<String>, bool), Error> {
+fn judged(row: &Row) -> Result<(Option<String>, bool)> {
     let label = row.opt_text(1)?;
-    let (state, changed) = (rows::state(row.text(2)?)?, row.flag(3)?);
-    let answer: Option<Answer> = match row.opt_text(4)? {
-        Some(_) => Some(row.json(4)?),
-        None => None,
-    };
+    let (state, changed) = (row.named(2, TaskState::parse)?, row.flag(3)?);
+    let answer: Option<Answer> = row.opt(4, Row::json)?;
     Ok(match answer {
         Some(Answer::Style {
             verdict: Verdict::Keep,

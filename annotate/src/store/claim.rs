@@ -1,20 +1,20 @@
-//! Claims: which task a person gets next.
+//! Claims: which task a person gets next. Real work of a kind is open to new annotators after practice: tasks with
+//! known answers.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::db::{Row, Tx, Value, params};
-use super::draw::percent;
+use super::db::{Result, Row, Tx, Value, params};
 use super::entry::Place;
-use super::import::GOLD_KEY;
+use super::import::{GOLD_KEY, percent};
 use super::leases::{
-    MINUTE, PLACED, expire, lease_end, prolong, prolong_bundle, reserved_after, take, take_at,
+    MINUTE, PLACED, expire, lease_end, prolong, prolong_bundle, reserved_after, take,
 };
-use super::records::Millis;
-use super::{apply, rows};
-use super::{practice, project};
+use super::records::{Claimed, Millis, TaskDetail};
+use super::store::Store;
+use super::{apply, project, read, rows};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
-use crate::wire::{Code, EditType, Empty, RevisionState, Settings, TaskKind, TaskState};
+use crate::wire::{Code, EditType, Empty, Practice, RevisionState, Settings, TaskKind, TaskState};
 
 /// SQL condition: user `?2` can get task `t` as new work. Whoever has a returned answer can, once it is no longer
 /// kept for them alone.
@@ -25,6 +25,43 @@ const FOR_ME: &str = "t.claimable = 1
 /// The order of [`PLACED`] tasks.
 const IN_BUNDLES: &str =
     "COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id";
+
+impl Store {
+    /// Claims the next task of a kind, or returns the one that the user holds, with the
+    /// motions of the next `ahead` tasks.
+    pub fn claim(&self, user: i64, kind: TaskKind, ahead: usize, now: Millis) -> Result<Claimed> {
+        // The writer does both in one transaction: its page cache is warm, a reader's is invalid after
+        // every commit.
+        self.write(move |tx| {
+            Ok(match claim(tx, user, kind, now)? {
+                Ok(task) => Claimed::Task {
+                    detail: Box::new(read::detail(tx, user, task)?),
+                    upcoming: upcoming(tx, user, kind, task, ahead)?,
+                },
+                Err(empty) => Claimed::Nothing(empty),
+            })
+        })
+    }
+
+    /// Claims a given task. Refused with `task_full`, `not_found`, `wrong_state`.
+    pub fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<TaskDetail> {
+        self.write(move |tx| {
+            claim_task(tx, user, task, now)?;
+            read::detail(tx, user, task)
+        })
+    }
+
+    /// A user's practice of each kind.
+    pub fn practice(&self, user: i64) -> Result<Vec<Practice>> {
+        self.read(|tx| {
+            let settings = project::settings(tx)?;
+            let kinds = TaskKind::ALL.iter();
+            kinds
+                .map(|&kind| standing(tx, user, kind, &settings))
+                .collect()
+        })
+    }
+}
 
 /// Tasks of a category that claims would give a user.
 #[derive(Default)]
@@ -45,7 +82,7 @@ pub(super) fn on_offer(
     kind: TaskKind,
     settings: &Settings,
     now: Millis,
-) -> Result<i64, Error> {
+) -> Result<i64> {
     let quota = (kind == TaskKind::Pair && settings.category_quota > 0)
         .then(|| i64::from(settings.category_quota));
     let (columns, group) = match quota {
@@ -53,7 +90,7 @@ pub(super) fn on_offer(
         None => ("CAST(NULL AS TEXT), 0", ""),
     };
     let mut offers: BTreeMap<Option<String>, Offer> = BTreeMap::new();
-    let mut add = |row: &Row, sign: i64| -> Result<(), Error> {
+    let mut add = |row: &Row, sign: i64| -> Result<()> {
         let offer = offers.entry(row.opt_text(0)?).or_default();
         let count = sign * row.int(2)?;
         if row.flag(1)? {
@@ -102,7 +139,7 @@ fn expired_offers(
     by_category: bool,
     now: Millis,
     offers: &mut BTreeMap<Option<String>, Offer>,
-) -> Result<(), Error> {
+) -> Result<()> {
     let sql = format!(
         "SELECT {}, CASE WHEN t.claimable = 0
              AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
@@ -136,12 +173,7 @@ fn expired_offers(
 }
 
 /// The next task of a user, or why there is none.
-pub(super) fn claim(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    now: Millis,
-) -> Result<Result<i64, Empty>, Error> {
+fn claim(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<Result<i64, Empty>> {
     let mut expired = expire(tx, user, now)?;
     let settings = project::settings(tx)?;
     if let Some(task) = due(tx, user, kind, &settings, now)? {
@@ -170,7 +202,7 @@ pub(super) fn claim(
     for ((task, place), gold) in places.into_iter().zip(golds) {
         // A gold task stands in for one of the tasks, which is left for a later claim.
         let (task, place) = gold.map_or((task, None), |gold| (gold, place));
-        take_at(tx, user, task, Purpose::Annotate, place, &settings, now)?;
+        take(tx, user, task, Purpose::Annotate, place, &settings, now)?;
         taken.push(task);
     }
     Ok(Ok(taken.first().copied().unwrap_or(first)))
@@ -183,30 +215,28 @@ fn due(
     kind: TaskKind,
     settings: &Settings,
     now: Millis,
-) -> Result<Option<i64>, Error> {
-    let sql = format!(
-        "SELECT {} FROM {PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2
-         ORDER BY {IN_BUNDLES} LIMIT 1",
-        rows::LEASE_COLUMNS
+) -> Result<Option<i64>> {
+    let from = format!(
+        "{PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2 ORDER BY {IN_BUNDLES} LIMIT 1"
     );
-    if let Some(row) = tx.one(&sql, params![user, kind.as_str()])? {
-        let held = rows::read_lease(&row)?;
+    if let Some(held) = rows::leases(tx, &from, params![user, kind.as_str()])?.pop() {
         if held.lease.expires < lease_end(settings, now) - MINUTE {
             prolong_bundle(tx, &held, settings, now)?;
         }
         return Ok(Some(held.lease.task));
     }
-    let back = tx.one(
+    let back = tx.find(
         "SELECT t.id FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?1 AND l.purpose IN ('returned', 'assigned') AND t.kind = ?2 ORDER BY l.id LIMIT 1",
         params![user, kind.as_str()],
+        |row| row.int(0),
     )?;
     let task = match back {
-        Some(row) => Some(row.int(0)?),
-        None => practice::next(tx, user, kind, settings)?,
+        Some(task) => Some(task),
+        None => next_practice(tx, user, kind, settings)?,
     };
     if let Some(task) = task {
-        take(tx, user, task, Purpose::Annotate, settings, now)?;
+        take(tx, user, task, Purpose::Annotate, None, settings, now)?;
     }
     Ok(task)
 }
@@ -218,13 +248,13 @@ fn places(
     first: i64,
     bundle: i64,
     mut room: Option<Room>,
-) -> Result<Vec<(i64, Option<Place>)>, Error> {
+) -> Result<Vec<(i64, Option<Place>)>> {
     let sql = format!(
         "SELECT t.id, t.bundle_index, t.category, t.counted FROM task t WHERE t.bundle = ?1 AND {FOR_ME}
                    AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
                  ORDER BY t.bundle_index, t.id"
     );
-    let mut has_room = |row: &Row| -> Result<bool, Error> {
+    let mut has_room = |row: &Row| -> Result<bool> {
         let name = row.opt_text(2)?;
         let category = room.as_mut().and_then(|room| room.get_mut(&name));
         Ok(row.flag(3)? || category.is_none_or(Category::use_one))
@@ -269,19 +299,22 @@ type Room = BTreeMap<Option<String>, Category>;
 
 /// Pairs that count toward the quota of each category, and those that wait for review, because a reviewer may send them
 /// back or keep them.
-fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>, Error> {
+fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>> {
     let sql = "SELECT p.category, COUNT(*) FROM (
          SELECT category FROM task WHERE kind = 'pair' AND counted = 1
          UNION ALL SELECT category FROM task WHERE kind = 'pair' AND counted = 0 AND state IN ('submitted', 'in_review')
        ) p GROUP BY p.category";
-    tx.query(sql, &[])?
-        .iter()
-        .map(|row| Ok((row.opt_text(0)?, row.int(1)?)))
-        .collect()
+    counts(tx, sql)
+}
+
+/// A query for names and their counts.
+fn counts(tx: &mut dyn Tx, sql: &str) -> Result<BTreeMap<Option<String>, i64>> {
+    let counts = tx.list(sql, &[], |row| Ok((row.opt_text(0)?, row.int(1)?)))?;
+    Ok(counts.into_iter().collect())
 }
 
 /// The room in each category, if the project has a quota for tasks of this kind.
-fn room(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Option<Room>, Error> {
+fn room(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Option<Room>> {
     if kind != TaskKind::Pair || settings.category_quota == 0 {
         return Ok(None);
     }
@@ -330,7 +363,7 @@ fn category_limits(room: Option<&Room>) -> Vec<(&'static str, Option<&String>)> 
 /// The conditions under which pairs are looked for within a category: those that are stated to be of the edit type
 /// whose quota is furthest behind first, then all but those of a type of which there is enough, and these last. None is
 /// held back. Without quotas, one condition that holds for all.
-fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Vec<String>, Error> {
+fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Vec<String>> {
     let quotas: Vec<(EditType, i64)> = settings
         .edit_type_quota
         .iter()
@@ -343,13 +376,10 @@ fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<V
     // A pair that somebody is at work on counts as what it is stated to be.
     let sql = "SELECT COALESCE(kept_type, stated_type), COUNT(*) FROM task WHERE kind = 'pair' AND counted = 1
          GROUP BY COALESCE(kept_type, stated_type)";
-    let mut counted: BTreeMap<Option<String>, i64> = BTreeMap::new();
-    for row in tx.query(sql, &[])? {
-        counted.insert(row.opt_text(0)?, row.int(1)?);
-    }
+    let counted_as = counts(tx, sql)?;
     let counted = |edit_type: EditType| {
         let name = Some(edit_type.as_str().to_owned());
-        counted.get(&name).copied().unwrap_or(0)
+        counted_as.get(&name).copied().unwrap_or(0)
     };
     let (mut behind, full): (Vec<_>, Vec<_>) = quotas
         .into_iter()
@@ -383,7 +413,7 @@ fn candidate(
     kind: TaskKind,
     room: Option<&Room>,
     settings: &Settings,
-) -> Result<Option<(i64, Option<i64>)>, Error> {
+) -> Result<Option<(i64, Option<i64>)>> {
     let (categories, types) = (category_limits(room), type_limits(tx, kind, settings)?);
     let fresh = |limit: &str| {
         format!(
@@ -417,13 +447,13 @@ fn candidate(
 
 /// Hashes of the motions of the tasks after the present one: those held, the next gold task, whose motions would
 /// otherwise come later than those of others, and new ones.
-pub(super) fn upcoming(
+fn upcoming(
     tx: &mut dyn Tx,
     user: i64,
     kind: TaskKind,
     present: i64,
     limit: usize,
-) -> Result<Vec<String>, Error> {
+) -> Result<Vec<String>> {
     let held = format!(
         "SELECT t.source, t.target, t.id FROM {PLACED} WHERE t.kind = ?1 AND l.usr = ?2 AND l.purpose = 'annotate'
          ORDER BY {IN_BUNDLES} LIMIT ?3"
@@ -467,7 +497,7 @@ fn gold_tasks(
     kind: TaskKind,
     count: usize,
     settings: &Settings,
-) -> Result<Vec<Option<i64>>, Error> {
+) -> Result<Vec<Option<i64>>> {
     let mut places = vec![None; count];
     if settings.gold_percent == 0 {
         return Ok(places);
@@ -494,14 +524,9 @@ fn gold_tasks(
 
 /// The next gold tasks of a user. Those are left out that the user answered, reviewed or began before they became
 /// gold, and those whose answer is no longer accepted.
-fn known_tasks(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    count: usize,
-) -> Result<Vec<i64>, Error> {
+fn known_tasks(tx: &mut dyn Tx, user: i64, kind: TaskKind, count: usize) -> Result<Vec<i64>> {
     let prefix = GOLD_KEY.len() as i64 + 1;
-    tx.query(
+    tx.list(
         "SELECT t.id FROM task t WHERE t.gold IS NOT NULL AND t.practice = 0 AND t.kind = ?1 AND t.state IN ('open', 'leased')
            AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft')
            AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
@@ -512,52 +537,44 @@ fn known_tasks(
              OR EXISTS (SELECT 1 FROM accepted a WHERE a.task = o.id AND a.author = ?2)))
          ORDER BY t.shuffle, t.id LIMIT ?4",
         params![kind.as_str(), user, prefix, count as i64],
-    )?
-    .iter()
-    .map(|row| row.int(0))
-    .collect()
+        |row| row.int(0),
+    )
 }
 
-fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty, Error> {
-    let kind = kind.as_str();
+fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty> {
     let mut empty = Empty::default();
-    let counts = tx.query(
-        "SELECT state, COUNT(*) FROM task WHERE kind = ?1 AND gold IS NULL GROUP BY state",
-        params![kind],
-    )?;
+    let sql = "SELECT state, COUNT(*) FROM task WHERE kind = ?1 AND gold IS NULL GROUP BY state";
+    let counts = tx.query(sql, params![kind.as_str()])?;
     for row in counts {
         let count = row.int(1)?;
         empty.total += count;
-        match rows::state(row.text(0)?)? {
+        match row.named(0, TaskState::parse)? {
             TaskState::Submitted | TaskState::InReview | TaskState::Accepted => empty.done += count,
             TaskState::Dropped => empty.dropped += count,
             TaskState::Open | TaskState::Leased | TaskState::Returned => {}
         }
     }
-    empty.waiting_for_others = tx.number(
-        "SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
-         WHERE r.author = ?2 AND r.state <> 'draft' AND t.kind = ?1 AND t.gold IS NULL
-           AND t.state IN ('open', 'leased', 'returned')",
-        params![kind, user],
-    )?;
-    let held = tx.one(
-        "SELECT COUNT(DISTINCT l.task), MIN(l.expires) FROM lease l JOIN task t ON t.id = l.task
+    let others = tx.one(
+        "SELECT COUNT(DISTINCT l.task), MIN(l.expires),
+           (SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
+            WHERE r.author = ?2 AND r.state <> 'draft' AND t.kind = ?1 AND t.gold IS NULL
+              AND t.state IN ('open', 'leased', 'returned')),
+           (SELECT COUNT(*) FROM skip s JOIN task t ON t.id = s.task
+            WHERE s.usr = ?2 AND t.kind = ?1 AND t.state IN ('open', 'leased', 'returned'))
+         FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr <> ?2 AND l.purpose <> 'review' AND t.kind = ?1 AND t.gold IS NULL",
-        params![kind, user],
+        params![kind.as_str(), user],
     )?;
-    if let Some(row) = held {
+    if let Some(row) = others {
         empty.leased_by_others = row.int(0)?;
         empty.soonest_expiry = row.opt_int(1)?;
+        empty.waiting_for_others = row.int(2)?;
+        empty.skipped_by_me = row.int(3)?;
     }
-    empty.skipped_by_me = tx.number(
-        "SELECT COUNT(*) FROM skip s JOIN task t ON t.id = s.task
-         WHERE s.usr = ?2 AND t.kind = ?1 AND t.state IN ('open', 'leased', 'returned')",
-        params![kind, user],
-    )?;
     Ok(empty)
 }
 
-pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<(), Error> {
+fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
     expire(tx, user, now)?;
     let settings = project::settings(tx)?;
     let task = rows::task(tx, id)?;
@@ -567,27 +584,22 @@ pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Re
             return Ok(());
         }
         Some(held) if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) => {
-            return take(tx, user, id, Purpose::Annotate, &settings, now);
+            return take(tx, user, id, Purpose::Annotate, None, &settings, now);
         }
         Some(_) => return Err(Error::wrong_state(task.state, "answered by its reviewer")),
         None => {}
     }
     // Only users who have held the task may open it by number.
-    let known = tx.one(
-        "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 AND kind = 'claimed' LIMIT 1",
-        params![id, user],
-    )?;
-    if known.is_none() {
+    let known = "SELECT 1 FROM event WHERE task = ?1 AND +actor = ?2 AND kind = 'claimed' LIMIT 1";
+    if !tx.has(known, params![id, user])? {
         return Err(Error::not_found("task"));
     }
     if let Some(mine) = rows::revision(tx, id, user)?
         && mine.state != RevisionState::Draft
         && mine.state != RevisionState::Returned
     {
-        return Err(Error::wrong_state(
-            task.state,
-            "taken again: your answer is handed in",
-        ));
+        let problem = "taken again: your answer is handed in";
+        return Err(Error::wrong_state(task.state, problem));
     }
     apply::check_move(task.state, LogKind::Claimed, "taken")?;
     let sql = "SELECT claimable, counted FROM task WHERE id = ?1";
@@ -595,19 +607,69 @@ pub(super) fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Re
         .one(sql, params![id])?
         .ok_or_else(|| Error::not_found("task"))?;
     if !row.flag(0)? && task.gold.is_none() {
-        return Err(Error::refused(
-            Code::TaskFull,
-            "the task has enough annotators by now; your text is kept as a draft",
-        ));
+        let problem = "the task has enough annotators by now; your text is kept as a draft";
+        return Err(Error::refused(Code::TaskFull, problem));
     }
     let room = room(tx, task.kind, &settings)?;
     let category = room.as_ref().and_then(|room| room.get(&task.category));
     let is_full = category.is_some_and(|category| category.room == 0);
     if is_full && !row.flag(1)? && task.gold.is_none() {
-        return Err(Error::refused(
-            Code::TaskFull,
-            "its category has as many pairs as the project wants; your text is kept as a draft",
-        ));
+        let problem =
+            "its category has as many pairs as the project wants; your text is kept as a draft";
+        return Err(Error::refused(Code::TaskFull, problem));
     }
-    take(tx, user, id, Purpose::Annotate, &settings, now)
+    take(tx, user, id, Purpose::Annotate, None, &settings, now)
+}
+
+/// Where a user stands with the practice tasks of a kind. Reviewers and admins need no practice.
+pub(super) fn standing(
+    tx: &mut dyn Tx,
+    user: i64,
+    kind: TaskKind,
+    settings: &Settings,
+) -> Result<Practice> {
+    let sql = "SELECT COUNT(*) FROM task WHERE practice = 1 AND kind = ?1 AND state IN ('open', 'leased')";
+    let there = tx.number(sql, params![kind.as_str()])?;
+    let needed = there.min(settings.practice_tasks.into());
+    let scores = tx.list(
+        "SELECT g.score FROM gold_score g JOIN task t ON t.id = g.task
+         WHERE g.usr = ?1 AND t.practice = 1 AND t.kind = ?2 ORDER BY g.at DESC, g.task DESC LIMIT ?3",
+        params![user, kind.as_str(), needed],
+        |row| row.real(0),
+    )?;
+    let done = scores.len() as i64;
+    let score = (done > 0).then(|| scores.iter().sum::<f64>() / done as f64);
+    let threshold = f64::from(settings.practice_percent) / 100.0;
+    let sql = "SELECT 1 FROM usr WHERE id = ?1 AND role = 'annotator'";
+    let annotates = tx.has(sql, params![user])?;
+    Ok(Practice {
+        kind,
+        needed,
+        done,
+        score,
+        threshold,
+        passed: !annotates
+            || done >= needed && (needed == 0 || score.is_some_and(|score| score >= threshold)),
+    })
+}
+
+/// The practice task that a user has to do next, if real work of the kind is not open to them yet. New tasks come
+/// first, then the one answered longest ago.
+fn next_practice(
+    tx: &mut dyn Tx,
+    user: i64,
+    kind: TaskKind,
+    settings: &Settings,
+) -> Result<Option<i64>> {
+    if settings.practice_tasks == 0 || standing(tx, user, kind, settings)?.passed {
+        return Ok(None);
+    }
+    tx.find(
+        "SELECT t.id FROM task t LEFT JOIN gold_score g ON g.task = t.id AND g.usr = ?2
+         WHERE t.practice = 1 AND t.kind = ?1 AND t.state IN ('open', 'leased')
+         ORDER BY CASE WHEN g.at IS NULL THEN 0 ELSE 1 END,
+           (SELECT COUNT(*) FROM skip s WHERE s.task = t.id AND s.usr = ?2), g.at, t.shuffle, t.id LIMIT 1",
+        params![kind.as_str(), user],
+        |row| row.int(0),
+    )
 }

@@ -6,6 +6,9 @@
 use super::records::Millis;
 use crate::Error;
 
+/// The result of work in a transaction.
+pub(crate) type Result<T, E = Error> = std::result::Result<T, E>;
+
 /// A value of a parameter or a column.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Value {
@@ -75,6 +78,34 @@ impl<T: Into<Value>> From<Option<T>> for Value {
     }
 }
 
+/// The error of a row that cannot be read, or of a value that cannot be stored.
+pub(crate) fn unreadable(table: &'static str, problem: impl std::fmt::Display) -> Error {
+    Error::Row {
+        table,
+        problem: problem.to_string(),
+    }
+}
+
+/// The error of a store that cannot be opened.
+pub(crate) fn not_opened(path: impl std::fmt::Display, reason: impl std::fmt::Display) -> Error {
+    Error::Open {
+        path: path.to_string(),
+        reason: reason.to_string(),
+    }
+}
+
+/// The error of a store that takes no writes.
+pub(crate) fn read_only(reason: impl Into<String>) -> Error {
+    Error::ReadOnly {
+        reason: reason.into(),
+    }
+}
+
+/// A value as a column of JSON.
+pub(crate) fn json<T: serde::Serialize>(value: &T) -> Result<String> {
+    serde_json::to_string(value).map_err(|error| unreadable("of a request", error))
+}
+
 /// Values for the parameters of a statement.
 macro_rules! params {
     ($($value:expr),* $(,)?) => { &[$( $crate::store::db::Value::from($value), )*] };
@@ -87,31 +118,31 @@ pub(crate) struct Row(pub(crate) Vec<Value>);
 
 impl Row {
     fn wrong(&self, column: usize, expected: &str) -> Error {
-        Error::Row {
-            table: "of an answer",
-            problem: format!(
+        unreadable(
+            "of an answer",
+            format!(
                 "column {column} is {:?}, expected {expected}",
                 self.0.get(column)
             ),
-        }
+        )
     }
 
-    pub(crate) fn int(&self, column: usize) -> Result<i64, Error> {
+    pub(crate) fn int(&self, column: usize) -> Result<i64> {
         match self.0.get(column) {
             Some(Value::Int(value)) => Ok(*value),
             _ => Err(self.wrong(column, "a whole number")),
         }
     }
 
-    pub(crate) fn flag(&self, column: usize) -> Result<bool, Error> {
+    pub(crate) fn flag(&self, column: usize) -> Result<bool> {
         Ok(self.int(column)? != 0)
     }
 
-    pub(crate) fn count(&self, column: usize) -> Result<u32, Error> {
+    pub(crate) fn count(&self, column: usize) -> Result<u32> {
         u32::try_from(self.int(column)?).map_err(|_| self.wrong(column, "a count"))
     }
 
-    pub(crate) fn real(&self, column: usize) -> Result<f64, Error> {
+    pub(crate) fn real(&self, column: usize) -> Result<f64> {
         match self.0.get(column) {
             Some(Value::Real(value)) => Ok(*value),
             Some(Value::Int(value)) => Ok(*value as f64),
@@ -119,86 +150,115 @@ impl Row {
         }
     }
 
-    pub(crate) fn text(&self, column: usize) -> Result<&str, Error> {
+    pub(crate) fn text(&self, column: usize) -> Result<&str> {
         match self.0.get(column) {
             Some(Value::Text(value)) => Ok(value),
             _ => Err(self.wrong(column, "text")),
         }
     }
 
-    pub(crate) fn bytes(&self, column: usize) -> Result<&[u8], Error> {
+    pub(crate) fn bytes(&self, column: usize) -> Result<&[u8]> {
         match self.0.get(column) {
             Some(Value::Blob(value)) => Ok(value),
             _ => Err(self.wrong(column, "bytes")),
         }
     }
 
-    pub(crate) fn string(&self, column: usize) -> Result<String, Error> {
+    pub(crate) fn string(&self, column: usize) -> Result<String> {
         self.text(column).map(str::to_owned)
     }
 
-    fn is_null(&self, column: usize) -> bool {
-        matches!(self.0.get(column), Some(Value::Null))
-    }
-
-    pub(crate) fn opt_int(&self, column: usize) -> Result<Option<i64>, Error> {
-        if self.is_null(column) {
-            Ok(None)
-        } else {
-            self.int(column).map(Some)
+    /// A column that may be NULL.
+    pub(crate) fn opt<T>(
+        &self,
+        column: usize,
+        read: impl FnOnce(&Self, usize) -> Result<T>,
+    ) -> Result<Option<T>> {
+        match self.0.get(column) {
+            Some(Value::Null) => Ok(None),
+            _ => read(self, column).map(Some),
         }
     }
 
-    pub(crate) fn opt_real(&self, column: usize) -> Result<Option<f64>, Error> {
-        if self.is_null(column) {
-            Ok(None)
-        } else {
-            self.real(column).map(Some)
-        }
+    pub(crate) fn opt_int(&self, column: usize) -> Result<Option<i64>> {
+        self.opt(column, Self::int)
     }
 
-    pub(crate) fn opt_text(&self, column: usize) -> Result<Option<String>, Error> {
-        if self.is_null(column) {
-            Ok(None)
-        } else {
-            self.string(column).map(Some)
-        }
+    pub(crate) fn opt_text(&self, column: usize) -> Result<Option<String>> {
+        self.opt(column, Self::string)
+    }
+
+    /// A column with one of a list of names.
+    pub(crate) fn named<T>(
+        &self,
+        column: usize,
+        parse: impl FnOnce(&str) -> Option<T>,
+    ) -> Result<T> {
+        parse(self.text(column)?).ok_or_else(|| self.wrong(column, "a name that is known"))
     }
 
     /// A column of JSON.
-    pub(crate) fn json<T: serde::de::DeserializeOwned>(&self, column: usize) -> Result<T, Error> {
-        serde_json::from_str(self.text(column)?).map_err(|error| Error::Row {
-            table: "of an answer",
-            problem: error.to_string(),
-        })
+    pub(crate) fn json<T: serde::de::DeserializeOwned>(&self, column: usize) -> Result<T> {
+        serde_json::from_str(self.text(column)?).map_err(|error| unreadable("of an answer", error))
     }
 }
 
 /// An open transaction.
 pub(crate) trait Tx {
     /// Runs a statement and returns the number of changed rows.
-    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error>;
+    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64>;
     /// Runs a query.
-    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error>;
+    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>>;
 
     /// Runs statements that define tables, each database with its own word for what `schema.sql` writes once.
-    fn define(&mut self, sql: &str) -> Result<(), Error>;
+    fn define(&mut self, sql: &str) -> Result<()>;
 
     /// Runs a query with at most one row.
-    fn one(&mut self, sql: &str, params: &[Value]) -> Result<Option<Row>, Error> {
+    fn one(&mut self, sql: &str, params: &[Value]) -> Result<Option<Row>> {
         Ok(self.query(sql, params)?.into_iter().next())
     }
 
     /// Runs a query for one integer; 0 without rows.
-    fn number(&mut self, sql: &str, params: &[Value]) -> Result<i64, Error> {
+    fn number(&mut self, sql: &str, params: &[Value]) -> Result<i64> {
         self.one(sql, params)?.map_or(Ok(0), |row| row.int(0))
     }
 }
 
-/// Closure run in a transaction.
-pub(crate) type Work = Box<dyn FnOnce(&mut dyn Tx) -> Result<(), Error> + Send>;
+impl dyn Tx + '_ {
+    /// Runs a statement whose number of changed rows does not matter.
+    pub(crate) fn run(&mut self, sql: &str, params: &[Value]) -> Result<()> {
+        self.execute(sql, params).map(|_| ())
+    }
 
-/// A database: write transactions run one after the other, read transactions beside them.
+    /// Runs a query and reads each of its rows.
+    pub(crate) fn list<T>(
+        &mut self,
+        sql: &str,
+        params: &[Value],
+        read: impl FnMut(&Row) -> Result<T>,
+    ) -> Result<Vec<T>> {
+        self.query(sql, params)?.iter().map(read).collect()
+    }
+
+    /// Runs a query with at most one row and reads it.
+    pub(crate) fn find<T>(
+        &mut self,
+        sql: &str,
+        params: &[Value],
+        read: impl FnOnce(&Row) -> Result<T>,
+    ) -> Result<Option<T>> {
+        self.one(sql, params)?.as_ref().map(read).transpose()
+    }
+
+    /// Whether a query has rows.
+    pub(crate) fn has(&mut self, sql: &str, params: &[Value]) -> Result<bool> {
+        Ok(self.one(sql, params)?.is_some())
+    }
+}
+
+/// Closure run in a transaction.
+pub(crate) type Work<'a> = Box<dyn FnOnce(&mut dyn Tx) -> Result<()> + Send + 'a>;
+
 /// What a copy of a store holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Content {
@@ -208,23 +268,22 @@ pub(crate) enum Content {
     WithoutTokens,
 }
 
+/// A database: write transactions run one after the other, read transactions beside them.
 pub(crate) trait Database: Send + Sync {
     /// Runs work in a transaction and returns once it is durable. Failed work is rolled back.
-    fn write(&self, work: Work) -> Result<(), Error>;
+    fn write(&self, work: Work<'static>) -> Result<()>;
     /// Runs read-only work on a consistent snapshot.
-    fn read(&self, work: Work) -> Result<(), Error>;
+    fn read(&self, work: Work<'_>) -> Result<()>;
     /// The database as it is now, whatever is written later.
-    fn snapshot(&self) -> Result<Box<dyn Database>, Error>;
+    fn snapshot(&self) -> Result<Box<dyn Database>>;
     /// Writes a backup to a new file without blocking others.
-    fn backup(&self, path: &std::path::Path, content: Content) -> Result<(), Error>;
-    /// Checks that the store accepts writes, by writing.
-    fn check(&self) -> Result<(), Error>;
+    fn backup(&self, path: &std::path::Path, content: Content) -> Result<()>;
     /// Whether servers on several machines can share it.
     fn is_shared(&self) -> bool {
         false
     }
     /// The time of the database's own clock, if it is shared.
-    fn time(&self) -> Result<Option<Millis>, Error> {
+    fn time(&self) -> Result<Option<Millis>> {
         Ok(None)
     }
 }
@@ -232,23 +291,23 @@ pub(crate) trait Database: Send + Sync {
 /// [`Database::write`] with a value as its result.
 pub(crate) fn write<T: Send + 'static>(
     db: &dyn Database,
-    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
-) -> Result<T, Error> {
+    work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'static,
+) -> Result<T> {
     with_value(|work| db.write(work), work)
 }
 
 /// [`Database::read`] with a value as its result.
-pub(crate) fn read<T: Send + 'static>(
+pub(crate) fn read<'a, T: Send + 'a>(
     db: &dyn Database,
-    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
-) -> Result<T, Error> {
+    work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'a,
+) -> Result<T> {
     with_value(|work| db.read(work), work)
 }
 
-fn with_value<T: Send + 'static>(
-    run: impl FnOnce(Work) -> Result<(), Error>,
-    work: impl FnOnce(&mut dyn Tx) -> Result<T, Error> + Send + 'static,
-) -> Result<T, Error> {
+fn with_value<'a, T: Send + 'a>(
+    run: impl FnOnce(Work<'a>) -> Result<()>,
+    work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'a,
+) -> Result<T> {
     let (sender, receiver) = std::sync::mpsc::channel();
     run(Box::new(move |tx| {
         // The receiver lives until the transaction is durable, so sending cannot fail.
@@ -256,17 +315,4 @@ fn with_value<T: Send + 'static>(
         Ok(())
     }))?;
     receiver.try_recv().map_err(|_| Error::Closed)
-}
-
-/// Bytes of the write test: larger than any answer, so that a nearly full disk fails the test.
-const TRIED: usize = 64 * 1024;
-
-/// Write test of [`Database`].
-pub(crate) fn try_writing(tx: &mut dyn Tx) -> Result<(), Error> {
-    let body = Value::Text("-".repeat(TRIED));
-    tx.execute(
-        "INSERT INTO setting (name, body) VALUES ('ready', ?1) ON CONFLICT (name) DO UPDATE SET body = excluded.body",
-        &[body],
-    )?;
-    Ok(())
 }

@@ -3,7 +3,7 @@
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::db::Row;
+use super::db::{Result, Row, unreadable};
 use super::records::{Credit, Millis};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
@@ -60,14 +60,11 @@ where
 }
 
 /// [`stored`] for a column of JSON.
-pub(super) fn read_stored<T>(table: &'static str, text: &str) -> Result<T, Error>
+pub(super) fn read_stored<T>(table: &'static str, text: &str) -> Result<T>
 where
     T: Default + Serialize + DeserializeOwned,
 {
-    stored(&mut serde_json::Deserializer::from_str(text)).map_err(|error| Error::Row {
-        table,
-        problem: error.to_string(),
-    })
+    stored(&mut serde_json::Deserializer::from_str(text)).map_err(|error| unreadable(table, error))
 }
 
 /// A place in a bundle.
@@ -270,34 +267,21 @@ impl Body {
         }
     }
 
-    /// Seconds of work that the entry reports: on answers, skips and reviews. 0 where an older log has none.
-    pub(crate) fn secs(&self) -> f64 {
+    /// Seconds of work that the entry reports, on answers, skips and reviews, and the hash of its request. An older log
+    /// has no seconds.
+    pub(crate) fn work(&self) -> (f64, Option<&str>) {
         match self {
-            Self::DraftSaved { secs, .. }
-            | Self::Submitted { secs, .. }
-            | Self::Skipped { secs, .. }
-            | Self::Returned { secs, .. }
-            | Self::Accepted { secs, .. }
-            | Self::Merged { secs, .. }
-            | Self::Dropped { secs, .. } => *secs,
-            _ => 0.0,
-        }
-    }
-
-    /// Hash of the request.
-    pub(crate) fn request(&self) -> Option<&str> {
-        match self {
-            Self::DraftSaved { request, .. }
-            | Self::Submitted { request, .. }
-            | Self::Skipped { request, .. }
-            | Self::Returned { request, .. }
-            | Self::Accepted { request, .. }
-            | Self::Merged { request, .. }
-            | Self::Dropped { request, .. }
-            | Self::Reopened { request, .. }
+            Self::DraftSaved { secs, request, .. }
+            | Self::Submitted { secs, request, .. }
+            | Self::Skipped { secs, request, .. }
+            | Self::Returned { secs, request, .. }
+            | Self::Accepted { secs, request, .. }
+            | Self::Merged { secs, request, .. }
+            | Self::Dropped { secs, request, .. } => (*secs, Some(request.as_str())),
+            Self::Reopened { request, .. }
             | Self::Undone { request, .. }
-            | Self::SuggestionUsed { request, .. } => Some(request),
-            _ => None,
+            | Self::SuggestionUsed { request, .. } => (0.0, Some(request.as_str())),
+            _ => (0.0, None),
         }
     }
 }
@@ -312,39 +296,23 @@ pub(crate) struct Entry {
     pub(crate) body: Body,
 }
 
-/// Idempotency key of an entry, and the reply.
-pub(crate) struct Reply {
-    pub(crate) idem_key: String,
-    pub(crate) base_rev: i64,
-    pub(crate) result: String,
-}
-
-pub(super) fn json<T: Serialize>(value: &T) -> Result<String, Error> {
-    serde_json::to_string(value).map_err(|error| Error::Row {
-        table: "event",
-        problem: error.to_string(),
-    })
-}
-
 /// Columns of [`read_entry`].
 pub(crate) const ENTRY_COLUMNS: &str = "seq, at, actor, task, epoch, body, version";
 
 /// Reads an entry of [`ENTRY_COLUMNS`] with its sequence number.
-pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry), Error> {
+pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry)> {
     let seq = row.int(0)?;
     if row.int(6)? != VERSION {
-        return Err(Error::Row {
-            table: "event",
-            problem: format!(
+        return Err(unreadable(
+            "event",
+            format!(
                 "entry {seq} is of version {}, this program knows {VERSION}",
                 row.int(6)?
             ),
-        });
+        ));
     }
-    let body = serde_json::from_str(row.text(5)?).map_err(|error| Error::Row {
-        table: "event",
-        problem: format!("entry {seq}: {error}"),
-    })?;
+    let body = serde_json::from_str(row.text(5)?)
+        .map_err(|error| unreadable("event", format!("entry {seq}: {error}")))?;
     let entry = Entry {
         at: row.int(1)?,
         actor: row.opt_int(2)?,
@@ -363,6 +331,6 @@ mod tests {
     fn a_task_without_a_stated_edit_type_is_written_as_before_there_were_any() {
         let stored = r#"{"event":"imported","task":{"key":"pair:1","kind":"pair","source":"a","target":"b","split":"train","bundle":7,"bundle_index":0,"category":null,"hint":"higher","style":null,"priority":0,"shuffle":3,"wanted":1,"gold":null,"extra":null,"accepted":null,"credit":null}}"#;
         let body: Body = serde_json::from_str(stored).expect("an entry");
-        assert_eq!(json(&body).expect("JSON"), stored);
+        assert_eq!(super::super::db::json(&body).expect("JSON"), stored);
     }
 }

@@ -1,7 +1,8 @@
 //! Filters of tasks, as conditions in SQL.
 
-use super::db::Value;
+use super::db::{Result, Value};
 use super::read;
+use super::settings::{has_up_to, require};
 use crate::Error;
 use crate::wire::{SkipFilter, TaskFilter, TaskKind, TaskState};
 
@@ -15,23 +16,24 @@ impl Values {
         self.0.push(value.into());
         format!("?{}", self.0.len())
     }
+
+    /// The further condition that a column has a value, if one is asked for.
+    pub(super) fn equal(&mut self, column: &str, value: Option<impl Into<Value>>) -> String {
+        value.map_or(String::new(), |value| {
+            format!(" AND {column} = {}", self.put(value))
+        })
+    }
 }
 
 /// The SQL condition of a filter on task `t`.
 pub(super) fn condition(filter: &TaskFilter, values: &mut Values) -> String {
-    let mut all = vec!["t.gold IS NULL".to_owned()];
-    let mut equal = |column: &str, value: Option<&str>, values: &mut Values| {
-        if let Some(value) = value {
-            all.push(format!("t.{column} = {}", values.put(value)));
-        }
-    };
-    equal("kind", filter.kind.map(TaskKind::as_str), values);
-    equal("state", filter.state.map(TaskState::as_str), values);
-    equal("category", filter.category.as_deref(), values);
-    equal("split", filter.split.as_deref(), values);
-    if let Some(task) = filter.task {
-        all.push(format!("t.id = {}", values.put(task)));
-    }
+    let mut equal = "t.gold IS NULL".to_owned();
+    equal += &values.equal("t.kind", filter.kind.map(TaskKind::as_str));
+    equal += &values.equal("t.state", filter.state.map(TaskState::as_str));
+    equal += &values.equal("t.category", filter.category.as_deref());
+    equal += &values.equal("t.split", filter.split.as_deref());
+    equal += &values.equal("t.id", filter.task);
+    let mut all = vec![equal];
     if let Some(person) = filter.person {
         let who = values.put(person);
         all.push(format!(
@@ -101,49 +103,48 @@ fn skipped(by: SkipFilter) -> String {
 fn contains(text: &str, values: &mut Values) -> String {
     let like = values.put(read::like(text));
     let fits = |column: &str| format!("{column} LIKE {like} ESCAPE '\\'");
-    format!(
-        "(EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.state <> 'draft' AND {})
-              OR EXISTS (SELECT 1 FROM accepted a WHERE a.task = t.id AND {})
-              OR EXISTS (SELECT 1 FROM motion m WHERE m.hash = t.source AND ({} OR {}))
-              OR EXISTS (SELECT 1 FROM motion m WHERE m.hash = t.target AND ({} OR {}))
-              OR {} OR {} OR {})",
-        fits("r.words"),
-        fits("a.words"),
-        fits("lower(m.id)"),
-        fits("lower(m.captions)"),
-        fits("lower(m.id)"),
-        fits("lower(m.captions)"),
+    let clip = |hash: &str| {
+        format!(
+            "EXISTS (SELECT 1 FROM motion m WHERE m.hash = {hash} AND ({} OR {}))",
+            fits("lower(m.id)"),
+            fits("lower(m.captions)")
+        )
+    };
+    let any = [
+        format!(
+            "EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.state <> 'draft' AND {})",
+            fits("r.words")
+        ),
+        format!(
+            "EXISTS (SELECT 1 FROM accepted a WHERE a.task = t.id AND {})",
+            fits("a.words")
+        ),
+        clip("t.source"),
+        clip("t.target"),
         fits("lower(t.category)"),
         fits("lower(t.hint)"),
         fits("lower(t.style)"),
-    )
+    ];
+    format!("({})", any.join(" OR "))
 }
 
 /// Checks a filter.
-pub(super) fn check(filter: &TaskFilter) -> Result<(), Error> {
+pub(super) fn check(filter: &TaskFilter) -> Result<()> {
     const MAX_SEARCH: usize = 200;
     if let Some(part) = &filter.part
         && let Err(error) = part.parse::<datasets_spec::BodyPart>()
     {
         return Err(Error::invalid("part", error.to_string()));
     }
-    if filter
-        .q
-        .as_ref()
-        .is_some_and(|text| text.chars().count() > MAX_SEARCH)
-    {
-        return Err(Error::invalid(
-            "q",
-            format!("search for up to {MAX_SEARCH} characters"),
-        ));
-    }
+    let is_short = |text: &String| has_up_to(text, MAX_SEARCH);
+    let problem = format!("search for up to {MAX_SEARCH} characters");
+    require(filter.q.as_ref().is_none_or(is_short), "q", problem)?;
     for (field, value) in [
         ("min_distance", filter.min_distance),
         ("max_distance", filter.max_distance),
     ] {
-        if value.is_some_and(|value| !(0.0..=1.0).contains(&value)) {
-            return Err(Error::invalid(field, "a distance is 0 to 1"));
-        }
+        let is_share = value.is_none_or(|value| (0.0..=1.0).contains(&value));
+        require(is_share, field, "a distance is 0 to 1")?;
     }
     Ok(())
 }

@@ -7,7 +7,7 @@ use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::thread::JoinHandle;
 
-use super::db::Work;
+use super::db::{Result, Work, read_only};
 use crate::Error;
 use crate::lock::lock;
 
@@ -17,13 +17,13 @@ pub(crate) trait Writer: Send + 'static {
     const GROUP: usize;
 
     /// Begins a transaction.
-    fn begin(&mut self) -> Result<(), Error>;
+    fn begin(&mut self) -> Result<()>;
     /// Does work; rolls it back if it fails.
-    fn run(&mut self, work: Work) -> Result<(), Error>;
+    fn run(&mut self, work: Work<'_>) -> Result<()>;
     /// Whether the transaction is still open.
     fn is_open(&self) -> bool;
     /// Makes the transaction durable.
-    fn commit(&mut self) -> Result<(), Error>;
+    fn commit(&mut self) -> Result<()>;
     /// Rolls the transaction back.
     fn roll_back(&mut self);
     /// Runs once all senders are gone.
@@ -31,8 +31,8 @@ pub(crate) trait Writer: Send + 'static {
 }
 
 struct Job {
-    work: Work,
-    done: SyncSender<Result<(), Error>>,
+    work: Work<'static>,
+    done: SyncSender<Result<()>>,
 }
 
 /// A thread that runs queued work in order.
@@ -56,7 +56,7 @@ impl WriterThread {
     }
 
     /// Queues work and returns once it is durable.
-    pub(crate) fn write(&self, work: Work) -> Result<(), Error> {
+    pub(crate) fn write(&self, work: Work<'static>) -> Result<()> {
         let (done, answer) = sync_channel(1);
         let jobs = lock(&self.jobs).clone().ok_or(Error::Closed)?;
         jobs.send(Job { work, done }).map_err(|_| Error::Closed)?;
@@ -76,7 +76,7 @@ impl Drop for WriterThread {
 }
 
 /// Does work; a panic becomes an error.
-pub(crate) fn caught(work: impl FnOnce() -> Result<(), Error>) -> Result<(), Error> {
+pub(crate) fn caught(work: impl FnOnce() -> Result<()>) -> Result<()> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or(Err(Error::Closed))
 }
 
@@ -111,22 +111,16 @@ fn write_group(writer: &mut impl Writer, group: Vec<Job>) {
     for (done, answer) in answers {
         let answer = match &failure {
             None => answer,
-            Some(reason) => Err(Error::ReadOnly {
-                reason: reason.clone(),
-            }),
+            Some(reason) => Err(read_only(reason)),
         };
         // The sender may have gone away.
         let _told = done.send(answer);
     }
 }
 
-type Answers = Vec<(SyncSender<Result<(), Error>>, Result<(), Error>)>;
+type Answers = Vec<(SyncSender<Result<()>>, Result<()>)>;
 
-fn run_group(
-    writer: &mut impl Writer,
-    group: Vec<Job>,
-    answers: &mut Answers,
-) -> Result<(), Error> {
+fn run_group(writer: &mut impl Writer, group: Vec<Job>, answers: &mut Answers) -> Result<()> {
     if let Err(error) = writer.begin() {
         answers.extend(group.into_iter().map(|job| (job.done, Ok(()))));
         return Err(error);

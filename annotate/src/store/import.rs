@@ -1,11 +1,10 @@
 //! Import of tasks into the store, and of answers into tasks that exist.
 
-use super::db::{Tx, params};
-use super::draw::{draw, percent};
-use super::entry::{Body, Entry, LoggedTask};
-use super::project;
+use super::db::{Result, Tx, params};
+use super::entry::{Body, LoggedTask};
 use super::records::{Imported, Millis, NewTask};
-use super::{log, rows, rules};
+use super::store::Store;
+use super::{log, project, read, rows, rules};
 use crate::Error;
 use crate::answer;
 use crate::wire::{Answer, Settings, TaskKind, TaskState};
@@ -15,14 +14,35 @@ pub(super) const GOLD_KEY: &str = "gold:";
 /// Answers wanted for a gold task: one of everybody.
 const GOLD_WANTED: u32 = 1_000_000;
 
-/// Imports tasks. Tasks with a known key stay as they are, except that an accepted answer fills one that nobody has
-/// worked on.
-pub(super) fn import(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    tasks: &[NewTask],
-    now: Millis,
-) -> Result<Imported, Error> {
+impl Store {
+    /// Imports tasks. Tasks with a known key stay as they are, except that an accepted answer fills one that nobody
+    /// has worked on.
+    pub fn import(&self, actor: Option<i64>, tasks: Vec<NewTask>, now: Millis) -> Result<Imported> {
+        let mut done = Imported::default();
+        for group in tasks.chunks(project::AT_ONCE) {
+            let group = group.to_vec();
+            let some = self.write(move |tx| import(tx, actor, &group, now))?;
+            done.new += some.new;
+            done.known += some.known;
+            done.filled += some.filled;
+            done.conflicts.extend(some.conflicts);
+        }
+        Ok(done)
+    }
+
+    /// Copies an accepted task as a hidden gold task, to measure people. Refused with `wrong_state`, `not_found`.
+    pub fn make_gold(&self, actor: i64, task: i64, now: Millis) -> Result<i64> {
+        self.write(move |tx| copy_known(tx, actor, task, false, now))
+    }
+
+    /// Copies an accepted task as a practice task, to learn from: the known answer is shown afterwards.
+    /// Refused with `wrong_state`, `not_found`.
+    pub fn make_practice(&self, actor: i64, task: i64, now: Millis) -> Result<i64> {
+        self.write(move |tx| copy_known(tx, actor, task, true, now))
+    }
+}
+
+fn import(tx: &mut dyn Tx, actor: Option<i64>, tasks: &[NewTask], now: Millis) -> Result<Imported> {
     project::add_styles(tx, actor, tasks.iter().flat_map(styles), now)?;
     let settings = project::settings(tx)?;
     let mut done = Imported::default();
@@ -37,12 +57,7 @@ pub(super) fn import(
             }
             (Some(_), None) => done.known += 1,
             (Some(row), Some(answer)) => {
-                let filled = fill(tx, actor, row.int(0)?, task, answer, now)?;
-                match filled {
-                    Filled::Now => done.filled += 1,
-                    Filled::Before => done.known += 1,
-                    Filled::Otherwise => done.conflicts.push(task.key.clone()),
-                }
+                fill(tx, actor, row.int(0)?, task, answer, &mut done, now)?;
             }
         }
     }
@@ -62,31 +77,22 @@ fn styles(task: &NewTask) -> impl Iterator<Item = &str> {
     label.into_iter().chain(answered)
 }
 
-/// What became of an imported answer to a known task.
-enum Filled {
-    /// It was accepted.
-    Now,
-    /// The task has an accepted answer that says the same.
-    Before,
-    /// The task has another answer, or somebody is at work on it or has decided about it.
-    Otherwise,
-}
-
+/// Accepts an imported answer to a known task, unless it has another answer, or somebody is at work on it or has
+/// decided about it.
 fn fill(
     tx: &mut dyn Tx,
     actor: Option<i64>,
     id: i64,
     new: &NewTask,
     answer: &Answer,
+    done: &mut Imported,
     now: Millis,
-) -> Result<Filled, Error> {
-    let accepted = tx.one("SELECT answer FROM accepted WHERE task = ?1", params![id])?;
-    if let Some(row) = accepted {
-        return Ok(if answer::says(&row.json(0)?, answer) {
-            Filled::Before
-        } else {
-            Filled::Otherwise
-        });
+) -> Result<()> {
+    if let Some(accepted) = read::accepted_answer(tx, id)?
+        && answer::says(&accepted, answer)
+    {
+        done.known += 1;
+        return Ok(());
     }
     let touched = tx.number(
         "SELECT (SELECT COUNT(*) FROM revision WHERE task = ?1) + (SELECT COUNT(*) FROM lease WHERE task = ?1)
@@ -95,21 +101,17 @@ fn fill(
     )?;
     let task = rows::task(tx, id)?;
     if touched > 0 || task.state != TaskState::Open || task.gold.is_some() {
-        return Ok(Filled::Otherwise);
+        done.conflicts.push(new.key.clone());
+        return Ok(());
     }
-    let entry = Entry {
-        at: now,
-        actor,
-        task: Some(id),
-        epoch: None,
-        body: Body::Filled {
-            answer: answer.clone(),
-            credit: new.credit.clone(),
-            extra: new.extra.clone(),
-        },
+    let body = Body::Filled {
+        answer: answer.clone(),
+        credit: new.credit.clone(),
+        extra: new.extra.clone(),
     };
-    log::note(tx, &entry)?;
-    Ok(Filled::Now)
+    log::note(tx, now, actor, Some(id), body)?;
+    done.filled += 1;
+    Ok(())
 }
 
 fn put_task(
@@ -120,7 +122,7 @@ fn put_task(
     practice: bool,
     settings: &Settings,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     // Ids of bundles are below 2^53, which JavaScript numbers hold exactly.
     let bundle = task
         .bundle
@@ -131,36 +133,30 @@ fn put_task(
     } else {
         wanted(settings, &task.key, bundle)
     };
-    let entry = Entry {
-        at: now,
-        actor,
-        task: Some(id),
-        epoch: None,
-        body: Body::Imported {
-            task: Box::new(LoggedTask {
-                key: task.key.clone(),
-                kind: task.kind,
-                source: task.source.clone(),
-                target: task.target.clone(),
-                split: task.split.clone(),
-                bundle,
-                bundle_index: task.bundle_index,
-                category: task.category.clone(),
-                hint: task.hint.clone(),
-                style: task.style.clone(),
-                edit_type: task.edit_type,
-                priority: task.priority,
-                shuffle: percent(&["shuffle", &task.key]).into(),
-                wanted,
-                gold: task.gold.clone(),
-                practice,
-                extra: task.extra.clone(),
-                accepted: task.accepted.clone(),
-                credit: task.credit.clone(),
-            }),
-        },
+    let body = Body::Imported {
+        task: Box::new(LoggedTask {
+            key: task.key.clone(),
+            kind: task.kind,
+            source: task.source.clone(),
+            target: task.target.clone(),
+            split: task.split.clone(),
+            bundle,
+            bundle_index: task.bundle_index,
+            category: task.category.clone(),
+            hint: task.hint.clone(),
+            style: task.style.clone(),
+            edit_type: task.edit_type,
+            priority: task.priority,
+            shuffle: percent(&["shuffle", &task.key]).into(),
+            wanted,
+            gold: task.gold.clone(),
+            practice,
+            extra: task.extra.clone(),
+            accepted: task.accepted.clone(),
+            credit: task.credit.clone(),
+        }),
     };
-    log::note(tx, &entry)?;
+    log::note(tx, now, actor, Some(id), body)?;
     for suggestion in &task.suggestions {
         project::put_suggestion(tx, id, suggestion, now)?;
     }
@@ -180,14 +176,13 @@ fn wanted(settings: &Settings, key: &str, bundle: Option<i64>) -> u32 {
 /// Tasks that one transaction of [`retarget`] looks at.
 const RETARGETED_AT_ONCE: i64 = 1000;
 
-/// Gives the next unanswered and half-answered tasks after `after` the number of people that the settings ask for,
-/// and returns the last task looked at. Answers and leases that exist are kept, so a task never wants fewer.
-fn retarget_some(
-    tx: &mut dyn Tx,
-    actor: i64,
-    after: i64,
-    now: Millis,
-) -> Result<Option<i64>, Error> {
+/// Gives some more unanswered and half-answered tasks the number of people that the settings ask for, and returns whether
+/// all have it. Answers and leases that exist are kept, so a task never wants fewer.
+pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool> {
+    let Some(after) = project::get(tx, project::RETARGETING)? else {
+        return Ok(true);
+    };
+    let after: i64 = after.parse().unwrap_or(0);
     let settings = project::settings(tx)?;
     let found = tx.query(
         "SELECT id, key, bundle, wanted, submitted + leases FROM task
@@ -200,80 +195,34 @@ fn retarget_some(
         if wanted == row.count(3)? {
             continue;
         }
-        let entry = Entry {
-            at: now,
-            actor: Some(actor),
-            task: Some(task),
-            epoch: None,
-            body: Body::Retargeted { wanted },
-        };
-        log::note(tx, &entry)?;
+        let body = Body::Retargeted { wanted };
+        log::note(tx, now, Some(actor), Some(task), body)?;
         rules::on_answer(tx, &settings, task, now)?;
     }
-    found.last().map(|row| row.int(0)).transpose()
-}
-
-/// Brings the number of people of some more tasks up to date, and returns whether all are.
-pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool, Error> {
-    let row = tx.one(
-        "SELECT body FROM setting WHERE name = ?1",
-        params![project::RETARGETING],
-    )?;
-    let Some(row) = row else { return Ok(true) };
-    let after = row.text(0)?.parse().unwrap_or(0);
-    match retarget_some(tx, actor, after, now)? {
-        Some(last) => {
-            project::put(tx, project::RETARGETING, &last.to_string())?;
-            Ok(false)
-        }
-        None => {
-            tx.execute(
-                "DELETE FROM setting WHERE name = ?1",
-                params![project::RETARGETING],
-            )?;
-            Ok(true)
-        }
+    if let Some(last) = found.last() {
+        project::put(tx, project::RETARGETING, &last.int(0)?.to_string())?;
+        return Ok(false);
     }
-}
-
-/// What a task with a known answer is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Known {
-    /// Hidden among others, to measure people.
-    Gold,
-    /// To learn from: the known answer is shown afterwards.
-    Practice,
+    let sql = "DELETE FROM setting WHERE name = ?1";
+    tx.run(sql, params![project::RETARGETING])?;
+    Ok(true)
 }
 
 /// Copies an accepted task as a gold or a practice task.
-pub(super) fn copy_known(
-    tx: &mut dyn Tx,
-    actor: i64,
-    id: i64,
-    known: Known,
-    now: Millis,
-) -> Result<i64, Error> {
+fn copy_known(tx: &mut dyn Tx, actor: i64, id: i64, practice: bool, now: Millis) -> Result<i64> {
     let task = rows::task(tx, id)?;
-    let (name, prefix) = match known {
-        Known::Gold => ("gold", GOLD_KEY),
-        Known::Practice => ("practice", "practice:"),
+    let (name, prefix) = if practice {
+        ("practice", "practice:")
+    } else {
+        ("gold", GOLD_KEY)
     };
-    let row = tx.one("SELECT answer FROM accepted WHERE task = ?1", params![id])?;
-    let Some(row) = row else {
-        return Err(Error::wrong_state(
-            task.state,
-            &format!("made {name}; only accepted tasks can"),
-        ));
+    let refuse = |why: &str| Err(Error::wrong_state(task.state, &format!("made {name}{why}")));
+    let Some(known) = read::accepted_answer(tx, id)? else {
+        return refuse("; only accepted tasks can");
     };
     let key = format!("{prefix}{}", task.key);
-    if tx
-        .one("SELECT 1 FROM task WHERE key = ?1", params![&key])?
-        .is_some()
-    {
-        return Err(Error::wrong_state(
-            task.state,
-            &format!("made {name} twice"),
-        ));
+    if tx.has("SELECT 1 FROM task WHERE key = ?1", params![&key])? {
+        return refuse(" twice");
     }
     let copy = NewTask {
         key,
@@ -289,16 +238,25 @@ pub(super) fn copy_known(
         // The known answer says it.
         edit_type: None,
         priority: 0,
-        gold: Some(row.json(0)?),
+        gold: Some(known),
         extra: None,
         // Without drafts it would be told from other tasks.
-        suggestions: project::drafts_of(tx, id)?,
+        suggestions: project::drafts_where(tx, "task = ?1 ORDER BY id", params![id])?,
         accepted: None,
         credit: None,
     };
     let next = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM task", &[])?;
     let settings = project::settings(tx)?;
-    let practice = known == Known::Practice;
     put_task(tx, Some(actor), next, &copy, practice, &settings, now)?;
     Ok(next)
+}
+
+/// The pseudo-random number of a key, the same on every call and in a store opened again.
+fn draw(parts: &[&str]) -> u64 {
+    datasets_spec::Seed(0).draw_u64(parts)
+}
+
+/// [`draw`] as a number from 0 to 99.
+pub(super) fn percent(parts: &[&str]) -> u32 {
+    (draw(parts) % 100) as u32
 }

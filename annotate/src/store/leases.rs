@@ -1,13 +1,15 @@
 //! Leases: assignment of tasks to people for a limited time.
 
-use super::db::{Tx, params};
-use super::draw::percent;
+use super::db::{Result, Tx, params};
 use super::entry::{Body, ENTRY_COLUMNS, Entry, Place, read_entry};
-use super::records::Millis;
-use super::{log, rows};
+use super::import::percent;
+use super::log;
+use super::records::{Millis, Who};
+use super::rows::{self, LeaseRow};
+use super::store::Store;
 use crate::Error;
 use crate::state::{Purpose, ReleaseReason};
-use crate::wire::{Lease, Settings};
+use crate::wire::{Code, Lease, Role, Settings, TaskState};
 
 /// Maximum number of expired leases that one claim ends.
 const EXPIRED_AT_ONCE: i64 = 200;
@@ -17,52 +19,79 @@ pub(super) const MINUTE: Millis = 60_000;
 pub(super) const PLACED: &str = "lease l JOIN task t ON t.id = l.task
   LEFT JOIN gold_place g ON g.task = l.task AND g.usr = l.usr";
 
+impl Store {
+    /// Renews a lease. Refused with `lease_lost`.
+    pub fn renew(&self, user: i64, lease: i64, now: Millis) -> Result<Lease> {
+        self.write(move |tx| {
+            let settings = super::project::settings(tx)?;
+            let held = rows::lease(tx, lease)?.filter(|held| held.lease.user == user);
+            let held = held.ok_or_else(|| {
+                Error::refused(
+                    Code::LeaseLost,
+                    "this lease ended; take the task again if it still wants answers",
+                )
+            })?;
+            // A reservation for an author cannot be renewed.
+            if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) {
+                return Err(Error::wrong_state(TaskState::Returned, "renewed; claim it"));
+            }
+            prolong_bundle(tx, &held, &settings, now)
+        })
+    }
+
+    /// Releases a lease; a reviewer may release those of others. Refused with `not_found`.
+    pub fn release(&self, who: &Who, lease: i64, now: Millis) -> Result<()> {
+        let (user, role) = (who.id, who.role);
+        self.write(move |tx| {
+            let held = rows::lease(tx, lease)?
+                .filter(|held| held.lease.user == user || role >= Role::Reviewer)
+                .ok_or_else(|| Error::not_found("lease"))?;
+            let reason = if held.lease.user == user {
+                ReleaseReason::GivenBack
+            } else {
+                ReleaseReason::TakenAway
+            };
+            end(tx, &held, Some(user), reason, now)
+        })
+    }
+}
+
 /// Ends leases past their deadline, except those of `keep`, who may renew a lease that nobody has
 /// taken. Returns how many it ended.
-pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<usize, Error> {
-    let sql = format!(
-        "SELECT {} FROM lease l WHERE l.expires <= ?1 AND l.usr <> ?2 ORDER BY l.expires, l.id LIMIT ?3",
-        rows::LEASE_COLUMNS
-    );
-    let expired = tx.query(&sql, params![now, keep, EXPIRED_AT_ONCE])?;
-    for row in &expired {
-        end(
-            tx,
-            &rows::read_lease(row)?,
-            None,
-            ReleaseReason::Expired,
-            now,
-        )?;
+pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<usize> {
+    let from = "lease l WHERE l.expires <= ?1 AND l.usr <> ?2 ORDER BY l.expires, l.id LIMIT ?3";
+    let expired = rows::leases(tx, from, params![now, keep, EXPIRED_AT_ONCE])?;
+    for held in &expired {
+        end(tx, held, None, ReleaseReason::Expired, now)?;
     }
     Ok(expired.len())
 }
 
-/// Until when a task is kept for a user whose returned answer it waits for.
-fn reservation(
+/// Until when the task of a lease that ends is kept for its holder, whose returned answer it waits for.
+pub(super) fn reserved_after(
     tx: &mut dyn Tx,
-    task: i64,
-    user: i64,
+    held: &LeaseRow,
+    reason: ReleaseReason,
     now: Millis,
-) -> Result<Option<Millis>, Error> {
-    let unanswered = tx.one(
+) -> Result<Option<Millis>> {
+    // A reviewer who takes a task away wants others to have it.
+    if held.purpose != Purpose::Annotate || reason == ReleaseReason::TakenAway {
+        return Ok(None);
+    }
+    let (task, user) = (held.lease.task, held.lease.user);
+    let unanswered = tx.has(
         "SELECT 1 FROM revision r JOIN task t ON t.id = r.task
          WHERE r.task = ?1 AND r.author = ?2 AND r.state IN ('draft', 'returned') AND t.came_back = 1",
         params![task, user],
     )?;
-    if unanswered.is_none() {
+    if !unanswered {
         return Ok(None);
     }
     let sql = format!(
         "SELECT {ENTRY_COLUMNS} FROM event WHERE task = ?1 AND kind = 'returned' ORDER BY seq DESC"
     );
-    for row in tx.query(&sql, params![task])? {
-        if let (
-            _,
-            Entry {
-                body: Body::Returned { authors, until, .. },
-                ..
-            },
-        ) = read_entry(&row)?
+    for (_, entry) in tx.list(&sql, params![task], read_entry)? {
+        if let Body::Returned { authors, until, .. } = entry.body
             && authors.contains(&user)
         {
             return Ok((until > now).then_some(until));
@@ -71,88 +100,47 @@ fn reservation(
     Ok(None)
 }
 
-/// Until when the task of a lease that ends is kept for its holder.
-pub(super) fn reserved_after(
+/// Writes an entry about a lease.
+fn note(
     tx: &mut dyn Tx,
-    held: &rows::LeaseRow,
-    reason: ReleaseReason,
+    held: &LeaseRow,
+    actor: Option<i64>,
     now: Millis,
-) -> Result<Option<Millis>, Error> {
-    // A reviewer who takes a task away wants others to have it.
-    if held.purpose != Purpose::Annotate || reason == ReleaseReason::TakenAway {
-        return Ok(None);
-    }
-    reservation(tx, held.lease.task, held.lease.user, now)
+    body: Body,
+) -> Result<()> {
+    let entry = Entry {
+        at: now,
+        actor,
+        task: Some(held.lease.task),
+        epoch: Some(held.lease.epoch),
+        body,
+    };
+    log::write(tx, &entry)
 }
 
 pub(super) fn end(
     tx: &mut dyn Tx,
-    held: &rows::LeaseRow,
+    held: &LeaseRow,
     actor: Option<i64>,
     reason: ReleaseReason,
     now: Millis,
-) -> Result<(), Error> {
-    let reserved = reserved_after(tx, held, reason, now)?;
-    log::note(
-        tx,
-        &Entry {
-            at: now,
-            actor,
-            task: Some(held.lease.task),
-            epoch: Some(held.lease.epoch),
-            body: Body::Released {
-                lease: held.lease.id,
-                user: held.lease.user,
-                purpose: held.purpose,
-                reason,
-                reserved,
-            },
-        },
-    )?;
-    Ok(())
-}
-
-/// Ends all leases of a user, so that others can take the tasks.
-pub(super) fn end_all(
-    tx: &mut dyn Tx,
-    user: i64,
-    actor: Option<i64>,
-    now: Millis,
-) -> Result<(), Error> {
-    let sql = format!(
-        "SELECT {} FROM lease l WHERE l.usr = ?1 ORDER BY l.id",
-        rows::LEASE_COLUMNS
-    );
-    for row in tx.query(&sql, params![user])? {
-        end(
-            tx,
-            &rows::read_lease(&row)?,
-            actor,
-            ReleaseReason::TakenAway,
-            now,
-        )?;
-    }
-    Ok(())
+) -> Result<()> {
+    let body = Body::Released {
+        lease: held.lease.id,
+        user: held.lease.user,
+        purpose: held.purpose,
+        reason,
+        reserved: reserved_after(tx, held, reason, now)?,
+    };
+    note(tx, held, actor, now, body)
 }
 
 pub(super) fn lease_end(settings: &Settings, now: Millis) -> Millis {
     now + Millis::from(settings.lease_minutes) * MINUTE
 }
 
-/// Leases a task that the caller has checked to be free.
+/// Leases a task that the caller has checked to be free. A gold task may have a place in a bundle.
 pub(super) fn take(
-    tx: &mut dyn Tx,
-    user: i64,
-    task: i64,
-    purpose: Purpose,
-    settings: &Settings,
-    now: Millis,
-) -> Result<(), Error> {
-    take_at(tx, user, task, purpose, None, settings, now)
-}
-
-/// [`take`], of a gold task at a place in a bundle.
-pub(super) fn take_at(
     tx: &mut dyn Tx,
     user: i64,
     task: i64,
@@ -160,50 +148,37 @@ pub(super) fn take_at(
     place: Option<Place>,
     settings: &Settings,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     let row = tx
         .one("SELECT epoch, key FROM task WHERE id = ?1", params![task])?
         .ok_or_else(|| Error::not_found("task"))?;
     let blind = purpose == Purpose::Annotate
         && percent(&["blind", row.text(1)?, &user.to_string()]) < settings.blind_percent;
-    log::note(
-        tx,
-        &Entry {
-            at: now,
-            actor: Some(user),
-            task: Some(task),
-            epoch: Some(row.int(0)? + 1),
-            body: Body::Claimed {
-                purpose,
-                expires: lease_end(settings, now),
-                blind,
-                place,
-            },
+    let entry = Entry {
+        at: now,
+        actor: Some(user),
+        task: Some(task),
+        epoch: Some(row.int(0)? + 1),
+        body: Body::Claimed {
+            purpose,
+            expires: lease_end(settings, now),
+            blind,
+            place,
         },
-    )?;
-    Ok(())
+    };
+    log::write(tx, &entry)
 }
 
 pub(super) fn prolong(
     tx: &mut dyn Tx,
-    held: &rows::LeaseRow,
+    held: &LeaseRow,
     settings: &Settings,
     now: Millis,
-) -> Result<Lease, Error> {
+) -> Result<Lease> {
     let expires = lease_end(settings, now);
-    log::note(
-        tx,
-        &Entry {
-            at: now,
-            actor: Some(held.lease.user),
-            task: Some(held.lease.task),
-            epoch: Some(held.lease.epoch),
-            body: Body::Renewed {
-                lease: held.lease.id,
-                expires,
-            },
-        },
-    )?;
+    let lease = held.lease.id;
+    let body = Body::Renewed { lease, expires };
+    note(tx, held, Some(held.lease.user), now, body)?;
     Ok(Lease {
         expires,
         ..held.lease.clone()
@@ -213,24 +188,20 @@ pub(super) fn prolong(
 /// [`prolong`] for a lease and all leases of its bundle, since a bundle takes longer than one task.
 pub(super) fn prolong_bundle(
     tx: &mut dyn Tx,
-    held: &rows::LeaseRow,
+    held: &LeaseRow,
     settings: &Settings,
     now: Millis,
-) -> Result<Lease, Error> {
-    let sql = format!(
-        "SELECT {} FROM {PLACED}
+) -> Result<Lease> {
+    let from = format!(
+        "{PLACED}
          WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2 AND COALESCE(g.bundle, t.bundle) = (
            SELECT COALESCE(p.bundle, x.bundle) FROM task x
              LEFT JOIN gold_place p ON p.task = x.id AND p.usr = ?1 WHERE x.id = ?3)
-         ORDER BY l.id",
-        rows::LEASE_COLUMNS
+         ORDER BY l.id"
     );
-    let rest = tx.query(
-        &sql,
-        params![held.lease.user, held.lease.id, held.lease.task],
-    )?;
-    for row in rest {
-        prolong(tx, &rows::read_lease(&row)?, settings, now)?;
+    let lease = &held.lease;
+    for other in rows::leases(tx, &from, params![lease.user, lease.id, lease.task])? {
+        prolong(tx, &other, settings, now)?;
     }
     prolong(tx, held, settings, now)
 }

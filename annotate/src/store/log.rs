@@ -1,29 +1,54 @@
-//! Writing to the log.
+//! Writing to the log, and requests whose repetition gets the reply that the log holds.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use super::apply::apply;
-use super::db::{Tx, params};
-use super::entry::{Entry, Reply, VERSION, json};
+use super::db::{Result, Row, Tx, json, params};
+use super::entry::{self, Body, Entry, VERSION};
+use super::records::Millis;
+use super::settings::{is_word, require};
 use crate::Error;
+use crate::wire::Code;
 
-/// Writes an entry, applies it, and returns its sequence number. `reply` computes the response from the
-/// projections after the entry.
-pub(crate) fn write(
+/// Writes an entry that no lease gave an epoch.
+pub(crate) fn note(
     tx: &mut dyn Tx,
-    entry: &Entry,
-    reply: impl FnOnce(&mut dyn Tx, i64) -> Result<Option<Reply>, Error>,
-) -> Result<i64, Error> {
+    at: Millis,
+    actor: Option<i64>,
+    task: Option<i64>,
+    body: Body,
+) -> Result<()> {
+    let entry = Entry {
+        at,
+        actor,
+        task,
+        epoch: None,
+        body,
+    };
+    write(tx, &entry)
+}
+
+/// Writes an entry and applies it.
+pub(crate) fn write(tx: &mut dyn Tx, entry: &Entry) -> Result<()> {
+    let seq = apply_next(tx, entry)?;
+    put(tx, seq, entry, None)
+}
+
+fn apply_next(tx: &mut dyn Tx, entry: &Entry) -> Result<i64> {
     let seq = 1 + tx.number("SELECT COALESCE(MAX(seq), 0) FROM event", &[])?;
     apply(tx, seq, entry)?;
-    let reply = reply(tx, seq)?;
-    let (key, base_rev, result) = match reply {
-        Some(reply) => (
-            Some(reply.idem_key),
-            Some(reply.base_rev),
-            Some(reply.result),
-        ),
-        None => (None, None, None),
-    };
-    tx.execute(
+    Ok(seq)
+}
+
+/// Key of a request, the revision that it is based on, and its reply.
+type Reply<'a> = (&'a str, i64, String);
+
+fn put(tx: &mut dyn Tx, seq: i64, entry: &Entry, reply: Option<Reply<'_>>) -> Result<()> {
+    let (key, base_rev, result) = reply.map_or((None, None, None), |(key, base_rev, result)| {
+        (Some(key), Some(base_rev), Some(result))
+    });
+    tx.run(
         "INSERT INTO event (seq, at, actor, kind, task, idem_key, epoch, base_rev, body, result, version)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
         params![
@@ -39,11 +64,64 @@ pub(crate) fn write(
             result,
             VERSION
         ],
-    )?;
-    Ok(seq)
+    )
 }
 
-/// Writes an entry without a reply.
-pub(crate) fn note(tx: &mut dyn Tx, entry: &Entry) -> Result<i64, Error> {
-    write(tx, entry, |_, _| Ok(None))
+/// A request that is not applied twice.
+pub(super) struct Request {
+    /// Its key with the user id, so that keys of different people never collide.
+    key: String,
+    /// Tells a repetition from another request with the same key.
+    pub(super) hash: String,
+}
+
+impl Request {
+    pub(super) fn new<T: Serialize>(user: i64, key: &str, content: &T) -> Result<Self> {
+        require(
+            is_word(key, 8..=64),
+            "idem_key",
+            "a key must have 8 to 64 letters, digits and dashes",
+        )?;
+        Ok(Self {
+            key: format!("{user}:{key}"),
+            hash: blake3::hash(json(content)?.as_bytes()).to_hex()[..32].to_owned(),
+        })
+    }
+
+    /// The reply that was given to this request before.
+    pub(super) fn replay<T: DeserializeOwned>(&self, tx: &mut dyn Tx) -> Result<Option<T>> {
+        let sql = format!(
+            "SELECT {}, result FROM event WHERE idem_key = ?1",
+            entry::ENTRY_COLUMNS
+        );
+        let Some(row) = tx.one(&sql, params![&self.key])? else {
+            return Ok(None);
+        };
+        let (_, entry) = entry::read_entry(&row)?;
+        if entry.body.work().1 != Some(self.hash.as_str()) {
+            let problem = "this key was used for another request; use a new one";
+            return Err(Error::refused(Code::KeyReused, problem));
+        }
+        row.opt(7, Row::json)
+    }
+
+    /// Writes the entry of the request and returns the reply, which is computed from the projections after the entry
+    /// and stored for repetitions.
+    pub(super) fn log<T: Serialize>(
+        &self,
+        tx: &mut dyn Tx,
+        entry: &Entry,
+        base_rev: i64,
+        reply: impl FnOnce(&mut dyn Tx, i64) -> Result<T>,
+    ) -> Result<T> {
+        let seq = apply_next(tx, entry)?;
+        let reply = reply(tx, seq)?;
+        put(
+            tx,
+            seq,
+            entry,
+            Some((self.key.as_str(), base_rev, json(&reply)?)),
+        )?;
+        Ok(reply)
+    }
 }

@@ -3,7 +3,7 @@
 //! # To change the tables
 //!
 //! 1. Change `schema.sql` (what is not derived) or `projections.sql` (what is derived from the log) to what a new
-//!    store gets. A new projection also has a line in [`derived::PROJECTIONS`].
+//!    store gets. A new projection also has a line in [`rebuild::PROJECTIONS`].
 //! 2. Append a step to [`STEPS`]: SQL for both databases that brings the tables of `schema.sql` from the version
 //!    before to the new one. It is empty if only projections or their rows changed: every upgrade drops the
 //!    projections, creates them anew and derives them from the log.
@@ -13,9 +13,8 @@
 //! Test `a_store_of_each_older_version_is_upgraded_after_a_copy` opens stores of older versions
 //! (`tests/stores`) and compares their tables with those of a new store.
 
-use super::db::{Tx, params};
-use super::{derived, people};
-use crate::Error;
+use super::db::{Result, Tx, not_opened, params};
+use super::{people, rebuild};
 
 const SCHEMA: &str = include_str!("schema.sql");
 
@@ -79,7 +78,7 @@ CREATE INDEX paraphrase_state ON paraphrase (state, id);",
 pub(super) const VERSION: i64 = 1 + STEPS.len() as i64;
 
 /// Name of the setting that holds the id.
-const ID: &str = "id";
+pub(super) const ID: &str = "id";
 /// Bytes of the id.
 const ID_BYTES: usize = 8;
 
@@ -106,56 +105,42 @@ pub(super) enum Plan {
 }
 
 /// Compares the version of a store's tables with that of this program; 0 is a store without tables.
-pub(super) fn plan(place: &str, found: i64) -> Result<Plan, Error> {
+pub(super) fn plan(place: &str, found: i64) -> Result<Plan> {
     match found {
         0 => Ok(Plan::Create),
         VERSION => Ok(Plan::Nothing),
         older if (1..VERSION).contains(&older) => Ok(Plan::Upgrade(older)),
-        newer => Err(Error::Open {
-            path: place.to_owned(),
-            reason: format!(
+        newer => {
+            let reason = format!(
                 "its tables have version {newer}, this program knows versions up to {VERSION}; use the stance that \
                  wrote it, or a newer one"
-            ),
-        }),
+            );
+            Err(not_opened(place, reason))
+        }
     }
 }
 
 /// Creates all tables, or upgrades them.
-pub(super) fn apply(tx: &mut dyn Tx, plan: Plan) -> Result<(), Error> {
+pub(super) fn apply(tx: &mut dyn Tx, plan: Plan) -> Result<()> {
     match plan {
         Plan::Nothing => return Ok(()),
         Plan::Create => {
             tx.define(SCHEMA)?;
-            derived::define_projections(tx)?;
+            rebuild::define_projections(tx)?;
         }
         Plan::Upgrade(from) => {
             let done = usize::try_from(from - 1).unwrap_or(0);
             for step in STEPS.iter().skip(done) {
                 tx.define(step)?;
             }
-            for projection in &derived::PROJECTIONS {
-                tx.define(&format!("DROP TABLE IF EXISTS {}", projection.table))?;
+            for (table, ..) in rebuild::PROJECTIONS {
+                tx.define(&format!("DROP TABLE IF EXISTS {table}"))?;
             }
-            derived::define_projections(tx)?;
-            derived::derive(tx)?;
+            rebuild::define_projections(tx)?;
+            rebuild::derive(tx)?;
         }
     }
-    identify(tx)
-}
-
-/// Gives the store an id, if it has none.
-fn identify(tx: &mut dyn Tx) -> Result<(), Error> {
-    tx.execute(
-        "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO NOTHING",
-        params![ID, people::random::<ID_BYTES>()?],
-    )?;
-    Ok(())
-}
-
-/// The id of the store, which its copies share.
-pub(super) fn id(tx: &mut dyn Tx) -> Result<String, Error> {
-    tx.one("SELECT body FROM setting WHERE name = ?1", params![ID])?
-        .ok_or(Error::Closed)?
-        .string(0)
+    // An id, if it has none.
+    let sql = "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO NOTHING";
+    tx.run(sql, params![ID, people::random::<ID_BYTES>()?])
 }

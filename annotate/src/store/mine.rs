@@ -1,9 +1,10 @@
 //! What a person handed in, and where it stands.
 
 use super::append::take_back_window;
-use super::db::{Tx, params};
+use super::db::{Result, Row, Tx, params};
 use super::records::{Millis, MineQuery, OwnAnswer, TaskRecord};
 use super::rows::{self, NUM_TASK_COLUMNS};
+use super::store::Store;
 use super::{project, read};
 use crate::Error;
 use crate::wire::{Feedback, RevisionState, Standing, TaskState};
@@ -11,71 +12,76 @@ use crate::wire::{Feedback, RevisionState, Standing, TaskState};
 /// Columns of a revision, after those of its task.
 const AFTER_REVISION: usize = NUM_TASK_COLUMNS + 7;
 
-/// A person's answers, newest first, from a cursor `at:task` on.
-pub(super) fn answers(
-    tx: &mut dyn Tx,
-    user: i64,
-    query: &MineQuery,
-    now: Millis,
-) -> Result<(Vec<OwnAnswer>, Option<String>), Error> {
-    let bad = || Error::invalid("before", "this is no cursor of a page; begin at the first");
-    let (mut at, mut task) = match &query.before {
-        None => (i64::MAX, i64::MAX),
-        Some(cursor) => {
-            let (at, task) = cursor.split_once(':').ok_or_else(bad)?;
-            (
-                at.parse::<i64>().map_err(|_| bad())?,
-                task.parse::<i64>().map_err(|_| bad())?,
-            )
-        }
-    };
-    let window = take_back_window(&project::settings(tx)?);
-    let sql = format!(
-        "SELECT {}, {}, a.author, a.merged, a.answer, a.at, a.basis FROM revision r
-         JOIN task t ON t.id = r.task LEFT JOIN accepted a ON a.task = r.task
-         WHERE r.author = ?1 AND (r.at, r.task) < (?2, ?3) AND (?4 = '' OR t.kind = ?4)
-           AND (CAST(?6 AS BIGINT) = 0 OR r.task = ?6)
-         ORDER BY r.at DESC, r.task DESC LIMIT ?5",
-        rows::TASK_COLUMNS,
-        rows::REVISION_COLUMNS
-    );
-    let kind = query.kind.map_or("", |kind| kind.as_str());
-    let batch = query.limit as i64 + 1;
-    let mut found = Vec::new();
-    // The standing is not a column, so rows of another standing are read and passed over.
-    loop {
-        let rows = tx.query(
-            &sql,
-            params![user, at, task, kind, batch, query.task.unwrap_or(0)],
-        )?;
-        let read = rows.len() as i64;
-        for row in &rows {
-            let own = own_answer(tx, user, row, window, now)?;
-            (at, task) = (own.mine.at, own.mine.task);
-            if query.standing.is_none_or(|wanted| wanted == own.standing) {
-                found.push(own);
+impl Store {
+    /// A person's answers, newest first, with the cursor of the next page. Refused with `invalid`.
+    pub fn answers_of(
+        &self,
+        user: i64,
+        query: MineQuery,
+        now: Millis,
+    ) -> Result<(Vec<OwnAnswer>, Option<String>)> {
+        self.read(|tx| {
+            let bad =
+                || Error::invalid("before", "this is no cursor of a page; begin at the first");
+            let (mut at, mut task) = match &query.before {
+                None => (i64::MAX, i64::MAX),
+                Some(cursor) => {
+                    let (at, task) = cursor.split_once(':').ok_or_else(bad)?;
+                    (
+                        at.parse::<i64>().map_err(|_| bad())?,
+                        task.parse::<i64>().map_err(|_| bad())?,
+                    )
+                }
+            };
+            let window = take_back_window(&project::settings(tx)?);
+            let sql = format!(
+                "SELECT {}, {}, a.author, a.merged, a.answer, a.at, a.basis FROM revision r
+                 JOIN task t ON t.id = r.task LEFT JOIN accepted a ON a.task = r.task
+                 WHERE r.author = ?1 AND (r.at, r.task) < (?2, ?3) AND (?4 = '' OR t.kind = ?4)
+                   AND (CAST(?6 AS BIGINT) = 0 OR r.task = ?6)
+                 ORDER BY r.at DESC, r.task DESC LIMIT ?5",
+                rows::TASK_COLUMNS,
+                rows::REVISION_COLUMNS
+            );
+            let kind = query.kind.map_or("", |kind| kind.as_str());
+            let batch = query.limit as i64 + 1;
+            let mut found = Vec::new();
+            // The standing is not a column, so rows of another standing are read and passed over.
+            loop {
+                let rows = tx.query(
+                    &sql,
+                    params![user, at, task, kind, batch, query.task.unwrap_or(0)],
+                )?;
+                let read = rows.len() as i64;
+                for row in &rows {
+                    let own = own_answer(tx, user, row, window, now)?;
+                    (at, task) = (own.mine.at, own.mine.task);
+                    if query.standing.is_none_or(|wanted| wanted == own.standing) {
+                        found.push(own);
+                    }
+                    if found.len() > query.limit {
+                        found.truncate(query.limit);
+                        let cursor = found
+                            .last()
+                            .map(|last| format!("{}:{}", last.mine.at, last.mine.task));
+                        return Ok((found, cursor));
+                    }
+                }
+                if read < batch {
+                    return Ok((found, None));
+                }
             }
-            if found.len() > query.limit {
-                found.truncate(query.limit);
-                let cursor = found
-                    .last()
-                    .map(|last| format!("{}:{}", last.mine.at, last.mine.task));
-                return Ok((found, cursor));
-            }
-        }
-        if read < batch {
-            return Ok((found, None));
-        }
+        })
     }
 }
 
 fn own_answer(
     tx: &mut dyn Tx,
     user: i64,
-    row: &super::db::Row,
+    row: &Row,
     window: Millis,
     now: Millis,
-) -> Result<OwnAnswer, Error> {
+) -> Result<OwnAnswer> {
     let task = rows::read_task(row)?;
     let mine = rows::read_revision(row, NUM_TASK_COLUMNS)?;
     let accepted_author = row.opt_int(AFTER_REVISION)?;
@@ -109,13 +115,7 @@ fn own_answer(
             } else {
                 "returned"
             };
-            tx.one(
-                "SELECT comment FROM review WHERE task = ?1 AND decision = ?2
-                   AND (author IS NULL OR author = ?3) ORDER BY seq DESC LIMIT 1",
-                params![task.id, decision, user],
-            )?
-            .map(|row| row.string(0))
-            .transpose()?
+            read::comment_to(tx, task.id, user, decision)?
         }
         _ => None,
     };
@@ -140,15 +140,11 @@ fn own_answer(
 }
 
 /// What a practice task teaches a user who handed it in.
-fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feedback>, Error> {
-    let row = tx.one(
-        "SELECT score FROM gold_score WHERE task = ?1 AND usr = ?2",
-        params![task.id, user],
-    )?;
-    let score = row.map(|row| row.real(0)).transpose()?;
-    Ok(score
-        .zip(task.gold.clone())
-        .map(|(score, known)| Feedback { score, known }))
+fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feedback>> {
+    let sql = "SELECT score FROM gold_score WHERE task = ?1 AND usr = ?2";
+    let score = tx.find(sql, params![task.id, user], |row| row.real(0))?;
+    let known = score.zip(task.gold.clone());
+    Ok(known.map(|(score, known)| Feedback { score, known }))
 }
 
 /// Where an answer stands.

@@ -4,10 +4,11 @@
 //! entry is applied to them in the transaction that writes it, and [`Store::rebuild`] derives them again from
 //! the log.
 //!
-//! [`Store`] lists the operations. They are implemented in `claim` (who gets which task), `leases`, `append` (drafts,
-//! submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with `filter`,
-//! `bulk` (actions on many tasks), `home`, `mine`, `captures` (the capture plan), `import` and `people`; `read` holds queries, `apply` writes the
-//! projections, `project` the tables beside the log, `db` abstracts from the database.
+//! The operations of [`Store`] are in the module of their kind: `claim` (who gets which task), `leases`, `append`
+//! (drafts, submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with
+//! `filter`, `bulk` (actions on many tasks), `home`, `mine`, `work`, `captures` (the capture plan), `import`, `people`,
+//! `jobs` and `pictures`; `read` holds queries, `project` the tables beside the log. `apply` writes the projections,
+//! `db` abstracts from the database.
 
 mod append;
 mod apply;
@@ -17,13 +18,12 @@ mod bulk;
 mod captures;
 mod claim;
 pub(crate) mod db;
-mod derived;
-mod draw;
 mod entry;
 mod filter;
 mod group;
 mod home;
 mod import;
+mod jobs;
 mod leases;
 mod log;
 mod migrate;
@@ -34,14 +34,12 @@ mod pictures;
 mod postgres;
 #[cfg(feature = "postgres")]
 mod postgres_address;
-mod practice;
 mod project;
 mod projections;
 mod read;
 mod readers;
 mod rebuild;
 mod records;
-mod replies;
 mod review;
 mod rows;
 mod rules;
@@ -57,7 +55,7 @@ mod work;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::Error;
+use db::Result;
 
 pub use backup::{back_up, backup_is_due};
 pub use browse::{DecisionQuery, PageQuery};
@@ -75,9 +73,8 @@ pub use store::Store;
 ///
 /// # Errors
 /// The file cannot be opened, is of a newer version, or lies on a network file system.
-pub fn open_sqlite(path: &Path) -> Result<Arc<Store>, Error> {
-    let db = sqlite::Sqlite::open(path)?;
-    let upgrade = db.upgrade();
+pub fn open_sqlite(path: &Path) -> Result<Arc<Store>> {
+    let (db, upgrade) = sqlite::Sqlite::open(path)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }
 
@@ -87,8 +84,7 @@ pub fn open_sqlite(path: &Path) -> Result<Arc<Store>, Error> {
 /// # Errors
 /// The server cannot be reached, or its tables are of a newer version.
 #[cfg(feature = "postgres")]
-pub fn open_postgres(url: &str, schema: &str) -> Result<Arc<Store>, Error> {
-    let db = postgres::Postgres::open(url, schema)?;
-    let upgrade = db.upgrade();
+pub fn open_postgres(url: &str, schema: &str) -> Result<Arc<Store>> {
+    let (db, upgrade) = postgres::Postgres::open(url, schema)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }

@@ -4,11 +4,15 @@ use std::collections::HashMap;
 
 use sha2::{Digest, Sha256};
 
-use super::db::{Row, Tx, params};
-use super::entry::{Body, Entry};
+use super::db::{Result, Row, Tx, params};
+use super::entry::Body;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
-use super::{leases, log};
+use super::settings::{has_up_to, require};
+use super::store::Store;
+use super::{leases, log, rows};
 use crate::Error;
+use crate::lock::lock;
+use crate::state::ReleaseReason;
 use crate::wire::{Code, Role, TokenInfo, User};
 
 /// Random bytes of a token.
@@ -16,17 +20,202 @@ const TOKEN_BYTES: usize = 32;
 /// Minimum interval between updates of a token's last use.
 const NOTE_EVERY: Millis = 60_000;
 
+impl Store {
+    /// [`Self::write`] of users or tokens; clears the token cache.
+    fn write_people<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'static,
+    ) -> Result<T> {
+        let outcome = self.write(work);
+        lock(&self.known).clear();
+        outcome
+    }
+
+    /// All users.
+    pub fn users(&self) -> Result<Vec<User>> {
+        self.read(users)
+    }
+
+    /// Adds many users, each with a token, or none if a line is wrong. Refused with `invalid`, which names the line.
+    pub fn add_users(
+        &self,
+        actor: Option<i64>,
+        lines: &str,
+        expires: Millis,
+        now: Millis,
+    ) -> Result<Vec<IssuedToken>> {
+        let new = parse_lines(lines)?;
+        self.write_people(move |tx| {
+            new.iter()
+                .map(|(number, name, role)| {
+                    let user = add(tx, actor, name, *role, now).map_err(|error| match error {
+                        Error::Refused(problem) => Error::invalid(
+                            &format!("lines.{number}"),
+                            format!("line {number}: {}; no user was added", problem.detail),
+                        ),
+                        other => other,
+                    })?;
+                    issue(tx, user.id, TokenUse::Token, expires, now)
+                })
+                .collect()
+        })
+    }
+
+    /// Adds a user. Refused with `invalid` for a bad or taken name.
+    pub fn add_user(
+        &self,
+        actor: Option<i64>,
+        name: &str,
+        role: Role,
+        now: Millis,
+    ) -> Result<User> {
+        let name = name.to_owned();
+        self.write_people(move |tx| add(tx, actor, &name, role, now))
+    }
+
+    /// Changes a user. The last active admin cannot be demoted or disabled. Refused with `invalid`, `not_found`.
+    pub fn change_user(
+        &self,
+        actor: Option<i64>,
+        user: i64,
+        role: Option<Role>,
+        active: Option<bool>,
+        now: Millis,
+    ) -> Result<User> {
+        self.write_people(move |tx| {
+            let before = self::user(tx, user)?;
+            let after = User {
+                role: role.unwrap_or(before.role),
+                active: active.unwrap_or(before.active),
+                ..before.clone()
+            };
+            let is_admin = |user: &User| user.active && user.role == Role::Admin;
+            if is_admin(&before) && !is_admin(&after) {
+                let others = "SELECT 1 FROM usr WHERE role = 'admin' AND active = 1 AND id <> ?1";
+                let problem = "this is the last admin; add another one first";
+                require(tx.has(others, params![user])?, "role", problem)?;
+            }
+            let sql = "UPDATE usr SET role = ?2, active = ?3 WHERE id = ?1";
+            tx.run(sql, params![user, after.role.as_str(), after.active])?;
+            if !after.active {
+                tx.run("UPDATE token SET revoked = 1 WHERE usr = ?1", params![user])?;
+                // Others can take the tasks.
+                let from = "lease l WHERE l.usr = ?1 ORDER BY l.id";
+                for held in rows::leases(tx, from, params![user])? {
+                    leases::end(tx, &held, actor, ReleaseReason::TakenAway, now)?;
+                }
+            }
+            logged(tx, actor, &after, now)?;
+            Ok(after)
+        })
+    }
+
+    /// Creates a token. Refused with `not_found`.
+    pub fn issue(
+        &self,
+        user: i64,
+        purpose: TokenUse,
+        expires: Millis,
+        now: Millis,
+    ) -> Result<IssuedToken> {
+        self.write_people(move |tx| issue(tx, user, purpose, expires, now))
+    }
+
+    /// The user of a token, if it is valid for this purpose. A one-time token becomes invalid.
+    /// Refused with `unauthenticated`.
+    pub fn authenticate(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
+        let hash = hash(token);
+        let changes = {
+            let known = lock(&self.known);
+            if let Some(who) = known.find(&hash, purposes, now) {
+                return Ok(who);
+            }
+            known.changes
+        };
+        let found = self.read(|tx| find(tx, &hash, purposes, now))?;
+        if found.needs_note {
+            let purposes = purposes.to_vec();
+            return self.write(move |tx| used(tx, &hash, &purposes, now));
+        }
+        let who = found.who.clone();
+        lock(&self.known).put(hash, found, changes, now);
+        Ok(who)
+    }
+
+    /// [`Self::authenticate`] without a record of the use. Refused with `unauthenticated`.
+    pub fn recognise(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
+        let hash = hash(token);
+        Ok(self.read(|tx| find(tx, &hash, purposes, now))?.who)
+    }
+
+    /// Begins a session by a token, until a time or the end of the token. Refused with `unauthenticated`.
+    pub fn log_in(&self, token: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
+        let hash = hash(token);
+        self.write_people(move |tx| {
+            let purposes = [TokenUse::Token, TokenUse::Once];
+            let found = find(tx, &hash, &purposes, now)?;
+            let until = if found.purpose == TokenUse::Once {
+                until
+            } else {
+                until.min(found.expires)
+            };
+            let who = used(tx, &hash, &purposes, now)?;
+            let session = issue(tx, who.id, TokenUse::Session, until, now)?;
+            Ok((who, session))
+        })
+    }
+
+    /// A user's tokens.
+    pub fn tokens(&self, user: i64) -> Result<Vec<TokenInfo>> {
+        let sql = "SELECT id, usr, created, expires, last_used, revoked FROM token
+             WHERE usr = ?1 AND purpose <> 'session' ORDER BY id";
+        let read = |row: &Row| {
+            Ok(TokenInfo {
+                id: row.int(0)?,
+                user: row.int(1)?,
+                created: row.int(2)?,
+                expires: row.int(3)?,
+                last_used: row.opt_int(4)?,
+                revoked: row.flag(5)?,
+            })
+        };
+        self.read(|tx| tx.list(sql, params![user], read))
+    }
+
+    /// Revokes a token and all sessions of its owner: a thief of the token may have opened some.
+    /// Refused with `not_found`.
+    pub fn revoke(&self, token: i64) -> Result<()> {
+        self.write_people(move |tx| {
+            let sql = "SELECT usr FROM token WHERE id = ?1";
+            let user = tx.find(sql, params![token], |row| row.int(0))?;
+            let user = user.ok_or_else(|| Error::not_found("token"))?;
+            let sql =
+                "UPDATE token SET revoked = 1 WHERE id = ?1 OR (usr = ?2 AND purpose = 'session')";
+            tx.run(sql, params![token, user])
+        })
+    }
+
+    /// Revokes a session.
+    pub fn log_out(&self, token: &str) -> Result<()> {
+        let hash = hash(token);
+        self.write_people(move |tx| {
+            let sql = "UPDATE token SET revoked = 1 WHERE hash = ?1";
+            tx.run(sql, params![&hash])
+        })
+    }
+}
+
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// SHA-256 of a token, hexadecimal.
-pub(super) fn hash(token: &str) -> String {
+fn hash(token: &str) -> String {
     hex(&Sha256::digest(token.trim().as_bytes()))
 }
 
 /// Random bytes, hexadecimal.
-pub(super) fn random<const BYTES: usize>() -> Result<String, Error> {
+pub(super) fn random<const BYTES: usize>() -> Result<String> {
     let mut bytes = [0; BYTES];
     getrandom::fill(&mut bytes)
         .map_err(|error| std::io::Error::other(error.to_string()))
@@ -37,87 +226,52 @@ pub(super) fn random<const BYTES: usize>() -> Result<String, Error> {
     Ok(hex(&bytes))
 }
 
-fn new_token() -> Result<String, Error> {
-    Ok(format!("ann_{}", random::<TOKEN_BYTES>()?))
-}
-
-fn read_user(row: &Row) -> Result<User, Error> {
+fn read_user(row: &Row) -> Result<User> {
     Ok(User {
         id: row.int(0)?,
         name: row.string(1)?,
-        role: role(row.text(2)?)?,
+        role: row.named(2, Role::parse)?,
         active: row.flag(3)?,
     })
 }
 
-fn role(text: &str) -> Result<Role, Error> {
-    Role::parse(text).ok_or_else(|| Error::Row {
-        table: "usr",
-        problem: format!("role {text:?} is not known"),
-    })
+pub(super) fn users(tx: &mut dyn Tx) -> Result<Vec<User>> {
+    let sql = "SELECT id, name, role, active FROM usr ORDER BY id";
+    tx.list(sql, &[], read_user)
 }
 
-pub(super) fn users(tx: &mut dyn Tx) -> Result<Vec<User>, Error> {
-    tx.query("SELECT id, name, role, active FROM usr ORDER BY id", &[])?
-        .iter()
-        .map(read_user)
-        .collect()
+fn user(tx: &mut dyn Tx, id: i64) -> Result<User> {
+    let sql = "SELECT id, name, role, active FROM usr WHERE id = ?1";
+    let user = tx.find(sql, params![id], read_user)?;
+    user.ok_or_else(|| Error::not_found("user"))
 }
 
-fn user(tx: &mut dyn Tx, id: i64) -> Result<User, Error> {
-    let row = tx.one(
-        "SELECT id, name, role, active FROM usr WHERE id = ?1",
-        params![id],
-    )?;
-    read_user(&row.ok_or_else(|| Error::not_found("user"))?)
-}
-
-fn logged(tx: &mut dyn Tx, actor: Option<i64>, user: &User, now: Millis) -> Result<(), Error> {
-    let entry = Entry {
-        at: now,
-        actor,
-        task: None,
-        epoch: None,
-        body: Body::RoleChanged {
-            user: user.id,
-            name: user.name.clone(),
-            role: user.role,
-            active: user.active,
-        },
+fn logged(tx: &mut dyn Tx, actor: Option<i64>, user: &User, now: Millis) -> Result<()> {
+    let body = Body::RoleChanged {
+        user: user.id,
+        name: user.name.clone(),
+        role: user.role,
+        active: user.active,
     };
-    log::note(tx, &entry)?;
-    Ok(())
+    log::note(tx, now, actor, None, body)
 }
 
-pub(super) fn add(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    name: &str,
-    role: Role,
-    now: Millis,
-) -> Result<User, Error> {
+fn add(tx: &mut dyn Tx, actor: Option<i64>, name: &str, role: Role, now: Millis) -> Result<User> {
     let name = name.trim();
     let bad = |c: char| c.is_control();
-    if name.is_empty() || name.chars().count() > 64 || name.chars().any(bad) {
-        return Err(Error::invalid(
-            "name",
-            "a name must have 1 to 64 characters and no control characters",
-        ));
-    }
-    if tx
-        .one("SELECT 1 FROM usr WHERE name = ?1", params![name])?
-        .is_some()
-    {
-        return Err(Error::invalid(
-            "name",
-            format!("there is a user {name:?} already; choose another name"),
-        ));
-    }
-    let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM usr", &[])?;
-    tx.execute(
-        "INSERT INTO usr (id, name, role, active, created) VALUES (?1, ?2, ?3, 1, ?4)",
-        params![id, name, role.as_str(), now],
+    require(
+        !name.is_empty() && has_up_to(name, 64) && !name.chars().any(bad),
+        "name",
+        "a name must have 1 to 64 characters and no control characters",
     )?;
+    require(
+        !tx.has("SELECT 1 FROM usr WHERE name = ?1", params![name])?,
+        "name",
+        format!("there is a user {name:?} already; choose another name"),
+    )?;
+    let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM usr", &[])?;
+    let sql = "INSERT INTO usr (id, name, role, active, created) VALUES (?1, ?2, ?3, 1, ?4)";
+    tx.run(sql, params![id, name, role.as_str(), now])?;
     let user = User {
         id,
         name: name.to_owned(),
@@ -128,60 +282,17 @@ pub(super) fn add(
     Ok(user)
 }
 
-pub(super) fn change(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    id: i64,
-    role: Option<Role>,
-    active: Option<bool>,
-    now: Millis,
-) -> Result<User, Error> {
-    let before = user(tx, id)?;
-    let after = User {
-        role: role.unwrap_or(before.role),
-        active: active.unwrap_or(before.active),
-        ..before.clone()
-    };
-    let is_admin = |user: &User| user.active && user.role == Role::Admin;
-    if is_admin(&before) && !is_admin(&after) {
-        let others = tx.number(
-            "SELECT COUNT(*) FROM usr WHERE role = 'admin' AND active = 1 AND id <> ?1",
-            params![id],
-        )?;
-        if others == 0 {
-            return Err(Error::invalid(
-                "role",
-                "this is the last admin; add another one first",
-            ));
-        }
-    }
-    tx.execute(
-        "UPDATE usr SET role = ?2, active = ?3 WHERE id = ?1",
-        params![id, after.role.as_str(), after.active],
-    )?;
-    if !after.active {
-        tx.execute("UPDATE token SET revoked = 1 WHERE usr = ?1", params![id])?;
-        leases::end_all(tx, id, actor, now)?;
-    }
-    logged(tx, actor, &after, now)?;
-    Ok(after)
-}
-
-pub(super) fn issue(
+fn issue(
     tx: &mut dyn Tx,
     id: i64,
     purpose: TokenUse,
     expires: Millis,
     now: Millis,
-) -> Result<IssuedToken, Error> {
+) -> Result<IssuedToken> {
     let user = user(tx, id)?;
-    if !user.active {
-        return Err(Error::invalid(
-            "user",
-            "this user is not active; activate them first",
-        ));
-    }
-    let token = new_token()?;
+    let problem = "this user is not active; activate them first";
+    require(user.active, "user", problem)?;
+    let token = format!("ann_{}", random::<TOKEN_BYTES>()?);
     let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM token", &[])?;
     tx.execute(
         "INSERT INTO token (id, usr, hash, purpose, created, expires, last_used, revoked)
@@ -201,7 +312,7 @@ const MAX_LINES: usize = 1000;
 
 /// Reads users from lines of a name, or of a name and a role parted by a comma, a semicolon or a tab. Empty lines
 /// and a heading `name,role` are passed over.
-pub(super) fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>, Error> {
+fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
     let mut users = Vec::new();
     for (index, line) in text.lines().enumerate() {
         let number = index + 1;
@@ -224,48 +335,23 @@ pub(super) fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>, Erro
         };
         users.push((number, name, role));
     }
-    if users.is_empty() || users.len() > MAX_LINES {
-        return Err(Error::invalid(
-            "lines",
-            format!("write 1 to {MAX_LINES} lines, each a name or NAME,ROLE"),
-        ));
-    }
+    require(
+        (1..=MAX_LINES).contains(&users.len()),
+        "lines",
+        format!("write 1 to {MAX_LINES} lines, each a name or NAME,ROLE"),
+    )?;
     Ok(users)
-}
-
-/// Adds users with a token each.
-pub(super) fn add_all(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    users: &[(usize, String, Role)],
-    expires: Millis,
-    now: Millis,
-) -> Result<Vec<IssuedToken>, Error> {
-    users
-        .iter()
-        .map(|(number, name, role)| {
-            let user = add(tx, actor, name, *role, now).map_err(|error| match error {
-                Error::Refused(problem) => Error::invalid(
-                    &format!("lines.{number}"),
-                    format!("line {number}: {}; no user was added", problem.detail),
-                ),
-                other => other,
-            })?;
-            issue(tx, user.id, TokenUse::Token, expires, now)
-        })
-        .collect()
 }
 
 /// Owner of a token.
 #[derive(Clone)]
-pub(super) struct Found {
-    pub(super) who: Who,
-    purpose: String,
+struct Found {
+    who: Who,
+    purpose: TokenUse,
     expires: Millis,
     token: i64,
-    once: bool,
     /// Whether to update its last use.
-    pub(super) needs_note: bool,
+    needs_note: bool,
 }
 
 /// Lifetime of a cached token. A token revoked through another server stays valid here for at most this long.
@@ -277,29 +363,25 @@ const MOST_KNOWN: usize = 4096;
 #[derive(Default)]
 pub(super) struct Known {
     by_hash: HashMap<String, (Millis, Found)>,
+    /// Number of clears. A lookup that began before a clear must not be stored after it.
     changes: u64,
 }
 
 impl Known {
     /// Clears the cache.
-    pub(super) fn clear(&mut self) {
+    fn clear(&mut self) {
         self.by_hash.clear();
         self.changes += 1;
     }
 
-    /// Number of clears. A lookup that began before a clear must not be stored after it.
-    pub(super) fn changes(&self) -> u64 {
-        self.changes
-    }
-
-    pub(super) fn find(&self, hash: &str, purposes: &[TokenUse], now: Millis) -> Option<Who> {
+    fn find(&self, hash: &str, purposes: &[TokenUse], now: Millis) -> Option<Who> {
         let (at, found) = self.by_hash.get(hash)?;
         let is_fresh = (0..KNOWN_FOR).contains(&(now - at)) && now < found.expires;
-        let fits = purposes.iter().any(|use_| use_.as_str() == found.purpose);
+        let fits = purposes.contains(&found.purpose);
         (is_fresh && fits).then(|| found.who.clone())
     }
 
-    pub(super) fn put(&mut self, hash: String, found: Found, changes: u64, now: Millis) {
+    fn put(&mut self, hash: String, found: Found, changes: u64, now: Millis) {
         if found.needs_note || changes != self.changes {
             return;
         }
@@ -310,12 +392,7 @@ impl Known {
     }
 }
 
-pub(super) fn find(
-    tx: &mut dyn Tx,
-    hash: &str,
-    purposes: &[TokenUse],
-    now: Millis,
-) -> Result<Found, Error> {
+fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Found> {
     let refused = || {
         Error::refused(
             Code::Unauthenticated,
@@ -330,9 +407,8 @@ pub(super) fn find(
             params![hash],
         )?
         .ok_or_else(refused)?;
-    let purpose = row.text(1)?;
-    let once = purpose == TokenUse::Once.as_str();
-    let fits = purposes.iter().any(|allowed| allowed.as_str() == purpose);
+    let purpose = row.named(1, TokenUse::parse)?;
+    let fits = purposes.contains(&purpose);
     if !fits || row.int(2)? <= now {
         return Err(refused());
     }
@@ -341,79 +417,22 @@ pub(super) fn find(
         who: Who {
             id: row.int(4)?,
             name: row.string(5)?,
-            role: role(row.text(6)?)?,
+            role: row.named(6, Role::parse)?,
         },
-        purpose: purpose.to_owned(),
+        purpose,
         expires: row.int(2)?,
         token: row.int(0)?,
-        once,
-        needs_note: once || last_used.is_none_or(|at| now - at > NOTE_EVERY),
+        needs_note: purpose == TokenUse::Once || last_used.is_none_or(|at| now - at > NOTE_EVERY),
     })
 }
 
 /// [`find`], and records the use. A one-time token becomes invalid.
-pub(super) fn used(
-    tx: &mut dyn Tx,
-    hash: &str,
-    purposes: &[TokenUse],
-    now: Millis,
-) -> Result<Who, Error> {
+fn used(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
     let found = find(tx, hash, purposes, now)?;
-    tx.execute(
-        "UPDATE token SET last_used = ?2, revoked = ?3 WHERE id = ?1",
-        params![found.token, now, found.once],
+    let sql = "UPDATE token SET last_used = ?2, revoked = ?3 WHERE id = ?1";
+    tx.run(
+        sql,
+        params![found.token, now, found.purpose == TokenUse::Once],
     )?;
     Ok(found.who)
-}
-
-/// Begins a session that ends with the token it was begun by. A one-time token only opens the door: its session
-/// lasts as long as any.
-pub(super) fn log_in(
-    tx: &mut dyn Tx,
-    hash: &str,
-    until: Millis,
-    now: Millis,
-) -> Result<(Who, IssuedToken), Error> {
-    let purposes = [TokenUse::Token, TokenUse::Once];
-    let found = find(tx, hash, &purposes, now)?;
-    let until = if found.once {
-        until
-    } else {
-        until.min(found.expires)
-    };
-    let who = used(tx, hash, &purposes, now)?;
-    let session = issue(tx, who.id, TokenUse::Session, until, now)?;
-    Ok((who, session))
-}
-
-pub(super) fn tokens(tx: &mut dyn Tx, user: i64) -> Result<Vec<TokenInfo>, Error> {
-    tx.query(
-        "SELECT id, usr, created, expires, last_used, revoked FROM token
-         WHERE usr = ?1 AND purpose <> 'session' ORDER BY id",
-        params![user],
-    )?
-    .iter()
-    .map(|row| {
-        Ok(TokenInfo {
-            id: row.int(0)?,
-            user: row.int(1)?,
-            created: row.int(2)?,
-            expires: row.int(3)?,
-            last_used: row.opt_int(4)?,
-            revoked: row.flag(5)?,
-        })
-    })
-    .collect()
-}
-
-/// Revokes a token and all sessions of its owner: a thief of the token may have opened some.
-pub(super) fn revoke(tx: &mut dyn Tx, id: i64) -> Result<(), Error> {
-    let row = tx.one("SELECT usr FROM token WHERE id = ?1", params![id])?;
-    let user = row.ok_or_else(|| Error::not_found("token"))?.int(0)?;
-    tx.execute("UPDATE token SET revoked = 1 WHERE id = ?1", params![id])?;
-    tx.execute(
-        "UPDATE token SET revoked = 1 WHERE usr = ?1 AND purpose = 'session'",
-        params![user],
-    )?;
-    Ok(())
 }

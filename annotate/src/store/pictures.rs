@@ -3,10 +3,12 @@
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use super::db::{Tx, params};
-use super::entry::{Body, Entry};
+use super::db::{Result, Row, Tx, params, unreadable};
+use super::entry::Body;
 use super::log;
 use super::records::{Millis, Picture};
+use super::settings::require;
+use super::store::Store;
 use crate::Error;
 use crate::wire::{MAX_PICTURE_BYTES, PictureInfo};
 
@@ -20,6 +22,58 @@ const TYPES: [(&[u8], &str); 4] = [
     (b"RIFF", "image/webp"),
 ];
 
+impl Store {
+    /// Pictures of the guide, without their content.
+    pub fn pictures(&self) -> Result<Vec<PictureInfo>> {
+        let sql = "SELECT name, mime, bytes FROM picture ORDER BY name";
+        let read = |row: &Row| {
+            Ok(PictureInfo {
+                name: row.string(0)?,
+                mime: row.string(1)?,
+                bytes: decoded(row.text(2)?)?.len(),
+            })
+        };
+        self.read(|tx| tx.list(sql, &[], read))
+    }
+
+    /// A picture of the guide. Refused with `not_found`.
+    pub fn picture(&self, name: &str) -> Result<Picture> {
+        let sql = "SELECT mime, bytes FROM picture WHERE name = ?1";
+        let read = |row: &Row| {
+            Ok(Picture {
+                mime: row.string(0)?,
+                bytes: decoded(row.text(1)?)?,
+            })
+        };
+        let found = self.read(|tx| tx.find(sql, params![name], read))?;
+        found.ok_or_else(|| Error::not_found("picture"))
+    }
+
+    /// Stores a picture of the guide, in place of one of the same name. Refused with `invalid`.
+    pub fn put_picture(
+        &self,
+        actor: i64,
+        name: &str,
+        bytes: Vec<u8>,
+        now: Millis,
+    ) -> Result<PictureInfo> {
+        let name = name.to_owned();
+        self.write(move |tx| put(tx, actor, name, &bytes, now))
+    }
+
+    /// Deletes a picture of the guide. Refused with `not_found`.
+    pub fn delete_picture(&self, actor: i64, name: &str, now: Millis) -> Result<()> {
+        let name = name.to_owned();
+        self.write(move |tx| {
+            if tx.execute("DELETE FROM picture WHERE name = ?1", params![&name])? == 0 {
+                return Err(Error::not_found("picture"));
+            }
+            let body = Body::GuidePicture { name, hash: None };
+            log::note(tx, now, Some(actor), None, body)
+        })
+    }
+}
+
 /// The type of a picture; none for anything else, SVG with its scripts among them.
 fn mime(bytes: &[u8]) -> Option<&'static str> {
     let (_, mime) = TYPES.iter().find(|(start, _)| bytes.starts_with(start))?;
@@ -28,118 +82,57 @@ fn mime(bytes: &[u8]) -> Option<&'static str> {
 }
 
 /// Checks a name of a picture.
-pub(super) fn check_name(name: &str) -> Result<(), Error> {
+pub(super) fn check_name(name: &str) -> Result<()> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    if (1..=60).contains(&name.len()) && name.chars().all(allowed) {
-        return Ok(());
-    }
-    Err(Error::invalid(
+    require(
+        (1..=60).contains(&name.len()) && name.chars().all(allowed),
         "name",
         format!(
             "{name:?} is no name of a picture; use up to 60 letters, digits, dashes, dots and underscores"
         ),
-    ))
+    )
 }
 
-pub(super) fn list(tx: &mut dyn Tx) -> Result<Vec<PictureInfo>, Error> {
-    tx.query("SELECT name, mime, bytes FROM picture ORDER BY name", &[])?
-        .iter()
-        .map(|row| {
-            Ok(PictureInfo {
-                name: row.string(0)?,
-                mime: row.string(1)?,
-                bytes: decoded(row.text(2)?)?.len(),
-            })
-        })
-        .collect()
+fn decoded(text: &str) -> Result<Vec<u8>> {
+    STANDARD
+        .decode(text)
+        .map_err(|error| unreadable("picture", error))
 }
 
-fn decoded(text: &str) -> Result<Vec<u8>, Error> {
-    STANDARD.decode(text).map_err(|error| Error::Row {
-        table: "picture",
-        problem: error.to_string(),
-    })
-}
-
-pub(super) fn get(tx: &mut dyn Tx, name: &str) -> Result<Picture, Error> {
-    let row = tx.one(
-        "SELECT mime, bytes FROM picture WHERE name = ?1",
-        params![name],
-    )?;
-    let row = row.ok_or_else(|| Error::not_found("picture"))?;
-    Ok(Picture {
-        mime: row.string(0)?,
-        bytes: decoded(row.text(1)?)?,
-    })
-}
-
-/// Stores a picture, in place of one of the same name.
-pub(super) fn put(
+fn put(
     tx: &mut dyn Tx,
     actor: i64,
-    name: &str,
+    name: String,
     bytes: &[u8],
     now: Millis,
-) -> Result<PictureInfo, Error> {
-    check_name(name)?;
+) -> Result<PictureInfo> {
+    check_name(&name)?;
     let mime = mime(bytes).ok_or_else(|| {
         Error::invalid(
             "body",
             "this is no PNG, JPEG, GIF or WebP; convert the picture",
         )
     })?;
-    if bytes.len() > MAX_PICTURE_BYTES {
-        return Err(Error::invalid("body", "the picture is larger than 2 MB"));
-    }
-    let others = tx.number(
-        "SELECT COUNT(*) FROM picture WHERE name <> ?1",
-        params![name],
-    )?;
-    if others >= MAX_PICTURES {
-        return Err(Error::invalid(
-            "name",
-            format!("there are {MAX_PICTURES} pictures already; delete one"),
-        ));
-    }
+    let is_small = bytes.len() <= MAX_PICTURE_BYTES;
+    require(is_small, "body", "the picture is larger than 2 MB")?;
+    let sql = "SELECT COUNT(*) FROM picture WHERE name <> ?1";
+    let others = tx.number(sql, params![&name])?;
+    let problem = format!("there are {MAX_PICTURES} pictures already; delete one");
+    require(others < MAX_PICTURES, "name", problem)?;
     tx.execute(
         "INSERT INTO picture (name, mime, bytes, at) VALUES (?1, ?2, ?3, ?4)
          ON CONFLICT (name) DO UPDATE SET mime = excluded.mime, bytes = excluded.bytes, at = excluded.at",
-        params![name, mime, STANDARD.encode(bytes), now],
+        params![&name, mime, STANDARD.encode(bytes), now],
     )?;
-    let hash = blake3::hash(bytes).to_hex().to_string();
-    logged(tx, actor, name, Some(hash), now)?;
-    Ok(PictureInfo {
-        name: name.to_owned(),
+    let info = PictureInfo {
+        name: name.clone(),
         mime: mime.to_owned(),
         bytes: bytes.len(),
-    })
-}
-
-pub(super) fn delete(tx: &mut dyn Tx, actor: i64, name: &str, now: Millis) -> Result<(), Error> {
-    if tx.execute("DELETE FROM picture WHERE name = ?1", params![name])? == 0 {
-        return Err(Error::not_found("picture"));
-    }
-    logged(tx, actor, name, None, now)
-}
-
-fn logged(
-    tx: &mut dyn Tx,
-    actor: i64,
-    name: &str,
-    hash: Option<String>,
-    now: Millis,
-) -> Result<(), Error> {
-    let entry = Entry {
-        at: now,
-        actor: Some(actor),
-        task: None,
-        epoch: None,
-        body: Body::GuidePicture {
-            name: name.to_owned(),
-            hash,
-        },
     };
-    log::note(tx, &entry).map(|_| ())
+    let hash = Some(blake3::hash(bytes).to_hex().to_string());
+    let body = Body::GuidePicture { name, hash };
+    log::note(tx, now, Some(actor), None, body)?;
+    Ok(info)
 }
 
 #[cfg(test)]

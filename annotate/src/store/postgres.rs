@@ -11,7 +11,7 @@ use std::path::Path;
 use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
 use postgres::{Client, Statement};
 
-use super::db::{Content, Database, Row, Tx, Value, Work, params};
+use super::db::{Content, Database, Result, Row, Tx, Value, Work, not_opened, params, read_only};
 use super::group::{Writer, WriterThread, caught};
 use super::migrate::{self, Plan, Upgrade};
 use super::postgres_address;
@@ -46,7 +46,6 @@ struct Address {
 /// A store in a schema of a database.
 pub(crate) struct Postgres {
     address: Address,
-    upgrade: Option<Upgrade>,
     writer: WriterThread,
     readers: Readers<Connection>,
 }
@@ -54,31 +53,23 @@ pub(crate) struct Postgres {
 fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
     move |source| {
         let reason = match source.code().map(postgres::error::SqlState::code) {
-            Some("53100") => Some(
-                "the disk of the database is full; free space there and send the request again",
-            ),
-            Some("25006") => Some("the database is read-only; connect to its primary server"),
-            _ => None,
+            Some("53100") => {
+                "the disk of the database is full; free space there and send the request again"
+            }
+            Some("25006") => "the database is read-only; connect to its primary server",
+            _ => return Error::Postgres { action, source },
         };
-        if let Some(reason) = reason {
-            return Error::ReadOnly {
-                reason: reason.to_owned(),
-            };
-        }
-        Error::Postgres { action, source }
+        read_only(reason)
     }
 }
 
 impl Postgres {
-    /// Connects, and creates missing tables.
-    pub(crate) fn open(url: &str, schema: &str) -> Result<Self, Error> {
+    /// Connects, and creates missing tables. Says what upgrade that made.
+    pub(crate) fn open(url: &str, schema: &str) -> Result<(Self, Option<Upgrade>)> {
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
         if schema.is_empty() || !schema.chars().all(plain) {
-            return Err(Error::Open {
-                path: schema.to_owned(),
-                reason: "the name of a schema may have lower-case letters, digits and underscores"
-                    .to_owned(),
-            });
+            let reason = "the name of a schema may have lower-case letters, digits and underscores";
+            return Err(not_opened(schema, reason));
         }
         let address = Address {
             database: postgres_address::Address::parse(url)?,
@@ -92,26 +83,21 @@ impl Postgres {
             connection: first,
             is_open: false,
         };
-        let writer = WriterThread::start(writer).map_err(|source| Error::Open {
-            path: address.place(),
-            reason: format!("its writer does not start: {source}"),
+        let writer = WriterThread::start(writer).map_err(|source| {
+            let reason = format!("its writer does not start: {source}");
+            not_opened(address.place(), reason)
         })?;
-        Ok(Self {
+        let store = Self {
             address,
-            upgrade,
             writer,
             readers,
-        })
-    }
-
-    /// The upgrade that opening made.
-    pub(crate) fn upgrade(&self) -> Option<Upgrade> {
-        self.upgrade.clone()
+        };
+        Ok((store, upgrade))
     }
 }
 
 /// Creates the tables of a new store, or upgrades those of an older version after a copy.
-fn prepare(connection: &mut Connection, address: &Address) -> Result<Option<Upgrade>, Error> {
+fn prepare(connection: &mut Connection, address: &Address) -> Result<Option<Upgrade>> {
     let make = failed("make its tables");
     let schema = address.schema.as_str();
     let begin = format!(
@@ -120,10 +106,8 @@ fn prepare(connection: &mut Connection, address: &Address) -> Result<Option<Upgr
     // After an error the connection is dropped, which rolls all of it back.
     connection.client.batch_execute(&begin).map_err(&make)?;
     let mut tx = PostgresTx(connection);
-    let there = tx.number(
-        "SELECT COUNT(*) FROM information_schema.tables WHERE table_schema = ?1 AND table_name = 'version'",
-        params![schema],
-    )?;
+    let sql = "SELECT COUNT(*) FROM information_schema.tables WHERE table_schema = ?1 AND table_name = 'version'";
+    let there = tx.number(sql, params![schema])?;
     let found = if there == 0 {
         0
     } else {
@@ -151,7 +135,7 @@ fn prepare(connection: &mut Connection, address: &Address) -> Result<Option<Upgr
 }
 
 /// Copies all tables into a new schema and returns its name.
-fn copy_schema(tx: &mut PostgresTx<'_>, schema: &str, version: i64) -> Result<String, Error> {
+fn copy_schema(tx: &mut PostgresTx<'_>, schema: &str, version: i64) -> Result<String> {
     let mut copy = format!("{schema}_version_{version}");
     let mut number = 1;
     while tx.number(
@@ -184,7 +168,7 @@ impl Address {
         format!("{}, schema {}", self.database.place(), self.schema)
     }
 
-    fn connect(&self) -> Result<Connection, Error> {
+    fn connect(&self) -> Result<Connection> {
         let mut client = self.database.connect()?;
         client
             // Disable sequential scans: plans prepared on empty tables would otherwise keep scanning
@@ -210,7 +194,7 @@ struct PostgresWriter {
 }
 
 impl PostgresWriter {
-    fn command(&mut self, sql: &str, action: &'static str) -> Result<(), Error> {
+    fn command(&mut self, sql: &str, action: &'static str) -> Result<()> {
         self.connection
             .client
             .batch_execute(sql)
@@ -222,7 +206,7 @@ impl Writer for PostgresWriter {
     /// Bounded, because other servers wait for the lock.
     const GROUP: usize = 32;
 
-    fn begin(&mut self) -> Result<(), Error> {
+    fn begin(&mut self) -> Result<()> {
         if self.connection.client.is_closed() {
             self.connection = self.address.connect()?;
         }
@@ -233,7 +217,7 @@ impl Writer for PostgresWriter {
         )
     }
 
-    fn run(&mut self, work: Work) -> Result<(), Error> {
+    fn run(&mut self, work: Work<'_>) -> Result<()> {
         self.command("SAVEPOINT work", "begin a transaction")?;
         match caught(|| work(&mut PostgresTx(&mut self.connection))) {
             Ok(()) => self.command("RELEASE work", "commit"),
@@ -253,7 +237,7 @@ impl Writer for PostgresWriter {
         self.is_open && !self.connection.client.is_closed()
     }
 
-    fn commit(&mut self) -> Result<(), Error> {
+    fn commit(&mut self) -> Result<()> {
         let committed = self.command("COMMIT", "commit");
         self.is_open = committed.is_err();
         committed
@@ -272,7 +256,7 @@ impl Writer for PostgresWriter {
 struct PostgresTx<'a>(&'a mut Connection);
 
 impl PostgresTx<'_> {
-    fn statement(&mut self, sql: &str) -> Result<Statement, Error> {
+    fn statement(&mut self, sql: &str) -> Result<Statement> {
         if let Some(statement) = self.0.statements.get(sql) {
             return Ok(statement.clone());
         }
@@ -346,7 +330,7 @@ fn borrowed(params: &[Value]) -> Vec<&(dyn ToSql + Sync)> {
 }
 
 impl Tx for PostgresTx<'_> {
-    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error> {
+    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
         let statement = self.statement(sql)?;
         self.0
             .client
@@ -354,7 +338,7 @@ impl Tx for PostgresTx<'_> {
             .map_err(failed("write"))
     }
 
-    fn define(&mut self, sql: &str) -> Result<(), Error> {
+    fn define(&mut self, sql: &str) -> Result<()> {
         // Order keys by bytes, whatever the collation of the database.
         let sql = sql.replace(
             "key TEXT NOT NULL UNIQUE",
@@ -366,7 +350,7 @@ impl Tx for PostgresTx<'_> {
             .map_err(failed("make its tables"))
     }
 
-    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
+    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
         let statement = self.statement(sql)?;
         let rows = self
             .0
@@ -385,11 +369,11 @@ impl Tx for PostgresTx<'_> {
 }
 
 impl Database for Postgres {
-    fn write(&self, work: Work) -> Result<(), Error> {
+    fn write(&self, work: Work<'static>) -> Result<()> {
         self.writer.write(work)
     }
 
-    fn read(&self, work: Work) -> Result<(), Error> {
+    fn read(&self, work: Work<'_>) -> Result<()> {
         self.readers.with(
             |reader| {
                 if reader.client.is_closed() {
@@ -405,17 +389,14 @@ impl Database for Postgres {
         )
     }
 
-    fn backup(&self, _: &Path, _: Content) -> Result<(), Error> {
-        Err(Error::Open {
-            path: self.address.place(),
-            reason: format!(
-                "back up a PostgreSQL store with its own program: pg_dump --schema={}",
-                self.address.schema
-            ),
-        })
+    fn backup(&self, _: &Path, _: Content) -> Result<()> {
+        let schema = &self.address.schema;
+        let reason =
+            format!("back up a PostgreSQL store with its own program: pg_dump --schema={schema}");
+        Err(not_opened(self.address.place(), reason))
     }
 
-    fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
+    fn snapshot(&self) -> Result<Box<dyn Database>> {
         let mut reader = self.address.connect()?;
         reader.client.batch_execute(READ).map_err(failed("read"))?;
         // The first read fixes the point in time.
@@ -425,15 +406,11 @@ impl Database for Postgres {
         })))
     }
 
-    fn check(&self) -> Result<(), Error> {
-        self.write(Box::new(super::db::try_writing))
-    }
-
     fn is_shared(&self) -> bool {
         true
     }
 
-    fn time(&self) -> Result<Option<Millis>, Error> {
+    fn time(&self) -> Result<Option<Millis>> {
         super::db::read(self, |tx| {
             let millis = "CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT)";
             tx.number(&format!("SELECT {millis}"), &[]).map(Some)

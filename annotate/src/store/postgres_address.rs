@@ -10,7 +10,13 @@ use rustls::pki_types::pem::PemObject;
 use rustls::{ClientConfig, RootCertStore};
 use tokio_postgres_rustls::MakeRustlsConnect;
 
+use super::db::{Result, not_opened};
 use crate::Error;
+
+/// The error of an address that cannot be used.
+fn refused(reason: impl std::fmt::Display) -> Error {
+    not_opened("on PostgreSQL", reason)
+}
 
 /// The address of a PostgreSQL database, with its TLS settings.
 #[derive(Clone)]
@@ -23,16 +29,12 @@ impl Address {
     /// Reads an address `postgres://USER@HOST/DATABASE?…`. Its parameters are those of PostgreSQL's own programs.
     /// A connection to another host is encrypted, and the server's certificate checked, unless `sslmode` says
     /// otherwise.
-    pub(super) fn parse(url: &str) -> Result<Self, Error> {
+    pub(super) fn parse(url: &str) -> Result<Self> {
         let (mut plain, parameters) = match url.rfind('?') {
             Some(at) if url.rfind('@').is_none_or(|host| host < at) => {
                 (url[..at].to_owned(), &url[at + 1..])
             }
             _ => (url.to_owned(), ""),
-        };
-        let refused = |reason: String| Error::Open {
-            path: "on PostgreSQL".to_owned(),
-            reason,
         };
         let (mut mode, mut authorities) = (None, None);
         // Whoever parses the address knows neither the certificates of authorities nor all modes.
@@ -79,13 +81,10 @@ impl Address {
         format!("{}/{database}", hosts.join(","))
     }
 
-    pub(super) fn connect(&self) -> Result<Client, Error> {
+    pub(super) fn connect(&self) -> Result<Client> {
         self.config
             .connect(self.tls.clone())
-            .map_err(|error| Error::Open {
-                path: self.place(),
-                reason: self.advice(&causes(&error)),
-            })
+            .map_err(|error| not_opened(self.place(), self.advice(&causes(&error))))
     }
 
     /// A failure to connect, and what to do about it.
@@ -129,35 +128,30 @@ fn is_local(host: &Host) -> bool {
 }
 
 /// Settings of TLS that trust the authorities of a file, or else those that browsers trust.
-fn tls(authorities: Option<&str>) -> Result<ClientConfig, Error> {
+fn tls(authorities: Option<&str>) -> Result<ClientConfig> {
     let mut roots = RootCertStore::empty();
     match authorities {
         None => roots.extend(webpki_roots::TLS_SERVER_ROOTS.iter().cloned()),
         Some(file) => {
-            let unreadable = |problem: String| Error::Open {
-                path: "on PostgreSQL".to_owned(),
-                reason: format!("cannot read the certificates of sslrootcert={file}: {problem}"),
+            let unreadable = |problem: &dyn std::fmt::Display| {
+                refused(format!(
+                    "cannot read the certificates of sslrootcert={file}: {problem}"
+                ))
             };
-            let found = CertificateDer::pem_file_iter(file)
-                .map_err(|error| unreadable(error.to_string()))?;
+            let found = CertificateDer::pem_file_iter(file).map_err(|error| unreadable(&error))?;
             for certificate in found {
-                let certificate = certificate.map_err(|error| unreadable(error.to_string()))?;
-                roots
-                    .add(certificate)
-                    .map_err(|error| unreadable(error.to_string()))?;
+                let certificate = certificate.map_err(|error| unreadable(&error))?;
+                roots.add(certificate).map_err(|error| unreadable(&error))?;
             }
             if roots.is_empty() {
-                return Err(unreadable("it holds none".to_owned()));
+                return Err(unreadable(&"it holds none"));
             }
         }
     }
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let builder = ClientConfig::builder_with_provider(provider)
         .with_safe_default_protocol_versions()
-        .map_err(|error| Error::Open {
-            path: "on PostgreSQL".to_owned(),
-            reason: error.to_string(),
-        })?;
+        .map_err(refused)?;
     Ok(builder.with_root_certificates(roots).with_no_client_auth())
 }
 
@@ -189,40 +183,25 @@ mod tests {
 
     #[test]
     fn a_connection_to_another_host_is_encrypted_unless_the_address_says_otherwise() {
-        for (url, expected) in [
-            ("postgres://ann@db.example/stance", SslMode::Require),
-            (
-                "postgres://ann@10.0.0.5/stance?connect_timeout=3",
-                SslMode::Require,
-            ),
-            (
-                "postgres://ann@localhost,db.example/stance",
-                SslMode::Require,
-            ),
-            ("postgres://ann@localhost/stance", SslMode::Disable),
-            ("postgres://ann@127.0.0.1:5433/stance", SslMode::Disable),
-            (
-                "postgres://ann@%2Frun%2Fpostgresql/stance",
-                SslMode::Disable,
-            ),
-            ("postgres:///stance?host=/run/postgresql", SslMode::Disable),
-            (
-                "postgres://ann@db.example/stance?sslmode=disable",
-                SslMode::Disable,
-            ),
-            (
-                "postgres://ann@db.example/stance?sslmode=prefer",
-                SslMode::Prefer,
-            ),
-            (
-                "postgres://ann@localhost/stance?sslmode=verify-full",
-                SslMode::Require,
-            ),
-            (
-                "postgres://ann:a%3Fb@localhost/stance?sslmode=require&connect_timeout=3",
-                SslMode::Require,
-            ),
-        ] {
+        let of_others = [
+            "ann@db.example/stance",
+            "ann@10.0.0.5/stance?connect_timeout=3",
+            "ann@localhost,db.example/stance",
+            "ann@localhost/stance?sslmode=verify-full",
+            "ann:a%3Fb@localhost/stance?sslmode=require&connect_timeout=3",
+        ];
+        let local = [
+            "ann@localhost/stance",
+            "ann@127.0.0.1:5433/stance",
+            "ann@%2Frun%2Fpostgresql/stance",
+            "/stance?host=/run/postgresql",
+            "ann@db.example/stance?sslmode=disable",
+        ];
+        let of_others = of_others.map(|url| (url, SslMode::Require));
+        let local = local.map(|url| (url, SslMode::Disable));
+        let either = [("ann@db.example/stance?sslmode=prefer", SslMode::Prefer)];
+        for (url, expected) in of_others.into_iter().chain(local).chain(either) {
+            let url = &format!("postgres://{url}");
             assert_eq!(mode(url), expected, "{url}");
         }
     }

@@ -1,38 +1,238 @@
-//! Settings, preferences, motions, suggestions and jobs.
+//! Settings, preferences, motions and suggestions.
 
 use std::collections::BTreeMap;
 
-use super::db::{Row, Tx, params};
-use super::entry::{Body, Entry, read_stored};
+use super::db::{Result, Tx, Value, json, params};
+use super::entry::{Body, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
-use super::settings::{check, is_name};
-use super::{log, rows};
+use super::settings::{check, is_name, require};
+use super::store::Store;
+use super::{import, log, rows};
 use crate::Error;
 use crate::wire::{
-    Action, Job, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Style, Suggestion, SuggestionSource,
+    Action, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Style, Suggestion, SuggestionSource,
     TaskState,
 };
 
 /// Key of the settings.
 const SETTINGS: &str = "settings";
-/// Maximum number of listed jobs.
-const JOBS: i64 = 100;
+/// What happens to a motion that is known and is ingested anew.
+const ANEW: &str =
+    "UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
+  style = excluded.style, action = excluded.action, current = 1";
+/// Motions or tasks written per transaction; bounds how long others wait.
+pub(super) const AT_ONCE: usize = 500;
 
-fn json<T: serde::Serialize>(table: &'static str, value: &T) -> Result<String, Error> {
-    serde_json::to_string(value).map_err(|error| Error::Row {
-        table,
-        problem: error.to_string(),
-    })
+impl Store {
+    /// The settings.
+    pub fn settings(&self) -> Result<Settings> {
+        self.read(settings)
+    }
+
+    /// Changes the settings. A changed number of people is applied to all tasks that still want answers, some at
+    /// a time. Refused with `invalid`.
+    pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<()> {
+        self.write(move |tx| put_settings(tx, Some(actor), settings, now))?;
+        while !self.write(move |tx| import::retarget(tx, actor, now))? {}
+        Ok(())
+    }
+
+    /// A user's preferences.
+    pub fn prefs(&self, user: i64) -> Result<Prefs> {
+        let sql = "SELECT body FROM pref WHERE usr = ?1";
+        let stored: Option<serde_json::Value> =
+            self.read(|tx| tx.find(sql, params![user], |row| row.json(0)))?;
+        let Some(mut stored) = stored else {
+            return Ok(Prefs::default());
+        };
+        // Actions that are gone keep no keys.
+        if let Some(keys) = stored["keys"].as_object_mut() {
+            keys.retain(|action, _| Action::parse(action).is_some());
+        }
+        read_stored("pref", &stored.to_string())
+    }
+
+    /// Changes a user's preferences. Refused with `invalid`.
+    pub fn put_prefs(&self, user: i64, prefs: Prefs) -> Result<()> {
+        check_prefs(&prefs)?;
+        let body = json(&prefs)?;
+        self.write(move |tx| {
+            tx.run(
+                "INSERT INTO pref (usr, body) VALUES (?1, ?2) ON CONFLICT (usr) DO UPDATE SET body = excluded.body",
+                params![user, &body],
+            )
+        })
+    }
+
+    /// A stored value, such as the dataset version imported last.
+    pub fn note(&self, name: &str) -> Result<Option<String>> {
+        self.read(|tx| get(tx, &format!("note:{name}")))
+    }
+
+    /// Stores a value.
+    pub fn put_note(&self, name: &str, text: &str) -> Result<()> {
+        let (name, text) = (format!("note:{name}"), text.to_owned());
+        self.write(move |tx| put(tx, &name, &text))
+    }
+
+    /// Adds or updates motions.
+    pub fn put_motions(&self, motions: Vec<MotionRecord>) -> Result<()> {
+        for group in motions.chunks(AT_ONCE) {
+            let group = group.to_vec();
+            self.write(move |tx| {
+                let mut motions = group.iter();
+                motions.try_for_each(|motion| put_motion(tx, motion, "NOTHING"))
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Gives clips new content. Tasks on the earlier content get the new one; those with an answer say so until
+    /// somebody has decided about them again ([`TaskRecord::changed`](super::TaskRecord::changed)). Returns the number of tasks.
+    pub fn replace_motions(
+        &self,
+        actor: Option<i64>,
+        motions: Vec<MotionRecord>,
+        now: Millis,
+    ) -> Result<i64> {
+        self.write(move |tx| {
+            let mut replaced: BTreeMap<String, String> = BTreeMap::new();
+            for motion in &motions {
+                let sql = "SELECT hash FROM motion WHERE id = ?1 AND current = 1";
+                let before = tx.one(sql, params![&motion.id])?;
+                if let Some(row) = before
+                    && row.text(0)? != motion.hash
+                {
+                    replaced.insert(row.string(0)?, motion.hash.clone());
+                }
+            }
+            // Two clips may have changed places, so all earlier contents go before the first new one comes.
+            for hash in replaced.keys() {
+                let sql = "UPDATE motion SET current = 0 WHERE hash = ?1";
+                tx.run(sql, params![hash])?;
+            }
+            for motion in &motions {
+                put_motion(tx, motion, ANEW)?;
+            }
+            let mut count = 0;
+            for row in tx.query("SELECT id, source, target FROM task ORDER BY id", &[])? {
+                let (source, target) = (row.string(1)?, row.opt_text(2)?);
+                let now_of = |hash: &String| replaced.get(hash).unwrap_or(hash).clone();
+                let new = (now_of(&source), target.as_ref().map(now_of));
+                if new == (source, target) {
+                    continue;
+                }
+                let body = Body::ClipChanged {
+                    source: new.0,
+                    target: new.1,
+                };
+                log::note(tx, now, actor, Some(row.int(0)?), body)?;
+                count += 1;
+            }
+            Ok(count)
+        })
+    }
+
+    /// Decides about tasks of [`Self::changed_tasks`]: with `keep` their answers hold, else accepted ones go back to
+    /// review.
+    pub fn settle_changed(
+        &self,
+        actor: Option<i64>,
+        tasks: &[i64],
+        keep: bool,
+        now: Millis,
+    ) -> Result<()> {
+        for some in tasks.chunks(AT_ONCE) {
+            let some = some.to_vec();
+            self.write(move |tx| {
+                some.iter()
+                    .try_for_each(|task| settle_changed(tx, actor, *task, keep, now))
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Motions by their hashes, in this order and without unknown ones.
+    pub fn motions(&self, hashes: Vec<String>) -> Result<Vec<MotionRecord>> {
+        self.read(|tx| {
+            let mut motions = Vec::new();
+            for hash in hashes {
+                motions.extend(motions_where(tx, "hash = ?1", params![&hash])?);
+            }
+            Ok(motions)
+        })
+    }
+
+    /// All motions.
+    pub fn all_motions(&self) -> Result<Vec<MotionRecord>> {
+        self.read(|tx| motions_where(tx, "current = 1 ORDER BY id", &[]))
+    }
+
+    /// Up to `limit` other motions of the same split, for previews: the next ones in cyclic order of hashes. They are
+    /// thus pseudo-random, and the same on every call.
+    pub fn partners(&self, hash: &str, limit: usize) -> Result<Vec<MotionRecord>> {
+        self.read(|tx| {
+            let Some(motion) = motions_where(tx, "hash = ?1", params![hash])?.pop() else {
+                return Err(Error::not_found("motion"));
+            };
+            let mut found = Vec::new();
+            for comparison in [">", "<"] {
+                let condition = format!(
+                    "split = ?1 AND current = 1 AND hash {comparison} ?2 ORDER BY hash LIMIT ?3"
+                );
+                let wanted = (limit - found.len()) as i64;
+                let values = params![&motion.split, hash, wanted];
+                found.extend(motions_where(tx, &condition, values)?);
+            }
+            Ok(found)
+        })
+    }
+
+    /// Suggestions of a task.
+    pub fn suggestions_of(&self, task: i64) -> Result<Vec<Suggestion>> {
+        self.read(|tx| suggestions_of(tx, task))
+    }
+
+    /// Suggestions by their ids.
+    pub fn suggestions(&self, ids: Vec<i64>) -> Result<Vec<Suggestion>> {
+        self.read(|tx| {
+            let mut found = Vec::new();
+            for id in ids {
+                found.extend(suggestions_where(tx, "id = ?1", params![id])?);
+            }
+            Ok(found)
+        })
+    }
+
+    /// Stores a suggestion.
+    pub fn put_suggestion(
+        &self,
+        task: i64,
+        suggestion: NewSuggestion,
+        now: Millis,
+    ) -> Result<Suggestion> {
+        self.write(move |tx| put_suggestion(tx, task, &suggestion, now))
+    }
+
+    /// Stored suggestion for the same prompt.
+    pub fn cached_suggestion(&self, prompt_hash: &str) -> Result<Option<NewSuggestion>> {
+        let condition = "prompt_hash = ?1 ORDER BY id LIMIT 1";
+        let mut found = self.read(|tx| drafts_where(tx, condition, params![prompt_hash]))?;
+        Ok(found.pop())
+    }
 }
 
-pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings, Error> {
-    match tx.one(
-        "SELECT body FROM setting WHERE name = ?1",
-        params![SETTINGS],
-    )? {
-        Some(row) => read_stored("setting", row.text(0)?),
+pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings> {
+    match get(tx, SETTINGS)? {
+        Some(body) => read_stored("setting", &body),
         None => Ok(Settings::default()),
     }
+}
+
+/// A stored value.
+pub(super) fn get(tx: &mut dyn Tx, name: &str) -> Result<Option<String>> {
+    let sql = "SELECT body FROM setting WHERE name = ?1";
+    tx.find(sql, params![name], |row| row.string(0))
 }
 
 /// Note that holds the last task whose number of people was brought up to date, while that goes on.
@@ -43,25 +243,18 @@ pub(super) fn put_settings(
     actor: Option<i64>,
     settings: Settings,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     check(&settings)?;
     let before = self::settings(tx)?;
     let people = |settings: &Settings| (settings.answers_per_task, settings.overlap_percent);
     if people(&before) != people(&settings) {
         put(tx, RETARGETING, "0")?;
     }
-    put(tx, SETTINGS, &json("setting", &settings)?)?;
-    let entry = Entry {
-        at: now,
-        actor,
-        task: None,
-        epoch: None,
-        body: Body::SettingsChanged {
-            settings: Box::new(settings),
-        },
+    put(tx, SETTINGS, &json(&settings)?)?;
+    let body = Body::SettingsChanged {
+        settings: Box::new(settings),
     };
-    log::note(tx, &entry)?;
-    Ok(())
+    log::note(tx, now, actor, None, body)
 }
 
 /// Adds styles that the project does not have, in their order. What cannot be a name is no style.
@@ -70,7 +263,7 @@ pub(super) fn add_styles<'a>(
     actor: Option<i64>,
     names: impl IntoIterator<Item = &'a str>,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     let mut settings = self::settings(tx)?;
     let known = settings.styles.len();
     for name in names {
@@ -85,84 +278,40 @@ pub(super) fn add_styles<'a>(
 }
 
 /// Stores a value under a name.
-pub(super) fn put(tx: &mut dyn Tx, name: &str, body: &str) -> Result<(), Error> {
-    tx.execute(
-        "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET body = excluded.body",
-        params![name, body],
-    )?;
-    Ok(())
-}
-
-pub(super) fn prefs(tx: &mut dyn Tx, user: i64) -> Result<Prefs, Error> {
-    match tx.one("SELECT body FROM pref WHERE usr = ?1", params![user])? {
-        Some(row) => {
-            // Actions that are gone keep no keys.
-            let mut stored: serde_json::Value = row.json(0)?;
-            if let Some(keys) = stored["keys"].as_object_mut() {
-                keys.retain(|action, _| Action::parse(action).is_some());
-            }
-            read_stored("pref", &stored.to_string())
-        }
-        None => Ok(Prefs::default()),
-    }
-}
-
-pub(super) fn put_prefs(tx: &mut dyn Tx, user: i64, prefs: &Prefs) -> Result<(), Error> {
-    check_prefs(prefs)?;
-    tx.execute(
-        "INSERT INTO pref (usr, body) VALUES (?1, ?2) ON CONFLICT (usr) DO UPDATE SET body = excluded.body",
-        params![user, json("pref", prefs)?],
-    )?;
-    Ok(())
+pub(super) fn put(tx: &mut dyn Tx, name: &str, body: &str) -> Result<()> {
+    let sql = "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET body = excluded.body";
+    tx.run(sql, params![name, body])
 }
 
 /// Checks preferences: keys must be `KeyboardEvent.code` values with modifiers.
-fn check_prefs(prefs: &Prefs) -> Result<(), Error> {
+fn check_prefs(prefs: &Prefs) -> Result<()> {
     const MAX_KEYS: usize = 4;
     for (action, keys) in &prefs.keys {
-        if keys.len() > MAX_KEYS {
-            return Err(Error::invalid(
-                "keys",
-                format!("{action} has more than {MAX_KEYS} keys"),
-            ));
-        }
+        let problem = format!("{action} has more than {MAX_KEYS} keys");
+        require(keys.len() <= MAX_KEYS, "keys", problem)?;
         for key in keys {
             let mut rest = key.as_str();
             for modifier in KEY_MODIFIERS {
                 rest = rest.strip_prefix(modifier).unwrap_or(rest);
             }
-            if !KEY_CODES.contains(&rest) {
-                return Err(Error::invalid(
-                    "keys",
-                    format!(
-                        "{key:?} is not a key; write Ctrl+ and Shift+ in this order before a KeyboardEvent.code"
-                    ),
-                ));
-            }
+            let problem = format!(
+                "{key:?} is not a key; write Ctrl+ and Shift+ in this order before a KeyboardEvent.code"
+            );
+            require(KEY_CODES.contains(&rest), "keys", problem)?;
         }
     }
-    if let Some(speed) = prefs.speed
-        && !(0.1..=2.0).contains(&speed)
-    {
-        return Err(Error::invalid("speed", "0.1 to 2 will do"));
-    }
-    Ok(())
+    let allowed = 0.1..=2.0;
+    let is_allowed = prefs.speed.is_none_or(|speed| allowed.contains(&speed));
+    require(is_allowed, "speed", "0.1 to 2 will do")
 }
 
-pub(super) fn put_motions(tx: &mut dyn Tx, motions: &[MotionRecord]) -> Result<(), Error> {
-    for motion in motions {
-        put_motion(tx, motion, "NOTHING")?;
-    }
-    Ok(())
-}
-
-fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Result<(), Error> {
+fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Result<()> {
     let sql = format!(
         "INSERT INTO motion (hash, id, split, frames, fps, captions, style, action, current)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 1)
          ON CONFLICT (hash) DO {on_conflict}"
     );
-    tx.execute(
+    tx.run(
         &sql,
         params![
             &motion.hash,
@@ -170,81 +319,21 @@ fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Resu
             &motion.split,
             motion.frames,
             motion.fps,
-            json("motion", &motion.captions)?,
+            json(&motion.captions)?,
             motion.style.clone(),
             motion.action.clone()
         ],
-    )?;
-    Ok(())
-}
-
-/// Gives clips new content. Tasks on the earlier content get the new one; those with an answer say so
-/// ([`TaskRecord::changed`]). Returns the number of tasks.
-///
-/// [`TaskRecord::changed`]: super::records::TaskRecord::changed
-pub(super) fn replace_motions(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    motions: &[MotionRecord],
-    now: Millis,
-) -> Result<i64, Error> {
-    let mut replaced: BTreeMap<String, String> = BTreeMap::new();
-    for motion in motions {
-        let before = tx.one(
-            "SELECT hash FROM motion WHERE id = ?1 AND current = 1",
-            params![&motion.id],
-        )?;
-        if let Some(row) = before
-            && row.text(0)? != motion.hash
-        {
-            replaced.insert(row.string(0)?, motion.hash.clone());
-        }
-    }
-    // Two clips may have changed places, so all earlier contents go before the first new one comes.
-    for hash in replaced.keys() {
-        tx.execute(
-            "UPDATE motion SET current = 0 WHERE hash = ?1",
-            params![hash],
-        )?;
-    }
-    for motion in motions {
-        let update =
-            "UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
-           style = excluded.style, action = excluded.action, current = 1";
-        put_motion(tx, motion, update)?;
-    }
-    let mut count = 0;
-    for row in tx.query("SELECT id, source, target FROM task ORDER BY id", &[])? {
-        let (source, target) = (row.string(1)?, row.opt_text(2)?);
-        let now_of = |hash: &String| replaced.get(hash).unwrap_or(hash).clone();
-        let new = (now_of(&source), target.as_ref().map(now_of));
-        if new == (source, target) {
-            continue;
-        }
-        let entry = Entry {
-            at: now,
-            actor,
-            task: Some(row.int(0)?),
-            epoch: None,
-            body: Body::ClipChanged {
-                source: new.0,
-                target: new.1,
-            },
-        };
-        log::note(tx, &entry)?;
-        count += 1;
-    }
-    Ok(count)
+    )
 }
 
 /// Decides about a task whose clip was ingested anew: its answers hold, or it goes back to review.
-pub(super) fn settle_changed(
+fn settle_changed(
     tx: &mut dyn Tx,
     actor: Option<i64>,
     task: i64,
     keep: bool,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     let state = rows::task(tx, task)?.state;
     let body = match (keep, state) {
         (true, _) => Body::ClipKept,
@@ -257,96 +346,54 @@ pub(super) fn settle_changed(
         // Somebody decides about it in any case, and is told.
         (false, _) => return Ok(()),
     };
-    let entry = Entry {
-        at: now,
-        actor,
-        task: Some(task),
-        epoch: None,
-        body,
-    };
-    log::note(tx, &entry).map(|_| ())
+    log::note(tx, now, actor, Some(task), body)
 }
 
-const MOTION_COLUMNS: &str = "hash, id, split, frames, fps, captions, style, action";
-
-fn read_motion(row: &Row) -> Result<MotionRecord, Error> {
-    Ok(MotionRecord {
-        hash: row.string(0)?,
-        id: row.string(1)?,
-        split: row.string(2)?,
-        frames: row.int(3)?,
-        fps: row.real(4)?,
-        captions: row.json(5)?,
-        style: row.opt_text(6)?,
-        action: row.opt_text(7)?,
+/// Motions that fit what follows `WHERE` in a query.
+fn motions_where(tx: &mut dyn Tx, condition: &str, params: &[Value]) -> Result<Vec<MotionRecord>> {
+    let columns = "hash, id, split, frames, fps, captions, style, action";
+    let sql = format!("SELECT {columns} FROM motion WHERE {condition}");
+    tx.list(&sql, params, |row| {
+        Ok(MotionRecord {
+            hash: row.string(0)?,
+            id: row.string(1)?,
+            split: row.string(2)?,
+            frames: row.int(3)?,
+            fps: row.real(4)?,
+            captions: row.json(5)?,
+            style: row.opt_text(6)?,
+            action: row.opt_text(7)?,
+        })
     })
-}
-
-/// Motions in the order of the hashes, without unknown ones.
-pub(super) fn motions(tx: &mut dyn Tx, hashes: &[String]) -> Result<Vec<MotionRecord>, Error> {
-    let sql = format!("SELECT {MOTION_COLUMNS} FROM motion WHERE hash = ?1");
-    let mut motions = Vec::new();
-    for hash in hashes {
-        if let Some(row) = tx.one(&sql, params![hash])? {
-            motions.push(read_motion(&row)?);
-        }
-    }
-    Ok(motions)
 }
 
 /// Frames of a motion; 1 for one that the store does not know, of which no range of frames can be chosen.
-pub(super) fn frames(tx: &mut dyn Tx, hash: &str) -> Result<i64, Error> {
-    let row = tx.one("SELECT frames FROM motion WHERE hash = ?1", params![hash])?;
-    row.map_or(Ok(1), |row| row.int(0))
+pub(super) fn frames(tx: &mut dyn Tx, hash: &str) -> Result<i64> {
+    let sql = "SELECT frames FROM motion WHERE hash = ?1";
+    let frames = tx.find(sql, params![hash], |row| row.int(0))?;
+    Ok(frames.unwrap_or(1))
 }
 
-pub(super) fn all_motions(tx: &mut dyn Tx) -> Result<Vec<MotionRecord>, Error> {
-    let sql = format!("SELECT {MOTION_COLUMNS} FROM motion WHERE current = 1 ORDER BY id");
-    tx.query(&sql, &[])?.iter().map(read_motion).collect()
-}
-
-/// The next motions of the split in cyclic order of hashes. Partners are thus pseudo-random, and the same on
-/// every call.
-pub(super) fn partners(
+/// Suggestions that fit what follows `WHERE` in a query.
+fn suggestions_where(
     tx: &mut dyn Tx,
-    hash: &str,
-    limit: usize,
-) -> Result<Vec<MotionRecord>, Error> {
-    let Some(row) = tx.one("SELECT split FROM motion WHERE hash = ?1", params![hash])? else {
-        return Err(Error::not_found("motion"));
-    };
-    let split = row.string(0)?;
-    let mut found = Vec::new();
-    for comparison in [">", "<"] {
-        let sql = format!(
-            "SELECT {MOTION_COLUMNS} FROM motion
-             WHERE split = ?1 AND current = 1 AND hash {comparison} ?2 ORDER BY hash LIMIT ?3"
-        );
-        let wanted = limit - found.len();
-        for row in tx.query(&sql, params![&split, hash, wanted as i64])? {
-            found.push(read_motion(&row)?);
-        }
-    }
-    Ok(found)
-}
-
-const SUGGESTION_COLUMNS: &str = "id, source, parts, text, model";
-
-fn read_suggestion(row: &Row) -> Result<Suggestion, Error> {
-    Ok(Suggestion {
-        id: row.int(0)?,
-        source: source(row.text(1)?)?,
-        parts: row.json(2)?,
-        text: row.string(3)?,
-        model: row.string(4)?,
+    condition: &str,
+    params: &[Value],
+) -> Result<Vec<Suggestion>> {
+    let sql = format!("SELECT id, source, parts, text, model FROM suggestion WHERE {condition}");
+    tx.list(&sql, params, |row| {
+        Ok(Suggestion {
+            id: row.int(0)?,
+            source: row.named(1, SuggestionSource::parse)?,
+            parts: row.json(2)?,
+            text: row.string(3)?,
+            model: row.string(4)?,
+        })
     })
 }
 
-fn source(text: &str) -> Result<SuggestionSource, Error> {
-    SuggestionSource::parse(text).ok_or_else(|| Error::Row {
-        table: "suggestion",
-        problem: format!("source {text:?} is not known"),
-    })
+pub(super) fn suggestions_of(tx: &mut dyn Tx, task: i64) -> Result<Vec<Suggestion>> {
+    suggestions_where(tx, "task = ?1 ORDER BY id", params![task])
 }
 
 pub(super) fn put_suggestion(
@@ -354,7 +401,7 @@ pub(super) fn put_suggestion(
     task: i64,
     new: &NewSuggestion,
     now: Millis,
-) -> Result<Suggestion, Error> {
+) -> Result<Suggestion> {
     let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM suggestion", &[])?;
     tx.execute(
         "INSERT INTO suggestion (id, task, source, parts, text, model, prompt_hash, params, tokens, response_hash, at)
@@ -363,7 +410,7 @@ pub(super) fn put_suggestion(
             id,
             task,
             new.source.as_str(),
-            json("suggestion", &new.parts)?,
+            json(&new.parts)?,
             &new.text,
             &new.model,
             &new.prompt_hash,
@@ -382,131 +429,26 @@ pub(super) fn put_suggestion(
     })
 }
 
-pub(super) fn suggestions_of(tx: &mut dyn Tx, task: i64) -> Result<Vec<Suggestion>, Error> {
-    let sql = format!("SELECT {SUGGESTION_COLUMNS} FROM suggestion WHERE task = ?1 ORDER BY id");
-    tx.query(&sql, params![task])?
-        .iter()
-        .map(read_suggestion)
-        .collect()
-}
-
-pub(super) fn suggestions(tx: &mut dyn Tx, ids: &[i64]) -> Result<Vec<Suggestion>, Error> {
-    let sql = format!("SELECT {SUGGESTION_COLUMNS} FROM suggestion WHERE id = ?1");
-    let mut found = Vec::new();
-    for id in ids {
-        if let Some(row) = tx.one(&sql, params![*id])? {
-            found.push(read_suggestion(&row)?);
-        }
-    }
-    Ok(found)
-}
-
-const NEW_SUGGESTION_COLUMNS: &str =
-    "source, parts, text, model, prompt_hash, params, tokens, response_hash";
-
-fn read_new_suggestion(row: &Row) -> Result<NewSuggestion, Error> {
-    Ok(NewSuggestion {
-        source: source(row.text(0)?)?,
-        parts: row.json(1)?,
-        text: row.string(2)?,
-        model: row.string(3)?,
-        prompt_hash: row.string(4)?,
-        params: row.string(5)?,
-        tokens: row.opt_int(6)?,
-        response_hash: row.string(7)?,
+/// Suggestions that fit what follows `WHERE` in a query, to be stored for another task.
+pub(super) fn drafts_where(
+    tx: &mut dyn Tx,
+    condition: &str,
+    params: &[Value],
+) -> Result<Vec<NewSuggestion>> {
+    let columns = "source, parts, text, model, prompt_hash, params, tokens, response_hash";
+    let sql = format!("SELECT {columns} FROM suggestion WHERE {condition}");
+    tx.list(&sql, params, |row| {
+        Ok(NewSuggestion {
+            source: row.named(0, SuggestionSource::parse)?,
+            parts: row.json(1)?,
+            text: row.string(2)?,
+            model: row.string(3)?,
+            prompt_hash: row.string(4)?,
+            params: row.string(5)?,
+            tokens: row.opt_int(6)?,
+            response_hash: row.string(7)?,
+        })
     })
-}
-
-pub(super) fn cached_suggestion(
-    tx: &mut dyn Tx,
-    prompt_hash: &str,
-) -> Result<Option<NewSuggestion>, Error> {
-    let sql = format!(
-        "SELECT {NEW_SUGGESTION_COLUMNS} FROM suggestion WHERE prompt_hash = ?1 ORDER BY id LIMIT 1"
-    );
-    let row = tx.one(&sql, params![prompt_hash])?;
-    row.as_ref().map(read_new_suggestion).transpose()
-}
-
-/// Suggestions of a task, to be stored for another one.
-pub(super) fn drafts_of(tx: &mut dyn Tx, task: i64) -> Result<Vec<NewSuggestion>, Error> {
-    let sql =
-        format!("SELECT {NEW_SUGGESTION_COLUMNS} FROM suggestion WHERE task = ?1 ORDER BY id");
-    tx.query(&sql, params![task])?
-        .iter()
-        .map(read_new_suggestion)
-        .collect()
-}
-
-pub(super) fn put_job(tx: &mut dyn Tx, mut job: Job, now: Millis) -> Result<Job, Error> {
-    job.heartbeat = now;
-    if job.id == 0 {
-        job.id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM job", &[])?;
-    }
-    tx.execute(
-        "INSERT INTO job (id, body) VALUES (?1, ?2) ON CONFLICT (id) DO UPDATE SET body = excluded.body",
-        params![job.id, json("job", &job)?],
-    )?;
-    Ok(job)
-}
-
-/// Stores a part of a file of a job.
-pub(super) fn put_file_part(
-    tx: &mut dyn Tx,
-    job: i64,
-    name: &str,
-    part: i64,
-    bytes: Vec<u8>,
-) -> Result<(), Error> {
-    tx.execute(
-        "INSERT INTO job_file (job, name, part, bytes) VALUES (?1, ?2, ?3, ?4)",
-        params![job, name, part, bytes],
-    )?;
-    Ok(())
-}
-
-/// A part of a file of a job, counted from 0.
-pub(super) fn file_part(
-    tx: &mut dyn Tx,
-    job: i64,
-    name: &str,
-    part: i64,
-) -> Result<Option<Vec<u8>>, Error> {
-    let row = tx.one(
-        "SELECT bytes FROM job_file WHERE job = ?1 AND name = ?2 AND part = ?3",
-        params![job, name, part],
-    )?;
-    row.map(|row| Ok(row.bytes(0)?.to_vec())).transpose()
-}
-
-/// Removes the files of all jobs but the last `kept` that have some.
-pub(super) fn forget_files(tx: &mut dyn Tx, kept: i64) -> Result<(), Error> {
-    tx.execute(
-        "DELETE FROM job_file WHERE job NOT IN (
-           SELECT k.job FROM (SELECT DISTINCT job FROM job_file ORDER BY job DESC LIMIT ?1) k)",
-        params![kept],
-    )?;
-    Ok(())
-}
-
-/// Records that a job runs.
-pub(super) fn beat(tx: &mut dyn Tx, id: i64, now: Millis) -> Result<(), Error> {
-    let row = tx.one("SELECT body FROM job WHERE id = ?1", params![id])?;
-    let job: Option<Job> = row.map(|row| row.json(0)).transpose()?;
-    match job {
-        Some(job) if job.state == "running" => put_job(tx, job, now).map(|_| ()),
-        _ => Ok(()),
-    }
-}
-
-pub(super) fn jobs(tx: &mut dyn Tx) -> Result<Vec<Job>, Error> {
-    tx.query(
-        "SELECT body FROM job ORDER BY id DESC LIMIT ?1",
-        params![JOBS],
-    )?
-    .iter()
-    .map(|row| read_stored("job", row.text(0)?))
-    .collect()
 }
 
 #[cfg(test)]
@@ -515,35 +457,16 @@ mod tests {
 
     #[test]
     fn only_keys_are_keys() {
-        for good in [
-            "KeyA",
-            "Digit1",
-            "Space",
-            "F12",
-            "F24",
-            "Ctrl+Shift+KeyZ",
-            "Numpad5",
-            "Shift+Tab",
-        ] {
+        for good in "KeyA Digit1 Space F12 F24 Ctrl+Shift+KeyZ Numpad5 Shift+Tab".split(' ') {
             let prefs = Prefs {
                 keys: [(crate::wire::Action::Undo, vec![good.to_owned()])].into(),
                 ..Prefs::default()
             };
             assert!(check_prefs(&prefs).is_ok(), "{good}");
         }
-        for bad in [
-            "",
-            "Keya",
-            "KeyAB",
-            "F25",
-            "F01",
-            "<b>",
-            "javascript:x",
-            "Shift+Ctrl+KeyZ",
-            "Meta+KeyA",
-            "Alt+KeyA",
-            "NumpadEnter",
-        ] {
+        let bad =
+            ",Keya,KeyAB,F25,F01,<b>,javascript:x,Shift+Ctrl+KeyZ,Meta+KeyA,Alt+KeyA,NumpadEnter";
+        for bad in bad.split(',') {
             let prefs = Prefs {
                 keys: [(crate::wire::Action::Undo, vec![bad.to_owned()])].into(),
                 ..Prefs::default()

@@ -1,11 +1,10 @@
 //! Rows that entries of several kinds write, and the state of a task, which follows from these rows.
 
-use super::db::{Tx, params};
-use super::entry::{Entry, json};
-use super::records::{Credit, Millis};
+use super::db::{Result, Tx, json, params};
+use super::records::Millis;
 use crate::Error;
 use crate::state::Purpose;
-use crate::wire::{Answer, EditType, TaskState, Verdict};
+use crate::wire::{Answer, EditType, Lease, TaskState, Verdict};
 
 /// Column `accepted.basis` of an imported answer; behind a colon follows how it was accepted elsewhere.
 pub(super) const IMPORTED: &str = "import";
@@ -33,53 +32,51 @@ pub(super) fn kept_type(answer: &Answer) -> Option<&'static str> {
     }
 }
 
-pub(super) fn accept_imported(
+/// An answer that is accepted.
+pub(super) struct Acceptance<'a> {
+    pub(super) author: i64,
+    pub(super) reviewer: i64,
+    pub(super) answer: &'a Answer,
+    pub(super) merged: bool,
+    pub(super) credit: Option<&'a str>,
+    pub(super) keeps: bool,
+    pub(super) basis: String,
+}
+
+impl Acceptance<'_> {
+    pub(super) fn put(&self, tx: &mut dyn Tx, seq: i64, task: i64, at: Millis) -> Result<()> {
+        tx.run(
+            "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, edit_type, at, seq, basis,
+               words, parts)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)",
+            params![
+                task,
+                self.author,
+                self.reviewer,
+                json(self.answer)?,
+                self.merged,
+                self.credit,
+                self.keeps,
+                kept_type(self.answer),
+                at,
+                seq,
+                &self.basis,
+                words(self.answer),
+                part_list(self.answer)
+            ],
+        )
+    }
+}
+
+pub(super) fn put_lease(
     tx: &mut dyn Tx,
-    seq: i64,
-    entry: &Entry,
-    task: i64,
-    answer: &Answer,
-    credit: Option<&Credit>,
-) -> Result<(), Error> {
-    tx.execute(
-        "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, at, seq, basis, words, parts,
-           edit_type)
-         VALUES (?1, ?2, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)",
-        params![
-            task,
-            entry.actor.unwrap_or(0),
-            json(answer)?,
-            credit.is_some_and(|credit| credit.merged),
-            credit.and_then(|credit| credit.author.clone()),
-            is_kept_pair(answer),
-            entry.at,
-            seq,
-            match credit.and_then(|credit| credit.accepted_by.as_deref()) {
-                Some(basis) => format!("{IMPORTED}:{basis}"),
-                None => IMPORTED.to_owned(),
-            },
-            words(answer),
-            part_list(answer),
-            kept_type(answer)
-        ],
-    )?;
-    Ok(())
-}
-
-/// A lease to create.
-pub(super) struct NewLease {
-    pub(super) id: i64,
-    pub(super) task: i64,
-    pub(super) user: i64,
-    pub(super) epoch: i64,
-    pub(super) expires: Millis,
-    pub(super) purpose: Purpose,
-    pub(super) blind: bool,
-}
-
-pub(super) fn put_lease(tx: &mut dyn Tx, lease: &NewLease) -> Result<(), Error> {
-    end_lease_of(tx, lease.task, lease.user)?;
-    tx.execute(
+    lease: &Lease,
+    purpose: Purpose,
+    blind: bool,
+) -> Result<()> {
+    let sql = "DELETE FROM lease WHERE task = ?1 AND usr = ?2";
+    tx.run(sql, params![lease.task, lease.user])?;
+    tx.run(
         "INSERT INTO lease (id, task, usr, epoch, expires, purpose, blind) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
         params![
             lease.id,
@@ -87,28 +84,16 @@ pub(super) fn put_lease(tx: &mut dyn Tx, lease: &NewLease) -> Result<(), Error> 
             lease.user,
             lease.epoch,
             lease.expires,
-            lease.purpose.as_str(),
-            lease.blind
+            purpose.as_str(),
+            blind
         ],
     )?;
-    tx.execute(
-        "UPDATE task SET epoch = ?2 WHERE id = ?1",
-        params![lease.task, lease.epoch],
-    )?;
-    Ok(())
+    let sql = "UPDATE task SET epoch = ?2 WHERE id = ?1";
+    tx.run(sql, params![lease.task, lease.epoch])
 }
 
-pub(super) fn end_lease_of(tx: &mut dyn Tx, task: i64, user: i64) -> Result<(), Error> {
-    tx.execute(
-        "DELETE FROM lease WHERE task = ?1 AND usr = ?2",
-        params![task, user],
-    )?;
-    Ok(())
-}
-
-pub(super) fn end_leases(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
-    tx.execute("DELETE FROM lease WHERE task = ?1", params![task])?;
-    Ok(())
+pub(super) fn end_leases(tx: &mut dyn Tx, task: i64) -> Result<()> {
+    tx.run("DELETE FROM lease WHERE task = ?1", params![task])
 }
 
 /// Lower-case texts of an answer, for searches.
@@ -133,13 +118,7 @@ pub(super) fn part_list(answer: &Answer) -> String {
     format!("|{}|", names.join("|"))
 }
 
-/// Notes that somebody decided about a task with its clip as it is now.
-pub(super) fn settle_clip(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
-    tx.execute("UPDATE task SET changed = 0 WHERE id = ?1", params![task])?;
-    Ok(())
-}
-
-pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<(), Error> {
+pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<()> {
     tx.execute(
         "UPDATE task SET state = ?2, claimable = 0,
            leases = (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose <> 'review') WHERE id = ?1",
@@ -151,8 +130,8 @@ pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<
 /// Derives whether a pair counts toward the quota of its category: an accepted answer keeps it; or, before a decision,
 /// a submitted answer keeps it, or somebody is at work on it. A claim can so leave room for those who are at work. A
 /// kept pair has the edit type of the answer that keeps it.
-fn count(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
-    tx.execute(
+fn count(tx: &mut dyn Tx, task: i64) -> Result<()> {
+    tx.run(
         "UPDATE task SET counted = CASE
              WHEN gold IS NOT NULL OR state = 'dropped' THEN 0
              WHEN state = 'accepted' THEN COALESCE((SELECT a.keeps FROM accepted a WHERE a.task = ?1), 0)
@@ -166,12 +145,11 @@ fn count(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
                    ORDER BY r.author LIMIT 1) END
          WHERE id = ?1 AND kind = 'pair'",
         params![task],
-    )?;
-    Ok(())
+    )
 }
 
 /// Counts the answers and leases of an undecided task and derives its state.
-pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
+pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<()> {
     let row = tx
         .one(
             "SELECT wanted, CASE WHEN gold IS NULL THEN 0 ELSE 1 END,
@@ -194,8 +172,10 @@ pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
         TaskState::Open
     };
     let claimable = !gold && submitted + active + kept < wanted;
-    tx.execute(
-        "UPDATE task SET state = ?2, submitted = ?3, leases = ?4, claimable = ?5 WHERE id = ?1",
+    let sql =
+        "UPDATE task SET state = ?2, submitted = ?3, leases = ?4, claimable = ?5 WHERE id = ?1";
+    tx.run(
+        sql,
         params![task, state.as_str(), submitted, active + kept, claimable],
     )?;
     count(tx, task)

@@ -2,7 +2,7 @@
 
 use std::sync::{Condvar, Mutex, PoisonError};
 
-use super::db::{Content, Database, Work};
+use super::db::{Content, Database, Result, Work};
 use super::group::caught;
 use crate::Error;
 use crate::lock::lock;
@@ -18,7 +18,7 @@ pub(crate) struct Readers<C> {
 
 impl<C> Readers<C> {
     /// Opens all connections.
-    pub(crate) fn open(connect: impl Fn() -> Result<C, Error>) -> Result<Self, Error> {
+    pub(crate) fn open(connect: impl Fn() -> Result<C>) -> Result<Self> {
         let free = (0..READERS).map(|_| connect()).collect::<Result<_, _>>()?;
         Ok(Self {
             free: Mutex::new(free),
@@ -29,9 +29,9 @@ impl<C> Readers<C> {
     /// Waits for a free connection and runs work on it; `end` also runs after an error or a panic.
     pub(crate) fn with(
         &self,
-        work: impl FnOnce(&mut C) -> Result<(), Error>,
+        work: impl FnOnce(&mut C) -> Result<()>,
         end: impl FnOnce(&mut C),
-    ) -> Result<(), Error> {
+    ) -> Result<()> {
         let mut connection = {
             let mut free = lock(&self.free);
             loop {
@@ -62,7 +62,7 @@ impl<C, R> Snapshot<C, R> {
     /// Takes a connection with an open transaction, and how work runs on it.
     pub(crate) fn new(connection: C, run: R) -> Self
     where
-        R: Fn(&mut C, Work) -> Result<(), Error>,
+        R: Fn(&mut C, Work<'_>) -> Result<()>,
     {
         Self {
             connection: Mutex::new(connection),
@@ -74,26 +74,22 @@ impl<C, R> Snapshot<C, R> {
 impl<C, R> Database for Snapshot<C, R>
 where
     C: Send,
-    R: Fn(&mut C, Work) -> Result<(), Error> + Send + Sync,
+    R: Fn(&mut C, Work<'_>) -> Result<()> + Send + Sync,
 {
-    fn write(&self, _: Work) -> Result<(), Error> {
+    fn write(&self, _: Work<'static>) -> Result<()> {
         Err(Error::Closed)
     }
 
-    fn read(&self, work: Work) -> Result<(), Error> {
+    fn read(&self, work: Work<'_>) -> Result<()> {
         let mut connection = lock(&self.connection);
         caught(|| (self.run)(&mut connection, work))
     }
 
-    fn backup(&self, _: &std::path::Path, _: Content) -> Result<(), Error> {
+    fn backup(&self, _: &std::path::Path, _: Content) -> Result<()> {
         Err(Error::Closed)
     }
 
-    fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
-        Err(Error::Closed)
-    }
-
-    fn check(&self) -> Result<(), Error> {
+    fn snapshot(&self) -> Result<Box<dyn Database>> {
         Err(Error::Closed)
     }
 }

@@ -1,22 +1,66 @@
-//! Derives the projections from the log again, to check and to repair them.
+//! The projections, and how they follow from the log: for an upgrade, and to check and to repair them.
 //!
-//! Neither stops writers: the log is read from a snapshot and applied to a scratch database, which is compared with
-//! the snapshot. Only tasks whose rows differ are written, a few in a transaction.
+//! Neither a check nor a repair stops writers: the log is read from a snapshot and applied to a scratch database, which
+//! is compared with the snapshot. Only tasks whose rows differ are written, a few in a transaction.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
 
 use super::apply::apply;
-use super::db::{self, Database, Row, Tx, Value, params};
-use super::derived::{PROJECTIONS, Projection, define_projections, entries};
+use super::db::{self, Database, Result, Row, Tx, Value, params};
+use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
 use super::sqlite::Scratch;
-use crate::Error;
 use crate::lock::lock;
 
+/// A table of a projection, its column with the task that a row belongs to, and its sort columns.
+type Projection = (&'static str, &'static str, &'static str);
+
+/// The projections.
+pub(super) const PROJECTIONS: [Projection; 10] = [
+    ("task", "id", "id"),
+    ("lease", "task", "id"),
+    ("revision", "task", "task, author"),
+    ("review", "task", "seq"),
+    ("accepted", "task", "task"),
+    ("skip", "task", "task, usr"),
+    ("suggestion_use", "task", "seq"),
+    ("gold_score", "task", "task, usr"),
+    ("work", "task", "seq"),
+    ("gold_place", "task", "task, usr"),
+];
+
+/// Entries read at a time.
+const BATCH: i64 = 1000;
 /// Tasks compared at a time.
 const COMPARED: i64 = 1000;
 /// Tasks repaired in a transaction: as much as claiming two bundles writes.
 const REPAIRED: usize = 16;
+
+/// Creates the projections.
+pub(super) fn define_projections(tx: &mut dyn Tx) -> Result<()> {
+    tx.define(include_str!("projections.sql"))
+}
+
+/// Entries of the log after a sequence number, up to [`BATCH`].
+fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>> {
+    let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
+    tx.list(&sql, params![after, BATCH], read_entry)
+}
+
+/// Fills the empty projections of a store from its log.
+pub(super) fn derive(tx: &mut dyn Tx) -> Result<()> {
+    let mut last = 0;
+    loop {
+        let some = entries(tx, last)?;
+        if some.is_empty() {
+            return Ok(());
+        }
+        for (seq, entry) in some {
+            apply(tx, seq, &entry)?;
+            last = seq;
+        }
+    }
+}
 
 /// What follows from the log up to an entry.
 struct Derived {
@@ -25,14 +69,14 @@ struct Derived {
 }
 
 impl Derived {
-    fn new() -> Result<Self, Error> {
+    fn new() -> Result<Self> {
         let scratch = Scratch::new()?;
         define_projections(&mut scratch.tx())?;
         Ok(Self { scratch, last: 0 })
     }
 
     /// Applies the entries of a log that came since.
-    fn catch_up(&mut self, log: &mut dyn Tx) -> Result<(), Error> {
+    fn catch_up(&mut self, log: &mut dyn Tx) -> Result<()> {
         loop {
             let some = entries(log, self.last)?;
             if some.is_empty() {
@@ -46,17 +90,10 @@ impl Derived {
     }
 
     /// Replaces the rows of a task by those that follow from the log.
-    fn repair(&self, tx: &mut dyn Tx, task: i64) -> Result<(), Error> {
-        for Projection {
-            table,
-            task: column,
-            order,
-        } in &PROJECTIONS
-        {
-            tx.execute(
-                &format!("DELETE FROM {table} WHERE {column} = ?1"),
-                params![task],
-            )?;
+    fn repair(&self, tx: &mut dyn Tx, task: i64) -> Result<()> {
+        for (table, column, order) in PROJECTIONS {
+            let sql = format!("DELETE FROM {table} WHERE {column} = ?1");
+            tx.run(&sql, params![task])?;
             let sql = format!("SELECT * FROM {table} WHERE {column} = ?1 ORDER BY {order}");
             for row in self.scratch.tx().query(&sql, params![task])? {
                 let places: Vec<String> = (1..=row.0.len()).map(|at| format!("?{at}")).collect();
@@ -74,18 +111,17 @@ type Differing = BTreeMap<&'static str, BTreeSet<i64>>;
 /// Rows of a projection for tasks above `after` and up to `up_to`, with their task before their columns.
 fn rows_of(
     tx: &mut dyn Tx,
-    projection: &Projection,
+    (table, task, order): Projection,
     after: i64,
     up_to: i64,
-) -> Result<Vec<Row>, Error> {
-    let Projection { table, task, order } = projection;
-    tx.query(
-        &format!("SELECT p.{task}, p.* FROM {table} p WHERE p.{task} > ?1 AND p.{task} <= ?2 ORDER BY {order}"),
-        params![after, up_to],
-    )
+) -> Result<Vec<Row>> {
+    let sql = format!(
+        "SELECT p.{task}, p.* FROM {table} p WHERE p.{task} > ?1 AND p.{task} <= ?2 ORDER BY {order}"
+    );
+    tx.query(&sql, params![after, up_to])
 }
 
-fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>, Error> {
+fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>> {
     let mut tasks: BTreeMap<i64, Vec<Vec<Value>>> = BTreeMap::new();
     for row in rows {
         tasks.entry(row.int(0)?).or_default().push(row.0);
@@ -94,9 +130,9 @@ fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>, Error> {
 }
 
 /// Compares the projections of two databases.
-fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing, Error> {
+fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing> {
     let mut end = 0;
-    for Projection { table, task, .. } in &PROJECTIONS {
+    for (table, task, _) in PROJECTIONS {
         let sql = format!("SELECT COALESCE(MAX({task}), 0) FROM {table}");
         end = end
             .max(store.number(&sql, &[])?)
@@ -104,15 +140,15 @@ fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing, Erro
     }
     let mut found = Differing::new();
     for after in (0..end).step_by(COMPARED as usize) {
-        for projection in &PROJECTIONS {
-            let range = (after, after + COMPARED);
-            let is = rows_of(store, projection, range.0, range.1)?;
-            let should = rows_of(derived, projection, range.0, range.1)?;
+        for projection in PROJECTIONS {
+            let up_to = after + COMPARED;
+            let is = rows_of(store, projection, after, up_to)?;
+            let should = rows_of(derived, projection, after, up_to)?;
             if is == should {
                 continue;
             }
             let (is, should) = (by_task(is)?, by_task(should)?);
-            let tasks = found.entry(projection.table).or_default();
+            let tasks = found.entry(projection.0).or_default();
             tasks.extend(
                 is.keys()
                     .chain(should.keys())
@@ -124,7 +160,7 @@ fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing, Erro
 }
 
 /// Derives the projections from the log and compares them with those of the store.
-fn compare(tx: &mut dyn Tx) -> Result<(Derived, Differing), Error> {
+fn compare(tx: &mut dyn Tx) -> Result<(Derived, Differing)> {
     let mut derived = Derived::new()?;
     derived.catch_up(tx)?;
     let found = differing(tx, &mut derived.scratch.tx())?;
@@ -132,7 +168,7 @@ fn compare(tx: &mut dyn Tx) -> Result<(Derived, Differing), Error> {
 }
 
 /// Repairs the projections and returns the names of those that differed.
-pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>, Error> {
+pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>> {
     let snapshot = store.snapshot()?;
     let (mut derived, found) = db::read(snapshot.as_ref(), compare)?;
     drop(snapshot);
@@ -140,10 +176,7 @@ pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>, Error> 
         return Ok(Vec::new());
     }
     // Most of what was written meanwhile is applied before writers have to wait for the rest.
-    derived = db::read(store, move |tx| {
-        derived.catch_up(tx)?;
-        Ok(derived)
-    })?;
+    db::read(store, |tx| derived.catch_up(tx))?;
     let derived = Arc::new(Mutex::new(derived));
     let tasks: Vec<i64> = found
         .values()
@@ -164,7 +197,7 @@ pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>, Error> 
 }
 
 /// Findings about the log and the projections.
-pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>, Error> {
+pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
     let mut findings = Vec::new();
     let row = tx.one("SELECT COUNT(*), COALESCE(MAX(seq), 0) FROM event", &[])?;
     if let Some(row) = row
@@ -176,10 +209,8 @@ pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>, Error> {
             row.int(1)?
         ));
     }
-    let over = tx.number(
-        "SELECT COUNT(*) FROM task WHERE submitted + leases > wanted",
-        &[],
-    )?;
+    let sql = "SELECT COUNT(*) FROM task WHERE submitted + leases > wanted";
+    let over = tx.number(sql, &[])?;
     if over > 0 {
         findings.push(format!(
             "{over} tasks have more answers and leases than wanted"
@@ -217,23 +248,23 @@ mod tests {
     }
 
     impl Tx for CountingTx<'_> {
-        fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error> {
+        fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
             self.statements += 1;
             self.inner.execute(sql, params)
         }
 
-        fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
+        fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
             self.statements += 1;
             self.inner.query(sql, params)
         }
 
-        fn define(&mut self, sql: &str) -> Result<(), Error> {
+        fn define(&mut self, sql: &str) -> Result<()> {
             self.inner.define(sql)
         }
     }
 
     impl Database for Counting {
-        fn write(&self, work: Work) -> Result<(), Error> {
+        fn write(&self, work: Work<'static>) -> Result<()> {
             let (writes, longest) = (Arc::clone(&self.writes), Arc::clone(&self.longest));
             self.inner.write(Box::new(move |tx| {
                 let mut counting = CountingTx {
@@ -247,20 +278,16 @@ mod tests {
             }))
         }
 
-        fn read(&self, work: Work) -> Result<(), Error> {
+        fn read(&self, work: Work<'_>) -> Result<()> {
             self.inner.read(work)
         }
 
-        fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
+        fn snapshot(&self) -> Result<Box<dyn Database>> {
             self.inner.snapshot()
         }
 
-        fn backup(&self, path: &std::path::Path, content: Content) -> Result<(), Error> {
+        fn backup(&self, path: &std::path::Path, content: Content) -> Result<()> {
             self.inner.backup(path, content)
-        }
-
-        fn check(&self) -> Result<(), Error> {
-            self.inner.check()
         }
     }
 
@@ -276,7 +303,7 @@ mod tests {
     fn neither_a_check_nor_a_rebuild_stops_writers_for_longer_than_a_claim() {
         const TASKS: usize = 1500;
         let folder = tempfile::tempdir().expect("a folder");
-        let inner = Sqlite::open(&folder.path().join("s.sqlite")).expect("a store");
+        let (inner, _) = Sqlite::open(&folder.path().join("s.sqlite")).expect("a store");
         let (writes, longest) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
         let database = Counting {
             inner,

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::state::LogKind;
 use crate::wire::{
     Answer, EditType, Empty, Feedback, Lease, ReviewEmpty, Revision, Role, Standing, Suggestion,
-    SuggestionSource, TaskKind, TaskState, User,
+    SuggestionSource, TaskKind, TaskState, User, names,
 };
 
 pub use crate::wire::{BundleItem as BundleEntry, TokenShown as IssuedToken};
@@ -238,14 +238,8 @@ pub struct Label {
     pub kind: TaskKind,
     /// Whether it is a gold task.
     pub gold: bool,
-    /// Its category.
-    pub category: Option<String>,
     /// Hash of its first motion.
     pub source: String,
-    /// Hash of its second motion.
-    pub target: Option<String>,
-    /// Split.
-    pub split: String,
     /// The answer.
     pub revision: Revision,
     /// Whether suggestions were withheld.
@@ -410,24 +404,14 @@ pub struct Imported {
     pub conflicts: Vec<String>,
 }
 
-/// Purpose of a token.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TokenUse {
-    /// Access token of a user or a program, for login or as a bearer token.
-    Token,
-    /// Valid for one login.
-    Once,
-    /// The cookie of a browser.
-    Session,
-}
-
-impl TokenUse {
-    /// Its name in the store.
-    pub(crate) fn as_str(self) -> &'static str {
-        match self {
-            Self::Token => "token",
-            Self::Once => "once",
-            Self::Session => "session",
-        }
+names! {
+    /// Purpose of a token.
+    pub enum TokenUse {
+        /// Access token of a user or a program, for login or as a bearer token.
+        Token = "token",
+        /// Valid for one login.
+        Once = "once",
+        /// The cookie of a browser.
+        Session = "session",
     }
 }

@@ -1,13 +1,14 @@
 //! Reviews: claiming a task to review, and decisions.
 
 use super::append::working;
-use super::db::{Tx, params};
-use super::entry::{Body, Entry, Reply};
+use super::db::{Result, Tx, params};
+use super::entry::{Body, Entry};
 use super::leases::{MINUTE, expire, lease_end, prolong, take};
-use super::project;
+use super::log::Request;
 use super::records::{Millis, ReviewClaimed, ReviewDetail, TaskRecord};
-use super::replies::{full_key, hash_of, parsed, replay};
-use super::{apply, log, rows};
+use super::settings::{has_up_to, require};
+use super::store::Store;
+use super::{apply, project, rows};
 use crate::Error;
 use crate::answer;
 use crate::state::{LogKind, Purpose};
@@ -18,122 +19,162 @@ use crate::wire::{
 
 const DAY: Millis = 24 * 60 * MINUTE;
 
-/// Claims the next task of a review queue.
-pub(super) fn next(
+impl Store {
+    /// Claims the next task to review.
+    pub fn review_next(
+        &self,
+        user: i64,
+        queue: ReviewQueue,
+        kind: Option<TaskKind>,
+        now: Millis,
+    ) -> Result<ReviewClaimed> {
+        let kind = kind.map_or("", TaskKind::as_str);
+        self.write(move |tx| match next(tx, user, queue, kind, now)? {
+            Some(task) => Ok(ReviewClaimed::Task(Box::new(detail(tx, user, task)?))),
+            None => empty(tx, user, kind).map(ReviewClaimed::Nothing),
+        })
+    }
+
+    /// Claims a task to review, or goes on with it.
+    /// Refused with `own_work`, `lease_lost`, `wrong_state`, `not_found`.
+    pub fn review_task(&self, user: i64, task: i64, now: Millis) -> Result<ReviewDetail> {
+        self.write(move |tx| {
+            open(tx, user, task, now)?;
+            detail(tx, user, task)
+        })
+    }
+
+    /// Applies a reviewer's decision.
+    /// Refused with `own_work`, `lease_lost`, `wrong_state`, `invalid`, `not_found`, `key_reused`.
+    pub fn review(&self, user: i64, new: NewReview, now: Millis) -> Result<ReviewDone> {
+        self.write(move |tx| {
+            let request = Request::new(user, &new.idem_key, &new)?;
+            if let Some(done) = request.replay(tx)? {
+                return Ok(done);
+            }
+            let settings = project::settings(tx)?;
+            let task = rows::task(tx, new.task)?;
+            let own = check_own(tx, user, task.id, &settings)?;
+            let deciding = Deciding {
+                user,
+                review: &new,
+                request,
+                task,
+                settings,
+                own,
+                now,
+            };
+            deciding.check_state()?;
+            let needs_comment = matches!(
+                new.decision,
+                Decision::Return | Decision::Drop | Decision::Reopen
+            );
+            let comment = comment(&new.comment, needs_comment, "author")?;
+            deciding.check_lease(tx)?;
+            let body = deciding.body(tx, comment)?;
+            deciding.take_style(tx, &body)?;
+            deciding.log(tx, body)
+        })
+    }
+
+    /// All answers to a task that were handed in, with the names of their authors. Returned ones come last.
+    pub fn answers_to(&self, task: i64) -> Result<Vec<(Revision, String)>> {
+        self.read(move |tx| answers_to(tx, task))
+    }
+}
+
+/// The task that a reviewer holds, or the next one of a queue, of a kind or any.
+fn next(
     tx: &mut dyn Tx,
     user: i64,
     queue: ReviewQueue,
-    kind: Option<TaskKind>,
+    kind: &str,
     now: Millis,
-) -> Result<ReviewClaimed, Error> {
+) -> Result<Option<i64>> {
     expire(tx, user, now)?;
     let settings = project::settings(tx)?;
-    let kinds = kind.map_or("", TaskKind::as_str);
+    let from = "lease l JOIN task t ON t.id = l.task
+         WHERE l.usr = ?1 AND l.purpose = 'review' AND (?2 = '' OR t.kind = ?2) ORDER BY l.id LIMIT 1";
+    if let Some(held) = rows::leases(tx, from, params![user, kind])?.pop() {
+        if held.lease.expires < lease_end(&settings, now) - MINUTE {
+            prolong(tx, &held, &settings, now)?;
+        }
+        return Ok(Some(held.lease.task));
+    }
+    // Only queue `sample` is limited to a share of the tasks; 100 admits all.
+    let (order, share, back) = match queue {
+        ReviewQueue::Disagreement => ("COALESCE(t.distance, -1) DESC, t.id", 100, 0_i64),
+        ReviewQueue::Sample => ("t.shuffle, t.id", i64::from(settings.review_percent), 0),
+        ReviewQueue::Returned => ("t.id", 100, 1),
+    };
     let sql = format!(
-        "SELECT {} FROM lease l JOIN task t ON t.id = l.task
-         WHERE l.usr = ?1 AND l.purpose = 'review' AND (?2 = '' OR t.kind = ?2) ORDER BY l.id LIMIT 1",
-        rows::LEASE_COLUMNS
+        "SELECT t.id FROM task t WHERE t.state = 'submitted' AND t.gold IS NULL AND (?2 = '' OR t.kind = ?2)
+           AND (t.shuffle + ?5) % 100 < ?3 AND t.came_back >= ?4
+           AND (?6 = 1 OR NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?1 AND r.state <> 'draft'))
+         ORDER BY {order} LIMIT 1"
     );
-    let task = match tx.one(&sql, params![user, kinds])? {
-        Some(row) => {
-            let held = rows::read_lease(&row)?;
-            if held.lease.expires < lease_end(&settings, now) - MINUTE {
-                prolong(tx, &held, &settings, now)?;
-            }
-            Some(held.lease.task)
-        }
-        None => {
-            // Only queue `sample` is limited to a share of the tasks; 100 admits all.
-            let (order, share, back) = match queue {
-                ReviewQueue::Disagreement => ("COALESCE(t.distance, -1) DESC, t.id", 100, 0_i64),
-                ReviewQueue::Sample => ("t.shuffle, t.id", i64::from(settings.review_percent), 0),
-                ReviewQueue::Returned => ("t.id", 100, 1),
-            };
-            let sql = format!(
-                "SELECT t.id FROM task t WHERE t.state = 'submitted' AND t.gold IS NULL AND (?2 = '' OR t.kind = ?2)
-                   AND (t.shuffle + ?5) % 100 < ?3 AND t.came_back >= ?4
-                   AND (?6 = 1 OR NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?1 AND r.state <> 'draft'))
-                 ORDER BY {order} LIMIT 1"
-            );
-            let found = tx.one(
-                &sql,
-                params![user, kinds, share, back, settings.seed, settings.solo],
-            )?;
-            let task = found.map(|row| row.int(0)).transpose()?;
-            if let Some(task) = task {
-                take(tx, user, task, Purpose::Review, &settings, now)?;
-            }
-            task
-        }
-    };
-    let Some(task) = task else {
-        let of_kind = "t.gold IS NULL AND (?1 = '' OR t.kind = ?1)";
-        return Ok(ReviewClaimed::Nothing(ReviewEmpty {
-            waiting: tx.number(
-                &format!("SELECT COUNT(*) FROM task t WHERE {of_kind} AND t.state = 'submitted'"),
-                params![kinds],
-            )?,
-            mine: tx.number(
-                &format!(
-                    "SELECT COUNT(*) FROM task t WHERE {of_kind} AND t.state = 'submitted'
-                       AND EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft')"
-                ),
-                params![kinds, user],
-            )?,
-            in_review: tx.number(
-                &format!("SELECT COUNT(*) FROM task t WHERE {of_kind} AND t.state = 'in_review'"),
-                params![kinds],
-            )?,
-        }));
-    };
-    detail(tx, user, task).map(|detail| ReviewClaimed::Task(Box::new(detail)))
+    let values = params![user, kind, share, back, settings.seed, settings.solo];
+    let task = tx.find(&sql, values, |row| row.int(0))?;
+    if let Some(task) = task {
+        take(tx, user, task, Purpose::Review, None, &settings, now)?;
+    }
+    Ok(task)
+}
+
+/// What is left to review, of a kind or any.
+fn empty(tx: &mut dyn Tx, user: i64, kind: &str) -> Result<ReviewEmpty> {
+    let found = tx.find(
+        "SELECT COUNT(CASE WHEN t.state = 'submitted' THEN 1 END),
+           COUNT(CASE WHEN t.state = 'submitted' AND EXISTS (
+             SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft') THEN 1 END),
+           COUNT(CASE WHEN t.state = 'in_review' THEN 1 END)
+         FROM task t WHERE t.state IN ('submitted', 'in_review') AND t.gold IS NULL AND (?1 = '' OR t.kind = ?1)",
+        params![kind, user],
+        |row| {
+            Ok(ReviewEmpty {
+                waiting: row.int(0)?,
+                mine: row.int(1)?,
+                in_review: row.int(2)?,
+            })
+        },
+    )?;
+    found.ok_or(Error::Closed)
 }
 
 /// Claims a task to review, or goes on with it.
-pub(super) fn open(
-    tx: &mut dyn Tx,
-    user: i64,
-    id: i64,
-    now: Millis,
-) -> Result<ReviewDetail, Error> {
+fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
     expire(tx, user, now)?;
     let settings = project::settings(tx)?;
     let task = rows::task(tx, id)?;
     if let Some(held) = rows::lease_of(tx, id, user)?
         && held.purpose == Purpose::Review
     {
-        prolong(tx, &held, &settings, now)?;
-        return detail(tx, user, id);
+        return prolong(tx, &held, &settings, now).map(|_| ());
     }
     if task.state == TaskState::InReview {
-        return Err(Error::refused(
-            Code::LeaseLost,
-            "another reviewer looks at this task; the record of the task says who, and can release it",
-        ));
+        let problem = "another reviewer looks at this task; the record of the task says who, and can release it";
+        return Err(Error::refused(Code::LeaseLost, problem));
     }
     if task.state != TaskState::Submitted || task.gold.is_some() {
         return Err(Error::wrong_state(task.state, "reviewed"));
     }
     check_own(tx, user, id, &settings)?;
-    take(tx, user, id, Purpose::Review, &settings, now)?;
-    detail(tx, user, id)
+    take(tx, user, id, Purpose::Review, None, &settings, now)
 }
 
 /// Whether a reviewer answered the task, which only a project of one person allows.
-fn check_own(tx: &mut dyn Tx, user: i64, task: i64, settings: &Settings) -> Result<bool, Error> {
+fn check_own(tx: &mut dyn Tx, user: i64, task: i64, settings: &Settings) -> Result<bool> {
     let mine = rows::revision(tx, task, user)?;
     let own = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
     if own && !settings.solo {
-        return Err(Error::refused(
-            Code::OwnWork,
-            "you answered this task yourself; somebody else has to review it",
-        ));
+        let problem = "you answered this task yourself; somebody else has to review it";
+        return Err(Error::refused(Code::OwnWork, problem));
     }
     Ok(own)
 }
 
 /// A task as its reviewer sees it.
-fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
+fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail> {
     let task = rows::task(tx, id)?;
     let lease = rows::lease_of(tx, id, user)?.ok_or(Error::Closed)?.lease;
     let mut candidates = answers_to(tx, id)?;
@@ -143,14 +184,8 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
             RevisionState::Submitted | RevisionState::Returned
         )
     });
-    let comments = tx
-        .query(
-            "SELECT comment FROM review WHERE task = ?1 AND comment <> '' ORDER BY seq",
-            params![id],
-        )?
-        .iter()
-        .map(|row| row.string(0))
-        .collect::<Result<_, Error>>()?;
+    let sql = "SELECT comment FROM review WHERE task = ?1 AND comment <> '' ORDER BY seq";
+    let comments = tx.list(sql, params![id], |row| row.string(0))?;
     Ok(ReviewDetail {
         task,
         lease,
@@ -159,24 +194,23 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail, Error> {
     })
 }
 
-/// Answers to a task that were handed in, with the names of their authors. Returned ones come last.
-pub(super) fn answers_to(tx: &mut dyn Tx, task: i64) -> Result<Vec<(Revision, String)>, Error> {
+fn answers_to(tx: &mut dyn Tx, task: i64) -> Result<Vec<(Revision, String)>> {
     let sql = format!(
         "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
          WHERE r.task = ?1 AND r.state <> 'draft'
          ORDER BY CASE WHEN r.state = 'returned' THEN 1 ELSE 0 END, r.author",
         rows::REVISION_COLUMNS
     );
-    tx.query(&sql, params![task])?
-        .iter()
-        .map(|row| Ok((rows::read_revision(row, 0)?, row.string(7)?)))
-        .collect()
+    tx.list(&sql, params![task], |row| {
+        Ok((rows::read_revision(row, 0)?, row.string(7)?))
+    })
 }
 
 /// A decision on a task, and what its log entry depends on.
 struct Deciding<'a> {
     user: i64,
     review: &'a NewReview,
+    request: Request,
     task: TaskRecord,
     settings: Settings,
     /// Whether the reviewer answered the task too.
@@ -184,79 +218,20 @@ struct Deciding<'a> {
     now: Millis,
 }
 
-/// Applies a reviewer's decision.
-pub(super) fn review(
-    tx: &mut dyn Tx,
-    user: i64,
-    review: &NewReview,
-    now: Millis,
-) -> Result<ReviewDone, Error> {
-    let key = full_key(user, &review.idem_key)?;
-    let request = hash_of(review)?;
-    if let Some(result) = replay(tx, &key, &request)? {
-        return parsed(&result);
-    }
-    let settings = project::settings(tx)?;
-    let task = rows::task(tx, review.task)?;
-    let own = check_own(tx, user, task.id, &settings)?;
-    let deciding = Deciding {
-        user,
-        review,
-        task,
-        settings,
-        own,
-        now,
-    };
-    deciding.check_state()?;
-    let comment = deciding.comment()?;
-    deciding.check_lease(tx)?;
-    let authors = deciding.authors(tx)?;
-    let body = deciding.body(tx, comment, authors, request)?;
-    deciding.take_style(tx, &body)?;
-    deciding.log(tx, body, key)
-}
-
 impl Deciding<'_> {
-    fn check_state(&self) -> Result<(), Error> {
+    fn check_state(&self) -> Result<()> {
         if self.task.gold.is_some() {
-            return Err(Error::wrong_state(
-                self.task.state,
-                "reviewed: its answer is known",
-            ));
+            let problem = "reviewed: its answer is known";
+            return Err(Error::wrong_state(self.task.state, problem));
         }
         let kind = log_kind(self.review.decision);
         apply::check_move(self.task.state, kind, "decided so")
     }
 
-    /// The comment, where the decision needs one.
-    fn comment(&self) -> Result<String, Error> {
-        let comment = self.review.comment.trim().to_owned();
-        if comment.chars().count() > MAX_TEXT_CHARS {
-            return Err(Error::invalid("comment", "the comment is too long"));
-        }
-        let needs_comment = matches!(
-            self.review.decision,
-            Decision::Return | Decision::Drop | Decision::Reopen
-        );
-        if needs_comment && comment.is_empty() {
-            return Err(Error::invalid(
-                "comment",
-                "write a comment; the author and the log need it",
-            ));
-        }
-        Ok(comment)
-    }
-
     /// Checks that nobody else reviews the task, and that the reviewer holds it if the decision is on answers.
-    fn check_lease(&self, tx: &mut dyn Tx) -> Result<(), Error> {
-        let held = tx.query(
-            &format!(
-                "SELECT {} FROM lease l WHERE l.task = ?1 AND l.purpose = 'review'",
-                rows::LEASE_COLUMNS
-            ),
-            params![self.task.id],
-        )?;
-        let held = held.first().map(rows::read_lease).transpose()?;
+    fn check_lease(&self, tx: &mut dyn Tx) -> Result<()> {
+        let from = "lease l WHERE l.task = ?1 AND l.purpose = 'review'";
+        let held = rows::leases(tx, from, params![self.task.id])?.pop();
         let ours = held.as_ref().is_some_and(|held| {
             held.lease.user == self.user && held.lease.epoch == self.review.lease_epoch
         });
@@ -266,24 +241,17 @@ impl Deciding<'_> {
         );
         let somebody_else = held.is_some_and(|held| held.lease.user != self.user);
         if (needs_lease && !ours) || somebody_else {
-            return Err(Error::refused(
-                Code::LeaseLost,
-                "your lease on this review expired; claim the task again from the queue",
-            ));
+            let problem = "your lease on this review expired; claim the task again from the queue";
+            return Err(Error::refused(Code::LeaseLost, problem));
         }
         Ok(())
     }
 
     /// Authors of the answers that the decision is on.
-    fn authors(&self, tx: &mut dyn Tx) -> Result<Vec<i64>, Error> {
-        let authors: Vec<i64> = tx
-            .query(
-                "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author",
-                params![self.task.id],
-            )?
-            .iter()
-            .map(|row| row.int(0))
-            .collect::<Result<_, _>>()?;
+    fn authors(&self, tx: &mut dyn Tx) -> Result<Vec<i64>> {
+        let sql =
+            "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author";
+        let authors: Vec<i64> = tx.list(sql, params![self.task.id], |row| row.int(0))?;
         match self.review.author {
             None => Ok(authors),
             Some(author) if authors.contains(&author) => Ok(vec![author]),
@@ -295,13 +263,9 @@ impl Deciding<'_> {
     }
 
     /// The body of the log entry.
-    fn body(
-        &self,
-        tx: &mut dyn Tx,
-        comment: String,
-        authors: Vec<i64>,
-        request: String,
-    ) -> Result<Body, Error> {
+    fn body(&self, tx: &mut dyn Tx, comment: String) -> Result<Body> {
+        let authors = self.authors(tx)?;
+        let request = self.request.hash.clone();
         let secs = working(self.review.secs);
         Ok(match self.review.decision {
             Decision::Accept => match authors.as_slice() {
@@ -314,10 +278,8 @@ impl Deciding<'_> {
                     own: self.own && *author == self.user,
                 },
                 _ => {
-                    return Err(Error::invalid(
-                        "author",
-                        format!("{} answers wait; choose one", authors.len()),
-                    ));
+                    let problem = format!("{} answers wait; choose one", authors.len());
+                    return Err(Error::invalid("author", problem));
                 }
             },
             Decision::Merge => {
@@ -355,7 +317,7 @@ impl Deciding<'_> {
     }
 
     /// Who accepts an answer with a new style accepts its name for the project.
-    fn take_style(&self, tx: &mut dyn Tx, body: &Body) -> Result<(), Error> {
+    fn take_style(&self, tx: &mut dyn Tx, body: &Body) -> Result<()> {
         let answer = match body {
             Body::Accepted { author, .. } => {
                 rows::revision(tx, self.task.id, *author)?.map(|own| own.answer)
@@ -375,32 +337,19 @@ impl Deciding<'_> {
     }
 
     /// Writes the entry and returns the reply, which is stored for repetitions of the same key.
-    fn log(&self, tx: &mut dyn Tx, body: Body, key: String) -> Result<ReviewDone, Error> {
+    fn log(&self, tx: &mut dyn Tx, body: Body) -> Result<ReviewDone> {
+        let id = self.task.id;
         let entry = Entry {
             at: self.now,
             actor: Some(self.user),
-            task: Some(self.task.id),
+            task: Some(id),
             epoch: Some(self.review.lease_epoch),
             body,
         };
-        let mut done = None;
-        log::write(tx, &entry, |tx, seq| {
-            let answer = ReviewDone {
-                seq,
-                state: rows::task(tx, self.task.id)?.state,
-            };
-            let result = serde_json::to_string(&answer).map_err(|error| Error::Row {
-                table: "event",
-                problem: error.to_string(),
-            })?;
-            done = Some(answer);
-            Ok(Some(Reply {
-                idem_key: key,
-                base_rev: 0,
-                result,
-            }))
-        })?;
-        done.ok_or(Error::Closed)
+        self.request.log(tx, &entry, 0, |tx, seq| {
+            let state = rows::task(tx, id)?.state;
+            Ok(ReviewDone { seq, state })
+        })
     }
 }
 
@@ -413,4 +362,17 @@ fn log_kind(decision: Decision) -> LogKind {
         Decision::Drop => LogKind::Dropped,
         Decision::Reopen => LogKind::Reopened,
     }
+}
+
+/// The comment of a decision, which `readers` and the log may need.
+pub(super) fn comment(text: &str, is_needed: bool, readers: &str) -> Result<String> {
+    let comment = text.trim().to_owned();
+    let is_short = has_up_to(&comment, MAX_TEXT_CHARS);
+    require(is_short, "comment", "the comment is too long")?;
+    require(
+        !is_needed || !comment.is_empty(),
+        "comment",
+        format!("write a comment; the {readers} and the log need it"),
+    )?;
+    Ok(comment)
 }

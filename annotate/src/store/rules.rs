@@ -5,9 +5,10 @@
 
 use std::collections::BTreeMap;
 
-use super::db::{Tx, params};
-use super::entry::{Body, Entry};
+use super::db::{Result, Tx, params};
+use super::entry::Body;
 use super::records::{Millis, TaskRecord};
+use super::store::Store;
 use super::{log, project, rows};
 use crate::Error;
 use crate::answer;
@@ -23,6 +24,66 @@ const WHOLE: i64 = 100;
 /// SQL condition: no reviewer has returned or reopened task `t`.
 const UNTOUCHED: &str = "NOT EXISTS (SELECT 1 FROM review v WHERE v.task = t.id
   AND v.decision IN ('returned', 'reopened') AND v.rule IS NULL)";
+
+impl Store {
+    /// The rules of the settings, and removed ones whose acceptances stand, with their counts.
+    pub fn rules(&self) -> Result<Vec<RuleState>> {
+        self.read(states)
+    }
+
+    /// Applies the enabled rules to up to 2,000 tasks that wait for review, with ids above `after`.
+    pub fn apply_rules(&self, after: i64, now: Millis) -> Result<RulesApplied> {
+        self.write(move |tx| {
+            let settings = project::settings(tx)?;
+            let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
+            let mut done = RulesApplied {
+                looked_at: tasks.len() as i64,
+                next: (tasks.len() as i64 == AT_ONCE)
+                    .then(|| tasks.last().map(|task| task.id))
+                    .flatten(),
+                ..RulesApplied::default()
+            };
+            for task in tasks {
+                if let Some(rule) = decide(tx, &settings, &task, now)? {
+                    *done.accepted.entry(rule).or_default() += 1;
+                }
+            }
+            Ok(done)
+        })
+    }
+
+    /// Disables a rule and takes back up to 2,000 of its acceptances. Refused with `not_found`.
+    pub fn undo_rule(&self, actor: i64, rule: &str, now: Millis) -> Result<RuleUndone> {
+        let name = rule.to_owned();
+        self.write(move |tx| {
+            let mut settings = project::settings(tx)?;
+            let rule = settings.rules.iter_mut().find(|rule| rule.name == name);
+            let known = rule.is_some();
+            if let Some(rule) = rule
+                && rule.enabled
+            {
+                rule.enabled = false;
+                project::put_settings(tx, Some(actor), settings, now)?;
+            }
+            let basis = format!("rule:{name}");
+            let sql = "SELECT task FROM accepted WHERE basis = ?1 ORDER BY task LIMIT ?2";
+            let tasks = tx.list(sql, params![&basis, AT_ONCE], |row| row.int(0))?;
+            if tasks.is_empty() && !known {
+                return Err(Error::not_found("rule"));
+            }
+            for &task in &tasks {
+                reopen(tx, actor, task, &name, "", now)?;
+            }
+            Ok(RuleUndone {
+                reopened: tasks.len() as i64,
+                left: tx.number(
+                    "SELECT COUNT(*) FROM accepted WHERE basis = ?1",
+                    params![&basis],
+                )?,
+            })
+        })
+    }
+}
 
 /// What a rule says about a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,15 +146,9 @@ fn fit(
 }
 
 /// Answers of a task that wait for review, in the order they were handed in.
-pub(super) fn waiting_answers(tx: &mut dyn Tx, task: i64) -> Result<Vec<Revision>, Error> {
-    let sql = format!(
-        "SELECT {} FROM revision r WHERE r.task = ?1 AND r.state = 'submitted' ORDER BY r.at, r.author",
-        rows::REVISION_COLUMNS
-    );
-    tx.query(&sql, params![task])?
-        .iter()
-        .map(|row| rows::read_revision(row, 0))
-        .collect()
+pub(super) fn waiting_answers(tx: &mut dyn Tx, task: i64) -> Result<Vec<Revision>> {
+    let condition = "r.task = ?1 AND r.state = 'submitted' ORDER BY r.at, r.author";
+    rows::revisions(tx, condition, params![task])
 }
 
 /// Accepts a task if a rule says so, and returns the name of the rule.
@@ -102,7 +157,7 @@ fn decide(
     settings: &Settings,
     task: &TaskRecord,
     now: Millis,
-) -> Result<Option<String>, Error> {
+) -> Result<Option<String>> {
     let answers = waiting_answers(tx, task.id)?;
     let frames = project::frames(tx, &task.source)?;
     for rule in settings.rules.iter().filter(|rule| rule.enabled) {
@@ -111,21 +166,15 @@ fn decide(
             // The first rule that fits decides, so that a later one does not accept what this one left to reviewers.
             Fit::Review => return Ok(None),
             Fit::Accept(author) => {
-                let entry = Entry {
-                    at: now,
-                    actor: None,
-                    task: Some(task.id),
-                    epoch: None,
-                    body: Body::Accepted {
-                        author,
-                        comment: String::new(),
-                        secs: 0.0,
-                        request: String::new(),
-                        rule: Some(rule.name.clone()),
-                        own: false,
-                    },
+                let body = Body::Accepted {
+                    author,
+                    comment: String::new(),
+                    secs: 0.0,
+                    request: String::new(),
+                    rule: Some(rule.name.clone()),
+                    own: false,
                 };
-                log::note(tx, &entry)?;
+                log::note(tx, now, None, Some(task.id), body)?;
                 return Ok(Some(rule.name.clone()));
             }
         }
@@ -139,7 +188,7 @@ pub(super) fn on_answer(
     settings: &Settings,
     task: i64,
     now: Millis,
-) -> Result<(), Error> {
+) -> Result<()> {
     if !settings.rules.iter().any(|rule| rule.enabled) {
         return Ok(());
     }
@@ -150,39 +199,14 @@ pub(super) fn on_answer(
 }
 
 /// Waiting tasks that rules may decide, with ids above `after` up to `up_to`.
-fn waiting(tx: &mut dyn Tx, after: i64, up_to: i64, limit: i64) -> Result<Vec<TaskRecord>, Error> {
-    let sql = format!(
-        "SELECT {} FROM task t WHERE t.state = 'submitted' AND t.gold IS NULL AND t.id > ?1 AND t.id <= ?2
-           AND {UNTOUCHED} ORDER BY t.id LIMIT ?3",
-        rows::TASK_COLUMNS
+fn waiting(tx: &mut dyn Tx, after: i64, up_to: i64, limit: i64) -> Result<Vec<TaskRecord>> {
+    let condition = format!(
+        "t.state = 'submitted' AND t.gold IS NULL AND t.id > ?1 AND t.id <= ?2 AND {UNTOUCHED} ORDER BY t.id LIMIT ?3"
     );
-    tx.query(&sql, params![after, up_to, limit])?
-        .iter()
-        .map(rows::read_task)
-        .collect()
+    rows::tasks(tx, &condition, params![after, up_to, limit])
 }
 
-/// Applies the enabled rules to the next waiting tasks.
-pub(super) fn apply(tx: &mut dyn Tx, after: i64, now: Millis) -> Result<RulesApplied, Error> {
-    let settings = project::settings(tx)?;
-    let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
-    let mut done = RulesApplied {
-        looked_at: tasks.len() as i64,
-        next: (tasks.len() as i64 == AT_ONCE)
-            .then(|| tasks.last().map(|task| task.id))
-            .flatten(),
-        ..RulesApplied::default()
-    };
-    for task in tasks {
-        if let Some(rule) = decide(tx, &settings, &task, now)? {
-            *done.accepted.entry(rule).or_default() += 1;
-        }
-    }
-    Ok(done)
-}
-
-/// The rules of the settings, and removed ones whose acceptances stand, with their counts.
-pub(super) fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>, Error> {
+fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>> {
     let settings = project::settings(tx)?;
     let mut accepted: BTreeMap<String, i64> = BTreeMap::new();
     for row in tx.query(
@@ -192,17 +216,18 @@ pub(super) fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>, Error> {
         let name = row.text(0)?.trim_start_matches("rule:").to_owned();
         accepted.insert(name, row.int(1)?);
     }
-    let mut states: Vec<RuleState> = settings
-        .rules
-        .iter()
-        .map(|rule| RuleState {
-            rule: rule.clone(),
-            known: true,
-            accepted: accepted.remove(&rule.name).unwrap_or(0),
-            would_accept: 0,
-            left_to_review: 0,
-        })
-        .collect();
+    let state = |rule: Rule, known: bool, accepted: i64| RuleState {
+        rule,
+        known,
+        accepted,
+        would_accept: 0,
+        left_to_review: 0,
+    };
+    let mut states = Vec::new();
+    for rule in &settings.rules {
+        let count = accepted.remove(&rule.name).unwrap_or(0);
+        states.push(state(rule.clone(), true, count));
+    }
     let mut after = 0;
     loop {
         let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
@@ -220,8 +245,8 @@ pub(super) fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>, Error> {
             }
         }
     }
-    states.extend(accepted.into_iter().map(|(name, accepted)| RuleState {
-        rule: Rule {
+    states.extend(accepted.into_iter().map(|(name, accepted)| {
+        let rule = Rule {
             name,
             enabled: false,
             accepts: RuleKind::Sampled,
@@ -230,85 +255,35 @@ pub(super) fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>, Error> {
             min_answers: 1,
             max_distance: 0.0,
             review_percent: 0,
-        },
-        known: false,
-        accepted,
-        would_accept: 0,
-        left_to_review: 0,
+        };
+        state(rule, false, accepted)
     }));
     Ok(states)
-}
-
-/// Disables a rule and takes its acceptances back, some at a time.
-pub(super) fn undo(
-    tx: &mut dyn Tx,
-    actor: i64,
-    name: &str,
-    now: Millis,
-) -> Result<RuleUndone, Error> {
-    let mut settings = project::settings(tx)?;
-    let rule = settings.rules.iter_mut().find(|rule| rule.name == name);
-    let known = rule.is_some();
-    if let Some(rule) = rule
-        && rule.enabled
-    {
-        rule.enabled = false;
-        project::put_settings(tx, Some(actor), settings, now)?;
-    }
-    let basis = format!("rule:{name}");
-    let tasks = tx.query(
-        "SELECT task FROM accepted WHERE basis = ?1 ORDER BY task LIMIT ?2",
-        params![&basis, AT_ONCE],
-    )?;
-    if tasks.is_empty() && !known {
-        return Err(Error::not_found("rule"));
-    }
-    for row in &tasks {
-        reopen(tx, Some(actor), row.int(0)?, name, "", now)?;
-    }
-    Ok(RuleUndone {
-        reopened: tasks.len() as i64,
-        left: tx.number(
-            "SELECT COUNT(*) FROM accepted WHERE basis = ?1",
-            params![&basis],
-        )?,
-    })
 }
 
 /// Takes back an acceptance of a rule.
 pub(super) fn reopen(
     tx: &mut dyn Tx,
-    actor: Option<i64>,
+    actor: i64,
     task: i64,
     rule: &str,
     comment: &str,
     now: Millis,
-) -> Result<(), Error> {
-    let entry = Entry {
-        at: now,
-        actor,
-        task: Some(task),
-        epoch: None,
-        body: Body::Reopened {
-            comment: comment.to_owned(),
-            request: String::new(),
-            rule: Some(rule.to_owned()),
-        },
+) -> Result<()> {
+    let body = Body::Reopened {
+        comment: comment.to_owned(),
+        request: String::new(),
+        rule: Some(rule.to_owned()),
     };
-    log::note(tx, &entry)?;
-    Ok(())
+    log::note(tx, now, Some(actor), Some(task), body)
 }
 
 /// The rule that accepted a task, and when.
-pub(super) fn accepted_by_rule(
-    tx: &mut dyn Tx,
-    task: i64,
-) -> Result<Option<(String, Millis)>, Error> {
-    let row = tx.one(
-        "SELECT basis, at FROM accepted WHERE task = ?1",
-        params![task],
-    )?;
-    let Some(row) = row else { return Ok(None) };
+pub(super) fn accepted_by_rule(tx: &mut dyn Tx, task: i64) -> Result<Option<(String, Millis)>> {
+    let sql = "SELECT basis, at FROM accepted WHERE task = ?1";
+    let Some(row) = tx.one(sql, params![task])? else {
+        return Ok(None);
+    };
     let rule = row.text(0)?.strip_prefix("rule:").map(str::to_owned);
     Ok(rule.zip(Some(row.int(1)?)))
 }

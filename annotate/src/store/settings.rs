@@ -1,228 +1,195 @@
 //! Checks of new settings.
 
+use super::db::Result;
 use super::pictures;
 use crate::Error;
 use crate::wire::{
-    MAX_GUIDELINE_CHARS, MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style,
+    MAX_GUIDELINE_CHARS, MAX_MASKS, MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style,
 };
 
 /// Maximum number of phrases in a list, and of pictures in a guide.
 const MAX_NAMES: usize = 200;
 /// Maximum quota of an edit type.
 const MAX_QUOTA: u32 = 10_000_000;
+/// Minutes of a week.
+const WEEK: u32 = 7 * 24 * 60;
 /// Maximum number of styles: datasets of a hundred are published.
 const MAX_STYLES: usize = 2_000;
 
+/// Refuses a field unless a condition holds.
+pub(super) fn require(holds: bool, field: &str, problem: impl Into<String>) -> Result<()> {
+    if holds {
+        return Ok(());
+    }
+    Err(Error::invalid(field, problem))
+}
+
 /// Checks new settings.
-pub(super) fn check(settings: &Settings) -> Result<(), Error> {
+pub(super) fn check(settings: &Settings) -> Result<()> {
+    let zone = &settings.time_zone;
     check_numbers(settings)?;
     check_names(settings)?;
-    if !crate::clock::is_zone(&settings.time_zone) {
-        return Err(Error::invalid(
-            "time_zone",
-            format!(
-                "{:?} is no time zone; write a name such as Europe/Berlin or UTC",
-                settings.time_zone
-            ),
-        ));
-    }
+    require(
+        crate::clock::is_zone(zone),
+        "time_zone",
+        format!("{zone:?} is no time zone; write a name such as Europe/Berlin or UTC"),
+    )?;
     check_rules(&settings.rules)?;
     check_guides(settings)
 }
 
-fn check_numbers(settings: &Settings) -> Result<(), Error> {
-    let shares = [
-        ("overlap_percent", settings.overlap_percent),
-        ("gold_percent", settings.gold_percent),
-        ("blind_percent", settings.blind_percent),
-        ("review_percent", settings.review_percent),
-        ("practice_percent", settings.practice_percent),
-    ];
-    for (field, share) in shares {
-        if share > 100 {
-            return Err(Error::invalid(
-                field,
-                format!("{share} % is out of range; use 0 to 100"),
-            ));
-        }
-    }
+fn check_numbers(settings: &Settings) -> Result<()> {
     let ranges = [
+        ("overlap_percent", settings.overlap_percent, 0, 100),
+        ("gold_percent", settings.gold_percent, 0, 100),
+        ("blind_percent", settings.blind_percent, 0, 100),
+        ("review_percent", settings.review_percent, 0, 100),
+        ("practice_percent", settings.practice_percent, 0, 100),
         ("answers_per_task", settings.answers_per_task, 1, 50),
         ("lease_minutes", settings.lease_minutes, 1, 24 * 60),
         ("returned_days", settings.returned_days, 1, 365),
-        (
-            "take_back_minutes",
-            settings.take_back_minutes,
-            0,
-            7 * 24 * 60,
-        ),
+        ("take_back_minutes", settings.take_back_minutes, 0, WEEK),
         ("practice_tasks", settings.practice_tasks, 0, 100),
     ];
     for (field, value, least, most) in ranges {
-        if !(least..=most).contains(&value) {
-            return Err(Error::invalid(
-                field,
-                format!("{value} is out of range; use {least} to {most}"),
-            ));
-        }
+        let problem = format!("{value} is out of range; use {least} to {most}");
+        require((least..=most).contains(&value), field, problem)?;
     }
-    if let Some((edit_type, wanted)) = settings
-        .edit_type_quota
-        .iter()
-        .find(|(_, wanted)| **wanted > MAX_QUOTA)
-    {
-        return Err(Error::invalid(
-            "edit_type_quota",
-            format!("{wanted} pairs of {edit_type} are out of range; use 0 to {MAX_QUOTA}"),
-        ));
+    for (edit_type, wanted) in &settings.edit_type_quota {
+        let problem =
+            format!("{wanted} pairs of {edit_type} are out of range; use 0 to {MAX_QUOTA}");
+        require(*wanted <= MAX_QUOTA, "edit_type_quota", problem)?;
     }
-    if settings.min_masks > settings.max_masks || settings.max_masks > crate::wire::MAX_MASKS {
-        return Err(Error::invalid(
-            "max_masks",
-            format!(
-                "use at least min_masks and at most {}",
-                crate::wire::MAX_MASKS
-            ),
-        ));
-    }
-    Ok(())
+    require(
+        settings.min_masks <= settings.max_masks && settings.max_masks <= MAX_MASKS,
+        "max_masks",
+        format!("use at least min_masks and at most {MAX_MASKS}"),
+    )
 }
 
-fn check_names(settings: &Settings) -> Result<(), Error> {
-    if !is_name(&settings.name) {
-        return Err(Error::invalid(
-            "name",
-            format!("the project needs a name of up to {MAX_NAME_CHARS} characters"),
-        ));
-    }
+fn check_names(settings: &Settings) -> Result<()> {
+    require(
+        is_name(&settings.name),
+        "name",
+        format!("the project needs a name of up to {MAX_NAME_CHARS} characters"),
+    )?;
     check_styles(&settings.styles)?;
     for (field, names) in [
         ("templates", &settings.templates),
         ("mask_templates", &settings.mask_templates),
         ("style_templates", &settings.style_templates),
     ] {
-        if names.len() > MAX_NAMES || !names.iter().all(|name| is_name(name)) {
-            return Err(Error::invalid(
-                field,
-                format!("use up to {MAX_NAMES} names of up to {MAX_NAME_CHARS} characters"),
-            ));
-        }
+        require(
+            names.len() <= MAX_NAMES && names.iter().all(|name| is_name(name)),
+            field,
+            format!("use up to {MAX_NAMES} names of up to {MAX_NAME_CHARS} characters"),
+        )?;
     }
     Ok(())
 }
 
 /// Whether a text can be a name: it is not blank, and short enough for a button.
 pub(super) fn is_name(text: &str) -> bool {
-    !text.trim().is_empty() && text.chars().count() <= MAX_NAME_CHARS
+    !text.trim().is_empty() && has_up_to(text, MAX_NAME_CHARS)
 }
 
-fn check_styles(styles: &[Style]) -> Result<(), Error> {
-    let refuse = |problem: String| Err(Error::invalid("styles", problem));
-    if styles.len() > MAX_STYLES {
-        return refuse(format!("use up to {MAX_STYLES} styles"));
-    }
+/// Whether a text has no more than so many characters.
+pub(super) fn has_up_to(text: &str, most: usize) -> bool {
+    text.chars().count() <= most
+}
+
+/// Whether a text is a word of letters, digits and dashes.
+pub(super) fn is_word(text: &str, lengths: std::ops::RangeInclusive<usize>) -> bool {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
+    lengths.contains(&text.len()) && text.chars().all(allowed)
+}
+
+fn check_styles(styles: &[Style]) -> Result<()> {
+    let require = |holds: bool, problem: String| require(holds, "styles", problem);
+    let most = format!("use up to {MAX_STYLES} styles");
+    require(styles.len() <= MAX_STYLES, most)?;
     for (index, style) in styles.iter().enumerate() {
         let name = &style.name;
-        if !is_name(name) {
-            return refuse(format!(
-                "name each style in up to {MAX_NAME_CHARS} characters"
-            ));
-        }
-        if styles[..index].iter().any(|other| other.name == *name) {
-            return refuse(format!("two styles are called {name:?}"));
-        }
-        if style.text.chars().count() > MAX_TEXT_CHARS {
-            return refuse(format!(
-                "the text of {name:?} has more than {MAX_TEXT_CHARS} characters"
-            ));
-        }
-        if style.guideline.chars().count() > MAX_GUIDELINE_CHARS {
-            return refuse(format!(
-                "the guideline of {name:?} has more than {MAX_GUIDELINE_CHARS} characters"
-            ));
-        }
+        require(
+            is_name(name),
+            format!("name each style in up to {MAX_NAME_CHARS} characters"),
+        )?;
+        require(
+            styles[..index].iter().all(|other| other.name != *name),
+            format!("two styles are called {name:?}"),
+        )?;
+        require(
+            has_up_to(&style.text, MAX_TEXT_CHARS),
+            format!("the text of {name:?} has more than {MAX_TEXT_CHARS} characters"),
+        )?;
+        require(
+            has_up_to(&style.guideline, MAX_GUIDELINE_CHARS),
+            format!("the guideline of {name:?} has more than {MAX_GUIDELINE_CHARS} characters"),
+        )?;
         let is_colour = |text: &String| {
             text.strip_prefix('#').is_some_and(|digits| {
                 digits.len() == 6 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())
             })
         };
-        if !style.colour.as_ref().is_none_or(is_colour) {
-            return refuse(format!("the colour of {name:?} is not written as #rrggbb"));
-        }
+        require(
+            style.colour.as_ref().is_none_or(is_colour),
+            format!("the colour of {name:?} is not written as #rrggbb"),
+        )?;
     }
     Ok(())
 }
 
-fn check_guides(settings: &Settings) -> Result<(), Error> {
+fn check_guides(settings: &Settings) -> Result<()> {
     const MAX_GUIDE: usize = 100_000;
     for (kind, guide) in &settings.guides {
-        if guide.text.chars().count() > MAX_GUIDE || guide.pictures.len() > MAX_NAMES {
-            return Err(Error::invalid(
-                &format!("guides.{kind}"),
-                format!("use up to {MAX_GUIDE} characters and {MAX_NAMES} pictures"),
-            ));
-        }
+        require(
+            has_up_to(&guide.text, MAX_GUIDE) && guide.pictures.len() <= MAX_NAMES,
+            &format!("guides.{kind}"),
+            format!("use up to {MAX_GUIDE} characters and {MAX_NAMES} pictures"),
+        )?;
         for picture in &guide.pictures {
             pictures::check_name(&picture.name)?;
         }
     }
-    if settings.guide.chars().count() > MAX_GUIDE {
-        return Err(Error::invalid(
-            "guide",
-            format!("use up to {MAX_GUIDE} characters"),
-        ));
-    }
-    Ok(())
+    let problem = format!("use up to {MAX_GUIDE} characters");
+    require(has_up_to(&settings.guide, MAX_GUIDE), "guide", problem)
 }
 
-fn check_rules(rules: &[Rule]) -> Result<(), Error> {
+fn check_rules(rules: &[Rule]) -> Result<()> {
     const MAX_RULES: usize = 20;
-    let refuse = |index: usize, field: &str, problem: String| {
-        Err(Error::invalid(&format!("rules.{index}.{field}"), problem))
-    };
-    if rules.len() > MAX_RULES {
-        return Err(Error::invalid(
-            "rules",
-            format!("use up to {MAX_RULES} rules"),
-        ));
-    }
+    let problem = format!("use up to {MAX_RULES} rules");
+    require(rules.len() <= MAX_RULES, "rules", problem)?;
     for (index, rule) in rules.iter().enumerate() {
-        let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
-        if !(1..=40).contains(&rule.name.len()) || !rule.name.chars().all(allowed) {
-            return refuse(
-                index,
-                "name",
-                format!(
-                    "{:?} is no name of a rule; use 1 to 40 letters, digits and dashes",
-                    rule.name
-                ),
-            );
+        let (name, kind) = (&rule.name, rule.accepts);
+        let require = |holds: bool, field: &str, problem: &str| {
+            require(holds, &format!("rules.{index}.{field}"), problem)
+        };
+        require(
+            is_word(name, 1..=40),
+            "name",
+            &format!("{name:?} is no name of a rule; use 1 to 40 letters, digits and dashes"),
+        )?;
+        require(
+            rules[..index].iter().all(|other| other.name != *name),
+            "name",
+            &format!("two rules are called {name}"),
+        )?;
+        if kind == RuleKind::Trusted {
+            let named = !rule.people.is_empty();
+            require(named, "people", "name the people to trust")?;
+        } else {
+            let problem = format!("a rule that accepts {kind} has no people; leave them out");
+            require(rule.people.is_empty(), "people", &problem)?;
         }
-        if rules[..index].iter().any(|other| other.name == rule.name) {
-            return refuse(index, "name", format!("two rules are called {}", rule.name));
-        }
-        if rule.accepts == RuleKind::Trusted && rule.people.is_empty() {
-            return refuse(index, "people", "name the people to trust".to_owned());
-        }
-        if rule.accepts != RuleKind::Trusted && !rule.people.is_empty() {
-            return refuse(
-                index,
-                "people",
-                format!(
-                    "a rule that accepts {} has no people; leave them out",
-                    rule.accepts
-                ),
-            );
-        }
-        if !(1..=50).contains(&rule.min_answers) {
-            return refuse(index, "min_answers", "use 1 to 50".to_owned());
-        }
-        if !(0.0..=1.0).contains(&rule.max_distance) {
-            return refuse(index, "max_distance", "use 0 to 1".to_owned());
-        }
-        if rule.review_percent > 100 {
-            return refuse(index, "review_percent", "use 0 to 100".to_owned());
-        }
+        let (answers, distance) = (rule.min_answers, rule.max_distance);
+        let is_share = rule.review_percent <= 100;
+        require((1..=50).contains(&answers), "min_answers", "use 1 to 50")?;
+        require(
+            (0.0..=1.0).contains(&distance),
+            "max_distance",
+            "use 0 to 1",
+        )?;
+        require(is_share, "review_percent", "use 0 to 100")?;
     }
     Ok(())
 }
@@ -235,56 +202,42 @@ mod tests {
     #[test]
     fn settings_are_bounded() {
         assert!(check(&Settings::default()).is_ok());
-        let styles = |styles| Settings {
-            styles,
-            ..Settings::default()
+        let good = Style {
+            name: "old".to_owned(),
+            text: "Short steps.".to_owned(),
+            guideline: "Bend the knees.\n\nDo not limp.".to_owned(),
+            colour: Some("#8f6B00".to_owned()),
         };
+        let styles = vec![good];
         assert!(
-            check(&styles(vec![Style {
-                name: "old".to_owned(),
-                text: "Short steps.".to_owned(),
-                guideline: "Bend the knees.\n\nDo not limp.".to_owned(),
-                colour: Some("#8f6B00".to_owned()),
-            }]))
+            check(&Settings {
+                styles,
+                ..Settings::default()
+            })
             .is_ok()
         );
-        for broken in [
-            Settings {
-                gold_percent: 101,
-                ..Settings::default()
+        let broken: [fn(&mut Settings); 10] = [
+            |settings| settings.gold_percent = 101,
+            |settings| settings.answers_per_task = 0,
+            |settings| settings.lease_minutes = 0,
+            |settings| settings.min_masks = 5,
+            |settings| settings.edit_type_quota = [(EditType::Speed, MAX_QUOTA + 1)].into(),
+            |settings| settings.styles = vec![Style::default()],
+            |settings| settings.styles = vec![Style::named("old"), Style::named("old")],
+            |settings| {
+                settings.styles = vec![Style::named("old")];
+                settings.styles[0].colour = Some("red".to_owned());
             },
-            Settings {
-                answers_per_task: 0,
-                ..Settings::default()
+            |settings| {
+                settings.styles = vec![Style::named("old")];
+                settings.styles[0].guideline = "x".repeat(MAX_GUIDELINE_CHARS + 1);
             },
-            Settings {
-                lease_minutes: 0,
-                ..Settings::default()
-            },
-            Settings {
-                min_masks: 5,
-                ..Settings::default()
-            },
-            Settings {
-                edit_type_quota: [(EditType::Speed, MAX_QUOTA + 1)].into(),
-                ..Settings::default()
-            },
-            styles(vec![Style::default()]),
-            styles(vec![Style::named("old"), Style::named("old")]),
-            styles(vec![Style {
-                colour: Some("red".to_owned()),
-                ..Style::named("old")
-            }]),
-            styles(vec![Style {
-                guideline: "x".repeat(MAX_GUIDELINE_CHARS + 1),
-                ..Style::named("old")
-            }]),
-            Settings {
-                name: " ".to_owned(),
-                ..Settings::default()
-            },
-        ] {
-            assert!(check(&broken).is_err());
+            |settings| settings.name = " ".to_owned(),
+        ];
+        for (index, change) in broken.iter().enumerate() {
+            let mut broken = Settings::default();
+            change(&mut broken);
+            assert!(check(&broken).is_err(), "{index}");
         }
     }
 }

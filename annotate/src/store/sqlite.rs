@@ -8,7 +8,7 @@ use std::time::Duration;
 use rusqlite::types::{ToSqlOutput, ValueRef};
 use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, TransactionBehavior, params_from_iter};
 
-use super::db::{Content, Database, Row, Tx, Value, Work};
+use super::db::{Content, Database, Result, Row, Tx, Value, Work, not_opened, read_only};
 use super::group::{Writer, WriterThread, caught};
 use super::migrate::{self, Plan, Upgrade};
 use super::readers::{Readers, Snapshot};
@@ -31,94 +31,90 @@ BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;";
 /// A store in one file.
 pub(crate) struct Sqlite {
     path: PathBuf,
-    upgrade: Option<Upgrade>,
     writer: WriterThread,
     readers: Readers<Connection>,
 }
 
 impl Sqlite {
-    /// Opens the file, or creates it with all tables.
-    pub(crate) fn open(path: &Path) -> Result<Self, Error> {
+    /// Opens the file, or creates it with all tables. Says what upgrade that made.
+    pub(crate) fn open(path: &Path) -> Result<(Self, Option<Upgrade>)> {
         if let Some(kind) = network_file_system(path) {
-            return Err(Error::Open {
-                path: path.display().to_string(),
-                reason: format!(
+            return Err(open_error(
+                path,
+                format!(
                     "it lies on {kind}, where locks are unreliable and a crash can \
                      destroy the file; put it on a local disk with --store FILE, or use PostgreSQL"
                 ),
-            });
+            ));
         }
         let (writer, upgrade) = open_writer(path)?;
         let readers = Readers::open(|| open_reader(path))?;
         let writer = WriterThread::start(writer)
             .map_err(datasets_spec::Error::io("start the writer of", path))?;
-        Ok(Self {
+        let store = Self {
             path: path.to_owned(),
-            upgrade,
             writer,
             readers,
-        })
-    }
-
-    /// The upgrade that opening made.
-    pub(crate) fn upgrade(&self) -> Option<Upgrade> {
-        self.upgrade.clone()
+        };
+        Ok((store, upgrade))
     }
 }
 
 fn failed(action: &'static str) -> impl Fn(rusqlite::Error) -> Error {
     move |source| match source.sqlite_error_code() {
-        Some(ErrorCode::DiskFull) => Error::ReadOnly {
-            reason: "the disk is full; free disk space and send the request again".to_owned(),
-        },
-        Some(ErrorCode::ReadOnly) => Error::ReadOnly {
-            reason: "the file or its folder is read-only; make both writable for this program"
-                .to_owned(),
-        },
-        Some(ErrorCode::SystemIoFailure) => Error::ReadOnly {
-            reason: format!("the disk reports an error ({source}); check the disk"),
-        },
+        Some(ErrorCode::DiskFull) => {
+            read_only("the disk is full; free disk space and send the request again")
+        }
+        Some(ErrorCode::ReadOnly) => {
+            read_only("the file or its folder is read-only; make both writable for this program")
+        }
+        Some(ErrorCode::SystemIoFailure) => read_only(format!(
+            "the disk reports an error ({source}); check the disk"
+        )),
         _ => Error::Sqlite { action, source },
     }
 }
 
 fn open_error(path: &Path, reason: impl std::fmt::Display) -> Error {
-    Error::Open {
-        path: path.display().to_string(),
-        reason: reason.to_string(),
-    }
+    not_opened(path.display(), reason)
 }
 
-fn open_writer(path: &Path) -> Result<(Connection, Option<Upgrade>), Error> {
+/// Opens a connection, with settings of its own.
+fn connect(path: &Path, flags: OpenFlags, settings: &str) -> Result<Connection> {
     let refuse = |error: rusqlite::Error| open_error(path, error);
-    let mut db = Connection::open(path).map_err(refuse)?;
+    let db = Connection::open_with_flags(path, flags).map_err(refuse)?;
     db.busy_timeout(BUSY).map_err(refuse)?;
     db.set_prepared_statement_cache_capacity(STATEMENTS);
+    db.execute_batch(settings).map_err(refuse)?;
+    Ok(db)
+}
+
+fn open_writer(path: &Path) -> Result<(Connection, Option<Upgrade>)> {
+    let settings = format!(
+        "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA wal_autocheckpoint=4000; \
+         PRAGMA cache_size=-{WRITER_CACHE_KB}; PRAGMA temp_store=MEMORY;"
+    );
+    let mut db = connect(path, OpenFlags::default(), &settings)?;
     let mode: String = db
         .query_row("PRAGMA journal_mode=WAL", [], |row| row.get(0))
-        .map_err(refuse)?;
+        .map_err(|error| open_error(path, error))?;
     if mode != "wal" {
         return Err(open_error(
             path,
             "its file system does not support a write-ahead log; put it on a local disk with --store FILE",
         ));
     }
-    db.execute_batch(&format!(
-        "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA wal_autocheckpoint=4000; \
-         PRAGMA cache_size=-{WRITER_CACHE_KB}; PRAGMA temp_store=MEMORY;"
-    ))
-    .map_err(refuse)?;
     let upgrade = prepare(&mut db, path)?;
     Ok((db, upgrade))
 }
 
-fn version(db: &Connection) -> Result<i64, Error> {
+fn version(db: &Connection) -> Result<i64> {
     db.query_row("PRAGMA user_version", [], |row| row.get(0))
         .map_err(failed("read its version"))
 }
 
 /// Creates the tables of a new store, or upgrades those of an older version after a copy.
-fn prepare(db: &mut Connection, path: &Path) -> Result<Option<Upgrade>, Error> {
+fn prepare(db: &mut Connection, path: &Path) -> Result<Option<Upgrade>> {
     let place = path.display().to_string();
     let copy = match migrate::plan(&place, version(db)?)? {
         Plan::Nothing => return Ok(None),
@@ -167,7 +163,7 @@ fn unused(path: &Path, version: i64) -> PathBuf {
 }
 
 /// Copies a database to a new file, which appears whole and on the disk or not at all.
-fn copy_to(db: &Connection, path: &Path, content: Content) -> Result<(), Error> {
+fn copy_to(db: &Connection, path: &Path, content: Content) -> Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
     let copied = (|| {
@@ -200,7 +196,7 @@ fn publish(
     temporary: &Path,
     path: &Path,
     sync: &mut dyn FnMut(&Path) -> std::io::Result<()>,
-) -> Result<(), Error> {
+) -> Result<()> {
     sync(temporary).map_err(datasets_spec::Error::io("write", temporary))?;
     std::fs::rename(temporary, path).map_err(datasets_spec::Error::io("rename", path))?;
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
@@ -208,25 +204,20 @@ fn publish(
     Ok(sync(folder).map_err(datasets_spec::Error::io("write folder", folder))?)
 }
 
-fn open_reader(path: &Path) -> Result<Connection, Error> {
-    let refuse = |error: rusqlite::Error| open_error(path, error);
+fn open_reader(path: &Path) -> Result<Connection> {
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let db = Connection::open_with_flags(path, flags).map_err(refuse)?;
-    db.busy_timeout(BUSY).map_err(refuse)?;
-    db.set_prepared_statement_cache_capacity(STATEMENTS);
-    db.execute_batch("PRAGMA query_only=ON").map_err(refuse)?;
-    Ok(db)
+    connect(path, flags, "PRAGMA query_only=ON")
 }
 
 impl Writer for Connection {
     const GROUP: usize = 128;
 
-    fn begin(&mut self) -> Result<(), Error> {
+    fn begin(&mut self) -> Result<()> {
         self.execute_batch("BEGIN IMMEDIATE")
             .map_err(failed("begin a transaction"))
     }
 
-    fn run(&mut self, work: Work) -> Result<(), Error> {
+    fn run(&mut self, work: Work<'_>) -> Result<()> {
         let mut savepoint = self.savepoint().map_err(failed("begin a transaction"))?;
         let error = match caught(|| work(&mut SqliteTx { db: &savepoint })) {
             Ok(()) => return savepoint.commit().map_err(failed("commit")),
@@ -245,7 +236,7 @@ impl Writer for Connection {
         !self.is_autocommit()
     }
 
-    fn commit(&mut self) -> Result<(), Error> {
+    fn commit(&mut self) -> Result<()> {
         self.execute_batch("COMMIT").map_err(failed("commit"))
     }
 
@@ -268,7 +259,7 @@ pub(crate) struct SqliteTx<'a> {
 pub(crate) struct Scratch(Connection);
 
 impl Scratch {
-    pub(crate) fn new() -> Result<Self, Error> {
+    pub(crate) fn new() -> Result<Self> {
         let make = failed("make a scratch database");
         let db = Connection::open("").map_err(&make)?;
         db.set_prepared_statement_cache_capacity(STATEMENTS);
@@ -296,14 +287,14 @@ impl ToSql for Value {
 }
 
 impl Tx for SqliteTx<'_> {
-    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64, Error> {
+    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
         let wrap = failed("write");
         let mut statement = self.db.prepare_cached(sql).map_err(&wrap)?;
         let changed = statement.execute(params_from_iter(params)).map_err(&wrap)?;
         Ok(changed as u64)
     }
 
-    fn define(&mut self, sql: &str) -> Result<(), Error> {
+    fn define(&mut self, sql: &str) -> Result<()> {
         // INTEGER PRIMARY KEY makes the id the rowid, so SQLite keeps no extra index.
         let sql = sql.replace("BIGINT PRIMARY KEY", "INTEGER PRIMARY KEY");
         self.db
@@ -311,7 +302,7 @@ impl Tx for SqliteTx<'_> {
             .map_err(failed("make its tables"))
     }
 
-    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>, Error> {
+    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
         let wrap = failed("read");
         let mut statement = self.db.prepare_cached(sql).map_err(&wrap)?;
         let columns = statement.column_count();
@@ -335,11 +326,11 @@ impl Tx for SqliteTx<'_> {
 }
 
 impl Database for Sqlite {
-    fn write(&self, work: Work) -> Result<(), Error> {
+    fn write(&self, work: Work<'static>) -> Result<()> {
         self.writer.write(work)
     }
 
-    fn read(&self, work: Work) -> Result<(), Error> {
+    fn read(&self, work: Work<'_>) -> Result<()> {
         self.readers.with(
             |reader| {
                 reader.execute_batch("BEGIN").map_err(failed("read"))?;
@@ -352,7 +343,7 @@ impl Database for Sqlite {
         )
     }
 
-    fn backup(&self, path: &Path, content: Content) -> Result<(), Error> {
+    fn backup(&self, path: &Path, content: Content) -> Result<()> {
         if path.exists() {
             return Err(open_error(path, "the file exists; choose another name"));
         }
@@ -363,7 +354,7 @@ impl Database for Sqlite {
         copy_to(&reader, path, content)
     }
 
-    fn snapshot(&self) -> Result<Box<dyn Database>, Error> {
+    fn snapshot(&self) -> Result<Box<dyn Database>> {
         let reader = open_reader(&self.path)?;
         reader.execute_batch("BEGIN").map_err(failed("read"))?;
         // The first read fixes the point in time.
@@ -371,10 +362,6 @@ impl Database for Sqlite {
         Ok(Box::new(Snapshot::new(reader, |reader, work| {
             work(&mut SqliteTx { db: reader })
         })))
-    }
-
-    fn check(&self) -> Result<(), Error> {
-        self.write(Box::new(super::db::try_writing))
     }
 }
 
@@ -392,54 +379,11 @@ fn network_file_system(path: &Path) -> Option<String> {
 fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
     // With and without the prefix `fuse.`. Those of clusters and of virtual machines are among them: each host
     // maps the shared memory of the write-ahead log for itself.
-    const NETWORK: &[&str] = &[
-        "9p",
-        "acfs",
-        "afs",
-        "beegfs",
-        "beegfs_nodev",
-        "blobfuse2",
-        "ceph",
-        "ceph-fuse",
-        "cifs",
-        "coda",
-        "cvmfs2",
-        "davfs",
-        "davfs2",
-        "fhgfs",
-        "gcsfuse",
-        "gfs2",
-        "glusterfs",
-        "goofys",
-        "gpfs",
-        "grpcfuse",
-        "juicefs",
-        "kafs",
-        "lustre",
-        "mount-s3",
-        "mountpoint-s3",
-        "ncpfs",
-        "nfs",
-        "nfs4",
-        "ocfs2",
-        "orangefs",
-        "panfs",
-        "prl_fs",
-        "pvfs2",
-        "quobyte",
-        "rclone",
-        "s3fs",
-        "seaweedfs",
-        "smb2",
-        "smb3",
-        "smbfs",
-        "sshfs",
-        "vboxsf",
-        "virtiofs",
-        "vmhgfs",
-        "vmhgfs-fuse",
-        "wekafs",
-    ];
+    const NETWORK: &str = "9p acfs afs beegfs beegfs_nodev blobfuse2 ceph ceph-fuse cifs coda cvmfs2 davfs davfs2 \
+        fhgfs gcsfuse gfs2 glusterfs goofys gpfs grpcfuse juicefs kafs lustre mount-s3 mountpoint-s3 ncpfs nfs nfs4 \
+        ocfs2 orangefs panfs prl_fs pvfs2 quobyte rclone s3fs seaweedfs smb2 smb3 smbfs sshfs vboxsf virtiofs vmhgfs \
+        vmhgfs-fuse wekafs";
+    let is_network = |kind: &str| NETWORK.split(' ').any(|name| name == kind);
     mounts
         .lines()
         .filter_map(|line| {
@@ -449,7 +393,7 @@ fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
             folder.starts_with(&point).then_some((point.len(), kind))
         })
         .max_by_key(|(length, _)| *length)
-        .filter(|(_, kind)| NETWORK.contains(&kind.strip_prefix("fuse.").unwrap_or(kind)))
+        .filter(|(_, kind)| is_network(kind.strip_prefix("fuse.").unwrap_or(kind)))
         .map(|(_, kind)| format!("a network file system ({kind})"))
 }
 
@@ -469,37 +413,23 @@ fn unescaped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::db::{self, params};
+    use super::super::{db, project};
     use super::*;
 
     fn store() -> (tempfile::TempDir, Sqlite) {
         let dir = tempfile::tempdir().expect("a folder");
-        let store = Sqlite::open(&dir.path().join("s.sqlite")).expect("opens");
+        let (store, _) = Sqlite::open(&dir.path().join("s.sqlite")).expect("opens");
         (dir, store)
     }
 
-    fn put(name: &str) -> impl FnOnce(&mut dyn Tx) -> Result<(), Error> + Send + 'static {
+    fn put(name: &str) -> impl FnOnce(&mut dyn Tx) -> Result<()> + Send + 'static {
         let name = name.to_owned();
-        move |tx| {
-            tx.execute(
-                "INSERT INTO setting (name, body) VALUES (?1, '')",
-                params![&name],
-            )?;
-            Ok(())
-        }
+        move |tx| project::put(tx, &name, "")
     }
 
     fn names(store: &Sqlite) -> Vec<String> {
-        db::read(store, |tx| {
-            tx.query(
-                "SELECT name FROM setting WHERE name <> 'id' ORDER BY name",
-                &[],
-            )?
-            .iter()
-            .map(|row| row.string(0))
-            .collect()
-        })
-        .expect("reads")
+        let sql = "SELECT name FROM setting WHERE name <> 'id' ORDER BY name";
+        db::read(store, |tx| tx.list(sql, &[], |row| row.string(0))).expect("reads")
     }
 
     #[test]
@@ -541,15 +471,10 @@ mod tests {
     }
 
     /// A row that takes a few pages.
-    fn put_much(store: &Sqlite, name: &str) -> Result<(), Error> {
+    fn put_much(store: &Sqlite, name: &str) -> Result<()> {
         let name = name.to_owned();
         db::write(store, move |tx| {
-            let body = "x".repeat(20_000);
-            tx.execute(
-                "INSERT INTO setting (name, body) VALUES (?1, ?2)",
-                params![&name, &body],
-            )?;
-            Ok(())
+            project::put(tx, &name, &"x".repeat(20_000))
         })
     }
 
@@ -632,7 +557,7 @@ mod tests {
             let kept = &log[..log.len() - cut * log.len() / 8];
             std::fs::write(crashed.path().join("s.sqlite-wal"), kept).expect("a copy");
             // Cut to nothing, the first transaction is gone with the tables; they are made anew.
-            let reopened = Sqlite::open(&path).expect("opens without repair");
+            let (reopened, _) = Sqlite::open(&path).expect("opens without repair");
             let found = names(&reopened);
             assert_eq!(found, written[..found.len()], "a prefix, in order");
             assert_eq!(cut == 0, found.len() == written.len());
@@ -665,7 +590,7 @@ mod tests {
         let copy = dir.path().join("copy.sqlite");
         store.backup(&copy, Content::All).expect("copies");
         assert!(store.backup(&copy, Content::All).is_err());
-        assert_eq!(names(&Sqlite::open(&copy).expect("opens")), ["kept"]);
+        assert_eq!(names(&Sqlite::open(&copy).expect("opens").0), ["kept"]);
     }
 
     #[test]
@@ -689,35 +614,14 @@ mod tests {
 
     #[test]
     fn network_file_systems_are_known_by_their_mount() {
-        let kinds = [
-            "nfs",
-            "nfs4",
-            "cifs",
-            "smb3",
-            "gpfs",
-            "beegfs",
-            "lustre",
-            "9p",
-            "virtiofs",
-            "ceph",
-            "fuse.sshfs",
-            "fuse.juicefs",
-        ];
-        for kind in kinds {
+        let kinds =
+            "nfs nfs4 cifs smb3 gpfs beegfs lustre 9p virtiofs ceph fuse.sshfs fuse.juicefs";
+        for kind in kinds.split(' ') {
             let mounts = format!("/dev/sda1 / ext4 rw 0 0\nshare /data {kind} rw 0 0\n");
             let found = network_mount(&mounts, Path::new("/data/set"));
             assert!(found.is_some_and(|said| said.contains(kind)), "{kind}");
         }
-        for kind in [
-            "ext4",
-            "xfs",
-            "btrfs",
-            "zfs",
-            "tmpfs",
-            "overlay",
-            "fuseblk",
-            "fuse.mergerfs",
-        ] {
+        for kind in "ext4 xfs btrfs zfs tmpfs overlay fuseblk fuse.mergerfs".split(' ') {
             let mounts = format!("share / nfs rw 0 0\ndisk /data {kind} rw 0 0\n");
             assert_eq!(
                 network_mount(&mounts, Path::new("/data/set")),

@@ -115,7 +115,7 @@ impl Exporter<'_> {
                     kind: label.kind.to_string(),
                     motion_id,
                     target_id,
-                    split: label.split,
+                    split: task.split,
                     author: exporter.pseudonym(label.revision.author),
                     state: label.revision.state.to_string(),
                     draft_distance: draft_distance(exporter.store, answer)?,
