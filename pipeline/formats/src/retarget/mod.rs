@@ -591,31 +591,10 @@ pub(crate) mod tests {
 
     /// Names of a rig that no dialect knows, but whose words say what is what.
     fn wordy(joint: usize) -> String {
-        [
-            "rig_pelvis",
-            "thigh.L",
-            "thigh.R",
-            "low",
-            "shin.L",
-            "shin.R",
-            "mid",
-            "foot.L",
-            "foot.R",
-            "top",
-            "toe.L",
-            "toe.R",
-            "neck",
-            "clavicle.L",
-            "clavicle.R",
-            "head",
-            "upper_arm.L",
-            "upper_arm.R",
-            "forearm.L",
-            "forearm.R",
-            "hand.L",
-            "hand.R",
-        ][joint]
-            .to_owned()
+        let names = "rig_pelvis thigh.L thigh.R low shin.L shin.R mid foot.L foot.R top toe.L toe.R neck clavicle.L \
+                     clavicle.R head upper_arm.L upper_arm.R forearm.L forearm.R hand.L hand.R";
+        let mut names = names.split(' ');
+        names.nth(joint).expect("22 names").to_owned()
     }
 
     fn rejected(text: &str) -> Rejected {

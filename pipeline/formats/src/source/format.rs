@@ -15,13 +15,7 @@ use clip::{Outcome, ReadClip, Rejected, rejected};
 ///
 /// A format of single files implements [`SourceFormat::read`] and a way to recognise them; a format of
 /// releases, whose files belong together, implements [`SourceFormat::find`].
-pub trait SourceFormat: fmt::Debug + Send + Sync {
-    /// The name used in tables and on the command line.
-    fn name(&self) -> &'static str;
-
-    /// Bytes per second of motion in a file, for estimates.
-    fn bytes_per_second(&self) -> f64;
-
+pub trait SourceFormat: Send + Sync {
     /// Recognises a file by its name; none if the name is not of this format. `extension` is in lower
     /// case.
     fn by_name(&self, extension: &str, name: &str, head: &[u8]) -> Option<Recognised> {
@@ -55,11 +49,8 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
     /// Reads one motion of a single file. `key` is one of [`SourceFormat::keys`], or empty.
     fn read(&self, path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
         let _ = (path, key, bytes, options);
-        Outcome::Rejected(rejected!(
-            "E-INTERNAL",
-            "{} is a format of releases, not of files",
-            self.name()
-        ))
+        let reason = "the format is one of releases, not of files";
+        Outcome::Rejected(Rejected::read("E-INTERNAL", reason))
     }
 
     /// Refuses a large file by what its headers say, before all of it is read.
@@ -89,17 +80,34 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
 
 /// One of [`super::FORMATS`].
 #[derive(Clone, Copy)]
-pub struct Format(&'static dyn SourceFormat);
+pub struct Format {
+    name: &'static str,
+    bytes_per_second: f64,
+    reader: &'static dyn SourceFormat,
+}
 
 impl Format {
-    /// A format by what it does.
-    pub const fn new(format: &'static dyn SourceFormat) -> Self {
-        Self(format)
+    /// A format by its name, the bytes per second of motion in its files, and what it does.
+    pub const fn new(
+        name: &'static str,
+        bytes_per_second: f64,
+        reader: &'static dyn SourceFormat,
+    ) -> Self {
+        Self {
+            name,
+            bytes_per_second,
+            reader,
+        }
     }
 
     /// The name used in tables and on the command line.
     pub fn as_str(self) -> &'static str {
-        self.0.name()
+        self.name
+    }
+
+    /// Bytes per second of motion in a file, for estimates.
+    pub const fn bytes_per_second(self) -> f64 {
+        self.bytes_per_second
     }
 }
 
@@ -107,13 +115,13 @@ impl std::ops::Deref for Format {
     type Target = dyn SourceFormat;
 
     fn deref(&self) -> &Self::Target {
-        self.0
+        self.reader
     }
 }
 
 impl PartialEq for Format {
     fn eq(&self, other: &Self) -> bool {
-        self.as_str() == other.as_str()
+        self.name == other.name
     }
 }
 
@@ -121,7 +129,7 @@ impl Eq for Format {}
 
 impl fmt::Debug for Format {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
+        f.write_str(self.name)
     }
 }
 

@@ -79,21 +79,12 @@ fn subset_note(path: &Path) -> Option<String> {
 }
 
 /// AMASS: SMPL, SMPL-H or SMPL-X parameters in an npz archive.
-pub const FORMAT: Format = Format::new(&Amass);
+// SMPL-H at 120 fps in f8.
+pub const FORMAT: Format = Format::new("amass", 160_000.0, &Amass);
 
-#[derive(Debug)]
 struct Amass;
 
 impl SourceFormat for Amass {
-    fn name(&self) -> &'static str {
-        "amass"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // SMPL-H at 120 fps in f8.
-        160_000.0
-    }
-
     fn by_name(&self, extension: &str, name: &str, _head: &[u8]) -> Option<Recognised> {
         let no_motion = |reason: &str| Recognised::NotMotion {
             reason: reason.to_owned(),

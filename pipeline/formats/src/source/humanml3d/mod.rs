@@ -61,20 +61,15 @@ pub(crate) fn recognise_array(head: &[u8]) -> Recognised {
 }
 
 /// A HumanML3D folder: joints, 263-d vectors, captions and split lists.
-pub const FORMAT: Format = Format::new(&HumanMl3d);
+pub const FORMAT: Format = Format::new(
+    "humanml3d",
+    (size_of::<[f32; HUMANML3D_WIDTH]>() * 20) as f64,
+    &HumanMl3d,
+);
 
-#[derive(Debug)]
 struct HumanMl3d;
 
 impl SourceFormat for HumanMl3d {
-    fn name(&self) -> &'static str {
-        "humanml3d"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        (size_of::<[f32; HUMANML3D_WIDTH]>() as f64) * FPS.get()
-    }
-
     fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
         (extension == "npy").then(|| recognise_array(head))
     }

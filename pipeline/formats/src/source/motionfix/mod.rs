@@ -454,21 +454,16 @@ fn parse_parts(answer: &str) -> Vec<BodyPart> {
 }
 
 /// A folder of the MotionFix release.
-pub const FORMAT: Format = Format::new(&MotionFix);
+// Source and target in f4 at 30 fps: translation, rotations and joint positions.
+pub const FORMAT: Format = Format::new(
+    "motionfix",
+    (2 * 4 * 3 * (1 + 2 * NUM_BODY_JOINTS) * 30) as f64,
+    &MotionFix,
+);
 
-#[derive(Debug)]
 struct MotionFix;
 
 impl SourceFormat for MotionFix {
-    fn name(&self) -> &'static str {
-        "motionfix"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // Source and target in f4 at 30 fps: translation, rotations and joint positions.
-        2.0 * 4.0 * (3 * (1 + 2 * NUM_BODY_JOINTS)) as f64 * 30.0
-    }
-
     fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
         find(files)
     }

@@ -20,7 +20,6 @@ use std::io::Read;
 use std::path::Path;
 
 use datasets_spec::{Skeleton, Split};
-use features::released_fps;
 use features::representation_272::{Features, WIDTH, motion_of_features};
 use pickle::npy::{self, Header};
 
@@ -41,20 +40,15 @@ const STATISTICS: &str = "mean_std";
 const HEAD_BYTES: u64 = 256;
 
 /// The 272 features of MotionStreamer and MotionMillion.
-pub const FORMAT: Format = Format::new(&Representation272);
+pub const FORMAT: Format = Format::new(
+    "272",
+    (size_of::<Features>() * 30) as f64,
+    &Representation272,
+);
 
-#[derive(Debug)]
 struct Representation272;
 
 impl SourceFormat for Representation272 {
-    fn name(&self) -> &'static str {
-        "272"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        (size_of::<Features>() as f64) * released_fps().get()
-    }
-
     fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
         (extension == "npy" && has_width(head)).then_some(Recognised::Motion(FORMAT))
     }

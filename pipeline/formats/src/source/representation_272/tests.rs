@@ -1,4 +1,5 @@
 use datasets_spec::Motion;
+use features::released_fps;
 use features::representation_272::features_of_motion;
 use proptest::prelude::*;
 use testkit::walk;

@@ -191,21 +191,12 @@ fn in_metres(rows: &Rows, header: &Header, unit: CaptureUnit) -> Result<Position
 }
 
 /// TRC: marker positions as text.
-pub const FORMAT: Format = Format::new(&Trc);
+// 40 markers of three coordinates of ten characters at 100 fps.
+pub const FORMAT: Format = Format::new("trc", 120_000.0, &Trc);
 
-#[derive(Debug)]
 struct Trc;
 
 impl SourceFormat for Trc {
-    fn name(&self) -> &'static str {
-        "trc"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // 40 markers of three coordinates of ten characters at 100 fps.
-        120_000.0
-    }
-
     fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
         (extension == "trc").then_some(Recognised::Motion(FORMAT))
     }
