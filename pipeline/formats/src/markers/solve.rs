@@ -90,11 +90,10 @@ impl<'a> Solvable<'a> {
     ) -> Result<Self, SolveError> {
         let skeleton = &options.skeleton;
         let Match { set, missing, .. } = recognise(subject, options.markers.as_ref())?;
-        let name = || set.name().to_owned();
         let worn = LabelledMarkers::of(subject, set);
         let frames = Frames::of(&markers, &worn);
         let headless = check_parts(&worn.seen_joints(&frames), set, &missing)?;
-        let no_body = || SolveError::NoBody { set: name() };
+        let no_body = || SolveError::no_body(set.name());
         let (turn, up) = frames.up_turn(&worn).ok_or_else(no_body)?;
         for position in &mut markers.positions {
             let turned = turn * DVec3::from_array(position.map(f64::from));
@@ -105,17 +104,18 @@ impl<'a> Solvable<'a> {
             .filter(|frame| frames.usable(*frame))
             .collect();
         if usable.len() < 2 {
-            return Err(SolveError::NotSeen {
-                set: name(),
-                frames: usable.len(),
-            });
+            return Err(SolveError::Markers(format!(
+                "{} frames show half of the markers of the set {}, expected at least 2",
+                usable.len(),
+                set.name()
+            )));
         }
         let tall = Solver::of(skeleton, &worn).first_height(&frames, &usable);
         let tall = tall.ok_or_else(no_body)?;
         let metres = tall * body_height(skeleton);
         if !PERSON_M.contains(&metres) {
             return Err(SolveError::Height {
-                set: name(),
+                set: set.name().to_owned(),
                 metres,
             });
         }
@@ -146,9 +146,7 @@ impl<'a> Solvable<'a> {
             tall,
             headless,
         } = self;
-        let no_body = || SolveError::NoBody {
-            set: set.name().to_owned(),
-        };
+        let no_body = || SolveError::no_body(set.name());
         let mut solver = Solver::of(skeleton, &worn);
         solver.scale = 1.0 / tall;
         solver.calibrate(&frames, &usable).ok_or_else(no_body)?;
@@ -189,24 +187,28 @@ fn recognise<'a>(subject: &Subject, own: Option<&'a MarkerSet>) -> Result<Match<
     let Some(found) = nearest(&bare, own) else {
         let sets = own.into_iter().chain(marker_sets());
         let sets: Vec<&str> = sets.map(MarkerSet::name).collect();
-        return Err(SolveError::NoSet {
-            count: subject.bare.len(),
-            labels: some_of(subject.bare.iter().map(String::as_str)),
-            sets: sets.join(", "),
-        });
+        return Err(SolveError::Markers(format!(
+            "none of {} labels is of a known marker set ({}): {}; `stance ingest --markers FILE` says where they are \
+             worn",
+            subject.bare.len(),
+            sets.join(", "),
+            some_of(subject.bare.iter().map(String::as_str))
+        )));
     };
     if found.is_whole() {
         return Ok(found);
     }
     let of_set = |bare: &&String| found.set.placement(bare).is_none();
-    Err(SolveError::NotWhole {
-        set: found.set.name().to_owned(),
-        found: found.found,
-        of: found.set.labels().count(),
-        missing: some_of(found.missing.iter().copied()),
-        count: subject.bare.len(),
-        others: some_of(subject.bare.iter().filter(of_set).map(String::as_str)),
-    })
+    Err(SolveError::Markers(format!(
+        "{} of the {} labels of marker set {}, which comes nearest, are there; missing {}; the other labels among {} \
+         are {}; `stance ingest --markers FILE` says where they are worn",
+        found.found,
+        found.set.labels().count(),
+        found.set.name(),
+        some_of(found.missing.iter().copied()),
+        subject.bare.len(),
+        some_of(subject.bare.iter().filter(of_set).map(String::as_str))
+    )))
 }
 
 /// Refuses markers that do not tell the pose of a whole body; whether the head has none.
@@ -216,11 +218,14 @@ fn check_parts(joints: &[usize], set: &MarkerSet, missing: &[&str]) -> Result<bo
     let headless = untold.remove(&Part::Head);
     match untold.is_empty() {
         true => Ok(headless),
-        false => Err(SolveError::Parts {
-            set: set.name().to_owned(),
-            parts: part::names(&untold),
-            missing: some_of(missing.iter().copied()),
-        }),
+        false => Err(SolveError::Markers(format!(
+            "too few markers of the set {} are seen on {} for the pose of a whole body; of its labels, missing are: {}; \
+             `stance ingest --markers FILE` can name further markers, or say with at_rest that these parts may stay as \
+             at rest",
+            set.name(),
+            part::names(&untold),
+            some_of(missing.iter().copied())
+        ))),
     }
 }
 

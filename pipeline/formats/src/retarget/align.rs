@@ -517,7 +517,7 @@ fn mean_rotation(rotations: impl Iterator<Item = (DQuat, f64)>) -> (DQuat, f64) 
 }
 
 /// The rotation that takes an up axis to y.
-pub(super) fn y_up_from_axis(up: DVec3) -> DQuat {
+pub(crate) fn y_up_from_axis(up: DVec3) -> DQuat {
     if up.z != 0.0 {
         DQuat::from_rotation_x(-FRAC_PI_2 * up.z.signum())
     } else if up.x != 0.0 {
@@ -550,7 +550,7 @@ pub(super) fn y_up_from_source(mean_up: DVec3) -> (DQuat, &'static str) {
 }
 
 /// Name of an axis.
-pub(super) fn axis_name(axis: DVec3) -> &'static str {
+pub(crate) fn axis_name(axis: DVec3) -> &'static str {
     match (axis.x, axis.y, axis.z) {
         (x, _, _) if x > 0.0 => "x",
         (x, _, _) if x < 0.0 => "-x",

@@ -212,7 +212,7 @@ mod tests {
     use clip::check::check;
     use testkit::walk;
 
-    use crate::retarget::tests::Dialect;
+    use super::bvh::dialects::RigText;
 
     fn motion_format(path: &str, head: &[u8]) -> Option<Format> {
         match recognise(Path::new(path), head) {
@@ -309,7 +309,7 @@ mod tests {
     #[test]
     fn a_whole_file_becomes_a_labelled_clip_on_the_floor() {
         let skeleton = Skeleton::smplx_neutral();
-        let text = Dialect::default().write(&walk(60), &skeleton);
+        let text = RigText::smplx().write(&walk(60), &skeleton);
         let outcome = read_clip(
             bvh::FORMAT,
             Path::new("set/dataset-1_walk_proud_001.bvh"),
