@@ -9,8 +9,7 @@ use pickle::npy;
 use testkit::{npy, npy_f8, npz};
 
 use super::*;
-use clip::check::FLAG_FPS_DOUBTFUL;
-use datasets_spec::{Fps, Skeleton};
+use datasets_spec::Skeleton;
 use glam::{DQuat, DVec3};
 
 pub(crate) use testkit::clip_members;
