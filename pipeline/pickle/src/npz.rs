@@ -15,7 +15,7 @@ use crate::npy::{self, Array, Header, Number};
 /// Largest member read, in bytes, and highest ratio to its compressed size: real recordings stay
 /// far below both (an hour of SMPL-X at 120 fps is 570 MB), archives built to exhaust memory do
 /// not.
-const MAX_MEMBER_LEN: u64 = 2 << 30;
+pub(crate) const MAX_MEMBER_LEN: u64 = 2 << 30;
 const MAX_RATIO: u64 = 200;
 /// Size below which the ratio does not matter: a clip whose hands are all zero compresses well.
 const SMALL_MEMBER_LEN: u64 = 1 << 20;
@@ -147,7 +147,8 @@ impl<R: Read + Seek> Archive<R> {
             .map_err(|error| member_error(&name, &error))?;
         let (len, compressed_len) = (file.size(), file.compressed_size());
         let start = file.data_start().unwrap_or_else(|| file.header_start());
-        check_len(&name, len, compressed_len, max_len).map_err(|error| error.at(start as usize))?;
+        check_len("E-NPZ-LIMIT", &name, [len, compressed_len, max_len])
+            .map_err(|error| error.at(start as usize))?;
         // The stated length is not trusted: it reserves no memory, and reading stops there.
         let mut bytes = Vec::new();
         file.by_ref()
@@ -168,7 +169,8 @@ impl<R: Read + Seek> Archive<R> {
             .zip
             .by_name(&name)
             .map_err(|error| member_error(&name, &error))?;
-        check_len(&name, file.size(), file.compressed_size(), MAX_MEMBER_LEN)
+        let sizes = [file.size(), file.compressed_size(), MAX_MEMBER_LEN];
+        check_len("E-NPZ-LIMIT", &name, sizes)
     }
 
     /// An array of numbers.
@@ -198,12 +200,17 @@ impl<R: Read + Seek> Archive<R> {
     }
 }
 
-fn check_len(name: &str, len: u64, compressed_len: u64, max_len: u64) -> Result<(), Error> {
+/// Refuses a member that unpacks to too much.
+pub(crate) fn check_len(
+    code: &'static str,
+    name: &str,
+    [len, compressed_len, max_len]: [u64; 3],
+) -> Result<(), Error> {
     if len <= max_len && (len <= SMALL_MEMBER_LEN || len / MAX_RATIO <= compressed_len.max(1)) {
         return Ok(());
     }
     Err(Error::new(
-        "E-NPZ-LIMIT",
+        code,
         format!(
             "{name} unpacks from {compressed_len} to {len} bytes, expected at most {max_len} and {MAX_RATIO} times its \
              packed size"

@@ -8,17 +8,13 @@ use zip::ZipArchive;
 
 use crate::error::Error;
 use crate::machine::Machine;
+use crate::npz::{MAX_MEMBER_LEN, check_len};
 use crate::object::{Node, Storage, StorageData};
 use crate::value::{Options, Value};
 
 /// Start of a file before PyTorch 1.6: a pickle of this number, then one of the version.
 const LEGACY_MAGIC: i128 = 0x1950_a86a_20f9_469c_fc6c;
 const LEGACY_VERSION: i128 = 1001;
-/// Largest member of an archive in bytes, and highest ratio to its packed size. `torch.save` does
-/// not compress at all.
-const MAX_MEMBER_LEN: u64 = 2 << 30;
-const MAX_RATIO: u64 = 200;
-const SMALL_MEMBER_LEN: u64 = 1 << 20;
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 
 /// Reads a file of `torch.save`, old or new, tensors as arrays.
@@ -65,15 +61,8 @@ fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>
     let failed = |error: &dyn std::fmt::Display| wrong(format!("cannot unpack {name} ({error})"));
     let file = archive.by_name(name).map_err(|error| failed(&error))?;
     let (len, packed_len) = (file.size(), file.compressed_size());
-    if len > MAX_MEMBER_LEN || (len > SMALL_MEMBER_LEN && len / MAX_RATIO > packed_len.max(1)) {
-        return Err(Error::new(
-            "E-PICKLE-LIMIT",
-            format!(
-                "{name} unpacks from {packed_len} to {len} bytes, expected at most \
-                 {MAX_MEMBER_LEN} and {MAX_RATIO} times its packed size"
-            ),
-        ));
-    }
+    // `torch.save` does not compress at all.
+    check_len("E-PICKLE-LIMIT", name, [len, packed_len, MAX_MEMBER_LEN])?;
     let mut bytes = Vec::new();
     file.take(len)
         .read_to_end(&mut bytes)
