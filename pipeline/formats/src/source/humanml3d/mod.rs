@@ -23,9 +23,10 @@ use super::format::{Format, Recognised, Release, SourceFormat};
 use super::options::ReadOptions;
 use clip::Outcome;
 
-pub(crate) use array::FPS;
 pub use array::read_array;
+pub(crate) use array::{FPS, check_length, in_single_precision};
 pub use array::{features, joints};
+pub(crate) use folder::add_captions;
 pub use folder::find;
 pub use folder::read_captions;
 pub use id::is_id;
@@ -34,7 +35,7 @@ pub use index::IndexRow;
 pub use index::parse_index;
 pub use layout::Layout;
 pub use layout::layouts;
-pub(crate) use layout::{LISTS, parse_list};
+pub(crate) use layout::{LISTS, above, parse_list};
 pub(crate) use splits::Splits;
 
 /// Recognises a single npy array by its shape.

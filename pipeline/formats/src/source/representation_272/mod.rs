@@ -25,7 +25,10 @@ use pickle::npy::{self, Header};
 
 use super::files::{Files, refuse_pointer};
 use super::format::{Contents, Entry, Format, Recognised, Release, SourceFormat, boxed};
-use super::humanml3d::{Splits, mirrored_of, parse_list, read_captions};
+use super::humanml3d::{
+    Splits, add_captions, check_length, in_single_precision, mirrored_of, parse_list,
+};
+use super::names::file_name;
 use super::options::ReadOptions;
 use clip::{Outcome, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
@@ -125,9 +128,8 @@ impl Folder {
                     "captions without a motion"
                 }
             } else if let Some(list) = text_of(SPLITS) {
-                let name = list.rsplit('/').next().unwrap_or(list);
                 match files.read(file) {
-                    Ok(bytes) => lists.push((name.parse().ok(), parse_list(&bytes))),
+                    Ok(bytes) => lists.push((file_name(list).parse().ok(), parse_list(&bytes))),
                     Err(rejected) => {
                         folder.contents.reject(file, rejected);
                         continue;
@@ -183,11 +185,7 @@ impl Release for Folder {
     fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let mut clip = read_array(&files.read(&entry.file)?, &options.skeleton)?;
         clip.notes.extend(self.notes.get(&entry.id).cloned());
-        if let Some(text) = self.texts.get(&entry.id) {
-            let (captions, note) = read_captions(files, text)?;
-            clip.captions = captions;
-            clip.notes.extend(note);
-        }
+        add_captions(&mut clip, files, self.texts.get(&entry.id))?;
         Ok(clip)
     }
 }
@@ -210,12 +208,7 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
             array.shape
         ));
     };
-    if num_frames < 2 {
-        return Err(rejected!(
-            "E-TOO-SHORT",
-            "found {num_frames} frames, expected at least 2"
-        ));
-    }
+    check_length(num_frames)?;
     let broken = |value: &f64| !(*value as f32).is_finite();
     if let Some(at) = array.values.iter().position(broken) {
         return Err(rejected!(
@@ -226,11 +219,7 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
             at / WIDTH
         ));
     }
-    let (rows, _) = array.values.as_chunks::<WIDTH>();
-    let features: Vec<Features> = rows
-        .iter()
-        .map(|row| row.map(|value| value as f32))
-        .collect();
+    let features: Vec<Features> = in_single_precision(&array);
     let (motion, fit_error_m) = motion_of_features(&features, skeleton)
         .map_err(|error| Rejected::retarget("E-272-FIT", error.to_string()))?;
     let mut clip = SourceClip::new(motion, RotationSource::Native);

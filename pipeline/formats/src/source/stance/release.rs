@@ -13,6 +13,7 @@ use super::origin::{self, CODE_OF_ORIGIN, Origin, Origins, Parsed};
 use super::split::{ClipSplits, Lists};
 use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release, check_skeleton};
+use crate::source::names::{around_folder, file_name};
 use crate::source::options::ReadOptions;
 use clip::{EditOf, ReadClip, Rejected, SourceClip, rejected};
 use pickle::Value;
@@ -53,16 +54,7 @@ pub(super) fn roots(files: &Files) -> BTreeSet<String> {
 
 /// Splits a path into the release's folder, the one of [`FOLDERS`] in it, and the rest.
 fn place(path: &str) -> Option<(&str, &'static str, &str)> {
-    let mut start = 0;
-    for component in path.split('/') {
-        let end = start + component.len();
-        if let Some(folder) = FOLDERS.into_iter().find(|folder| *folder == component) {
-            let rest = path.get(end + 1..)?;
-            return Some((&path[..start], folder, rest));
-        }
-        start = end + 1;
-    }
-    None
+    around_folder(path, &FOLDERS)
 }
 
 /// Role of a motion in the release.
@@ -383,8 +375,7 @@ impl<'a> Planner<'a> {
             if root != self.root {
                 continue;
             }
-            let name = rest.rsplit('/').next().unwrap_or(rest);
-            match (folder, name) {
+            match (folder, file_name(rest)) {
                 (REGEN, "mask_all.json") => masks = self.json(file).unwrap_or_default(),
                 (REGEN, "part_annotations.json") => texts = self.json(file).unwrap_or_default(),
                 (ADJUSTMENT, name)

@@ -5,6 +5,7 @@ use glam::DVec3;
 
 use super::header::Header;
 use super::lines::{Line, Lines};
+use crate::source::names::shown;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
 /// Columns before the coordinates: number and time of the frame.
@@ -171,11 +172,10 @@ fn number(at: usize, cell: &[u8]) -> Result<Option<f64>, Rejected> {
     let parsed = fast_float2::parse::<f64, _>(cell).ok();
     let finite = parsed.filter(|number| number.is_finite());
     finite.map(Some).ok_or_else(|| {
-        let text = String::from_utf8_lossy(&cell[..cell.len().min(40)]);
-        let text: String = text.chars().filter(|c| !c.is_control()).collect();
         rejected!(
             "E-TRC-NUMBER",
-            "found \"{text}\", expected a finite number or a blank cell"
+            "found {}, expected a finite number or a blank cell",
+            shown(cell)
         )
         .at(at)
     })
