@@ -275,7 +275,7 @@ impl<'a> Estimate<'a> {
     /// Whether two points are on average so far apart that they give a direction.
     fn is_apart(&self, a: impl Fn(usize) -> DVec3, b: impl Fn(usize) -> DVec3) -> bool {
         // Joints closer than this fraction of the leg's length coincide and give no direction.
-        let apart = 0.02 * self.track.leg_length();
+        let apart = 0.02 * self.track.leg_length;
         let distances = self.frames.clone().map(|frame| a(frame).distance(b(frame)));
         distances.sum::<f64>() > apart * self.frames.len() as f64
     }
@@ -446,7 +446,7 @@ fn by_sole(track: &Track, ankle: usize, foot: usize, skeleton: &Skeleton) -> Opt
             .collect()
     };
     let (ankle_heights, foot_heights) = (heights(ankle), heights(foot));
-    let band = FLAT_BAND * track.leg_length();
+    let band = FLAT_BAND * track.leg_length;
     let ankle_low = quantile(&mut ankle_heights.clone(), LOWEST_SHARE)? + band;
     let foot_low = quantile(&mut foot_heights.clone(), LOWEST_SHARE)? + band;
     let mut normal = DVec3::ZERO;

@@ -91,7 +91,7 @@ pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejecte
     let carrier = Carrier {
         track: &track,
         alignment,
-        scale: body_leg / track.leg_length(),
+        scale: body_leg / track.leg_length,
         skeleton,
     };
     let carried = carrier.carry(rig, &bones)?;
@@ -117,7 +117,7 @@ fn by_rest(
     };
     match stated {
         Some(RestPose::FirstFrame) => align(&track.first_frame()),
-        Some(RestPose::ZeroPose) | None => track.rests().iter().find_map(align),
+        Some(RestPose::ZeroPose) | None => track.rests.iter().find_map(align),
     }
 }
 
@@ -374,6 +374,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::source::bvh::BvhFile;
     use crate::source::bvh::dialects::RigText;
+    use crate::source::release_tests::{edited, says};
     use clip::check::check;
 
     fn with_map(map: &UserMap) -> ReadOptions {
@@ -442,12 +443,8 @@ pub(crate) mod tests {
             };
             let clip = retarget(&dialect.write(&poses, &skeleton));
             assert_same_motion(&clip, &poses);
-            assert!(
-                clip.notes.iter().any(|note| note.contains(unit)),
-                "{:?}",
-                clip.notes
-            );
-            assert!(clip.notes.iter().any(|note| note == "z is up in the file"));
+            assert!(says(&clip, unit), "{:?}", clip.notes);
+            assert!(says(&clip, "z is up in the file"), "{:?}", clip.notes);
         }
     }
 
@@ -456,13 +453,7 @@ pub(crate) mod tests {
         let skeleton = Skeleton::smplx_neutral();
         let poses = walk(120);
         let clip = retarget(&RigText::scrambled().write(&poses, &skeleton));
-        assert!(
-            clip.notes
-                .iter()
-                .any(|note| note.contains("from the motion")),
-            "{:?}",
-            clip.notes
-        );
+        assert!(says(&clip, "from the motion"), "{:?}", clip.notes);
         for (found, expected) in clip.motion.poses().into_iter().zip(&poses) {
             let (found_points, expected_points) =
                 (skeleton.keypoints(&found), skeleton.keypoints(expected));
@@ -582,21 +573,19 @@ pub(crate) mod tests {
         let found = read(&text);
         assert_same_motion(&found, &poses);
         assert_eq!(found.notes[0], "skeleton map mine of the user");
-        assert!(found.notes.iter().any(|note| note == "z is up in the file"));
+        assert!(says(&found, "z is up in the file"), "{:?}", found.notes);
         assert!(
-            found
-                .notes
-                .iter()
-                .any(|note| note.starts_with("unit m, as the joint map says"))
+            says(&found, "unit m, as the joint map says"),
+            "{:?}",
+            found.notes
         );
         // Where its joints are not there, the file speaks for itself.
         let other = read(&RigText::smplx().write(&poses, &skeleton));
         assert_eq!(other.notes[0], "skeleton map smplx");
         assert!(
-            other
-                .notes
-                .iter()
-                .any(|note| note == "the joint map mine does not fit the file")
+            says(&other, "the joint map mine does not fit the file"),
+            "{:?}",
+            other.notes
         );
     }
 
@@ -618,9 +607,9 @@ pub(crate) mod tests {
         let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
         let clip = clip(&bvh, &with_map(&map)).expect("a body");
         assert!(
+            says(&clip, "joint frames from the first frame"),
+            "{:?}",
             clip.notes
-                .iter()
-                .any(|note| note == "joint frames from the first frame")
         );
         // Without a rest, the twist of scrambled frames is an estimate; with one it is exact.
         assert_same_motion(&clip, &poses);
@@ -720,11 +709,7 @@ pub(crate) mod tests {
         ) {
             let skeleton = Skeleton::smplx_neutral();
             let dialect = if scrambled { RigText::scrambled() } else { RigText::smplx() };
-            let mut bytes = dialect.write(&walk(4), &skeleton).into_bytes();
-            for (at, byte) in edits {
-                let at = at.index(bytes.len());
-                bytes[at] = byte;
-            }
+            let mut bytes = edited(dialect.write(&walk(4), &skeleton).as_bytes(), edits);
             // Exponents in the place of digits keep the file valid and its numbers absurd.
             for at in digits {
                 let at = at.index(bytes.len());

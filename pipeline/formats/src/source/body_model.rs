@@ -481,6 +481,7 @@ pub(crate) mod tests {
     use testkit::{npy, npy_f8};
 
     use super::*;
+    use crate::source::release_tests::edited;
 
     /// A model whose vertices are the neutral joints, twice each at equal distances.
     fn model(joints: &[usize], parents: &[f64]) -> Vec<(&'static str, Vec<u8>)> {
@@ -679,14 +680,11 @@ pub(crate) mod tests {
             edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
             is_model in any::<bool>(),
         ) {
-            let mut bytes = match is_model {
+            let bytes = match is_model {
                 true => npz(&smplx()),
                 false => npy_f8(&[NUM_JOINTS, 3], &[0.1; 3 * NUM_JOINTS]),
             };
-            for (at, byte) in edits {
-                let at = at.index(bytes.len());
-                bytes[at] = byte;
-            }
+            let bytes = edited(&bytes, edits);
             let name = if is_model { "m.npz" } else { "j.npy" };
             if let Ok(skeleton) = skeleton(name, &bytes) {
                 prop_assert!((0..NUM_JOINTS).all(|joint| skeleton.rest(joint).is_finite()));

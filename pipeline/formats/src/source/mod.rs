@@ -23,7 +23,7 @@ pub mod labels;
 pub mod motionfix;
 pub mod motionx;
 #[cfg(test)]
-mod release_tests;
+pub(crate) mod release_tests;
 pub mod representation_272;
 mod robot;
 pub mod seed;
@@ -207,6 +207,7 @@ mod tests {
     use datasets_spec::Skeleton;
 
     use super::files::LFS_POINTER;
+    use super::release_tests::test_data;
     use super::*;
     use clip::Rejected;
     use clip::check::check;
@@ -339,26 +340,6 @@ mod tests {
             .flat_map(|points| [points[10].y, points[11].y])
             .fold(f64::INFINITY, f64::min);
         assert!((-0.05..0.01).contains(&lowest), "{lowest}");
-    }
-
-    /// The real files, if the environment says where they are.
-    fn test_data(folder: &str) -> Option<std::path::PathBuf> {
-        let root = std::env::var_os("STANCE_TEST_DATA").map(std::path::PathBuf::from);
-        let found = root
-            .map(|root| root.join(folder))
-            .filter(|path| path.is_dir());
-        if found.is_none() {
-            skipped(folder);
-        }
-        found
-    }
-
-    #[expect(
-        clippy::print_stderr,
-        reason = "a test that checks nothing must say so"
-    )]
-    fn skipped(folder: &str) {
-        eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has {folder}");
     }
 
     fn files_in(folder: &Path) -> Vec<std::path::PathBuf> {

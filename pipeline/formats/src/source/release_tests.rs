@@ -1,8 +1,10 @@
-//! What tests of releases share.
+//! What tests of readers share.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use datasets_spec::Split;
 use datasets_spec::store::{ByPath, Store as _};
+use proptest::sample::Index;
 use testkit::put;
 
 use super::{Entry, Files, ReadOptions, Release};
@@ -39,4 +41,54 @@ pub(super) fn entry_of<'a>(release: &'a dyn Release, id: &str) -> &'a Entry {
 pub(super) fn clip_of(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
     let clip = release.read(files, entry_of(release, id), &ReadOptions::default());
     clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
+}
+
+/// Id, split and original of every planned motion.
+pub(super) fn planned(release: &dyn Release) -> Vec<(&str, Option<Split>, Option<&str>)> {
+    let entries = release.contents().entries.iter();
+    entries
+        .map(|entry| (entry.id.as_str(), entry.split, entry.mirrored_of.as_deref()))
+        .collect()
+}
+
+/// Why a file of a release is passed over.
+pub(super) fn why_passed_over<'a>(release: &'a dyn Release, file: &str) -> &'a str {
+    let mut passed_over = release.contents().passed_over.iter();
+    let found = passed_over.find(|(name, _)| name == file);
+    found.map_or("", |(_, reason)| reason.as_str())
+}
+
+/// Whether a note of a clip contains some words.
+pub(crate) fn says(clip: &SourceClip, words: &str) -> bool {
+    clip.notes.iter().any(|note| note.contains(words))
+}
+
+/// Bytes with some of them changed.
+pub(crate) fn edited(bytes: &[u8], edits: Vec<(Index, u8)>) -> Vec<u8> {
+    let mut edited = bytes.to_vec();
+    for (at, byte) in edits {
+        let at = at.index(edited.len());
+        edited[at] = byte;
+    }
+    edited
+}
+
+/// A folder or file of the real ones, if the environment says where they are.
+pub(super) fn test_data(path: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
+    let found = root
+        .map(|root| root.join(path))
+        .filter(|path| path.exists());
+    if found.is_none() {
+        skipped(path);
+    }
+    found
+}
+
+#[expect(
+    clippy::print_stderr,
+    reason = "a test that checks nothing must say so"
+)]
+fn skipped(path: &str) {
+    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has {path}");
 }

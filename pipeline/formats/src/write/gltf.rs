@@ -384,6 +384,7 @@ mod tests {
     use super::*;
     use crate::source::ReadOptions;
     use crate::source::gltf::{keys, read};
+    use crate::source::release_tests::says;
     use clip::Outcome;
 
     #[test]
@@ -441,11 +442,7 @@ mod tests {
         };
         assert_eq!(clip.motion.fps(), Fps::STORE);
         assert_eq!(clip.motion.len(), motion.len());
-        assert!(
-            clip.notes.iter().any(|note| note == "skeleton map smplx"),
-            "{:?}",
-            clip.notes
-        );
+        assert!(says(&clip, "skeleton map smplx"), "{:?}", clip.notes);
         let (found, expected) = (
             skeleton.motion_keypoints(&clip.motion),
             skeleton.motion_keypoints(&motion),

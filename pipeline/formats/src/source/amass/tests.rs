@@ -9,6 +9,7 @@ use pickle::npy;
 use testkit::{npy, npy_f8, npz};
 
 use super::*;
+use crate::source::release_tests::{edited, says};
 use datasets_spec::Skeleton;
 use glam::{DQuat, DVec3};
 
@@ -229,7 +230,7 @@ fn known_wrong_rates_are_corrected_noted_and_flagged() {
 
     let plain = read_clip("BioMotionLab_NTroje/rub001/x_poses.npz");
     assert_eq!((plain.motion.fps().get(), plain.flags), (120.0, 0));
-    assert!(plain.notes.iter().any(|note| note.contains("BMLrub")));
+    assert!(says(&plain, "BMLrub"), "{:?}", plain.notes);
 }
 
 #[test]
@@ -326,11 +327,7 @@ proptest! {
         cut in any::<prop::sample::Index>(),
     ) {
         let valid = npz(&clip_members(2, 72));
-        let mut mutated = valid.clone();
-        for (at, byte) in edits {
-            let at = at.index(mutated.len());
-            mutated[at] = byte;
-        }
+        let mutated = edited(&valid, edits);
         for candidate in [&bytes[..], &mutated, &valid[..cut.index(valid.len())]] {
             let _ = peek(Cursor::new(candidate));
             if let Ok(Outcome::Clip(clip)) = read(Path::new("x"), candidate, &ReadOptions::default()) {

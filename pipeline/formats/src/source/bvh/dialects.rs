@@ -10,6 +10,7 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 use super::soma::tests::frame;
 use super::*;
 use crate::retarget::tests::assert_same_motion;
+use crate::source::release_tests::says;
 use testkit::walk;
 
 /// A joint of a rig.
@@ -317,10 +318,6 @@ fn read_text(text: &str) -> Result<SourceClip, Rejected> {
     super::read(&mut text.as_bytes(), text.len(), &ReadOptions::default())
 }
 
-fn says(clip: &SourceClip, note: &str) -> bool {
-    clip.notes.iter().any(|found| found == note)
-}
-
 #[test]
 fn a_soma_file_gives_the_motion_it_was_made_of() {
     let skeleton = Skeleton::smplx_neutral();
@@ -331,13 +328,7 @@ fn a_soma_file_gives_the_motion_it_was_made_of() {
     assert_same_motion(&clip, &poses);
     assert!(says(&clip, "skeleton map soma"), "{:?}", clip.notes);
     assert!(says(&clip, "joint frames from the T-pose of SOMA"));
-    assert!(
-        clip.notes
-            .iter()
-            .any(|note| note.starts_with("unit centimetres")),
-        "{:?}",
-        clip.notes
-    );
+    assert!(says(&clip, "unit centimetres"), "{:?}", clip.notes);
     assert!((clip.source_fps.get() - 120.0).abs() < 0.01);
 }
 
@@ -562,13 +553,7 @@ fn nokov_files_with_bones_along_x_are_aligned_by_their_motion() {
         joint.frame = DQuat::from_rotation_z(0.5 * joint.body as f64) * DQuat::from_rotation_y(1.3);
     }
     let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
-    assert!(
-        clip.notes
-            .iter()
-            .any(|note| note.contains("from the motion")),
-        "{:?}",
-        clip.notes
-    );
+    assert!(says(&clip, "from the motion"), "{:?}", clip.notes);
     for (found, expected) in clip.motion.poses().iter().zip(&poses) {
         let (found, expected) = (skeleton.keypoints(found), skeleton.keypoints(expected));
         for (joint, child) in [(1, 4), (4, 7), (16, 18), (18, 20), (17, 19), (19, 21)] {

@@ -5,6 +5,7 @@ use super::cursor::parse_number;
 use super::rig::{BLOCK, LocalBlock, half_angle_sin_cos};
 use super::*;
 use crate::retarget::Rig;
+use crate::source::release_tests::edited;
 use clip::Rejected;
 
 const SMALL: &str = "HIERARCHY\nROOT Base\n{\n\tOFFSET 0 0 0\n\
@@ -280,11 +281,7 @@ proptest! {
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         cut in any::<prop::sample::Index>(),
     ) {
-        let mut mutated = SMALL.as_bytes().to_vec();
-        for (at, byte) in edits {
-            let at = at.index(mutated.len());
-            mutated[at] = byte;
-        }
+        let mutated = edited(SMALL.as_bytes(), edits);
         let truncated = &SMALL.as_bytes()[..cut.index(SMALL.len())];
         for candidate in [&bytes[..], &mutated, truncated] {
             if let Ok(bvh) = BvhFile::parse(candidate) {

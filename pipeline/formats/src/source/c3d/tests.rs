@@ -1,4 +1,5 @@
 use super::*;
+use crate::source::release_tests::test_data;
 use proptest::prelude::*;
 
 fn parse(bytes: &[u8]) -> Result<Option<Capture>, Rejected> {
@@ -205,11 +206,9 @@ proptest! {
 /// The sample files of c3d.org hold one capture in six encodings.
 #[test]
 fn real_encodings_agree() {
-    let Some(root) = std::env::var_os("STANCE_TEST_DATA").map(std::path::PathBuf::from) else {
-        skipped();
+    let Some(folder) = test_data("c3d/c3d.org_sample01") else {
         return;
     };
-    let folder = root.join("c3d/c3d.org_sample01");
     let read = |name: &str| {
         let bytes = std::fs::read(folder.join(name)).expect("a sample file");
         parse(&bytes).expect("good").expect("with points").markers
@@ -234,12 +233,4 @@ fn real_encodings_agree() {
             assert!(apart < 1e-4, "{a:?} and {b:?}");
         }
     }
-}
-
-#[expect(
-    clippy::print_stderr,
-    reason = "a test that checks nothing must say so"
-)]
-fn skipped() {
-    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder with the sample files of c3d.org");
 }

@@ -11,6 +11,7 @@ use testkit::walk;
 use super::container::chunks;
 use super::curve::{Curve, DEFAULT_FPS};
 use super::*;
+use crate::source::release_tests::{edited, says};
 use crate::write;
 use clip::SourceClip;
 
@@ -137,11 +138,7 @@ fn keys_at_uneven_times_are_sampled_and_said_so() {
     // Key 1 of 20 fps is due at 0.05 s.
     let clip = clip_of(&parts.poke(times, 4, &0.03f32.to_le_bytes()).embedded());
     assert_eq!(clip.motion.fps().get(), DEFAULT_FPS);
-    assert!(
-        clip.notes.iter().any(|note| note.contains("uneven")),
-        "{:?}",
-        clip.notes
-    );
+    assert!(says(&clip, "uneven"), "{:?}", clip.notes);
     assert_eq!(clip.motion.len(), (29.0 / 20.0 * 30.0) as usize + 1);
 }
 
@@ -483,11 +480,7 @@ proptest! {
     ) {
         let skeleton = datasets_spec::Skeleton::smplx_neutral();
         let motion = Motion::from_poses(Fps::STORE, &walk(3)).expect("valid");
-        let mut bytes = write::gltf::encode(&motion, &skeleton).expect("encoded");
-        for (at, byte) in edits {
-            let at = at.index(bytes.len());
-            bytes[at] = byte;
-        }
+        let mut bytes = edited(&write::gltf::encode(&motion, &skeleton).expect("encoded"), edits);
         // Digits in the place of digits keep the JSON valid and its indices absurd.
         let places: Vec<usize> = (0..bytes.len()).filter(|&at| bytes[at].is_ascii_digit()).collect();
         for (at, digit) in digits {

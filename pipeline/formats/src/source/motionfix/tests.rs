@@ -6,7 +6,7 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 
 use super::*;
-use crate::source::release_tests::{clip_of, files_under};
+use crate::source::release_tests::{clip_of, files_under, says, test_data};
 use pickle::{Array, encode};
 use testkit::put;
 
@@ -163,10 +163,10 @@ fn dumps_and_lists_become_pairs() {
             "000007 has the split of its dump"
         );
         let unlisted = clip_of(&*release, &files, "motionfix/000007-target");
-        assert!(unlisted.notes.iter().any(|note| note.contains("its dump")));
+        assert!(says(&unlisted, "its dump"), "{:?}", unlisted.notes);
 
         let source = clip_of(&*release, &files, "motionfix/000136-source");
-        assert!(!source.notes.iter().any(|note| note.contains("splits.json")));
+        assert!(!says(&source, "splits.json"), "{:?}", source.notes);
         assert_eq!((source.motion.len(), source.motion.fps().get()), (25, 30.0));
         assert_eq!(source.edits, []);
         let target = clip_of(&*release, &files, "motionfix/000136-target");
@@ -289,11 +289,7 @@ fn answers_name_parts() {
 
 #[test]
 fn the_real_label_files_are_passed_over_without_a_dump() {
-    let folder = std::env::var_os("STANCE_TEST_DATA")
-        .map(|root| Path::new(&root).join("motionfix_labels"))
-        .filter(|folder| folder.is_dir());
-    let Some(folder) = folder else {
-        skipped();
+    let Some(folder) = test_data("motionfix_labels") else {
         return;
     };
     let files = files_under(&folder);
@@ -307,12 +303,4 @@ fn the_real_label_files_are_passed_over_without_a_dump() {
         .filter(|answer| !parse_parts(answer).is_empty());
     // All but about twenty answers name a part.
     assert!(understood.count() + 30 > labels.len());
-}
-
-#[expect(
-    clippy::print_stderr,
-    reason = "a test that checks nothing must say so"
-)]
-fn skipped() {
-    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has motionfix_labels");
 }

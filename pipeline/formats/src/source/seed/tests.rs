@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::retarget::tests::assert_same_motion;
 use crate::source::bvh::dialects::RigText;
-use crate::source::release_tests::files_of;
+use crate::source::release_tests::{edited, files_of, says};
 use crate::source::{ReadOptions, labels};
 use clip::{Outcome, Rejected};
 use testkit::walk;
@@ -227,13 +227,12 @@ fn metadata_and_temporal_labels_become_captions_and_labels() {
         problem.reason
     );
     let note = "temporal labels carried over automatically from walk_001__A425.csv";
-    assert!(mirrored.notes.iter().any(|found| found == note));
+    assert!(says(&mirrored, note), "{:?}", mirrored.notes);
     let labelled = labels::attach_around(mirrored, &labels::ClipLabels::default());
     assert!(
-        labelled
-            .notes
-            .iter()
-            .any(|note| note.starts_with("a label was not used"))
+        says(&labelled, "a label was not used"),
+        "{:?}",
+        labelled.notes
     );
 }
 
@@ -345,11 +344,7 @@ proptest! {
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
         cut in any::<prop::sample::Index>(),
     ) {
-        let mut bytes = TIMELINE.as_bytes().to_vec();
-        for (at, byte) in edits {
-            let at = at.index(bytes.len());
-            bytes[at] = byte;
-        }
+        let mut bytes = edited(TIMELINE.as_bytes(), edits);
         bytes.truncate(cut.index(bytes.len() + 1));
         let timelines = Timelines::parse(&bytes, &|_| true).expect("no pointer");
         for timeline in timelines.of_motion.values() {

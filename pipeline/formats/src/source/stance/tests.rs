@@ -1,5 +1,4 @@
 use std::fs;
-use std::path::Path;
 use std::sync::Arc;
 
 use datasets_spec::{BodyPart, Skeleton, Split};
@@ -7,7 +6,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::source::options::ReadOptions;
-use crate::source::release_tests::{clip_of, entry_of, files_under};
+use crate::source::release_tests::{clip_of, entry_of, files_under, planned, says, test_data};
 use clip::check::check;
 use pickle::encode;
 use pickle::{Array, Value};
@@ -26,16 +25,10 @@ fn a_release_becomes_motions_masks_and_pairs() {
     write_release(dir.path());
     let files = files_under(dir.path());
     let release = only_release(&files);
-    let planned: Vec<(&str, Option<Split>, Option<&str>)> = release
-        .contents()
-        .entries
-        .iter()
-        .map(|entry| (entry.id.as_str(), entry.split, entry.mirrored_of.as_deref()))
-        .collect();
     let adjustment = "adjustment/paired_data_seed0_15_batch0_id3";
     let (source, target) = (format!("{adjustment}#src"), format!("{adjustment}#tgt"));
     assert_eq!(
-        planned,
+        planned(&*release),
         [
             // The style list takes the clip and its mirrored copy along.
             ("000009", Some(Split::Test), None),
@@ -70,7 +63,7 @@ fn a_release_becomes_motions_masks_and_pairs() {
     assert_eq!(base.part_captions[0].part, "LEFT_ARM");
     let mirrored = clip_of(&*release, &files, "M000009");
     assert_eq!(mirrored.masks[0].text, "stretching");
-    assert!(mirrored.notes.iter().any(|note| note.contains("014625")));
+    assert!(says(&mirrored, "014625"), "{:?}", mirrored.notes);
 
     let styled = clip_of(&*release, &files, "000009#proud");
     assert_eq!(styled.style.as_deref(), Some("proud"));
@@ -235,15 +228,10 @@ fn a_dance_of_aist_is_scaled_to_metres_and_put_on_the_floor() {
 
 #[test]
 fn the_real_dance_is_read() {
-    let Some(root) = std::env::var_os("STANCE_TEST_DATA") else {
-        skipped();
+    let Some(path) = test_data("pkl/gBR_sBM_cAll_d04_mBR0_ch01.pkl") else {
         return;
     };
-    let path = Path::new(&root).join("pkl/gBR_sBM_cAll_d04_mBR0_ch01.pkl");
-    let Ok(bytes) = fs::read(&path) else {
-        skipped();
-        return;
-    };
+    let bytes = fs::read(&path).expect("a dance");
     let skeleton = Skeleton::smplx_neutral();
     let clip = read_pickle_motion(&bytes, &skeleton).expect("a dance");
     assert_eq!(clip.motion.len(), 720);
@@ -256,14 +244,6 @@ fn the_real_dance_is_read() {
         keypoints[15]
     );
     assert!((0.5..1.3).contains(&keypoints[0].y), "{:?}", keypoints[0]);
-}
-
-#[expect(
-    clippy::print_stderr,
-    reason = "a test that checks nothing must say so"
-)]
-fn skipped() {
-    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has pkl");
 }
 
 proptest! {

@@ -6,6 +6,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::markers::{MarkerSet, marker_sets};
+use crate::source::release_tests::edited;
 
 /// Two markers in three frames; the second marker is not seen in the second.
 const SMALL: &str = "PathFileType\t4\t(X/Y/Z)\twalk.trc\n\
@@ -310,11 +311,7 @@ proptest! {
         cut in any::<prop::sample::Index>(),
         lenient in any::<bool>(),
     ) {
-        let mut bytes = SMALL.as_bytes().to_vec();
-        for (at, byte) in edits {
-            let at = at.index(bytes.len());
-            bytes[at] = byte;
-        }
+        let mut bytes = edited(SMALL.as_bytes(), edits);
         bytes.truncate(cut.index(bytes.len() + 1));
         if let Ok(capture) = parse_leniently(&bytes, lenient) {
             let markers = capture.markers;
