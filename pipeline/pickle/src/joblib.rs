@@ -8,7 +8,8 @@ use lz4_flex::frame::FrameDecoder;
 use lzma_rust2::{LzmaReader, XzReader};
 
 use crate::error::Error;
-use crate::read::{self, read_with_wrapped_arrays};
+use crate::machine::Machine;
+use crate::read;
 use crate::value::{Options, Value};
 
 /// Limits on the unpacked size of a dump, in bytes and relative to its packed size. The largest known dump,
@@ -120,7 +121,7 @@ pub fn read_from<'a>(
         limit,
         left: limit,
     };
-    read_with_wrapped_arrays(capped, options)
+    Machine::new(capped, *options).with_wrapped_arrays().read()
 }
 
 /// A stream that fails beyond a limit.

@@ -46,8 +46,7 @@ pub fn read(bytes: &[u8]) -> Result<Value, Error> {
         return Err(wrong("found a byte order other than little".to_owned()));
     }
     let pickle = member(&mut archive, name)?;
-    let mut machine =
-        Machine::new(&pickle[..], Options::default(), read_storage).with_outside_storages();
+    let mut machine = Machine::new(&pickle[..], Options::default()).with_outside_storages();
     let root = machine.run()?;
     let mut storages = BTreeMap::new();
     for key in machine.outside_storages().into_keys() {
@@ -96,8 +95,7 @@ struct Legacy<'a> {
 
 impl<'a> Legacy<'a> {
     fn read(bytes: &'a [u8]) -> Result<Self, Error> {
-        let mut machine =
-            Machine::new(bytes, Options::default(), read_storage).with_outside_storages();
+        let mut machine = Machine::new(bytes, Options::default()).with_outside_storages();
         for (what, expected) in [("number", LEGACY_MAGIC), ("version", LEGACY_VERSION)] {
             let id = machine.run()?;
             if !matches!(machine.node(id), Node::Leaf(Value::Int(found)) if *found == expected) {

@@ -135,47 +135,42 @@ impl<'a> Solvable<'a> {
     ///
     /// # Errors
     /// The markers do not fit a body.
-    pub(super) fn solve(self, skeleton: &Skeleton) -> Result<Solved, SolveError> {
-        let Self {
-            set,
-            worn,
-            mut markers,
-            frames,
-            usable,
-            up,
-            tall,
-            headless,
-        } = self;
+    pub(super) fn solve(mut self, skeleton: &Skeleton) -> Result<Solved, SolveError> {
+        let set = self.set;
         let no_body = || SolveError::no_body(set.name());
-        let mut solver = Solver::of(skeleton, &worn);
-        solver.scale = 1.0 / tall;
-        solver.calibrate(&frames, &usable).ok_or_else(no_body)?;
-        let solved = solver.all(&frames, &usable);
+        let mut solver = Solver::of(skeleton, &self.worn);
+        solver.scale = 1.0 / self.tall;
+        solver
+            .calibrate(&self.frames, &self.usable)
+            .ok_or_else(no_body)?;
+        let solved = solver.all(&self.frames, &self.usable);
         let (mut poses, fit_residuals, gaps) = solved.ok_or_else(no_body)?;
-        floor::put_on_floor(&mut poses, markers.fps, skeleton);
-        let motion = Motion::from_poses(markers.fps, &poses).map_err(|_| no_body())?;
+        let fps = self.markers.fps;
+        floor::put_on_floor(&mut poses, fps, skeleton);
+        let motion = Motion::from_poses(fps, &poses).map_err(|_| no_body())?;
         let mut notes = vec![
             format!(
-                "markers {}, {} of {} labels worn; {up} is up in the file",
+                "markers {}, {} of {} labels worn; {} is up in the file",
                 set.name(),
-                worn.columns.len(),
-                markers.labels.len()
+                self.worn.columns.len(),
+                self.markers.labels.len(),
+                self.up
             ),
             format!("captured person scaled by {:.3} to the body", solver.scale),
         ];
-        if headless {
+        if self.headless {
             notes.push("no marker is on the head: it follows the trunk".to_owned());
         }
         if !set.at_rest().is_empty() {
             let parts = part::names(set.at_rest());
             notes.push(format!("as at rest where no marker tells: {parts}"));
         }
-        markers.set = Some(set.name().to_owned());
-        markers.fit_residuals = fit_residuals;
+        self.markers.set = Some(set.name().to_owned());
+        self.markers.fit_residuals = fit_residuals;
         Ok(Solved {
             motion,
             gaps,
-            markers,
+            markers: self.markers,
             notes,
         })
     }

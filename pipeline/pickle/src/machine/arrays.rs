@@ -6,6 +6,7 @@ use super::Machine;
 use crate::array::{self, Array, ItemType};
 use crate::error::Error;
 use crate::object::{Global, Id, Node, Storage, StorageData, Tensor};
+use crate::torch;
 use crate::value::Value;
 
 /// Size in bytes from which the source of an array is released once the array is made. Python shares
@@ -113,7 +114,7 @@ impl Machine<'_> {
             return Err(self.refused("a file within a file", "one within a pickle is the most"));
         }
         let bytes = self.take_bytes(data)?;
-        (self.read_storage)(&bytes).map(Node::Storage)
+        torch::read_storage(&bytes).map(Node::Storage)
     }
 
     /// Pushes the storage that a tuple names: a word, its class, its key, a device and a length.

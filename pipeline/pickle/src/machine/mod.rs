@@ -29,15 +29,10 @@ const NONE: Id = 0;
 const TRUE: Id = 1;
 const FALSE: Id = 2;
 
-/// Reads the storage in a file of `torch.save`.
-type ReadStorage = fn(&[u8]) -> Result<Storage, Error>;
-
 /// The machine and its state.
 pub(crate) struct Machine<'a> {
     input: Input<'a>,
     options: Options<'a>,
-    /// Reads a storage from the bytes of a file of `torch.save`.
-    read_storage: ReadStorage,
     /// Whether the bytes of arrays follow joblib's wrappers.
     wrapped_arrays: bool,
     /// Whether storages outside the pickle may be named.
@@ -54,15 +49,10 @@ pub(crate) struct Machine<'a> {
 }
 
 impl<'a> Machine<'a> {
-    pub(crate) fn new(
-        reader: impl Read + 'a,
-        options: Options<'a>,
-        read_storage: ReadStorage,
-    ) -> Self {
+    pub(crate) fn new(reader: impl Read + 'a, options: Options<'a>) -> Self {
         Self {
             input: Input::new(reader),
             options,
-            read_storage,
             wrapped_arrays: false,
             outside_storages: false,
             inner_files: true,

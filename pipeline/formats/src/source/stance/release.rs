@@ -95,6 +95,7 @@ struct Detail {
 }
 
 /// A planned release.
+#[derive(Default)]
 pub(super) struct StanceRelease {
     contents: Contents,
     /// By file and key.
@@ -279,13 +280,7 @@ impl<'a> Planner<'a> {
         Self {
             files,
             root,
-            release: StanceRelease {
-                contents: Contents::default(),
-                details: BTreeMap::new(),
-                annotations: Annotations::default(),
-                adjustments: Json::Null,
-                labels: None,
-            },
+            release: StanceRelease::default(),
             base_lists: Lists::default(),
             style_lists: Lists::default(),
             adjustment_lists: Lists::default(),
