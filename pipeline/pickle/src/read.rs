@@ -3,18 +3,8 @@
 use std::io::Read;
 
 use crate::error::Error;
-use crate::machine::{self, Machine};
+use crate::machine::Machine;
 use crate::value::{Options, Value};
-
-/// The first bytes of a pickle of any protocol: a protocol mark, or a container of protocols 0
-/// and 1.
-pub fn has_magic(head: &[u8]) -> bool {
-    match head {
-        [0x80, version, ..] => *version <= machine::MAX_PROTOCOL,
-        [b'(', b'd' | b'l' | b't', ..] | [b'}' | b']', b'q' | b'.', ..] => true,
-        _ => false,
-    }
-}
 
 /// Reads a pickle.
 ///

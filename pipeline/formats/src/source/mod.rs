@@ -29,6 +29,7 @@ mod robot;
 pub mod seed;
 pub mod smpl;
 pub mod stance;
+mod stored_labels;
 pub mod trc;
 pub(crate) mod unit;
 pub mod webdataset;

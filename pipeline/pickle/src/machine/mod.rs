@@ -18,7 +18,7 @@ use crate::object::{Id, Node, Storage, StorageData};
 use crate::value::{Options, Value};
 
 /// Newest protocol.
-pub(crate) const MAX_PROTOCOL: u8 = 5;
+const MAX_PROTOCOL: u8 = 5;
 /// Limits on objects and on stack pushes over a whole run: a pickle of MotionFix has about a million,
 /// and hostile bytes stay below a gigabyte of memory.
 const MAX_OBJECTS: usize = 1 << 23;
