@@ -374,7 +374,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::source::bvh::BvhFile;
     use crate::source::bvh::dialects::RigText;
-    use crate::source::release_tests::{edited, says};
+    use crate::source::release_tests::{assert_contains, assert_refused, assert_says, edited};
     use clip::check::check;
 
     fn with_map(map: &UserMap) -> ReadOptions {
@@ -443,8 +443,8 @@ pub(crate) mod tests {
             };
             let clip = retarget(&dialect.write(&poses, &skeleton));
             assert_same_motion(&clip, &poses);
-            assert!(says(&clip, unit), "{:?}", clip.notes);
-            assert!(says(&clip, "z is up in the file"), "{:?}", clip.notes);
+            assert_says(&clip, unit);
+            assert_says(&clip, "z is up in the file");
         }
     }
 
@@ -453,7 +453,7 @@ pub(crate) mod tests {
         let skeleton = Skeleton::smplx_neutral();
         let poses = walk(120);
         let clip = retarget(&RigText::scrambled().write(&poses, &skeleton));
-        assert!(says(&clip, "from the motion"), "{:?}", clip.notes);
+        assert_says(&clip, "from the motion");
         for (found, expected) in clip.motion.poses().into_iter().zip(&poses) {
             let (found_points, expected_points) =
                 (skeleton.keypoints(&found), skeleton.keypoints(expected));
@@ -539,11 +539,7 @@ pub(crate) mod tests {
             (rejected.code, rejected.stage),
             ("E-BVH-SKELETON", "retarget")
         );
-        assert!(
-            rejected.reason.contains("not upright"),
-            "{}",
-            rejected.reason
-        );
+        assert_contains(&rejected.reason, "not upright");
     }
 
     #[test]
@@ -573,20 +569,12 @@ pub(crate) mod tests {
         let found = read(&text);
         assert_same_motion(&found, &poses);
         assert_eq!(found.notes[0], "skeleton map mine of the user");
-        assert!(says(&found, "z is up in the file"), "{:?}", found.notes);
-        assert!(
-            says(&found, "unit m, as the joint map says"),
-            "{:?}",
-            found.notes
-        );
+        assert_says(&found, "z is up in the file");
+        assert_says(&found, "unit m, as the joint map says");
         // Where its joints are not there, the file speaks for itself.
         let other = read(&RigText::smplx().write(&poses, &skeleton));
         assert_eq!(other.notes[0], "skeleton map smplx");
-        assert!(
-            says(&other, "the joint map mine does not fit the file"),
-            "{:?}",
-            other.notes
-        );
+        assert_says(&other, "the joint map mine does not fit the file");
     }
 
     #[test]
@@ -606,11 +594,7 @@ pub(crate) mod tests {
         let map = UserMap::parse(&map).expect("a map");
         let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
         let clip = clip(&bvh, &with_map(&map)).expect("a body");
-        assert!(
-            says(&clip, "joint frames from the first frame"),
-            "{:?}",
-            clip.notes
-        );
+        assert_says(&clip, "joint frames from the first frame");
         // Without a rest, the twist of scrambled frames is an estimate; with one it is exact.
         assert_same_motion(&clip, &poses);
     }
@@ -621,13 +605,12 @@ pub(crate) mod tests {
         let twice = rejected(&text.replace("JOINT spine2\n", "JOINT left_knee\n"));
         assert_eq!(twice.code, "E-BVH-SKELETON");
         let words = "found 2 joints named \"left_knee\"";
-        assert!(twice.reason.contains(words), "{}", twice.reason);
+        assert_contains(&twice.reason, words);
         let toy = "HIERARCHY ROOT Base { OFFSET 0 0 0 CHANNELS 3 Zrotation Xrotation Yrotation \
                    JOINT End { OFFSET 0 0 15 CHANNELS 3 Zrotation Xrotation Yrotation } } \
                    MOTION Frames: 2 Frame Time: 0.1\n0 0 0 0 0 0\n1 1 1 1 1 1\n";
         let rejected = rejected(toy);
-        assert_eq!(rejected.code, "E-BVH-SKELETON");
-        assert!(rejected.reason.contains("left_knee"), "{}", rejected.reason);
+        assert_refused(&rejected, "E-BVH-SKELETON", "left_knee");
     }
 
     #[test]

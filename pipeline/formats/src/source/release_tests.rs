@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Split;
 use datasets_spec::store::{ByPath, Store as _};
+use datasets_spec::{Motion, Skeleton, Split};
 use proptest::sample::Index;
 use testkit::put;
 
 use super::{Entry, Files, ReadOptions, Release};
-use clip::SourceClip;
+use clip::{Rejected, SourceClip};
 
 /// Files in a temporary folder.
 pub(super) fn files_of(files: &[(&str, &[u8])]) -> (tempfile::TempDir, Files) {
@@ -61,6 +61,49 @@ pub(super) fn why_passed_over<'a>(release: &'a dyn Release, file: &str) -> &'a s
 /// Whether a note of a clip contains some words.
 pub(crate) fn says(clip: &SourceClip, words: &str) -> bool {
     clip.notes.iter().any(|note| note.contains(words))
+}
+
+/// A note of a clip contains some words.
+#[track_caller]
+pub(crate) fn assert_says(clip: &SourceClip, words: &str) {
+    assert!(says(clip, words), "{words}: {:?}", clip.notes);
+}
+
+/// A text contains some words.
+#[track_caller]
+pub(crate) fn assert_contains(text: &str, words: &str) {
+    assert!(text.contains(words), "{words}: {text}");
+}
+
+/// A rejection has a code, and its reason contains some words.
+#[track_caller]
+pub(crate) fn assert_refused(rejected: &Rejected, code: &str, words: &str) {
+    assert_eq!(rejected.code, code, "{}", rejected.reason);
+    assert_contains(&rejected.reason, words);
+}
+
+/// The one release that was found.
+pub(super) fn only(mut releases: Vec<Box<dyn Release>>) -> Box<dyn Release> {
+    assert_eq!(releases.len(), 1);
+    releases.pop().expect("one")
+}
+
+/// Codes of the files of a release that are rejected.
+pub(super) fn codes(release: &dyn Release) -> Vec<&str> {
+    let rejected = release.contents().rejected.iter();
+    rejected.map(|(_, rejected)| rejected.code).collect()
+}
+
+/// Both motions have their keypoints in the same places.
+#[track_caller]
+pub(crate) fn assert_same_places(found: &Motion, expected: &Motion, metres: f64) {
+    let skeleton = Skeleton::smplx_neutral();
+    let [found, expected] =
+        [found, expected].map(|motion| skeleton.motion_keypoints(motion).points);
+    assert_eq!(found.len(), expected.len());
+    for (a, b) in found.as_flattened().iter().zip(expected.as_flattened()) {
+        assert!(a.distance(*b) < metres, "{} m apart", a.distance(*b));
+    }
 }
 
 /// Bytes with some of them changed.

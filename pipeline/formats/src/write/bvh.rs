@@ -186,6 +186,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::source::release_tests::assert_same_places;
 
     fn compose([z, y, x]: [f64; 3]) -> DQuat {
         DQuat::from_rotation_z(z) * DQuat::from_rotation_y(y) * DQuat::from_rotation_x(x)
@@ -265,16 +266,8 @@ mod tests {
             crate::retarget::clip(&bvh.expect("valid"), &crate::source::ReadOptions::default())
                 .expect("a body");
         assert_eq!((clip.motion.fps(), clip.motion.len()), (Fps::STORE, 50));
-        let (found, expected) = (
-            skeleton.motion_keypoints(&clip.motion),
-            skeleton.motion_keypoints(&motion),
-        );
-        for (found, expected) in found.points.iter().zip(&expected.points) {
-            for (a, b) in found.iter().zip(expected) {
-                // A micrometre for positions and 1e-7 rad for angles is what the file resolves.
-                assert!(a.distance(*b) < 1e-5, "{} m apart", a.distance(*b));
-            }
-        }
+        // A micrometre for positions and 1e-7 rad for angles is what the file resolves.
+        assert_same_places(&clip.motion, &motion, 1e-5);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use super::cursor::parse_number;
 use super::rig::{BLOCK, LocalBlock, half_angle_sin_cos};
 use super::*;
 use crate::retarget::Rig;
-use crate::source::release_tests::edited;
+use crate::source::release_tests::{assert_contains, edited};
 use clip::Rejected;
 
 const SMALL: &str = "HIERARCHY\nROOT Base\n{\n\tOFFSET 0 0 0\n\
@@ -205,11 +205,7 @@ fn what_is_wrong_is_rejected_with_its_place() {
         );
     }
     let frames = parse(&SMALL.replace("Frames: 2", "Frames: 5")).expect_err("5 rows promised");
-    assert!(
-        frames.reason.contains("found 2 rows of motion, expected 5"),
-        "{}",
-        frames.reason
-    );
+    assert_contains(&frames.reason, "found 2 rows of motion, expected 5");
     let (head, _) = SMALL.split_once("Frames").expect("has frames");
     let none = format!("{head}Frames: 0\nFrame Time: 0.1\n");
     assert_eq!(rejection(&none).0, "E-TOO-SHORT");

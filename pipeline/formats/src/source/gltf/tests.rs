@@ -11,7 +11,7 @@ use testkit::walk;
 use super::container::chunks;
 use super::curve::{Curve, DEFAULT_FPS};
 use super::*;
-use crate::source::release_tests::{edited, says};
+use crate::source::release_tests::{assert_says, edited};
 use crate::write;
 use clip::SourceClip;
 
@@ -138,7 +138,7 @@ fn keys_at_uneven_times_are_sampled_and_said_so() {
     // Key 1 of 20 fps is due at 0.05 s.
     let clip = clip_of(&parts.poke(times, 4, &0.03f32.to_le_bytes()).embedded());
     assert_eq!(clip.motion.fps().get(), DEFAULT_FPS);
-    assert!(says(&clip, "uneven"), "{:?}", clip.notes);
+    assert_says(&clip, "uneven");
     assert_eq!(clip.motion.len(), (29.0 / 20.0 * 30.0) as usize + 1);
 }
 

@@ -6,7 +6,9 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 
 use super::*;
-use crate::source::release_tests::{clip_of, files_under, says, test_data};
+use crate::source::release_tests::{
+    assert_says, clip_of, codes, files_under, only, says, test_data,
+};
 use pickle::{Array, encode};
 use testkit::put;
 
@@ -66,9 +68,7 @@ fn zlib(bytes: &[u8]) -> Vec<u8> {
 }
 
 fn only_release(files: &Files) -> Box<dyn Release> {
-    let mut releases = find(files);
-    assert_eq!(releases.len(), 1);
-    releases.pop().expect("one")
+    only(find(files))
 }
 
 #[test]
@@ -163,7 +163,7 @@ fn dumps_and_lists_become_pairs() {
             "000007 has the split of its dump"
         );
         let unlisted = clip_of(&*release, &files, "motionfix/000007-target");
-        assert!(says(&unlisted, "its dump"), "{:?}", unlisted.notes);
+        assert_says(&unlisted, "its dump");
 
         let source = clip_of(&*release, &files, "motionfix/000136-source");
         assert!(!says(&source, "splits.json"), "{:?}", source.notes);
@@ -243,19 +243,13 @@ fn broken_pairs_and_dumps_are_on_record() {
     put(dir.path(), "splits.json", "[");
     let files = files_under(dir.path());
     let release = only_release(&files);
-    let codes: Vec<&str> = release
-        .contents()
-        .rejected
-        .iter()
-        .map(|(_, r)| r.code)
-        .collect();
     let expected = [
         "E-MOTIONFIX-JSON",
         "E-PICKLE-REFUSED",
         "E-LFS-POINTER",
         "E-MOTIONFIX-KEYS",
     ];
-    assert_eq!(codes, expected);
+    assert_eq!(codes(&*release), expected);
     let read = release.read(
         &files,
         &release.contents().entries[0],

@@ -6,7 +6,7 @@ use testkit::walk;
 use testkit::{npy, npy_f8};
 
 use super::*;
-use crate::source::release_tests::{clip_of, edited, files_of, planned, says};
+use crate::source::release_tests::{assert_says, clip_of, edited, files_of, planned};
 
 fn vector() -> Vec<u8> {
     let motion = Motion::from_poses(released_fps(), &walk(40)).expect("valid");
@@ -68,7 +68,7 @@ fn folders_of_both_layouts_are_found_and_every_file_is_accounted_for() {
     assert_eq!(clip.rotation_source, RotationSource::Native);
     assert!(clip.fit_error_m.expect("measured") < 1e-5);
     assert_eq!(clip.captions[1].tokens, "he/PRON");
-    assert!(says(&clip, "train, test"), "{:?}", clip.notes);
+    assert_says(&clip, "train, test");
     let clip = clip_of(mm.as_ref(), &files, "set/part_1/a b");
     let texts: Vec<&str> = clip
         .captions

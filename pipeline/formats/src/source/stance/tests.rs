@@ -6,7 +6,9 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::source::options::ReadOptions;
-use crate::source::release_tests::{clip_of, entry_of, files_under, planned, says, test_data};
+use crate::source::release_tests::{
+    assert_says, clip_of, codes, entry_of, files_under, only, planned, test_data,
+};
 use clip::check::check;
 use pickle::encode;
 use pickle::{Array, Value};
@@ -14,9 +16,7 @@ use pickle::{Array, Value};
 use testkit::{adjustment, dictionary, put, swinging as motion, write_release};
 
 fn only_release(files: &Files) -> Box<dyn Release> {
-    let mut releases = find(files);
-    assert_eq!(releases.len(), 1);
-    releases.pop().expect("one")
+    only(find(files))
 }
 
 #[test]
@@ -63,7 +63,7 @@ fn a_release_becomes_motions_masks_and_pairs() {
     assert_eq!(base.part_captions[0].part, "LEFT_ARM");
     let mirrored = clip_of(&*release, &files, "M000009");
     assert_eq!(mirrored.masks[0].text, "stretching");
-    assert!(says(&mirrored, "014625"), "{:?}", mirrored.notes);
+    assert_says(&mirrored, "014625");
 
     let styled = clip_of(&*release, &files, "000009#proud");
     assert_eq!(styled.style.as_deref(), Some("proud"));
@@ -144,13 +144,7 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
             .all(|entry| entry.split.is_none()),
         "no lists"
     );
-    let codes: Vec<&str> = release
-        .contents()
-        .rejected
-        .iter()
-        .map(|(_, r)| r.code)
-        .collect();
-    assert_eq!(codes, ["E-STANCE-JSON", "E-STANCE-NAME"]);
+    assert_eq!(codes(&*release), ["E-STANCE-JSON", "E-STANCE-NAME"]);
     let edit = &clip_of(&*release, &files, "adjustment/a#tgt").edits[0];
     assert_eq!(edit.instruction, "lower");
     assert_eq!(edit.parts, [BodyPart::LeftArm]);
