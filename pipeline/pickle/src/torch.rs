@@ -39,11 +39,11 @@ pub fn read(bytes: &[u8]) -> Result<Value, Error> {
     let name = names
         .iter()
         .find(|name| *name == "data.pkl" || name.ends_with("/data.pkl"))
-        .ok_or_else(|| wrong("found an archive without data.pkl".to_owned()))?;
+        .ok_or_else(|| wrong("found an archive without data.pkl"))?;
     let folder = name.trim_end_matches("data.pkl");
     let order = format!("{folder}byteorder");
     if names.contains(&order) && member(&mut archive, &order)?.trim_ascii() != b"little" {
-        return Err(wrong("found a byte order other than little".to_owned()));
+        return Err(wrong("found a byte order other than little"));
     }
     let pickle = member(&mut archive, name)?;
     let mut machine = Machine::new(&pickle[..], Options::default()).with_outside_storages();
@@ -77,10 +77,10 @@ pub(crate) fn read_storage(bytes: &[u8]) -> Result<Storage, Error> {
         data: StorageData::Named(key),
     }) = legacy.machine.node(legacy.root)
     else {
-        return Err(wrong("found a file without a storage".to_owned()));
+        return Err(wrong("found a file without a storage"));
     };
     let data = legacy.storages.get(key);
-    let data = data.ok_or_else(|| wrong("found a storage without bytes".to_owned()))?;
+    let data = data.ok_or_else(|| wrong("found a storage without bytes"))?;
     Ok(Storage {
         dtype: *dtype,
         data: StorageData::Present(data.clone()),
@@ -108,7 +108,7 @@ impl<'a> Legacy<'a> {
         let system = machine.run()?;
         let system = machine.value(system, &BTreeMap::new())?;
         if system.get("little_endian") == Some(&Value::Bool(false)) {
-            return Err(wrong("found a byte order other than little".to_owned()));
+            return Err(wrong("found a byte order other than little"));
         }
         let root = machine.run()?;
         let dtypes = machine.outside_storages();
@@ -134,6 +134,6 @@ impl<'a> Legacy<'a> {
     }
 }
 
-fn wrong(reason: String) -> Error {
+fn wrong(reason: impl Into<String>) -> Error {
     Error::new("E-TORCH-FORMAT", reason)
 }

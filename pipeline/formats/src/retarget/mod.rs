@@ -16,6 +16,7 @@ mod user_map;
 pub(crate) use align::{axis_name, y_up_from_axis};
 pub(crate) use joint_map::bare;
 pub use joint_map::{Mapping, Origin};
+pub(crate) use rig::with_ancestors;
 pub use rig::{Bone, Placed, Rest, Rig};
 pub(crate) use unit::body_height;
 pub use user_map::{UserMap, UserMapError};
@@ -94,9 +95,9 @@ pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejecte
         scale: body_leg / track.leg_length,
         skeleton,
     };
-    let carried = carrier.carry(rig, &bones)?;
-    let mut clip = SourceClip::new(carried.motion, RotationSource::Retargeted);
-    clip.fit_error_m = Some(carried.error_m as f32);
+    let (motion, error_m) = carrier.carry(rig, &bones)?;
+    let mut clip = SourceClip::new(motion, RotationSource::Retargeted);
+    clip.fit_error_m = Some(error_m as f32);
     clip.source_frames = rig.frames();
     if clip.source_frames.start > 0 {
         clip.flags |= FLAG_REFERENCE_DROPPED;
@@ -204,15 +205,6 @@ struct Carrier<'a> {
     skeleton: &'a Skeleton,
 }
 
-/// A retargeted motion.
-struct Carried {
-    motion: Motion,
-    /// Mean distance in metres between the joints of the body and of the source, whose bones keep their
-    /// directions but get the body's lengths. Both start from the same hips, which are rigid parts of the
-    /// pelvis.
-    error_m: f64,
-}
-
 /// A bone of the source that is compared with the body's.
 struct Compared {
     joint: usize,
@@ -223,7 +215,9 @@ struct Compared {
 }
 
 impl Carrier<'_> {
-    fn carry(&self, rig: &impl Rig, bones: &[Bone<'_>]) -> Result<Carried, Rejected> {
+    /// The motion, and the mean distance in metres between the joints of the body and of the source, whose bones keep
+    /// their directions but get the body's lengths. Both start from the same hips, which are rigid parts of the pelvis.
+    fn carry(&self, rig: &impl Rig, bones: &[Bone<'_>]) -> Result<(Motion, f64), Rejected> {
         /// Poses held in working precision.
         const AT_ONCE: usize = 1024;
         let num_frames = rig.frames().len();
@@ -258,10 +252,7 @@ impl Carrier<'_> {
             .build(rig.fps())
             .map_err(|error| Rejected::retarget("E-NOT-FINITE", error.to_string()))?;
         let count = (num_frames * compared.len()).max(1);
-        Ok(Carried {
-            motion,
-            error_m: error / count as f64,
-        })
+        Ok((motion, error / count as f64))
     }
 
     /// Global rotations of the body in a frame.
@@ -342,7 +333,7 @@ impl Carrier<'_> {
             .collect()
     }
 
-    /// Sum of one frame's distances for [`Carried::error_m`]. Bones without a direction in the source count as
+    /// Sum of one frame's distances for [`Carrier::carry`]. Bones without a direction in the source count as
     /// equal to the body's.
     fn direction_error(
         &self,

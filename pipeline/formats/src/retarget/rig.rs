@@ -18,6 +18,22 @@ pub struct Bone<'a> {
     pub tip: Option<DVec3>,
 }
 
+/// Marks some bones and those above them, by the parents of all.
+pub(crate) fn with_ancestors(
+    parents: &[Option<usize>],
+    bones: impl IntoIterator<Item = usize>,
+) -> Vec<bool> {
+    let mut marked = vec![false; parents.len()];
+    for bone in bones {
+        let mut at = Some(bone);
+        while let Some(bone) = at.filter(|&bone| !marked[bone]) {
+            marked[bone] = true;
+            at = parents[bone];
+        }
+    }
+    marked
+}
+
 /// World transform of a bone in the file's unit and axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placed {

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::joint_map::Mapping;
-use super::rig::{Bone, Placed, Rest, Rig};
+use super::rig::{Bone, Placed, Rest, Rig, with_ancestors};
 use clip::Rejected;
 
 /// Global rotations and positions of the mapped joints of a source, in its own unit. Of long motions
@@ -209,15 +209,8 @@ fn anchors(bones: &[Bone<'_>], mapping: &Mapping) -> [Anchor; NUM_BODY_JOINTS] {
 
 /// The bones that carry an anchor, with their ancestors.
 fn needed(bones: &[Bone<'_>], anchors: &[Anchor; NUM_BODY_JOINTS]) -> Vec<bool> {
-    let mut needed = vec![false; bones.len()];
-    for (bone, _) in anchors.iter().flatten() {
-        let mut at = Some(*bone);
-        while let Some(index) = at.filter(|&index| !needed[index]) {
-            needed[index] = true;
-            at = bones[index].parent;
-        }
-    }
-    needed
+    let parents: Vec<Option<usize>> = bones.iter().map(|bone| bone.parent).collect();
+    with_ancestors(&parents, anchors.iter().flatten().map(|(bone, _)| *bone))
 }
 
 fn rotations_of(

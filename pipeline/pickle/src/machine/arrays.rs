@@ -84,10 +84,10 @@ impl Machine<'_> {
             Node::Leaf(Value::Int(offset)) => usize::try_from(*offset).ok(),
             _ => None,
         };
-        let offset = offset.ok_or_else(|| self.malformed("found no offset".to_owned()))?;
+        let offset = offset.ok_or_else(|| self.malformed("found no offset"))?;
         let (shape, strides) = (self.as_shape(shape)?, self.as_shape(strides)?);
         let Node::Storage(Storage { dtype, data }) = self.node(storage) else {
-            return Err(self.malformed("found a tensor without a storage".to_owned()));
+            return Err(self.malformed("found a tensor without a storage"));
         };
         let dtype = *dtype;
         match data {
@@ -108,7 +108,7 @@ impl Machine<'_> {
 
     pub(super) fn inner_storage(&mut self, arguments: &[Id]) -> Result<Node, Error> {
         let Some(&data) = arguments.first() else {
-            return Err(self.malformed("found a storage without bytes".to_owned()));
+            return Err(self.malformed("found a storage without bytes"));
         };
         if !self.inner_files {
             return Err(self.refused("a file within a file", "one within a pickle is the most"));
@@ -123,15 +123,15 @@ impl Machine<'_> {
             return Err(self.refused("an object by its name", "it is kept outside the pickle"));
         }
         let Node::Tuple(parts) = self.node(id) else {
-            return Err(self.malformed("found a name that is no tuple".to_owned()));
+            return Err(self.malformed("found a name that is no tuple"));
         };
         let &[_, class, key, ..] = parts.as_slice() else {
-            return Err(self.malformed("found a storage without class and key".to_owned()));
+            return Err(self.malformed("found a storage without class and key"));
         };
         let (Node::Global(Global::StorageOf(dtype)), Some(key)) =
             (self.node(class), self.text_of(key))
         else {
-            return Err(self.malformed("found a storage without class and key".to_owned()));
+            return Err(self.malformed("found a storage without class and key"));
         };
         let storage = Storage {
             dtype: *dtype,
@@ -170,7 +170,7 @@ impl Machine<'_> {
     /// A type with the byte order of its state `(version, order, inner type, field names, …)`.
     pub(super) fn ordered(&self, item: ItemType, state: &[Id]) -> Result<ItemType, Error> {
         let Some(order) = state.get(1).and_then(|&order| self.text_of(order)) else {
-            return Err(self.malformed("found a type without a byte order".to_owned()));
+            return Err(self.malformed("found a type without a byte order"));
         };
         let plain = state.get(2..5).is_none_or(|parts| {
             parts
@@ -197,17 +197,17 @@ impl Machine<'_> {
     /// byte that counts the padding and the padding, then the items.
     pub(super) fn wrapped_array(&mut self, state: Id) -> Result<Node, Error> {
         if !self.wrapped_arrays {
-            return Err(self.malformed("found a joblib array outside a joblib dump".to_owned()));
+            return Err(self.malformed("found a joblib array outside a joblib dump"));
         }
         let Node::Dict(entries) = self.node(state) else {
-            return Err(self.malformed("found a joblib array without attributes".to_owned()));
+            return Err(self.malformed("found a joblib array without attributes"));
         };
         let attribute = |name: &str| {
             let mut entries = entries.iter();
             let named = entries.find(|(key, _)| self.text_of(*key) == Some(name));
             named.map(|(_, value)| *value)
         };
-        let missing = || self.malformed("found a joblib array without type and shape".to_owned());
+        let missing = || self.malformed("found a joblib array without type and shape");
         let item = attribute("dtype").ok_or_else(missing)?;
         let shape = attribute("shape").ok_or_else(missing)?;
         let fortran = attribute("order").and_then(|order| self.text_of(order)) == Some("F");
@@ -293,9 +293,8 @@ impl Machine<'_> {
 
     pub(super) fn latin_1_bytes(&self, text: &str) -> Result<Arc<[u8]>, Error> {
         let bytes: Result<Vec<u8>, _> = text.chars().map(u8::try_from).collect();
-        let bytes = bytes.map_err(|_| {
-            self.malformed("found text beyond latin1 where bytes were expected".to_owned())
-        })?;
+        let bytes = bytes
+            .map_err(|_| self.malformed("found text beyond latin1 where bytes were expected"))?;
         Ok(bytes.into())
     }
 
@@ -317,7 +316,7 @@ impl Machine<'_> {
             }
             _ => extent(id).map(|extent| vec![extent]),
         };
-        extents.ok_or_else(|| self.malformed("found no shape where one was expected".to_owned()))
+        extents.ok_or_else(|| self.malformed("found no shape where one was expected"))
     }
 }
 

@@ -190,7 +190,7 @@ impl<'a> Machine<'a> {
         let bottom = self.marks.last().copied().unwrap_or(0);
         match self.stack.last() {
             Some(&top) if self.stack.len() > bottom => Ok(top),
-            _ => Err(self.malformed("found an opcode without its operands".to_owned())),
+            _ => Err(self.malformed("found an opcode without its operands")),
         }
     }
 
@@ -203,7 +203,7 @@ impl<'a> Machine<'a> {
     fn items_from_mark(&mut self) -> Result<Vec<Id>, Error> {
         match self.marks.pop() {
             Some(mark) if mark <= self.stack.len() => Ok(self.stack.split_off(mark)),
-            _ => Err(self.malformed("found an opcode without its mark".to_owned())),
+            _ => Err(self.malformed("found an opcode without its mark")),
         }
     }
 
@@ -238,15 +238,15 @@ impl<'a> Machine<'a> {
         .at(self.op_at)
     }
 
-    fn malformed(&self, reason: String) -> Error {
+    fn malformed(&self, reason: impl Into<String>) -> Error {
         Error::new("E-PICKLE-FORMAT", reason).at(self.op_at)
     }
 
-    fn wrong_shape(&self, reason: String) -> Error {
+    fn wrong_shape(&self, reason: impl Into<String>) -> Error {
         Error::new("E-PICKLE-SHAPE", reason).at(self.op_at)
     }
 
-    fn limit(&self, reason: String) -> Error {
+    fn limit(&self, reason: impl Into<String>) -> Error {
         Error::new("E-PICKLE-LIMIT", reason).at(self.op_at)
     }
 }

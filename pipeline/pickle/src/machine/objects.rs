@@ -64,7 +64,7 @@ impl Machine<'_> {
     fn entries(&mut self, items: &[Id]) -> Result<Vec<(Id, Id)>, Error> {
         let (pairs, rest) = items.as_chunks::<2>();
         if !rest.is_empty() {
-            return Err(self.malformed("found a key without a value".to_owned()));
+            return Err(self.malformed("found a key without a value"));
         }
         let mut entries = Vec::with_capacity(pairs.len());
         for &[key, value] in pairs {
@@ -86,7 +86,7 @@ impl Machine<'_> {
             _ => {
                 let line = self.input.line()?;
                 let key = String::from_utf8_lossy(&line).trim().parse();
-                key.map_err(|_| self.malformed("found no number of a memo".to_owned()))?
+                key.map_err(|_| self.malformed("found no number of a memo"))?
             }
         };
         if matches!(op, b'g' | b'h' | b'j') {
@@ -119,7 +119,7 @@ impl Machine<'_> {
                 let name = self.pop()?;
                 let module = self.pop()?;
                 let (Some(module), Some(name)) = (self.text_of(module), self.text_of(name)) else {
-                    return Err(self.malformed("found a name that is not text".to_owned()));
+                    return Err(self.malformed("found a name that is not text"));
                 };
                 let (module, name) = (module.to_owned(), name.to_owned());
                 self.global(&module, &name)
@@ -138,7 +138,7 @@ impl Machine<'_> {
             0x92 => {
                 let keywords = self.pop()?;
                 if !matches!(self.node(keywords), Node::Dict(entries) if entries.is_empty()) {
-                    return Err(self.malformed("found a call with named arguments".to_owned()));
+                    return Err(self.malformed("found a call with named arguments"));
                 }
                 self.call()
             }
@@ -206,7 +206,7 @@ impl Machine<'_> {
         for item in self.items_of(arguments)? {
             match self.node(item) {
                 Node::Tuple(pair) | Node::List(pair) if pair.len() == 2 => entries.extend(pair),
-                _ => return Err(self.malformed("found an entry that is no pair".to_owned())),
+                _ => return Err(self.malformed("found an entry that is no pair")),
             }
         }
         self.entries(&entries).map(Node::Dict)

@@ -46,8 +46,8 @@ pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected>
         flags |= FLAG_ROW_COUNT;
         notes.push(note);
     }
-    let rate = rows.rate(header.rate)?;
-    if let Some(note) = rate.note {
+    let (fps, note) = rows.rate(header.rate)?;
+    if let Some(note) = note {
         flags |= FLAG_FPS_DOUBTFUL;
         notes.push(note);
     }
@@ -60,7 +60,7 @@ pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected>
     let (unit, note) = CaptureUnit::find(options.unit, &header.unit, largest);
     notes.extend(note);
     let positions = in_metres(&rows, &header, unit)?;
-    let (markers, note) = positions.markers(rate.fps, header.labels());
+    let (markers, note) = positions.markers(fps, header.labels());
     notes.extend(note);
     if rows.num_zeros > 0 {
         notes.push(format!(

@@ -25,13 +25,6 @@ pub(super) struct Rows {
     pub(super) num_zeros: usize,
 }
 
-/// The rate of a capture.
-pub(super) struct Rate {
-    pub(super) fps: Fps,
-    /// What is doubtful about it.
-    pub(super) note: Option<String>,
-}
-
 impl Rows {
     pub(super) fn parse(lines: &mut Lines<'_>, header: &Header) -> Result<Self, Rejected> {
         let mut rows = Self {
@@ -126,8 +119,8 @@ impl Rows {
         self.positions.truncate(len * self.num_markers);
     }
 
-    /// The stated rate, else that of the times.
-    pub(super) fn rate(&self, stated: Option<f64>) -> Result<Rate, Rejected> {
+    /// The stated rate, else that of the times, and what is doubtful about it.
+    pub(super) fn rate(&self, stated: Option<f64>) -> Result<(Fps, Option<String>), Rejected> {
         let span = self.span();
         let by_times = span.map(|(steps, secs)| steps / secs);
         let by_times = by_times.filter(|rate| (MIN_FPS..=MAX_FPS).contains(rate));
@@ -153,7 +146,7 @@ impl Rows {
             (None, _) => Some("the rate is that of the times; the file states none".to_owned()),
             _ => None,
         };
-        Ok(Rate { fps, note })
+        Ok((fps, note))
     }
 
     /// Steps from the first frame to the last, and the seconds between them.
