@@ -355,7 +355,7 @@ impl Carrier<'_> {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use datasets_spec::{Fps, Pose};
+    use datasets_spec::{Fps, Joint, Pose};
     use kinematics::rotation::angle_between;
     use proptest::prelude::*;
 
@@ -373,6 +373,14 @@ pub(crate) mod tests {
             user_map: Some(map.clone()),
             ..ReadOptions::default()
         }
+    }
+
+    /// A joint map of all joints, with further fields.
+    fn map_of(name: impl Fn(Joint) -> String, fields: &str) -> UserMap {
+        let joints = Joint::ALL.map(|joint| format!("{:?}: {:?}", joint.name(), name(joint)));
+        let joints = joints.join(", ");
+        let map = format!(r#"{{"name": "mine", "joints": {{{joints}}}, {fields}}}"#);
+        UserMap::parse(&map).expect("a map")
     }
 
     fn retarget(text: &str) -> SourceClip {
@@ -544,15 +552,10 @@ pub(crate) mod tests {
         let text = renamed(&dialect.write(&poses, &skeleton), |joint| {
             format!("b{joint}")
         });
-        let joints: Vec<String> = datasets_spec::Joint::ALL
-            .iter()
-            .map(|joint| format!("\"{}\": \"b{}\"", joint.name(), joint.index()))
-            .collect();
-        let map = format!(
-            "{{\"name\": \"mine\", \"joints\": {{{}}}, \"unit\": 1.0, \"up\": \"z\"}}",
-            joints.join(", ")
+        let map = map_of(
+            |joint| format!("b{}", joint.index()),
+            r#""unit": 1.0, "up": "z""#,
         );
-        let map = UserMap::parse(&map).expect("a map");
         let read = |text: &str| {
             let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
             clip(&bvh, &with_map(&map)).expect("a body")
@@ -574,15 +577,7 @@ pub(crate) mod tests {
         let mut poses = walk(40);
         poses[0].rotations = Pose::REST.rotations;
         let text = RigText::scrambled().write(&poses, &skeleton);
-        let joints: Vec<String> = datasets_spec::Joint::ALL
-            .iter()
-            .map(|joint| format!("\"{0}\": \"{0}\"", joint.name()))
-            .collect();
-        let map = format!(
-            "{{\"name\": \"mine\", \"joints\": {{{}}}, \"rest\": \"first-frame\"}}",
-            joints.join(", ")
-        );
-        let map = UserMap::parse(&map).expect("a map");
+        let map = map_of(|joint| joint.name().to_owned(), r#""rest": "first-frame""#);
         let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
         let clip = clip(&bvh, &with_map(&map)).expect("a body");
         assert_says(&clip, "joint frames from the first frame");
