@@ -20,8 +20,9 @@ use super::track::{Track, TrackRest};
 /// The constant rotation of each body joint; the identity where the source has no such joint.
 pub(super) type Alignment = [DQuat; NUM_BODY_JOINTS];
 
-/// Bones whose direction the body must reproduce exactly, as (joint, its child), parents first.
-const LIMBS: [(usize, usize); 8] = [
+/// Bones whose direction the body must reproduce exactly, as (joint, its child), parents first. The left one of a pair
+/// comes before the right one.
+pub(super) const LIMBS: [(usize, usize); 8] = [
     (1, 4),
     (2, 5),
     (4, 7),

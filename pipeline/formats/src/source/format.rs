@@ -138,7 +138,7 @@ pub enum Recognised {
 }
 
 /// One motion in the plan: a whole file, or one of several that a file holds.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Entry {
     /// Relative path of the file it is read from.
     pub file: String,

@@ -78,11 +78,10 @@ impl Folder {
             };
             folder.contents.entries.push(Entry {
                 file,
-                key: String::new(),
                 id: id.clone(),
                 split,
-                group: None,
                 mirrored_of: mirrored_of(id).map(str::to_owned),
+                ..Entry::default()
             });
             folder.clips.insert(id.clone(), clip);
         }

@@ -159,11 +159,10 @@ impl Folder {
             }
             folder.contents.entries.push(Entry {
                 file: file.to_owned(),
-                key: String::new(),
                 id: id.to_owned(),
                 split,
-                group: None,
                 mirrored_of: mirrored_of(id).map(str::to_owned),
+                ..Entry::default()
             });
         }
         folder

@@ -2,10 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use datasets_spec::table::Caption;
-
 use super::metadata::{self, Described, stem};
 use super::timeline::{Timeline, Timelines};
+use crate::sidecar::caption;
 use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release};
 use crate::source::names::file_name;
@@ -111,13 +110,12 @@ impl SeedFolder {
             let id = id_of(root, file);
             folder.contents.entries.push(Entry {
                 file: file.to_owned(),
-                key: String::new(),
                 id: escaped(id),
-                split: None,
                 group: Some(original(name).unwrap_or_else(|| name.to_owned())),
                 mirrored_of: original(id)
                     .filter(|original| ids.contains(original.as_str()))
                     .map(|original| escaped(&original)),
+                ..Entry::default()
             });
         }
         folder
@@ -204,13 +202,7 @@ impl Release for SeedFolder {
         let mut clip = bvh::read(&mut &bytes[..], bytes.len(), options)?;
         let name = stem(file_name(&entry.file));
         if let Some(motion) = self.motions.get(name) {
-            let captions = motion.captions.iter();
-            clip.captions = captions
-                .map(|text| Caption {
-                    text: text.clone(),
-                    ..Caption::default()
-                })
-                .collect();
+            clip.captions = motion.captions.iter().map(caption).collect();
             clip.action.clone_from(&motion.action);
             clip.style.clone_from(&motion.style);
             clip.subject.clone_from(&motion.subject);

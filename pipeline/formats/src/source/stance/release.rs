@@ -503,11 +503,10 @@ impl<'a> Planner<'a> {
         let id = motion_id(stem_of(file));
         let entry = Entry {
             file: file.to_owned(),
-            key: String::new(),
             split: clips.of(&id),
-            group: None,
             mirrored_of: original_of(&id).map(str::to_owned),
             id,
+            ..Entry::default()
         };
         self.plan(entry, Role::Base, BASE_MOTION);
     }
@@ -524,12 +523,10 @@ impl<'a> Planner<'a> {
             .map_or_else(|| motion_id(base), |origin| origin.id.clone());
         let entry = Entry {
             file: file.to_owned(),
-            key: String::new(),
             // A crop, a copy and a styled version share their clip's split.
             id: format!("{source_id}#{style}"),
             split: clips.of(&source_id),
-            group: None,
-            mirrored_of: None,
+            ..Entry::default()
         };
         let role = Role::Styled {
             source_id,
@@ -553,8 +550,7 @@ impl<'a> Planner<'a> {
             key: key.to_owned(),
             id: id_of(key),
             split,
-            group: None,
-            mirrored_of: None,
+            ..Entry::default()
         };
         let (source, target) = (entry_of(SOURCE_KEY), entry_of(TARGET_KEY));
         let role = Role::Target {
