@@ -583,41 +583,17 @@ mod tests {
         let dictionary = |descr: &str, fortran: &str| {
             format!("{{\"shape\": (2, 3), 'fortran_order': {fortran}, 'descr': '{descr}'}}")
         };
-        let bytes = |values: [f64; 6], to_bytes: fn(f64) -> Vec<u8>| -> Vec<u8> {
-            values.into_iter().flat_map(to_bytes).collect()
-        };
+        type ToBytes = fn(f64) -> Vec<u8>;
+        let rows = |to_bytes: ToBytes| expected.into_iter().flat_map(to_bytes).collect();
+        let flip = |to_bytes: ToBytes| columns.into_iter().flat_map(to_bytes).collect();
         let cases: [(&str, &str, Vec<u8>); 7] = [
-            (
-                "<f8",
-                "False",
-                bytes(expected, |v| v.to_le_bytes().to_vec()),
-            ),
-            (
-                ">f8",
-                "False",
-                bytes(expected, |v| v.to_be_bytes().to_vec()),
-            ),
-            (
-                "<f4",
-                "True",
-                bytes(columns, |v| (v as f32).to_le_bytes().to_vec()),
-            ),
-            (
-                ">f4",
-                "True",
-                bytes(columns, |v| (v as f32).to_be_bytes().to_vec()),
-            ),
-            (
-                "<i8",
-                "False",
-                bytes(expected, |v| (v as i64).to_le_bytes().to_vec()),
-            ),
-            (
-                ">i4",
-                "False",
-                bytes(expected, |v| (v as i32).to_be_bytes().to_vec()),
-            ),
-            ("|u1", "True", bytes(columns, |v| vec![v as u8])),
+            ("<f8", "False", rows(|v| v.to_le_bytes().to_vec())),
+            (">f8", "False", rows(|v| v.to_be_bytes().to_vec())),
+            ("<f4", "True", flip(|v| (v as f32).to_le_bytes().to_vec())),
+            (">f4", "True", flip(|v| (v as f32).to_be_bytes().to_vec())),
+            ("<i8", "False", rows(|v| (v as i64).to_le_bytes().to_vec())),
+            (">i4", "False", rows(|v| (v as i32).to_be_bytes().to_vec())),
+            ("|u1", "True", flip(|v| vec![v as u8])),
         ];
         for (descr, fortran, data) in cases {
             let array = read_numbers("m", &npy(&dictionary(descr, fortran), &data)).expect(descr);

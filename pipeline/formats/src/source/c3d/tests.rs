@@ -6,6 +6,13 @@ fn parse(bytes: &[u8]) -> Result<Option<Capture>, Rejected> {
     capture(bytes, &ReadOptions::default())
 }
 
+/// A group or parameter of the section, with numbers as `word` writes them.
+fn parameter(id: i8, name: &str, content: &[u8], word: impl Fn(u16) -> [u8; 2]) -> Vec<u8> {
+    let length = word(u16::try_from(2 + content.len()).expect("short"));
+    let head = [name.len() as u8, id as u8];
+    [&head[..], name.as_bytes(), &length, content].concat()
+}
+
 /// A small file of one group, one labelled point and three frames.
 fn file(processor: u8, integer: bool) -> Vec<u8> {
     let big = processor == 86;
@@ -33,13 +40,7 @@ fn file(processor: u8, integer: bool) -> Vec<u8> {
     bytes[12..16].copy_from_slice(&real(scale));
     bytes[20..24].copy_from_slice(&real(100.0));
     let mut parameters = vec![1, MAGIC, 1, processor];
-    let mut put = |id: i8, name: &str, content: &[u8]| {
-        parameters.push(name.len() as u8);
-        parameters.push(id as u8);
-        parameters.extend(name.as_bytes());
-        parameters.extend(word(u16::try_from(2 + content.len()).expect("short")));
-        parameters.extend(content);
-    };
+    let mut put = |id, name, content| parameters.extend(parameter(id, name, content, word));
     put(-1, "POINT", &[0]);
     put(1, "LABELS", b"\xff\x02\x04\x01LKNE\x00");
     put(1, "UNITS", b"\xff\x01\x02mm\x00");
@@ -147,16 +148,8 @@ fn captures_of_more_than_65535_frames_are_read_whole() {
     const FRAMES: u32 = 70_000;
     let mut bytes = file(84, true);
     let mut parameters = Vec::new();
-    let mut put = |id: i8, name: &str, content: &[u8]| {
-        parameters.push(name.len() as u8);
-        parameters.push(id as u8);
-        parameters.extend(name.as_bytes());
-        parameters.extend(
-            u16::try_from(2 + content.len())
-                .expect("short")
-                .to_le_bytes(),
-        );
-        parameters.extend(content);
+    let mut put = |id, name, content: &[u8]| {
+        parameters.extend(parameter(id, name, content, u16::to_le_bytes));
     };
     let words = |number: u32| [&[2, 1, 2][..], &number.to_le_bytes(), &[0]].concat();
     put(-1, "TRIAL", &[0]);

@@ -201,23 +201,19 @@ fn motions_stand_upright_on_the_floor_of_the_store() {
 #[test]
 fn broken_pairs_and_dumps_are_on_record() {
     let dir = tempfile::tempdir().expect("temporary folder");
+    let put = |file: &str, content: &[u8]| put(dir.path(), file, content);
     let mut broken = pair(10, "");
     if let Value::Dict(entries) = &mut broken {
         entries.remove(0);
     }
     put_dump(dir.path(), "motionfix.pth.tar", &[("000001", broken)], true);
+    put("motionfix_a.pth.tar", b"cos\nsystem\n(S'true'\ntR.");
     put(
-        dir.path(),
-        "motionfix_a.pth.tar",
-        "cos\nsystem\n(S'true'\ntR.",
-    );
-    put(
-        dir.path(),
         "motionfix_b.pth.tar",
-        "version https://git-lfs.github.com/spec/v1\noid\n",
+        b"version https://git-lfs.github.com/spec/v1\noid\n",
     );
-    put(dir.path(), "motionfix_c.pth.tar", b"\x80\x04].");
-    put(dir.path(), "splits.json", "[");
+    put("motionfix_c.pth.tar", b"\x80\x04].");
+    put("splits.json", b"[");
     let files = files_under(dir.path());
     let release = only_release(&files);
     let expected = [

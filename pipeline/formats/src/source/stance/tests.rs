@@ -80,46 +80,32 @@ fn a_release_becomes_motions_masks_and_pairs() {
 #[test]
 fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
     let dir = tempfile::tempdir().expect("temporary folder");
+    let put = |file: &str, content: &[u8]| put(dir.path(), file, content);
     let base = encode(&dictionary(&motion(1, 5)));
+    put("data/base_motion/humanml3d_pkl_all/000001.pkl", &base);
     put(
-        dir.path(),
-        "data/base_motion/humanml3d_pkl_all/000001.pkl",
-        &base,
-    );
-    put(
-        dir.path(),
         "data/base_motion/humanml3d_pkl_all/000002.pkl",
-        "version https://git-lfs.github.com/spec/v1\n",
+        b"version https://git-lfs.github.com/spec/v1\n",
     );
     put(
-        dir.path(),
         "data/style_transfer/humanml3d_stylized/000001_old.pkl",
         &base,
     );
-    put(
-        dir.path(),
-        "data/style_transfer/humanml3d_stylized/readme.pkl",
-        &base,
-    );
+    put("data/style_transfer/humanml3d_stylized/readme.pkl", &base);
     let wordless = Value::Dict(vec![
         (Value::text("src"), dictionary(&motion(2, 5))),
         (Value::text("tgt"), dictionary(&motion(3, 5))),
     ]);
-    put(
-        dir.path(),
-        "data/adjustment/paired_pickle/a.pkl",
-        encode(&wordless),
-    );
+    put("data/adjustment/paired_pickle/a.pkl", &encode(&wordless));
     let beside = r#"{"a": {"body_part": "left arm", "text": "lower"}}"#;
     put(
-        dir.path(),
         "data/adjustment/adjustment_annotations_part.json",
-        beside,
+        beside.as_bytes(),
     );
-    put(dir.path(), "data/adjustment/transfer.py", "");
-    put(dir.path(), "data/regen/mask_all.json", "{broken");
+    put("data/adjustment/transfer.py", b"");
+    put("data/regen/mask_all.json", b"{broken");
     // The bundle for the official demo is no release.
-    put(dir.path(), "demo/style_transfer/text.txt", "a\n");
+    put("demo/style_transfer/text.txt", b"a\n");
     let files = files_under(dir.path());
     let release = only_release(&files);
     let ids: Vec<&str> = release
