@@ -60,6 +60,12 @@ pub struct Rest {
     pub bones: Vec<Placed>,
 }
 
+impl Rest {
+    pub(crate) fn new(name: &'static str, bones: Vec<Placed>) -> Self {
+        Self { name, bones }
+    }
+}
+
 /// A skeleton and its motion with the file's names, unit, axes and joint frames.
 pub trait Rig {
     /// Rejection code for a skeleton that is not a body.

@@ -245,18 +245,10 @@ impl<'a> Performance<'a> {
     fn find_rests(&self) -> Result<Vec<Rest>, Rejected> {
         let stored = self.placed(self.scene);
         let mut rests = Vec::new();
-        rests.extend(self.bind_pose(&stored).map(|bones| Rest {
-            name: "bind pose",
-            bones,
-        }));
-        let stored = Rest {
-            name: "stored pose of the nodes",
-            bones: stored,
-        };
-        let zero = Rest {
-            name: "zero pose",
-            bones: self.placed(&*self.zero_pose()?),
-        };
+        let bind = self.bind_pose(&stored);
+        rests.extend(bind.map(|bones| Rest::new("bind pose", bones)));
+        let stored = Rest::new("stored pose of the nodes", stored);
+        let zero = Rest::new("zero pose", self.placed(&*self.zero_pose()?));
         match self.has_joint_frames() {
             true => rests.extend([zero, stored]),
             false => rests.extend([stored, zero]),

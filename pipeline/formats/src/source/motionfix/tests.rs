@@ -1,6 +1,5 @@
 use std::io::Write;
 use std::path::Path;
-use std::sync::Arc;
 
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
@@ -9,7 +8,7 @@ use super::*;
 use crate::source::release_tests::{
     assert_says, clip_of, codes, files_under, only, says, test_data,
 };
-use pickle::{Array, encode};
+use pickle::encode;
 use testkit::put;
 
 /// A motion of the release: standing, z up, turned by 45 degrees about the vertical and moving
@@ -31,25 +30,19 @@ fn motion(frames: usize, split_rotations: bool) -> Value {
         false => vec![frames, 66],
     };
     let trans = (0..frames).flat_map(|frame| [0.01 * frame as f32, 0.0, 0.0]);
-    let array = |array: Array| Value::Array(Arc::new(array));
-    Value::Dict(vec![
-        (Value::text("rots"), array(Array::from_f32(&shape, rots))),
-        (
-            Value::text("trans"),
-            array(Array::from_f32(&[frames, 3], trans)),
-        ),
-        (
-            Value::text("joint_positions"),
-            array(Array::from_f32(&[frames, 22, 3], vec![1.0; 66 * frames])),
-        ),
+    let joints = Value::floats(&[frames, 22, 3], vec![1.0; 66 * frames]);
+    Value::dict([
+        ("rots", Value::floats(&shape, rots)),
+        ("trans", Value::floats(&[frames, 3], trans)),
+        ("joint_positions", joints),
     ])
 }
 
 fn pair(source_frames: usize, text: &str) -> Value {
-    Value::Dict(vec![
-        (Value::text("motion_source"), motion(source_frames, false)),
-        (Value::text("motion_target"), motion(20, true)),
-        (Value::text("text"), Value::text(text)),
+    Value::dict([
+        ("motion_source", motion(source_frames, false)),
+        ("motion_target", motion(20, true)),
+        ("text", Value::text(text)),
     ])
 }
 

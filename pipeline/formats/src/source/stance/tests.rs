@@ -1,5 +1,4 @@
 use std::fs;
-use std::sync::Arc;
 
 use datasets_spec::{BodyPart, Skeleton, Split};
 use proptest::prelude::*;
@@ -10,8 +9,7 @@ use crate::source::release_tests::{
     assert_says, clip_of, codes, entry_of, files_under, only, planned, test_data,
 };
 use clip::check::check;
-use pickle::encode;
-use pickle::{Array, Value};
+use pickle::{Value, encode};
 
 use testkit::{adjustment, dictionary, put, swinging as motion, write_release};
 
@@ -92,9 +90,9 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
         &base,
     );
     put("data/style_transfer/humanml3d_stylized/readme.pkl", &base);
-    let wordless = Value::Dict(vec![
-        (Value::text("src"), dictionary(&motion(2, 5))),
-        (Value::text("tgt"), dictionary(&motion(3, 5))),
+    let wordless = Value::dict([
+        ("src", dictionary(&motion(2, 5))),
+        ("tgt", dictionary(&motion(3, 5))),
     ]);
     put("data/adjustment/paired_pickle/a.pkl", &encode(&wordless));
     let beside = r#"{"a": {"body_part": "left arm", "text": "lower"}}"#;
@@ -150,13 +148,13 @@ fn a_pickle_that_stands_alone_is_a_motion_if_it_has_the_keys() {
     assert_eq!(read(&dictionary(&walk)).expect("a motion").motion, walk);
     let array = |shape: &[usize]| {
         let count = shape.iter().product();
-        Value::Array(Arc::new(Array::from_f32(shape, vec![0.0; count])))
+        Value::floats(shape, vec![0.0; count])
     };
     let with = |body: &[usize], root: &[usize], transl: &[usize]| {
-        Value::Dict(vec![
-            (Value::text("body_pose"), array(body)),
-            (Value::text("global_orient"), array(root)),
-            (Value::text("transl"), array(transl)),
+        Value::dict([
+            ("body_pose", array(body)),
+            ("global_orient", array(root)),
+            ("transl", array(transl)),
         ])
     };
     assert!(read(&with(&[4, 21, 3], &[4, 1, 3], &[4, 3])).is_ok());
@@ -180,19 +178,11 @@ fn a_dance_of_aist_is_scaled_to_metres_and_put_on_the_floor() {
     let skeleton = Skeleton::smplx_neutral();
     let frames = 6;
     let trans = (0..frames).flat_map(|frame| [0.36 * frame as f32, 180.0, 0.0]);
-    let array = |shape: &[usize], numbers: Vec<f32>| {
-        Value::Array(Arc::new(Array::from_f32(shape, numbers)))
-    };
-    let value = Value::Dict(vec![
-        (
-            Value::text("smpl_poses"),
-            array(&[frames, 72], vec![0.0; 72 * frames]),
-        ),
-        (
-            Value::text("smpl_trans"),
-            array(&[frames, 3], trans.collect()),
-        ),
-        (Value::text("smpl_scaling"), array(&[1], vec![90.0])),
+    let poses = Value::floats(&[frames, 72], vec![0.0; 72 * frames]);
+    let value = Value::dict([
+        ("smpl_poses", poses),
+        ("smpl_trans", Value::floats(&[frames, 3], trans)),
+        ("smpl_scaling", Value::floats(&[1], [90.0])),
     ]);
     let clip = read_pickle_motion(&encode(&value), &skeleton).expect("a dance");
     assert_eq!(clip.motion.fps().get(), 60.0);
