@@ -161,41 +161,14 @@ pub fn recover_joints(features: &[Features]) -> Vec<Joints> {
         .collect()
 }
 
-/// World joints from the rotations of the features, on a skeleton of the given bone lengths.
-#[cfg(test)]
-fn recover_joints_from_rotations(
-    features: &[Features],
-    bones: &[f64; NUM_BODY_JOINTS],
-) -> Vec<Joints> {
-    let roots = recover_root(features);
-    features
-        .iter()
-        .zip(roots)
-        .map(|(frame, (heading, root))| {
-            let directions = directions_of(frame, heading);
-            let mut joints = [root; NUM_BODY_JOINTS];
-            for joint in 1..NUM_BODY_JOINTS {
-                joints[joint] = joints[parent_of(joint)] + directions[joint] * bones[joint];
-            }
-            joints
-        })
-        .collect()
-}
-
-/// The rotation of each joint in the world.
-fn globals_of(frame: &Features, heading: Heading) -> [DMat3; NUM_BODY_JOINTS] {
+/// World direction of each bone, by the rotations of a frame.
+fn directions_of(frame: &Features, heading: Heading) -> Joints {
     let mut rotations = [DMat3::from_quat(heading.quaternion()); NUM_BODY_JOINTS];
     for joint in 1..NUM_BODY_JOINTS {
         let six_d: [f64; 6] = std::array::from_fn(|k| frame[67 + 6 * (joint - 1) + k].into());
         let local = kinematics::rotation::from_six_d_columns(six_d);
         rotations[joint] = rotations[RELATIVE_TO[joint]] * local;
     }
-    rotations
-}
-
-/// World direction of each bone, by the rotations of a frame.
-fn directions_of(frame: &Features, heading: Heading) -> Joints {
-    let rotations = globals_of(frame, heading);
     std::array::from_fn(|joint| rotations[joint] * REST_AXES[joint])
 }
 
@@ -266,6 +239,23 @@ mod tests {
         values
             .chunks_exact(HUMANML3D_WIDTH)
             .map(|frame| std::array::from_fn(|column| frame[column] as f32))
+            .collect()
+    }
+
+    /// World joints from the rotations of the features, on a skeleton of the given bone lengths.
+    fn recover_joints_from_rotations(
+        features: &[Features],
+        bones: &[f64; NUM_BODY_JOINTS],
+    ) -> Vec<Joints> {
+        let recovered = recover_directions(features).into_iter();
+        recovered
+            .map(|(root, directions)| {
+                let mut joints = [root; NUM_BODY_JOINTS];
+                for joint in 1..NUM_BODY_JOINTS {
+                    joints[joint] = joints[parent_of(joint)] + directions[joint] * bones[joint];
+                }
+                joints
+            })
             .collect()
     }
 

@@ -19,13 +19,13 @@
 //! Tencent-Hunyuan/HY-Motion-1.0: `hymotion/pipeline/motion_diffusion.py` (`_decode_o6dp`),
 //! `hymotion/utils/geometry.py`, and its issue 33 on the joints.
 
-use datasets_spec::{Motion, Pose, Resample, Skeleton};
+use datasets_spec::{Motion, Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation::from_six_d_columns;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::released_fps;
-use super::representation_272::face_front;
+use super::representation_272::faced_poses;
 
 /// Name and version of the recipe. Any change of its numbers is a new version.
 pub const RECIPE: &str = "hy-motion@1";
@@ -48,9 +48,7 @@ pub fn features_of_motion(
     motion: &Motion,
     skeleton: &Skeleton,
 ) -> Result<Vec<Features>, kinematics::Error> {
-    let motion = Resample::Exact.apply(motion, released_fps())?;
-    let mut poses = motion.poses();
-    face_front(&mut poses);
+    let mut poses = faced_poses(motion)?;
     let origin = poses
         .first()
         .map_or(DVec3::ZERO, |first| first.transl.with_y(0.0));
@@ -107,6 +105,7 @@ mod tests {
     use testkit::walk;
 
     use super::*;
+    use crate::representation_272::face_front;
 
     /// First column of the joints.
     const JOINTS: usize = ROTATIONS + 6 * NUM_BODY_JOINTS;

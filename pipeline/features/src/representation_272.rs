@@ -60,10 +60,15 @@ pub fn features_of_motion(
     motion: &Motion,
     skeleton: &Skeleton,
 ) -> Result<Vec<Features>, kinematics::Error> {
-    let motion = Resample::Exact.apply(motion, released_fps())?;
-    let mut poses = motion.poses();
-    face_front(&mut poses);
+    let poses = faced_poses(motion)?;
     Ok(features_of_poses(&poses, &skeleton.points_of_poses(&poses)))
+}
+
+/// The poses of a motion at 30 fps, facing +z in the first frame.
+pub(crate) fn faced_poses(motion: &Motion) -> Result<Vec<Pose>, kinematics::Error> {
+    let mut poses = Resample::Exact.apply(motion, released_fps())?.poses();
+    face_front(&mut poses);
+    Ok(poses)
 }
 
 /// Turns a clip about the vertical axis through the origin, so that its first frame faces +z. The translation

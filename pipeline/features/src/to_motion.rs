@@ -18,39 +18,12 @@ use super::humanml3d::{
 use super::smpl_body::{SMPL_REST_BONES, smpl_body};
 use crate::floor;
 
-/// A limb of two bones: its first, middle and last joint, and the axis about which it bends at rest.
-struct Limb {
-    upper: usize,
-    middle: usize,
-    end: usize,
-    hinge: DVec3,
-}
-
-const LIMBS: [Limb; 4] = [
-    Limb {
-        upper: 1,
-        middle: 4,
-        end: 7,
-        hinge: DVec3::X,
-    },
-    Limb {
-        upper: 2,
-        middle: 5,
-        end: 8,
-        hinge: DVec3::X,
-    },
-    Limb {
-        upper: 16,
-        middle: 18,
-        end: 20,
-        hinge: DVec3::NEG_Y,
-    },
-    Limb {
-        upper: 17,
-        middle: 19,
-        end: 21,
-        hinge: DVec3::Y,
-    },
+/// The limbs of two bones: first, middle and last joint, and the axis about which each bends at rest.
+const LIMBS: [([usize; 3], DVec3); 4] = [
+    ([1, 4, 7], DVec3::X),
+    ([2, 5, 8], DVec3::X),
+    ([16, 18, 20], DVec3::NEG_Y),
+    ([17, 19, 21], DVec3::Y),
 ];
 /// Sine of the bend from which a hinge sets the full twist; a straighter limb gets less.
 const CLEAR_BEND: f64 = 0.5;
@@ -176,12 +149,12 @@ fn global_rotations(directions: &Joints) -> [DQuat; NUM_BODY_JOINTS] {
     for (joint, bone) in [(13, 16), (14, 17)] {
         globals[joint] = swing(globals[9], bone, directions);
     }
-    for limb in &LIMBS {
-        let above = globals[parent_of(limb.upper)];
-        let swung = swing(above, limb.middle, directions);
-        globals[limb.upper] = limb.twist(swung, directions) * swung;
-        globals[limb.middle] = swing(globals[limb.upper], limb.end, directions);
-        globals[limb.end] = globals[limb.middle];
+    for ([upper, middle, end], hinge) in LIMBS {
+        let swung = swing(globals[parent_of(upper)], middle, directions);
+        let bones = [directions[middle], directions[end]];
+        globals[upper] = twist(bones, swung * hinge) * swung;
+        globals[middle] = swing(globals[upper], end, directions);
+        globals[end] = globals[middle];
     }
     for (ankle, foot) in [(7, 10), (8, 11)] {
         globals[ankle] = swing(globals[ankle], foot, directions);
@@ -212,25 +185,20 @@ fn frame_turn(directions: &Joints, [left, right, up]: [usize; 3]) -> DQuat {
     DQuat::from_mat3(&(seen * rest.transpose())).normalize()
 }
 
-impl Limb {
-    /// The twist of the upper bone that takes the hinge to the bending axis of the limb, reduced for straight
-    /// limbs.
-    fn twist(&self, swung: DQuat, directions: &Joints) -> DQuat {
-        let (upper, lower) = (directions[self.middle], directions[self.end]);
-        let axis = upper.cross(lower);
-        let weight = (axis.length() / CLEAR_BEND).min(1.0);
-        let hinge = swung * self.hinge;
-        let hinge = (hinge - upper * hinge.dot(upper)).normalize_or_zero();
-        let bent = axis.normalize_or_zero();
-        if hinge == DVec3::ZERO || bent == DVec3::ZERO {
-            return DQuat::IDENTITY;
-        }
-        let angle = hinge.cross(bent).dot(upper).atan2(hinge.dot(bent));
-        // A knee or elbow bent the wrong way is noise rather than a twist by half a turn.
-        let believable = angle.abs() < std::f64::consts::FRAC_PI_2;
-        let angle = if believable { angle * weight } else { 0.0 };
-        DQuat::from_axis_angle(upper, angle)
+/// The twist of the upper of two bones that takes its hinge to the bending axis of the limb, reduced for straight limbs.
+fn twist([upper, lower]: [DVec3; 2], hinge: DVec3) -> DQuat {
+    let axis = upper.cross(lower);
+    let weight = (axis.length() / CLEAR_BEND).min(1.0);
+    let hinge = (hinge - upper * hinge.dot(upper)).normalize_or_zero();
+    let bent = axis.normalize_or_zero();
+    if hinge == DVec3::ZERO || bent == DVec3::ZERO {
+        return DQuat::IDENTITY;
     }
+    let angle = hinge.cross(bent).dot(upper).atan2(hinge.dot(bent));
+    // A knee or elbow bent the wrong way is noise rather than a twist by half a turn.
+    let believable = angle.abs() < std::f64::consts::FRAC_PI_2;
+    let angle = if believable { angle * weight } else { 0.0 };
+    DQuat::from_axis_angle(upper, angle)
 }
 
 /// Mean distance between the joints by directions and the joints by rotations.

@@ -28,13 +28,9 @@ pub fn records(bytes: &[u8]) -> impl Iterator<Item = (u64, Result<StringRecord, 
     std::iter::from_fn(move || {
         let mut record = StringRecord::new();
         let start = reader.position().byte() as usize;
-        let read = match reader.read_record(&mut record) {
+        let (line, record) = match reader.read_record(&mut record) {
             Ok(false) => return None,
-            Ok(true) => Ok(record),
-            Err(error) => Err(error),
-        };
-        let (line, record) = match read {
-            Ok(record) => (lines.at(record.position()), Ok(record)),
+            Ok(true) => (lines.at(record.position()), Ok(record)),
             Err(error) => {
                 let reason = "it is not UTF-8 text; save the file as UTF-8".to_owned();
                 (lines.at(error.position()), Err(reason))
@@ -42,9 +38,9 @@ pub fn records(bytes: &[u8]) -> impl Iterator<Item = (u64, Result<StringRecord, 
         };
         let end = reader.position().byte() as usize;
         let raw = text.get(start..end.min(text.len())).unwrap_or_default();
-        let record = match quotes(raw) {
-            Quotes::Closed => record,
-            Quotes::Open => Err(unclosed(raw)),
+        let record = match is_open(raw) {
+            true => Err(unclosed(raw)),
+            false => record,
         };
         Some((line, record))
     })
@@ -69,35 +65,28 @@ fn unclosed(raw: &[u8]) -> String {
     )
 }
 
-/// Whether the quotes of a record are in order.
-#[derive(Clone, Copy, PartialEq)]
-enum Quotes {
-    Closed,
-    /// A quoted field does not end, or goes on behind the quote that ends it.
-    Open,
-}
-
-/// Looks at the quotes of a record: a field that begins with one ends with one, and has others only in pairs.
-fn quotes(record: &[u8]) -> Quotes {
+/// Whether a quoted field does not end, or goes on behind the quote that ends it: a field that begins with a quote ends
+/// with one, and has others only in pairs.
+fn is_open(record: &[u8]) -> bool {
     let mut bytes = record.trim_ascii().iter().copied().peekable();
     while bytes.peek().is_some() {
         if bytes.next_if_eq(&b'"').is_some() {
             loop {
                 match bytes.next() {
-                    None => return Quotes::Open,
+                    None => return true,
                     Some(b'"') if bytes.next_if_eq(&b'"').is_none() => break,
                     Some(_) => {}
                 }
             }
             while bytes.next_if(|byte| matches!(byte, b' ' | b'\t')).is_some() {}
             if !matches!(bytes.peek(), None | Some(b',' | b'\r' | b'\n')) {
-                return Quotes::Open;
+                return true;
             }
         }
         // To the beginning of the next field.
         while bytes.next().is_some_and(|byte| byte != b',') {}
     }
-    Quotes::Closed
+    false
 }
 
 /// Line numbers by byte offset. The CSV reader's own count is wrong for CR LF and empty lines.

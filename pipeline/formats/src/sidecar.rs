@@ -72,10 +72,15 @@ impl From<Caption> for LabelCaption {
 
 impl From<String> for LabelCaption {
     fn from(text: String) -> Self {
-        Self::from(Caption {
-            text,
-            ..Caption::default()
-        })
+        Self::from(caption(text))
+    }
+}
+
+/// A caption of the whole clip.
+pub(crate) fn caption(text: impl Into<String>) -> Caption {
+    Caption {
+        text: text.into(),
+        ..Caption::default()
     }
 }
 

@@ -14,11 +14,11 @@ use datasets_spec::manifest::Manifest;
 use formats::retarget;
 use formats::sidecar::Sidecar;
 use formats::source::bvh::BvhFile;
-use formats::source::c3d::C3dFile;
 use formats::source::labels::parse_captions;
 use formats::source::seed::Timelines;
-use formats::source::trc::TrcFile;
-use formats::source::{ReadOptions, amass, fbx, gltf, motionx, representation_272, stance};
+use formats::source::{
+    ReadOptions, amass, c3d, fbx, gltf, motionx, representation_272, stance, trc,
+};
 use pickle::{joblib, npy};
 
 /// Parses and retargets a BVH file.
@@ -30,7 +30,7 @@ pub fn bvh(bytes: &[u8]) {
 
 /// Parses a C3D file.
 pub fn c3d(bytes: &[u8]) {
-    if let Ok(Some(capture)) = C3dFile::parse(bytes) {
+    if let Ok(Some(capture)) = c3d::capture(bytes, &ReadOptions::default()) {
         let markers = capture.markers;
         assert_eq!(markers.positions.len(), markers.residuals.len());
         let mut numbers = markers.positions.iter().flatten();
@@ -92,7 +92,11 @@ pub fn pickle(bytes: &[u8]) {
 /// Parses a TRC file.
 pub fn trc(bytes: &[u8]) {
     for lenient in [false, true] {
-        if let Ok(capture) = TrcFile::parse(bytes, lenient) {
+        let options = ReadOptions {
+            lenient,
+            ..ReadOptions::default()
+        };
+        if let Ok(capture) = trc::capture(bytes, &options) {
             let markers = capture.markers;
             assert_eq!(markers.positions.len(), markers.residuals.len());
             let mut numbers = markers.positions.iter().flatten();

@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::Arc;
 
 /// Maximum dimensions of an array, as in NumPy.
-const MAX_DIMENSIONS: usize = 64;
+pub(crate) const MAX_DIMENSIONS: usize = 64;
 
 /// Type of an array's items.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -153,15 +153,7 @@ impl Array {
             data = swapped.into();
         }
         if fortran_order && shape.len() > 1 && !data.is_empty() {
-            let strides: Vec<usize> = shape
-                .iter()
-                .scan(1, |stride, &extent| {
-                    let this = *stride;
-                    *stride *= extent;
-                    Some(this)
-                })
-                .collect();
-            data = gather(&data, dtype.item_len(), 0, &shape, &strides).into();
+            data = row_major(&data, dtype.item_len(), &shape).into();
         }
         Ok(Self { dtype, shape, data })
     }
@@ -271,7 +263,7 @@ impl Array {
         let dtype = self.dtype;
         self.data
             .chunks_exact(dtype.item_len())
-            .map(move |item| number(dtype, item))
+            .map(move |item| number(dtype, false, item))
     }
 
     /// The items as text; none for numbers.
@@ -329,14 +321,25 @@ pub(crate) fn byte_len(dtype: Dtype, shape: &[usize]) -> Option<usize> {
     count(shape)?.checked_mul(dtype.item_len())
 }
 
+/// Items in column-major order, reordered. There is at least one.
+pub(crate) fn row_major<T: Copy>(data: &[T], item_len: usize, shape: &[usize]) -> Vec<T> {
+    let strides = shape.iter().scan(1, |stride, &extent| {
+        let this = *stride;
+        *stride *= extent;
+        Some(this)
+    });
+    let strides: Vec<usize> = strides.collect();
+    gather(data, item_len, 0, shape, &strides)
+}
+
 /// Items in row-major order of their indices. The caller has checked that all lie inside.
-fn gather(
-    data: &[u8],
+fn gather<T: Copy>(
+    data: &[T],
     item_len: usize,
     offset: usize,
     shape: &[usize],
     strides: &[usize],
-) -> Vec<u8> {
+) -> Vec<T> {
     let mut index = vec![0usize; shape.len()];
     let mut at = offset;
     let mut out = Vec::new();
@@ -357,10 +360,14 @@ fn gather(
     }
 }
 
-fn number(dtype: Dtype, item: &[u8]) -> f64 {
+/// The number of an item; of text, of its first bytes.
+pub(crate) fn number(dtype: Dtype, big_endian: bool, item: &[u8]) -> f64 {
     let mut bytes = [0; 8];
     let len = item.len().min(8);
     bytes[..len].copy_from_slice(&item[..len]);
+    if big_endian {
+        bytes[..len].reverse();
+    }
     let bits = u64::from_le_bytes(bytes);
     match dtype {
         Dtype::Float(8) => f64::from_bits(bits),

@@ -107,21 +107,19 @@ fn put_int(out: &mut Vec<u8>, number: i128) {
 }
 
 fn put_text(out: &mut Vec<u8>, text: &str) {
-    match u8::try_from(text.len()) {
-        Ok(len) => out.extend([0x8c, len]),
-        Err(_) => {
-            out.push(0x8d);
-            out.extend((text.len() as u64).to_le_bytes());
-        }
-    }
-    out.extend(text.as_bytes());
+    put_sized(out, [0x8c, 0x8d], text.as_bytes());
 }
 
 fn put_bytes(out: &mut Vec<u8>, bytes: &[u8]) {
+    put_sized(out, [b'C', 0x8e], bytes);
+}
+
+/// Bytes behind their length, by the opcode of short or of long ones.
+fn put_sized(out: &mut Vec<u8>, [short, long]: [u8; 2], bytes: &[u8]) {
     match u8::try_from(bytes.len()) {
-        Ok(len) => out.extend([b'C', len]),
+        Ok(len) => out.extend([short, len]),
         Err(_) => {
-            out.push(0x8e);
+            out.push(long);
             out.extend((bytes.len() as u64).to_le_bytes());
         }
     }

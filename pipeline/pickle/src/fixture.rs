@@ -1,156 +1,30 @@
-//! Dumps of Python 3.11 with NumPy 2.4 and joblib 1.6, in base64.
+//! Dumps of Python 3.11 with NumPy 2.4 and joblib 1.6, in `fixture.tsv` with their names, in base64.
 //!
 //! All hold `rots` (0 to 5 as f4 `[2, 3]`), `text`, `F` (the same in big-endian f8, column-major),
 //! `s` (f8 2.5) and `n` (i2 -3). The dumps also hold `o`, an array of the objects "x" and None; the
 //! plain pickles hold there two bytes, and `od`, `set`, `big` (2^70) and `u` (text "ab" and "c").
 
-/// Dumps by their packing.
-pub(crate) const DUMPS: [(&str, &str); 7] = [
-    (
-        "none",
-        "gASV3QAAAAAAAAB9lCiMBHJvdHOUjBNqb2JsaWIubnVtcHlfcGlja2xllIwRTnVtcHlBcnJheVdyYXBwZXKUk5Qp\
-         gZR9lCiMCHN1YmNsYXNzlIwFbnVtcHmUjAduZGFycmF5lJOUjAVzaGFwZZRLAksDhpSMBW9yZGVylIwBQ5SMBWR0\
-         eXBllGgIjAVkdHlwZZSTlIwCZjSUiYiHlFKUKEsDjAE8lE5OTkr/////Sv////9LAHSUYowKYWxsb3dfbW1hcJSI\
-         jBtudW1weV9hcnJheV9hbGlnbm1lbnRfYnl0ZXOUSxB1Ygf/////////AAAAAAAAgD8AAABAAABAQAAAgEAAAKBA\
-         lVwAAAAAAAAAjAR0ZXh0lIwFcmFpc2WUjAFGlGgEKYGUfZQoaAdoCmgLSwJLA4aUaA1oG2gPaBGMAmY4lImIh5RS\
-         lChLA4wBPpROTk5K/////0r/////SwB0lGJoF4hoGEsQdWIC//8AAAAAAAAAAEAIAAAAAAAAP/AAAAAAAABAEAAA\
-         AAAAAEAAAAAAAAAAQBQAAAAAAACVSwAAAAAAAACMAW+UaAQpgZR9lChoB2gKaAtLAoWUaA1oDmgPaBGMAk84lImI\
-         h5RSlChLA4wBfJROTk5K/////0r/////Sz90lGJoF4loGEsQdWKABZWPAAAAAAAAAIwWbnVtcHkuX2NvcmUubXVs\
-         dGlhcnJheZSMDF9yZWNvbnN0cnVjdJSTlIwFbnVtcHmUjAduZGFycmF5lJOUSwCFlEMBYpSHlFKUKEsBSwKFlGgD\
-         jAVkdHlwZZSTlIwCTziUiYiHlFKUKEsDjAF8lE5OTkr/////Sv////9LP3SUYoldlCiMAXiUTmV0lGIulZAAAAAA\
-         AAAAjAFzlIwWbnVtcHkuX2NvcmUubXVsdGlhcnJheZSMBnNjYWxhcpSTlGgRjAJmOJSJiIeUUpQoSwNoFU5OTkr/\
-         ////Sv////9LAHSUYkMIAAAAAAAABECUhpRSlIwBbpRoMGgRjAJpMpSJiIeUUpQoSwNoFU5OTkr/////Sv////9L\
-         AHSUYkMC/f+UhpRSlHUu",
-    ),
-    (
-        "zlib",
-        "eNqFks1q20AQxy1bro3TpjZt04BfwLmIEnroodQOhhwqUKGXXFrESt5k1eqL1Yra0IB7sGPDQgsd3ftifYe8QHBH\
-         Wqu4doMX7cew89f8Zmaneva7osY19KTOI5GAfPIpcnzPMcI0iCd27LmffQqyY+XmGedkcsFJHFMOP+HkG+TCZpI6\
-         rk8SFNcLFchGOCK5LzrJesJITMGsmrU5WhEfoVhqQzyPxARvWLM8oXf18iUsFzfwHnpmTWqvwbKstyscxWJWBDiy\
-         RXw/+mIHAYlhIbuKtIhnE9+7CgMaCtuZCJqA2U6dxkoNleq0j8sAP5xTnL8G2Yd1FaQu6FggFydegklr58B0lSRr\
-         sBY7UDmwR6zLHrMOsr7aZH3zH1b2fMGOc4hqGR8jN9Xev13b7fVe3j9Ve2aWXFq0AzLLMQ4Vxrt/ML5uYfQLjKXC\
-         mNaz7+Vfj4rCGbYbcWoEqS881TP50ObUjcJE8NQVRQt322pWZjDUHFBhtQKottnH/VDLj/h4tDFYFA0j+/E3W3xI\
-         97I9SFzik/z1bTeAPdst/3Bdan0Ac/SSWgjsRS70TvcIq3erQpIafwDRBy9j",
-    ),
-    (
-        "gzip",
-        "H4sIAAAAAAACA4WSzWrbQBDHLVuujdOmNm3TgF/AuYgSeuih1A6GHCpQoZdcWsRK3mTV6ovVitrQgHuwY8NCCx3d\
-         +2J9h7xAcEdaq7h2gxftx7Dz1/xmZqd69ruixjX0pM4jkYB88ilyfM8xwjSIJ3bsuZ99CrJj5eYZ52RywUkcUw4/\
-         4eQb5MJmkjquTxIU1wsVyEY4IrkvOsl6wkhMwayatTlaER+hWGpDPI/EBG9Yszyhd/XyJSwXN/AeemZNaq/Bsqy3\
-         KxzFYlYEOLJFfD/6YgcBiWEhu4q0iGcT37sKAxoK25kImoDZTp3GSg2V6rSPywA/nFOcvwbZh3UVpC7oWCAXJ16C\
-         SWvnwHSVJGuwFjtQObBHrMsesw6yvtpkffMfVvZ8wY5ziGoZHyM31d6/Xdvt9V7eP1V7ZpZcWrQDMssxDhXGu38w\
-         vm5h9AuMpcKY1rPv5V+PisIZthtxagSpLzzVM/nQ5tSNwkTw1BVFC3fbalZmMNQcUGG1Aqi22cf9UMuP+Hi0MVgU\
-         DSP78TdbfEj3sj1IXOKT/PVtN4A92y3/cF1qfQBz9JJaCOxFLvRO9wird6tCkhp/AElcQdMnAwAA",
-    ),
-    (
-        "bz2",
-        "QlpoOTFBWSZTWSmBKWEAARp/8v/f78gAYVRF6RmQhr//3uZj5M4AQAAAAkACwAG8LVmuGkIp6maQbQIeptTan6Uw\
-         AgMgaaYAaNNT0aZTEIoxNBgQNDQAaAGgAANADQADhoZNNDTI0NMjIMjI0MgMTRk0AZMjEMJEUCU2T0U9RpkDTE0P\
-         SaPQCGTAhpoGTTQzSwt66sOl14urH1ZLqFiYlYmkpBVhDf9CNWBSEkCiBzuUzQNgxj+LY8NZzsBugZXZcmhsG0RY\
-         pkHMEDQ/+CzB/o3y5+HXx8S+B4y3LL5gv0W0Z1M9l/BaZRuirF2MKdbTiqJLowx0uosBewoQsrA5ASl4jh71G1Fp\
-         7Lk8e5R1SkM4dCoJIUlkcw2LIQGWzV55wHdAd2xIKCDcJchQfJlCKKKYyQJeCCBQv4MuJyTPSBYRJkLS+hgMMG2Y\
-         Gzmf5kBWiOyi0gipjrG1PfiDPIkOPsIMPBIyAowKZVREh7Z4CkJrPI4QiKgVph44WaNkOlDE3qoGo0xPZXAPpzfP\
-         ylx+DOLTGwvXcHiXfGd5aUyNUF41Hn1enDzJwUlQ/WLm1RTZMCpGma7NyRqZl58ATVAUWXQgifItwgMI+BqDUEEI\
-         TGRRhoik8KS6FZTfTGT2nqchiiMtTL7l06Xm24Z2ArpLJclM6duzi2cWjr15glkiBCyAuGMXckU4UJApgSlh",
-    ),
-    (
-        "xz",
-        "/Td6WFoAAATm1rRGAgAhARwAAAAQz1jM4AMmAapdAEABDnvKTpWbOjrzS2n/XeBCcEnwuKPN9/mTtRc8zWNUBHis\
-         ZDotX+u+Gslw9+BQShHWCH2O9IkM/ABijGDoP6MjnwJGLC7Dq5neKzEJJ8zDbVSAJuvqfPT0dSZ1ncJOC41irOBO\
-         358Ltu5ivn1vdfCg3ZQFg2eruwOxK+hx+y/1P81tNyohhJoAg8JBWUj+9Pwv7OtNG3LjLrG4jwpLEcNJTXIJIVEC\
-         oXl9FfzYtwSn5tROoCzwddGBpiWnHIwXPK2+MFwxbCyDRJMKTH+a4WJDCRSYpzx6WAvcvuRh5F7WMTsSfs6BkPuD\
-         WWptu2duvthpz/tJ9JmyuvoJ1uOZTfw0Ey44ZgJlFFowOut6dUueWIDGjUsMh08t0KFWTfYyK3gKNoHxlki7/hOC\
-         2NH5q9NFJgoWpfiyu5eCwtd3icupbq7DGu6/stgu1N1vLVJLoXxktN8gGomFI6sV32EsGXe1Vl5BANAKpKlxuPjS\
-         rZqwjq14ezvBb0Zj8Fgc/rQckuIcfp8OrQHlRaAz1yj2OBsqvEjQ6VKAKiWB0cAzpYV6XluF5qaej+OUEAAAAPRT\
-         621X8l9VAAHGA6cGAACqDnWXscRn+wIAAAAABFla",
-    ),
-    (
-        "lzma",
-        "XQAAAAT//////////wBAAQ57yk6Vmzo680tp/13gQnBJ8Lijzff5k7UXPM1jVAR4rGQ6LV/rvhrJcPfgUEoR1gh9\
-         jvSJDPwAYoxg6D+jI58CRiwuw6uZ3isxCSfMw21UgCbr6nz09HUmdZ3CTguNYqzgTt+fC7buYr59b3XwoN2UBYNn\
-         q7sDsSvocfsv9T/NbTcqIYSaAIPCQVlI/vT8L+zrTRty4y6xuI8KSxHDSU1yCSFRAqF5fRX82LcEp+bUTqAs8HXR\
-         gaYlpxyMFzytvjBcMWwsg0STCkx/muFiQwkUmKc8elgL3L7kYeRe1jE7En7OgZD7g1lqbbtnbr7Yac/7SfSZsrr6\
-         CdbjmU38NBMuOGYCZRRaMDrrenVLnliAxo1LDIdPLdChVk32Mit4CjaB8ZZIu/4TgtjR+avTRSYKFqX4sruXgsLX\
-         d4nLqW6uwxruv7LYLtTdby1SS6F8ZLTfIBqJhSOrFd9hLBl3tVZeQQDQCqSpcbj40q2asI6teHs7wW9GY/BYHP60\
-         HJLiHH6fDq0B5UWgM9co9jgbKrxI0OlSgColgdHAM6WFel5bheamnqJTrCz/9RuD0A==",
-    ),
-    (
-        "lz4",
-        "BCJNGEBAwAsCAABSgASV3QABAPAUfZQojARyb3RzlIwTam9ibGliLm51bXB5X3BpY2tsZZSMEU4PAPADQXJyYXlX\
-         cmFwcGVylJOUKYGUOQDBCHN1YmNsYXNzlIwFNgBglIwHbmRhLAD0GJSTlIwFc2hhcGWUSwJLA4aUjAVvcmRlcpSM\
-         AUOUjAVkdHlwZZRoCAoA8Q2TlIwCZjSUiYiHlFKUKEsDjAE8lE5OTkr/////BQDyBksAdJRijAphbGxvd19tbWFw\
-         lIiMG6oAAXAA8ghfYWxpZ25tZW50X2J5dGVzlEsQdWIH/wEAAusA8wWAPwAAAEAAAEBAAACAQAAAoECVXAYB8gaM\
-         BHRleHSUjAVyYWlzZZSMAUaUaATlAGJoB2gKaAvEAMhoDWgbaA9oEYwCZjisAB8+rAAAUGgXiGgYhQAUAoAAQgAA\
-         QAgIACM/8BAAExAIAAQgABIUCAAklUuYAC0Bb4kAEIWHABIOhwAZT4cAG3yHABE/hwASiYcARIAFlY9WABEWOQHC\
-         Ll9jb3JlLm11bHRptAH/AYwMX3JlY29uc3RydWN0lJPXAQKCSwCFlEMBYpR3ABEBkQAYA8gBD5UAD/UBiV2UKIwB\
-         eJROZXSUYi6VkO4AL3OUnAAHYAZzY2FsYX4CDIEBLmgVfwETQ2sB0ARAlIaUUpSMAW6UaDA5AC9pMjkADKAC/f+U\
-         hpRSlHUuAAAAAA==",
-    ),
-];
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 
-/// Plain pickles.
-pub(crate) const PICKLES: [(&str, &str); 3] = [
-    (
-        "protocol 0",
-        "KGRwMApWcm90cwpwMQpjbnVtcHkuX2NvcmUubXVsdGlhcnJheQpfcmVjb25zdHJ1Y3QKcDIKKGNudW1weQpuZGFy\
-         cmF5CnAzCihJMAp0cDQKY19jb2RlY3MKZW5jb2RlCnA1CihWYgpwNgpWbGF0aW4xCnA3CnRwOApScDkKdHAxMApS\
-         cDExCihJMQooSTIKSTMKdHAxMgpjbnVtcHkKZHR5cGUKcDEzCihWZjQKcDE0CkkwMApJMDEKdHAxNQpScDE2CihJ\
-         MwpWPApwMTcKTk5OSS0xCkktMQpJMAp0cDE4CmJJMDAKZzUKKFZcdTAwMDBcdTAwMDBcdTAwMDBcdTAwMDBcdTAw\
-         MDBcdTAwMDCAP1x1MDAwMFx1MDAwMFx1MDAwMEBcdTAwMDBcdTAwMDBAQFx1MDAwMFx1MDAwMIBAXHUwMDAwXHUw\
-         MDAwoEAKcDE5Cmc3CnRwMjAKUnAyMQp0cDIyCmJzVnRleHQKcDIzClZyYWlzZQpwMjQKc1ZGCnAyNQpnMgooZzMK\
-         KEkwCnRwMjYKZzkKdHAyNwpScDI4CihJMQooSTIKSTMKdHAyOQpnMTMKKFZmOApwMzAKSTAwCkkwMQp0cDMxClJw\
-         MzIKKEkzClY+CnAzMwpOTk5JLTEKSS0xCkkwCnRwMzQKYkkwMQpnNQooVlx1MDAwMFx1MDAwMFx1MDAwMFx1MDAw\
-         MFx1MDAwMFx1MDAwMFx1MDAwMFx1MDAwMEAIXHUwMDAwXHUwMDAwXHUwMDAwXHUwMDAwXHUwMDAwXHUwMDAwP/Bc\
-         dTAwMDBcdTAwMDBcdTAwMDBcdTAwMDBcdTAwMDBcdTAwMDBAEFx1MDAwMFx1MDAwMFx1MDAwMFx1MDAwMFx1MDAw\
-         MFx1MDAwMEBcdTAwMDBcdTAwMDBcdTAwMDBcdTAwMDBcdTAwMDBcdTAwMDBcdTAwMDBAFFx1MDAwMFx1MDAwMFx1\
-         MDAwMFx1MDAwMFx1MDAwMFx1MDAwMApwMzUKZzcKdHAzNgpScDM3CnRwMzgKYnNWbwpwMzkKZzUKKFZcdTAwMDD/\
-         CnA0MApnNwp0cDQxClJwNDIKc1ZzCnA0MwpjbnVtcHkuX2NvcmUubXVsdGlhcnJheQpzY2FsYXIKcDQ0CihnMTMK\
-         KFZmOApwNDUKSTAwCkkwMQp0cDQ2ClJwNDcKKEkzCmcxNwpOTk5JLTEKSS0xCkkwCnRwNDgKYmc1CihWXHUwMDAw\
-         XHUwMDAwXHUwMDAwXHUwMDAwXHUwMDAwXHUwMDAwBEAKcDQ5Cmc3CnRwNTAKUnA1MQp0cDUyClJwNTMKc1ZuCnA1\
-         NApnNDQKKGcxMwooVmkyCnA1NQpJMDAKSTAxCnRwNTYKUnA1NwooSTMKZzE3Ck5OTkktMQpJLTEKSTAKdHA1OApi\
-         ZzUKKFb9/wpwNTkKZzcKdHA2MApScDYxCnRwNjIKUnA2MwpzVm9kCnA2NApjY29sbGVjdGlvbnMKT3JkZXJlZERp\
-         Y3QKcDY1Cih0UnA2NgpWawpwNjcKSTEKc3NWc2V0CnA2OApjX19idWlsdGluX18Kc2V0CnA2OQooKGxwNzAKSTEK\
-         YXRwNzEKUnA3MgpzVmJpZwpwNzMKTDExODA1OTE2MjA3MTc0MTEzMDM0MjRMCnNWdQpwNzQKZzIKKGczCihJMAp0\
-         cDc1Cmc5CnRwNzYKUnA3NwooSTEKKEkyCnRwNzgKZzEzCihWVTIKcDc5CkkwMApJMDEKdHA4MApScDgxCihJMwpn\
-         MTcKTk5OSTgKSTQKSTgKdHA4MgpiSTAwCmc1CihWYVx1MDAwMFx1MDAwMFx1MDAwMGJcdTAwMDBcdTAwMDBcdTAw\
-         MDBjXHUwMDAwXHUwMDAwXHUwMDAwXHUwMDAwXHUwMDAwXHUwMDAwXHUwMDAwCnA4MwpnNwp0cDg0ClJwODUKdHA4\
-         Ngpicy4=",
-    ),
-    (
-        "protocol 2",
-        "gAJ9cQAoWAQAAAByb3RzcQFjbnVtcHkuX2NvcmUubXVsdGlhcnJheQpfcmVjb25zdHJ1Y3QKcQJjbnVtcHkKbmRh\
-         cnJheQpxA0sAhXEEY19jb2RlY3MKZW5jb2RlCnEFWAEAAABicQZYBgAAAGxhdGluMXEHhnEIUnEJh3EKUnELKEsB\
-         SwJLA4ZxDGNudW1weQpkdHlwZQpxDVgCAAAAZjRxDomIh3EPUnEQKEsDWAEAAAA8cRFOTk5K/////0r/////SwB0\
-         cRJiiWgFWBsAAAAAAAAAAADCgD8AAABAAABAQAAAwoBAAADCoEBxE2gHhnEUUnEVdHEWYlgEAAAAdGV4dHEXWAUA\
-         AAByYWlzZXEYWAEAAABGcRloAmgDSwCFcRpoCYdxG1JxHChLAUsCSwOGcR1oDVgCAAAAZjhxHomIh3EfUnEgKEsD\
-         WAEAAAA+cSFOTk5K/////0r/////SwB0cSJiiGgFWDEAAAAAAAAAAAAAAEAIAAAAAAAAP8OwAAAAAAAAQBAAAAAA\
-         AABAAAAAAAAAAEAUAAAAAAAAcSNoB4ZxJFJxJXRxJmJYAQAAAG9xJ2gFWAMAAAAAw79xKGgHhnEpUnEqWAEAAABz\
-         cStjbnVtcHkuX2NvcmUubXVsdGlhcnJheQpzY2FsYXIKcSxoDVgCAAAAZjhxLYmIh3EuUnEvKEsDaBFOTk5K////\
-         /0r/////SwB0cTBiaAVYCAAAAAAAAAAAAARAcTFoB4ZxMlJxM4ZxNFJxNVgBAAAAbnE2aCxoDVgCAAAAaTJxN4mI\
-         h3E4UnE5KEsDaBFOTk5K/////0r/////SwB0cTpiaAVYBAAAAMO9w79xO2gHhnE8UnE9hnE+UnE/WAIAAABvZHFA\
-         Y2NvbGxlY3Rpb25zCk9yZGVyZWREaWN0CnFBKVJxQlgBAAAAa3FDSwFzWAMAAABzZXRxRGNfX2J1aWx0aW5fXwpz\
-         ZXQKcUVdcUZLAWGFcUdScUhYAwAAAGJpZ3FJigkAAAAAAAAAAEBYAQAAAHVxSmgCaANLAIVxS2gJh3FMUnFNKEsB\
-         SwKFcU5oDVgCAAAAVTJxT4mIh3FQUnFRKEsDaBFOTk5LCEsESwh0cVJiiWgFWBAAAABhAAAAYgAAAGMAAAAAAAAA\
-         cVNoB4ZxVFJxVXRxVmJ1Lg==",
-    ),
-    (
-        "protocol 5",
-        "gAWVRQIAAAAAAAB9lCiMBHJvdHOUjBNudW1weS5fY29yZS5udW1lcmljlIwLX2Zyb21idWZmZXKUk5QolhgAAAAA\
-         AAAAAAAAAAAAgD8AAABAAABAQAAAgEAAAKBAlIwFbnVtcHmUjAVkdHlwZZSTlIwCZjSUiYiHlFKUKEsDjAE8lE5O\
-         Tkr/////Sv////9LAHSUYksCSwOGlIwBQ5R0lFKUjAR0ZXh0lIwFcmFpc2WUjAFGlGgEKJYwAAAAAAAAAAAAAAAA\
-         AAAAQAgAAAAAAAA/8AAAAAAAAEAQAAAAAAAAQAAAAAAAAABAFAAAAAAAAJRoCIwCZjiUiYiHlFKUKEsDjAE+lE5O\
-         Tkr/////Sv////9LAHSUYksCSwOGlGgUdJRSlIwBb5RDAgD/lIwBc5SMFm51bXB5Ll9jb3JlLm11bHRpYXJyYXmU\
-         jAZzY2FsYXKUk5RoCIwCZjiUiYiHlFKUKEsDaAxOTk5K/////0r/////SwB0lGJDCAAAAAAAAARAlIaUUpSMAW6U\
-         aCNoCIwCaTKUiYiHlFKUKEsDaAxOTk5K/////0r/////SwB0lGJDAv3/lIaUUpSMAm9klIwLY29sbGVjdGlvbnOU\
-         jAtPcmRlcmVkRGljdJSTlClSlIwBa5RLAXOMA3NldJSPlChLAZCMA2JpZ5SKCQAAAAAAAAAAQIwBdZRoBCiWEAAA\
-         AAAAAABhAAAAYgAAAGMAAAAAAAAAlGgIjAJVMpSJiIeUUpQoSwNoDE5OTksISwRLCHSUYksChZRoD3SUUpR1Lg==",
-    ),
-];
+/// Number of dumps of joblib, and of plain pickles after them.
+pub(crate) const NUM_DUMPS: usize = 7;
+pub(crate) const NUM_PICKLES: usize = 3;
 
-/// The bytes of a fixture.
-pub(crate) fn decoded(base64: &str) -> Vec<u8> {
-    use base64::Engine;
-    base64::engine::general_purpose::STANDARD
-        .decode(base64)
-        .expect("valid base64")
+/// Name and bytes of a fixture.
+fn fixture(index: usize) -> (&'static str, Vec<u8>) {
+    let mut lines = include_str!("fixture.tsv").lines();
+    let line = lines.nth(index).expect("a line");
+    let (name, base64) = line.split_once('\t').expect("two columns");
+    (name, STANDARD.decode(base64).expect("valid base64"))
+}
+
+/// A dump of joblib: plain, and by each of its packings.
+pub(crate) fn dump(index: usize) -> (&'static str, Vec<u8>) {
+    fixture(index)
+}
+
+/// A plain pickle of protocol 0, 2 or 5.
+pub(crate) fn pickle(index: usize) -> (&'static str, Vec<u8>) {
+    fixture(NUM_DUMPS + index)
 }

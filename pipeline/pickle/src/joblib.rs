@@ -8,7 +8,7 @@ use lz4_flex::frame::FrameDecoder;
 use lzma_rust2::{LzmaReader, XzReader};
 
 use crate::error::Error;
-use crate::read::{self, read_with_wrapped_arrays};
+use crate::machine::Machine;
 use crate::value::{Options, Value};
 
 /// Limits on the unpacked size of a dump, in bytes and relative to its packed size. The largest known dump,
@@ -24,7 +24,7 @@ const LZMA_MEMORY_KIB: u32 = 128 << 10;
 const MAGIC_LEN: usize = 6;
 
 /// How a dump is packed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 enum Packing {
     None,
     Zlib,
@@ -73,12 +73,6 @@ impl Packing {
     }
 }
 
-/// Whether the first bytes are those of a packed dump or of a pickle.
-pub fn has_magic(head: &[u8]) -> bool {
-    let head = &head[..head.len().min(MAGIC_LEN)];
-    read::has_magic(head) || Packing::of(head).is_ok_and(|packing| packing != Packing::None)
-}
-
 /// Reads a dump, packed or not. A plain pickle is one without arrays.
 ///
 /// # Errors
@@ -120,7 +114,7 @@ pub fn read_from<'a>(
         limit,
         left: limit,
     };
-    read_with_wrapped_arrays(capped, options)
+    Machine::new(capped, *options).with_wrapped_arrays().read()
 }
 
 /// A stream that fails beyond a limit.
@@ -152,7 +146,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::fixture::{DUMPS, decoded};
+    use crate::fixture::{NUM_DUMPS, dump};
 
     fn zlib(bytes: &[u8]) -> Vec<u8> {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
@@ -162,9 +156,7 @@ mod tests {
 
     #[test]
     fn dumps_of_every_packing_hold_the_same() {
-        for (name, base64) in DUMPS {
-            let bytes = decoded(base64);
-            assert!(has_magic(&bytes), "{name}");
+        for (name, bytes) in (0..NUM_DUMPS).map(dump) {
             let value = read(&bytes).unwrap_or_else(|r| panic!("{name}: {r:?}"));
             for key in ["rots", "F"] {
                 let array = value.get(key).and_then(Value::as_array).expect(name);
@@ -193,8 +185,7 @@ mod tests {
     #[test]
     fn damaged_and_old_dumps_are_rejected_by_code() {
         let code = |bytes: &[u8]| read(bytes).expect_err("rejected").code;
-        for (name, base64) in DUMPS {
-            let bytes = decoded(base64);
+        for (name, bytes) in (0..NUM_DUMPS).map(dump) {
             let code = code(&bytes[..bytes.len() / 2]);
             assert!(
                 ["E-PICKLE-TRUNCATED", "E-PICKLE-UNPACK"].contains(&code),
@@ -211,18 +202,18 @@ mod tests {
             rejected.reason
         );
         // Outside a dump no bytes follow a wrapper.
-        let (_, plain) = DUMPS[0];
-        let rejected = crate::read(&decoded(plain)).expect_err("a wrapper");
+        let (_, plain) = dump(0);
+        let rejected = crate::read(&plain).expect_err("a wrapper");
         assert_eq!(rejected.code, "E-PICKLE-FORMAT");
     }
 
     proptest! {
         #[test]
         fn no_bytes_make_it_panic(
-            which in 0..DUMPS.len(),
+            which in 0..NUM_DUMPS,
             edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         ) {
-            let mut bytes = decoded(DUMPS[which].1);
+            let (_, mut bytes) = dump(which);
             for (at, byte) in edits {
                 let at = at.index(bytes.len());
                 bytes[at] = byte;

@@ -38,7 +38,7 @@ mod value;
 pub use array::{Array, Dtype};
 pub use encode::{DictWriter, encode};
 pub use error::Error;
-pub use read::{has_magic, read, read_from};
+pub use read::{read, read_from};
 pub use value::{Options, Value};
 
 #[cfg(test)]

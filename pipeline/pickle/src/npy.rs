@@ -5,30 +5,17 @@
 
 use std::borrow::Cow;
 
+use crate::array::{self, Dtype, ItemType, MAX_DIMENSIONS};
 use crate::error::Error;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header read, in bytes. NumPy's own limit is 10,000 for files it does not trust.
 const MAX_HEADER_LEN: usize = 10_000;
-/// NumPy allows arrays of up to 64 dimensions.
-const MAX_DIMENSIONS: usize = 64;
-
-/// What kind of numbers or text an array holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Float,
-    Signed,
-    Unsigned,
-    Bytes,
-    Unicode,
-}
-
 /// The parsed header of an array.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header {
-    kind: Kind,
+    dtype: Dtype,
     big_endian: bool,
-    item_len: usize,
     fortran_order: bool,
     shape: Vec<usize>,
     data_start: usize,
@@ -56,7 +43,7 @@ impl Header {
         let needed = header
             .shape
             .iter()
-            .try_fold(header.item_len, |product, &extent| {
+            .try_fold(header.dtype.item_len(), |product, &extent| {
                 product.checked_mul(extent)
             });
         if needed != Some(found) {
@@ -76,7 +63,7 @@ impl Header {
     /// Place in the file of the number with this row-major index; none for arrays in column-major order.
     pub fn place_of(&self, index: usize) -> Option<usize> {
         let is_flat = self.shape.len() < 2;
-        let at = self.data_start + index * self.item_len;
+        let at = self.data_start + index * self.dtype.item_len();
         (is_flat || !self.fortran_order).then_some(at)
     }
 
@@ -91,11 +78,10 @@ impl Header {
     /// Parses the header alone, and returns the type as it is written too.
     fn parse_text(name: &str, bytes: &[u8]) -> Result<(Self, String), Error> {
         let (literal, data_start) = Self::parse_literal(name, bytes)?;
-        let (kind, big_endian, item_len) = parse_descr(name, &literal.descr)?;
+        let (dtype, big_endian) = parse_descr(name, &literal.descr)?;
         let header = Self {
-            kind,
+            dtype,
             big_endian,
-            item_len,
             fortran_order: literal.fortran_order,
             shape: literal.shape,
             data_start,
@@ -151,10 +137,6 @@ impl Header {
             .map_err(|(reason, at)| bad(reason.to_owned(), header_start + at))?;
         Ok((literal, data_start))
     }
-
-    fn num_items(&self) -> usize {
-        self.shape.iter().product()
-    }
 }
 
 /// The pickle in an array of objects and where it starts; none for arrays of anything else.
@@ -173,42 +155,26 @@ pub fn pickled<'a>(name: &str, bytes: &'a [u8]) -> Result<Option<(&'a [u8], usiz
 /// As [`Header::parse`]; `E-NPY-DTYPE` also for text.
 pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Error> {
     let header = Header::parse(name, bytes)?;
-    let decode: fn([u8; 8]) -> f64 = match (header.kind, header.item_len) {
-        (Kind::Float, 8) => f64::from_le_bytes,
-        (Kind::Float, 4) => |b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])),
-        (Kind::Signed, 8) => |b| i64::from_le_bytes(b) as f64,
-        (Kind::Signed, 4) => |b| f64::from(i32::from_le_bytes([b[0], b[1], b[2], b[3]])),
-        (Kind::Signed, 2) => |b| f64::from(i16::from_le_bytes([b[0], b[1]])),
-        (Kind::Signed, 1) => |b| f64::from(i8::from_le_bytes([b[0]])),
-        (Kind::Unsigned, 8) => |b| u64::from_le_bytes(b) as f64,
-        (Kind::Unsigned, 4 | 2 | 1) => |b| u64::from_le_bytes(b) as f64,
-        (kind, len) => {
-            return Err(Error::new(
-                "E-NPY-DTYPE",
-                format!("{name}: found {kind:?} of {len} bytes, expected f4, f8 or an integer"),
-            ));
-        }
-    };
-    let read: Vec<f64> = bytes[header.data_start..]
-        .chunks_exact(header.item_len)
-        .map(|item| {
-            let mut little_endian = [0; 8];
-            little_endian[..item.len()].copy_from_slice(item);
-            if header.big_endian {
-                little_endian[..item.len()].reverse();
-            }
-            decode(little_endian)
-        })
+    let Header {
+        dtype,
+        big_endian,
+        shape,
+        ..
+    } = header;
+    if matches!(dtype, Dtype::Float(2) | Dtype::Bytes(_) | Dtype::Text(_)) {
+        return Err(Error::new(
+            "E-NPY-DTYPE",
+            format!("{name}: found {dtype}, expected f4, f8 or an integer"),
+        ));
+    }
+    let items = bytes[header.data_start..].chunks_exact(dtype.item_len());
+    let mut values: Vec<f64> = items
+        .map(|item| array::number(dtype, big_endian, item))
         .collect();
-    let values = if header.fortran_order && header.shape.len() > 1 {
-        row_major(&read, &header.shape)
-    } else {
-        read
-    };
-    Ok(Array {
-        shape: header.shape,
-        values,
-    })
+    if header.fortran_order && shape.len() > 1 && !values.is_empty() {
+        values = array::row_major(&values, 1, &shape);
+    }
+    Ok(Array { shape, values })
 }
 
 /// The rows of a two-dimensional array, read in place.
@@ -241,9 +207,9 @@ impl<'a> Rows<'a> {
         if width == 0 {
             return Ok(Err(header.shape));
         }
-        let kind = match (header.kind, header.item_len) {
-            (Kind::Float, 8) => Some(RowKind::F64),
-            (Kind::Float, 4) => Some(RowKind::F32),
+        let kind = match header.dtype {
+            Dtype::Float(8) => Some(RowKind::F64),
+            Dtype::Float(4) => Some(RowKind::F32),
             _ => None,
         };
         let plain = !header.big_endian && (!header.fortran_order || num_rows == 1 || width == 1);
@@ -338,15 +304,11 @@ impl<'a> Rows<'a> {
 /// As [`Header::parse`]; `E-NPY-DTYPE` for numbers.
 pub fn read_text(name: &str, bytes: &[u8]) -> Result<String, Error> {
     let header = Header::parse(name, bytes)?;
-    let first = if header.num_items() == 0 {
-        0
-    } else {
-        header.item_len
-    };
-    let item = &bytes[header.data_start..][..first];
-    let text: String = match header.kind {
-        Kind::Bytes => String::from_utf8_lossy(item).into_owned(),
-        Kind::Unicode => item
+    let items = &bytes[header.data_start..];
+    let item = items.get(..header.dtype.item_len()).unwrap_or_default();
+    let text: String = match header.dtype {
+        Dtype::Bytes(_) => String::from_utf8_lossy(item).into_owned(),
+        Dtype::Text(_) => item
             .chunks_exact(4)
             .filter_map(|code| {
                 let code = [code[0], code[1], code[2], code[3]];
@@ -357,10 +319,10 @@ pub fn read_text(name: &str, bytes: &[u8]) -> Result<String, Error> {
                 })
             })
             .collect(),
-        kind => {
+        dtype => {
             return Err(Error::new(
                 "E-NPY-DTYPE",
-                format!("{name}: found {kind:?}, expected text"),
+                format!("{name}: found {dtype}, expected text"),
             ));
         }
     };
@@ -428,73 +390,24 @@ fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
     out
 }
 
-/// Reorders column-major values.
-fn row_major(values: &[f64], shape: &[usize]) -> Vec<f64> {
-    let mut strides = vec![1usize; shape.len()];
-    for dimension in 1..shape.len() {
-        strides[dimension] = strides[dimension - 1] * shape[dimension - 1];
-    }
-    let mut index = vec![0usize; shape.len()];
-    let mut out = Vec::with_capacity(values.len());
-    for _ in 0..values.len() {
-        out.push(
-            values[index
-                .iter()
-                .zip(&strides)
-                .map(|(i, stride)| i * stride)
-                .sum::<usize>()],
-        );
-        for dimension in (0..shape.len()).rev() {
-            index[dimension] += 1;
-            if index[dimension] < shape[dimension] {
-                break;
-            }
-            index[dimension] = 0;
-        }
-    }
-    out
-}
-
-/// Splits a type such as `<f8` into kind, byte order and item length.
-fn parse_descr(name: &str, descr: &str) -> Result<(Kind, bool, usize), Error> {
-    let unknown = || {
+/// The type that is written as `<f8`, and whether its bytes are in big-endian order.
+fn parse_descr(name: &str, descr: &str) -> Result<(Dtype, bool), Error> {
+    let item = ItemType::parse(descr).ok_or_else(|| {
         Error::new(
             "E-NPY-DTYPE",
             format!("{name}: found type \"{descr}\", expected one such as <f4, <f8, <i8 or <U6"),
         )
-    };
-    let mut chars = descr.chars();
-    let mut first = chars.next().ok_or_else(unknown)?;
-    let big_endian = first == '>';
-    if matches!(first, '<' | '>' | '|' | '=') {
-        first = chars.next().ok_or_else(unknown)?;
-    }
-    if first == 'O' {
-        return Err(Error::new(
+    })?;
+    let dtype = item.dtype.ok_or_else(|| {
+        Error::new(
             "E-PICKLE-REFUSED",
             format!(
                 "{name}: holds pickled objects, which are code and are never executed; save it as \
                  plain numbers"
             ),
-        ));
-    }
-    let len: usize = chars.as_str().parse().map_err(|_| unknown())?;
-    let (kind, item_len) = match first {
-        'f' => (Kind::Float, Some(len)),
-        'i' => (Kind::Signed, Some(len)),
-        'u' => (Kind::Unsigned, Some(len)),
-        'b' => (Kind::Unsigned, Some(len)),
-        'S' | 'a' => (Kind::Bytes, Some(len)),
-        'U' => (Kind::Unicode, len.checked_mul(4)),
-        _ => return Err(unknown()),
-    };
-    let numeric = matches!(kind, Kind::Float | Kind::Signed | Kind::Unsigned);
-    match item_len {
-        Some(item_len) if !numeric || matches!(item_len, 1 | 2 | 4 | 8) => {
-            Ok((kind, big_endian, item_len))
-        }
-        _ => Err(unknown()),
-    }
+        )
+    })?;
+    Ok((dtype, item.big_endian))
 }
 
 /// The dictionary of a header.
@@ -670,41 +583,17 @@ mod tests {
         let dictionary = |descr: &str, fortran: &str| {
             format!("{{\"shape\": (2, 3), 'fortran_order': {fortran}, 'descr': '{descr}'}}")
         };
-        let bytes = |values: [f64; 6], to_bytes: fn(f64) -> Vec<u8>| -> Vec<u8> {
-            values.into_iter().flat_map(to_bytes).collect()
-        };
+        type ToBytes = fn(f64) -> Vec<u8>;
+        let rows = |to_bytes: ToBytes| expected.into_iter().flat_map(to_bytes).collect();
+        let flip = |to_bytes: ToBytes| columns.into_iter().flat_map(to_bytes).collect();
         let cases: [(&str, &str, Vec<u8>); 7] = [
-            (
-                "<f8",
-                "False",
-                bytes(expected, |v| v.to_le_bytes().to_vec()),
-            ),
-            (
-                ">f8",
-                "False",
-                bytes(expected, |v| v.to_be_bytes().to_vec()),
-            ),
-            (
-                "<f4",
-                "True",
-                bytes(columns, |v| (v as f32).to_le_bytes().to_vec()),
-            ),
-            (
-                ">f4",
-                "True",
-                bytes(columns, |v| (v as f32).to_be_bytes().to_vec()),
-            ),
-            (
-                "<i8",
-                "False",
-                bytes(expected, |v| (v as i64).to_le_bytes().to_vec()),
-            ),
-            (
-                ">i4",
-                "False",
-                bytes(expected, |v| (v as i32).to_be_bytes().to_vec()),
-            ),
-            ("|u1", "True", bytes(columns, |v| vec![v as u8])),
+            ("<f8", "False", rows(|v| v.to_le_bytes().to_vec())),
+            (">f8", "False", rows(|v| v.to_be_bytes().to_vec())),
+            ("<f4", "True", flip(|v| (v as f32).to_le_bytes().to_vec())),
+            (">f4", "True", flip(|v| (v as f32).to_be_bytes().to_vec())),
+            ("<i8", "False", rows(|v| (v as i64).to_le_bytes().to_vec())),
+            (">i4", "False", rows(|v| (v as i32).to_be_bytes().to_vec())),
+            ("|u1", "True", flip(|v| vec![v as u8])),
         ];
         for (descr, fortran, data) in cases {
             let array = read_numbers("m", &npy(&dictionary(descr, fortran), &data)).expect(descr);

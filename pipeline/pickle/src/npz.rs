@@ -5,6 +5,7 @@
 use std::borrow::Cow;
 use std::io::{self, Cursor, Read, Seek, Write};
 
+use zip::read::ZipFile;
 use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, System, ZipArchive, ZipWriter};
@@ -15,7 +16,7 @@ use crate::npy::{self, Array, Header, Number};
 /// Largest member read, in bytes, and highest ratio to its compressed size: real recordings stay
 /// far below both (an hour of SMPL-X at 120 fps is 570 MB), archives built to exhaust memory do
 /// not.
-const MAX_MEMBER_LEN: u64 = 2 << 30;
+pub(crate) const MAX_MEMBER_LEN: u64 = 2 << 30;
 const MAX_RATIO: u64 = 200;
 /// Size below which the ratio does not matter: a clip whose hands are all zero compresses well.
 const SMALL_MEMBER_LEN: u64 = 1 << 20;
@@ -46,11 +47,7 @@ impl<'a> Archive<Cursor<&'a [u8]>> {
     /// # Errors
     /// As [`Archive::member`].
     pub fn borrowed(&mut self, bytes: &'a [u8], key: &str) -> Result<Cow<'a, [u8]>, Error> {
-        let name = format!("{key}.npy");
-        let file = self
-            .zip
-            .by_name(&name)
-            .map_err(|error| member_error(&name, &error))?;
+        let (name, file) = self.find(key)?;
         let stored = file.compression() == CompressionMethod::Stored
             && !file.encrypted()
             && file.size() == file.compressed_size()
@@ -127,6 +124,15 @@ impl<R: Read + Seek> Archive<R> {
         self.keys.iter().any(|found| found == key)
     }
 
+    /// The name of an array's member, and the member.
+    fn find(&mut self, key: &str) -> Result<(String, ZipFile<'_, R>), Error> {
+        let name = format!("{key}.npy");
+        match self.zip.by_name(&name) {
+            Ok(file) => Ok((name, file)),
+            Err(error) => Err(member_error(&name, &error)),
+        }
+    }
+
     /// The bytes of an array's npy file, checked against its CRC.
     ///
     /// # Errors
@@ -140,14 +146,11 @@ impl<R: Read + Seek> Archive<R> {
     /// # Errors
     /// As [`Archive::member`].
     pub fn member_within(&mut self, key: &str, max_len: u64) -> Result<Vec<u8>, Error> {
-        let name = format!("{key}.npy");
-        let mut file = self
-            .zip
-            .by_name(&name)
-            .map_err(|error| member_error(&name, &error))?;
+        let (name, mut file) = self.find(key)?;
         let (len, compressed_len) = (file.size(), file.compressed_size());
         let start = file.data_start().unwrap_or_else(|| file.header_start());
-        check_len(&name, len, compressed_len, max_len).map_err(|error| error.at(start as usize))?;
+        check_len("E-NPZ-LIMIT", &name, [len, compressed_len, max_len])
+            .map_err(|error| error.at(start as usize))?;
         // The stated length is not trusted: it reserves no memory, and reading stops there.
         let mut bytes = Vec::new();
         file.by_ref()
@@ -163,12 +166,9 @@ impl<R: Read + Seek> Archive<R> {
     /// # Errors
     /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
     pub fn check_size(&mut self, key: &str) -> Result<(), Error> {
-        let name = format!("{key}.npy");
-        let file = self
-            .zip
-            .by_name(&name)
-            .map_err(|error| member_error(&name, &error))?;
-        check_len(&name, file.size(), file.compressed_size(), MAX_MEMBER_LEN)
+        let (name, file) = self.find(key)?;
+        let sizes = [file.size(), file.compressed_size(), MAX_MEMBER_LEN];
+        check_len("E-NPZ-LIMIT", &name, sizes)
     }
 
     /// An array of numbers.
@@ -185,11 +185,7 @@ impl<R: Read + Seek> Archive<R> {
     /// # Errors
     /// As [`Archive::member`], or those of [`npy`] for a header.
     pub fn shape(&mut self, key: &str) -> Result<Vec<usize>, Error> {
-        let name = format!("{key}.npy");
-        let file = self
-            .zip
-            .by_name(&name)
-            .map_err(|error| member_error(&name, &error))?;
+        let (name, file) = self.find(key)?;
         let mut head = Vec::new();
         file.take(HEADER_LEN)
             .read_to_end(&mut head)
@@ -198,12 +194,17 @@ impl<R: Read + Seek> Archive<R> {
     }
 }
 
-fn check_len(name: &str, len: u64, compressed_len: u64, max_len: u64) -> Result<(), Error> {
+/// Refuses a member that unpacks to too much.
+pub(crate) fn check_len(
+    code: &'static str,
+    name: &str,
+    [len, compressed_len, max_len]: [u64; 3],
+) -> Result<(), Error> {
     if len <= max_len && (len <= SMALL_MEMBER_LEN || len / MAX_RATIO <= compressed_len.max(1)) {
         return Ok(());
     }
     Err(Error::new(
-        "E-NPZ-LIMIT",
+        code,
         format!(
             "{name} unpacks from {compressed_len} to {len} bytes, expected at most {max_len} and {MAX_RATIO} times its \
              packed size"

@@ -3,19 +3,8 @@
 use std::io::Read;
 
 use crate::error::Error;
-use crate::machine::{self, Machine};
-use crate::torch;
+use crate::machine::Machine;
 use crate::value::{Options, Value};
-
-/// The first bytes of a pickle of any protocol: a protocol mark, or a container of protocols 0
-/// and 1.
-pub fn has_magic(head: &[u8]) -> bool {
-    match head {
-        [0x80, version, ..] => *version <= machine::MAX_PROTOCOL,
-        [b'(', b'd' | b'l' | b't', ..] | [b'}' | b']', b'q' | b'.', ..] => true,
-        _ => false,
-    }
-}
 
 /// Reads a pickle.
 ///
@@ -32,18 +21,5 @@ pub fn read(bytes: &[u8]) -> Result<Value, Error> {
 /// # Errors
 /// As [`read`]; `E-PICKLE-UNPACK` if the stream is packed and damaged, `E-IO` if it fails.
 pub fn read_from<'a>(reader: impl Read + 'a, options: &Options<'a>) -> Result<Value, Error> {
-    Machine::new(reader, *options, torch::read_storage).read()
-}
-
-/// Reads a pickle in which joblib's array wrappers are followed by the arrays' bytes.
-///
-/// # Errors
-/// As [`read_from`].
-pub(crate) fn read_with_wrapped_arrays<'a>(
-    reader: impl Read + 'a,
-    options: &Options<'a>,
-) -> Result<Value, Error> {
-    Machine::new(reader, *options, torch::read_storage)
-        .with_wrapped_arrays()
-        .read()
+    Machine::new(reader, *options).read()
 }

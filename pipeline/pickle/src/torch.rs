@@ -8,17 +8,13 @@ use zip::ZipArchive;
 
 use crate::error::Error;
 use crate::machine::Machine;
+use crate::npz::{MAX_MEMBER_LEN, check_len};
 use crate::object::{Node, Storage, StorageData};
 use crate::value::{Options, Value};
 
 /// Start of a file before PyTorch 1.6: a pickle of this number, then one of the version.
 const LEGACY_MAGIC: i128 = 0x1950_a86a_20f9_469c_fc6c;
 const LEGACY_VERSION: i128 = 1001;
-/// Largest member of an archive in bytes, and highest ratio to its packed size. `torch.save` does
-/// not compress at all.
-const MAX_MEMBER_LEN: u64 = 2 << 30;
-const MAX_RATIO: u64 = 200;
-const SMALL_MEMBER_LEN: u64 = 1 << 20;
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 
 /// Reads a file of `torch.save`, old or new, tensors as arrays.
@@ -43,15 +39,14 @@ pub fn read(bytes: &[u8]) -> Result<Value, Error> {
     let name = names
         .iter()
         .find(|name| *name == "data.pkl" || name.ends_with("/data.pkl"))
-        .ok_or_else(|| wrong("found an archive without data.pkl".to_owned()))?;
+        .ok_or_else(|| wrong("found an archive without data.pkl"))?;
     let folder = name.trim_end_matches("data.pkl");
     let order = format!("{folder}byteorder");
     if names.contains(&order) && member(&mut archive, &order)?.trim_ascii() != b"little" {
-        return Err(wrong("found a byte order other than little".to_owned()));
+        return Err(wrong("found a byte order other than little"));
     }
     let pickle = member(&mut archive, name)?;
-    let mut machine =
-        Machine::new(&pickle[..], Options::default(), read_storage).with_outside_storages();
+    let mut machine = Machine::new(&pickle[..], Options::default()).with_outside_storages();
     let root = machine.run()?;
     let mut storages = BTreeMap::new();
     for key in machine.outside_storages().into_keys() {
@@ -65,15 +60,8 @@ fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>
     let failed = |error: &dyn std::fmt::Display| wrong(format!("cannot unpack {name} ({error})"));
     let file = archive.by_name(name).map_err(|error| failed(&error))?;
     let (len, packed_len) = (file.size(), file.compressed_size());
-    if len > MAX_MEMBER_LEN || (len > SMALL_MEMBER_LEN && len / MAX_RATIO > packed_len.max(1)) {
-        return Err(Error::new(
-            "E-PICKLE-LIMIT",
-            format!(
-                "{name} unpacks from {packed_len} to {len} bytes, expected at most \
-                 {MAX_MEMBER_LEN} and {MAX_RATIO} times its packed size"
-            ),
-        ));
-    }
+    // `torch.save` does not compress at all.
+    check_len("E-PICKLE-LIMIT", name, [len, packed_len, MAX_MEMBER_LEN])?;
     let mut bytes = Vec::new();
     file.take(len)
         .read_to_end(&mut bytes)
@@ -89,10 +77,10 @@ pub(crate) fn read_storage(bytes: &[u8]) -> Result<Storage, Error> {
         data: StorageData::Named(key),
     }) = legacy.machine.node(legacy.root)
     else {
-        return Err(wrong("found a file without a storage".to_owned()));
+        return Err(wrong("found a file without a storage"));
     };
     let data = legacy.storages.get(key);
-    let data = data.ok_or_else(|| wrong("found a storage without bytes".to_owned()))?;
+    let data = data.ok_or_else(|| wrong("found a storage without bytes"))?;
     Ok(Storage {
         dtype: *dtype,
         data: StorageData::Present(data.clone()),
@@ -107,8 +95,7 @@ struct Legacy<'a> {
 
 impl<'a> Legacy<'a> {
     fn read(bytes: &'a [u8]) -> Result<Self, Error> {
-        let mut machine =
-            Machine::new(bytes, Options::default(), read_storage).with_outside_storages();
+        let mut machine = Machine::new(bytes, Options::default()).with_outside_storages();
         for (what, expected) in [("number", LEGACY_MAGIC), ("version", LEGACY_VERSION)] {
             let id = machine.run()?;
             if !matches!(machine.node(id), Node::Leaf(Value::Int(found)) if *found == expected) {
@@ -121,7 +108,7 @@ impl<'a> Legacy<'a> {
         let system = machine.run()?;
         let system = machine.value(system, &BTreeMap::new())?;
         if system.get("little_endian") == Some(&Value::Bool(false)) {
-            return Err(wrong("found a byte order other than little".to_owned()));
+            return Err(wrong("found a byte order other than little"));
         }
         let root = machine.run()?;
         let dtypes = machine.outside_storages();
@@ -147,6 +134,6 @@ impl<'a> Legacy<'a> {
     }
 }
 
-fn wrong(reason: String) -> Error {
+fn wrong(reason: impl Into<String>) -> Error {
     Error::new("E-TORCH-FORMAT", reason)
 }

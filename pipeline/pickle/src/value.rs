@@ -37,6 +37,20 @@ impl Value {
         Self::Str(text.into())
     }
 
+    /// A dictionary by text keys.
+    pub fn dict<const N: usize>(entries: [(&str, Value); N]) -> Self {
+        let entries = entries.map(|(key, value)| (Self::text(key), value));
+        Self::Dict(entries.into())
+    }
+
+    /// An array of single-precision numbers.
+    ///
+    /// # Panics
+    /// If the number of values is not that of the shape.
+    pub fn floats(shape: &[usize], numbers: impl IntoIterator<Item = f32>) -> Self {
+        Self::Array(Arc::new(Array::from_f32(shape, numbers)))
+    }
+
     /// The value a dictionary has under a text key; the last one if the key was written twice.
     pub fn get(&self, key: &str) -> Option<&Value> {
         self.as_dict()?

@@ -48,7 +48,7 @@ pub(super) fn ask(path: PathBuf, rows: &[IndexRow], files: &Files) -> IndexFindi
             subset.found += 1;
             continue;
         }
-        subset.archive = known.map(|(subset, _)| subset.archive.to_owned());
+        subset.archive = known.map(|(subset, _)| subset.archive());
         if subset.examples.len() < EXAMPLES {
             subset.examples.push(row.source_path.clone());
         }

@@ -22,6 +22,8 @@ type Turns = [Vectors<f32>; 3];
 type Block = [Vectors<f64>; NUM_BODY_JOINTS];
 /// The joints of a block and of the frame after it.
 type Run = [[[f64; LANES + 1]; 3]; NUM_BODY_JOINTS];
+/// Cosines and sines of the headings of a block and of the frame after it.
+pub(super) type Angles<'a> = (&'a [f64; LANES + 1], &'a [f64; LANES + 1]);
 /// The features of a block, by column.
 type Columns = [[f32; LANES]; HUMANML3D_WIDTH];
 
@@ -59,8 +61,7 @@ impl Placement {
     /// A direction on the ground, after the rotation.
     #[inline(always)]
     pub(super) fn turned(&self, [x, z]: [f64; 2]) -> [f64; 2] {
-        let (sine, cosine) = (self.turn.x, self.turn.y);
-        [cosine * x + sine * z, cosine * z - sine * x]
+        see(self.turn.y, self.turn.x, x, z)
     }
 }
 
@@ -235,13 +236,13 @@ impl Kernel for WriteFeatures<'_> {
         let mut turns = [[[[0.0; LANES]; 3]; 3]; NUM_BODY_JOINTS];
         for (index, rows) in self.rows.chunks_mut(LANES).enumerate() {
             self.clip.place(index, self.placement, &mut run);
-            let (cosines, sines) = self.headings.block(index);
-            write_root(&run, cosines, sines, &mut columns);
+            let angles = self.headings.block(index);
+            write_root(&run, angles, &mut columns);
             self.headings.write_yaw_velocity(index, &mut columns[0]);
-            write_positions(&run, cosines, sines, &mut columns);
-            turn_root(cosines, sines, &mut turns[0]);
+            write_positions(&run, angles, &mut columns);
+            turn_root(angles, &mut turns[0]);
             write_rotations(&run, &mut turns, &mut columns);
-            write_velocities(&run, cosines, sines, &mut columns);
+            write_velocities(&run, angles, &mut columns);
             write_contacts(&run, &mut columns);
             for (lane, row) in rows.iter_mut().enumerate() {
                 for (value, column) in row.iter_mut().zip(&columns) {
@@ -331,12 +332,7 @@ fn see(cosine: f64, sine: f64, x: f64, z: f64) -> [f64; 2] {
 
 /// The root's step in the frame of the next heading, and its height.
 #[inline(always)]
-fn write_root(
-    run: &Run,
-    cosines: &[f64; LANES + 1],
-    sines: &[f64; LANES + 1],
-    columns: &mut Columns,
-) {
+fn write_root(run: &Run, (cosines, sines): Angles<'_>, columns: &mut Columns) {
     let [x, y, z] = &run[0];
     for lane in 0..LANES {
         let next = lane + 1;
@@ -353,12 +349,7 @@ fn write_root(
 }
 
 #[inline(always)]
-fn write_positions(
-    run: &Run,
-    cosines: &[f64; LANES + 1],
-    sines: &[f64; LANES + 1],
-    columns: &mut Columns,
-) {
+fn write_positions(run: &Run, (cosines, sines): Angles<'_>, columns: &mut Columns) {
     let (root, joints) = run.split_at(1);
     let (columns, _) = columns[4..67].as_chunks_mut::<3>();
     for (column, joint) in columns.iter_mut().zip(joints) {
@@ -377,12 +368,7 @@ fn write_positions(
 }
 
 #[inline(always)]
-fn write_velocities(
-    run: &Run,
-    cosines: &[f64; LANES + 1],
-    sines: &[f64; LANES + 1],
-    columns: &mut Columns,
-) {
+fn write_velocities(run: &Run, (cosines, sines): Angles<'_>, columns: &mut Columns) {
     let (columns, _) = columns[193..259].as_chunks_mut::<3>();
     for (column, joint) in columns.iter_mut().zip(run) {
         for lane in 0..LANES {
@@ -411,7 +397,7 @@ fn write_contacts(run: &Run, columns: &mut Columns) {
 
 /// The rotation of the root is that of the heading.
 #[inline(always)]
-fn turn_root(cosines: &[f64; LANES + 1], sines: &[f64; LANES + 1], root: &mut Turns) {
+fn turn_root((cosines, sines): Angles<'_>, root: &mut Turns) {
     for lane in 0..LANES {
         let (cosine, sine) = (cosines[lane] as f32, sines[lane] as f32);
         root[0][0][lane] = cosine;

@@ -2,6 +2,8 @@
 
 use kinematics::simd::lanes::{self, Kernel, LANES};
 
+use super::blocks::Angles;
+
 /// Standard deviation in frames of the Gaussian that smooths the forward vector, and its radius: four
 /// standard deviations, as in SciPy.
 const SMOOTHING_FRAMES: f64 = 20.0;
@@ -55,7 +57,7 @@ impl Headings {
     }
 
     /// Cosines and sines of a block and of the frame after it.
-    pub(super) fn block(&self, index: usize) -> (&[f64; LANES + 1], &[f64; LANES + 1]) {
+    pub(super) fn block(&self, index: usize) -> Angles<'_> {
         (run(&self.cosine, index), run(&self.sine, index))
     }
 

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use datasets_spec::Fps;
 use glam::DVec3;
 
 use super::error::{SolveError, some_of};
@@ -20,7 +21,8 @@ pub(crate) const UNIT_CODE: &str = "E-UNIT";
 /// What a file holds.
 #[derive(Clone, Debug)]
 pub struct Capture {
-    pub(crate) markers: Markers,
+    /// The markers in metres, in the file's own axes.
+    pub markers: Markers,
     pub(crate) unit: CaptureUnit,
     /// Decisions that a reader may want to check.
     pub notes: Vec<String>,
@@ -133,6 +135,54 @@ fn only(markers: &Markers, subject: &mut Subject) -> Markers {
         positions,
         residuals,
         ..markers.clone()
+    }
+}
+
+/// Maximum distance in metres of a marker from the origin: a plausibility test for unit and number format.
+pub(crate) const MAX_DISTANCE_M: f64 = 100.0;
+
+/// Positions of the markers of a capture in metres.
+#[derive(Default)]
+pub(crate) struct Positions {
+    /// Frame by frame; zeros where a marker is not seen.
+    pub(crate) places: Vec<[f32; 3]>,
+    /// Negative where a marker is not seen.
+    residuals: Vec<f32>,
+    pub(crate) seen: usize,
+    /// Of those seen, the ones that are too far away, which then count as not seen.
+    pub(crate) far: usize,
+}
+
+impl Positions {
+    /// Adds a marker's place and residual; none where it is not seen.
+    pub(crate) fn add(&mut self, seen: Option<(DVec3, f64)>) {
+        let plausible = seen.filter(|(place, _)| place.length() < MAX_DISTANCE_M);
+        self.seen += usize::from(seen.is_some());
+        self.far += usize::from(seen.is_some() && plausible.is_none());
+        let (place, residual) = plausible.unwrap_or((DVec3::ZERO, -1.0));
+        self.places.push(place.as_vec3().to_array());
+        self.residuals.push(residual as f32);
+    }
+
+    /// Whether so many are too far away that unit or number format must be wrong.
+    pub(crate) fn are_implausible(&self) -> bool {
+        const MAX_IMPLAUSIBLE: f64 = 0.1;
+        self.far as f64 > MAX_IMPLAUSIBLE * self.seen as f64
+    }
+
+    /// The markers, and a note on those that are too far away.
+    pub(crate) fn markers(self, fps: Fps, labels: Vec<String>) -> (Markers, Option<String>) {
+        let Self { far, .. } = self;
+        let note = format!("{far} positions farther than {MAX_DISTANCE_M} m count as not seen");
+        let markers = Markers {
+            fps,
+            labels,
+            positions: self.places,
+            residuals: self.residuals,
+            set: None,
+            fit_residuals: Vec::new(),
+        };
+        (markers, (far > 0).then_some(note))
     }
 }
 

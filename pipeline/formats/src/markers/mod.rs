@@ -10,7 +10,7 @@ mod worn;
 
 pub use capture::Capture;
 pub use capture::CaptureUnit;
-pub(crate) use capture::{UNIT_CODE, unique_labels};
+pub(crate) use capture::{MAX_DISTANCE_M, Positions, UNIT_CODE, unique_labels};
 pub use label::is_model_output;
 pub(crate) use label::{keys, subject_of};
 pub use part::Part;

@@ -24,34 +24,27 @@ pub enum Part {
     RightLeg,
 }
 
-/// Every part with its joints, how many markers it needs, and joints of which one must carry a marker.
-const PARTS: [(Part, &[usize], usize, &[usize]); 7] = [
-    (Part::Pelvis, &[0], 2, &[0]),
-    (Part::Trunk, &[3, 6, 9, 13, 14], 2, &[3, 6, 9, 13, 14]),
-    (Part::Head, &[12, 15], 1, &[12, 15]),
-    (Part::LeftArm, &[16, 18, 20], 2, &[20]),
-    (Part::RightArm, &[17, 19, 21], 2, &[21]),
-    (Part::LeftLeg, &[1, 4, 7, 10], 2, &[7, 10]),
-    (Part::RightLeg, &[2, 5, 8, 11], 2, &[8, 11]),
+/// Every part with its name, its joints, how many markers it needs, and joints of which one must carry a marker.
+const PARTS: [(Part, &str, &[usize], usize, &[usize]); 7] = [
+    (Part::Pelvis, "the pelvis", &[0], 2, &[0]),
+    (
+        Part::Trunk,
+        "the trunk",
+        &[3, 6, 9, 13, 14],
+        2,
+        &[3, 6, 9, 13, 14],
+    ),
+    (Part::Head, "the head", &[12, 15], 1, &[12, 15]),
+    (Part::LeftArm, "the left arm", &[16, 18, 20], 2, &[20]),
+    (Part::RightArm, "the right arm", &[17, 19, 21], 2, &[21]),
+    (Part::LeftLeg, "the left leg", &[1, 4, 7, 10], 2, &[7, 10]),
+    (Part::RightLeg, "the right leg", &[2, 5, 8, 11], 2, &[8, 11]),
 ];
 
 impl Part {
-    /// Name in messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Pelvis => "the pelvis",
-            Self::Trunk => "the trunk",
-            Self::Head => "the head",
-            Self::LeftArm => "the left arm",
-            Self::RightArm => "the right arm",
-            Self::LeftLeg => "the left leg",
-            Self::RightLeg => "the right leg",
-        }
-    }
-
     /// Parts whose pose cannot be told from markers on these joints.
     pub(super) fn untold(joints: &[usize]) -> BTreeSet<Self> {
-        let untold = PARTS.iter().filter(|(_, of, needed, ends)| {
+        let untold = PARTS.iter().filter(|(_, _, of, needed, ends)| {
             let on = |of: &[usize]| joints.iter().filter(|joint| of.contains(joint)).count();
             on(of) < *needed || on(ends) == 0
         });
@@ -61,6 +54,7 @@ impl Part {
 
 /// Names of parts in a row.
 pub(super) fn names(parts: &BTreeSet<Part>) -> String {
-    let names: Vec<&str> = parts.iter().map(|part| part.name()).collect();
+    let named = PARTS.iter().filter(|(part, ..)| parts.contains(part));
+    let names: Vec<&str> = named.map(|(_, name, ..)| *name).collect();
     names.join(", ")
 }

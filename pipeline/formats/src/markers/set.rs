@@ -66,53 +66,9 @@ pub enum MarkerSetError {
          is a label of a known set, or a joint and an offset of three numbers"
     )]
     Syntax(#[from] serde_json::Error),
-    /// `like` names no built-in set.
-    #[error("marker set is like {name}, which is none of {known}")]
-    Like {
-        /// The name given.
-        name: String,
-        /// Names of the built-in sets.
-        known: String,
-    },
-    /// A marker is worn where a label is that no set has.
-    #[error("marker set puts {label} where {place} is, which {set} does not have")]
-    Label {
-        /// The label of the set.
-        label: String,
-        /// The label it refers to.
-        place: String,
-        /// What was searched.
-        set: String,
-    },
-    /// A joint is not an SMPL-X body joint.
-    #[error("marker set puts {label} on {joint}, which is no SMPL-X body joint such as left_knee")]
-    Joint {
-        /// The label.
-        label: String,
-        /// The joint given.
-        joint: String,
-    },
-    /// A marker is too far from its joint to be worn there.
-    #[error("marker set puts {label} {metres} m from {joint}; offsets are in metres, below {most}")]
-    Offset {
-        /// The label.
-        label: String,
-        /// The joint.
-        joint: String,
-        /// Length of the offset.
-        metres: f64,
-        /// The limit.
-        most: f64,
-    },
-    /// Two entries are one label.
-    #[error("marker set names {label} twice")]
-    Twice {
-        /// The label.
-        label: String,
-    },
-    /// It has no markers.
-    #[error("marker set has no markers; name them, or name a set that it is like")]
-    Empty,
+    /// It names what there is not, says something twice, or has no markers.
+    #[error("marker set {0}")]
+    Content(String),
 }
 
 #[derive(Deserialize)]
@@ -184,17 +140,14 @@ impl MarkerSet {
             None => None,
             Some(name) => Some(known.iter().find(|set| set.name == *name).ok_or_else(|| {
                 let names: Vec<&str> = known.iter().map(|set| set.name.as_str()).collect();
-                MarkerSetError::Like {
-                    name: name.clone(),
-                    known: names.join(", "),
-                }
+                let names = names.join(", ");
+                MarkerSetError::Content(format!("is like {name}, which is none of {names}"))
             })?),
         };
         let mut markers = placements(&file.markers, like, known)?;
         let mut optional = placements(&file.optional, like, known)?;
         if let Some(label) = optional.keys().find(|label| markers.contains_key(*label)) {
-            let label = label.clone();
-            return Err(MarkerSetError::Twice { label });
+            return Err(twice(label));
         }
         if let Some(like) = like.filter(|_| markers.is_empty()) {
             markers.clone_from(&like.markers);
@@ -203,7 +156,8 @@ impl MarkerSet {
             optional.retain(|label, _| !markers.contains_key(label));
         }
         if markers.is_empty() {
-            return Err(MarkerSetError::Empty);
+            let reason = "has no markers; name them, or name a set that it is like";
+            return Err(MarkerSetError::Content(reason.to_owned()));
         }
         Ok(Self {
             name: file.name,
@@ -242,6 +196,10 @@ impl MarkerSet {
     }
 }
 
+fn twice(label: &str) -> MarkerSetError {
+    MarkerSetError::Content(format!("names {label} twice"))
+}
+
 /// The places of labels, with `*` spelled out.
 fn placements(
     stated: &BTreeMap<String, Place>,
@@ -258,7 +216,7 @@ fn placements(
             let name = bare_label(&label.replace('*', side));
             let found = place.find(&name, side, like, known)?;
             if placements.insert(name.clone(), found).is_some() {
-                return Err(MarkerSetError::Twice { label: name });
+                return Err(twice(&name));
             }
         }
     }
@@ -274,31 +232,30 @@ impl Place {
         like: Option<&MarkerSet>,
         known: &[MarkerSet],
     ) -> Result<Placement, MarkerSetError> {
+        let refused = MarkerSetError::Content;
         match self {
             Self::Of(place) => {
                 let place = place.replace('*', side);
                 let sets = like.map_or(known, std::slice::from_ref);
                 let found = sets.iter().find_map(|set| set.placement(&place));
-                found.ok_or_else(|| MarkerSetError::Label {
-                    label: label.to_owned(),
-                    place,
-                    set: like.map_or("no built-in set".to_owned(), |set| set.name.clone()),
+                found.ok_or_else(|| {
+                    let set = like.map_or("no built-in set", MarkerSet::name);
+                    refused(format!(
+                        "puts {label} where {place} is, which {set} does not have"
+                    ))
                 })
             }
             Self::At { joint, offset } => {
-                let parsed = joint.parse().map_err(|_| MarkerSetError::Joint {
-                    label: label.to_owned(),
-                    joint: joint.clone(),
+                let parsed = joint.parse().map_err(|_| {
+                    let known = "which is no SMPL-X body joint such as left_knee";
+                    refused(format!("puts {label} on {joint}, {known}"))
                 })?;
                 let offset = DVec3::from_array(*offset);
                 let metres = offset.length();
                 if !metres.is_finite() || metres > MAX_OFFSET_M {
-                    return Err(MarkerSetError::Offset {
-                        label: label.to_owned(),
-                        joint: joint.clone(),
-                        metres,
-                        most: MAX_OFFSET_M,
-                    });
+                    return Err(refused(format!(
+                        "puts {label} {metres} m from {joint}; offsets are in metres, below {MAX_OFFSET_M}"
+                    )));
                 }
                 let left = Placement {
                     joint: parsed,

@@ -90,11 +90,10 @@ impl<'a> Solvable<'a> {
     ) -> Result<Self, SolveError> {
         let skeleton = &options.skeleton;
         let Match { set, missing, .. } = recognise(subject, options.markers.as_ref())?;
-        let name = || set.name().to_owned();
         let worn = LabelledMarkers::of(subject, set);
         let frames = Frames::of(&markers, &worn);
         let headless = check_parts(&worn.seen_joints(&frames), set, &missing)?;
-        let no_body = || SolveError::NoBody { set: name() };
+        let no_body = || SolveError::no_body(set.name());
         let (turn, up) = frames.up_turn(&worn).ok_or_else(no_body)?;
         for position in &mut markers.positions {
             let turned = turn * DVec3::from_array(position.map(f64::from));
@@ -105,17 +104,18 @@ impl<'a> Solvable<'a> {
             .filter(|frame| frames.usable(*frame))
             .collect();
         if usable.len() < 2 {
-            return Err(SolveError::NotSeen {
-                set: name(),
-                frames: usable.len(),
-            });
+            return Err(SolveError::Markers(format!(
+                "{} frames show half of the markers of the set {}, expected at least 2",
+                usable.len(),
+                set.name()
+            )));
         }
         let tall = Solver::of(skeleton, &worn).first_height(&frames, &usable);
         let tall = tall.ok_or_else(no_body)?;
         let metres = tall * body_height(skeleton);
         if !PERSON_M.contains(&metres) {
             return Err(SolveError::Height {
-                set: name(),
+                set: set.name().to_owned(),
                 metres,
             });
         }
@@ -135,49 +135,42 @@ impl<'a> Solvable<'a> {
     ///
     /// # Errors
     /// The markers do not fit a body.
-    pub(super) fn solve(self, skeleton: &Skeleton) -> Result<Solved, SolveError> {
-        let Self {
-            set,
-            worn,
-            mut markers,
-            frames,
-            usable,
-            up,
-            tall,
-            headless,
-        } = self;
-        let no_body = || SolveError::NoBody {
-            set: set.name().to_owned(),
-        };
-        let mut solver = Solver::of(skeleton, &worn);
-        solver.scale = 1.0 / tall;
-        solver.calibrate(&frames, &usable).ok_or_else(no_body)?;
-        let solved = solver.all(&frames, &usable);
+    pub(super) fn solve(mut self, skeleton: &Skeleton) -> Result<Solved, SolveError> {
+        let set = self.set;
+        let no_body = || SolveError::no_body(set.name());
+        let mut solver = Solver::of(skeleton, &self.worn);
+        solver.scale = 1.0 / self.tall;
+        solver
+            .calibrate(&self.frames, &self.usable)
+            .ok_or_else(no_body)?;
+        let solved = solver.all(&self.frames, &self.usable);
         let (mut poses, fit_residuals, gaps) = solved.ok_or_else(no_body)?;
-        floor::put_on_floor(&mut poses, markers.fps, skeleton);
-        let motion = Motion::from_poses(markers.fps, &poses).map_err(|_| no_body())?;
+        let fps = self.markers.fps;
+        floor::put_on_floor(&mut poses, fps, skeleton);
+        let motion = Motion::from_poses(fps, &poses).map_err(|_| no_body())?;
         let mut notes = vec![
             format!(
-                "markers {}, {} of {} labels worn; {up} is up in the file",
+                "markers {}, {} of {} labels worn; {} is up in the file",
                 set.name(),
-                worn.columns.len(),
-                markers.labels.len()
+                self.worn.columns.len(),
+                self.markers.labels.len(),
+                self.up
             ),
             format!("captured person scaled by {:.3} to the body", solver.scale),
         ];
-        if headless {
+        if self.headless {
             notes.push("no marker is on the head: it follows the trunk".to_owned());
         }
         if !set.at_rest().is_empty() {
             let parts = part::names(set.at_rest());
             notes.push(format!("as at rest where no marker tells: {parts}"));
         }
-        markers.set = Some(set.name().to_owned());
-        markers.fit_residuals = fit_residuals;
+        self.markers.set = Some(set.name().to_owned());
+        self.markers.fit_residuals = fit_residuals;
         Ok(Solved {
             motion,
             gaps,
-            markers,
+            markers: self.markers,
             notes,
         })
     }
@@ -189,24 +182,28 @@ fn recognise<'a>(subject: &Subject, own: Option<&'a MarkerSet>) -> Result<Match<
     let Some(found) = nearest(&bare, own) else {
         let sets = own.into_iter().chain(marker_sets());
         let sets: Vec<&str> = sets.map(MarkerSet::name).collect();
-        return Err(SolveError::NoSet {
-            count: subject.bare.len(),
-            labels: some_of(subject.bare.iter().map(String::as_str)),
-            sets: sets.join(", "),
-        });
+        return Err(SolveError::Markers(format!(
+            "none of {} labels is of a known marker set ({}): {}; `stance ingest --markers FILE` says where they are \
+             worn",
+            subject.bare.len(),
+            sets.join(", "),
+            some_of(subject.bare.iter().map(String::as_str))
+        )));
     };
     if found.is_whole() {
         return Ok(found);
     }
     let of_set = |bare: &&String| found.set.placement(bare).is_none();
-    Err(SolveError::NotWhole {
-        set: found.set.name().to_owned(),
-        found: found.found,
-        of: found.set.labels().count(),
-        missing: some_of(found.missing.iter().copied()),
-        count: subject.bare.len(),
-        others: some_of(subject.bare.iter().filter(of_set).map(String::as_str)),
-    })
+    Err(SolveError::Markers(format!(
+        "{} of the {} labels of marker set {}, which comes nearest, are there; missing {}; the other labels among {} \
+         are {}; `stance ingest --markers FILE` says where they are worn",
+        found.found,
+        found.set.labels().count(),
+        found.set.name(),
+        some_of(found.missing.iter().copied()),
+        subject.bare.len(),
+        some_of(subject.bare.iter().filter(of_set).map(String::as_str))
+    )))
 }
 
 /// Refuses markers that do not tell the pose of a whole body; whether the head has none.
@@ -216,11 +213,14 @@ fn check_parts(joints: &[usize], set: &MarkerSet, missing: &[&str]) -> Result<bo
     let headless = untold.remove(&Part::Head);
     match untold.is_empty() {
         true => Ok(headless),
-        false => Err(SolveError::Parts {
-            set: set.name().to_owned(),
-            parts: part::names(&untold),
-            missing: some_of(missing.iter().copied()),
-        }),
+        false => Err(SolveError::Markers(format!(
+            "too few markers of the set {} are seen on {} for the pose of a whole body; of its labels, missing are: {}; \
+             `stance ingest --markers FILE` can name further markers, or say with at_rest that these parts may stay as \
+             at rest",
+            set.name(),
+            part::names(&untold),
+            some_of(missing.iter().copied())
+        ))),
     }
 }
 

@@ -4,6 +4,7 @@ use glam::{DQuat, DVec3};
 
 use super::label::Subject;
 use super::set::MarkerSet;
+use crate::retarget::{axis_name, y_up_from_axis};
 use clip::Markers;
 
 /// Markers that must be seen in a frame for its pose to be solved, and their share of all.
@@ -115,22 +116,13 @@ impl Frames {
         if largest <= 0.0 || !largest.is_finite() {
             return None;
         }
-        Some(if axis.z == largest {
-            if sum.z > 0.0 {
-                (DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2), "z")
-            } else {
-                (DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2), "-z")
-            }
+        let up = if axis.z == largest {
+            DVec3::Z * sum.z.signum()
         } else if axis.y == largest {
-            if sum.y > 0.0 {
-                (DQuat::IDENTITY, "y")
-            } else {
-                (DQuat::from_rotation_x(std::f64::consts::PI), "-y")
-            }
-        } else if sum.x > 0.0 {
-            (DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2), "x")
+            DVec3::Y * sum.y.signum()
         } else {
-            (DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2), "-x")
-        })
+            DVec3::X * sum.x.signum()
+        };
+        Some((y_up_from_axis(up), axis_name(up)))
     }
 }

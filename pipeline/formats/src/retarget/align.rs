@@ -20,8 +20,9 @@ use super::track::{Track, TrackRest};
 /// The constant rotation of each body joint; the identity where the source has no such joint.
 pub(super) type Alignment = [DQuat; NUM_BODY_JOINTS];
 
-/// Bones whose direction the body must reproduce exactly, as (joint, its child), parents first.
-const LIMBS: [(usize, usize); 8] = [
+/// Bones whose direction the body must reproduce exactly, as (joint, its child), parents first. The left one of a pair
+/// comes before the right one.
+pub(super) const LIMBS: [(usize, usize); 8] = [
     (1, 4),
     (2, 5),
     (4, 7),
@@ -275,7 +276,7 @@ impl<'a> Estimate<'a> {
     /// Whether two points are on average so far apart that they give a direction.
     fn is_apart(&self, a: impl Fn(usize) -> DVec3, b: impl Fn(usize) -> DVec3) -> bool {
         // Joints closer than this fraction of the leg's length coincide and give no direction.
-        let apart = 0.02 * self.track.leg_length();
+        let apart = 0.02 * self.track.leg_length;
         let distances = self.frames.clone().map(|frame| a(frame).distance(b(frame)));
         distances.sum::<f64>() > apart * self.frames.len() as f64
     }
@@ -446,7 +447,7 @@ fn by_sole(track: &Track, ankle: usize, foot: usize, skeleton: &Skeleton) -> Opt
             .collect()
     };
     let (ankle_heights, foot_heights) = (heights(ankle), heights(foot));
-    let band = FLAT_BAND * track.leg_length();
+    let band = FLAT_BAND * track.leg_length;
     let ankle_low = quantile(&mut ankle_heights.clone(), LOWEST_SHARE)? + band;
     let foot_low = quantile(&mut foot_heights.clone(), LOWEST_SHARE)? + band;
     let mut normal = DVec3::ZERO;
@@ -517,7 +518,7 @@ fn mean_rotation(rotations: impl Iterator<Item = (DQuat, f64)>) -> (DQuat, f64) 
 }
 
 /// The rotation that takes an up axis to y.
-pub(super) fn y_up_from_axis(up: DVec3) -> DQuat {
+pub(crate) fn y_up_from_axis(up: DVec3) -> DQuat {
     if up.z != 0.0 {
         DQuat::from_rotation_x(-FRAC_PI_2 * up.z.signum())
     } else if up.x != 0.0 {
@@ -550,7 +551,7 @@ pub(super) fn y_up_from_source(mean_up: DVec3) -> (DQuat, &'static str) {
 }
 
 /// Name of an axis.
-pub(super) fn axis_name(axis: DVec3) -> &'static str {
+pub(crate) fn axis_name(axis: DVec3) -> &'static str {
     match (axis.x, axis.y, axis.z) {
         (x, _, _) if x > 0.0 => "x",
         (x, _, _) if x < 0.0 => "-x",

@@ -3,6 +3,7 @@
 use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
+use super::align::LIMBS;
 use super::joint_map::{Mapping, Origin, hangs_from};
 use super::rig::Bone;
 use super::track::Track;
@@ -13,26 +14,6 @@ pub(super) const LEAST: f64 = 0.6;
 
 /// Confidence of a map without names, relative to one by names.
 const NAMELESS: f64 = 0.8;
-
-/// Joints and their descendants in every body.
-const DESCENT: [(usize, usize); 9] = [
-    (1, 4),
-    (2, 5),
-    (4, 7),
-    (5, 8),
-    (16, 18),
-    (17, 19),
-    (18, 20),
-    (19, 21),
-    (12, 15),
-];
-/// Bones of the left side, as (joint, its child), and the same of the right.
-const SIDES: [[(usize, usize); 2]; 4] = [
-    [(1, 4), (2, 5)],
-    [(4, 7), (5, 8)],
-    [(16, 18), (17, 19)],
-    [(18, 20), (19, 21)],
-];
 
 /// Evidence for a guessed map, each from 0 to 1.
 pub(super) struct Evidence {
@@ -59,12 +40,14 @@ impl Evidence {
     ) -> Self {
         let source_of = |joint: usize| mapping.source_of[joint];
         let found = mapping.source_of.iter().flatten().count() as f64 / NUM_BODY_JOINTS as f64;
-        let descent = mean(DESCENT.iter().filter_map(|&(joint, child)| {
+        // The head hangs from the neck in every body too.
+        let hanging = LIMBS.iter().chain(&[(12, 15)]);
+        let descent = mean(hanging.filter_map(|&(joint, child)| {
             let (joint, child) = (source_of(joint)?, source_of(child)?);
             Some(f64::from(u8::from(hangs_from(bones, child, joint))))
         }));
         let points = track.points(0);
-        let symmetry = mean(SIDES.iter().filter_map(|sides| {
+        let symmetry = mean(LIMBS.as_chunks::<2>().0.iter().filter_map(|sides| {
             let [left, right] = sides.map(|(joint, child)| {
                 let located = track.is_located(joint) && track.is_located(child);
                 located.then(|| points[joint].distance(points[child]))

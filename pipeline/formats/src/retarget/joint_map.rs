@@ -244,45 +244,19 @@ enum Part {
 }
 
 /// Words for each part. The longest word that ends a name decides, so that a forearm is not an arm.
-const WORDS: [(&str, Part); 38] = [
-    ("pelvis", Part::Pelvis),
-    ("hips", Part::Pelvis),
-    ("waist", Part::Pelvis),
-    ("root", Part::Pelvis),
-    ("body", Part::Pelvis),
-    ("upleg", Part::Hip),
-    ("upperleg", Part::Hip),
-    ("thigh", Part::Hip),
-    ("femur", Part::Hip),
-    ("hip", Part::Hip),
-    ("leg", Part::Knee),
-    ("lowerleg", Part::Knee),
-    ("calf", Part::Knee),
-    ("shin", Part::Knee),
-    ("tibia", Part::Knee),
-    ("knee", Part::Knee),
-    ("foot", Part::Ankle),
-    ("ankle", Part::Ankle),
-    ("forefoot", Part::Foot),
-    ("ball", Part::Foot),
-    ("toe", Part::Foot),
-    ("toes", Part::Foot),
-    ("toebase", Part::Foot),
-    ("clavicle", Part::Collar),
-    ("collar", Part::Collar),
-    ("collarbone", Part::Collar),
-    ("shoulder", Part::ShoulderOrCollar),
-    ("arm", Part::Shoulder),
-    ("uparm", Part::Shoulder),
-    ("upperarm", Part::Shoulder),
-    ("forearm", Part::Elbow),
-    ("lowerarm", Part::Elbow),
-    ("elbow", Part::Elbow),
-    ("hand", Part::Wrist),
-    ("palm", Part::Wrist),
-    ("wrist", Part::Wrist),
-    ("neck", Part::Neck),
-    ("head", Part::Head),
+const WORDS: [(Part, &str); 12] = [
+    (Part::Pelvis, "pelvis hips waist root body"),
+    (Part::Hip, "upleg upperleg thigh femur hip"),
+    (Part::Knee, "leg lowerleg calf shin tibia knee"),
+    (Part::Ankle, "foot ankle"),
+    (Part::Foot, "forefoot ball toe toes toebase"),
+    (Part::Collar, "clavicle collar collarbone"),
+    (Part::ShoulderOrCollar, "shoulder"),
+    (Part::Shoulder, "arm uparm upperarm"),
+    (Part::Elbow, "forearm lowerarm elbow"),
+    (Part::Wrist, "hand palm wrist"),
+    (Part::Neck, "neck"),
+    (Part::Head, "head"),
 ];
 
 /// Words of control and twist bones, which are not joints.
@@ -329,11 +303,13 @@ fn side_and_part(name: &str) -> (Option<Side>, Option<Part>) {
             }
         }
     }
-    let part = WORDS
+    let words = WORDS
         .iter()
+        .flat_map(|&(part, words)| words.split(' ').map(move |word| (word, part)));
+    let part = words
         .filter(|(word, _)| rest.ends_with(word))
         .max_by_key(|(word, _)| word.len())
-        .map(|&(_, part)| part);
+        .map(|(_, part)| part);
     (side, part)
 }
 

@@ -18,6 +18,22 @@ pub struct Bone<'a> {
     pub tip: Option<DVec3>,
 }
 
+/// Marks some bones and those above them, by the parents of all.
+pub(crate) fn with_ancestors(
+    parents: &[Option<usize>],
+    bones: impl IntoIterator<Item = usize>,
+) -> Vec<bool> {
+    let mut marked = vec![false; parents.len()];
+    for bone in bones {
+        let mut at = Some(bone);
+        while let Some(bone) = at.filter(|&bone| !marked[bone]) {
+            marked[bone] = true;
+            at = parents[bone];
+        }
+    }
+    marked
+}
+
 /// World transform of a bone in the file's unit and axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placed {
@@ -42,6 +58,12 @@ pub struct Rest {
     pub name: &'static str,
     /// Every bone, `[B]`. The axes need not be those of the motion.
     pub bones: Vec<Placed>,
+}
+
+impl Rest {
+    pub(crate) fn new(name: &'static str, bones: Vec<Placed>) -> Self {
+        Self { name, bones }
+    }
 }
 
 /// A skeleton and its motion with the file's names, unit, axes and joint frames.

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::joint_map::Mapping;
-use super::rig::{Bone, Placed, Rest, Rig};
+use super::rig::{Bone, Placed, Rest, Rig, with_ancestors};
 use clip::Rejected;
 
 /// Global rotations and positions of the mapped joints of a source, in its own unit. Of long motions
@@ -12,15 +12,16 @@ use clip::Rejected;
 pub(super) struct Track {
     source_of: [Option<usize>; NUM_BODY_JOINTS],
     anchors: [Anchor; NUM_BODY_JOINTS],
-    located: [bool; NUM_BODY_JOINTS],
     /// Frames of the source to each that is held.
     stride: usize,
     /// Rotation of the source's axes so far.
     turn: DQuat,
     rotations: Vec<[DQuat; NUM_BODY_JOINTS]>,
     points: Vec<[DVec3; NUM_BODY_JOINTS]>,
-    rests: Vec<TrackRest>,
-    leg_length: f64,
+    /// The poses that may be a standing person, the most reliable first.
+    pub(super) rests: Vec<TrackRest>,
+    /// Mean length of both legs from hip over knee to ankle, over the frames.
+    pub(super) leg_length: f64,
 }
 
 /// The mapped joints in a pose that may be a standing person, in the axes of the pose.
@@ -104,7 +105,6 @@ impl Track {
             .collect();
         let track = Self {
             source_of: mapping.source_of,
-            located: anchors.map(|anchor| anchor.is_some()),
             anchors,
             stride,
             turn: DQuat::IDENTITY,
@@ -171,7 +171,7 @@ impl Track {
 
     /// Whether the source has a position for this body joint: the joint itself, or an end site.
     pub(super) fn is_located(&self, joint: usize) -> bool {
-        self.located[joint]
+        self.anchors[joint].is_some()
     }
 
     /// Global rotations of a frame, `[22]`; the identity for joints that are not mapped.
@@ -184,11 +184,6 @@ impl Track {
         &self.points[frame]
     }
 
-    /// The poses that may be a standing person, the most reliable first.
-    pub(super) fn rests(&self) -> &[TrackRest] {
-        &self.rests
-    }
-
     /// The first frame as such a pose.
     pub(super) fn first_frame(&self) -> TrackRest {
         TrackRest {
@@ -196,11 +191,6 @@ impl Track {
             rotations: self.rotations[0],
             points: self.points[0],
         }
-    }
-
-    /// Mean length of both legs from hip over knee to ankle, over the frames.
-    pub(super) fn leg_length(&self) -> f64 {
-        self.leg_length
     }
 }
 
@@ -219,15 +209,8 @@ fn anchors(bones: &[Bone<'_>], mapping: &Mapping) -> [Anchor; NUM_BODY_JOINTS] {
 
 /// The bones that carry an anchor, with their ancestors.
 fn needed(bones: &[Bone<'_>], anchors: &[Anchor; NUM_BODY_JOINTS]) -> Vec<bool> {
-    let mut needed = vec![false; bones.len()];
-    for (bone, _) in anchors.iter().flatten() {
-        let mut at = Some(*bone);
-        while let Some(index) = at.filter(|&index| !needed[index]) {
-            needed[index] = true;
-            at = bones[index].parent;
-        }
-    }
-    needed
+    let parents: Vec<Option<usize>> = bones.iter().map(|bone| bone.parent).collect();
+    with_ancestors(&parents, anchors.iter().flatten().map(|(bone, _)| *bone))
 }
 
 fn rotations_of(

@@ -38,9 +38,9 @@ pub(super) fn note(
     map: Option<&UserMap>,
     options: &ReadOptions,
 ) -> Result<String, Rejected> {
-    let leg = track.leg_length();
+    let leg = track.leg_length;
     let height = leg / body_leg * body_height(&options.skeleton);
-    let of_map = || map.and_then(UserMap::unit).and_then(Unit::of_metres);
+    let of_map = || map.and_then(|map| map.unit).and_then(Unit::of_metres);
     let by_user = match options.unit {
         Some(unit) => Some((unit, "as --unit says")),
         None => of_map().map(|unit| (unit, "as the joint map says")),

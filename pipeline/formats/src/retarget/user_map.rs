@@ -21,9 +21,11 @@ use serde::{Deserialize, Serialize};
 pub struct UserMap {
     name: String,
     joints: BTreeMap<Joint, String>,
-    unit: Option<f64>,
-    up: Option<Up>,
-    rest: Option<RestPose>,
+    /// Metres of the file's unit.
+    pub(super) unit: Option<f64>,
+    pub(super) up: Option<Up>,
+    /// The pose in which the source stands.
+    pub(super) rest: Option<RestPose>,
 }
 
 /// The up axis of a file.
@@ -74,24 +76,9 @@ pub enum UserMapError {
     /// It is not JSON, or has unknown fields.
     #[error("a joint map is JSON with name, joints and, if needed, unit, up and rest")]
     Syntax(#[from] serde_json::Error),
-    /// A joint of the map is not an SMPL-X body joint.
-    #[error("joint map names {joint}, which is no SMPL-X body joint such as left_knee")]
-    Joint {
-        /// The name given.
-        joint: String,
-    },
-    /// Two body joints have the same source joint.
-    #[error("joint map gives {source_name} to two joints; name a source joint once")]
-    Twice {
-        /// The source joint.
-        source_name: String,
-    },
-    /// The unit is not a positive number.
-    #[error("joint map has a unit of {unit} m; expected a positive number of metres")]
-    Unit {
-        /// The unit given.
-        unit: f64,
-    },
+    /// It names what there is not or says something twice, or its unit is not a positive number.
+    #[error("joint map {0}")]
+    Content(String),
 }
 
 #[derive(Deserialize)]
@@ -129,17 +116,23 @@ impl UserMap {
     pub fn parse(text: &str) -> Result<Self, UserMapError> {
         let file: File = serde_json::from_str(text)?;
         let mut joints: BTreeMap<Joint, String> = BTreeMap::new();
+        let refused = UserMapError::Content;
         for (joint, source_name) in file.joints {
-            let joint = joint.parse().map_err(|_| UserMapError::Joint {
-                joint: joint.clone(),
+            let joint = joint.parse().map_err(|_| {
+                let known = "which is no SMPL-X body joint such as left_knee";
+                refused(format!("names {joint}, {known}"))
             })?;
             if joints.values().any(|taken| *taken == source_name) {
-                return Err(UserMapError::Twice { source_name });
+                return Err(refused(format!(
+                    "gives {source_name} to two joints; name a source joint once"
+                )));
             }
             joints.insert(joint, source_name);
         }
         if let Some(unit) = file.unit.filter(|unit| !(unit.is_finite() && *unit > 0.0)) {
-            return Err(UserMapError::Unit { unit });
+            return Err(refused(format!(
+                "has a unit of {unit} m; expected a positive number of metres"
+            )));
         }
         Ok(Self {
             name: file.name,
@@ -164,21 +157,6 @@ impl UserMap {
     pub(super) fn source_names(&self) -> impl Iterator<Item = &str> {
         self.joints.values().map(String::as_str)
     }
-
-    /// Metres of the file's unit.
-    pub(super) fn unit(&self) -> Option<f64> {
-        self.unit
-    }
-
-    /// The axis that is up.
-    pub(super) fn up(&self) -> Option<Up> {
-        self.up
-    }
-
-    /// The pose in which the source stands.
-    pub(super) fn rest(&self) -> Option<RestPose> {
-        self.rest
-    }
 }
 
 #[cfg(test)]
@@ -195,11 +173,11 @@ mod tests {
         assert_eq!(map.name(), "rig");
         assert_eq!(map.source_name(Joint::LeftHip), Some("thigh.L"));
         assert_eq!(map.source_name(Joint::RightHip), None);
-        assert_eq!(map.unit(), Some(0.01));
-        assert_eq!(map.up().map(Up::direction), Some(DVec3::NEG_Z));
-        assert_eq!(map.rest(), Some(RestPose::FirstFrame));
+        assert_eq!(map.unit, Some(0.01));
+        assert_eq!(map.up.map(Up::direction), Some(DVec3::NEG_Z));
+        assert_eq!(map.rest, Some(RestPose::FirstFrame));
         let plain = UserMap::parse(r#"{"name": "", "joints": {}}"#).expect("valid");
-        assert_eq!((plain.unit(), plain.up(), plain.rest()), (None, None, None));
+        assert_eq!((plain.unit, plain.up, plain.rest), (None, None, None));
     }
 
     #[test]

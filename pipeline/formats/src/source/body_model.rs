@@ -53,11 +53,7 @@ pub fn read_skeleton(path: &Path) -> Result<Skeleton, Error> {
     let joints = read_joints(path)?
         .and_then(complete)
         .and_then(plausible)
-        .map_err(|rejected| Error::BodyModel {
-            path: path.to_owned(),
-            code: rejected.code,
-            reason: rejected.reason,
-        })?;
+        .map_err(unusable(path))?;
     let mut hasher = blake3::Hasher::new();
     for value in joints.iter().flat_map(DVec3::to_array) {
         hasher.update(&value.to_le_bytes());
@@ -68,6 +64,14 @@ pub fn read_skeleton(path: &Path) -> Result<Skeleton, Error> {
         format!("{}-{hash}", stem.to_lowercase()),
         joints,
     ))
+}
+
+fn unusable(path: &Path) -> impl Fn(Rejected) -> Error {
+    move |rejected| Error::BodyModel {
+        path: path.to_owned(),
+        code: rejected.code,
+        reason: rejected.reason,
+    }
 }
 
 /// A body model with its shapes: where the joints of each subject rest.
@@ -86,11 +90,7 @@ impl BodyModel {
     /// The file cannot be read, or is no such model.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let file = File::open(path).map_err(datasets_spec::Error::io("open", path))?;
-        Self::regress(file).map_err(|rejected| Error::BodyModel {
-            path: path.to_owned(),
-            code: rejected.code,
-            reason: rejected.reason,
-        })
+        Self::regress(file).map_err(unusable(path))
     }
 
     fn regress(file: File) -> Result<Self, Rejected> {
@@ -283,17 +283,16 @@ fn gender_of(root: &Path, file: &Path) -> Option<&'static str> {
 }
 
 fn read_joints(path: &Path) -> Result<Result<Vec<DVec3>, Rejected>, Error> {
-    let extension = path
-        .extension()
-        .map(|extension| extension.to_string_lossy().to_lowercase())
-        .unwrap_or_default();
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    let extension = extension.to_lowercase();
     let file = File::open(path).map_err(datasets_spec::Error::io("open", path))?;
-    let len = file
-        .metadata()
-        .map_err(datasets_spec::Error::io("read", path))?
-        .len();
+    let len = file.metadata();
+    let len = len.map_err(datasets_spec::Error::io("read", path))?.len();
     Ok(match extension.as_str() {
-        "npz" => regress(file),
+        "npz" => Archive::open(file)
+            .map_err(Rejected::from)
+            .and_then(|mut archive| Template::read(&mut archive))
+            .map(|template| template.means(&template.vertices)),
         "npy" if len > MAX_ARRAY_LEN => Err(rejected!(
             "E-TOO-LARGE",
             "found {len} bytes, expected the [55, 3] joints of a body"
@@ -315,12 +314,6 @@ fn read_joints(path: &Path) -> Result<Result<Vec<DVec3>, Rejected>, Error> {
             "found a {extension} file, expected .npz (a model) or .npy (its joints)"
         )),
     })
-}
-
-/// The joints of a model: weighted means of its vertices.
-fn regress(file: File) -> Result<Vec<DVec3>, Rejected> {
-    let template = Template::read(&mut Archive::open(file)?)?;
-    Ok(template.means(&template.vertices))
 }
 
 /// The vertices of a model, and the joints as weighted means of them.
@@ -481,6 +474,7 @@ pub(crate) mod tests {
     use testkit::{npy, npy_f8};
 
     use super::*;
+    use crate::source::release_tests::edited;
 
     /// A model whose vertices are the neutral joints, twice each at equal distances.
     fn model(joints: &[usize], parents: &[f64]) -> Vec<(&'static str, Vec<u8>)> {
@@ -679,14 +673,11 @@ pub(crate) mod tests {
             edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
             is_model in any::<bool>(),
         ) {
-            let mut bytes = match is_model {
+            let bytes = match is_model {
                 true => npz(&smplx()),
                 false => npy_f8(&[NUM_JOINTS, 3], &[0.1; 3 * NUM_JOINTS]),
             };
-            for (at, byte) in edits {
-                let at = at.index(bytes.len());
-                bytes[at] = byte;
-            }
+            let bytes = edited(&bytes, edits);
             let name = if is_model { "m.npz" } else { "j.npy" };
             if let Ok(skeleton) = skeleton(name, &bytes) {
                 prop_assert!((0..NUM_JOINTS).all(|joint| skeleton.rest(joint).is_finite()));

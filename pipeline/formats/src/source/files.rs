@@ -70,9 +70,19 @@ impl Files {
     /// # Errors
     /// As [`Files::read`].
     pub fn size(&self, relative: &str) -> Result<u64, Rejected> {
-        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
-        let size = self.store.size(path);
-        size.map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
+        self.with(relative, |path| self.store.size(path))
+    }
+
+    fn with<T>(
+        &self,
+        relative: &str,
+        read: impl FnOnce(&Path) -> io::Result<T>,
+    ) -> Result<T, Rejected> {
+        let path = self
+            .paths
+            .get(relative)
+            .ok_or_else(|| rejected!("E-IO", "there is no file {relative} in the source"))?;
+        read(path).map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
     }
 
     /// Size in bytes of a file that lies beside a source; none if it cannot be told.
@@ -106,10 +116,7 @@ impl Files {
     /// # Errors
     /// `E-IO` if there is no such file or it cannot be read.
     pub fn read(&self, relative: &str) -> Result<Vec<u8>, Rejected> {
-        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
-        self.store
-            .read(path)
-            .map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
+        self.with(relative, |path| self.store.read(path))
     }
 
     /// Opens a file to be read from its beginning.
@@ -117,10 +124,7 @@ impl Files {
     /// # Errors
     /// As [`Files::read`].
     pub fn open(&self, relative: &str) -> Result<Box<dyn Read>, Rejected> {
-        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
-        self.store
-            .open(path)
-            .map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
+        self.with(relative, |path| self.store.open(path))
     }
 
     /// Opens a file to be read at any place.
@@ -128,9 +132,7 @@ impl Files {
     /// # Errors
     /// As [`Files::read`].
     pub fn open_at(&self, relative: &str) -> Result<Reader, Rejected> {
-        let path = self.paths.get(relative).ok_or_else(|| missing(relative))?;
-        let opened = self.store.open_at(path).map(Reader::new);
-        opened.map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
+        self.with(relative, |path| self.store.open_at(path).map(Reader::new))
     }
 
     /// Whether there can be a file at a path. At a URL, where every look costs a request, its folder is listed
@@ -176,10 +178,6 @@ impl Files {
             .map(|(relative, _)| relative.as_str())
             .take_while(move |relative| relative.starts_with(folder))
     }
-}
-
-fn missing(relative: &str) -> Rejected {
-    rejected!("E-IO", "there is no file {relative} in the source")
 }
 
 /// First words of a Git LFS pointer, which replaces a large file that was not downloaded.

@@ -15,23 +15,15 @@ use clip::{Outcome, ReadClip, Rejected, rejected};
 ///
 /// A format of single files implements [`SourceFormat::read`] and a way to recognise them; a format of
 /// releases, whose files belong together, implements [`SourceFormat::find`].
-pub trait SourceFormat: fmt::Debug + Send + Sync {
-    /// The name used in tables and on the command line.
-    fn name(&self) -> &'static str;
-
-    /// Bytes per second of motion in a file, for estimates.
-    fn bytes_per_second(&self) -> f64;
-
-    /// Recognises a file by its name; none if the name is not of this format. `extension` is in lower
+pub trait SourceFormat: Send + Sync {
+    /// Recognises a file by its name; none if the name is not of this format. The extension is in lower
     /// case.
-    fn by_name(&self, extension: &str, name: &str, head: &[u8]) -> Option<Recognised> {
-        let _ = (extension, name, head);
+    fn by_name(&self, _extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
         None
     }
 
     /// Whether the first bytes of a file without a known name are of this format.
-    fn by_content(&self, head: &[u8]) -> bool {
-        let _ = head;
+    fn by_content(&self, _head: &[u8]) -> bool {
         false
     }
 
@@ -41,65 +33,73 @@ pub trait SourceFormat: fmt::Debug + Send + Sync {
     }
 
     /// Names of the motions in a file; empty if it holds one, or cannot be read.
-    fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
-        let _ = (bytes, options);
+    fn keys(&self, _bytes: &[u8], _options: &ReadOptions) -> Vec<String> {
         Vec::new()
     }
 
     /// The subject that a key of [`SourceFormat::keys`] names, for formats whose keys are subjects.
-    fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {
-        let _ = key;
+    fn subject_of<'a>(&self, _key: &'a str) -> Option<&'a str> {
         None
     }
 
-    /// Reads one motion of a single file. `key` is one of [`SourceFormat::keys`], or empty.
-    fn read(&self, path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        let _ = (path, key, bytes, options);
-        Outcome::Rejected(rejected!(
-            "E-INTERNAL",
-            "{} is a format of releases, not of files",
-            self.name()
-        ))
+    /// Reads one motion of a single file. The key is one of [`SourceFormat::keys`], or empty.
+    fn read(&self, _path: &Path, _key: &str, _bytes: &[u8], _options: &ReadOptions) -> Outcome {
+        let reason = "the format is one of releases, not of files";
+        Outcome::Rejected(Rejected::read("E-INTERNAL", reason))
     }
 
     /// Refuses a large file by what its headers say, before all of it is read.
-    fn refuse_large(&self, file: Reader) -> Option<Rejected> {
-        let _ = file;
+    fn refuse_large(&self, _file: Reader) -> Option<Rejected> {
         None
     }
 
-    /// Reads the one motion of a file of about `length` bytes piece by piece, for formats whose files
+    /// Reads the one motion of a file of about so many bytes piece by piece, for formats whose files
     /// are much larger than their motions. None, before anything is read, if the file is read whole.
     fn read_in_pieces(
         &self,
-        file: &mut dyn Read,
-        length: usize,
-        options: &ReadOptions,
+        _file: &mut dyn Read,
+        _length: usize,
+        _options: &ReadOptions,
     ) -> Option<Outcome> {
-        let _ = (file, length, options);
         None
     }
 
     /// The releases among the files, each found by its layout.
-    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
-        let _ = files;
+    fn find(&self, _files: &Files) -> Vec<Box<dyn Release>> {
         Vec::new()
     }
 }
 
 /// One of [`super::FORMATS`].
 #[derive(Clone, Copy)]
-pub struct Format(&'static dyn SourceFormat);
+pub struct Format {
+    name: &'static str,
+    bytes_per_second: f64,
+    reader: &'static dyn SourceFormat,
+}
 
 impl Format {
-    /// A format by what it does.
-    pub const fn new(format: &'static dyn SourceFormat) -> Self {
-        Self(format)
+    /// A format by its name, the bytes per second of motion in its files, and what it does.
+    pub const fn new(
+        name: &'static str,
+        bytes_per_second: f64,
+        reader: &'static dyn SourceFormat,
+    ) -> Self {
+        Self {
+            name,
+            bytes_per_second,
+            reader,
+        }
     }
 
     /// The name used in tables and on the command line.
     pub fn as_str(self) -> &'static str {
-        self.0.name()
+        self.name
+    }
+
+    /// Bytes per second of motion in a file, for estimates.
+    pub const fn bytes_per_second(self) -> f64 {
+        self.bytes_per_second
     }
 }
 
@@ -107,13 +107,13 @@ impl std::ops::Deref for Format {
     type Target = dyn SourceFormat;
 
     fn deref(&self) -> &Self::Target {
-        self.0
+        self.reader
     }
 }
 
 impl PartialEq for Format {
     fn eq(&self, other: &Self) -> bool {
-        self.as_str() == other.as_str()
+        self.name == other.name
     }
 }
 
@@ -121,7 +121,7 @@ impl Eq for Format {}
 
 impl fmt::Debug for Format {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
+        f.write_str(self.name)
     }
 }
 
@@ -138,7 +138,7 @@ pub enum Recognised {
 }
 
 /// One motion in the plan: a whole file, or one of several that a file holds.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Entry {
     /// Relative path of the file it is read from.
     pub file: String,

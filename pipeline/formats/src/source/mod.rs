@@ -23,12 +23,13 @@ pub mod labels;
 pub mod motionfix;
 pub mod motionx;
 #[cfg(test)]
-mod release_tests;
+pub(crate) mod release_tests;
 pub mod representation_272;
 mod robot;
 pub mod seed;
 pub mod smpl;
 pub mod stance;
+mod stored_labels;
 pub mod trc;
 pub(crate) mod unit;
 pub mod webdataset;
@@ -207,12 +208,13 @@ mod tests {
     use datasets_spec::Skeleton;
 
     use super::files::LFS_POINTER;
+    use super::release_tests::test_data;
     use super::*;
     use clip::Rejected;
     use clip::check::check;
     use testkit::walk;
 
-    use crate::retarget::tests::Dialect;
+    use super::bvh::dialects::RigText;
 
     fn motion_format(path: &str, head: &[u8]) -> Option<Format> {
         match recognise(Path::new(path), head) {
@@ -309,7 +311,7 @@ mod tests {
     #[test]
     fn a_whole_file_becomes_a_labelled_clip_on_the_floor() {
         let skeleton = Skeleton::smplx_neutral();
-        let text = Dialect::default().write(&walk(60), &skeleton);
+        let text = RigText::smplx().write(&walk(60), &skeleton);
         let outcome = read_clip(
             bvh::FORMAT,
             Path::new("set/dataset-1_walk_proud_001.bvh"),
@@ -339,26 +341,6 @@ mod tests {
             .flat_map(|points| [points[10].y, points[11].y])
             .fold(f64::INFINITY, f64::min);
         assert!((-0.05..0.01).contains(&lowest), "{lowest}");
-    }
-
-    /// The real files, if the environment says where they are.
-    fn test_data(folder: &str) -> Option<std::path::PathBuf> {
-        let root = std::env::var_os("STANCE_TEST_DATA").map(std::path::PathBuf::from);
-        let found = root
-            .map(|root| root.join(folder))
-            .filter(|path| path.is_dir());
-        if found.is_none() {
-            skipped(folder);
-        }
-        found
-    }
-
-    #[expect(
-        clippy::print_stderr,
-        reason = "a test that checks nothing must say so"
-    )]
-    fn skipped(folder: &str) {
-        eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has {folder}");
     }
 
     fn files_in(folder: &Path) -> Vec<std::path::PathBuf> {

@@ -25,6 +25,35 @@ pub(super) fn text_of_bytes(name: &[u8]) -> String {
     text
 }
 
+/// The name of a file, without its folders.
+pub(super) fn file_name(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or(path)
+}
+
+/// What lies before the first folder of a path that has one of some names, that name, and what lies behind it.
+pub(super) fn around_folder<'a, 'b>(
+    path: &'a str,
+    folders: &[&'b str],
+) -> Option<(&'a str, &'b str, &'a str)> {
+    let mut start = 0;
+    for component in path.split('/') {
+        let end = start + component.len();
+        if let Some(folder) = folders.iter().find(|folder| **folder == component) {
+            return Some((&path[..start], *folder, path.get(end + 1..)?));
+        }
+        start = end + 1;
+    }
+    None
+}
+
+/// The text of a token for a message, shortened to fit a terminal line.
+pub(super) fn shown(token: &[u8]) -> String {
+    const LONGEST: usize = 40;
+    let text = String::from_utf8_lossy(&token[..token.len().min(LONGEST)]);
+    let text: String = text.chars().filter(|c| !c.is_control()).collect();
+    format!("\"{text}\"")
+}
+
 /// Names of the motions in a file as keys, each different and without control characters. `unnamed` makes up the
 /// key of a motion without a name.
 pub fn unique_keys(

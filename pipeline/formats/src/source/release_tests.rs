@@ -1,12 +1,14 @@
-//! What tests of releases share.
+//! What tests of readers share.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use datasets_spec::store::{ByPath, Store as _};
+use datasets_spec::{Motion, Skeleton, Split};
+use proptest::sample::Index;
 use testkit::put;
 
 use super::{Entry, Files, ReadOptions, Release};
-use clip::SourceClip;
+use clip::{Rejected, SourceClip};
 
 /// Files in a temporary folder.
 pub(super) fn files_of(files: &[(&str, &[u8])]) -> (tempfile::TempDir, Files) {
@@ -39,4 +41,97 @@ pub(super) fn entry_of<'a>(release: &'a dyn Release, id: &str) -> &'a Entry {
 pub(super) fn clip_of(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
     let clip = release.read(files, entry_of(release, id), &ReadOptions::default());
     clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
+}
+
+/// Id, split and original of every planned motion.
+pub(super) fn planned(release: &dyn Release) -> Vec<(&str, Option<Split>, Option<&str>)> {
+    let entries = release.contents().entries.iter();
+    entries
+        .map(|entry| (entry.id.as_str(), entry.split, entry.mirrored_of.as_deref()))
+        .collect()
+}
+
+/// Why a file of a release is passed over.
+pub(super) fn why_passed_over<'a>(release: &'a dyn Release, file: &str) -> &'a str {
+    let mut passed_over = release.contents().passed_over.iter();
+    let found = passed_over.find(|(name, _)| name == file);
+    found.map_or("", |(_, reason)| reason.as_str())
+}
+
+/// Whether a note of a clip contains some words.
+pub(crate) fn says(clip: &SourceClip, words: &str) -> bool {
+    clip.notes.iter().any(|note| note.contains(words))
+}
+
+/// A note of a clip contains some words.
+#[track_caller]
+pub(crate) fn assert_says(clip: &SourceClip, words: &str) {
+    assert!(says(clip, words), "{words}: {:?}", clip.notes);
+}
+
+/// A text contains some words.
+#[track_caller]
+pub(crate) fn assert_contains(text: &str, words: &str) {
+    assert!(text.contains(words), "{words}: {text}");
+}
+
+/// A rejection has a code, and its reason contains some words.
+#[track_caller]
+pub(crate) fn assert_refused(rejected: &Rejected, code: &str, words: &str) {
+    assert_eq!(rejected.code, code, "{}", rejected.reason);
+    assert_contains(&rejected.reason, words);
+}
+
+/// The one release that was found.
+pub(super) fn only(mut releases: Vec<Box<dyn Release>>) -> Box<dyn Release> {
+    assert_eq!(releases.len(), 1);
+    releases.pop().expect("one")
+}
+
+/// Codes of the files of a release that are rejected.
+pub(super) fn codes(release: &dyn Release) -> Vec<&str> {
+    let rejected = release.contents().rejected.iter();
+    rejected.map(|(_, rejected)| rejected.code).collect()
+}
+
+/// Both motions have their keypoints in the same places.
+#[track_caller]
+pub(crate) fn assert_same_places(found: &Motion, expected: &Motion, metres: f64) {
+    let skeleton = Skeleton::smplx_neutral();
+    let [found, expected] =
+        [found, expected].map(|motion| skeleton.motion_keypoints(motion).points);
+    assert_eq!(found.len(), expected.len());
+    for (a, b) in found.as_flattened().iter().zip(expected.as_flattened()) {
+        assert!(a.distance(*b) < metres, "{} m apart", a.distance(*b));
+    }
+}
+
+/// Bytes with some of them changed.
+pub(crate) fn edited(bytes: &[u8], edits: Vec<(Index, u8)>) -> Vec<u8> {
+    let mut edited = bytes.to_vec();
+    for (at, byte) in edits {
+        let at = at.index(edited.len());
+        edited[at] = byte;
+    }
+    edited
+}
+
+/// A folder or file of the real ones, if the environment says where they are.
+pub(super) fn test_data(path: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
+    let found = root
+        .map(|root| root.join(path))
+        .filter(|path| path.exists());
+    if found.is_none() {
+        skipped(path);
+    }
+    found
+}
+
+#[expect(
+    clippy::print_stderr,
+    reason = "a test that checks nothing must say so"
+)]
+fn skipped(path: &str) {
+    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has {path}");
 }

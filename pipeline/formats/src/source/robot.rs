@@ -150,20 +150,12 @@ mod tests {
 
     fn array(shape: &[usize]) -> Value {
         let count = shape.iter().product();
-        Value::Array(Array::from_f32(shape, vec![0.25; count]).into())
+        Value::floats(shape, vec![0.25; count])
     }
 
     #[test]
     fn pickles_of_gmr_are_skipped_and_others_are_read() {
-        let dict = |entries: Vec<(&str, Value)>| {
-            let entries = entries.into_iter();
-            Value::Dict(
-                entries
-                    .map(|(key, value)| (Value::text(key), value))
-                    .collect(),
-            )
-        };
-        let gmr = dict(vec![
+        let gmr = Value::dict([
             ("fps", Value::Float(30.0)),
             ("root_pos", array(&[5, 3])),
             ("root_rot", array(&[5, 4])),
@@ -178,15 +170,15 @@ mod tests {
             reason.starts_with("motion of a robot of 29 joints in 5 frames, as GMR writes it"),
             "{reason}"
         );
-        let library = dict(vec![(
+        let library = Value::dict([(
             "walk",
-            dict(vec![("dof", array(&[5, 23])), ("root_rot", array(&[5, 4]))]),
+            Value::dict([("dof", array(&[5, 23])), ("root_rot", array(&[5, 4]))]),
         )]);
         let Outcome::Skipped { reason } = read(&library) else {
             panic!("a robot");
         };
         assert!(reason.contains("1 motions"), "{reason}");
-        let other = read(&dict(vec![("dof_pos", array(&[5, 29]))]));
+        let other = read(&Value::dict([("dof_pos", array(&[5, 29]))]));
         assert!(
             matches!(&other, Outcome::Rejected(rejected) if rejected.code == "E-STANCE-KEYS"),
             "{other:?}"

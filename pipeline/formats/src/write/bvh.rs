@@ -19,31 +19,30 @@ struct FileJoint {
     end: Option<usize>,
 }
 
-const fn body(name: &'static str, parent: usize, joint: Joint) -> FileJoint {
+const fn joint(
+    name: &'static str,
+    parent: usize,
+    joint: Option<Joint>,
+    end: Option<usize>,
+) -> FileJoint {
     FileJoint {
         name,
         parent: Some(parent),
-        joint: Some(joint),
-        end: None,
+        joint,
+        end,
     }
+}
+
+const fn body(name: &'static str, parent: usize, body: Joint) -> FileJoint {
+    joint(name, parent, Some(body), None)
 }
 
 const fn fixed(name: &'static str, parent: usize) -> FileJoint {
-    FileJoint {
-        name,
-        parent: Some(parent),
-        joint: None,
-        end: None,
-    }
+    joint(name, parent, None, None)
 }
 
-const fn tip(name: &'static str, parent: usize, joint: Joint, end: usize) -> FileJoint {
-    FileJoint {
-        name,
-        parent: Some(parent),
-        joint: Some(joint),
-        end: Some(end),
-    }
+const fn tip(name: &'static str, parent: usize, body: Joint, end: usize) -> FileJoint {
+    joint(name, parent, Some(body), Some(end))
 }
 
 /// SMPL-X joints without a rotation, at the end of a chain.
@@ -96,10 +95,10 @@ pub fn encode(motion: &Motion, skeleton: &Skeleton) -> String {
     let mut out = String::with_capacity(8192 + motion.len() * 8 * 80);
     out.push_str("HIERARCHY\n");
     write_joint(&mut out, skeleton, 0, 0);
-    line(&mut out, format_args!("MOTION\nFrames: {}", motion.len()));
-    line(
-        &mut out,
-        format_args!("Frame Time: {:.9}", 1.0 / motion.fps().get()),
+    out += &format!(
+        "MOTION\nFrames: {}\nFrame Time: {:.9}\n",
+        motion.len(),
+        1.0 / motion.fps().get()
     );
     for pose in motion.poses() {
         let pelvis = (pose.transl + skeleton.rest(0)) * CM;
@@ -124,11 +123,6 @@ fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
         .expect("writing to a string cannot fail");
 }
 
-fn line(out: &mut String, text: std::fmt::Arguments<'_>) {
-    put(out, text);
-    out.push('\n');
-}
-
 /// Writes a joint and, nested in it, all its children.
 fn write_joint(out: &mut String, skeleton: &Skeleton, index: usize, depth: usize) {
     let file_joint = &HIERARCHY[index];
@@ -142,15 +136,9 @@ fn write_joint(out: &mut String, skeleton: &Skeleton, index: usize, depth: usize
         (Some(_), Some(joint)) => skeleton.offset(joint.index()),
         _ => DVec3::ZERO,
     };
-    line(
-        out,
-        format_args!("{indent}{kind} {}\n{indent}{{", file_joint.name),
-    );
+    *out += &format!("{indent}{kind} {}\n{indent}{{\n", file_joint.name);
     write_offset(out, &indent, offset);
-    line(
-        out,
-        format_args!("{indent}\tCHANNELS {channels} Zrotation Yrotation Xrotation"),
-    );
+    *out += &format!("{indent}\tCHANNELS {channels} Zrotation Yrotation Xrotation\n");
     let mut is_leaf = true;
     for (child, candidate) in HIERARCHY.iter().enumerate() {
         if candidate.parent == Some(index) {
@@ -159,22 +147,19 @@ fn write_joint(out: &mut String, skeleton: &Skeleton, index: usize, depth: usize
         }
     }
     if is_leaf {
-        line(out, format_args!("{indent}\tEnd Site\n{indent}\t{{"));
+        *out += &format!("{indent}\tEnd Site\n{indent}\t{{\n");
         let end = file_joint
             .end
             .map_or(DVec3::Z * TOE_LENGTH, |end| skeleton.offset(end));
         write_offset(out, &format!("{indent}\t"), end);
-        line(out, format_args!("{indent}\t}}"));
+        *out += &format!("{indent}\t}}\n");
     }
-    line(out, format_args!("{indent}}}"));
+    *out += &format!("{indent}}}\n");
 }
 
 fn write_offset(out: &mut String, indent: &str, offset: DVec3) {
     let cm = offset * CM;
-    line(
-        out,
-        format_args!("{indent}\tOFFSET {:.6} {:.6} {:.6}", cm.x, cm.y, cm.z),
-    );
+    *out += &format!("{indent}\tOFFSET {:.6} {:.6} {:.6}\n", cm.x, cm.y, cm.z);
 }
 
 /// Angles `[z, y, x]` in radians with `R = Rz Ry Rx`. Where y is a quarter turn, z and x rotate about the
@@ -201,6 +186,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::source::release_tests::assert_same_places;
 
     fn compose([z, y, x]: [f64; 3]) -> DQuat {
         DQuat::from_rotation_z(z) * DQuat::from_rotation_y(y) * DQuat::from_rotation_x(x)
@@ -280,16 +266,8 @@ mod tests {
             crate::retarget::clip(&bvh.expect("valid"), &crate::source::ReadOptions::default())
                 .expect("a body");
         assert_eq!((clip.motion.fps(), clip.motion.len()), (Fps::STORE, 50));
-        let (found, expected) = (
-            skeleton.motion_keypoints(&clip.motion),
-            skeleton.motion_keypoints(&motion),
-        );
-        for (found, expected) in found.points.iter().zip(&expected.points) {
-            for (a, b) in found.iter().zip(expected) {
-                // A micrometre for positions and 1e-7 rad for angles is what the file resolves.
-                assert!(a.distance(*b) < 1e-5, "{} m apart", a.distance(*b));
-            }
-        }
+        // A micrometre for positions and 1e-7 rad for angles is what the file resolves.
+        assert_same_places(&clip.motion, &motion, 1e-5);
     }
 
     #[test]

@@ -384,6 +384,7 @@ mod tests {
     use super::*;
     use crate::source::ReadOptions;
     use crate::source::gltf::{keys, read};
+    use crate::source::release_tests::{assert_same_places, assert_says};
     use clip::Outcome;
 
     #[test]
@@ -441,21 +442,9 @@ mod tests {
         };
         assert_eq!(clip.motion.fps(), Fps::STORE);
         assert_eq!(clip.motion.len(), motion.len());
-        assert!(
-            clip.notes.iter().any(|note| note == "skeleton map smplx"),
-            "{:?}",
-            clip.notes
-        );
-        let (found, expected) = (
-            skeleton.motion_keypoints(&clip.motion),
-            skeleton.motion_keypoints(&motion),
-        );
-        for (found, expected) in found.points.iter().zip(&expected.points) {
-            for (a, b) in found.iter().zip(expected) {
-                // Quaternions and times of f32 resolve 1e-7, over chains of ten joints.
-                assert!(a.distance(*b) < 1e-5, "{} m apart", a.distance(*b));
-            }
-        }
+        assert_says(&clip, "skeleton map smplx");
+        // Quaternions and times of f32 resolve 1e-7, over chains of ten joints.
+        assert_same_places(&clip.motion, &motion, 1e-5);
     }
 
     #[test]

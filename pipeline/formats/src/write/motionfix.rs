@@ -10,14 +10,13 @@
 //! reads the dump.
 
 use std::f64::consts::FRAC_PI_4;
-use std::sync::Arc;
 
 use datasets_spec::{Motion, Pose, Resample, Skeleton};
 use features::{released_fps, smpl_body};
 use glam::{DQuat, DVec3};
 use kinematics::rotation::to_axis_angle;
 use kinematics::skeleton::NUM_BODY_JOINTS;
-use pickle::{Array, Value};
+use pickle::Value;
 
 use crate::source::smpl::y_up_from_z_up;
 
@@ -68,17 +67,18 @@ impl Parameters {
     /// The dictionary of a side of a triplet. `timestamp` is where the motion was cut from, in seconds.
     pub fn value(&self, timestamp: [f64; 2]) -> Value {
         let frames = self.trans.len();
-        let array = |key: &str, shape: &[usize], numbers: &[f32]| {
-            let array = Array::from_f32(shape, numbers.iter().copied());
-            (Value::text(key), Value::Array(Arc::new(array)))
-        };
         let joints = self.joint_positions.as_flattened().as_flattened();
-        Value::Dict(vec![
-            array("rots", &[frames, ROTATIONS_WIDTH], self.rots.as_flattened()),
-            array("trans", &[frames, 3], self.trans.as_flattened()),
-            array("joint_positions", &[frames, NUM_BODY_JOINTS, 3], joints),
+        let array = |shape: &[usize], numbers: &[f32]| Value::floats(shape, numbers.to_vec());
+        let rots = array(&[frames, ROTATIONS_WIDTH], self.rots.as_flattened());
+        Value::dict([
+            ("rots", rots),
+            ("trans", array(&[frames, 3], self.trans.as_flattened())),
             (
-                Value::text("timestamp"),
+                "joint_positions",
+                array(&[frames, NUM_BODY_JOINTS, 3], joints),
+            ),
+            (
+                "timestamp",
                 Value::List(timestamp.map(Value::Float).to_vec()),
             ),
         ])

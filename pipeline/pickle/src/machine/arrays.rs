@@ -6,6 +6,7 @@ use super::Machine;
 use crate::array::{self, Array, ItemType};
 use crate::error::Error;
 use crate::object::{Global, Id, Node, Storage, StorageData, Tensor};
+use crate::torch;
 use crate::value::Value;
 
 /// Size in bytes from which the source of an array is released once the array is made. Python shares
@@ -13,11 +14,17 @@ use crate::value::Value;
 const RELEASE_LEN: usize = 4096;
 
 impl Machine<'_> {
+    /// The text of an object; none if it is no text.
+    pub(super) fn text_of(&self, id: Id) -> Option<&str> {
+        match self.node(id) {
+            Node::Leaf(Value::Str(text)) => Some(text),
+            _ => None,
+        }
+    }
+
     pub(super) fn item_type(&self, arguments: &[Id]) -> Result<ItemType, Error> {
-        let name = match arguments.first().map(|&name| self.node(name)) {
-            Some(Node::Leaf(Value::Str(name))) => &**name,
-            _ => "",
-        };
+        let name = arguments.first().and_then(|&name| self.text_of(name));
+        let name = name.unwrap_or_default();
         ItemType::parse(name).ok_or_else(|| {
             Error::new(
                 "E-PICKLE-DTYPE",
@@ -60,10 +67,10 @@ impl Machine<'_> {
                 arguments.len()
             )));
         };
-        let fortran = matches!(self.node(order), Node::Leaf(Value::Str(order)) if &**order == "F");
+        let fortran = self.text_of(order) == Some("F");
         let (item, shape) = (self.as_item_type(item)?, self.as_shape(shape)?);
-        let array = self.make_array(item, shape, buffer, fortran)?;
-        Ok(Node::Leaf(Value::Array(Arc::new(array))))
+        self.make_array(item, shape, buffer, fortran)
+            .map(array_node)
     }
 
     pub(super) fn tensor(&mut self, arguments: &[Id]) -> Result<Node, Error> {
@@ -77,17 +84,17 @@ impl Machine<'_> {
             Node::Leaf(Value::Int(offset)) => usize::try_from(*offset).ok(),
             _ => None,
         };
-        let offset = offset.ok_or_else(|| self.malformed("found no offset".to_owned()))?;
+        let offset = offset.ok_or_else(|| self.malformed("found no offset"))?;
         let (shape, strides) = (self.as_shape(shape)?, self.as_shape(strides)?);
         let Node::Storage(Storage { dtype, data }) = self.node(storage) else {
-            return Err(self.malformed("found a tensor without a storage".to_owned()));
+            return Err(self.malformed("found a tensor without a storage"));
         };
         let dtype = *dtype;
         match data {
             StorageData::Present(bytes) => {
                 let array = Array::from_strides(dtype, bytes, offset, shape, &strides)
                     .map_err(|reason| self.wrong_shape(reason))?;
-                Ok(Node::Leaf(Value::Array(Arc::new(self.narrowed(array)))))
+                Ok(array_node(self.narrowed(array)))
             }
             StorageData::Named(key) => Ok(Node::Tensor(Tensor {
                 dtype,
@@ -101,13 +108,13 @@ impl Machine<'_> {
 
     pub(super) fn inner_storage(&mut self, arguments: &[Id]) -> Result<Node, Error> {
         let Some(&data) = arguments.first() else {
-            return Err(self.malformed("found a storage without bytes".to_owned()));
+            return Err(self.malformed("found a storage without bytes"));
         };
         if !self.inner_files {
             return Err(self.refused("a file within a file", "one within a pickle is the most"));
         }
         let bytes = self.take_bytes(data)?;
-        (self.read_storage)(&bytes).map(Node::Storage)
+        torch::read_storage(&bytes).map(Node::Storage)
     }
 
     /// Pushes the storage that a tuple names: a word, its class, its key, a device and a length.
@@ -116,15 +123,15 @@ impl Machine<'_> {
             return Err(self.refused("an object by its name", "it is kept outside the pickle"));
         }
         let Node::Tuple(parts) = self.node(id) else {
-            return Err(self.malformed("found a name that is no tuple".to_owned()));
+            return Err(self.malformed("found a name that is no tuple"));
         };
         let &[_, class, key, ..] = parts.as_slice() else {
-            return Err(self.malformed("found a storage without class and key".to_owned()));
+            return Err(self.malformed("found a storage without class and key"));
         };
-        let (Node::Global(Global::StorageOf(dtype)), Node::Leaf(Value::Str(key))) =
-            (self.node(class), self.node(key))
+        let (Node::Global(Global::StorageOf(dtype)), Some(key)) =
+            (self.node(class), self.text_of(key))
         else {
-            return Err(self.malformed("found a storage without class and key".to_owned()));
+            return Err(self.malformed("found a storage without class and key"));
         };
         let storage = Storage {
             dtype: *dtype,
@@ -147,8 +154,7 @@ impl Machine<'_> {
             _ => false,
         };
         if item.dtype.is_some() {
-            let array = self.make_array(item, shape, data, fortran)?;
-            return Ok(Node::Leaf(Value::Array(Arc::new(array))));
+            return self.make_array(item, shape, data, fortran).map(array_node);
         }
         match self.node(data) {
             Node::List(items) if array::count(&shape) == Some(items.len()) => {
@@ -163,9 +169,8 @@ impl Machine<'_> {
 
     /// A type with the byte order of its state `(version, order, inner type, field names, …)`.
     pub(super) fn ordered(&self, item: ItemType, state: &[Id]) -> Result<ItemType, Error> {
-        let order = match state.get(1).map(|&order| self.node(order)) {
-            Some(Node::Leaf(Value::Str(order))) => order.clone(),
-            _ => return Err(self.malformed("found a type without a byte order".to_owned())),
+        let Some(order) = state.get(1).and_then(|&order| self.text_of(order)) else {
+            return Err(self.malformed("found a type without a byte order"));
         };
         let plain = state.get(2..5).is_none_or(|parts| {
             parts
@@ -180,7 +185,7 @@ impl Machine<'_> {
             .at(self.op_at));
         }
         Ok(ItemType {
-            big_endian: &*order == ">",
+            big_endian: order == ">",
             ..item
         })
     }
@@ -192,23 +197,20 @@ impl Machine<'_> {
     /// byte that counts the padding and the padding, then the items.
     pub(super) fn wrapped_array(&mut self, state: Id) -> Result<Node, Error> {
         if !self.wrapped_arrays {
-            return Err(self.malformed("found a joblib array outside a joblib dump".to_owned()));
+            return Err(self.malformed("found a joblib array outside a joblib dump"));
         }
         let Node::Dict(entries) = self.node(state) else {
-            return Err(self.malformed("found a joblib array without attributes".to_owned()));
+            return Err(self.malformed("found a joblib array without attributes"));
         };
         let attribute = |name: &str| {
-            let named = entries.iter().find(|(key, _)| {
-                matches!(self.node(*key), Node::Leaf(Value::Str(text)) if &**text == name)
-            });
+            let mut entries = entries.iter();
+            let named = entries.find(|(key, _)| self.text_of(*key) == Some(name));
             named.map(|(_, value)| *value)
         };
-        let missing = || self.malformed("found a joblib array without type and shape".to_owned());
+        let missing = || self.malformed("found a joblib array without type and shape");
         let item = attribute("dtype").ok_or_else(missing)?;
         let shape = attribute("shape").ok_or_else(missing)?;
-        let fortran = attribute("order").is_some_and(
-            |order| matches!(self.node(order), Node::Leaf(Value::Str(order)) if &**order == "F"),
-        );
+        let fortran = attribute("order").and_then(|order| self.text_of(order)) == Some("F");
         let aligned = attribute("numpy_array_alignment_bytes")
             .is_some_and(|bytes| matches!(self.node(bytes), Node::Leaf(Value::Int(_))));
         let (item, shape) = (self.as_item_type(item)?, self.as_shape(shape)?);
@@ -223,9 +225,8 @@ impl Machine<'_> {
             self.wrong_shape(format!("found shape {shape:?}, which no array can have"))
         })?;
         let raw: Arc<[u8]> = self.input.bytes(len as u64)?.into();
-        let array = Array::from_raw(item, shape, raw, fortran)
-            .map_err(|reason| self.wrong_shape(reason))?;
-        Ok(Node::Leaf(Value::Array(Arc::new(self.narrowed(array)))))
+        self.array_of_bytes(item, shape, raw, fortran)
+            .map(array_node)
     }
 
     /// An array of objects, which joblib writes as a pickle within the pickle.
@@ -251,8 +252,18 @@ impl Machine<'_> {
         fortran: bool,
     ) -> Result<Array, Error> {
         let raw = self.take_bytes(data)?;
-        let array = Array::from_raw(item, shape, raw, fortran)
-            .map_err(|reason| self.wrong_shape(reason))?;
+        self.array_of_bytes(item, shape, raw, fortran)
+    }
+
+    fn array_of_bytes(
+        &self,
+        item: ItemType,
+        shape: Vec<usize>,
+        raw: Arc<[u8]>,
+        fortran: bool,
+    ) -> Result<Array, Error> {
+        let array = Array::from_raw(item, shape, raw, fortran);
+        let array = array.map_err(|reason| self.wrong_shape(reason))?;
         Ok(self.narrowed(array))
     }
 
@@ -282,9 +293,8 @@ impl Machine<'_> {
 
     pub(super) fn latin_1_bytes(&self, text: &str) -> Result<Arc<[u8]>, Error> {
         let bytes: Result<Vec<u8>, _> = text.chars().map(u8::try_from).collect();
-        let bytes = bytes.map_err(|_| {
-            self.malformed("found text beyond latin1 where bytes were expected".to_owned())
-        })?;
+        let bytes = bytes
+            .map_err(|_| self.malformed("found text beyond latin1 where bytes were expected"))?;
         Ok(bytes.into())
     }
 
@@ -306,6 +316,10 @@ impl Machine<'_> {
             }
             _ => extent(id).map(|extent| vec![extent]),
         };
-        extents.ok_or_else(|| self.malformed("found no shape where one was expected".to_owned()))
+        extents.ok_or_else(|| self.malformed("found no shape where one was expected"))
     }
+}
+
+fn array_node(array: Array) -> Node {
+    Node::Leaf(Value::Array(Arc::new(array)))
 }

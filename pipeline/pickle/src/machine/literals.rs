@@ -70,7 +70,7 @@ impl Machine<'_> {
             b'S' => {
                 let line = self.input.line()?;
                 unquote(&line).ok_or_else(|| {
-                    self.malformed("found a string that is not quoted as Python does".to_owned())
+                    self.malformed("found a string that is not quoted as Python does")
                 })
             }
             b'V' => {

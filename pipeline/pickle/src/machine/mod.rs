@@ -18,7 +18,7 @@ use crate::object::{Id, Node, Storage, StorageData};
 use crate::value::{Options, Value};
 
 /// Newest protocol.
-pub(crate) const MAX_PROTOCOL: u8 = 5;
+const MAX_PROTOCOL: u8 = 5;
 /// Limits on objects and on stack pushes over a whole run: a pickle of MotionFix has about a million,
 /// and hostile bytes stay below a gigabyte of memory.
 const MAX_OBJECTS: usize = 1 << 23;
@@ -29,15 +29,10 @@ const NONE: Id = 0;
 const TRUE: Id = 1;
 const FALSE: Id = 2;
 
-/// Reads the storage in a file of `torch.save`.
-type ReadStorage = fn(&[u8]) -> Result<Storage, Error>;
-
 /// The machine and its state.
 pub(crate) struct Machine<'a> {
     input: Input<'a>,
     options: Options<'a>,
-    /// Reads a storage from the bytes of a file of `torch.save`.
-    read_storage: ReadStorage,
     /// Whether the bytes of arrays follow joblib's wrappers.
     wrapped_arrays: bool,
     /// Whether storages outside the pickle may be named.
@@ -54,15 +49,10 @@ pub(crate) struct Machine<'a> {
 }
 
 impl<'a> Machine<'a> {
-    pub(crate) fn new(
-        reader: impl Read + 'a,
-        options: Options<'a>,
-        read_storage: ReadStorage,
-    ) -> Self {
+    pub(crate) fn new(reader: impl Read + 'a, options: Options<'a>) -> Self {
         Self {
             input: Input::new(reader),
             options,
-            read_storage,
             wrapped_arrays: false,
             outside_storages: false,
             inner_files: true,
@@ -200,7 +190,7 @@ impl<'a> Machine<'a> {
         let bottom = self.marks.last().copied().unwrap_or(0);
         match self.stack.last() {
             Some(&top) if self.stack.len() > bottom => Ok(top),
-            _ => Err(self.malformed("found an opcode without its operands".to_owned())),
+            _ => Err(self.malformed("found an opcode without its operands")),
         }
     }
 
@@ -213,7 +203,7 @@ impl<'a> Machine<'a> {
     fn items_from_mark(&mut self) -> Result<Vec<Id>, Error> {
         match self.marks.pop() {
             Some(mark) if mark <= self.stack.len() => Ok(self.stack.split_off(mark)),
-            _ => Err(self.malformed("found an opcode without its mark".to_owned())),
+            _ => Err(self.malformed("found an opcode without its mark")),
         }
     }
 
@@ -248,15 +238,15 @@ impl<'a> Machine<'a> {
         .at(self.op_at)
     }
 
-    fn malformed(&self, reason: String) -> Error {
+    fn malformed(&self, reason: impl Into<String>) -> Error {
         Error::new("E-PICKLE-FORMAT", reason).at(self.op_at)
     }
 
-    fn wrong_shape(&self, reason: String) -> Error {
+    fn wrong_shape(&self, reason: impl Into<String>) -> Error {
         Error::new("E-PICKLE-SHAPE", reason).at(self.op_at)
     }
 
-    fn limit(&self, reason: String) -> Error {
+    fn limit(&self, reason: impl Into<String>) -> Error {
         Error::new("E-PICKLE-LIMIT", reason).at(self.op_at)
     }
 }

@@ -64,14 +64,12 @@ impl Machine<'_> {
     fn entries(&mut self, items: &[Id]) -> Result<Vec<(Id, Id)>, Error> {
         let (pairs, rest) = items.as_chunks::<2>();
         if !rest.is_empty() {
-            return Err(self.malformed("found a key without a value".to_owned()));
+            return Err(self.malformed("found a key without a value"));
         }
         let mut entries = Vec::with_capacity(pairs.len());
         for &[key, value] in pairs {
-            let dropped = match self.node(key) {
-                Node::Leaf(Value::Str(text)) => self.options.drop_keys.contains(&&**text),
-                _ => false,
-            };
+            let text = self.text_of(key);
+            let dropped = text.is_some_and(|text| self.options.drop_keys.contains(&text));
             if dropped && value > FALSE {
                 self.nodes[value as usize] = Node::Leaf(Value::None);
             }
@@ -88,7 +86,7 @@ impl Machine<'_> {
             _ => {
                 let line = self.input.line()?;
                 let key = String::from_utf8_lossy(&line).trim().parse();
-                key.map_err(|_| self.malformed("found no number of a memo".to_owned()))?
+                key.map_err(|_| self.malformed("found no number of a memo"))?
             }
         };
         if matches!(op, b'g' | b'h' | b'j') {
@@ -112,22 +110,19 @@ impl Machine<'_> {
                 let module = self.input.line()?;
                 let name = self.input.line()?;
                 let (module, name) = (latin_1(&module), latin_1(&name));
-                if op == b'i' {
-                    let called = format!("{}.{}", module.escape_debug(), name.escape_debug());
-                    return Err(self.refused(&called, Global::refusal(&module, &name)));
+                match op {
+                    b'i' => Err(self.refused_global(&module, &name)),
+                    _ => self.global(&module, &name),
                 }
-                self.global(&module, &name)
             }
             0x93 => {
                 let name = self.pop()?;
                 let module = self.pop()?;
-                match (self.node(module), self.node(name)) {
-                    (Node::Leaf(Value::Str(module)), Node::Leaf(Value::Str(name))) => {
-                        let (module, name) = (module.clone(), name.clone());
-                        self.global(&module, &name)
-                    }
-                    _ => Err(self.malformed("found a name that is not text".to_owned())),
-                }
+                let (Some(module), Some(name)) = (self.text_of(module), self.text_of(name)) else {
+                    return Err(self.malformed("found a name that is not text"));
+                };
+                let (module, name) = (module.to_owned(), name.to_owned());
+                self.global(&module, &name)
             }
             b'o' => Err(self.refused("an instance", "that is code and is never executed")),
             b'P' => Err(self.refused("an object by its name", "it is kept outside the pickle")),
@@ -143,7 +138,7 @@ impl Machine<'_> {
             0x92 => {
                 let keywords = self.pop()?;
                 if !matches!(self.node(keywords), Node::Dict(entries) if entries.is_empty()) {
-                    return Err(self.malformed("found a call with named arguments".to_owned()));
+                    return Err(self.malformed("found a call with named arguments"));
                 }
                 self.call()
             }
@@ -154,11 +149,13 @@ impl Machine<'_> {
     fn global(&mut self, module: &str, name: &str) -> Result<(), Error> {
         match Global::find(module, name) {
             Some(global) => self.push_node(Node::Global(global)),
-            None => {
-                let called = format!("{}.{}", module.escape_debug(), name.escape_debug());
-                Err(self.refused(&called, Global::refusal(module, name)))
-            }
+            None => Err(self.refused_global(module, name)),
         }
+    }
+
+    fn refused_global(&self, module: &str, name: &str) -> Error {
+        let called = format!("{}.{}", module.escape_debug(), name.escape_debug());
+        self.refused(&called, Global::refusal(module, name))
     }
 
     /// Calls a known name with the arguments on the stack.
@@ -209,7 +206,7 @@ impl Machine<'_> {
         for item in self.items_of(arguments)? {
             match self.node(item) {
                 Node::Tuple(pair) | Node::List(pair) if pair.len() == 2 => entries.extend(pair),
-                _ => return Err(self.malformed("found an entry that is no pair".to_owned())),
+                _ => return Err(self.malformed("found an entry that is no pair")),
             }
         }
         self.entries(&entries).map(Node::Dict)
@@ -225,10 +222,7 @@ impl Machine<'_> {
     }
 
     fn encoded(&self, arguments: &[Id]) -> Result<Node, Error> {
-        let encoding = match arguments.get(1).map(|&name| self.node(name)) {
-            Some(Node::Leaf(Value::Str(name))) => Some(&**name),
-            _ => None,
-        };
+        let encoding = arguments.get(1).and_then(|&name| self.text_of(name));
         let bytes = match arguments.first().map(|&data| self.node(data)) {
             None => Arc::from([]),
             Some(Node::Leaf(Value::Bytes(bytes))) => bytes.clone(),

@@ -38,7 +38,7 @@ impl Machine<'_> {
             )));
         }
         *left = left.checked_sub(1).ok_or_else(|| {
-            self.limit("found objects shared so often that they unfold without end".to_owned())
+            self.limit("found objects shared so often that they unfold without end")
         })?;
         let mut all = |items: &[Id]| -> Result<Vec<Value>, Error> {
             items

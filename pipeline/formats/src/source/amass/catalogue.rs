@@ -10,8 +10,6 @@ pub struct Subset {
     pub name: &'static str,
     /// Names its folder had in other releases.
     pub former_names: &'static [&'static str],
-    /// The archive on the AMASS download page that holds it.
-    pub archive: &'static str,
     /// Frames at 20 fps that HumanML3D drops from the start of its recordings, which begin with a
     /// calibration pose.
     pub lead_in_frames: usize,
@@ -20,13 +18,11 @@ pub struct Subset {
 const fn subset(
     name: &'static str,
     former_names: &'static [&'static str],
-    archive: &'static str,
     lead_in_frames: usize,
 ) -> Subset {
     Subset {
         name,
         former_names,
-        archive,
         lead_in_frames,
     }
 }
@@ -38,41 +34,31 @@ const fn subset(
 /// `raw_pose_processing` (3 s of Eyes_Japan_Dataset and MPI_HDM05, 1 s of TotalCapture and
 /// MPI_Limits, half a second of Transitions_mocap).
 pub const SUBSETS: &[Subset] = &[
-    subset("ACCAD", &[], "ACCAD.tar.bz2", 0),
-    subset("BMLhandball", &[], "BMLhandball.tar.bz2", 0),
-    subset("BMLmovi", &[], "BMLmovi.tar.bz2", 0),
-    subset("BMLrub", &["BioMotionLab_NTroje"], "BMLrub.tar.bz2", 0),
-    subset("CMU", &[], "CMU.tar.bz2", 0),
-    subset("CNRS", &[], "CNRS.tar.bz2", 0),
-    subset("DanceDB", &[], "DanceDB.tar.bz2", 0),
-    subset("DFaust", &["DFaust_67", "DFaust67"], "DFaust.tar.bz2", 0),
-    subset("EKUT", &[], "EKUT.tar.bz2", 0),
-    subset(
-        "EyesJapanDataset",
-        &["Eyes_Japan_Dataset"],
-        "EyesJapanDataset.tar.bz2",
-        60,
-    ),
-    subset("GRAB", &[], "GRAB.tar.bz2", 0),
-    subset("HDM05", &["MPI_HDM05"], "HDM05.tar.bz2", 60),
-    subset("HUMAN4D", &[], "HUMAN4D.tar.bz2", 0),
-    subset("HumanEva", &[], "HumanEva.tar.bz2", 0),
-    subset("KIT", &[], "KIT.tar.bz2", 0),
-    subset("MoSh", &["MPI_mosh"], "MoSh.tar.bz2", 0),
-    subset("MOYO", &[], "MOYO.tar.bz2", 0),
-    subset("PosePrior", &["MPI_Limits"], "PosePrior.tar.bz2", 20),
-    subset("SFU", &[], "SFU.tar.bz2", 0),
-    subset("SOMA", &[], "SOMA.tar.bz2", 0),
-    subset("SSM", &["SSM_synced"], "SSM.tar.bz2", 0),
-    subset("TCDHands", &["TCD_handMocap"], "TCDHands.tar.bz2", 0),
-    subset("TotalCapture", &[], "TotalCapture.tar.bz2", 20),
-    subset(
-        "Transitions",
-        &["Transitions_mocap"],
-        "Transitions.tar.bz2",
-        10,
-    ),
-    subset("WEIZMANN", &[], "WEIZMANN.tar.bz2", 0),
+    subset("ACCAD", &[], 0),
+    subset("BMLhandball", &[], 0),
+    subset("BMLmovi", &[], 0),
+    subset("BMLrub", &["BioMotionLab_NTroje"], 0),
+    subset("CMU", &[], 0),
+    subset("CNRS", &[], 0),
+    subset("DanceDB", &[], 0),
+    subset("DFaust", &["DFaust_67", "DFaust67"], 0),
+    subset("EKUT", &[], 0),
+    subset("EyesJapanDataset", &["Eyes_Japan_Dataset"], 60),
+    subset("GRAB", &[], 0),
+    subset("HDM05", &["MPI_HDM05"], 60),
+    subset("HUMAN4D", &[], 0),
+    subset("HumanEva", &[], 0),
+    subset("KIT", &[], 0),
+    subset("MoSh", &["MPI_mosh"], 0),
+    subset("MOYO", &[], 0),
+    subset("PosePrior", &["MPI_Limits"], 20),
+    subset("SFU", &[], 0),
+    subset("SOMA", &[], 0),
+    subset("SSM", &["SSM_synced"], 0),
+    subset("TCDHands", &["TCD_handMocap"], 0),
+    subset("TotalCapture", &[], 20),
+    subset("Transitions", &["Transitions_mocap"], 10),
+    subset("WEIZMANN", &[], 0),
 ];
 
 /// Recordings whose stated rate is wrong: a part of the path, whether it is a whole folder name,
@@ -97,6 +83,11 @@ impl Subset {
             .find(|subset| subset.name == name || subset.former_names.contains(&name))
     }
 
+    /// The archive on the AMASS download page that holds it.
+    pub fn archive(&self) -> String {
+        format!("{}.tar.bz2", self.name)
+    }
+
     /// Whether HumanML3D was made of it.
     pub fn is_in_humanml3d(&self) -> bool {
         const OTHERS: [&str; 7] = [
@@ -119,25 +110,19 @@ impl Recording {
     /// Finds subset and name in a path. The deepest folder with a subset's name counts, since
     /// archives are often unpacked into a folder of their own name. None without such a folder.
     pub fn of(path: &Path) -> Option<Self> {
-        let parts: Vec<String> = path
-            .components()
-            .map(|part| part.as_os_str().to_string_lossy().into_owned())
+        let (depth, subset) = deepest_subset(path)?;
+        let below = path.components().skip(depth + 1);
+        let parts: Vec<_> = below
+            .map(|part| part.as_os_str().to_string_lossy())
             .collect();
         let (file, folders) = parts.split_last()?;
-        let (depth, subset) = folders
-            .iter()
-            .enumerate()
-            .rev()
-            .find_map(|(depth, folder)| Some((depth, Subset::named(folder)?)))?;
-        let stem = file
-            .rsplit_once('.')
-            .map_or(file.as_str(), |(stem, _)| stem);
+        let stem = file.rsplit_once('.').map_or(&**file, |(stem, _)| stem);
         let stem = STEM_ENDS
             .into_iter()
             .find_map(|end| stem.strip_suffix(end))
             .unwrap_or(stem);
         let mut name = String::new();
-        for folder in &folders[depth + 1..] {
+        for folder in folders {
             name += folder;
             name.push('/');
         }
@@ -150,13 +135,20 @@ impl Recording {
     }
 }
 
+/// The deepest folder of a path that has a subset's name, by its place in the path, and the subset.
+fn deepest_subset(path: &Path) -> Option<(usize, &'static Subset)> {
+    let folders: Vec<_> = path.parent()?.components().enumerate().collect();
+    folders.into_iter().rev().find_map(|(depth, part)| {
+        let subset = Subset::named(&part.as_os_str().to_string_lossy())?;
+        Some((depth, subset))
+    })
+}
+
 /// The subset of a file, and the name of its folder.
 pub fn subset_of(path: &Path) -> Option<(&'static Subset, String)> {
-    let folders: Vec<_> = path.parent()?.components().collect();
-    folders.into_iter().rev().find_map(|part| {
-        let name = part.as_os_str().to_string_lossy().into_owned();
-        Some((Subset::named(&name)?, name))
-    })
+    let (depth, subset) = deepest_subset(path)?;
+    let folder = path.components().nth(depth)?.as_os_str();
+    Some((subset, folder.to_string_lossy().into_owned()))
 }
 
 /// The true frame rate of a recording whose stated one is known to be wrong.

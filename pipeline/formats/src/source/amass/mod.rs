@@ -3,27 +3,30 @@
 mod archive;
 pub mod catalogue;
 mod parameters;
-mod rate;
 #[cfg(test)]
 pub(crate) mod tests;
 mod variant;
 
 use std::path::Path;
 
+use datasets_spec::Fps;
 use datasets_spec::store::Reader;
 use kinematics::resample;
-
-use rate::Rate;
 
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
 use super::smpl::y_up_from_z_up;
+use clip::check::FLAG_FPS_DOUBTFUL;
 use clip::{Outcome, Rejected, RotationSource, SourceClip, check_resampled};
 
 pub use archive::{Parsed, parse};
 pub use archive::{parse_at, peek, read_fps};
 pub use parameters::Parameters;
 pub use variant::Variant;
+
+/// Relative difference up to which a stated frame rate agrees with the known one: the stored
+/// 120.000046 and 59.94 count as 120 and 60.
+const FPS_TOLERANCE: f64 = 0.01;
 
 /// Reads an archive as a motion of the given body; an archive without motion is skipped. `path` names
 /// the subset, whose known frame rate replaces a wrong stated one; both are noted and the clip is
@@ -47,24 +50,32 @@ pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Outcome,
         Parsed::Parameters(parameters) => *parameters,
         Parsed::NoMotion { reason } => return Ok(Outcome::Skipped { reason }),
     };
-    let stated = Rate::of(path, parameters.stated_fps)?;
+    let stated = parameters.stated_fps;
+    let known =
+        catalogue::true_fps(path).filter(|known| (stated / known - 1.0).abs() > FPS_TOLERANCE);
+    let source_fps = Fps::from_file(known.unwrap_or(stated))
+        .map_err(|error| Rejected::read("E-AMASS-FPS", error.to_string()))?;
     let num_frames = parameters.num_frames();
-    let target = rate.unwrap_or(stated.fps);
-    check_resampled(num_frames, stated.fps, target)?;
-    let grid = if target == stated.fps {
+    let target = rate.unwrap_or(source_fps);
+    check_resampled(num_frames, source_fps, target)?;
+    let grid = if target == source_fps {
         (0..num_frames).map(|frame| (frame, 0.0)).collect()
     } else {
-        resample::grid(num_frames, stated.fps, target)
+        resample::grid(num_frames, source_fps, target)
     };
     let motion = parameters.motion_at(&grid, y_up_from_z_up(), target, skeleton)?;
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     clip.source_frames = 0..num_frames;
-    clip.source_fps = stated.fps;
+    clip.source_fps = source_fps;
     clip.body = parameters.body(options);
     clip.notes = parameters.notes(skeleton, clip.body.is_some());
     clip.notes.extend(subset_note(path));
-    clip.notes.extend(stated.note);
-    clip.flags = stated.flags;
+    if let Some(known) = known {
+        clip.notes.push(format!(
+            "the file states {stated} fps; {known} fps were taken, as is known of this recording"
+        ));
+        clip.flags = FLAG_FPS_DOUBTFUL;
+    }
     Ok(Outcome::Clip(Box::new(clip)))
 }
 
@@ -79,21 +90,12 @@ fn subset_note(path: &Path) -> Option<String> {
 }
 
 /// AMASS: SMPL, SMPL-H or SMPL-X parameters in an npz archive.
-pub const FORMAT: Format = Format::new(&Amass);
+// SMPL-H at 120 fps in f8.
+pub const FORMAT: Format = Format::new("amass", 160_000.0, &Amass);
 
-#[derive(Debug)]
 struct Amass;
 
 impl SourceFormat for Amass {
-    fn name(&self) -> &'static str {
-        "amass"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // SMPL-H at 120 fps in f8.
-        160_000.0
-    }
-
     fn by_name(&self, extension: &str, name: &str, _head: &[u8]) -> Option<Recognised> {
         let no_motion = |reason: &str| Recognised::NotMotion {
             reason: reason.to_owned(),

@@ -110,24 +110,6 @@ impl Parameters<'_> {
         notes
     }
 
-    /// The chosen frames as a motion on the floor, with the world turned by `turn` to have y up.
-    ///
-    /// # Errors
-    /// As [`Parameters::motion_at`].
-    ///
-    /// # Panics
-    /// If a chosen frame does not exist.
-    pub(crate) fn motion(
-        &self,
-        frames: &[usize],
-        turn: DQuat,
-        fps: Fps,
-        skeleton: &Skeleton,
-    ) -> Result<Motion, Rejected> {
-        let grid: Vec<(usize, f64)> = frames.iter().map(|&frame| (frame, 0.0)).collect();
-        self.motion_at(&grid, turn, fps, skeleton)
-    }
-
     /// The motion at the places of a [`resample::grid`], on the floor, with the world turned by
     /// `turn` to have y up.
     ///

@@ -39,10 +39,7 @@ impl Content {
 
     /// Refuses a member.
     pub(super) fn refuse(&mut self, name: &str, code: &'static str, reason: String, at: u64) {
-        let rejected = Rejected {
-            byte_offset: Some(at),
-            ..Rejected::read(code, reason)
-        };
+        let rejected = Rejected::read(code, reason).at(at as usize);
         self.refused.push((name.to_owned(), rejected));
     }
 

@@ -8,7 +8,6 @@ mod content;
 mod kind;
 mod limits;
 mod members;
-mod mounted;
 mod scratch;
 mod tarball;
 mod unpacked;
@@ -19,7 +18,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use datasets_spec::store::{ByPath, Store, mount};
+use datasets_spec::store::{ByPath, Mounted, Store, mount};
 use datasets_spec::{NoProgress, Progress};
 use rayon::prelude::*;
 
@@ -35,7 +34,6 @@ use clip::Rejected;
 pub use self::content::DAMAGED;
 pub use self::kind::is_in_archive;
 pub(crate) use self::kind::stem;
-pub use self::mounted::Archives;
 
 /// Archives in an archive are opened; archives in those are not.
 const MAX_DEPTH: usize = 1;
@@ -69,7 +67,26 @@ pub struct Opened {
     pub archives: Archives,
 }
 
+/// Archives that are open.
+#[derive(Clone, Debug, Default)]
+pub struct Archives {
+    open: Vec<Arc<Mounted>>,
+    /// Those that had to be unpacked.
+    unpacked: Vec<PathBuf>,
+}
+
 impl Archives {
+    /// Takes others over.
+    pub fn add(&mut self, other: Self) {
+        self.open.extend(other.open);
+        self.unpacked.extend(other.unpacked);
+    }
+
+    /// One that had to be unpacked, so that other processes cannot read its members.
+    pub fn unpacked(&self) -> Option<&Path> {
+        self.unpacked.first().map(PathBuf::as_path)
+    }
+
     /// Opens the archives that some paths lead into.
     ///
     /// # Errors
@@ -113,30 +130,25 @@ impl<'a> Unpacking<'a> {
         }
     }
 
-    /// The archives that must be unpacked before their members can be read, and their bytes.
-    fn packed(archives: &[(String, PathBuf)]) -> (usize, u64) {
+    /// Tells how much will be unpacked, and in the end that it was. Where nothing is, nothing is told.
+    fn tell(&self, archives: &[(String, PathBuf)], is_done: bool) {
         let packed = archives.iter().filter(|(relative, _)| {
             Kind::of_name(relative).is_some_and(|kind| !kind.is_random_access())
         });
-        let sizes = packed.map(|(_, path)| ByPath.size(path).unwrap_or(0));
-        sizes.fold((0, 0), |(count, bytes), size| (count + 1, bytes + size))
-    }
-
-    /// Tells how much will be unpacked. Where nothing is, nothing is told.
-    fn begin(&self, archives: &[(String, PathBuf)]) {
-        let (count, bytes) = Self::packed(archives);
-        if count > 0 {
-            self.progress.begin("unpack", Some(unpacked::shown(bytes)));
-            self.progress.message(&format!("MB of {count} archives"));
-        }
-    }
-
-    fn finish(&self, archives: &[(String, PathBuf)]) {
-        let (count, bytes) = Self::packed(archives);
-        if count > 0 {
-            let megabytes = unpacked::shown(bytes);
-            let told = format!("{count} archives of {megabytes} MB");
-            self.progress.finish(&told);
+        let sizes: Vec<u64> = packed
+            .map(|(_, path)| ByPath.size(path).unwrap_or(0))
+            .collect();
+        let (count, megabytes) = (sizes.len(), unpacked::shown(sizes.iter().sum()));
+        match (count, is_done) {
+            (0, _) => {}
+            (_, false) => {
+                self.progress.begin("unpack", Some(megabytes));
+                self.progress.message(&format!("MB of {count} archives"));
+            }
+            (_, true) => {
+                let told = format!("{count} archives of {megabytes} MB");
+                self.progress.finish(&told);
+            }
         }
     }
 }
@@ -160,7 +172,7 @@ pub fn open_all(
         return Ok(all);
     }
     let unpacking = Unpacking::new(progress);
-    unpacking.begin(&archives);
+    unpacking.tell(&archives, false);
     let is_folder = |relative: &str| {
         let below = format!("{relative}/");
         let mut next = files.range(below.clone()..);
@@ -177,7 +189,7 @@ pub fn open_all(
             open(relative, path, 0, &unpacking)
         })
         .collect::<Result<_, Error>>()?;
-    unpacking.finish(&archives);
+    unpacking.tell(&archives, true);
     for ((relative, _), opened) in archives.iter().zip(opened) {
         if let Some(opened) = opened {
             files.remove(relative);
@@ -229,16 +241,15 @@ fn open(
         let reason = "archive without files".to_owned();
         opened.special.push((relative.to_owned(), reason));
     }
-    let special = std::mem::take(&mut content.special).into_iter();
-    opened
-        .special
-        .extend(special.map(|(name, reason)| (of_archive(&name), reason)));
+    for (name, reason) in std::mem::take(&mut content.special) {
+        opened.special.push((of_archive(&name), reason));
+    }
     if !content.refused.is_empty() {
         let hash = ByPath.hash(path).unwrap_or_default();
-        let refused = std::mem::take(&mut content.refused).into_iter();
-        opened
-            .refused
-            .extend(refused.map(|(name, rejected)| (of_archive(&name), hash.clone(), rejected)));
+        for (name, rejected) in std::mem::take(&mut content.refused) {
+            let refused = (of_archive(&name), hash.clone(), rejected);
+            opened.refused.push(refused);
+        }
     }
     for name in content.members.keys() {
         let place = path.join(name_of_text(name));

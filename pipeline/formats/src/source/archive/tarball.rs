@@ -33,18 +33,8 @@ fn unreadable(error: &io::Error) -> Rejected {
     rejected!("E-IO", "cannot read the archive: {error}")
 }
 
-fn damaged(reason: String, at: u64) -> Rejected {
-    Rejected {
-        byte_offset: Some(at),
-        ..Rejected::read(DAMAGED, reason)
-    }
-}
-
 fn too_large(reason: String, at: u64) -> Rejected {
-    Rejected {
-        byte_offset: Some(at),
-        ..Rejected::read(LIMIT, reason)
-    }
+    Rejected::read(LIMIT, reason).at(at as usize)
 }
 
 /// Lists a tar archive that is not packed.
@@ -62,7 +52,7 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             Ok(entry) => entry,
             Err(error) => {
                 let what = broken(end, &error);
-                content.refused.push((String::new(), damaged(what, end)));
+                content.refuse("", DAMAGED, what, end);
                 break;
             }
         };
@@ -165,9 +155,7 @@ pub(super) fn unpack(
             Err(_) if is_exceeded.load(Ordering::Relaxed) => return Ok(Err(too_much())),
             Err(error) => {
                 let end = if is_first { 0 } else { place() };
-                content
-                    .refused
-                    .push((String::new(), damaged(broken(end, &error), place())));
+                content.refuse("", DAMAGED, broken(end, &error), place());
                 break;
             }
         };
@@ -189,9 +177,7 @@ pub(super) fn unpack(
             copied => {
                 let error = copied.err().unwrap_or(io::ErrorKind::UnexpectedEof.into());
                 let what = broken(place().max(1), &error);
-                content
-                    .refused
-                    .push((String::new(), damaged(what, place())));
+                content.refuse("", DAMAGED, what, place());
                 break;
             }
         }

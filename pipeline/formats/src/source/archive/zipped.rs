@@ -16,13 +16,13 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
     let file = ByPath
         .open_at(path)
         .map_err(|error| rejected!("E-IO", "cannot read the archive: {error}"))?;
-    let zip = ZipArchive::new(Reader::new(Arc::clone(&file))).map_err(|error| Rejected {
-        byte_offset: Some(budget.size()),
-        ..rejected!(
+    let size = budget.size();
+    let zip = ZipArchive::new(Reader::new(Arc::clone(&file))).map_err(|error| {
+        rejected!(
             DAMAGED,
-            "found no directory of a zip archive at the end of its {} bytes ({error}); it is cut short or no zip",
-            budget.size()
+            "found no directory of a zip archive at the end of its {size} bytes ({error}); it is cut short or no zip"
         )
+        .at(size as usize)
     })?;
     let mut content = Content::default();
     if zip.has_duplicate_names() {
@@ -81,10 +81,9 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             continue;
         }
         let size = entry.size();
-        budget.take(size).map_err(|reason| Rejected {
-            byte_offset: Some(at),
-            ..Rejected::read(LIMIT, reason)
-        })?;
+        budget
+            .take(size)
+            .map_err(|reason| Rejected::read(LIMIT, reason).at(at as usize))?;
         content.add(name, Member::Zipped { number, size });
     }
     content.read_from = Some(ReadFrom::Zip(file, zip));

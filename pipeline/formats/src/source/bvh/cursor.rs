@@ -2,21 +2,18 @@
 
 use glam::DVec3;
 
+use crate::source::names;
 use clip::{Rejected, rejected};
 
 pub(super) fn syntax(at: usize, reason: impl Into<String>) -> Rejected {
     Rejected::read("E-BVH-SYNTAX", reason).at(at)
 }
 
-/// The text of a token for a message, shortened to fit a terminal line.
+/// The text of a token for a message.
 pub(super) fn shown(token: &[u8]) -> String {
-    const LONGEST: usize = 40;
-    let text = String::from_utf8_lossy(&token[..token.len().min(LONGEST)]);
-    let text: String = text.chars().filter(|c| !c.is_control()).collect();
-    if token.is_empty() {
-        "the end of the file".to_owned()
-    } else {
-        format!("\"{text}\"")
+    match token {
+        b"" => "the end of the file".to_owned(),
+        token => names::shown(token),
     }
 }
 

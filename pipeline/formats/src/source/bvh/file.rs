@@ -27,21 +27,6 @@ pub struct BvhFile {
 }
 
 impl BvhFile {
-    /// The joints, parents first.
-    pub fn joints(&self) -> &[BvhJoint] {
-        &self.joints
-    }
-
-    /// Number of frames.
-    pub fn num_frames(&self) -> usize {
-        self.num_frames
-    }
-
-    /// The frame rate.
-    pub fn fps(&self) -> Fps {
-        self.fps
-    }
-
     /// The columns of a frame, `[C]`.
     ///
     /// # Panics

@@ -92,16 +92,10 @@ impl Rows {
 
     /// All values. If `lenient`, any number of whole rows is accepted, if the header says at least one.
     pub(super) fn finish(self, lenient: bool, file_end: usize) -> Result<Vec<f64>, Rejected> {
-        let Self {
-            num_frames,
-            num_channels,
-            values,
-            num_rows,
-            odd_row,
-            first_extra_row,
-        } = self;
+        let (num_frames, num_channels) = (self.num_frames, self.num_channels);
+        let Self { values, .. } = self;
         let expected = num_frames.saturating_mul(num_channels);
-        let accepted = values.len() == expected || (lenient && odd_row.is_none());
+        let accepted = values.len() == expected || (lenient && self.odd_row.is_none());
         if accepted && num_frames > 0 && !values.is_empty() {
             return Ok(values);
         }
@@ -110,13 +104,15 @@ impl Rows {
                 Rejected::read("E-TOO-SHORT", "found 0 frames, expected at least 2").at(file_end),
             );
         }
-        let counts =
-            format!("found {num_rows} rows of motion, expected {num_frames} as `Frames:` says");
-        let hint = match odd_row {
+        let counts = format!(
+            "found {} rows of motion, expected {num_frames} as `Frames:` says",
+            self.num_rows
+        );
+        let hint = match self.odd_row {
             None if !lenient => "; `stance ingest --lenient` reads the rows that both agree on",
             _ => "",
         };
-        let (reason, at) = match (odd_row, first_extra_row) {
+        let (reason, at) = match (self.odd_row, self.first_extra_row) {
             (Some((row, found, at)), _) => (
                 format!("{counts}; row {row} holds {found} values, expected {num_channels}"),
                 at,

@@ -48,14 +48,8 @@ impl Rig for BvhFile {
                 rotation: DQuat::IDENTITY,
             });
         }
-        let zero = Rest {
-            name: "zero pose",
-            bones,
-        };
-        let t_pose = soma::t_pose(&self.joints).map(|bones| Rest {
-            name: "T-pose of SOMA",
-            bones,
-        });
+        let t_pose = soma::t_pose(&self.joints).map(|bones| Rest::new("T-pose of SOMA", bones));
+        let zero = Rest::new("zero pose", bones);
         std::iter::once(zero).chain(t_pose).collect()
     }
 

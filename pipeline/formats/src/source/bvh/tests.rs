@@ -5,6 +5,7 @@ use super::cursor::parse_number;
 use super::rig::{BLOCK, LocalBlock, half_angle_sin_cos};
 use super::*;
 use crate::retarget::Rig;
+use crate::source::release_tests::{assert_contains, edited};
 use clip::Rejected;
 
 const SMALL: &str = "HIERARCHY\nROOT Base\n{\n\tOFFSET 0 0 0\n\
@@ -28,7 +29,7 @@ fn rejection(text: &str) -> (&'static str, String) {
 /// A joint's transform in its parent's frame.
 fn local(bvh: &BvhFile, joint: usize, frame: usize) -> (DVec3, DQuat) {
     let mut block = LocalBlock::default();
-    block.read(&bvh.joints()[joint], bvh.frame(frame), bvh.num_channels, 1);
+    block.read(&bvh.joints[joint], bvh.frame(frame), bvh.num_channels, 1);
     (block.positions[0], block.rotations[0])
 }
 
@@ -43,7 +44,7 @@ fn long_files_are_read_piece_by_piece_as_if_whole() {
     let text = header.clone() + &rows(FRAMES);
     assert!(text.len() > 1_500_000, "{}", text.len());
     let bvh = parse(&text).expect("valid");
-    assert_eq!(bvh.num_frames(), FRAMES);
+    assert_eq!(bvh.num_frames, FRAMES);
     for frame in 0..FRAMES {
         let turn = (frame % 360) as f64;
         let expected = [
@@ -78,7 +79,7 @@ fn rows_that_differ_from_the_header_are_read_leniently() {
         let text = SMALL.replace("Frames: 2", &format!("Frames: {frames}"));
         let bvh = read(&text).expect("whole rows");
         assert_eq!(
-            (bvh.num_frames(), bvh.stated_frames, bvh.num_rows),
+            (bvh.num_frames, bvh.stated_frames, bvh.num_rows),
             (kept, frames, 2)
         );
     }
@@ -91,8 +92,8 @@ fn rows_that_differ_from_the_header_are_read_leniently() {
 #[test]
 fn dialects_read_the_same() {
     let plain = parse(SMALL).expect("plain");
-    assert_eq!((plain.num_frames(), plain.fps().get()), (2, 30.0));
-    assert_eq!(plain.joints()[1].end_site, Some(DVec3::Z * 30.0));
+    assert_eq!((plain.num_frames, plain.fps().get()), (2, 30.0));
+    assert_eq!(plain.joints[1].end_site, Some(DVec3::Z * 30.0));
     for (what, text) in [
         ("CRLF", SMALL.replace('\n', "\r\n")),
         ("CR", SMALL.replace('\n', "\r")),
@@ -140,12 +141,12 @@ fn dialects_read_the_same() {
     }
     let no_end_site = SMALL.replace("\t\tEnd Site\n\t\t{\n\t\t\tOFFSET 0 0 30\n\t\t}\n", "");
     assert_eq!(
-        parse(&no_end_site).expect("no end site").joints()[1].end_site,
+        parse(&no_end_site).expect("no end site").joints[1].end_site,
         None
     );
     let named = SMALL.replace("ROOT Base", "ROOT mixamorig:Left Arm  ");
     assert_eq!(
-        parse(&named).expect("name").joints()[0].name,
+        parse(&named).expect("name").joints[0].name,
         "mixamorig:Left Arm"
     );
 }
@@ -204,11 +205,7 @@ fn what_is_wrong_is_rejected_with_its_place() {
         );
     }
     let frames = parse(&SMALL.replace("Frames: 2", "Frames: 5")).expect_err("5 rows promised");
-    assert!(
-        frames.reason.contains("found 2 rows of motion, expected 5"),
-        "{}",
-        frames.reason
-    );
+    assert_contains(&frames.reason, "found 2 rows of motion, expected 5");
     let (head, _) = SMALL.split_once("Frames").expect("has frames");
     let none = format!("{head}Frames: 0\nFrame Time: 0.1\n");
     assert_eq!(rejection(&none).0, "E-TOO-SHORT");
@@ -280,15 +277,11 @@ proptest! {
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         cut in any::<prop::sample::Index>(),
     ) {
-        let mut mutated = SMALL.as_bytes().to_vec();
-        for (at, byte) in edits {
-            let at = at.index(mutated.len());
-            mutated[at] = byte;
-        }
+        let mutated = edited(SMALL.as_bytes(), edits);
         let truncated = &SMALL.as_bytes()[..cut.index(SMALL.len())];
         for candidate in [&bytes[..], &mutated, truncated] {
             if let Ok(bvh) = BvhFile::parse(candidate) {
-                let needed = vec![true; bvh.joints().len()];
+                let needed = vec![true; bvh.joints.len()];
                 let mut num_visited = 0;
                 bvh.follow(&needed, &mut |_, placed| {
                     assert!(placed.iter().all(|bone| bone.rotation.is_finite()));

@@ -9,73 +9,40 @@
 //! The C3D user guide of c3d.org; formats of the VAX as DEC documents them.
 
 mod parameters;
-mod processor;
 
 use std::path::Path;
 
 use datasets_spec::Fps;
 use glam::DVec3;
 
-use self::parameters::{BLOCK, Parameters};
+use self::parameters::{BLOCK, Parameters, Processor};
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
 use super::unit::Unit;
-use crate::markers::{self, Capture, CaptureUnit, is_model_output};
-use clip::{MAX_FPS, MIN_FPS, Markers, Outcome, Rejected, rejected};
-
-pub use self::processor::Processor;
+use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, is_model_output};
+use clip::{MAX_FPS, MIN_FPS, Outcome, Rejected, rejected};
 
 /// Second byte of every C3D file.
 const MAGIC: u8 = 0x50;
-/// Maximum distance in metres of a marker from the origin: a plausibility test for the number format.
-const MAX_DISTANCE_M: f64 = 100.0;
-/// Fraction of implausible positions above which the processor flag is taken to be wrong.
-const MAX_IMPLAUSIBLE: f64 = 0.1;
 /// Limit on points per frame; real captures have a few hundred.
 const MAX_POINTS: usize = 10_000;
-
-/// A parsed capture.
-#[derive(Clone, Debug)]
-pub struct C3dFile {
-    /// Number format of the file.
-    pub processor: Processor,
-    /// Whether the points are stored as scaled integers.
-    pub integer: bool,
-    /// The markers in metres, in the file's own axes.
-    pub markers: Markers,
-    /// The unit they were in.
-    pub unit: CaptureUnit,
-    /// Points that are not markers but angles, forces and the like, by name.
-    pub model_outputs: Vec<String>,
-    /// Decisions a reader may want to check.
-    pub notes: Vec<String>,
-}
 
 fn header_error(at: usize, reason: impl Into<String>) -> Rejected {
     Rejected::read("E-C3D-HEADER", reason).at(at)
 }
 
-impl C3dFile {
-    /// Parses a file. None if it holds no points.
-    ///
-    /// # Errors
-    /// `E-C3D-TRUNCATED`, `E-C3D-HEADER`, `E-C3D-PARAM`, `E-C3D-ENDIAN`, `E-C3D-ZERO` or `E-UNIT`, with the byte
-    /// offset where there is one.
-    pub fn parse(bytes: &[u8]) -> Result<Option<Self>, Rejected> {
-        Self::read(bytes, None)
-    }
-
-    /// Parses a file whose numbers are in this unit, if one is given, whatever it states.
-    ///
-    /// # Errors
-    /// As [`C3dFile::parse`].
-    pub fn read(bytes: &[u8], unit: Option<Unit>) -> Result<Option<Self>, Rejected> {
-        let (processor, parameters) = parameters(bytes)?;
-        let header = Header::read(bytes, processor);
-        Layout::find(bytes, &header, &parameters)?
-            .map(|layout| layout.read(bytes, processor, &parameters, unit))
-            .transpose()
-    }
+/// The markers of a file, whose numbers are in the unit of the options whatever it states; none if it has no markers.
+///
+/// # Errors
+/// `E-C3D-TRUNCATED`, `E-C3D-HEADER`, `E-C3D-PARAM`, `E-C3D-ENDIAN`, `E-C3D-ZERO` or `E-UNIT`, with the byte
+/// offset where there is one.
+pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Option<Capture>, Rejected> {
+    let (processor, parameters) = parameters(bytes)?;
+    let header = Header::read(bytes, processor);
+    let Some(layout) = Layout::find(bytes, &header, &parameters)? else {
+        return Ok(None);
+    };
+    layout.read(bytes, processor, &parameters, options.unit)
 }
 
 /// The processor of a file and its parameters.
@@ -235,47 +202,58 @@ impl Layout {
         processor: Processor,
         parameters: &Parameters,
         unit: Option<Unit>,
-    ) -> Result<C3dFile, Rejected> {
+    ) -> Result<Option<Capture>, Rejected> {
         let (labels, kept) = labels_of_markers(parameters, self.points);
+        if labels.is_empty() {
+            return Ok(None);
+        }
         let raw = self.raw_positions(bytes, processor);
         let unit = self.unit(parameters, &raw, unit);
         let metres = unit.unit.metres();
-        let positions = Positions::of(raw.chunks_exact(self.points), &kept, metres);
-        if positions.implausible as f64 > MAX_IMPLAUSIBLE * positions.seen as f64 {
-            let frames = raw.chunks_exact(self.points).map(|frame| {
-                let markers = kept.iter().map(|point| frame[*point]);
-                markers
-                    .filter(|point| point.is_seen())
-                    .map(|point| point.at)
-            });
-            let other = || positions.other_processor(processor).at(self.start);
+        let frames = raw.chunks_exact(self.points);
+        let frames = frames.map(|frame| kept.iter().map(move |point| frame[*point]));
+        let mut positions = Positions::default();
+        let mut at_origin = 0;
+        for point in frames.clone().flatten() {
+            let is_seen = point.is_seen();
+            at_origin += usize::from(point.residual >= 0.0 && !is_seen);
+            positions.add(is_seen.then(|| (point.at * metres, point.residual * metres)));
+        }
+        let (seen, far) = (positions.seen, positions.far);
+        if positions.are_implausible() {
+            let frames =
+                frames.map(|frame| frame.filter(|point| point.is_seen()).map(|point| point.at));
+            let other = || {
+                rejected!(
+                    "E-C3D-ENDIAN",
+                    "found {far} of {seen} positions farther than {MAX_DISTANCE_M} m; the file says \
+                     {processor:?}, and its numbers are another processor's"
+                )
+                .at(self.start)
+            };
             return Err(unit.doubt(frames).unwrap_or_else(other));
         }
-        if positions.are_all_zero() {
+        let places = &positions.places;
+        if !places.is_empty() && places.iter().all(|place| *place == [0.0; 3]) {
             return Err(rejected!(
                 "E-C3D-ZERO",
-                "all coordinates are zero in {} positions, {} of them seen; expected a capture",
-                positions.places.len(),
-                positions.seen
+                "all coordinates are zero in {} positions, {seen} of them seen; expected a capture",
+                places.len()
             )
             .at(self.start));
         }
-        self.notes.extend(positions.notes());
-        Ok(C3dFile {
-            processor,
+        let (markers, note) = positions.markers(self.fps, labels);
+        self.notes.extend(note);
+        if at_origin > 0 {
+            let note = format!("{at_origin} positions at the origin count as not seen");
+            self.notes.push(note);
+        }
+        Ok(Some(Capture {
+            markers,
             unit,
-            integer: self.scale > 0.0,
-            markers: Markers {
-                fps: self.fps,
-                labels,
-                positions: positions.places,
-                residuals: positions.residuals,
-                set: None,
-                fit_residuals: Vec::new(),
-            },
-            model_outputs: parameters.model_outputs(),
             notes: self.notes,
-        })
+            flags: 0,
+        }))
     }
 
     /// The unit of the file, or the one that the user states.
@@ -327,95 +305,6 @@ impl Point {
     /// Some programs write points that were not seen at the origin, as if they were.
     fn is_seen(self) -> bool {
         self.residual >= 0.0 && self.at != DVec3::ZERO
-    }
-}
-
-/// Positions of the markers of a capture in metres.
-struct Positions {
-    /// Frame by frame; zeros where a marker is not seen.
-    places: Vec<[f32; 3]>,
-    /// Negative where a marker is not seen.
-    residuals: Vec<f32>,
-    seen: usize,
-    /// Of those seen, the ones that are too far away, which then count as not seen.
-    implausible: usize,
-    /// Points at the origin that the file says are seen.
-    at_origin: usize,
-}
-
-impl Positions {
-    /// The points `kept` of each frame, whose unit is so many metres.
-    fn of<'a>(
-        frames: impl ExactSizeIterator<Item = &'a [Point]>,
-        kept: &[usize],
-        metres: f64,
-    ) -> Self {
-        let count = frames.len() * kept.len();
-        let mut positions = Self {
-            places: Vec::with_capacity(count),
-            residuals: Vec::with_capacity(count),
-            seen: 0,
-            implausible: 0,
-            at_origin: 0,
-        };
-        for frame in frames {
-            for &point in kept {
-                positions.add(frame[point], metres);
-            }
-        }
-        positions
-    }
-
-    fn add(&mut self, point: Point, metres: f64) {
-        let Point { at, residual } = point;
-        let is_seen = point.is_seen();
-        let place = at * metres;
-        let plausible = place.is_finite() && place.length() < MAX_DISTANCE_M;
-        self.at_origin += usize::from(residual >= 0.0 && !is_seen);
-        if is_seen {
-            self.seen += 1;
-            self.implausible += usize::from(!plausible);
-        }
-        if is_seen && plausible {
-            self.places.push(place.as_vec3().to_array());
-            self.residuals.push((residual * metres) as f32);
-        } else {
-            self.places.push([0.0; 3]);
-            self.residuals.push(-1.0);
-        }
-    }
-
-    fn are_all_zero(&self) -> bool {
-        !self.places.is_empty() && self.places.iter().all(|place| *place == [0.0; 3])
-    }
-
-    /// Why a file with so many implausible positions is of another processor than it says.
-    fn other_processor(&self, stated: Processor) -> Rejected {
-        rejected!(
-            "E-C3D-ENDIAN",
-            "found {} of {} positions farther than {MAX_DISTANCE_M} m; the \
-                 file says {stated:?}, and its numbers are another processor's",
-            self.implausible,
-            self.seen
-        )
-    }
-
-    fn notes(&self) -> Vec<String> {
-        let mut notes = Vec::new();
-        if self.implausible > 0 {
-            notes.push(format!(
-                "{} positions farther than {MAX_DISTANCE_M} m count as not seen",
-                self.implausible
-            ));
-        }
-        if self.at_origin > 0 {
-            let note = format!(
-                "{} positions at the origin count as not seen",
-                self.at_origin
-            );
-            notes.push(note);
-        }
-        notes
     }
 }
 
@@ -541,21 +430,12 @@ fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
 }
 
 /// C3D: marker positions of an optical capture.
-pub const FORMAT: Format = Format::new(&C3d);
+// Measured on 24 captures.
+pub const FORMAT: Format = Format::new("c3d", 60_000.0, &C3d);
 
-#[derive(Debug)]
 struct C3d;
 
 impl SourceFormat for C3d {
-    fn name(&self) -> &'static str {
-        "c3d"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // Measured on 24 captures.
-        60_000.0
-    }
-
     fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
         (extension == "c3d").then_some(Recognised::Motion(FORMAT))
     }
@@ -582,18 +462,6 @@ impl SourceFormat for C3d {
             Err(rejected) => Outcome::Rejected(rejected),
         }
     }
-}
-
-/// The markers of a file; none if it has none.
-pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Option<Capture>, Rejected> {
-    let file = C3dFile::read(bytes, options.unit)?;
-    let file = file.filter(|file| !file.markers.labels.is_empty());
-    Ok(file.map(|file| Capture {
-        markers: file.markers,
-        unit: file.unit,
-        notes: file.notes,
-        flags: 0,
-    }))
 }
 
 #[cfg(test)]

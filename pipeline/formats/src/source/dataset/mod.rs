@@ -6,28 +6,17 @@
 
 mod release;
 
-use datasets_spec::Fps;
-
 use self::release::StoredDataset;
 use super::format::boxed;
 use super::{Files, Format, Release, SourceFormat};
 
 /// A dataset folder.
-pub const FORMAT: Format = Format::new(&DatasetFolder);
+// The parameters of the store in f32, before compression.
+pub const FORMAT: Format = Format::new("dataset", (4 * 69 * 20) as f64, &DatasetFolder);
 
-#[derive(Debug)]
 struct DatasetFolder;
 
 impl SourceFormat for DatasetFolder {
-    fn name(&self) -> &'static str {
-        "dataset"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // The parameters of the store in f32, before compression.
-        (4 * 69) as f64 * Fps::STORE.get()
-    }
-
     fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
         boxed(StoredDataset::find(files))
     }

@@ -12,9 +12,10 @@ use datasets_spec::table::{Row, SCHEMA_VERSION, ShardReader, read_rows};
 use datasets_spec::{Fps, Split};
 
 use crate::source::format::check_skeleton;
+use crate::source::stored_labels::StoredLabels;
 use crate::source::{Contents, Entry, Files, ReadOptions, Release};
 use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
-use clip::{EditOf, Markers, ReadClip, Rejected, RotationSource, SourceClip, SourceMask, rejected};
+use clip::{Markers, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
 /// Flags that the motion itself does not show.
 const KEPT_FLAGS: u32 =
@@ -31,10 +32,7 @@ pub(super) struct StoredDataset {
     markers: Rows,
     /// By motion.
     features: Rows,
-    /// By motion.
-    masks: BTreeMap<String, Vec<MaskRow>>,
-    /// By target.
-    pairs: BTreeMap<String, Vec<PairRow>>,
+    labels: StoredLabels,
 }
 
 /// A table with a row for some motions, read row by row.
@@ -176,18 +174,8 @@ impl StoredDataset {
             match table {
                 MarkerRow::TABLE => self.markers.add::<MarkerRow>(path)?,
                 HumanMl3dRow::TABLE => self.features.add::<HumanMl3dRow>(path)?,
-                MaskRow::TABLE => {
-                    for mask in read_rows::<MaskRow>(path)? {
-                        let of_motion = self.masks.entry(mask.motion_id.to_string());
-                        of_motion.or_default().push(mask);
-                    }
-                }
-                PairRow::TABLE => {
-                    for pair in read_rows::<PairRow>(path)? {
-                        let of_target = self.pairs.entry(pair.target_id.to_string());
-                        of_target.or_default().push(pair);
-                    }
-                }
+                MaskRow::TABLE => self.labels.add_masks(read_rows(path)?),
+                PairRow::TABLE => self.labels.add_pairs(read_rows(path)?),
                 _ => {
                     let shard = ShardReader::open(path)?;
                     let ids = shard.column::<MotionRow, String>("id")?;
@@ -215,11 +203,6 @@ impl StoredDataset {
             Err(_) => "it is no Parquet file".to_owned(),
         };
         self.contents.reject(file, Rejected::read(CODE, problem));
-    }
-
-    fn edits(&self, id: &str) -> Vec<EditOf> {
-        let pairs = self.pairs.get(id).into_iter().flatten();
-        pairs.cloned().map(EditOf::of_row).collect()
     }
 }
 
@@ -260,15 +243,8 @@ impl Release for StoredDataset {
             license: row.license,
             notes: row.notes,
             flags: row.quality.flags & KEPT_FLAGS,
-            masks: self
-                .masks
-                .get(&entry.id)
-                .into_iter()
-                .flatten()
-                .cloned()
-                .map(SourceMask::of_row)
-                .collect(),
-            edits: self.edits(&entry.id),
+            masks: self.labels.masks_of(&entry.id),
+            edits: self.labels.edits_of(&entry.id),
             markers: markers.map(stored_markers).transpose()?,
             features: features.map(|row| row.features),
             ..SourceClip::new(motion, RotationSource::of_name(&row.rotation_source))

@@ -53,21 +53,12 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
 }
 
 /// FBX: takes of a skeleton.
-pub const FORMAT: Format = Format::new(&Fbx);
+// Curves of 65 bones at 30 fps in a binary file, partly packed.
+pub const FORMAT: Format = Format::new("fbx", 60_000.0, &Fbx);
 
-#[derive(Debug)]
 struct Fbx;
 
 impl SourceFormat for Fbx {
-    fn name(&self) -> &'static str {
-        "fbx"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // Curves of 65 bones at 30 fps in a binary file, partly packed.
-        60_000.0
-    }
-
     fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
         (extension == "fbx").then_some(Recognised::Motion(FORMAT))
     }

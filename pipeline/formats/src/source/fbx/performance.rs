@@ -10,7 +10,7 @@ use ufbx::{
     FileFormat, LoadOpts, Matrix, MirrorAxis, Node, PropOverrideDesc, Scene, SceneRoot,
 };
 
-use crate::retarget::{Bone, Placed, Rest, Rig};
+use crate::retarget::{Bone, Placed, Rest, Rig, with_ancestors};
 use crate::source::Unit;
 use crate::source::names::unique_keys;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
@@ -155,14 +155,8 @@ fn grouped(nodes: &[&Node], parents: &[Option<usize>], bones: &[bool]) -> Vec<Sk
         .filter(|(_, bones)| bones.len() >= MIN_BONES);
     large
         .map(|(root, bones)| {
-            let mut wanted = BTreeSet::new();
-            for bone in bones {
-                let mut at = Some(bone);
-                while let Some(node) = at.filter(|node| wanted.insert(*node)) {
-                    at = parents[node];
-                }
-            }
-            let mut sorted: Vec<usize> = wanted.into_iter().collect();
+            let wanted = with_ancestors(parents, bones);
+            let mut sorted: Vec<usize> = (0..nodes.len()).filter(|node| wanted[*node]).collect();
             sorted.sort_by_key(|node| (nodes[*node].node_depth, *node));
             let place: BTreeMap<usize, usize> = sorted
                 .iter()
@@ -232,6 +226,12 @@ impl<'a> Performance<'a> {
         Ok(performance)
     }
 
+    fn nodes(&self) -> impl Iterator<Item = &'a Node> {
+        let scene = self.scene;
+        let nodes = self.skeleton.nodes.iter();
+        nodes.map(move |node| &scene.nodes[*node])
+    }
+
     /// The bones of a scene, which is the file's or one that was evaluated from it.
     fn placed(&self, scene: &Scene) -> Vec<Placed> {
         let nodes = self.skeleton.nodes.iter();
@@ -245,18 +245,10 @@ impl<'a> Performance<'a> {
     fn find_rests(&self) -> Result<Vec<Rest>, Rejected> {
         let stored = self.placed(self.scene);
         let mut rests = Vec::new();
-        rests.extend(self.bind_pose(&stored).map(|bones| Rest {
-            name: "bind pose",
-            bones,
-        }));
-        let stored = Rest {
-            name: "stored pose of the nodes",
-            bones: stored,
-        };
-        let zero = Rest {
-            name: "zero pose",
-            bones: self.placed(&*self.zero_pose()?),
-        };
+        let bind = self.bind_pose(&stored);
+        rests.extend(bind.map(|bones| Rest::new("bind pose", bones)));
+        let stored = Rest::new("stored pose of the nodes", stored);
+        let zero = Rest::new("zero pose", self.placed(&*self.zero_pose()?));
         match self.has_joint_frames() {
             true => rests.extend([zero, stored]),
             false => rests.extend([stored, zero]),
@@ -266,12 +258,7 @@ impl<'a> Performance<'a> {
 
     /// Whether most bones have frames of their own, in which zero rotations are the rest pose.
     fn has_joint_frames(&self) -> bool {
-        let nodes = self
-            .skeleton
-            .nodes
-            .iter()
-            .map(|node| &self.scene.nodes[*node]);
-        let turned = nodes.filter(|node| {
+        let turned = self.nodes().filter(|node| {
             let pre = ufbx::find_prop(&node.element.props, "PreRotation");
             pre.is_some_and(|pre| {
                 [pre.value_vec4.x, pre.value_vec4.y, pre.value_vec4.z] != [0.0; 3]
@@ -281,12 +268,7 @@ impl<'a> Performance<'a> {
     }
 
     fn zero_pose(&self) -> Result<SceneRoot, Rejected> {
-        let nodes = self
-            .skeleton
-            .nodes
-            .iter()
-            .map(|node| &self.scene.nodes[*node]);
-        let zeros = nodes.map(|node| PropOverrideDesc {
+        let zeros = self.nodes().map(|node| PropOverrideDesc {
             element_id: node.element.element_id,
             prop_name: "Lcl Rotation".into(),
             ..PropOverrideDesc::default()
@@ -350,10 +332,10 @@ impl Rig for Performance<'_> {
     }
 
     fn bones(&self) -> Vec<Bone<'_>> {
-        let nodes = self.skeleton.nodes.iter().zip(&self.skeleton.parents);
+        let nodes = self.nodes().zip(&self.skeleton.parents);
         nodes
             .map(|(node, parent)| Bone {
-                name: &self.scene.nodes[*node].element.name,
+                name: &node.element.name,
                 parent: *parent,
                 tip: None,
             })

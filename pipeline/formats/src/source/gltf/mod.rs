@@ -93,21 +93,12 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
 }
 
 /// glTF or GLB: animations of a skinned skeleton.
-pub const FORMAT: Format = Format::new(&Gltf);
+// An exported character with two or three clips.
+pub const FORMAT: Format = Format::new("gltf", 50_000.0, &Gltf);
 
-#[derive(Debug)]
 struct Gltf;
 
 impl SourceFormat for Gltf {
-    fn name(&self) -> &'static str {
-        "gltf"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // An exported character with two or three clips.
-        50_000.0
-    }
-
     fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
         matches!(extension, "glb" | "gltf").then_some(Recognised::Motion(FORMAT))
     }

@@ -155,15 +155,10 @@ impl Rig for Performance<'_> {
     }
 
     fn rests(&self) -> Vec<Rest> {
-        let bind = self.skeleton.bind.clone().map(|bones| Rest {
-            name: "bind pose",
-            bones,
-        });
-        let standing = Rest {
-            name: "rest pose of the nodes",
-            bones: self.skeleton.standing(),
-        };
-        bind.into_iter().chain([standing]).collect()
+        let bind = self.skeleton.bind.clone().into_iter();
+        let bind = bind.map(|bones| Rest::new("bind pose", bones));
+        let standing = Rest::new("rest pose of the nodes", self.skeleton.standing());
+        bind.chain([standing]).collect()
     }
 
     fn follow(&self, needed: &[bool], visit: &mut dyn FnMut(usize, &[Placed])) {

@@ -8,7 +8,7 @@ use gltf::json::accessor::Type;
 
 use super::document::{Document, accessor_error, limit};
 use super::nodes::{Local, Tree, World};
-use crate::retarget::Placed;
+use crate::retarget::{Placed, with_ancestors};
 use clip::{Rejected, rejected};
 
 /// Limit on bones: joints of the skin and the nodes above them.
@@ -31,22 +31,15 @@ impl Skeleton {
         skin: &json::Skin,
     ) -> Result<Self, Rejected> {
         let nodes = &document.root.nodes;
-        let mut wanted = vec![false; nodes.len()];
-        for joint in &skin.joints {
-            let joint = joint.value();
-            if joint >= nodes.len() {
-                return Err(rejected!(
-                    "E-GLTF-NODES",
-                    "the skin has joint {joint} of {} nodes",
-                    nodes.len()
-                ));
-            }
-            let mut at = Some(joint);
-            while let Some(node) = at.filter(|&node| !wanted[node]) {
-                wanted[node] = true;
-                at = tree.parents[node];
-            }
+        let joints = skin.joints.iter().map(json::Index::value);
+        if let Some(joint) = joints.clone().find(|joint| *joint >= nodes.len()) {
+            return Err(rejected!(
+                "E-GLTF-NODES",
+                "the skin has joint {joint} of {} nodes",
+                nodes.len()
+            ));
         }
+        let wanted = with_ancestors(&tree.parents, joints);
         let order: Vec<usize> = tree
             .order
             .iter()

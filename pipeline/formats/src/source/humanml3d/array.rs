@@ -63,11 +63,26 @@ pub fn features(array: &Array) -> Result<Vec<[f32; HUMANML3D_WIDTH]>, Rejected> 
         return Err(bad_shape(array));
     };
     check_frames(array, num_frames)?;
-    let (rows, _) = array.values.as_chunks::<HUMANML3D_WIDTH>();
-    Ok(rows
-        .iter()
+    Ok(in_single_precision(array))
+}
+
+/// The rows of an array in `f32`.
+pub(crate) fn in_single_precision<const WIDTH: usize>(array: &Array) -> Vec<[f32; WIDTH]> {
+    let (rows, _) = array.values.as_chunks::<WIDTH>();
+    rows.iter()
         .map(|row| row.map(|value| value as f32))
-        .collect())
+        .collect()
+}
+
+/// Refuses an array of no motion: one frame is none.
+pub(crate) fn check_length(num_frames: usize) -> Result<(), Rejected> {
+    match num_frames {
+        0 | 1 => Err(rejected!(
+            TOO_SHORT,
+            "found {num_frames} frames, expected at least 2"
+        )),
+        _ => Ok(()),
+    }
 }
 
 /// The joints of an array `[T, 22, 3]`, in metres.
@@ -106,12 +121,7 @@ fn bad_shape(array: &Array) -> Rejected {
 }
 
 fn check_frames(array: &Array, num_frames: usize) -> Result<(), Rejected> {
-    if num_frames < 2 {
-        return Err(rejected!(
-            TOO_SHORT,
-            "found {num_frames} frames, expected at least 2"
-        ));
-    }
+    check_length(num_frames)?;
     let broken = |value: &f64| !(*value as f32).is_finite();
     match array.values.iter().position(broken) {
         Some(at) => Err(rejected!(

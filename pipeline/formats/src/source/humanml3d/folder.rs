@@ -78,11 +78,10 @@ impl Folder {
             };
             folder.contents.entries.push(Entry {
                 file,
-                key: String::new(),
                 id: id.clone(),
                 split,
-                group: None,
                 mirrored_of: mirrored_of(id).map(str::to_owned),
+                ..Entry::default()
             });
             folder.clips.insert(id.clone(), clip);
         }
@@ -164,11 +163,7 @@ impl Release for Folder {
                 crop.source_path
             ));
         }
-        if let Some(text) = &clip.text {
-            let (captions, note) = read_captions(files, text)?;
-            read.captions = captions;
-            read.notes.extend(note);
-        }
+        add_captions(&mut read, files, clip.text.as_ref())?;
         Ok(read)
     }
 }
@@ -187,6 +182,20 @@ pub fn read_captions(
     let note = (num_other > 0)
         .then(|| format!("{num_other} lines of {file} are no captions and were passed over"));
     Ok((captions, note))
+}
+
+/// Adds the captions of a file, if there is one, to a clip.
+pub(crate) fn add_captions(
+    clip: &mut SourceClip,
+    files: &Files,
+    file: Option<&String>,
+) -> Result<(), Rejected> {
+    if let Some(file) = file {
+        let (captions, note) = read_captions(files, file)?;
+        clip.captions = captions;
+        clip.notes.extend(note);
+    }
+    Ok(())
 }
 
 /// Source frames of a clip, by its row of the crop list.

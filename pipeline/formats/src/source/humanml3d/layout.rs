@@ -146,7 +146,7 @@ impl Layout {
 }
 
 /// A folder and its parents, innermost first, each with a trailing slash.
-fn above(root: &str) -> impl Iterator<Item = &str> {
+pub(crate) fn above(root: &str) -> impl Iterator<Item = &str> {
     let ends: Vec<usize> = root.match_indices('/').map(|(at, _)| at + 1).collect();
     ends.into_iter()
         .rev()

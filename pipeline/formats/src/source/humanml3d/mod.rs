@@ -23,9 +23,10 @@ use super::format::{Format, Recognised, Release, SourceFormat};
 use super::options::ReadOptions;
 use clip::Outcome;
 
-pub(crate) use array::FPS;
 pub use array::read_array;
+pub(crate) use array::{FPS, check_length, in_single_precision};
 pub use array::{features, joints};
+pub(crate) use folder::add_captions;
 pub use folder::find;
 pub use folder::read_captions;
 pub use id::is_id;
@@ -34,7 +35,7 @@ pub use index::IndexRow;
 pub use index::parse_index;
 pub use layout::Layout;
 pub use layout::layouts;
-pub(crate) use layout::{LISTS, parse_list};
+pub(crate) use layout::{LISTS, above, parse_list};
 pub(crate) use splits::Splits;
 
 /// Recognises a single npy array by its shape.
@@ -61,20 +62,15 @@ pub(crate) fn recognise_array(head: &[u8]) -> Recognised {
 }
 
 /// A HumanML3D folder: joints, 263-d vectors, captions and split lists.
-pub const FORMAT: Format = Format::new(&HumanMl3d);
+pub const FORMAT: Format = Format::new(
+    "humanml3d",
+    (size_of::<[f32; HUMANML3D_WIDTH]>() * 20) as f64,
+    &HumanMl3d,
+);
 
-#[derive(Debug)]
 struct HumanMl3d;
 
 impl SourceFormat for HumanMl3d {
-    fn name(&self) -> &'static str {
-        "humanml3d"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        (size_of::<[f32; HUMANML3D_WIDTH]>() as f64) * FPS.get()
-    }
-
     fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
         (extension == "npy").then(|| recognise_array(head))
     }

@@ -1,6 +1,5 @@
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::PathBuf;
 
 use datasets_spec::Motion;
 use proptest::prelude::*;
@@ -12,7 +11,9 @@ use testkit::walk;
 use testkit::{npy, npy_f8};
 
 use super::*;
-use crate::source::release_tests::{clip_of, files_of};
+use crate::source::release_tests::{
+    assert_contains, assert_refused, clip_of, edited, files_of, planned, test_data, why_passed_over,
+};
 use clip::RotationSource;
 use clip::check::FLAG_POOR_FIT;
 use pickle::npy;
@@ -67,14 +68,8 @@ fn a_folder_is_found_wherever_it_lies_and_every_file_is_accounted_for() {
     let [release] = &releases[..] else {
         panic!("one folder, found {}", releases.len());
     };
-    let planned: Vec<(&str, Option<Split>, Option<&str>)> = release
-        .contents()
-        .entries
-        .iter()
-        .map(|entry| (entry.id.as_str(), entry.split, entry.mirrored_of.as_deref()))
-        .collect();
     assert_eq!(
-        planned,
+        planned(&**release),
         [
             ("000001", Some(Split::Test), None),
             ("000002", Some(Split::Test), None),
@@ -96,16 +91,8 @@ fn a_folder_is_found_wherever_it_lies_and_every_file_is_accounted_for() {
         .collect();
     named.sort_unstable();
     assert_eq!(named, files.all().collect::<Vec<_>>());
-    let reason = |file: &str| {
-        let found = release
-            .contents()
-            .passed_over
-            .iter()
-            .find(|(name, _)| name == file);
-        found.expect("passed over").1.as_str()
-    };
     assert_eq!(
-        reason("deep/hml/texts/000009.txt"),
+        why_passed_over(&**release, "deep/hml/texts/000009.txt"),
         "captions without a motion"
     );
 
@@ -155,7 +142,7 @@ fn what_is_wrong_is_rejected_by_code() {
     broken[263] = f64::NAN;
     let broken = code(&npy_f8(&[2, 263], &broken));
     assert_eq!(broken.0, "E-HML-FINITE");
-    assert!(broken.1.contains("frame 1"), "{}", broken.1);
+    assert_contains(&broken.1, "frame 1");
     let objects = "{'descr': '|O', 'fortran_order': False, 'shape': (2, 263), }";
     assert_eq!(code(&npy(objects, b".")).0, "E-PICKLE-REFUSED");
     let pointer = b"version https://git-lfs.github.com/spec/v1\n";
@@ -169,12 +156,7 @@ fn clips_published_without_frames_are_known() {
     let entry = &releases[0].contents().entries[0];
     let read = releases[0].read(&files, entry, &ReadOptions::default());
     let rejected = read.expect_err("no motion");
-    assert_eq!(rejected.code, "E-TOO-SHORT");
-    assert!(
-        rejected.reason.contains("published so"),
-        "{}",
-        rejected.reason
-    );
+    assert_refused(&rejected, "E-TOO-SHORT", "published so");
 }
 
 #[test]
@@ -214,11 +196,7 @@ proptest! {
     ) {
         let skeleton = Skeleton::smplx_neutral();
         let valid = npy_f8(&[2, 263], &values);
-        let mut mutated = valid.clone();
-        for (at, byte) in edits {
-            let at = at.index(mutated.len());
-            mutated[at] = byte;
-        }
+        let mutated = edited(&valid, edits);
         for candidate in [&bytes, &mutated, &valid] {
             let _ = recognise_array(candidate);
             let _ = parse_index(candidate);
@@ -231,10 +209,7 @@ proptest! {
 
 #[test]
 fn the_published_clip_and_its_neighbours_are_read() {
-    let Some(root) = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from) else {
-        skipped();
-        return;
-    };
+    let Some(root) = test_data("") else { return };
     let folder = root.join("humanml3d");
     let paths = [
         "new_joint_vecs/012314.npy",
@@ -268,12 +243,4 @@ fn the_published_clip_and_its_neighbours_are_read() {
     assert_eq!(recognise_array(&pickled), Recognised::Motion(FORMAT));
     let rejected = read_array(&pickled, &skeleton).expect_err("pickled");
     assert_eq!(rejected.code, "E-PICKLE-REFUSED");
-}
-
-#[expect(
-    clippy::print_stderr,
-    reason = "a test that checks nothing must say so"
-)]
-fn skipped() {
-    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder");
 }

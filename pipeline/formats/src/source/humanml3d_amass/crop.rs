@@ -109,7 +109,8 @@ pub(super) fn cut(
             parameters.num_frames()
         ));
     }
-    let motion = parameters.motion(&frames, humanml3d_turn(), fps, skeleton)?;
+    let grid: Vec<(usize, f64)> = frames.iter().map(|&frame| (frame, 0.0)).collect();
+    let motion = parameters.motion_at(&grid, humanml3d_turn(), fps, skeleton)?;
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     let last = frames.last().copied().unwrap_or(0);
     clip.source_frames = frames.first().copied().unwrap_or(0)..last + 1;

@@ -16,17 +16,12 @@ pub use plan::find;
 pub use plan::{is_humanact12, recordings};
 
 /// HumanML3D's clips, cut from AMASS by its `index.csv`.
-pub const FORMAT: Format = Format::new(&HumanMl3dAmass);
+pub const FORMAT: Format = Format::new(
+    "humanml3d-amass",
+    super::humanml3d::FORMAT.bytes_per_second(),
+    &HumanMl3dAmass,
+);
 
-#[derive(Debug)]
 struct HumanMl3dAmass;
 
-impl SourceFormat for HumanMl3dAmass {
-    fn name(&self) -> &'static str {
-        "humanml3d-amass"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        super::humanml3d::FORMAT.bytes_per_second()
-    }
-}
+impl SourceFormat for HumanMl3dAmass {}

@@ -17,7 +17,7 @@ use crate::source::files::Files;
 use crate::source::format::Release;
 use crate::source::humanml3d::IndexRow;
 use crate::source::options::ReadOptions;
-use crate::source::release_tests::{entry_of, files_under};
+use crate::source::release_tests::{assert_says, entry_of, files_under, planned, why_passed_over};
 use clip::check::FLAG_FPS_DOUBTFUL;
 use clip::{Rejected, RotationSource, SourceClip};
 
@@ -103,14 +103,8 @@ fn rows_become_clips_and_their_mirror_images_under_any_release_of_the_files() {
         ]),
     ]);
     let release = tree.release();
-    let planned: Vec<(&str, Option<Split>, Option<&str>)> = release
-        .contents()
-        .entries
-        .iter()
-        .map(|entry| (entry.id.as_str(), entry.split, entry.mirrored_of.as_deref()))
-        .collect();
     assert_eq!(
-        planned,
+        planned(&*release),
         [
             ("000000", Some(Split::Test), None),
             ("M000000", Some(Split::Test), Some("000000")),
@@ -118,14 +112,7 @@ fn rows_become_clips_and_their_mirror_images_under_any_release_of_the_files() {
             ("M000001", None, Some("000001")),
         ]
     );
-    let why = |item: &str| {
-        let found = release
-            .contents()
-            .passed_over
-            .iter()
-            .find(|(name, _)| name == item);
-        found.map_or("", |(_, reason)| reason.as_str())
-    };
+    let why = |item: &str| why_passed_over(&*release, item);
     assert!(why("index.csv#000002").contains("HumanAct12"));
     assert!(why("index.csv#000003").contains("not among the sources"));
     assert!(why("KIT/3/unused_poses.npz").contains("takes nothing"));
@@ -219,7 +206,7 @@ fn the_world_is_turned_as_published() {
     ]);
     let stand = clip(&tree, tree.release().as_ref(), "000000");
     assert_eq!(stand.motion.len(), 20, "59.99 fps is taken every 2nd frame");
-    assert!(stand.notes.iter().any(|note| note.contains("29.995")));
+    assert_says(&stand, "29.995");
     let skeleton = Skeleton::smplx_neutral();
     let [first, second] = [0, 1].map(|frame| stand.motion.pose(frame));
     assert!((first.rotations[0] * DVec3::Y - DVec3::Y).length() < 1e-6);

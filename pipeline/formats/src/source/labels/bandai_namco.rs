@@ -3,6 +3,8 @@
 use datasets_spec::table::Caption;
 use serde::Deserialize;
 
+use crate::sidecar::caption;
+
 /// The labels of a Bandai-Namco clip.
 ///
 /// # Source
@@ -71,10 +73,7 @@ impl BandaiNamcoLabel {
         } else {
             "a"
         };
-        Caption {
-            text: format!("a person {verb}{rest} in {article} {style} style"),
-            ..Caption::default()
-        }
+        caption(format!("a person {verb}{rest} in {article} {style} style"))
     }
 }
 

@@ -2,6 +2,8 @@
 
 use datasets_spec::table::Caption;
 
+use crate::sidecar::caption;
+
 /// Longest line in bytes that is taken for a caption.
 const MAX_LINE_BYTES: usize = 1000;
 /// Most captions of one file; a longer file is no list of captions.
@@ -28,22 +30,19 @@ pub fn parse_captions(text: &str) -> (Vec<Caption>, usize) {
 fn parse_line(line: &str) -> Option<Caption> {
     // The caption itself may contain a hash sign; the last three fields may not.
     let mut fields = line.rsplitn(4, '#');
-    let (Some(to), Some(from), Some(tokens), Some(caption)) =
+    let (Some(to), Some(from), Some(tokens), Some(text)) =
         (fields.next(), fields.next(), fields.next(), fields.next())
     else {
         let is_foreign = |c: char| c.is_control() || c == char::REPLACEMENT_CHARACTER;
         let is_text = line.len() <= MAX_LINE_BYTES
             && line.chars().any(char::is_alphabetic)
             && !line.chars().any(is_foreign);
-        return is_text.then(|| Caption {
-            text: line.to_owned(),
-            ..Caption::default()
-        });
+        return is_text.then(|| caption(line));
     };
     let (from_s, to_s) = (from.trim().parse::<f32>(), to.trim().parse::<f32>());
     let finite = |seconds: f32| if seconds.is_finite() { seconds } else { 0.0 };
     Some(Caption {
-        text: caption.trim().to_owned(),
+        text: text.trim().to_owned(),
         tokens: tokens.trim().to_owned(),
         from_s: finite(from_s.ok()?),
         to_s: finite(to_s.ok()?),

@@ -3,6 +3,7 @@
 use csv::StringRecord;
 use datasets_spec::table::Caption;
 
+use super::folder::Content;
 use crate::csv_lines;
 use crate::sidecar::{LabelCaption, Sidecar};
 
@@ -10,15 +11,6 @@ use crate::sidecar::{LabelCaption, Sidecar};
 const COLUMNS: [&str; 10] = [
     "clip", "text", "from_s", "to_s", "tokens", "subject", "action", "style", "split", "license",
 ];
-
-/// The content of a file.
-#[derive(Default)]
-pub(super) struct Content {
-    /// Line, name or pattern, and labels of each line.
-    pub(super) clips: Vec<(u64, String, Sidecar)>,
-    /// What cannot be used.
-    pub(super) problems: Vec<String>,
-}
 
 /// Parses a file in UTF-8 with a header line. A line that cannot be used is a problem, and the rest is
 /// used.
@@ -57,7 +49,7 @@ pub(super) fn parse(bytes: &[u8]) -> Content {
             Ok((name, mut labels)) => {
                 let problems = &mut content.problems;
                 labels.clean(|reason| problems.push(format!("line {line}: {reason}")));
-                content.clips.push((line, name, labels));
+                content.clips.push((Some(line), name, labels));
             }
             Err(reason) => content.problems.push(format!("line {line}: {reason}")),
         }
@@ -125,12 +117,12 @@ mod tests {
              hop,a,b,c,d,e,f\n"
                 .as_bytes(),
         );
-        let used: Vec<(u64, &str)> = content
+        let used: Vec<(Option<u64>, &str)> = content
             .clips
             .iter()
             .map(|(line, name, _)| (*line, name.as_str()))
             .collect();
-        assert_eq!(used, [(2, "walk"), (4, "walk")]);
+        assert_eq!(used, [(Some(2), "walk"), (Some(4), "walk")]);
         assert_eq!(
             content.clips[1].2.captions[0].caption.text,
             "a person turns, slowly"

@@ -56,6 +56,17 @@ pub struct FolderLabels {
     problems: Vec<LabelProblem>,
 }
 
+/// The content of a file of labels.
+#[derive(Default)]
+pub(super) struct Content {
+    /// What is said of all clips of the folder.
+    pub(super) all: Sidecar,
+    /// Line, if there is one, name or pattern, and labels of some clips.
+    pub(super) clips: Vec<(Option<u64>, String, Sidecar)>,
+    /// What cannot be used.
+    pub(super) problems: Vec<String>,
+}
+
 /// What the files of one folder say.
 #[derive(Debug, Default)]
 struct Folder {
@@ -163,35 +174,16 @@ impl FolderLabels {
         };
         let found = self.folders.entry(folder.to_owned()).or_default();
         let name = name.to_string_lossy().to_lowercase();
-        let mut problems = Vec::new();
-        match name.as_str() {
+        let content = match name.as_str() {
             TOML => {
                 let content = toml_file::parse(&String::from_utf8_lossy(&bytes));
-                found.all = content.all;
-                problems = content.problems;
-                let clips = content.clips.into_iter();
-                found.clips.extend(clips.map(|(name, labels)| Clips {
-                    name,
-                    labels,
-                    file: relative.to_owned(),
-                    line: None,
-                }));
-                let of_folder = problems
-                    .iter()
-                    .filter(|reason| !reason.starts_with("clips"));
+                found.all = content.all.clone();
+                let problems = content.problems.iter();
+                let of_folder = problems.filter(|reason| !reason.starts_with("clips"));
                 found.unread.extend(of_folder.cloned().map(&problem));
+                content
             }
-            CSV => {
-                let content = csv_file::parse(&bytes);
-                problems = content.problems;
-                let clips = content.clips.into_iter();
-                found.clips.extend(clips.map(|(line, name, labels)| Clips {
-                    name,
-                    labels,
-                    file: relative.to_owned(),
-                    line: Some(line),
-                }));
-            }
+            CSV => csv_file::parse(&bytes),
             name => {
                 let tags = license_text::stated_in(name, &String::from_utf8_lossy(&bytes));
                 if !tags.is_empty() {
@@ -200,9 +192,18 @@ impl FolderLabels {
                     found.license.unknown.push(relative.to_owned());
                 }
                 found.license.tags.extend(tags);
+                Content::default()
             }
-        }
-        self.problems.extend(problems.into_iter().map(problem));
+        };
+        let clips = content.clips.into_iter();
+        found.clips.extend(clips.map(|(line, name, labels)| Clips {
+            name,
+            labels,
+            file: relative.to_owned(),
+            line,
+        }));
+        self.problems
+            .extend(content.problems.into_iter().map(problem));
     }
 
     /// What the folders of a motion say of it.

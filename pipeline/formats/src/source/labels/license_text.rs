@@ -101,24 +101,25 @@ fn recognised(words: &str) -> BTreeSet<String> {
     if tags.is_empty() && (has("cc0") || has("creative commons zero") || has("publicdomain zero")) {
         tags.insert("CC0-1.0".to_owned());
     }
-    if has("mit license")
-        || has("permission is hereby granted free of charge to any person obtaining")
-    {
-        tags.insert("MIT".to_owned());
-    }
-    if has("apache license version 2 0") || has("apache license 2 0") || has("apache 2 0") {
-        tags.insert("Apache-2.0".to_owned());
-    }
+    let by_phrase = [
+        ("MIT", "mit license"),
+        (
+            "MIT",
+            "permission is hereby granted free of charge to any person obtaining",
+        ),
+        ("Apache-2.0", "apache license version 2 0"),
+        ("Apache-2.0", "apache license 2 0"),
+        ("Apache-2.0", "apache 2 0"),
+    ];
+    let found = by_phrase.into_iter().filter(|(_, phrase)| has(phrase));
+    tags.extend(found.map(|(tag, _)| tag.to_owned()));
     if has("redistribution and use in source and binary forms") {
-        let three = has("endorse or promote products derived");
-        tags.insert(
-            if three {
-                "BSD-3-Clause"
-            } else {
-                "BSD-2-Clause"
-            }
-            .to_owned(),
-        );
+        let clauses = if has("endorse or promote products derived") {
+            3
+        } else {
+            2
+        };
+        tags.insert(format!("BSD-{clauses}-Clause"));
     }
     if has("non commercial scientific research") || has("noncommercial scientific research") {
         let tag = match (has("amass"), has("smpl") || has("smpl x") || has("smpl h")) {

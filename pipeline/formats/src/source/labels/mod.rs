@@ -55,7 +55,8 @@ pub fn attach(
                 "{num_other} lines of {captions_name} are no captions and were passed over"
             ));
         }
-        take_captions(&mut clip, captions.into_iter().map(Into::into));
+        let captions = captions.into_iter().map(Into::into).collect();
+        take_captions(&mut clip, captions);
     }
     state(&mut clip, sidecar, around);
     clip
@@ -70,47 +71,30 @@ pub fn attach_around(mut clip: SourceClip, around: &ClipLabels) -> SourceClip {
 fn state(clip: &mut SourceClip, sidecar: Sidecar, around: &ClipLabels) {
     let ClipLabels {
         of_clip,
-        of_folder,
+        mut of_folder,
         problems,
         ..
     } = around.clone();
-    take_captions(clip, sidecar.captions.into_iter().chain(of_clip.captions));
+    let mut near = sidecar;
+    near.add(&of_clip);
+    take_captions(clip, std::mem::take(&mut near.captions));
     if clip.captions.is_empty() {
-        take_captions(clip, of_folder.captions.into_iter());
+        take_captions(clip, std::mem::take(&mut of_folder.captions));
     }
-    clip.part_captions.extend(sidecar.parts);
-    clip.part_captions.extend(of_clip.parts);
+    clip.part_captions.append(&mut near.parts);
     if clip.part_captions.is_empty() {
-        clip.part_captions = of_folder.parts;
+        clip.part_captions.append(&mut of_folder.parts);
     }
-    type Label = Option<String>;
-    let nearest = |sidecar: Label, of_clip: Label, own: &mut Label, of_folder: Label| {
-        *own = sidecar.or(of_clip).or(own.take()).or(of_folder);
-    };
-    nearest(
-        sidecar.subject,
-        of_clip.subject,
+    let own = [
         &mut clip.subject,
-        of_folder.subject,
-    );
-    nearest(
-        sidecar.action,
-        of_clip.action,
         &mut clip.action,
-        of_folder.action,
-    );
-    nearest(
-        sidecar.style,
-        of_clip.style,
         &mut clip.style,
-        of_folder.style,
-    );
-    nearest(
-        sidecar.license,
-        of_clip.license,
         &mut clip.license,
-        of_folder.license,
-    );
+    ];
+    let others = near.names().into_iter().zip(of_folder.names());
+    for (own, (near, farther)) in own.into_iter().zip(others) {
+        *own = near.take().or(own.take()).or(farther.take());
+    }
     clip.label_problems.extend(problems);
     let problems = clip.label_problems.iter();
     let notes = problems.map(|problem| format!("a label was not used: {problem}"));
@@ -119,7 +103,7 @@ fn state(clip: &mut SourceClip, sidecar: Sidecar, around: &ClipLabels) {
 
 /// Adds captions that are not there yet. A caption that a rule makes from the file's name was not
 /// stated, wherever it was written since.
-fn take_captions(clip: &mut SourceClip, captions: impl Iterator<Item = LabelCaption>) {
+fn take_captions(clip: &mut SourceClip, captions: Vec<LabelCaption>) {
     for said in captions {
         let is_new =
             !clip.captions.contains(&said.caption) && !clip.made_captions.contains(&said.caption);
@@ -169,26 +153,22 @@ fn sidecar(path: &Path, companions: &Companions<'_>) -> (Sidecar, Vec<LabelProbl
         return Default::default();
     };
     let file = path.with_file_name(&name).to_string_lossy().into_owned();
-    let mut problems = Vec::new();
+    let mut reasons = Vec::new();
     let sidecar = match serde_json::from_slice::<Sidecar>(&bytes) {
         Ok(mut sidecar) => {
-            sidecar.clean(|reason| {
-                problems.push(LabelProblem {
-                    file: file.clone(),
-                    reason,
-                });
-            });
+            sidecar.clean(|reason| reasons.push(reason));
             sidecar
         }
         Err(error) => {
-            problems.push(LabelProblem {
-                file,
-                reason: error.to_string(),
-            });
+            reasons.push(error.to_string());
             Sidecar::default()
         }
     };
-    (sidecar, problems)
+    let problem = |reason| LabelProblem {
+        file: file.clone(),
+        reason,
+    };
+    (sidecar, reasons.into_iter().map(problem).collect())
 }
 
 /// Names of the files that are looked for beside a motion file for its labels.
@@ -232,15 +212,20 @@ impl Sidecar {
                     false
                 }
             });
-        for label in [
+        for label in self.names() {
+            let trimmed = label.take().map(|text| text.trim().to_owned());
+            *label = trimmed.filter(|text| !text.is_empty());
+        }
+    }
+
+    /// Subject, action, style and licence.
+    fn names(&mut self) -> [&mut Option<String>; 4] {
+        [
             &mut self.subject,
             &mut self.action,
             &mut self.style,
             &mut self.license,
-        ] {
-            let trimmed = label.take().map(|text| text.trim().to_owned());
-            *label = trimmed.filter(|text| !text.is_empty());
-        }
+        ]
     }
 
     /// Takes from labels that are farther from the clip what is not stated yet.
@@ -251,15 +236,10 @@ impl Sidecar {
         if self.parts.is_empty() {
             self.parts.clone_from(&farther.parts);
         }
-        let fill = |own: &mut Option<String>, other: &Option<String>| {
-            if own.is_none() {
-                own.clone_from(other);
-            }
-        };
-        fill(&mut self.subject, &farther.subject);
-        fill(&mut self.action, &farther.action);
-        fill(&mut self.style, &farther.style);
-        fill(&mut self.license, &farther.license);
+        let mut farther = farther.clone();
+        for (own, farther) in self.names().into_iter().zip(farther.names()) {
+            *own = own.take().or(farther.take());
+        }
         self.split = self.split.or(farther.split);
     }
 

@@ -3,18 +3,8 @@
 use serde::Deserialize;
 use toml::{Table, Value};
 
+use super::folder::Content;
 use crate::sidecar::Sidecar;
-
-/// The content of a file.
-#[derive(Default)]
-pub(super) struct Content {
-    /// What is said of all clips of the folder.
-    pub(super) all: Sidecar,
-    /// What is said of the clips of a name or pattern.
-    pub(super) clips: Vec<(String, Sidecar)>,
-    /// What cannot be used.
-    pub(super) problems: Vec<String>,
-}
 
 /// Parses a file: the fields of a sidecar, and in table `clips` those of single clips by name or pattern.
 /// What does not parse is a problem, and the rest is used.
@@ -37,7 +27,7 @@ pub(super) fn parse(text: &str) -> Content {
         Some(Value::Table(clips)) => {
             for (name, labels) in clips {
                 match Sidecar::deserialize(labels) {
-                    Ok(labels) => content.clips.push((name, labels)),
+                    Ok(labels) => content.clips.push((None, name, labels)),
                     Err(error) => {
                         let problem = format!("clips.{name:?}: {}", one_line(&error));
                         content.problems.push(problem);
@@ -55,7 +45,7 @@ pub(super) fn parse(text: &str) -> Content {
         problems,
     } = &mut content;
     all.clean(|reason| problems.push(reason));
-    for (name, labels) in clips {
+    for (_, name, labels) in clips {
         labels.clean(|reason| problems.push(format!("clips.{name:?}: {reason}")));
     }
     content
@@ -81,7 +71,7 @@ mod tests {
         );
         assert!(content.problems.is_empty(), "{:?}", content.problems);
         assert_eq!(content.all.license.as_deref(), Some("CC0-1.0"));
-        let (name, labels) = &content.clips[0];
+        let (_, name, labels) = &content.clips[0];
         assert_eq!(name, "walk_*");
         assert_eq!(labels.split, Some(datasets_spec::Split::Test));
         let spans: Vec<(&str, f32, f32)> = labels
@@ -113,7 +103,7 @@ mod tests {
         ] {
             assert!(problems.contains(part), "{part}: {problems}");
         }
-        assert_eq!(content.clips[1].1.captions.len(), 1);
+        assert_eq!(content.clips[1].2.captions.len(), 1);
         let content = parse("captions = [");
         assert_eq!(content.problems.len(), 1);
         assert!(

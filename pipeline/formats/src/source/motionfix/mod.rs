@@ -13,6 +13,7 @@ use serde_json::Value as Json;
 
 use super::files::{Files, LFS_POINTER, refuse_pointer};
 use super::format::{Contents, Entry, Format, Release, SourceFormat};
+use super::names::file_name;
 use super::options::ReadOptions;
 use super::smpl::{Parameters, column, y_up_from_z_up};
 use clip::{EditOf, ReadClip, Rejected, RotationSource, SourceClip, rejected};
@@ -146,22 +147,18 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
 /// Splits by key.
 type Lists = BTreeMap<String, Split>;
 
-fn name_of(file: &str) -> &str {
-    file.rsplit('/').next().unwrap_or(file)
-}
-
 fn folder_of(file: &str) -> &str {
-    file.strip_suffix(name_of(file)).unwrap_or_default()
+    file.strip_suffix(file_name(file)).unwrap_or_default()
 }
 
 /// Whether a file is a dump of the release, by its name.
 pub fn is_dump(file: &str) -> bool {
-    let name = name_of(file).to_lowercase();
+    let name = file_name(file).to_lowercase();
     name.starts_with("motionfix") && name.ends_with(".pth.tar")
 }
 
 fn is_label(file: &str, dumps: &[&str]) -> bool {
-    let name = name_of(file);
+    let name = file_name(file);
     if name == SPLITS {
         return dumps.iter().any(|dump| folder_of(dump) == folder_of(file));
     }
@@ -171,7 +168,7 @@ fn is_label(file: &str, dumps: &[&str]) -> bool {
 
 /// The single split of a dump by its name: `motionfix_val.pth.tar`.
 fn split_of_dump(file: &str) -> Option<Split> {
-    let name = name_of(file).to_lowercase();
+    let name = file_name(file).to_lowercase();
     let stem = name.strip_suffix(".pth.tar")?;
     stem.rsplit_once('_')?.1.parse().ok()
 }
@@ -183,7 +180,7 @@ fn padded(id: &str) -> String {
 impl MotionFixRelease {
     /// Reads the label files that describe motions, and skips the others.
     fn take_label(&mut self, files: &Files, file: &str, splits: &mut Lists) {
-        let name = name_of(file);
+        let name = file_name(file);
         let has_parts = name.starts_with(PART_LABELS);
         if name != SPLITS && !has_parts {
             let reason = "MotionFix label file that belongs to no motion";
@@ -239,7 +236,7 @@ impl MotionFixRelease {
                 Some(known) if known.is_equal(&pair) => continue,
                 Some(_) => {
                     differing += 1;
-                    let stem = name_of(file).split('.').next().unwrap_or_default();
+                    let stem = file_name(file).split('.').next().unwrap_or_default();
                     let own = format!("{stem}/{id}");
                     let numbered = (2..).map(|number| format!("{stem}-{number}/{id}"));
                     let mut keys = std::iter::once(own).chain(numbered);
@@ -454,21 +451,16 @@ fn parse_parts(answer: &str) -> Vec<BodyPart> {
 }
 
 /// A folder of the MotionFix release.
-pub const FORMAT: Format = Format::new(&MotionFix);
+// Source and target in f4 at 30 fps: translation, rotations and joint positions.
+pub const FORMAT: Format = Format::new(
+    "motionfix",
+    (2 * 4 * 3 * (1 + 2 * NUM_BODY_JOINTS) * 30) as f64,
+    &MotionFix,
+);
 
-#[derive(Debug)]
 struct MotionFix;
 
 impl SourceFormat for MotionFix {
-    fn name(&self) -> &'static str {
-        "motionfix"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // Source and target in f4 at 30 fps: translation, rotations and joint positions.
-        2.0 * 4.0 * (3 * (1 + 2 * NUM_BODY_JOINTS)) as f64 * 30.0
-    }
-
     fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
         find(files)
     }

@@ -1,13 +1,14 @@
 use std::io::Write;
 use std::path::Path;
-use std::sync::Arc;
 
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 
 use super::*;
-use crate::source::release_tests::{clip_of, files_under};
-use pickle::{Array, encode};
+use crate::source::release_tests::{
+    assert_says, clip_of, codes, files_under, only, says, test_data,
+};
+use pickle::encode;
 use testkit::put;
 
 /// A motion of the release: standing, z up, turned by 45 degrees about the vertical and moving
@@ -29,25 +30,19 @@ fn motion(frames: usize, split_rotations: bool) -> Value {
         false => vec![frames, 66],
     };
     let trans = (0..frames).flat_map(|frame| [0.01 * frame as f32, 0.0, 0.0]);
-    let array = |array: Array| Value::Array(Arc::new(array));
-    Value::Dict(vec![
-        (Value::text("rots"), array(Array::from_f32(&shape, rots))),
-        (
-            Value::text("trans"),
-            array(Array::from_f32(&[frames, 3], trans)),
-        ),
-        (
-            Value::text("joint_positions"),
-            array(Array::from_f32(&[frames, 22, 3], vec![1.0; 66 * frames])),
-        ),
+    let joints = Value::floats(&[frames, 22, 3], vec![1.0; 66 * frames]);
+    Value::dict([
+        ("rots", Value::floats(&shape, rots)),
+        ("trans", Value::floats(&[frames, 3], trans)),
+        ("joint_positions", joints),
     ])
 }
 
 fn pair(source_frames: usize, text: &str) -> Value {
-    Value::Dict(vec![
-        (Value::text("motion_source"), motion(source_frames, false)),
-        (Value::text("motion_target"), motion(20, true)),
-        (Value::text("text"), Value::text(text)),
+    Value::dict([
+        ("motion_source", motion(source_frames, false)),
+        ("motion_target", motion(20, true)),
+        ("text", Value::text(text)),
     ])
 }
 
@@ -66,9 +61,7 @@ fn zlib(bytes: &[u8]) -> Vec<u8> {
 }
 
 fn only_release(files: &Files) -> Box<dyn Release> {
-    let mut releases = find(files);
-    assert_eq!(releases.len(), 1);
-    releases.pop().expect("one")
+    only(find(files))
 }
 
 #[test]
@@ -103,47 +96,24 @@ fn dumps_and_lists_become_pairs() {
         put(dir.path(), "deps/gpt/edit/gpt-labels_full.json", labels);
         let files = files_under(dir.path());
         let release = only_release(&files);
-        let planned: Vec<(&str, &str, Option<Split>)> = release
+        let planned: Vec<(String, String, Option<Split>)> = release
             .contents()
             .entries
             .iter()
-            .map(|entry| (entry.id.as_str(), entry.key.as_str(), entry.split))
+            .map(|entry| (entry.id.clone(), entry.key.clone(), entry.split))
             .collect();
-        assert_eq!(
-            planned,
-            [
-                (
-                    "motionfix/000002-source",
-                    "000002/source",
-                    Some(Split::Test)
-                ),
-                (
-                    "motionfix/000002-target",
-                    "000002/target",
-                    Some(Split::Test)
-                ),
-                (
-                    "motionfix/000136-source",
-                    "000136/source",
-                    Some(Split::Train)
-                ),
-                (
-                    "motionfix/000136-target",
-                    "000136/target",
-                    Some(Split::Train)
-                ),
-                (
-                    "motionfix/000007-source",
-                    "000007/source",
-                    Some(Split::Test)
-                ),
-                (
-                    "motionfix/000007-target",
-                    "000007/target",
-                    Some(Split::Test)
-                ),
-            ]
-        );
+        let expected = [
+            ("000002", Split::Test),
+            ("000136", Split::Train),
+            ("000007", Split::Test),
+        ];
+        let expected = expected.into_iter().flat_map(|(pair, split)| {
+            ["source", "target"].map(|side| {
+                let id = format!("motionfix/{pair}-{side}");
+                (id, format!("{pair}/{side}"), Some(split))
+            })
+        });
+        assert_eq!(planned, expected.collect::<Vec<_>>());
         let passed: Vec<&str> = release
             .contents()
             .passed_over
@@ -163,10 +133,10 @@ fn dumps_and_lists_become_pairs() {
             "000007 has the split of its dump"
         );
         let unlisted = clip_of(&*release, &files, "motionfix/000007-target");
-        assert!(unlisted.notes.iter().any(|note| note.contains("its dump")));
+        assert_says(&unlisted, "its dump");
 
         let source = clip_of(&*release, &files, "motionfix/000136-source");
-        assert!(!source.notes.iter().any(|note| note.contains("splits.json")));
+        assert!(!says(&source, "splits.json"), "{:?}", source.notes);
         assert_eq!((source.motion.len(), source.motion.fps().get()), (25, 30.0));
         assert_eq!(source.edits, []);
         let target = clip_of(&*release, &files, "motionfix/000136-target");
@@ -224,38 +194,28 @@ fn motions_stand_upright_on_the_floor_of_the_store() {
 #[test]
 fn broken_pairs_and_dumps_are_on_record() {
     let dir = tempfile::tempdir().expect("temporary folder");
+    let put = |file: &str, content: &[u8]| put(dir.path(), file, content);
     let mut broken = pair(10, "");
     if let Value::Dict(entries) = &mut broken {
         entries.remove(0);
     }
     put_dump(dir.path(), "motionfix.pth.tar", &[("000001", broken)], true);
+    put("motionfix_a.pth.tar", b"cos\nsystem\n(S'true'\ntR.");
     put(
-        dir.path(),
-        "motionfix_a.pth.tar",
-        "cos\nsystem\n(S'true'\ntR.",
-    );
-    put(
-        dir.path(),
         "motionfix_b.pth.tar",
-        "version https://git-lfs.github.com/spec/v1\noid\n",
+        b"version https://git-lfs.github.com/spec/v1\noid\n",
     );
-    put(dir.path(), "motionfix_c.pth.tar", b"\x80\x04].");
-    put(dir.path(), "splits.json", "[");
+    put("motionfix_c.pth.tar", b"\x80\x04].");
+    put("splits.json", b"[");
     let files = files_under(dir.path());
     let release = only_release(&files);
-    let codes: Vec<&str> = release
-        .contents()
-        .rejected
-        .iter()
-        .map(|(_, r)| r.code)
-        .collect();
     let expected = [
         "E-MOTIONFIX-JSON",
         "E-PICKLE-REFUSED",
         "E-LFS-POINTER",
         "E-MOTIONFIX-KEYS",
     ];
-    assert_eq!(codes, expected);
+    assert_eq!(codes(&*release), expected);
     let read = release.read(
         &files,
         &release.contents().entries[0],
@@ -289,11 +249,7 @@ fn answers_name_parts() {
 
 #[test]
 fn the_real_label_files_are_passed_over_without_a_dump() {
-    let folder = std::env::var_os("STANCE_TEST_DATA")
-        .map(|root| Path::new(&root).join("motionfix_labels"))
-        .filter(|folder| folder.is_dir());
-    let Some(folder) = folder else {
-        skipped();
+    let Some(folder) = test_data("motionfix_labels") else {
         return;
     };
     let files = files_under(&folder);
@@ -307,12 +263,4 @@ fn the_real_label_files_are_passed_over_without_a_dump() {
         .filter(|answer| !parse_parts(answer).is_empty());
     // All but about twenty answers name a part.
     assert!(understood.count() + 30 > labels.len());
-}
-
-#[expect(
-    clippy::print_stderr,
-    reason = "a test that checks nothing must say so"
-)]
-fn skipped() {
-    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has motionfix_labels");
 }

@@ -7,6 +7,7 @@ use kinematics::rotation::from_axis_angle;
 use pickle::npy;
 
 use crate::source::files::refuse_pointer;
+use crate::source::humanml3d::check_length;
 use crate::source::smpl::Parameters;
 use clip::{Rejected, RotationSource, SourceClip, rejected};
 
@@ -38,12 +39,7 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
             array.shape
         ));
     };
-    if num_frames < 2 {
-        return Err(rejected!(
-            "E-TOO-SHORT",
-            "found {num_frames} frames, expected at least 2"
-        ));
-    }
+    check_length(num_frames)?;
     let used = |column: usize| {
         column < BODY_AT + BODY_POSE_WIDTH || (TRANSLATION_AT..TRANSLATION_AT + 3).contains(&column)
     };

@@ -22,21 +22,13 @@ use clip::Outcome;
 pub use array::read_array;
 
 /// Motion-X: SMPL-X parameters of 322 columns.
-pub const FORMAT: Format = Format::new(&MotionX);
+// Columns in f4.
+pub const FORMAT: Format =
+    Format::new("motion-x", (4 * array::WIDTH) as f64 * array::FPS, &MotionX);
 
-#[derive(Debug)]
 struct MotionX;
 
 impl SourceFormat for MotionX {
-    fn name(&self) -> &'static str {
-        "motion-x"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // Columns in f4.
-        (4 * array::WIDTH) as f64 * array::FPS
-    }
-
     fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
         let shape = Header::peek_shape("array", head).ok();
         let is_motion = extension == "npy" && matches!(shape.as_deref(), Some([_, array::WIDTH]));

@@ -8,7 +8,8 @@ use super::array::read_array;
 use crate::source::escaped;
 use crate::source::files::Files;
 use crate::source::format::{Contents, Entry, Release};
-use crate::source::humanml3d::{LISTS, parse_list, read_captions};
+use crate::source::humanml3d::{LISTS, above, add_captions, parse_list};
+use crate::source::names::around_folder;
 use crate::source::options::ReadOptions;
 use clip::ReadClip;
 
@@ -32,15 +33,7 @@ pub(super) struct MotionXFolder {
 /// A file below one of some folders: what lies before and after the folder's name, without extension.
 fn below<'a>(file: &'a str, folders: &[&str], extension: &str) -> Option<(&'a str, &'a str)> {
     let stem = file.strip_suffix(extension)?.strip_suffix('.')?;
-    let mut start = 0;
-    for component in stem.split('/') {
-        let end = start + component.len();
-        if folders.contains(&component) {
-            return Some((&file[..start], stem.get(end + 1..)?));
-        }
-        start = end + 1;
-    }
-    None
+    around_folder(stem, folders).map(|(root, _, name)| (root, name))
 }
 
 impl MotionXFolder {
@@ -157,10 +150,7 @@ impl MotionXFolder {
         let mut lists = Vec::new();
         let mut splits: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
         for (name, split) in LISTS {
-            let ends = root.match_indices('/').map(|(at, _)| at + 1).chain([0]);
-            let mut places: Vec<usize> = ends.collect();
-            places.sort_unstable_by(|a, b| b.cmp(a));
-            let mut candidates = places.iter().map(|end| format!("{}{name}", &root[..*end]));
+            let mut candidates = above(root).map(|folder| format!("{folder}{name}"));
             let Some(file) = candidates.find(|file| files.contains(file)) else {
                 continue;
             };
@@ -211,11 +201,7 @@ impl Release for MotionXFolder {
     fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let mut clip = read_array(&files.read(&entry.file)?, &options.skeleton)?;
         clip.notes.extend(self.notes.get(&entry.file).cloned());
-        if let Some(text) = self.captions.get(&entry.file) {
-            let (captions, note) = read_captions(files, text)?;
-            clip.captions = captions;
-            clip.notes.extend(note);
-        }
+        add_captions(&mut clip, files, self.captions.get(&entry.file))?;
         Ok(clip)
     }
 }

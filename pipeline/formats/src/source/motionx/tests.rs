@@ -8,7 +8,7 @@ use testkit::{npy, npy_f8};
 
 use super::*;
 use crate::source::recognise;
-use crate::source::release_tests::files_of;
+use crate::source::release_tests::{assert_contains, assert_says, edited, files_of, planned};
 use clip::Rejected;
 
 /// Rows of numbers that tell which column they are in, but for the pose.
@@ -95,11 +95,7 @@ fn what_is_wrong_is_rejected_with_its_place() {
         (rejected.code, rejected.byte_offset),
         ("E-NOT-FINITE", Some(at as u64))
     );
-    assert!(
-        rejected.reason.contains("frame 1, column 5"),
-        "{}",
-        rejected.reason
-    );
+    assert_contains(&rejected.reason, "frame 1, column 5");
     // Faces are not used, whatever they hold.
     let mut face = good.clone();
     let at = start + 8 * 200;
@@ -135,7 +131,7 @@ fn a_body_on_its_head_is_noted() {
         row[..3].copy_from_slice(&[std::f64::consts::PI, 0.0, 0.0]);
     }
     let clip = read(&npy_f8(&[2, 322], &values)).expect("valid");
-    assert!(clip.notes.iter().any(|note| note.contains("upside down")));
+    assert_says(&clip, "upside down");
 }
 
 #[test]
@@ -171,13 +167,8 @@ fn a_release_has_captions_splits_and_mirrored_copies() {
     let found = FORMAT.find(&files);
     assert_eq!(found.len(), 1);
     let contents = found[0].contents();
-    let entries: Vec<(&str, Option<Split>, Option<&str>)> = contents
-        .entries
-        .iter()
-        .map(|entry| (entry.id.as_str(), entry.split, entry.mirrored_of.as_deref()))
-        .collect();
     assert_eq!(
-        entries,
+        planned(&*found[0]),
         [
             ("humanml/000003", Some(Split::Test), None),
             ("humanml/M000003", Some(Split::Test), Some("humanml/000003")),
@@ -190,11 +181,7 @@ fn a_release_has_captions_splits_and_mirrored_copies() {
     let kick = read(0).expect("a clip");
     assert_eq!(kick.captions[0].text, "a man kicks");
     assert_eq!((kick.captions[0].from_s, kick.captions[0].to_s), (0.5, 1.0));
-    assert!(
-        kick.notes
-            .iter()
-            .any(|note| note.contains("several splits (train, test)"))
-    );
+    assert_says(&kick, "several splits (train, test)");
     assert!(read(1).expect("a clip").captions.is_empty());
     assert_eq!(read(2).expect("a clip").captions[0].text, "a person waves");
     assert_eq!(read(3).expect_err("cut off").code, "E-NPY-SHAPE");
@@ -236,11 +223,7 @@ proptest! {
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
         cut in any::<prop::sample::Index>(),
     ) {
-        let mut bytes = file(2);
-        for (at, byte) in edits {
-            let at = at.index(bytes.len());
-            bytes[at] = byte;
-        }
+        let mut bytes = edited(&file(2), edits);
         bytes.truncate(cut.index(bytes.len() + 1));
         let _clip = read(&bytes);
     }

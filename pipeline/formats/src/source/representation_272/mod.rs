@@ -20,13 +20,15 @@ use std::io::Read;
 use std::path::Path;
 
 use datasets_spec::{Skeleton, Split};
-use features::released_fps;
 use features::representation_272::{Features, WIDTH, motion_of_features};
 use pickle::npy::{self, Header};
 
 use super::files::{Files, refuse_pointer};
 use super::format::{Contents, Entry, Format, Recognised, Release, SourceFormat, boxed};
-use super::humanml3d::{Splits, mirrored_of, parse_list, read_captions};
+use super::humanml3d::{
+    Splits, add_captions, check_length, in_single_precision, mirrored_of, parse_list,
+};
+use super::names::file_name;
 use super::options::ReadOptions;
 use clip::{Outcome, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
@@ -41,20 +43,15 @@ const STATISTICS: &str = "mean_std";
 const HEAD_BYTES: u64 = 256;
 
 /// The 272 features of MotionStreamer and MotionMillion.
-pub const FORMAT: Format = Format::new(&Representation272);
+pub const FORMAT: Format = Format::new(
+    "272",
+    (size_of::<Features>() * 30) as f64,
+    &Representation272,
+);
 
-#[derive(Debug)]
 struct Representation272;
 
 impl SourceFormat for Representation272 {
-    fn name(&self) -> &'static str {
-        "272"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        (size_of::<Features>() as f64) * released_fps().get()
-    }
-
     fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
         (extension == "npy" && has_width(head)).then_some(Recognised::Motion(FORMAT))
     }
@@ -131,9 +128,8 @@ impl Folder {
                     "captions without a motion"
                 }
             } else if let Some(list) = text_of(SPLITS) {
-                let name = list.rsplit('/').next().unwrap_or(list);
                 match files.read(file) {
-                    Ok(bytes) => lists.push((name.parse().ok(), parse_list(&bytes))),
+                    Ok(bytes) => lists.push((file_name(list).parse().ok(), parse_list(&bytes))),
                     Err(rejected) => {
                         folder.contents.reject(file, rejected);
                         continue;
@@ -163,11 +159,10 @@ impl Folder {
             }
             folder.contents.entries.push(Entry {
                 file: file.to_owned(),
-                key: String::new(),
                 id: id.to_owned(),
                 split,
-                group: None,
                 mirrored_of: mirrored_of(id).map(str::to_owned),
+                ..Entry::default()
             });
         }
         folder
@@ -189,11 +184,7 @@ impl Release for Folder {
     fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let mut clip = read_array(&files.read(&entry.file)?, &options.skeleton)?;
         clip.notes.extend(self.notes.get(&entry.id).cloned());
-        if let Some(text) = self.texts.get(&entry.id) {
-            let (captions, note) = read_captions(files, text)?;
-            clip.captions = captions;
-            clip.notes.extend(note);
-        }
+        add_captions(&mut clip, files, self.texts.get(&entry.id))?;
         Ok(clip)
     }
 }
@@ -216,12 +207,7 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
             array.shape
         ));
     };
-    if num_frames < 2 {
-        return Err(rejected!(
-            "E-TOO-SHORT",
-            "found {num_frames} frames, expected at least 2"
-        ));
-    }
+    check_length(num_frames)?;
     let broken = |value: &f64| !(*value as f32).is_finite();
     if let Some(at) = array.values.iter().position(broken) {
         return Err(rejected!(
@@ -232,11 +218,7 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
             at / WIDTH
         ));
     }
-    let (rows, _) = array.values.as_chunks::<WIDTH>();
-    let features: Vec<Features> = rows
-        .iter()
-        .map(|row| row.map(|value| value as f32))
-        .collect();
+    let features: Vec<Features> = in_single_precision(&array);
     let (motion, fit_error_m) = motion_of_features(&features, skeleton)
         .map_err(|error| Rejected::retarget("E-272-FIT", error.to_string()))?;
     let mut clip = SourceClip::new(motion, RotationSource::Native);

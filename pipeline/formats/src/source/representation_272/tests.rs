@@ -1,11 +1,12 @@
 use datasets_spec::Motion;
+use features::released_fps;
 use features::representation_272::features_of_motion;
 use proptest::prelude::*;
 use testkit::walk;
 use testkit::{npy, npy_f8};
 
 use super::*;
-use crate::source::release_tests::{clip_of, files_of};
+use crate::source::release_tests::{assert_says, clip_of, edited, files_of, planned};
 
 fn vector() -> Vec<u8> {
     let motion = Motion::from_poses(released_fps(), &walk(40)).expect("valid");
@@ -47,20 +48,11 @@ fn folders_of_both_layouts_are_found_and_every_file_is_accounted_for() {
     let [hml, mm] = &releases[..] else {
         panic!("two folders, found {}", releases.len());
     };
-    let planned = |release: &dyn Release| -> Vec<(String, Option<Split>, Option<String>)> {
-        let entries = release.contents().entries.iter();
-        entries
-            .map(|entry| (entry.id.clone(), entry.split, entry.mirrored_of.clone()))
-            .collect()
-    };
     // A clip and its mirror image share a split, and test wins.
-    let (test, original) = (Some(Split::Test), Some("000001".to_owned()));
-    let expected = [
-        ("000001".to_owned(), test, None),
-        ("M000001".to_owned(), test, original),
-    ];
+    let test = Some(Split::Test);
+    let expected = [("000001", test, None), ("M000001", test, Some("000001"))];
     assert_eq!(planned(hml.as_ref()), expected);
-    let expected = [("set/part_1/a b".to_owned(), Some(Split::Val), None)];
+    let expected = [("set/part_1/a b", Some(Split::Val), None)];
     assert_eq!(planned(mm.as_ref()), expected);
     let mut named: Vec<&str> = Vec::new();
     for contents in [hml.contents(), mm.contents()] {
@@ -76,7 +68,7 @@ fn folders_of_both_layouts_are_found_and_every_file_is_accounted_for() {
     assert_eq!(clip.rotation_source, RotationSource::Native);
     assert!(clip.fit_error_m.expect("measured") < 1e-5);
     assert_eq!(clip.captions[1].tokens, "he/PRON");
-    assert!(clip.notes.iter().any(|note| note.contains("train, test")));
+    assert_says(&clip, "train, test");
     let clip = clip_of(mm.as_ref(), &files, "set/part_1/a b");
     let texts: Vec<&str> = clip
         .captions
@@ -135,11 +127,7 @@ proptest! {
     ) {
         let skeleton = Skeleton::smplx_neutral();
         let valid = npy_f8(&[2, WIDTH], &values);
-        let mut mutated = valid.clone();
-        for (at, byte) in edits {
-            let at = at.index(mutated.len());
-            mutated[at] = byte;
-        }
+        let mutated = edited(&valid, edits);
         for candidate in [&bytes, &mutated, &valid] {
             let _ = has_width(candidate);
             if let Ok(clip) = read_array(candidate, &skeleton) {

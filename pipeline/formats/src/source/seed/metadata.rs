@@ -9,6 +9,7 @@ use csv::StringRecord;
 
 use crate::csv_lines;
 use crate::foreign_table::{self, ForeignTable, text};
+use crate::source::names::file_name;
 use clip::{Rejected, rejected};
 
 /// Columns that may name a motion, in which its file is called; the first that exists is used.
@@ -172,8 +173,7 @@ fn name_column(names: &[&str]) -> Result<&'static str, Rejected> {
 
 /// A name of a motion without the extension that some tables give it.
 pub(super) fn stem(name: &str) -> &str {
-    let name = name.trim();
-    let name = name.rsplit('/').next().unwrap_or(name);
+    let name = file_name(name.trim());
     [".bvh", ".csv"]
         .iter()
         .find_map(|extension| name.strip_suffix(extension))

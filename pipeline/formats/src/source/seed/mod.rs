@@ -21,21 +21,12 @@ use super::format::{Format, Release, SourceFormat, boxed};
 pub use timeline::Timelines;
 
 /// BONES-SEED.
-pub const FORMAT: Format = Format::new(&Seed);
+// 240 numbers of nine characters at 120 fps.
+pub const FORMAT: Format = Format::new("bones-seed", 260_000.0, &Seed);
 
-#[derive(Debug)]
 struct Seed;
 
 impl SourceFormat for Seed {
-    fn name(&self) -> &'static str {
-        "bones-seed"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // 240 numbers of nine characters at 120 fps.
-        260_000.0
-    }
-
     fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
         boxed(release::SeedFolder::find(files))
     }

@@ -2,12 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use datasets_spec::table::Caption;
-
 use super::metadata::{self, Described, stem};
 use super::timeline::{Timeline, Timelines};
+use crate::sidecar::caption;
 use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release};
+use crate::source::names::file_name;
 use crate::source::options::ReadOptions;
 use crate::source::{bvh, escaped};
 use clip::{LabelProblem, ReadClip, Rejected};
@@ -42,16 +42,12 @@ struct Tables<'a> {
     temporal: Vec<&'a str>,
 }
 
-fn name_of(file: &str) -> &str {
-    file.rsplit('/').next().unwrap_or(file)
-}
-
 impl SeedFolder {
     /// The folders of the dataset among the files: those with metadata in it, or in a folder `metadata`.
     pub(super) fn find(files: &Files) -> Vec<Self> {
         let mut roots: BTreeMap<&str, Tables<'_>> = BTreeMap::new();
         for file in files.all() {
-            let name = name_of(file);
+            let name = file_name(file);
             if !name.starts_with(METADATA) {
                 continue;
             }
@@ -77,7 +73,7 @@ impl SeedFolder {
             .under(root)
             .filter(|file| file.ends_with(".bvh") && !below(root, file).starts_with(SHAPES))
             .collect();
-        let names: BTreeSet<&str> = motions.iter().map(|file| stem(name_of(file))).collect();
+        let names: BTreeSet<&str> = motions.iter().map(|file| stem(file_name(file))).collect();
         folder.read_tables(files, tables, &names);
         for file in files.under(root) {
             if below(root, file).starts_with(SHAPES) {
@@ -90,11 +86,11 @@ impl SeedFolder {
         let uniform: BTreeSet<&str> = motions
             .iter()
             .filter(|file| !is_proportional(file))
-            .map(|file| stem(name_of(file)))
+            .map(|file| stem(file_name(file)))
             .collect();
         let ids: BTreeSet<&str> = motions.iter().map(|file| id_of(root, file)).collect();
         for file in motions {
-            let name = stem(name_of(file));
+            let name = stem(file_name(file));
             if !folder.motions.contains_key(name) && !folder.timelines.contains_key(name) {
                 continue;
             }
@@ -114,13 +110,12 @@ impl SeedFolder {
             let id = id_of(root, file);
             folder.contents.entries.push(Entry {
                 file: file.to_owned(),
-                key: String::new(),
                 id: escaped(id),
-                split: None,
                 group: Some(original(name).unwrap_or_else(|| name.to_owned())),
                 mirrored_of: original(id)
                     .filter(|original| ids.contains(original.as_str()))
                     .map(|original| escaped(&original)),
+                ..Entry::default()
             });
         }
         folder
@@ -179,7 +174,7 @@ impl SeedFolder {
 /// The newest of some tables. Versions are in the names; Parquet is read before CSV.
 fn newest<'a>(tables: &[&'a str]) -> Option<&'a str> {
     tables.iter().copied().max_by_key(|file| {
-        let name = name_of(file);
+        let name = file_name(file);
         let (version, extension) = name.rsplit_once('.').unwrap_or((name, ""));
         (version.to_owned(), extension == "parquet")
     })
@@ -205,15 +200,9 @@ impl Release for SeedFolder {
         let bytes = files.read(&entry.file)?;
         refuse_pointer(&bytes)?;
         let mut clip = bvh::read(&mut &bytes[..], bytes.len(), options)?;
-        let name = stem(name_of(&entry.file));
+        let name = stem(file_name(&entry.file));
         if let Some(motion) = self.motions.get(name) {
-            let captions = motion.captions.iter();
-            clip.captions = captions
-                .map(|text| Caption {
-                    text: text.clone(),
-                    ..Caption::default()
-                })
-                .collect();
+            clip.captions = motion.captions.iter().map(caption).collect();
             clip.action.clone_from(&motion.action);
             clip.style.clone_from(&motion.style);
             clip.subject.clone_from(&motion.subject);

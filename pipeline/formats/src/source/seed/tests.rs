@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::retarget::tests::assert_same_motion;
 use crate::source::bvh::dialects::RigText;
-use crate::source::release_tests::files_of;
+use crate::source::release_tests::{assert_contains, assert_says, edited, files_of, only};
 use crate::source::{ReadOptions, labels};
 use clip::{Outcome, Rejected};
 use testkit::walk;
@@ -125,9 +125,7 @@ const PARQUET: &str = "metadata/seed_metadata_v004.parquet";
 const LABELS: &str = "metadata/seed_metadata_v002_temporal_labels.jsonl";
 
 fn one(files: &Files) -> Box<dyn Release> {
-    let mut found = FORMAT.find(files);
-    assert_eq!(found.len(), 1);
-    found.remove(0)
+    only(FORMAT.find(files))
 }
 
 fn reasons(release: &dyn Release) -> BTreeMap<String, String> {
@@ -221,20 +219,11 @@ fn metadata_and_temporal_labels_become_captions_and_labels() {
     assert_eq!(mirrored.captions.len(), 2, "a repeated caption counts once");
     let problem = &mirrored.label_problems[0];
     assert_eq!(problem.file, LABELS);
-    assert!(
-        problem.reason.contains("from 0.3 s to 0.1 s"),
-        "{}",
-        problem.reason
-    );
+    assert_contains(&problem.reason, "from 0.3 s to 0.1 s");
     let note = "temporal labels carried over automatically from walk_001__A425.csv";
-    assert!(mirrored.notes.iter().any(|found| found == note));
+    assert_says(&mirrored, note);
     let labelled = labels::attach_around(mirrored, &labels::ClipLabels::default());
-    assert!(
-        labelled
-            .notes
-            .iter()
-            .any(|note| note.starts_with("a label was not used"))
-    );
+    assert_says(&labelled, "a label was not used");
 }
 
 #[test]
@@ -304,7 +293,7 @@ fn tables_that_are_damaged_are_quarantined_and_what_can_be_is_read() {
             (table, code),
             "{rejected:?}"
         );
-        assert!(rejected.reason.contains(words), "{}", rejected.reason);
+        assert_contains(&rejected.reason, words);
         assert_eq!(contents.entries.len(), entries, "{words}");
     }
     let place = |bytes: &[u8]| {
@@ -345,11 +334,7 @@ proptest! {
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
         cut in any::<prop::sample::Index>(),
     ) {
-        let mut bytes = TIMELINE.as_bytes().to_vec();
-        for (at, byte) in edits {
-            let at = at.index(bytes.len());
-            bytes[at] = byte;
-        }
+        let mut bytes = edited(TIMELINE.as_bytes(), edits);
         bytes.truncate(cut.index(bytes.len() + 1));
         let timelines = Timelines::parse(&bytes, &|_| true).expect("no pointer");
         for timeline in timelines.of_motion.values() {

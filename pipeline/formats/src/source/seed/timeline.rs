@@ -6,6 +6,7 @@ use datasets_spec::table::Caption;
 use serde::Deserialize;
 
 use super::metadata::stem;
+use crate::sidecar::caption;
 use clip::{Rejected, rejected};
 
 /// Limit on the labels of a motion; those of the dataset have some ten.
@@ -96,10 +97,7 @@ impl Timeline {
         };
         let overview = line.overview_description.as_deref().unwrap_or_default();
         if !overview.trim().is_empty() {
-            timeline.captions.push(Caption {
-                text: overview.trim().to_owned(),
-                ..Caption::default()
-            });
+            timeline.captions.push(caption(overview.trim()));
         }
         for event in line.events.iter().take(MAX_EVENTS) {
             let Event {
@@ -117,10 +115,9 @@ impl Timeline {
                 continue;
             }
             timeline.captions.push(Caption {
-                text: text.to_owned(),
                 from_s: *start_time as f32,
                 to_s: *end_time as f32,
-                ..Caption::default()
+                ..caption(text)
             });
         }
         if line.events.len() > MAX_EVENTS {

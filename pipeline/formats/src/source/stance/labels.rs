@@ -6,40 +6,32 @@ use datasets_spec::record::{MaskRow, PairRow};
 
 use super::origin::{self, CODE_OF_ORIGIN, Origin, Record};
 use crate::source::format::Entry;
-use clip::{EditOf, Rejected, RotationSource, SourceClip, SourceMask, rejected};
+use crate::source::stored_labels::StoredLabels;
+use clip::{Rejected, RotationSource, SourceClip, rejected};
 
 /// What an export says of its motions.
 pub(super) struct Labels {
     record: Record,
-    /// By motion.
-    masks: BTreeMap<String, Vec<MaskRow>>,
-    /// By target.
-    pairs: BTreeMap<String, Vec<PairRow>>,
+    stored: StoredLabels,
     /// The motion of each content.
     contents: BTreeMap<String, String>,
 }
 
 impl Labels {
     pub(super) fn new(record: Record, masks: Vec<MaskRow>, pairs: Vec<PairRow>) -> Self {
-        let mut labels = Self {
-            contents: BTreeMap::new(),
-            masks: BTreeMap::new(),
-            pairs: BTreeMap::new(),
-            record,
-        };
-        for origin in labels.record.motions.values() {
+        let mut stored = StoredLabels::default();
+        stored.add_masks(masks);
+        stored.add_pairs(pairs);
+        let origins = record.motions.values();
+        let contents = origins.map(|origin| {
             let hash = origin.content_hash.clone().unwrap_or_default();
-            labels.contents.insert(hash, origin.id.clone());
+            (hash, origin.id.clone())
+        });
+        Self {
+            contents: contents.collect(),
+            stored,
+            record,
         }
-        for mask in masks {
-            let of_motion = labels.masks.entry(mask.motion_id.to_string());
-            of_motion.or_default().push(mask);
-        }
-        for pair in pairs {
-            let of_target = labels.pairs.entry(pair.target_id.to_string());
-            of_target.or_default().push(pair);
-        }
-        labels
     }
 
     /// Reads masks of known motions.
@@ -97,10 +89,8 @@ impl Labels {
         clip.rotation_source = RotationSource::of_name(&origin.rotation_source);
         clip.fit_error_m = origin.fit_error_m;
         clip.part_captions.clone_from(&origin.part_captions);
-        let masks = self.masks.get(&origin.id).into_iter().flatten();
-        clip.masks.extend(masks.cloned().map(SourceMask::of_row));
-        let pairs = self.pairs.get(&origin.id).into_iter().flatten();
-        clip.edits.extend(pairs.cloned().map(EditOf::of_row));
+        clip.masks.extend(self.stored.masks_of(&origin.id));
+        clip.edits.extend(self.stored.edits_of(&origin.id));
     }
 
     /// A remark on the motions without a file, and on their labels; none if there is none.
@@ -112,11 +102,12 @@ impl Labels {
             .map(|origin| origin.id.as_str());
         let ids: BTreeSet<&str> = ids.filter(|id| !is_there(id)).collect();
         let masks = self
+            .stored
             .masks
             .iter()
             .filter(|(id, _)| ids.contains(id.as_str()));
         let masks: usize = masks.map(|(_, masks)| masks.len()).sum();
-        let pairs = self.pairs.values().flatten().filter(|pair| {
+        let pairs = self.stored.pairs.values().flatten().filter(|pair| {
             ids.contains(pair.source_id.as_str()) || ids.contains(pair.target_id.as_str())
         });
         let pairs = pairs.count();

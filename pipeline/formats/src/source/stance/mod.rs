@@ -15,7 +15,6 @@ mod split;
 
 use std::path::Path;
 
-use datasets_spec::Fps;
 use kinematics::motion::BODY_POSE_WIDTH;
 
 use super::files::Files;
@@ -35,21 +34,16 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
 }
 
 /// A folder of the STANCE release.
-pub const FORMAT: Format = Format::new(&Stance);
+// The parameters of the store in f4.
+pub const FORMAT: Format = Format::new(
+    "stance",
+    (4 * (3 + 3 + BODY_POSE_WIDTH) * 20) as f64,
+    &Stance,
+);
 
-#[derive(Debug)]
 struct Stance;
 
 impl SourceFormat for Stance {
-    fn name(&self) -> &'static str {
-        "stance"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // The parameters of the store in f4.
-        (4 * (3 + 3 + BODY_POSE_WIDTH)) as f64 * Fps::STORE.get()
-    }
-
     fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
         matches!(extension, "pkl" | "pickle").then_some(Recognised::Motion(FORMAT))
     }

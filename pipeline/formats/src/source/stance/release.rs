@@ -13,6 +13,7 @@ use super::origin::{self, CODE_OF_ORIGIN, Origin, Origins, Parsed};
 use super::split::{ClipSplits, Lists};
 use crate::source::files::{Files, refuse_pointer};
 use crate::source::format::{Contents, Entry, Release, check_skeleton};
+use crate::source::names::{around_folder, file_name};
 use crate::source::options::ReadOptions;
 use clip::{EditOf, ReadClip, Rejected, SourceClip, rejected};
 use pickle::Value;
@@ -53,16 +54,7 @@ pub(super) fn roots(files: &Files) -> BTreeSet<String> {
 
 /// Splits a path into the release's folder, the one of [`FOLDERS`] in it, and the rest.
 fn place(path: &str) -> Option<(&str, &'static str, &str)> {
-    let mut start = 0;
-    for component in path.split('/') {
-        let end = start + component.len();
-        if let Some(folder) = FOLDERS.into_iter().find(|folder| *folder == component) {
-            let rest = path.get(end + 1..)?;
-            return Some((&path[..start], folder, rest));
-        }
-        start = end + 1;
-    }
-    None
+    around_folder(path, &FOLDERS)
 }
 
 /// Role of a motion in the release.
@@ -103,6 +95,7 @@ struct Detail {
 }
 
 /// A planned release.
+#[derive(Default)]
 pub(super) struct StanceRelease {
     contents: Contents,
     /// By file and key.
@@ -287,13 +280,7 @@ impl<'a> Planner<'a> {
         Self {
             files,
             root,
-            release: StanceRelease {
-                contents: Contents::default(),
-                details: BTreeMap::new(),
-                annotations: Annotations::default(),
-                adjustments: Json::Null,
-                labels: None,
-            },
+            release: StanceRelease::default(),
             base_lists: Lists::default(),
             style_lists: Lists::default(),
             adjustment_lists: Lists::default(),
@@ -383,8 +370,7 @@ impl<'a> Planner<'a> {
             if root != self.root {
                 continue;
             }
-            let name = rest.rsplit('/').next().unwrap_or(rest);
-            match (folder, name) {
+            match (folder, file_name(rest)) {
                 (REGEN, "mask_all.json") => masks = self.json(file).unwrap_or_default(),
                 (REGEN, "part_annotations.json") => texts = self.json(file).unwrap_or_default(),
                 (ADJUSTMENT, name)
@@ -517,11 +503,10 @@ impl<'a> Planner<'a> {
         let id = motion_id(stem_of(file));
         let entry = Entry {
             file: file.to_owned(),
-            key: String::new(),
             split: clips.of(&id),
-            group: None,
             mirrored_of: original_of(&id).map(str::to_owned),
             id,
+            ..Entry::default()
         };
         self.plan(entry, Role::Base, BASE_MOTION);
     }
@@ -538,12 +523,10 @@ impl<'a> Planner<'a> {
             .map_or_else(|| motion_id(base), |origin| origin.id.clone());
         let entry = Entry {
             file: file.to_owned(),
-            key: String::new(),
             // A crop, a copy and a styled version share their clip's split.
             id: format!("{source_id}#{style}"),
             split: clips.of(&source_id),
-            group: None,
-            mirrored_of: None,
+            ..Entry::default()
         };
         let role = Role::Styled {
             source_id,
@@ -567,8 +550,7 @@ impl<'a> Planner<'a> {
             key: key.to_owned(),
             id: id_of(key),
             split,
-            group: None,
-            mirrored_of: None,
+            ..Entry::default()
         };
         let (source, target) = (entry_of(SOURCE_KEY), entry_of(TARGET_KEY));
         let role = Role::Target {

@@ -1,23 +1,20 @@
 use std::fs;
-use std::path::Path;
-use std::sync::Arc;
 
 use datasets_spec::{BodyPart, Skeleton, Split};
 use proptest::prelude::*;
 
 use super::*;
 use crate::source::options::ReadOptions;
-use crate::source::release_tests::{clip_of, entry_of, files_under};
+use crate::source::release_tests::{
+    assert_says, clip_of, codes, entry_of, files_under, only, planned, test_data,
+};
 use clip::check::check;
-use pickle::encode;
-use pickle::{Array, Value};
+use pickle::{Value, encode};
 
 use testkit::{adjustment, dictionary, put, swinging as motion, write_release};
 
 fn only_release(files: &Files) -> Box<dyn Release> {
-    let mut releases = find(files);
-    assert_eq!(releases.len(), 1);
-    releases.pop().expect("one")
+    only(find(files))
 }
 
 #[test]
@@ -26,16 +23,10 @@ fn a_release_becomes_motions_masks_and_pairs() {
     write_release(dir.path());
     let files = files_under(dir.path());
     let release = only_release(&files);
-    let planned: Vec<(&str, Option<Split>, Option<&str>)> = release
-        .contents()
-        .entries
-        .iter()
-        .map(|entry| (entry.id.as_str(), entry.split, entry.mirrored_of.as_deref()))
-        .collect();
     let adjustment = "adjustment/paired_data_seed0_15_batch0_id3";
     let (source, target) = (format!("{adjustment}#src"), format!("{adjustment}#tgt"));
     assert_eq!(
-        planned,
+        planned(&*release),
         [
             // The style list takes the clip and its mirrored copy along.
             ("000009", Some(Split::Test), None),
@@ -70,7 +61,7 @@ fn a_release_becomes_motions_masks_and_pairs() {
     assert_eq!(base.part_captions[0].part, "LEFT_ARM");
     let mirrored = clip_of(&*release, &files, "M000009");
     assert_eq!(mirrored.masks[0].text, "stretching");
-    assert!(mirrored.notes.iter().any(|note| note.contains("014625")));
+    assert_says(&mirrored, "014625");
 
     let styled = clip_of(&*release, &files, "000009#proud");
     assert_eq!(styled.style.as_deref(), Some("proud"));
@@ -87,46 +78,32 @@ fn a_release_becomes_motions_masks_and_pairs() {
 #[test]
 fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
     let dir = tempfile::tempdir().expect("temporary folder");
+    let put = |file: &str, content: &[u8]| put(dir.path(), file, content);
     let base = encode(&dictionary(&motion(1, 5)));
+    put("data/base_motion/humanml3d_pkl_all/000001.pkl", &base);
     put(
-        dir.path(),
-        "data/base_motion/humanml3d_pkl_all/000001.pkl",
-        &base,
-    );
-    put(
-        dir.path(),
         "data/base_motion/humanml3d_pkl_all/000002.pkl",
-        "version https://git-lfs.github.com/spec/v1\n",
+        b"version https://git-lfs.github.com/spec/v1\n",
     );
     put(
-        dir.path(),
         "data/style_transfer/humanml3d_stylized/000001_old.pkl",
         &base,
     );
-    put(
-        dir.path(),
-        "data/style_transfer/humanml3d_stylized/readme.pkl",
-        &base,
-    );
-    let wordless = Value::Dict(vec![
-        (Value::text("src"), dictionary(&motion(2, 5))),
-        (Value::text("tgt"), dictionary(&motion(3, 5))),
+    put("data/style_transfer/humanml3d_stylized/readme.pkl", &base);
+    let wordless = Value::dict([
+        ("src", dictionary(&motion(2, 5))),
+        ("tgt", dictionary(&motion(3, 5))),
     ]);
-    put(
-        dir.path(),
-        "data/adjustment/paired_pickle/a.pkl",
-        encode(&wordless),
-    );
+    put("data/adjustment/paired_pickle/a.pkl", &encode(&wordless));
     let beside = r#"{"a": {"body_part": "left arm", "text": "lower"}}"#;
     put(
-        dir.path(),
         "data/adjustment/adjustment_annotations_part.json",
-        beside,
+        beside.as_bytes(),
     );
-    put(dir.path(), "data/adjustment/transfer.py", "");
-    put(dir.path(), "data/regen/mask_all.json", "{broken");
+    put("data/adjustment/transfer.py", b"");
+    put("data/regen/mask_all.json", b"{broken");
     // The bundle for the official demo is no release.
-    put(dir.path(), "demo/style_transfer/text.txt", "a\n");
+    put("demo/style_transfer/text.txt", b"a\n");
     let files = files_under(dir.path());
     let release = only_release(&files);
     let ids: Vec<&str> = release
@@ -151,13 +128,7 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
             .all(|entry| entry.split.is_none()),
         "no lists"
     );
-    let codes: Vec<&str> = release
-        .contents()
-        .rejected
-        .iter()
-        .map(|(_, r)| r.code)
-        .collect();
-    assert_eq!(codes, ["E-STANCE-JSON", "E-STANCE-NAME"]);
+    assert_eq!(codes(&*release), ["E-STANCE-JSON", "E-STANCE-NAME"]);
     let edit = &clip_of(&*release, &files, "adjustment/a#tgt").edits[0];
     assert_eq!(edit.instruction, "lower");
     assert_eq!(edit.parts, [BodyPart::LeftArm]);
@@ -177,13 +148,13 @@ fn a_pickle_that_stands_alone_is_a_motion_if_it_has_the_keys() {
     assert_eq!(read(&dictionary(&walk)).expect("a motion").motion, walk);
     let array = |shape: &[usize]| {
         let count = shape.iter().product();
-        Value::Array(Arc::new(Array::from_f32(shape, vec![0.0; count])))
+        Value::floats(shape, vec![0.0; count])
     };
     let with = |body: &[usize], root: &[usize], transl: &[usize]| {
-        Value::Dict(vec![
-            (Value::text("body_pose"), array(body)),
-            (Value::text("global_orient"), array(root)),
-            (Value::text("transl"), array(transl)),
+        Value::dict([
+            ("body_pose", array(body)),
+            ("global_orient", array(root)),
+            ("transl", array(transl)),
         ])
     };
     assert!(read(&with(&[4, 21, 3], &[4, 1, 3], &[4, 3])).is_ok());
@@ -207,19 +178,11 @@ fn a_dance_of_aist_is_scaled_to_metres_and_put_on_the_floor() {
     let skeleton = Skeleton::smplx_neutral();
     let frames = 6;
     let trans = (0..frames).flat_map(|frame| [0.36 * frame as f32, 180.0, 0.0]);
-    let array = |shape: &[usize], numbers: Vec<f32>| {
-        Value::Array(Arc::new(Array::from_f32(shape, numbers)))
-    };
-    let value = Value::Dict(vec![
-        (
-            Value::text("smpl_poses"),
-            array(&[frames, 72], vec![0.0; 72 * frames]),
-        ),
-        (
-            Value::text("smpl_trans"),
-            array(&[frames, 3], trans.collect()),
-        ),
-        (Value::text("smpl_scaling"), array(&[1], vec![90.0])),
+    let poses = Value::floats(&[frames, 72], vec![0.0; 72 * frames]);
+    let value = Value::dict([
+        ("smpl_poses", poses),
+        ("smpl_trans", Value::floats(&[frames, 3], trans)),
+        ("smpl_scaling", Value::floats(&[1], [90.0])),
     ]);
     let clip = read_pickle_motion(&encode(&value), &skeleton).expect("a dance");
     assert_eq!(clip.motion.fps().get(), 60.0);
@@ -235,15 +198,10 @@ fn a_dance_of_aist_is_scaled_to_metres_and_put_on_the_floor() {
 
 #[test]
 fn the_real_dance_is_read() {
-    let Some(root) = std::env::var_os("STANCE_TEST_DATA") else {
-        skipped();
+    let Some(path) = test_data("pkl/gBR_sBM_cAll_d04_mBR0_ch01.pkl") else {
         return;
     };
-    let path = Path::new(&root).join("pkl/gBR_sBM_cAll_d04_mBR0_ch01.pkl");
-    let Ok(bytes) = fs::read(&path) else {
-        skipped();
-        return;
-    };
+    let bytes = fs::read(&path).expect("a dance");
     let skeleton = Skeleton::smplx_neutral();
     let clip = read_pickle_motion(&bytes, &skeleton).expect("a dance");
     assert_eq!(clip.motion.len(), 720);
@@ -256,14 +214,6 @@ fn the_real_dance_is_read() {
         keypoints[15]
     );
     assert!((0.5..1.3).contains(&keypoints[0].y), "{:?}", keypoints[0]);
-}
-
-#[expect(
-    clippy::print_stderr,
-    reason = "a test that checks nothing must say so"
-)]
-fn skipped() {
-    eprintln!("SKIPPED: STANCE_TEST_DATA names no folder that has pkl");
 }
 
 proptest! {

@@ -2,6 +2,7 @@
 
 use super::lines::{Line, Lines};
 use crate::markers::unique_labels;
+use crate::source::names::shown;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
 /// First word of every file.
@@ -26,13 +27,6 @@ pub(super) struct Header {
 
 fn error(at: usize, reason: impl Into<String>) -> Rejected {
     Rejected::read("E-TRC-HEADER", reason).at(at)
-}
-
-fn shown(cell: &[u8]) -> String {
-    const LONGEST: usize = 40;
-    let text = String::from_utf8_lossy(&cell[..cell.len().min(LONGEST)]);
-    let text: String = text.chars().filter(|c| !c.is_control()).collect();
-    format!("\"{text}\"")
 }
 
 impl Header {

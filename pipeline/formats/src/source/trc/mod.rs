@@ -21,98 +21,59 @@ use self::rows::Rows;
 use super::files::UTF8_BOM;
 use super::format::{Format, Recognised, SourceFormat};
 use super::options::ReadOptions;
-use super::unit::Unit;
-use crate::markers::{self, Capture, CaptureUnit, UNIT_CODE};
+use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, UNIT_CODE};
 use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_ROW_COUNT};
-use clip::{Markers, Outcome, Rejected, rejected};
+use clip::{Outcome, Rejected, rejected};
 
-/// Maximum distance in metres of a marker from the origin: a plausibility test for the unit.
-const MAX_DISTANCE_M: f64 = 100.0;
-/// Fraction of implausible positions above which the unit is taken to be wrong.
-const MAX_IMPLAUSIBLE: f64 = 0.1;
-
-/// A parsed capture.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TrcFile {
-    /// The markers in metres, in the file's own axes.
-    pub markers: Markers,
-    /// The unit they were in.
-    pub unit: CaptureUnit,
-    /// Decisions a reader may want to check.
-    pub notes: Vec<String>,
-    /// Quality flags of [`clip::check`].
-    pub flags: u32,
-}
-
-impl TrcFile {
-    /// Parses a file. If `lenient`, the number of rows may differ from what the header says; of too many
-    /// rows, those beyond the stated number are dropped.
-    ///
-    /// # Errors
-    /// `E-TRC-HEADER`, `E-TRC-NAMES`, `E-TRC-ROW`, `E-TRC-NUMBER`, `E-TRC-TIME` or `E-TRC-FRAMES`, each with
-    /// the byte offset of what is wrong; `E-UNIT`, `E-TRC-EMPTY` or `E-TOO-SHORT`.
-    pub fn parse(bytes: &[u8], lenient: bool) -> Result<Self, Rejected> {
-        Self::read(bytes, lenient, None)
+/// The markers of a file, whose numbers are in the unit of the options whatever it states. If the options are lenient,
+/// the number of rows may differ from what the header says; of too many rows, those beyond the stated number are
+/// dropped.
+///
+/// # Errors
+/// `E-TRC-HEADER`, `E-TRC-NAMES`, `E-TRC-ROW`, `E-TRC-NUMBER`, `E-TRC-TIME` or `E-TRC-FRAMES`, each with
+/// the byte offset of what is wrong; `E-UNIT`, `E-TRC-EMPTY` or `E-TOO-SHORT`.
+pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected> {
+    let mut lines = Lines::of(bytes);
+    let header = Header::parse(&mut lines)?;
+    let mut rows = Rows::parse(&mut lines, &header)?;
+    let mut notes = Vec::new();
+    let mut flags = 0;
+    if rows.len() == 0 {
+        let reason = "found 0 frames, expected at least 2";
+        return Err(Rejected::read("E-TOO-SHORT", reason).at(bytes.len()));
     }
-
-    /// Parses a file whose numbers are in this unit, if one is given, whatever it states.
-    ///
-    /// # Errors
-    /// As [`TrcFile::parse`].
-    pub fn read(bytes: &[u8], lenient: bool, unit: Option<Unit>) -> Result<Self, Rejected> {
-        let mut lines = Lines::of(bytes);
-        let header = Header::parse(&mut lines)?;
-        let mut rows = Rows::parse(&mut lines, &header)?;
-        let mut notes = Vec::new();
-        let mut flags = 0;
-        if rows.len() == 0 {
-            let reason = "found 0 frames, expected at least 2";
-            return Err(Rejected::read("E-TOO-SHORT", reason).at(bytes.len()));
-        }
-        if let Some(note) = cut_to_stated(&mut rows, header.num_frames, lenient, bytes.len())? {
-            flags |= FLAG_ROW_COUNT;
-            notes.push(note);
-        }
-        let rate = rows.rate(header.rate)?;
-        if let Some(note) = rate.note {
-            flags |= FLAG_FPS_DOUBTFUL;
-            notes.push(note);
-        }
-        let largest = || {
-            let seen = rows.positions.iter().flatten();
-            seen.fold(0.0, |largest: f64, point| {
-                largest.max(point.abs().max_element())
-            })
-        };
-        let (unit, note) = CaptureUnit::find(unit, &header.unit, largest);
-        notes.extend(note);
-        let positions = in_metres(&rows, &header, unit)?;
-        if positions.far > 0 {
-            notes.push(format!(
-                "{} positions farther than {MAX_DISTANCE_M} m count as not seen",
-                positions.far
-            ));
-        }
-        if rows.num_zeros > 0 {
-            notes.push(format!(
-                "{} positions of three zeros count as not seen",
-                rows.num_zeros
-            ));
-        }
-        Ok(Self {
-            markers: Markers {
-                fps: rate.fps,
-                labels: header.labels(),
-                positions: positions.places,
-                residuals: positions.residuals,
-                set: None,
-                fit_residuals: Vec::new(),
-            },
-            unit,
-            notes,
-            flags,
+    if let Some(note) = cut_to_stated(&mut rows, header.num_frames, options.lenient, bytes.len())? {
+        flags |= FLAG_ROW_COUNT;
+        notes.push(note);
+    }
+    let (fps, note) = rows.rate(header.rate)?;
+    if let Some(note) = note {
+        flags |= FLAG_FPS_DOUBTFUL;
+        notes.push(note);
+    }
+    let largest = || {
+        let seen = rows.positions.iter().flatten();
+        seen.fold(0.0, |largest: f64, point| {
+            largest.max(point.abs().max_element())
         })
+    };
+    let (unit, note) = CaptureUnit::find(options.unit, &header.unit, largest);
+    notes.extend(note);
+    let positions = in_metres(&rows, &header, unit)?;
+    let (markers, note) = positions.markers(fps, header.labels());
+    notes.extend(note);
+    if rows.num_zeros > 0 {
+        notes.push(format!(
+            "{} positions of three zeros count as not seen",
+            rows.num_zeros
+        ));
     }
+    Ok(Capture {
+        markers,
+        unit,
+        notes,
+        flags,
+    })
 }
 
 /// Drops the rows beyond the number that the header states, if that is asked for. Returns what a reader may want to
@@ -142,30 +103,14 @@ fn cut_to_stated(
     )))
 }
 
-/// Positions of the markers in metres.
-struct Positions {
-    /// Frame by frame; zeros where a marker is not seen.
-    places: Vec<[f32; 3]>,
-    /// Negative where a marker is not seen.
-    residuals: Vec<f32>,
-    /// Positions that are too far away and count as not seen.
-    far: usize,
-}
-
 fn in_metres(rows: &Rows, header: &Header, unit: CaptureUnit) -> Result<Positions, Rejected> {
     let metres = unit.unit.metres();
-    let mut places = Vec::with_capacity(rows.positions.len());
-    let mut residuals = Vec::with_capacity(rows.positions.len());
-    let (mut seen, mut far) = (0usize, 0usize);
+    let mut positions = Positions::default();
     for point in &rows.positions {
-        let place = point.map(|point| point * metres);
-        seen += usize::from(place.is_some());
-        let plausible = place.filter(|place| place.length() < MAX_DISTANCE_M);
-        far += usize::from(place.is_some() && plausible.is_none());
-        places.push(plausible.map_or([0.0; 3], |place| place.as_vec3().to_array()));
-        residuals.push(if plausible.is_some() { 0.0 } else { -1.0 });
+        positions.add(point.map(|point| (point * metres, 0.0)));
     }
-    if far as f64 > MAX_IMPLAUSIBLE * seen as f64 {
+    let (seen, far) = (positions.seen, positions.far);
+    if positions.are_implausible() {
         let frames = rows.positions.chunks(header.names.len().max(1));
         let frames = frames.map(|frame| frame.iter().flatten().copied());
         let found = || {
@@ -183,29 +128,16 @@ fn in_metres(rows: &Rows, header: &Header, unit: CaptureUnit) -> Result<Position
         )
         .at(header.names_at));
     }
-    Ok(Positions {
-        places,
-        residuals,
-        far,
-    })
+    Ok(positions)
 }
 
 /// TRC: marker positions as text.
-pub const FORMAT: Format = Format::new(&Trc);
+// 40 markers of three coordinates of ten characters at 100 fps.
+pub const FORMAT: Format = Format::new("trc", 120_000.0, &Trc);
 
-#[derive(Debug)]
 struct Trc;
 
 impl SourceFormat for Trc {
-    fn name(&self) -> &'static str {
-        "trc"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        // 40 markers of three coordinates of ten characters at 100 fps.
-        120_000.0
-    }
-
     fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
         (extension == "trc").then_some(Recognised::Motion(FORMAT))
     }
@@ -233,15 +165,4 @@ impl SourceFormat for Trc {
         let clip = capture(bytes, options).and_then(|capture| capture.clip(key, options));
         clip.into()
     }
-}
-
-/// The markers of a file.
-pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected> {
-    let file = TrcFile::read(bytes, options.lenient, options.unit)?;
-    Ok(Capture {
-        markers: file.markers,
-        unit: file.unit,
-        notes: file.notes,
-        flags: file.flags,
-    })
 }

@@ -5,6 +5,7 @@ use glam::DVec3;
 
 use super::header::Header;
 use super::lines::{Line, Lines};
+use crate::source::names::shown;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
 /// Columns before the coordinates: number and time of the frame.
@@ -22,13 +23,6 @@ pub(super) struct Rows {
     pub(super) positions: Vec<Option<DVec3>>,
     /// Positions of three zeros, which count as not seen.
     pub(super) num_zeros: usize,
-}
-
-/// The rate of a capture.
-pub(super) struct Rate {
-    pub(super) fps: Fps,
-    /// What is doubtful about it.
-    pub(super) note: Option<String>,
 }
 
 impl Rows {
@@ -125,8 +119,8 @@ impl Rows {
         self.positions.truncate(len * self.num_markers);
     }
 
-    /// The stated rate, else that of the times.
-    pub(super) fn rate(&self, stated: Option<f64>) -> Result<Rate, Rejected> {
+    /// The stated rate, else that of the times, and what is doubtful about it.
+    pub(super) fn rate(&self, stated: Option<f64>) -> Result<(Fps, Option<String>), Rejected> {
         let span = self.span();
         let by_times = span.map(|(steps, secs)| steps / secs);
         let by_times = by_times.filter(|rate| (MIN_FPS..=MAX_FPS).contains(rate));
@@ -152,7 +146,7 @@ impl Rows {
             (None, _) => Some("the rate is that of the times; the file states none".to_owned()),
             _ => None,
         };
-        Ok(Rate { fps, note })
+        Ok((fps, note))
     }
 
     /// Steps from the first frame to the last, and the seconds between them.
@@ -171,11 +165,10 @@ fn number(at: usize, cell: &[u8]) -> Result<Option<f64>, Rejected> {
     let parsed = fast_float2::parse::<f64, _>(cell).ok();
     let finite = parsed.filter(|number| number.is_finite());
     finite.map(Some).ok_or_else(|| {
-        let text = String::from_utf8_lossy(&cell[..cell.len().min(40)]);
-        let text: String = text.chars().filter(|c| !c.is_control()).collect();
         rejected!(
             "E-TRC-NUMBER",
-            "found \"{text}\", expected a finite number or a blank cell"
+            "found {}, expected a finite number or a blank cell",
+            shown(cell)
         )
         .at(at)
     })

@@ -6,6 +6,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::markers::{MarkerSet, marker_sets};
+use crate::source::release_tests::edited;
 
 /// Two markers in three frames; the second marker is not seen in the second.
 const SMALL: &str = "PathFileType\t4\t(X/Y/Z)\twalk.trc\n\
@@ -18,8 +19,16 @@ const SMALL: &str = "PathFileType\t4\t(X/Y/Z)\twalk.trc\n\
     2\t0.010\t101.0\t1001.0\t-21.5\t\t\t\n\
     3\t0.020\t102.0\t1002.0\t-22.5\t202.0\t52.0\t32.0\n";
 
-fn parse(text: &str) -> Result<TrcFile, Rejected> {
-    TrcFile::parse(text.as_bytes(), false)
+fn parse(text: &str) -> Result<Capture, Rejected> {
+    capture(text.as_bytes(), &ReadOptions::default())
+}
+
+fn parse_leniently(bytes: &[u8], lenient: bool) -> Result<Capture, Rejected> {
+    let options = ReadOptions {
+        lenient,
+        ..ReadOptions::default()
+    };
+    capture(bytes, &options)
 }
 
 /// The code of the rejection and the text that its byte offset points to.
@@ -203,14 +212,14 @@ fn what_is_wrong_is_rejected_with_its_place() {
 fn rows_that_differ_from_the_header_are_read_leniently() {
     for (stated, kept) in [(2, 2), (3, 3), (5, 3)] {
         let text = SMALL.replace("\t3\t2\tmm", &format!("\t{stated}\t2\tmm"));
-        let capture = TrcFile::parse(text.as_bytes(), true).expect("whole rows");
+        let capture = parse_leniently(text.as_bytes(), true).expect("whole rows");
         assert_eq!(capture.markers.positions.len(), 2 * kept);
         assert_eq!(capture.flags != 0, stated != 3);
     }
 }
 
 /// A capture of a known set: a person who stands with the right forearm bent upward, y up.
-fn capture(set: &MarkerSet, num_frames: usize) -> (String, Vec<Pose>) {
+fn text_of(set: &MarkerSet, num_frames: usize) -> (String, Vec<Pose>) {
     let skeleton = Skeleton::smplx_neutral();
     let labels: Vec<&str> = set.labels().collect();
     let mut text = format!(
@@ -257,7 +266,7 @@ fn a_capture_of_a_known_set_becomes_the_motion_it_shows() {
     for name in ["cmu-41", "qualisys-animation"] {
         let mut sets = marker_sets().iter();
         let set = sets.find(|set| set.name() == name).expect(name);
-        let (text, poses) = capture(set, 60);
+        let (text, poses) = text_of(set, 60);
         let outcome = FORMAT.read(Path::new("a.trc"), "", text.as_bytes(), &options);
         let Outcome::Clip(clip) = outcome else {
             panic!("{outcome:?}");
@@ -284,7 +293,7 @@ fn a_capture_of_a_known_set_becomes_the_motion_it_shows() {
     let opensim = marker_sets()
         .iter()
         .find(|set| set.name() == "opensim-gait");
-    let (text, _) = capture(opensim.expect("built in"), 20);
+    let (text, _) = text_of(opensim.expect("built in"), 20);
     let outcome = FORMAT.read(Path::new("a.trc"), "", text.as_bytes(), &options);
     let Outcome::Rejected(rejected) = outcome else {
         panic!("{outcome:?}");
@@ -302,13 +311,9 @@ proptest! {
         cut in any::<prop::sample::Index>(),
         lenient in any::<bool>(),
     ) {
-        let mut bytes = SMALL.as_bytes().to_vec();
-        for (at, byte) in edits {
-            let at = at.index(bytes.len());
-            bytes[at] = byte;
-        }
+        let mut bytes = edited(SMALL.as_bytes(), edits);
         bytes.truncate(cut.index(bytes.len() + 1));
-        if let Ok(capture) = TrcFile::parse(&bytes, lenient) {
+        if let Ok(capture) = parse_leniently(&bytes, lenient) {
             let markers = capture.markers;
             prop_assert_eq!(markers.positions.len(), markers.residuals.len());
             prop_assert!(markers.positions.iter().flatten().all(|number| number.is_finite()));

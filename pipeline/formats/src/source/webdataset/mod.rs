@@ -5,28 +5,17 @@
 
 mod release;
 
-use datasets_spec::Fps;
-
 use self::release::Shards;
 pub(super) use self::release::is_shard;
 use super::format::boxed;
 use super::{Files, Format, Release, SourceFormat};
 
 /// A folder of shards, or of unpacked files.
-pub const FORMAT: Format = Format::new(&WebDataset);
+pub const FORMAT: Format = Format::new("webdataset", (4 * 69 * 20) as f64, &WebDataset);
 
-#[derive(Debug)]
 struct WebDataset;
 
 impl SourceFormat for WebDataset {
-    fn name(&self) -> &'static str {
-        "webdataset"
-    }
-
-    fn bytes_per_second(&self) -> f64 {
-        (4 * 69) as f64 * Fps::STORE.get()
-    }
-
     fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
         boxed(Shards::find(files))
     }

@@ -1,0 +1,42 @@
+//! Masks and pairs as rows of a dataset's tables, by motion.
+
+use std::collections::BTreeMap;
+
+use datasets_spec::record::{MaskRow, PairRow};
+
+use clip::{EditOf, SourceMask};
+
+/// The masks of motions, and the pairs that lead to them.
+#[derive(Debug, Default)]
+pub(super) struct StoredLabels {
+    /// By motion.
+    pub(super) masks: BTreeMap<String, Vec<MaskRow>>,
+    /// By target.
+    pub(super) pairs: BTreeMap<String, Vec<PairRow>>,
+}
+
+impl StoredLabels {
+    pub(super) fn add_masks(&mut self, rows: Vec<MaskRow>) {
+        for mask in rows {
+            let of_motion = self.masks.entry(mask.motion_id.to_string());
+            of_motion.or_default().push(mask);
+        }
+    }
+
+    pub(super) fn add_pairs(&mut self, rows: Vec<PairRow>) {
+        for pair in rows {
+            let of_target = self.pairs.entry(pair.target_id.to_string());
+            of_target.or_default().push(pair);
+        }
+    }
+
+    pub(super) fn masks_of(&self, id: &str) -> Vec<SourceMask> {
+        let masks = self.masks.get(id).into_iter().flatten();
+        masks.cloned().map(SourceMask::of_row).collect()
+    }
+
+    pub(super) fn edits_of(&self, id: &str) -> Vec<EditOf> {
+        let pairs = self.pairs.get(id).into_iter().flatten();
+        pairs.cloned().map(EditOf::of_row).collect()
+    }
+}
