@@ -115,9 +115,6 @@ impl<'a> Clips<'a> {
     }
 
     /// The rows of a part; see [`Shard::read`].
-    ///
-    /// # Errors
-    /// The file cannot be read, has no such rows, or a motion is damaged.
     pub(crate) fn read(&self, part: &Part) -> Result<Vec<MotionRow>, Error> {
         let Some(shard) = self.shards.get(part.shard) else {
             return Ok(Vec::new());
@@ -199,9 +196,6 @@ impl Shard {
 }
 
 /// Checks a motion against its recorded hash.
-///
-/// # Errors
-/// They differ.
 pub(crate) fn check_content(row: &MotionRow, path: &std::path::Path) -> Result<(), Error> {
     let found = row.motion()?.content_hash();
     if found == row.content_hash {

@@ -81,9 +81,6 @@ impl Derived {
     }
 
     /// Ids of the clips that a table beside the motions speaks of, where the column is about them.
-    ///
-    /// # Errors
-    /// The table cannot be read.
     pub(crate) fn beside(
         self,
         dataset: &Dataset,

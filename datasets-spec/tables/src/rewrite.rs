@@ -122,9 +122,6 @@ fn parser(text: &str) -> Result<Parser<'static>, String> {
 }
 
 /// A query that polars answers.
-///
-/// # Errors
-/// It is not one `SELECT`, calls a function in place of a table, or tests a list as polars cannot.
 pub(crate) fn rewrite_query(text: &str, names: &Names) -> Result<String, String> {
     let mut statements = parser(text)?
         .parse_statements()
@@ -137,9 +134,6 @@ pub(crate) fn rewrite_query(text: &str, names: &Names) -> Result<String, String>
 }
 
 /// A condition that polars understands.
-///
-/// # Errors
-/// It is not one expression, or as [`rewrite_query`].
 pub(crate) fn rewrite_condition(text: &str, names: &Names) -> Result<String, String> {
     let mut expr = condition(text)?;
     visited(VisitMut::visit(&mut expr, &mut Rewriting { names }))?;
@@ -461,9 +455,6 @@ fn regex_of(pattern: &str, escape: Option<char>) -> Result<String, String> {
 }
 
 /// Checks that the columns of a condition exist. Columns inside subqueries are checked by polars.
-///
-/// # Errors
-/// There is no such column of motions: which was meant, and what there is.
 pub(crate) fn check_columns(text: &str, names: &Names) -> Result<(), String> {
     struct Checking<'a> {
         names: &'a Names,

@@ -40,9 +40,6 @@ impl Exported {
     }
 
     /// Adds what the layout has no place for, and clips that the writer left out.
-    ///
-    /// # Errors
-    /// The dataset cannot be read.
     pub(super) fn complete(&mut self, layout: Layout, clips: &Clips) -> Result<(), Error> {
         for (name, count) in left_out(layout, clips)? {
             put(&mut self.left_out, &name, count);
@@ -134,9 +131,6 @@ fn rate(layout: Layout) -> Option<Fps> {
 }
 
 /// Counts what a layout has no place for. Only columns of labels are read.
-///
-/// # Errors
-/// The dataset cannot be read.
 fn left_out(layout: Layout, clips: &Clips) -> Result<Counts, Error> {
     let mut counts = Counts::new();
     let held = held(layout);

@@ -45,9 +45,6 @@ const CHUNK_FILES: usize = 1000;
 const NO_TASK: &str = "move";
 
 /// Writes the data set.
-///
-/// # Errors
-/// The dataset cannot be read, its clips differ in frame rate, or a file cannot be written.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,

@@ -106,9 +106,6 @@ fn none(dataset: &Dataset) -> Error {
 
 /// Writes the pairs whose motions are both among the clips. A style pair without words gets those of its style; other
 /// pairs without words are left out.
-///
-/// # Errors
-/// There is no such pair, the dataset cannot be read or a file cannot be written.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,

@@ -28,9 +28,6 @@ use pickle::{self, Array, Value};
 /// The layout of the release has no place for semantic pairs, for some styles of styles, for masks without named parts
 /// and for those of other motions than base motions: [`Exported::beside`] counts them. All masks and pairs are in files
 /// of this program. Motions of other rates than 20 fps are resampled.
-///
-/// # Errors
-/// The dataset cannot be read or the folder cannot be written.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,

@@ -24,9 +24,6 @@ const SHARD_BYTES: u64 = 256 << 20;
 const MODE: u32 = 0o644;
 
 /// Writes the shards of every split.
-///
-/// # Errors
-/// The dataset cannot be read or a shard cannot be written.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,

@@ -28,9 +28,6 @@ pub(super) type Identified = (Vec<(Given, Listing)>, Vec<String>);
 
 impl Known<'_> {
     /// Says which source each listing is.
-    ///
-    /// # Errors
-    /// It cannot be known; the error says how to answer.
     pub(super) fn identify(&self, listed: Vec<Listed>) -> Result<Identified, Error> {
         let mut remarks = Vec::new();
         let names = self.names(&listed, &mut remarks)?;
@@ -74,9 +71,6 @@ impl Known<'_> {
     }
 
     /// The recorded sources with clips that are not among `given`, listed where they were found before.
-    ///
-    /// # Errors
-    /// One of them is not there any more, or in several places.
     pub(super) fn others(
         &self,
         given: &[(Given, Listing)],
@@ -175,9 +169,6 @@ impl Known<'_> {
     }
 
     /// The name of every source.
-    ///
-    /// # Errors
-    /// As [`Known::identify`].
     pub(super) fn names(
         &self,
         listed: &[Listed],

@@ -213,9 +213,6 @@ impl Listed {
     }
 
     /// Leaves datasets out that lie in the folder. A dataset that is itself the source is read.
-    ///
-    /// # Errors
-    /// The dataset to be written is the source.
     fn leave_datasets_out(&mut self, out: Option<&Path>) -> Result<(), Error> {
         let out = out.map(resolved);
         let own = out.and_then(|out| {
@@ -294,9 +291,6 @@ fn resolved(path: &Path) -> PathBuf {
 
 /// The files of every source, by their paths relative to it. A source that is given twice is listed once. Files of
 /// one folder are one source. `out` is the dataset that will be written.
-///
-/// # Errors
-/// A source does not exist or cannot be listed, or there is no file at all.
 pub(crate) fn list_sources(
     sources: &[SourceArg],
     out: Option<&Path>,
@@ -343,9 +337,6 @@ pub(crate) fn list_sources(
 }
 
 /// The files of the sources of a run, whose dataset is at `out`.
-///
-/// # Errors
-/// As [`list_sources`].
 pub(super) fn list_given<S: Clone + Into<SourceArg>>(
     sources: &[S],
     out: &Path,

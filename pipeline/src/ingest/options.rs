@@ -166,9 +166,6 @@ impl StoredOptions {
     }
 
     /// The options. Files that are kept by their paths are read.
-    ///
-    /// # Errors
-    /// One of them is gone or changed.
     pub(super) fn options(self) -> Result<IngestOptions, Error> {
         let changed = |path: PathBuf| Error::from(work::Error::SourceChanged { path });
         let subjects = match self.subjects {

@@ -369,9 +369,6 @@ impl MergedSources {
     }
 
     /// Where the sources of both were found.
-    ///
-    /// # Errors
-    /// They are recorded and cannot be read.
     pub(crate) fn places(&self, store: &dyn Store, roots: [&Path; 2]) -> Result<Places, Error> {
         let mut places = Places::read(store, roots[0])?;
         places.extend(Places::read(store, roots[1])?, &self.names[1].renamed);

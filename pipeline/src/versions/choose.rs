@@ -49,9 +49,6 @@ impl Choice {
     }
 
     /// The clips of a dataset that are meant.
-    ///
-    /// # Errors
-    /// None is, an id is not in the dataset, or a file cannot be read.
     pub(super) fn of(&self, dataset: &Dataset) -> Result<BTreeSet<MotionId>, Error> {
         match self {
             Self::Where(filter) => {

@@ -25,9 +25,6 @@ pub(super) struct Object<'a> {
 
 /// Uploads what the storage lacks, and returns how many objects and bytes that was. An object that was uploaded before
 /// is not asked for again, so an interrupted upload goes on with the first that is missing.
-///
-/// # Errors
-/// The server refuses or fails, or a file cannot be read.
 pub(super) fn send(
     hub: &Hub,
     repo: &Repo,

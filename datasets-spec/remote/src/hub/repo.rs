@@ -133,9 +133,6 @@ impl fmt::Display for Repo {
 
 /// The commit of a branch, tag or commit; none if there is no such repo. Without a token, a repo that is not there cannot
 /// be told from a private one.
-///
-/// # Errors
-/// The repo has no such revision, or does not show it to the token; or the server cannot be reached or fails.
 pub(super) fn commit_of(hub: &Hub, repo: &Repo, revision: &str) -> Result<Option<String>, Error> {
     let address = format!("{}/revision/{}", repo.api(hub), quoted(revision, ""));
     let answer = hub.ask(&address)?;

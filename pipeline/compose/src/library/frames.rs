@@ -46,9 +46,6 @@ impl FrameFile {
     /// Opens the file of this key; without one, or where it is not whole, `make` writes its `num_frames`
     /// frames. Processes that need the same file at once wait for the one that writes it.
     ///
-    /// # Errors
-    /// The file cannot be written or read, or `make` fails.
-    ///
     /// # Panics
     /// If `make` writes another number of frames.
     pub(super) fn open(
@@ -127,9 +124,6 @@ impl FrameFile {
     }
 
     /// Reads `count` frames, each `stride` after the one before, from frame `first` of the file on.
-    ///
-    /// # Errors
-    /// The file cannot be read, or was damaged since it was written.
     pub(super) fn read(
         &self,
         first: u64,
@@ -163,9 +157,6 @@ impl FrameFile {
     }
 
     /// Reads `count` frames as a motion, beginning with frame `first` of the file.
-    ///
-    /// # Errors
-    /// The file cannot be read, or was damaged since it was written.
     pub(super) fn motion(&self, first: u64, count: usize) -> Result<Motion, Error> {
         let mut room = FrameRoom::default();
         self.read(first, count, 1, &mut room)?;
@@ -210,9 +201,6 @@ impl FrameWriter {
     }
 
     /// Appends the motions of clips, given their lengths in frames. A few hundred are in memory at a time.
-    ///
-    /// # Errors
-    /// A motion cannot be had, or the file cannot be written.
     pub(super) fn extend(
         &mut self,
         lens: &[usize],

@@ -58,17 +58,11 @@ impl Clip {
     }
 
     /// All frames.
-    ///
-    /// # Errors
-    /// They cannot be read.
     pub(super) fn motion(&self) -> Result<Motion, Error> {
         self.crop(0..self.len())
     }
 
     /// The frames of a range.
-    ///
-    /// # Errors
-    /// They cannot be read.
     ///
     /// # Panics
     /// If the range is empty or leaves the clip.
@@ -82,9 +76,6 @@ impl Clip {
     }
 
     /// Reads `count` frames, each `stride` after the one before, from frame `start` on.
-    ///
-    /// # Errors
-    /// They cannot be read.
     ///
     /// # Panics
     /// If the frames leave the clip.
@@ -245,9 +236,6 @@ impl Library {
     }
 
     /// The library with the motions of its pairs aligned in time.
-    ///
-    /// # Errors
-    /// The motions cannot be read, or the frames of aligned ones cannot be written.
     pub(super) fn aligned(self: Arc<Self>, alignment: Alignment) -> Result<Arc<Self>, Error> {
         if alignment == self.alignment {
             return Ok(self);

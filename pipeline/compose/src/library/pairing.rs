@@ -42,9 +42,6 @@ pub(crate) struct Pairing {
 
 impl Library {
     /// The clips partners are drawn from.
-    ///
-    /// # Errors
-    /// No motion is of the kinds of source that the base is limited to.
     pub(crate) fn base(
         &self,
         config: &ComposeConfig,
