@@ -74,7 +74,6 @@ fn main_table(manifest: &Manifest) -> &str {
         .unwrap_or("motions")
 }
 
-/// How Python reads the dataset.
 fn loading(manifest: &Manifest, main: &str) -> String {
     let files = manifest.tables.get(main).into_iter().flatten();
     let split = files

@@ -15,7 +15,6 @@ pub(crate) trait ClipRow: Row {
     /// Split of the clip.
     fn split(&self) -> Split;
 
-    /// Gives the clip another id and split.
     fn place(&mut self, id: MotionId, split: Split);
 
     /// Name of the source that the clip came from, where the table has it.

@@ -19,7 +19,6 @@ pub struct Clips<'a> {
     shards: Vec<Shard>,
 }
 
-/// Some clips of one file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Part {
@@ -156,7 +155,6 @@ impl<'a> Clips<'a> {
 }
 
 impl Shard {
-    /// The file.
     pub(crate) fn path(&self) -> &std::path::Path {
         &self.path
     }

@@ -46,7 +46,6 @@ struct Part<'a> {
     sources: &'a MergedSources,
     /// What its paths begin with in the result.
     label: String,
-    /// Clips that the other has.
     shared: BTreeSet<MotionId>,
     ids: BTreeMap<MotionId, MotionId>,
     splits: BTreeMap<MotionId, Split>,
@@ -96,7 +95,6 @@ impl<'a> Part<'a> {
         Some((split, row))
     }
 
-    /// What the dataset rejected.
     fn quarantine(&self) -> Result<Vec<QuarantineRow>, Error> {
         let rows = self.dataset.read::<QuarantineRow>(None)?.into_iter();
         let rows = rows.map(|row| QuarantineRow {
@@ -209,7 +207,6 @@ pub fn merge(
     })
 }
 
-/// The skeleton of both datasets.
 fn common_skeleton(first: &Dataset, second: &Dataset) -> Result<Skeleton, Error> {
     let skeleton = first.skeleton()?;
     if skeleton.hash() != second.skeleton()?.hash() {
@@ -416,7 +413,6 @@ struct Labels {
 }
 
 impl Labels {
-    /// Writes the tables that have rows.
     fn tables(
         &self,
         transaction: &Transaction,

@@ -21,7 +21,6 @@ use crate::likeness::{Sketch, near_pairs};
 /// Formats of single files, each of which holds one recording. Every other format is of releases.
 const OF_FILES: [&str; 6] = ["amass", "bvh", "c3d", "fbx", "gltf", "trc"];
 
-/// What a clip says of its origin.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Origin {
     pub(crate) id: MotionId,
@@ -33,16 +32,13 @@ pub(crate) struct Origin {
     pub(crate) mirrored_of: Option<String>,
 }
 
-/// What names a recording.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Recording {
     /// Source clip of an id, in one dataset.
     Clip(usize, String),
-    /// A file, by its hash.
     File(String),
     /// A file of a release, and the name of a clip in the release.
     Member(String, String),
-    /// A motion, by its hash.
     Motion(String),
 }
 
@@ -118,11 +114,9 @@ pub(crate) fn grouped(recordings: &[Vec<Recording>]) -> Groups {
     groups
 }
 
-/// Groups of numbers.
 pub(crate) struct Groups(Vec<usize>);
 
 impl Groups {
-    /// The smallest number of a group.
     pub(crate) fn of(&self, mut number: usize) -> usize {
         while self.0[number] != number {
             number = self.0[number];

@@ -192,7 +192,6 @@ struct Reference {
 
 /// Result for a clip of the dataset.
 enum Met {
-    /// The folder lacks it.
     Unknown,
     /// It was compared as far as possible.
     Compared {
@@ -229,7 +228,6 @@ impl Reference {
         self.vectors.keys().chain(self.joints.keys()).collect()
     }
 
-    /// Compares the features of a clip.
     fn meet(&self, id: &str, features: Result<Vec<Features>, String>) -> Met {
         let (vector, joints) = (self.vectors.get(id), self.joints.get(id));
         if vector.is_none() && joints.is_none() {
@@ -548,7 +546,6 @@ mod tests {
         features_of(&motion_row(id, Split::Train, &wandering(id, 50)), &body).expect("a body")
     }
 
-    /// A dataset of features.
     fn dataset(root: &Path, ids: &[&str]) -> Dataset {
         let rows: Vec<HumanMl3dRow> = ids
             .iter()

@@ -103,14 +103,12 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
 #[derive(Default)]
 struct Contents {
     met: Vec<Met>,
-    /// Splits of motions, and their numbers of frames.
     motions: BTreeMap<MotionId, (Split, i32)>,
     named: Vec<read::Named>,
     /// Splits of masks and pairs, by table and id.
     labels: BTreeMap<(&'static str, String), Split>,
     items: BTreeMap<String, Asked>,
     answers: Vec<answers::Answer>,
-    /// Recipes of features, and a motion of each.
     recipes: BTreeMap<String, MotionId>,
 }
 

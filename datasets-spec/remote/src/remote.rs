@@ -22,7 +22,6 @@ pub struct Remote {
     retries: usize,
     cache: Option<Arc<Cache>>,
     hub: Option<HubCache>,
-    /// Clients by scheme and bucket.
     clients: Mutex<BTreeMap<String, Client>>,
     /// What is known of files that do not change while this process reads them.
     known: Mutex<BTreeMap<PathBuf, Known>>,
@@ -137,7 +136,6 @@ impl Remote {
         Ok(whole.into_iter().next().unwrap_or_default())
     }
 
-    /// Keeps a file in the cache.
     fn keep(&self, hash: &str, bytes: &Bytes) {
         use crate::cache::BLOCK;
 

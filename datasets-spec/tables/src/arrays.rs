@@ -20,7 +20,6 @@ use polars_arrow::types::NativeType;
 
 use pl::ArrayFromIter as _;
 
-/// The type of polars for a type of a table.
 pub(crate) fn polars_type(data_type: &DataType) -> Result<pl::DataType, String> {
     Ok(match data_type {
         DataType::Utf8 => pl::DataType::String,

@@ -55,7 +55,6 @@ impl FrameCache {
         })
     }
 
-    /// The file of this key.
     pub(super) fn file(&self, key: &str) -> PathBuf {
         self.folder.join(format!("{key}.frames"))
     }

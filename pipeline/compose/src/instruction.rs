@@ -79,7 +79,6 @@ impl Default for Phrases {
 }
 
 impl Phrases {
-    /// Checks the templates.
     pub(super) fn check(&self) -> Result<(), Error> {
         let whole =
             |template: &String| template.contains("{instruction}") && template.contains("{part}");

@@ -269,7 +269,6 @@ impl Quota {
     }
 }
 
-/// What an attempt at an item gave.
 enum Attempt {
     Drawn(Box<ItemRow>),
     /// A question of a novelty that is not wanted any more.
@@ -346,7 +345,6 @@ impl Drawer<'_> {
         })
     }
 
-    /// An item of a subject.
     fn item(
         &self,
         subject: Subject,

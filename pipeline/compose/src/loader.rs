@@ -206,7 +206,6 @@ impl WindowLoader {
         Ok(())
     }
 
-    /// Writes a window to its place in a batch.
     fn put(&self, row: usize, window: &WindowFrames, batch: &mut WindowBatch, place: usize) {
         batch.progress[place] = self.progress[row];
         let text = &self.instructions[self.instruction_of[row] as usize];

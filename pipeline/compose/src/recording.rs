@@ -61,12 +61,10 @@ pub struct Settings {
     pub condition: Option<String>,
 }
 
-/// The settings of a plan.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
     dataset: PathBuf,
-    /// Hash of what is composed.
     content_hash: String,
     settings: Settings,
     /// Fitted once, when the plan is made.
@@ -79,7 +77,6 @@ struct Detail {
     shard: u64,
 }
 
-/// A recording that is ready to be made.
 struct Recording {
     settings: Settings,
     content_hash: String,
@@ -211,7 +208,6 @@ impl Recording {
         (plan, row)
     }
 
-    /// Whether a dataset holds this recording.
     fn is_in(&self, transaction: &Transaction) -> bool {
         let plan = |table| transaction.base().map_or("", |base| base.plan(table));
         let has_normalizer = match self.settings.kind {

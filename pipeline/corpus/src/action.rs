@@ -2,7 +2,6 @@
 
 use super::gait::Side;
 
-/// What a clip shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Action {
     Walk,

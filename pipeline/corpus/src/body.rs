@@ -62,7 +62,6 @@ pub(super) struct Coupling {
 }
 
 impl Coupling {
-    /// A body that walks.
     pub(super) const WALK: Coupling = Coupling {
         pelvis_turn: 0.16,
         chest_turn: 0.26,
@@ -146,7 +145,6 @@ struct Ground {
     feet: [Foot; 2],
 }
 
-/// Target of one foot.
 #[derive(Clone, Copy)]
 struct Foot {
     ankle: DVec3,
@@ -167,7 +165,6 @@ struct Answers {
     load: Vec<f64>,
 }
 
-/// Performs a script in a style.
 pub(super) fn perform(
     script: &Script,
     style: &Style,

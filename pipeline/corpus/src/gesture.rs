@@ -46,7 +46,6 @@ const ASIDE: Hold = hold([0.96, -0.05, 0.22], 0.2, [0.0, -0.6, -1.0]);
 const OVERHEAD: Hold = hold([0.14, 0.97, 0.08], 0.16, [0.9, 0.0, -0.5]);
 /// The arm stretched out forwards.
 const FORWARD: Hold = hold([0.05, -0.05, 1.0], 0.2, [0.7, -0.7, 0.0]);
-/// A telephone at the ear.
 const AT_EAR: Hold = hold([-0.03, 0.13, 0.13], 2.38, [0.75, -0.6, 0.25]);
 /// A hand on the thigh of a sitting body.
 const ON_THIGH: Hold = hold([-0.02, -0.80, 0.60], 0.75, [0.7, -0.1, -0.8]);
@@ -55,7 +54,6 @@ const BESIDE: Hold = Hold {
     upright: 0.45,
     ..hold([0.16, -0.97, 0.12], 0.25, [0.4, 0.0, -1.0])
 };
-/// An object held before the chest.
 const BEFORE_CHEST: Hold = hold([-0.18, -0.28, 0.85], 1.65, [0.6, -0.8, -0.2]);
 
 impl Hold {
@@ -135,7 +133,6 @@ impl<'a> ArmScript<'a> {
     }
 }
 
-/// Waves with one hand.
 pub(super) fn wave(
     script: &mut Script,
     style: &Style,
@@ -168,7 +165,6 @@ pub(super) fn wave(
     end
 }
 
-/// Claps the hands.
 pub(super) fn clap(script: &mut Script, style: &Style, from: f64, claps: usize) -> f64 {
     let mut end = from;
     for side in Side::BOTH {

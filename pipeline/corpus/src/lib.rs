@@ -135,7 +135,6 @@ pub struct AdjustedClip {
     pub part: BodyPart,
 }
 
-/// The format a clip is written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ClipFormat {
     Amass,
@@ -276,7 +275,6 @@ fn perform(
     (motion, facts)
 }
 
-/// Name of a clip.
 fn clip_name(action: Action, style: &style::Style, take: usize) -> String {
     format!("{}_{}_{:03}", action.name(), style.name, take + 1)
 }

@@ -308,7 +308,6 @@ impl Travel {
         }
     }
 
-    /// Performs this way of moving.
     pub(super) fn perform(self, style: &Style, take: &mut Rng, scatter: &mut Rng) -> Script {
         let duration = (self.duration_secs / style.tempo.sqrt()).max(MIN_SECS);
         let tempo = style.tempo.powf(self.haste);

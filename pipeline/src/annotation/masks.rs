@@ -131,7 +131,6 @@ pub fn automatic_masks(
 /// How much each region of the body moves in a clip, in m/s.
 pub(crate) type Activity = [f64; Region::ALL.len()];
 
-/// The activities of clips.
 pub(crate) fn activities(
     motions: &[MotionRow],
     skeleton: &Skeleton,

@@ -18,16 +18,13 @@ use pickle::npy;
 use pickle::npz::Archive;
 use pickle::{self, Value};
 
-/// Kind of a file by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// SMPL parameters of AMASS's layouts, z up, or of the store's, y up.
     Npz,
     /// A dictionary of MotionFix's evaluation, or an array of HumanML3D.
     Npy,
-    /// A pickled dictionary.
     Pickle,
-    /// A table of answers.
     Parquet,
 }
 

@@ -221,7 +221,6 @@ pub fn read_answers(
     Ok(Answers::of(found, passed_over, items, options))
 }
 
-/// Context for reading an answer.
 struct Reader<'a> {
     names: &'a Names,
     items: &'a [ItemRow],

@@ -26,7 +26,6 @@ pub(super) struct Recorded {
     pub(super) fps: Option<f64>,
     /// The vertical axis of its format.
     pub(super) up: Up,
-    /// Placement of motions of its format.
     pub(super) place: Place,
     pub(super) transl: Vec<[f64; 3]>,
     pub(super) vectors: Vec<[f64; VECTORS_WIDTH]>,

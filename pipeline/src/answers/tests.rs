@@ -86,7 +86,6 @@ fn apart(a: &Motion, b: &Motion) -> f64 {
     pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
 }
 
-/// An archive in the store's layout.
 fn store_npz(motion: &Motion, fps: f64) -> Vec<u8> {
     let wide = |values: &[f32]| -> Vec<f64> { values.iter().map(|&v| f64::from(v)).collect() };
     let frames = motion.len();
@@ -415,7 +414,6 @@ enum Writer {
     Nested,
     /// polars: large lists and large text.
     Large,
-    /// All numbers in one list.
     Flat,
     /// Fixed-size lists of floats, as our own tables have them.
     Fixed,

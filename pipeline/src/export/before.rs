@@ -40,7 +40,6 @@ pub fn before(layout: Layout, clips: &Clips) -> Result<Vec<String>, Error> {
     Ok(remarks)
 }
 
-/// Whether files have the names of clips.
 fn names_are_ids(layout: Layout) -> bool {
     match layout {
         Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::MotionMillion => true,

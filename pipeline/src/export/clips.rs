@@ -50,7 +50,6 @@ impl Files {
         })
     }
 
-    /// BVH files.
     pub(super) fn bvh(clips: &Clips) -> Result<Self, Error> {
         let stem = |id: &str, taken: &mut _| unique(safe_stem(id, ".bvh"), taken);
         Self::new(clips, "bvh", stem, |row, skeleton| {
@@ -60,7 +59,6 @@ impl Files {
         })
     }
 
-    /// GLB files.
     pub(super) fn gltf(clips: &Clips) -> Result<Self, Error> {
         let stem = |id: &str, taken: &mut _| unique(safe_stem(id, ".glb"), taken);
         Self::new(clips, "glb", stem, |row, skeleton| {

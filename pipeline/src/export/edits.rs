@@ -25,7 +25,6 @@ pub struct Sides {
     pub targets: bool,
 }
 
-/// A motion to write.
 struct Clip<'a> {
     stem: String,
     motion: Motion,

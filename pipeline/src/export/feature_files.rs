@@ -28,7 +28,6 @@ impl Lines {
     }
 }
 
-/// The features of a clip, from its file.
 pub(super) fn read_features<const WIDTH: usize>(path: &Path) -> Result<Vec<[f32; WIDTH]>, Error> {
     let bytes = fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
     let name = path.display().to_string();

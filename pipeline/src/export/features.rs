@@ -21,7 +21,6 @@ use crate::clips::Clips;
 
 type Features<const WIDTH: usize> = Vec<[f32; WIDTH]>;
 
-/// How features are computed.
 pub(super) struct Recipe<const WIDTH: usize> {
     features: fn(&Motion, &Skeleton) -> Result<Features<WIDTH>, kinematics::Error>,
     /// Groups in which the deviation is averaged.
@@ -101,7 +100,6 @@ pub(super) struct FeatureFolder<const WIDTH: usize> {
 }
 
 impl<const WIDTH: usize> FeatureFolder<WIDTH> {
-    /// The folder of some clips.
     pub(super) fn new(
         clips: &Clips,
         form: &'static Form,

@@ -14,14 +14,12 @@ use crate::clips::Clips;
 
 /// How the files of a layout are written.
 pub(super) enum Form {
-    /// Clip by clip.
     ByClip(Box<dyn ByClip>),
     /// In one go, because they depend on each other.
     Whole(fn(&Clips, &Path, &dyn Progress) -> Result<Exported, Error>),
 }
 
 impl Form {
-    /// The form of a layout, for some clips.
     pub(super) fn of(layout: Layout, clips: &Clips) -> Result<Self, Error> {
         let dim_272 =
             |form: &'static features::Form| FeatureFolder::new(clips, form, &features::DIM_272);

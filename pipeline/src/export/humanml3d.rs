@@ -41,7 +41,6 @@ pub(super) struct HumanMl3dFolder {
 const VECTORS: &str = "new_joint_vecs";
 
 impl HumanMl3dFolder {
-    /// The folder of some clips.
     pub(super) fn new(clips: &Clips) -> Result<Self, Error> {
         Ok(Self {
             skeleton: smpl_body(&clips.dataset().skeleton()?),

@@ -32,7 +32,6 @@ pub(crate) const JOB: &str = "export";
 /// Folder of the pieces among what is staged.
 const PIECES: &str = "pieces";
 
-/// The settings of a plan.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -40,7 +39,6 @@ struct Stored {
     /// Root hash of the dataset.
     root_hash: String,
     layout: String,
-    /// The condition on the clips.
     filter: Option<String>,
 }
 
@@ -50,7 +48,6 @@ impl Stored {
     }
 }
 
-/// An export that is ready to be made.
 struct Export {
     dataset: Dataset,
     layout: Layout,
@@ -123,7 +120,6 @@ pub fn plan_export(
     Ok(draft.write(out, |_| Ok(()))?)
 }
 
-/// Opens the job of a plan.
 pub(crate) fn open_job(plan: &Plan) -> Result<Box<dyn Job>, Failed> {
     let stored: Stored = plan.settings()?;
     let dataset = Dataset::open_unverified(&stored.dataset)?;
@@ -178,7 +174,6 @@ impl Export {
         }
     }
 
-    /// Files of motions that a piece reads, with their places.
     fn motions(&self, part: Option<&Part>) -> Vec<(PathBuf, &FileEntry)> {
         let mut files = self.dataset.files(MotionRow::TABLE, None);
         if let Some(part) = part {
@@ -249,7 +244,6 @@ impl Export {
     }
 }
 
-/// What a piece notes.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {

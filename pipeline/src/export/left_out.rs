@@ -31,7 +31,6 @@ pub struct Exported {
 }
 
 impl Exported {
-    /// An export of some clips that leaves nothing out.
     pub(super) fn of(clips: u64) -> Self {
         Self {
             clips,
@@ -86,9 +85,7 @@ const MASKS: &str = "masks";
 pub(super) const PAIRS: &str = "pairs";
 const FEATURES: &str = "humanml3d_features";
 
-/// Parts of a caption.
 const WORDS: [&str; 3] = [CAPTIONS, CAPTION_TIMES, CAPTION_TOKENS];
-/// Other labels of a clip.
 const LABELS: [&str; 6] = [
     MADE_CAPTIONS,
     PART_CAPTIONS,

@@ -39,12 +39,10 @@ use crate::clips::Clips;
 const FILE_FRAMES: usize = 100_000;
 /// Episodes of a file of the table of episodes: about 50 MB, most of it statistics.
 const FILE_EPISODES: usize = 10_000;
-/// Files per chunk, by the format.
 const CHUNK_FILES: usize = 1000;
 /// Task of a clip without a caption.
 const NO_TASK: &str = "move";
 
-/// Writes the data set.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,
@@ -90,7 +88,6 @@ struct Writer<'a> {
     tasks: Vec<String>,
     task_places: BTreeMap<String, usize>,
     num_episodes: usize,
-    /// Episodes waiting for their file.
     episodes: Vec<Episode>,
     /// Frames waiting for their file, with episode, frame and task.
     states: Vec<[f32; STATE_WIDTH]>,

@@ -256,7 +256,6 @@ fn key_in<'a>(id: &'a str, side: &str) -> Option<&'a str> {
     (is_key && key.bytes().all(|byte| byte.is_ascii_digit())).then_some(key)
 }
 
-/// Digits of a published key.
 const KEY_DIGITS: usize = 6;
 /// Digits of a key made here: as a number it is exact in double precision.
 const NEW_KEY_DIGITS: u32 = 15;
@@ -264,7 +263,6 @@ const NEW_KEY_LEN: usize = NEW_KEY_DIGITS as usize;
 
 type Dump = DictWriter<BufWriter<File>>;
 
-/// Dumps that are being written.
 struct Writer<'a> {
     folder: PathBuf,
     skeleton: &'a Skeleton,

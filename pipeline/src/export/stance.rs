@@ -115,7 +115,6 @@ struct Plan {
     /// adjustments.
     places: BTreeMap<String, Option<(&'static str, String)>>,
     adjustments: Vec<Adjustment>,
-    /// The adjustments of each motion.
     uses: BTreeMap<String, Vec<usize>>,
 }
 
@@ -243,7 +242,6 @@ fn file_name(text: &str) -> String {
         .collect()
 }
 
-/// Whether a mask is made of named parts.
 fn is_named(mask: &MaskRow) -> bool {
     let mut parts = mask.parts.iter();
     !mask.parts.is_empty() && parts.all(|part| part.parse::<BodyPart>().is_ok())
@@ -459,7 +457,6 @@ fn json_text(content: &impl Serialize) -> Vec<u8> {
     serde_json::to_vec_pretty(content).expect("texts and numbers serialise")
 }
 
-/// Writes rows, one in each line.
 fn save_rows(path: &Path, rows: &[impl Serialize]) -> Result<(), Error> {
     let mut lines = Vec::new();
     for row in rows {

@@ -20,7 +20,6 @@ use pickle::npy;
 /// Limits on the clips and bytes of a shard.
 const SHARD_CLIPS: usize = 1000;
 const SHARD_BYTES: u64 = 256 << 20;
-/// Permissions of a member.
 const MODE: u32 = 0o644;
 
 /// Writes the shards of every split.

@@ -46,7 +46,6 @@ struct Numbers {
     split: Option<Split>,
     num_frames: i32,
     centre: Option<[f32; 3]>,
-    /// Number of its file.
     file: usize,
 }
 
@@ -123,12 +122,10 @@ impl Alike {
         alike
     }
 
-    /// The class of a motion that is like another.
     pub(super) fn class(&self, id: &str) -> Option<usize> {
         self.classes.get(id).copied()
     }
 
-    /// The split that the clips of a class have already.
     pub(super) fn split(&self, class: usize) -> Option<Split> {
         self.splits.get(&class).copied()
     }
@@ -199,10 +196,8 @@ fn may_be_near(a: &Numbers, b: &Numbers) -> bool {
         && centres.is_some_and(|(a, b)| std::iter::zip(a, b).all(|(a, b)| is_near(a, b)))
 }
 
-/// Clips that are decoded at a time.
 const CLIPS_AT_ONCE: usize = 32;
 
-/// The files that motions are read from.
 #[derive(Default)]
 struct Files {
     paths: Vec<PathBuf>,
@@ -341,7 +336,6 @@ impl<'a> Order<'a> {
         }
     }
 
-    /// The motions at two places.
     fn indices(&self, places: [usize; 2]) -> [usize; 2] {
         places.map(|place| self.places[place].1)
     }

@@ -34,7 +34,6 @@ pub(super) enum Fate {
     },
 }
 
-/// The fates of all recorded clips.
 #[derive(Clone)]
 pub(super) struct Fates<'a> {
     recorded: &'a Recorded,

@@ -126,7 +126,6 @@ impl Plan {
     }
 }
 
-/// Opens the job of a plan.
 pub(crate) fn open_job(plan: &work::Plan) -> Result<Box<dyn Job>, Failed> {
     let stored: StoredOptions = plan.settings()?;
     let given = stored.options()?;

@@ -175,7 +175,6 @@ impl Plan {
         serde_json::to_string(&self.all_labels(recorded)).expect("texts serialise")
     }
 
-    /// Whether all sources of this run are recorded.
     pub(super) fn has_known_sources(&self, recorded: &Recorded) -> bool {
         let mut given = self.given.iter();
         given.all(|given| recorded.sources.contains(&given.label))

@@ -27,7 +27,6 @@ pub(super) struct Known<'a> {
 pub(super) type Identified = (Vec<(Given, Listing)>, Vec<String>);
 
 impl Known<'_> {
-    /// Says which source each listing is.
     pub(super) fn identify(&self, listed: Vec<Listed>) -> Result<Identified, Error> {
         let mut remarks = Vec::new();
         let names = self.names(&listed, &mut remarks)?;
@@ -168,7 +167,6 @@ impl Known<'_> {
             .collect()
     }
 
-    /// The name of every source.
     pub(super) fn names(
         &self,
         listed: &[Listed],
@@ -222,7 +220,6 @@ impl Known<'_> {
         labels.find(is_there)
     }
 
-    /// The name of a source.
     fn name(&self, source: &Listed, remarks: &mut Vec<String>) -> Result<String, Error> {
         if let Some(name) = &source.name {
             return Ok(name.clone());

@@ -18,7 +18,6 @@ use super::places::Places;
 use super::sources::{Kind, SourceArg, free, name_of_folder};
 use crate::Error;
 
-/// A source file in the plan.
 #[derive(Clone, Debug)]
 pub(super) struct Source {
     /// The source it is of, by its place in [`Plan::given`](super::plan::Plan).
@@ -51,7 +50,6 @@ pub(crate) struct Listing {
 const FOLDER_LINK: &str =
     "link to a folder, not followed; name the folder it leads to as a source of its own";
 
-/// The files of one source.
 pub(crate) struct Listed {
     /// The name that was given.
     pub(super) name: Option<String>,
@@ -59,7 +57,6 @@ pub(crate) struct Listed {
     pub(super) given: PathBuf,
     /// The folder, without links where that can be had, as text.
     pub(super) place: String,
-    /// The folder.
     folder: PathBuf,
     /// Whether all below the folder is listed; else only the files that were given.
     pub(super) is_whole: bool,
@@ -109,7 +106,6 @@ impl<'a> Located<'a> {
         Ok(Self { arg, folder, file })
     }
 
-    /// Whether it is in a source that is listed already.
     fn is_in(&self, listed: &Listed) -> bool {
         let name = self.arg.name.as_ref();
         let is_named = name.is_none() || listed.name.as_ref() == name;
@@ -143,12 +139,10 @@ impl<'a> Located<'a> {
 }
 
 impl Listed {
-    /// The name of its folder.
     pub(super) fn own_name(&self) -> String {
         name_of_folder(&self.folder)
     }
 
-    /// The names of its folder and the one above.
     pub(super) fn longer_name(&self) -> String {
         let above = self.folder.parent().map(name_of_folder);
         match above.filter(|above| !above.is_empty()) {
@@ -157,7 +151,6 @@ impl Listed {
         }
     }
 
-    /// Names under which its place is recorded.
     pub(super) fn names_in<'a>(&self, places: &'a Places) -> BTreeSet<&'a str> {
         let files = self
             .given_files
@@ -430,7 +423,6 @@ pub(crate) fn labelled(label: &str, name: &str) -> String {
 }
 
 impl Listing {
-    /// Lists the files below a URL.
     fn list_url(&mut self, folder: &Path, given: &Path) -> Result<(), Error> {
         let files = ByPath.files_below(folder);
         for file in files.map_err(datasets_spec::Error::io("list", given))? {
@@ -504,7 +496,6 @@ impl Listing {
         }
     }
 
-    /// What is there in place of files.
     fn why_empty(&self) -> String {
         if let Some((folder, reason)) = self.unlisted.first() {
             return format!("folder {folder} cannot be listed: {reason}");

@@ -249,7 +249,6 @@ pub(super) const SETTINGS_FACT: &str = "ingest_settings";
 
 /// Settings that are recorded by the hash of a file.
 const KEPT_BY_HASH: [&str; 4] = ["splits", "ids", "joint-map", "subject-models"];
-/// Settings that are one for all clips of a dataset.
 pub(super) const SHARED_SETTINGS: [&str; 4] = ["fps", "resample", "skeleton", "features"];
 
 /// The settings that decide how a clip is read, by name. Clips of a dataset are all read with the same.

@@ -139,7 +139,6 @@ impl Recorded {
     }
 }
 
-/// The sources that a manifest records.
 fn sources_of(facts: &BTreeMap<String, String>) -> Vec<SourceLabel> {
     let text = facts.get(SOURCES_FACT);
     text.and_then(|text| serde_json::from_str(text).ok())
@@ -178,7 +177,6 @@ fn rows<R: Row>(root: &Path, base: &Manifest) -> Result<Vec<R>, Error> {
     Ok(rows)
 }
 
-/// Columns of a clip.
 struct Columns {
     ids: Vec<MotionId>,
     /// Name of the source, path, hash, inputs, content.

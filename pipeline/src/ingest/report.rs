@@ -97,7 +97,6 @@ pub(super) struct Tally {
     /// Clips of this run that moved into the split of an equal one.
     pub(super) moves: BTreeMap<String, Split>,
     pub(super) ingested: BTreeSet<String>,
-    /// Motions that are alike.
     pub(super) alike: Alike,
     pub(super) pairs: Vec<PairRow>,
     pub(super) dropped_pairs: u64,

@@ -249,7 +249,6 @@ fn feature_row(
     }
 }
 
-/// Flags for the captions of a clip and for its fit.
 pub(super) fn said_flags(clip: &SourceClip, duration_secs: f32) -> u32 {
     // Times are written with one decimal at most, and a clip of n frames ends a frame early.
     const TOLERANCE_SECS: f32 = 0.15;

@@ -34,7 +34,6 @@ use crate::annotation::pairs::RefusedLine;
 use crate::clip_table::CLIP_TABLES;
 use work::{self, Failed, Made, Piece};
 
-/// A run from its plan to the report.
 struct Run<'a> {
     transaction: Transaction,
     options: &'a IngestOptions,
@@ -46,7 +45,6 @@ struct Run<'a> {
     plan: &'a Plan,
     fates: Fates<'a>,
     plan_hash: String,
-    /// Facts of every file.
     facts: [(&'static str, String); 6],
 }
 
@@ -67,7 +65,6 @@ pub(super) fn piece(plan_hash: &str, number: usize, name: &ShardName, items: &[I
     Piece::new(plan_hash, number, stem, items.len() as u64, reads)
 }
 
-/// Facts of every file of a run.
 pub(super) fn shard_facts(options: &IngestOptions, plan_hash: &str) -> [(&'static str, String); 6] {
     [
         ("skeleton", options.read.skeleton.name().to_owned()),

@@ -89,7 +89,6 @@ impl SplitList {
         pattern.or(exact.copied())
     }
 
-    /// The split of a line.
     pub(super) fn split(&self, line: usize) -> Split {
         self.lines[line].split
     }
@@ -110,7 +109,6 @@ impl SplitList {
     }
 }
 
-/// The name of all clips of a subject.
 pub(super) fn name_of_subject(subject: &str) -> String {
     format!("{SUBJECT}{subject}")
 }

@@ -110,7 +110,6 @@ struct Rest {
 }
 
 impl Plan {
-    /// Writes the plan to a folder.
     pub(super) fn write(&self, folder: &Path) -> Result<(), Error> {
         let sources = self.sources.iter().map(|(path, source)| {
             let place = absolute(self.files.path(path).unwrap_or(Path::new("")))?;

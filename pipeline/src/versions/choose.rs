@@ -48,7 +48,6 @@ impl Choice {
         })
     }
 
-    /// The clips of a dataset that are meant.
     pub(super) fn of(&self, dataset: &Dataset) -> Result<BTreeSet<MotionId>, Error> {
         match self {
             Self::Where(filter) => {

@@ -14,7 +14,6 @@ use crate::annotation::masks::AUTHOR;
 use crate::annotation::pairs::is_from_labels;
 use crate::ingest::LostLabel;
 
-/// Labels named in an error.
 const SHOWN: usize = 5;
 
 /// A label that stays.

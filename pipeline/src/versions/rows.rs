@@ -34,7 +34,6 @@ impl Clip {
 /// The clips of a dataset in the order of its files, without their frames.
 pub(super) struct ClipIndex {
     pub(super) clips: Vec<Clip>,
-    /// Files by table.
     files: [Vec<PathBuf>; 3],
 }
 

@@ -28,7 +28,6 @@ pub const SELECTED_FACT: &str = "selected";
 struct Origin {
     /// Root hash of the dataset.
     root_hash: String,
-    /// The condition.
     #[serde(rename = "where")]
     condition: String,
 }
@@ -123,7 +122,6 @@ pub fn select(
     Ok(report)
 }
 
-/// The selections that led to a dataset, with this one.
 fn selected_from(dataset: &Dataset, filter: &Condition) -> String {
     let manifest = dataset.manifest();
     let earlier = manifest.facts.get(SELECTED_FACT);

@@ -48,7 +48,6 @@ fn form() -> String {
         .to_owned()
 }
 
-/// The URL of an entry of a folder at a URL.
 pub(crate) fn beside(folder: &Path, entry: &Path) -> PathBuf {
     folder.join(entry.file_name().unwrap_or_default())
 }

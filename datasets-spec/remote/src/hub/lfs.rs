@@ -15,7 +15,6 @@ use super::repo::Repo;
 const BATCH: usize = 32;
 const LFS: &str = "application/vnd.git-lfs+json";
 
-/// A file by what it holds.
 pub(super) struct Object<'a> {
     pub(super) file: &'a HubFile,
     /// SHA-256, hexadecimal.

@@ -312,7 +312,6 @@ fn commit_lines(
     Ok(lines)
 }
 
-/// Makes the commit and returns its name.
 fn commit(hub: &Hub, repo: &Repo, revision: &str, lines: &[u8]) -> Result<String, Error> {
     let address = format!("{}/commit/{}", repo.api(hub), quoted(revision, ""));
     let answer = hub

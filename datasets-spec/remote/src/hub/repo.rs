@@ -101,7 +101,6 @@ pub struct Repo {
 }
 
 impl Repo {
-    /// Its path on the server.
     pub(super) fn path(&self) -> String {
         match self.kind {
             RepoKind::Dataset => format!("datasets/{}", self.name),
@@ -192,10 +191,8 @@ pub(super) fn create(hub: &Hub, repo: &Repo, is_private: bool) -> Result<(), Err
     }
 }
 
-/// The files of a repo by their paths.
 pub(super) type Tree = BTreeMap<String, Wanted>;
 
-/// The files of a commit.
 pub(super) fn tree(hub: &Hub, repo: &Repo, commit: &str) -> Result<Tree, Error> {
     let mut files = Tree::new();
     let mut next = Some(format!("{}/tree/{commit}?recursive=true", repo.api(hub)));

@@ -22,7 +22,6 @@ const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
 #[derive(Clone)]
 struct Served {
     content: Vec<u8>,
-    /// Checksum the server claims.
     etag: String,
     /// Bytes of an answer's body after which the server hangs up.
     cut: Option<usize>,

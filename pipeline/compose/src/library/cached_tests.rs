@@ -19,7 +19,6 @@ use crate::{
     Stream, WindowBatch, draw_items, fixture,
 };
 
-/// A dataset of motions, masks and pairs.
 fn committed(root: &Path, motions: &[MotionRow], masks: &[MaskRow], pairs: &[PairRow]) -> Dataset {
     let skeleton = Skeleton::smplx_neutral();
     let transaction = Transaction::begin(root, "test").expect("begins");
@@ -83,7 +82,6 @@ fn rows(seed: u64, num_clips: usize) -> (Vec<MotionRow>, Vec<MaskRow>, Vec<PairR
     (motions, masks, pairs)
 }
 
-/// Everything that is composed of a library.
 #[derive(Debug, PartialEq)]
 struct Composed {
     normalizer: kinematics::normalise::Normalizer,

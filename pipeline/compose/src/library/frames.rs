@@ -183,7 +183,6 @@ fn damaged(path: &Path, problem: &'static str) -> Error {
     }
 }
 
-/// A file of frames that is being written.
 pub(super) struct FrameWriter {
     file: BufWriter<File>,
     path: PathBuf,

@@ -52,12 +52,10 @@ struct FileFrames {
 }
 
 impl Clip {
-    /// Number of frames.
     pub(super) fn len(&self) -> usize {
         self.frames.len
     }
 
-    /// All frames.
     pub(super) fn motion(&self) -> Result<Motion, Error> {
         self.crop(0..self.len())
     }
@@ -198,7 +196,6 @@ impl Library {
         &self.pairs[index].instruction
     }
 
-    /// A clip by its index.
     pub(super) fn clip(&self, clip: usize) -> &Clip {
         &self.clips[clip]
     }

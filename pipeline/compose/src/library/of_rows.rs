@@ -11,7 +11,6 @@ use super::{Library, frames_of_file};
 use crate::{Error, FrameCache};
 
 impl Library {
-    /// Takes the rows of one split.
     pub(crate) fn new(
         split: Split,
         rows: &[MotionRow],

@@ -16,9 +16,7 @@ use crate::{ComposeConfig, Error, ItemTask};
 /// The annotation or pair that an item is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Subject {
-    /// Index of an annotation.
     Annotation(usize),
-    /// Index of a pair.
     Pair(usize),
 }
 
@@ -186,7 +184,6 @@ impl Library {
         self.clips[source].origin != self.clips[target].origin
     }
 
-    /// Whether a clip may be the partner of an edit.
     pub(crate) fn may_meet(&self, clip: usize, subject: Subject) -> bool {
         match subject {
             Subject::Annotation(annotation) => {

@@ -35,7 +35,6 @@ datasets_spec::table! {
     }
 }
 
-/// The chosen clips of a file, with their places in it.
 type ChosenClips = Vec<(usize, LabelledClip)>;
 
 impl Library {

@@ -10,7 +10,6 @@ use super::{Annotation, Clip, FileFrames, Library, Pair};
 use crate::config::{Alignment, EditKind};
 use crate::{Error, FrameCache, ItemTask, style_instruction};
 
-/// What the row of a clip states beside its frames.
 pub(super) struct StatedClip<'a> {
     pub(super) id: &'a MotionId,
     pub split: Split,
@@ -57,7 +56,6 @@ impl<'a> LibraryRows<'a> {
         })
     }
 
-    /// Adds a clip, whose skeleton is the library's.
     pub(super) fn add_clip(
         &mut self,
         stated: &StatedClip<'_>,
@@ -251,7 +249,6 @@ fn unusable(row: &MaskRow, source: datasets_spec::Error) -> Error {
     }
 }
 
-/// The kind, instruction and parts of a pair.
 fn meaning_of_pair(row: &PairRow) -> Result<(EditKind, String, Vec<BodyPart>), Error> {
     let kind = EditKind::parse(&row.kind).ok_or_else(|| Error::PairKind {
         pair: row.id.clone(),

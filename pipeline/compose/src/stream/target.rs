@@ -23,7 +23,6 @@ pub(super) struct Target {
     pub(super) fixed: Option<Box<Pairing>>,
 }
 
-/// The wordings of an instruction.
 pub(super) type Wordings = Arc<[String]>;
 
 /// What many targets have in common, held once: a dataset has more masks than body parts.

@@ -24,7 +24,6 @@ pub struct PairList {
     hash: String,
 }
 
-/// A line of a list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Line {
     number: u64,
@@ -35,7 +34,6 @@ struct Line {
     instruction: String,
     #[serde(default = "default_kind", skip_serializing_if = "is_default_kind")]
     kind: EditKind,
-    /// Names of body parts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     parts: Vec<String>,
     /// One of [`EDIT_TYPES`].
