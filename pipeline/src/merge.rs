@@ -143,9 +143,7 @@ pub fn merge(
     check_settings(&datasets, &clips)?;
     let transaction = Transaction::begin(out, holder)?;
     if transaction.base().is_some() {
-        return Err(Error::DatasetExists {
-            path: out.to_owned(),
-        });
+        return Err(Error::DatasetExists(out.to_owned()));
     }
     let sources = MergedSources::of(a, b);
     let mut facts = sources.facts.clone();
@@ -250,9 +248,7 @@ fn check_settings(datasets: &[Dataset; 2], clips: &[Vec<Clip>; 2]) -> Result<(),
     }
     match differing.is_empty() {
         true => Ok(()),
-        false => Err(Error::CannotMerge {
-            differing: differing.join("; "),
-        }),
+        false => Err(Error::CannotMerge(differing.join("; "))),
     }
 }
 

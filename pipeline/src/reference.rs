@@ -205,9 +205,7 @@ enum Met {
 impl Reference {
     fn find(folder: &Path) -> Result<Self, Error> {
         if !folder.is_dir() {
-            return Err(Error::MissingSource {
-                path: folder.to_owned(),
-            });
+            return Err(Error::MissingSource(folder.to_owned()));
         }
         let reference = Self {
             vectors: arrays(&folder.join(VECTORS))?,
@@ -720,6 +718,6 @@ mod tests {
         let none = compare(&dataset, dir.path(), &NoProgress);
         assert!(matches!(none, Err(Error::NoFiles { .. })));
         let nowhere = compare(&dataset, &dir.path().join("nowhere"), &NoProgress);
-        assert!(matches!(nowhere, Err(Error::MissingSource { .. })));
+        assert!(matches!(nowhere, Err(Error::MissingSource(_))));
     }
 }

@@ -234,9 +234,7 @@ impl WindowLoader {
             {
                 return Ok(read);
             }
-            Err(Error::UnequalWindows {
-                path: self.root.clone(),
-            })
+            Err(Error::UnequalWindows(self.root.clone()))
         };
         let group = Arc::new(Group {
             epoch,

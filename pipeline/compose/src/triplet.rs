@@ -690,7 +690,7 @@ mod tests {
             library
                 .expect("one split")
                 .fit_normalizer(&ComposeConfig::default()),
-            Err(Error::NotTrain { split: Split::Test })
+            Err(Error::NotTrain(Split::Test))
         ));
     }
 
@@ -742,7 +742,7 @@ mod tests {
                 row.hard_joints.clear();
                 row.soft_joints.clear();
             }),
-            Error::EmptyMask { .. }
+            Error::EmptyMask(_)
         ));
     }
 }

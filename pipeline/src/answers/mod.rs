@@ -116,9 +116,7 @@ impl Names {
         for (index, item) in items.iter().enumerate() {
             item.check()?;
             if names.insert(item.id.clone(), index).is_some() {
-                return Err(Error::ItemTwice {
-                    id: item.id.clone(),
-                });
+                return Err(Error::ItemTwice(item.id.clone()));
             }
         }
         // A name that is not an id must not shadow an id or be ambiguous.

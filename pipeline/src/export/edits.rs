@@ -65,9 +65,7 @@ pub fn export_edits(
         Layout::Bvh => "bvh",
         Layout::Gltf => "glb",
         other => {
-            return Err(Error::LayoutOfEdits {
-                layout: other.as_str(),
-            });
+            return Err(Error::LayoutOfEdits(other.as_str()));
         }
     };
     let skeleton = dataset.skeleton()?;

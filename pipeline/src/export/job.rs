@@ -72,9 +72,7 @@ pub fn plan_export(
 ) -> Result<Plan, Error> {
     let dataset = Dataset::open_unverified(root)?;
     if !dataset.manifest().tables.contains_key(MotionRow::TABLE) {
-        return Err(Error::NoMotions {
-            path: root.to_owned(),
-        });
+        return Err(Error::NoMotions(root.to_owned()));
     }
     if is_occupied(destination) {
         return Err(work::Error::Occupied {

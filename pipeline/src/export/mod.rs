@@ -58,9 +58,7 @@ pub fn export(
 ) -> Result<Exported, Error> {
     let dataset = clips.dataset();
     if !dataset.manifest().tables.contains_key(MotionRow::TABLE) {
-        return Err(Error::NoMotions {
-            path: dataset.root().to_owned(),
-        });
+        return Err(Error::NoMotions(dataset.root().to_owned()));
     }
     let folder = NewFolder::beside(out)?;
     let mut done = match Form::of(layout, clips)? {

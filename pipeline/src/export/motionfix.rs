@@ -99,9 +99,7 @@ pub fn export_triplets(
 }
 
 fn none(dataset: &Dataset) -> Error {
-    Error::NoTriplets {
-        path: dataset.root().to_owned(),
-    }
+    Error::NoTriplets(dataset.root().to_owned())
 }
 
 /// Writes the pairs whose motions are both among the clips. A style pair without words gets those of its style; other
@@ -556,7 +554,7 @@ mod tests {
             &at("out"),
             &NoProgress,
         );
-        assert!(matches!(refused, Err(Error::NoTriplets { .. })));
+        assert!(matches!(refused, Err(Error::NoTriplets(_))));
         assert!(!at("out").exists());
     }
 }

@@ -54,9 +54,7 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     prepared.refuse_other_settings(destination)?;
     let plan = prepared.plan(store, destination, listed, progress)?;
     if let Some(path) = plan.files.archives().unpacked() {
-        return Err(Error::PackedTar {
-            path: path.to_owned(),
-        });
+        return Err(Error::PackedTar(path.to_owned()));
     }
     let fates = Fates::of(&plan, &prepared.base.recorded, options.prune);
     // Nothing is planned for clips that cannot stay, or for labels that may not be lost.

@@ -304,7 +304,7 @@ impl Known<'_> {
 }
 
 fn asked(reason: String) -> Error {
-    Error::AskedSource { reason }
+    Error::AskedSource(reason)
 }
 
 /// Refuses two sources of one name, and one place under two names.

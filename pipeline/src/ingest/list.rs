@@ -82,9 +82,7 @@ impl<'a> Located<'a> {
     fn find(arg: &'a SourceArg) -> Result<Self, Error> {
         use std::io::ErrorKind::NotFound;
 
-        let missing = || Error::MissingSource {
-            path: arg.path.clone(),
-        };
+        let missing = || Error::MissingSource(arg.path.clone());
         let (path, is_file) = if is_url(&arg.path) {
             let text = arg.path.to_string_lossy();
             let path = PathBuf::from(text.trim_end_matches('/'));
@@ -214,12 +212,10 @@ impl Listed {
             Some(names.join("/"))
         });
         if own.as_deref() == Some("") {
-            return Err(Error::AskedSource {
-                reason: format!(
-                    "{} is the dataset and its source at the same time; write the dataset to another folder",
-                    self.given.display()
-                ),
-            });
+            return Err(Error::AskedSource(format!(
+                "{} is the dataset and its source at the same time; write the dataset to another folder",
+                self.given.display()
+            )));
         }
         let roots = self
             .listing
@@ -431,9 +427,7 @@ impl Listing {
             self.files.insert(names.join("/"), file);
         }
         match self.files.is_empty() {
-            true => Err(Error::MissingSource {
-                path: given.to_owned(),
-            }),
+            true => Err(Error::MissingSource(given.to_owned())),
             false => Ok(()),
         }
     }

@@ -83,9 +83,7 @@ pub fn remove_in(
     let left = left_out(&dataset, |id| chosen.contains(id), REMOVED)?;
     let mut shards = Shards::read(&dataset)?;
     if shards.num_clips() <= left.len() {
-        return Err(Error::AllRemoved {
-            path: root.to_owned(),
-        });
+        return Err(Error::AllRemoved(root.to_owned()));
     }
     let mut report = Removed {
         removed: chosen.iter().map(ToString::to_string).collect(),

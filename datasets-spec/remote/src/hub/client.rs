@@ -116,9 +116,7 @@ impl Hub {
     pub fn check_token(&self) -> Result<(), Error> {
         match self.token {
             Some(_) => Ok(()),
-            None => Err(Error::NoToken {
-                endpoint: self.endpoint.clone(),
-            }),
+            None => Err(Error::NoToken(self.endpoint.clone())),
         }
     }
 
@@ -288,7 +286,7 @@ impl Answer {
                     false => "set HF_TOKEN or run `hf auth login`",
                 },
             },
-            StatusCode::NOT_FOUND => Error::NotFound { what: address },
+            StatusCode::NOT_FOUND => Error::NotFound(address),
             _ => Error::Call { address, problem },
         })
     }

@@ -165,12 +165,8 @@ pub fn kind_of(hub: &Hub, name: &RepoName, revision: &str) -> Result<RepoKind, E
     }
     match found[..] {
         [kind] => Ok(kind),
-        [] => Err(Error::NotFound {
-            what: format!("dataset or model {name}"),
-        }),
-        _ => Err(Error::Ambiguous {
-            name: name.to_string(),
-        }),
+        [] => Err(Error::NotFound(format!("dataset or model {name}"))),
+        _ => Err(Error::Ambiguous(name.to_string())),
     }
 }
 

@@ -377,9 +377,7 @@ impl Library {
         [long, other_action, other]
             .into_iter()
             .find(|partners| !partners.is_empty())
-            .ok_or_else(|| Error::NoPartner {
-                motion: target.id.clone(),
-            })
+            .ok_or_else(|| Error::NoPartner(target.id.clone()))
     }
 
     /// The instruction of the dataset, with the part added by the first template.

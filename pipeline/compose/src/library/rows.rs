@@ -300,9 +300,7 @@ fn blend_of_mask(row: &MaskRow) -> Result<BlendMask, Error> {
         .and_then(|hard| BlendMask::new(hard, joints(&row.soft_joints)?))
         .map_err(|source| unusable(row, source))?;
     if mask.is_empty() {
-        return Err(Error::EmptyMask {
-            mask: row.id.clone(),
-        });
+        return Err(Error::EmptyMask(row.id.clone()));
     }
     if row.text.trim().is_empty() {
         return Err(Error::EmptyText {

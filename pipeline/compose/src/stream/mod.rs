@@ -125,9 +125,9 @@ impl Stream {
         let mut num_items = 0;
         for subject in library.subjects(&config, seed, span) {
             if !base.iter().any(|&clip| library.may_meet(clip, subject)) {
-                return Err(Error::NoPartner {
-                    motion: library.clip(library.target_of(subject)).id.clone(),
-                });
+                return Err(Error::NoPartner(
+                    library.clip(library.target_of(subject)).id.clone(),
+                ));
             }
             let fixed = config.fixed_pairs.then(|| {
                 let mut rng = seed.rng(&["fixed pair", library.subject_id(subject)]);

@@ -152,7 +152,7 @@ fn a_motion_never_meets_its_own_mirror_image() {
     let library = Library::new(Split::Train, alone, &masks[..1], &[], &skeleton).expect("valid");
     assert!(matches!(
         stream_of(library, ComposeConfig::default(), 1),
-        Err(Error::NoPartner { motion }) if motion.as_str() == "clip0"
+        Err(Error::NoPartner(motion)) if motion.as_str() == "clip0"
     ));
 }
 
