@@ -57,5 +57,5 @@ pub use triplet::Triplet;
 mod fixture {
     pub(crate) use testkit::*;
 
-    pub(crate) use crate::library::library;
+    pub(crate) use crate::library::{library, library_of, stream};
 }

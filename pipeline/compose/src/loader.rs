@@ -271,21 +271,17 @@ impl WindowLoader {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use datasets_spec::dataset::commit_rows;
     use datasets_spec::{Skeleton, Split};
 
     use super::*;
-    use crate::{ComposeConfig, Stream, fixture};
+    use crate::{ComposeConfig, fixture};
 
     /// A recorded stream, and what was recorded.
     fn recorded(count: usize) -> (tempfile::TempDir, Dataset, WindowBatch) {
         let library = fixture::library(Split::Train, 30);
         let config = ComposeConfig::default();
-        let normalizer = library.fit_normalizer(&config).expect("long enough");
-        let stream = Stream::new(Arc::new(library), config, Seed(2), &normalizer);
-        let stream = stream.expect("a stream");
+        let stream = fixture::stream(library, config, 2).expect("a stream");
         let mut whole = WindowBatch::default();
         let mut rows = Vec::new();
         stream

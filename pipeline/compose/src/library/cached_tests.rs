@@ -158,8 +158,7 @@ proptest! {
             let library = Library::read(&dataset, Split::Train, &cache(folder.path()));
             Arc::new(library.expect("a library"))
         };
-        let skeleton = Skeleton::smplx_neutral();
-        let given = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
+        let given = Library::new(Split::Train, &motions, &masks, &pairs);
         let expected = composed(&Arc::new(given.expect("valid rows")), &config, seed);
         prop_assert_eq!(&composed(&read(), &config, seed), &expected);
         // The second process finds the files of the first.

@@ -23,7 +23,7 @@ use frames::FrameFile;
 pub(super) use frames::FrameRoom;
 
 #[cfg(test)]
-pub(crate) use of_rows::library;
+pub(crate) use of_rows::{library, library_of, stream};
 pub(super) use pairing::{Pairing, Subject};
 pub use rows::{check_mask, check_pair, motion_on};
 
