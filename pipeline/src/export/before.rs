@@ -40,19 +40,12 @@ pub fn before(layout: Layout, clips: &Clips) -> Result<Vec<String>, Error> {
     Ok(remarks)
 }
 
+/// Other names are members of archives, or running numbers.
 fn names_are_ids(layout: Layout) -> bool {
-    match layout {
-        Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::MotionMillion => true,
-        // Members of archives, and running numbers.
-        Layout::WebDataset
-        | Layout::LeRobot
-        | Layout::Stance
-        | Layout::MotionFix
-        | Layout::HumanMl3d
-        | Layout::HumanMl3d272
-        | Layout::Babel272
-        | Layout::HyMotion => false,
-    }
+    matches!(
+        layout,
+        Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::MotionMillion
+    )
 }
 
 /// Whether any clip has a caption that was not made from its name.

@@ -3,14 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use datasets_spec::Skeleton;
 use datasets_spec::record::MotionRow;
-use datasets_spec::{Progress, Skeleton};
 use formats::sidecar::{LabelCaption, Sidecar};
-use rayon::prelude::*;
 
-use super::amass::file_stem;
-use super::by_clip::{ByClip, Note};
 use super::document::file;
+use super::form::{ByClip, Note};
 use super::humanml3d::ids;
 use super::paths::{safe_stem, unique};
 use crate::Error;
@@ -36,17 +34,11 @@ impl Files {
         stem_of: impl Fn(&str, &mut BTreeSet<String>) -> String,
         encode: Encode,
     ) -> Result<Self, Error> {
-        let mut taken = BTreeSet::new();
-        let ids = ids(clips)?.into_iter();
-        let stems = ids.map(|(id, _)| {
-            let stem = stem_of(&id, &mut taken);
-            (id, stem)
-        });
         Ok(Self {
             extension,
             encode,
             skeleton: clips.dataset().skeleton()?,
-            stems: stems.collect(),
+            stems: stems(clips, stem_of)?,
         })
     }
 
@@ -68,7 +60,7 @@ impl Files {
 
     /// AMASS archives, named as those of the release, at the rate of recordings.
     pub(super) fn amass(clips: &Clips) -> Result<Self, Error> {
-        Self::new(clips, "npz", file_stem, |row, skeleton| {
+        Self::new(clips, "npz", amass_stem, |row, skeleton| {
             let motion = formats::write::amass::at_rate_of_recordings(&row.motion()?)?;
             Ok(formats::write::amass::encode_smplx(&motion, skeleton))
         })
@@ -76,28 +68,41 @@ impl Files {
 }
 
 impl ByClip for Files {
-    fn write(
-        &self,
-        rows: Vec<MotionRow>,
-        folder: &Path,
-        progress: &dyn Progress,
-    ) -> Result<Vec<Note>, Error> {
-        let written = rows.into_par_iter().map(|row| {
-            let stem = self.stems.get(row.id.as_str()).cloned().unwrap_or_default();
-            let name = format!("{stem}.{}", self.extension);
-            let bytes = (self.encode)(&row, &self.skeleton)?
-                .map_err(datasets_spec::Error::io("encode", folder.join(&name)))?;
-            file(folder, &name, &bytes)?;
-            write_sidecar(folder, &stem, row)?;
-            progress.advance(1);
-            Ok(None)
-        });
-        written.collect()
+    fn write_clip(&self, row: MotionRow, folder: &Path) -> Result<Note, Error> {
+        let stem = self.stems.get(row.id.as_str()).cloned().unwrap_or_default();
+        let name = format!("{stem}.{}", self.extension);
+        let bytes = (self.encode)(&row, &self.skeleton)?
+            .map_err(datasets_spec::Error::io("encode", folder.join(&name)))?;
+        file(folder, &name, &bytes)?;
+        write_sidecar(folder, &stem, row)?;
+        Ok(None)
     }
 
     fn finish(&self, clips: &Clips, _: &[Note], _: &Path) -> Result<u64, Error> {
         Ok(clips.len())
     }
+}
+
+/// The path each motion gets, by its id.
+pub(super) fn stems(
+    clips: &Clips,
+    stem_of: impl Fn(&str, &mut BTreeSet<String>) -> String,
+) -> Result<BTreeMap<String, String>, Error> {
+    let mut taken = BTreeSet::new();
+    let ids = ids(clips)?.into_iter();
+    let stems = ids.map(|(id, _)| {
+        let stem = stem_of(&id, &mut taken);
+        (id, stem)
+    });
+    Ok(stems.collect())
+}
+
+/// Suffix of the names of AMASS files, before the extension.
+const STEM_END: &str = "_stageii";
+
+/// A relative path for an id without extension, named as files of AMASS are.
+pub(super) fn amass_stem(id: &str, taken: &mut BTreeSet<String>) -> String {
+    format!("{}{STEM_END}", unique(safe_stem(id, STEM_END), taken))
 }
 
 /// Writes what is said of a clip beside its file.

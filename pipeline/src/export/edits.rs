@@ -8,9 +8,10 @@ use datasets_spec::{Dataset, Motion, Progress, Skeleton};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::clips::amass_stem;
 use super::document::{file, write_json};
 use super::paths::{safe_path, unique};
-use super::{Layout, amass, item_stem};
+use super::{Layout, item_stem};
 use crate::Error;
 use work::NewFolder;
 
@@ -85,7 +86,7 @@ pub fn export_edits(
             // Files of AMASS end as those of its release do.
             let name = match layout {
                 Layout::Amass => {
-                    format!("{}.{extension}", amass::file_stem(&clip.stem, &mut taken))
+                    format!("{}.{extension}", amass_stem(&clip.stem, &mut taken))
                 }
                 _ => format!("{}.{extension}", unique(clip.stem.clone(), &mut taken)),
             };

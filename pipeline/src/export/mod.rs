@@ -3,9 +3,9 @@
 //! An export appears whole or not at all: it is written to a temporary folder beside the destination, and
 //! renamed when it is complete.
 
+#[cfg(test)]
 mod amass;
 mod before;
-mod by_clip;
 mod clips;
 mod document;
 mod edits;
@@ -33,8 +33,7 @@ use crate::Error;
 use crate::clips::Clips;
 use work::NewFolder;
 
-use self::by_clip::PART_CLIPS;
-use self::form::Form;
+use self::form::{Form, PART_CLIPS};
 pub use before::before;
 pub use edits::{Sides, export_edits};
 pub use items::export_items;
