@@ -488,24 +488,18 @@ fn shards<R: ClipRow>(
     parts: &[&Part<'_>],
     facts: &[(&str, String)],
 ) -> Result<Vec<FileEntry>, Error> {
-    let name = |file: &FileEntry| {
-        file.path
-            .rsplit('/')
-            .next()
-            .unwrap_or(&file.path)
-            .to_owned()
-    };
-    let mut names: Vec<(usize, String)> = Vec::new();
+    let mut names: Vec<(usize, &str)> = Vec::new();
     for (part, Part { dataset, .. }) in parts.iter().enumerate() {
         let files = CLIP_TABLES.map(|table| dataset.files(table, None));
-        names.extend(files.iter().flatten().map(|(_, file)| (part, name(file))));
+        let files = files.iter().flatten();
+        names.extend(files.map(|(_, file)| (part, file.name())));
     }
     names.sort();
     names.dedup();
     let mut entries = Vec::new();
     for (number, part) in parts.iter().enumerate() {
         for (path, file) in part.dataset.files(R::TABLE, None) {
-            let place = (number, name(file));
+            let place = (number, file.name());
             let index = names.iter().position(|name| *name == place).unwrap_or(0);
             let mut by_split: BTreeMap<Split, Vec<R>> = BTreeMap::new();
             for row in read_rows::<R>(&path)? {

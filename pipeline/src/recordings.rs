@@ -103,7 +103,7 @@ impl Origin {
 
 /// Puts clips into groups, those with a recording in common into one. Returns a number for each.
 pub(crate) fn grouped(recordings: &[Vec<Recording>]) -> Groups {
-    let mut groups = Groups((0..recordings.len()).collect());
+    let mut groups = Groups::new(recordings.len());
     let mut first: BTreeMap<&Recording, usize> = BTreeMap::new();
     for (clip, recordings) in recordings.iter().enumerate() {
         for recording in recordings {
@@ -114,9 +114,15 @@ pub(crate) fn grouped(recordings: &[Vec<Recording>]) -> Groups {
     groups
 }
 
+/// Numbers, some of which are united.
 pub(crate) struct Groups(Vec<usize>);
 
 impl Groups {
+    pub(crate) fn new(count: usize) -> Self {
+        Self((0..count).collect())
+    }
+
+    /// The smallest number of a group.
     pub(crate) fn of(&self, mut number: usize) -> usize {
         while self.0[number] != number {
             number = self.0[number];

@@ -15,10 +15,11 @@ use super::list::list_given;
 use super::options::{IngestOptions, StoredOptions};
 use super::plan::{Plan, Planned};
 use super::prepared::{Prepared, effective};
-use super::run::{Pieces, foreseen, labels, piece, refuse_loss, refuse_mixture, shard_facts};
+use super::run::{Pieces, foreseen, labels, piece, refuse_mixture, shard_facts};
 use super::shard::ShardNotes;
 use super::sources::SourceArg;
 use crate::Error;
+use crate::versions::check_lost;
 use work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece};
 
 /// Name of the job.
@@ -63,7 +64,7 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     }
     let foreseen = foreseen(&plan, &prepared.base, &fates, &prepared.options);
     let labels = labels(&prepared.base, &foreseen);
-    refuse_loss(destination, &labels, options.drop_labels)?;
+    check_lost(destination, &labels.lost, options.drop_labels)?;
     let version = newest.as_ref().map_or(0, |base| base.version);
     let plan_hash = plan.hash(&prepared.settings, &prepared.options, version);
     let draft = Draft {

@@ -113,8 +113,7 @@ impl Recorded {
         for table in CLIP_TABLES {
             for file in base.tables.get(table).into_iter().flatten() {
                 let Some(split) = file.split else { continue };
-                let name = file.path.rsplit('/').next().unwrap_or(&file.path);
-                let shard = shards.entry(name).or_insert_with(|| RecordedShard {
+                let shard = shards.entry(file.name()).or_insert_with(|| RecordedShard {
                     split,
                     files: Vec::new(),
                 });

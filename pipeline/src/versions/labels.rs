@@ -104,7 +104,7 @@ pub(super) fn lost(table: &str, id: &str, clip: &MotionId, reason: String) -> Lo
 }
 
 /// Refuses to lose labels, unless that is allowed.
-pub(super) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> Result<(), Error> {
+pub(crate) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> Result<(), Error> {
     if drop_labels || lost.is_empty() {
         return Ok(());
     }

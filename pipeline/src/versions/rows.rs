@@ -10,7 +10,7 @@ use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Progress, Split, Transaction};
 
 use crate::Error;
-use crate::clip_table::{CLIP_TABLES, ClipRow};
+use crate::clip_table::{CLIP_TABLES, ClipRow, borrowed, clip_ids};
 use crate::ingest::SHARD_CLIPS;
 
 /// File and row.
@@ -47,12 +47,7 @@ impl ClipIndex {
         for (table, name) in CLIP_TABLES.into_iter().enumerate() {
             for (number, (path, file)) in dataset.files(name, None).into_iter().enumerate() {
                 let shard = ShardReader::open(&path)?;
-                let ids: Vec<MotionId> = match name {
-                    MotionRow::TABLE => shard.column::<MotionRow, _>("id")?,
-                    MarkerRow::TABLE => shard.column::<MarkerRow, _>("id")?,
-                    _ => shard.column::<HumanMl3dRow, _>("id")?,
-                };
-                for (row, id) in ids.into_iter().enumerate() {
+                for (row, id) in clip_ids(name, &shard)?.into_iter().enumerate() {
                     let clip = *of_id.entry(id.clone()).or_insert_with(|| {
                         index.clips.push(Clip {
                             id,
@@ -149,12 +144,10 @@ impl Shard<'_> {
             table: R::TABLE,
             ..self.name.clone()
         };
-        let facts: Vec<(&str, String)> = facts
-            .iter()
-            .map(|(key, value)| (key.as_str(), value.clone()))
-            .collect();
         let rows: Vec<R> = rows_at(files, &places)?;
-        let entry = self.transaction.write_shard(&name, &rows, &facts)?;
+        let entry = self
+            .transaction
+            .write_shard(&name, &rows, &borrowed(facts))?;
         let files = self.tables.entry(R::TABLE.to_owned()).or_default();
         files.push(entry);
         Ok(())
