@@ -184,7 +184,11 @@ pub fn merge(
         tables,
         plan_hash: plan,
         skeleton,
-        accounting: Some(accounting(num_clips, &quarantine, skipped.len() as u64)),
+        accounting: Some(Accounting::of(
+            num_clips,
+            skipped.len() as u64,
+            quarantine.into_iter().map(|row| row.code),
+        )),
         facts,
         ..Commit::default()
     })?;
@@ -383,22 +387,6 @@ fn passed_over(parts: &[&Part<'_>]) -> Result<(Vec<QuarantineRow>, Vec<SkippedRo
         skipped.extend(part.skipped()?);
     }
     Ok((quarantine, skipped))
-}
-
-/// The counts of the result, whose sources are its clips and what was passed over.
-fn accounting(ingested: u64, quarantine: &[QuarantineRow], skipped: u64) -> Accounting {
-    let mut codes = BTreeMap::new();
-    for row in quarantine {
-        *codes.entry(row.code.clone()).or_default() += 1;
-    }
-    let quarantined = quarantine.len() as u64;
-    Accounting {
-        sources: ingested + quarantined + skipped,
-        ingested,
-        quarantined,
-        skipped,
-        codes,
-    }
 }
 
 /// The labels of both datasets, and the ids of those whose motions are in two splits now.

@@ -425,15 +425,12 @@ impl Answers {
             let files = transaction.write_rows(&self.quarantine, None, skeleton, &plan_hash)?;
             tables.insert(QuarantineRow::TABLE.to_owned(), files);
         }
-        let codes = self.report.codes().into_iter();
+        let report = &self.report;
+        let refused = report.refused.iter().map(|refusal| refusal.code.to_owned());
+        let (imported, passed_over) = (report.imported as u64, report.passed_over.len() as u64);
         let accounting = Accounting {
-            sources: self.report.found as u64,
-            ingested: self.report.imported as u64,
-            quarantined: self.report.refused.len() as u64,
-            skipped: self.report.passed_over.len() as u64,
-            codes: codes
-                .map(|(code, count)| (code.to_owned(), count as u64))
-                .collect(),
+            sources: report.found as u64,
+            ..Accounting::of(imported, passed_over, refused)
         };
         Ok(transaction.commit(Commit {
             tables,

@@ -11,7 +11,7 @@ use formats::source::name_of_text;
 
 use super::list::{Listed, Listing, list_sources};
 use super::places::Places;
-use super::recorded::{Recorded, RecordedClip};
+use super::recorded::Recorded;
 use super::sources::{Given, Kind, SourceArg, SourceLabel, below, check_name, free};
 use crate::Error;
 
@@ -96,7 +96,9 @@ impl Known<'_> {
             if let (Some(label), true) =
                 (label, kinds.contains(&(source.place.as_str(), Kind::Files)))
             {
-                source.keep_files(&self.paths_of(label));
+                let paths = self.paths_of(&label.name);
+                let own = paths.filter_map(|path| below(&label.label, path));
+                source.keep_files(&own.collect());
             }
         }
         let names: Vec<&str> = listed
@@ -139,32 +141,17 @@ impl Known<'_> {
         }
     }
 
-    /// Recorded paths of a source, without its label.
-    fn paths_of(&self, source: &SourceLabel) -> BTreeSet<&str> {
-        let name = source.name.as_str();
-        let is_of = |clip: &&RecordedClip| self.recorded.sources[clip.source].name == name;
-        let clips = self
-            .recorded
-            .clips
-            .iter()
-            .filter(is_of)
-            .map(|clip| clip.path.as_str());
-        let rejected = self
-            .recorded
-            .quarantine
-            .iter()
-            .filter(|row| row.source_name == name);
-        let skipped = self
-            .recorded
-            .skipped
-            .iter()
-            .filter(|row| row.source_name == name);
-        let paths = clips
+    /// Recorded paths of a source.
+    fn paths_of(&self, name: &str) -> impl Iterator<Item = &str> {
+        let clips = self.recorded.clips.iter();
+        let clips = clips.filter(move |clip| self.recorded.sources[clip.source].name == name);
+        let rejected = self.recorded.quarantine.iter();
+        let rejected = rejected.filter(move |row| row.source_name == name);
+        let skipped = self.recorded.skipped.iter();
+        let skipped = skipped.filter(move |row| row.source_name == name);
+        (clips.map(|clip| clip.path.as_str()))
             .chain(rejected.map(|row| row.path.as_str()))
-            .chain(skipped.map(|row| row.path.as_str()));
-        paths
-            .filter_map(|path| below(&source.label, path))
-            .collect()
+            .chain(skipped.map(|row| row.path.as_str()))
     }
 
     pub(super) fn names(
@@ -196,17 +183,7 @@ impl Known<'_> {
         let name = self.recorded.sources[index].name.as_str();
         let now = names.iter().zip(listed).filter(|(own, _)| *own == name);
         let now = now.flat_map(|(_, source)| source.listing.files.keys());
-        let clips = self.recorded.clips.iter();
-        let clips = clips.filter(|clip| clip.source == index);
-        let rejected = self.recorded.quarantine.iter();
-        let rejected = rejected.filter(|row| row.source_name == name);
-        let skipped = self.recorded.skipped.iter();
-        let skipped = skipped.filter(|row| row.source_name == name);
-        now.map(String::as_str)
-            .chain(clips.map(|clip| clip.path.as_str()))
-            .chain(rejected.map(|row| row.path.as_str()))
-            .chain(skipped.map(|row| row.path.as_str()))
-            .collect()
+        now.map(String::as_str).chain(self.paths_of(name)).collect()
     }
 
     /// A label of another source that is also a folder of this one.

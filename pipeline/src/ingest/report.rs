@@ -153,16 +153,11 @@ impl Tally {
         self.quarantine.sort_by(|a, b| a.path.cmp(&b.path));
         self.skipped.extend(outside.skipped);
         self.skipped.sort_by(|a, b| a.path.cmp(&b.path));
-        let mut codes = BTreeMap::new();
-        for row in &self.quarantine {
-            *codes.entry(row.code.clone()).or_default() += 1;
-        }
+        let rejected = self.quarantine.iter().map(|row| row.code.clone());
+        let ingested = self.staying.len() + self.ingested.len();
         Accounting {
             sources: num_items + num_beside + num_rejected as u64,
-            ingested: (self.staying.len() + self.ingested.len()) as u64,
-            quarantined: self.quarantine.len() as u64,
-            skipped: self.skipped.len() as u64,
-            codes,
+            ..Accounting::of(ingested as u64, self.skipped.len() as u64, rejected)
         }
     }
 
