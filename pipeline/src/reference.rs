@@ -529,9 +529,8 @@ impl Missing {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::dataset::commit_rows;
     use datasets_spec::{MotionId, NoProgress, Split};
-    use testkit::{motion_row, wandering};
+    use testkit::{commit, motion_row, wandering};
 
     use super::*;
     use pickle::npy::encode;
@@ -559,15 +558,7 @@ mod tests {
                 }
             })
             .collect();
-        commit_rows(
-            root,
-            &rows,
-            Some(|row| row.split),
-            &Skeleton::smplx_neutral(),
-            "p",
-            "test",
-        )
-        .expect("committed")
+        commit(root, &rows, |row| row.split, "p")
     }
 
     /// Writes the files of a clip into a published folder.
@@ -621,10 +612,7 @@ mod tests {
     fn motions_stand_in_for_features_that_were_not_stored() {
         let dir = tempfile::tempdir().expect("temporary folder");
         let rows = IDS.map(|id| motion_row(id, Split::Train, &wandering(id, 50)));
-        let skeleton = Skeleton::smplx_neutral();
-        let root = dir.path().join("d");
-        let dataset = commit_rows(&root, &rows, Some(|row| row.split), &skeleton, "p", "test")
-            .expect("committed");
+        let dataset = commit(&dir.path().join("d"), &rows, |row| row.split, "p");
         let folder = dir.path().join("published");
         publish(&folder, IDS[1], &features(IDS[1]));
         let found = compared(&dataset, &folder);

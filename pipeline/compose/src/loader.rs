@@ -271,9 +271,6 @@ impl WindowLoader {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::dataset::commit_rows;
-    use datasets_spec::{Skeleton, Split};
-
     use super::*;
     use crate::{ComposeConfig, fixture};
 
@@ -297,10 +294,8 @@ mod tests {
             })
             .expect("in memory");
         let dir = tempfile::tempdir().expect("a folder");
-        let split_of: fn(&WindowRow) -> Split = |row| row.split;
-        let skeleton = Skeleton::smplx_neutral();
-        let dataset = commit_rows(dir.path(), &rows, Some(split_of), &skeleton, "plan", "test");
-        (dir, dataset.expect("committed"), whole)
+        let dataset = fixture::commit(dir.path(), &rows, |row| row.split, "plan");
+        (dir, dataset, whole)
     }
 
     fn epoch(loader: &WindowLoader, epoch: u64, batch_len: usize) -> WindowBatch {

@@ -237,7 +237,7 @@ fn words(text: &str) -> String {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use std::path::PathBuf;
 
     use features::humanml3d::{
@@ -247,23 +247,10 @@ pub(super) mod tests {
     use testkit::walk;
 
     use super::*;
+    use crate::export::tests::ingested;
     use crate::export::{Layout, export};
-    use crate::ingest::{IngestOptions, ingest};
     use datasets_spec::{Dataset, Motion, NoProgress};
     use pickle::npy::read_numbers;
-
-    pub(crate) fn ingested(source: &Path, out: &Path) -> Dataset {
-        let sources = [PathBuf::from(source)];
-        ingest(
-            &sources,
-            out,
-            &IngestOptions::default(),
-            "test",
-            &NoProgress,
-        )
-        .expect("plain files")
-        .dataset
-    }
 
     fn points(path: &Path) -> Vec<DVec3> {
         let bytes = fs::read(path).expect("written");

@@ -437,11 +437,10 @@ fn write_parquet<N: AsRef<str>>(
 mod tests {
     use arrow_array::cast::AsArray;
     use arrow_array::types::{Float32Type, Int64Type};
-    use datasets_spec::dataset::commit_rows;
+    use datasets_spec::NoProgress;
     use datasets_spec::table::Caption;
-    use datasets_spec::{NoProgress, Skeleton};
     use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-    use testkit::{motion_row, wandering};
+    use testkit::{commit, motion_row, wandering};
 
     use super::*;
 
@@ -469,15 +468,7 @@ mod tests {
         }];
         let rows = [row("a", Split::Train, 20), said];
         let dir = tempfile::tempdir().expect("temporary folder");
-        let dataset = commit_rows(
-            &dir.path().join("dataset"),
-            &rows,
-            Some(|row: &MotionRow| row.split),
-            &Skeleton::smplx_neutral(),
-            "plan",
-            "test",
-        )
-        .expect("committed");
+        let dataset = commit(&dir.path().join("dataset"), &rows, |row| row.split, "plan");
         let out = dir.path().join("out");
         assert_eq!(
             write(&Clips::all(&dataset), &out, &NoProgress).expect("written"),

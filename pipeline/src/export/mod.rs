@@ -3,8 +3,6 @@
 //! An export appears whole or not at all: it is written to a temporary folder beside the destination, and
 //! renamed when it is complete.
 
-#[cfg(test)]
-mod amass;
 mod before;
 mod clips;
 mod document;
@@ -21,6 +19,8 @@ mod lerobot;
 mod motionfix;
 mod paths;
 mod stance;
+#[cfg(test)]
+mod tests;
 mod webdataset;
 
 use std::path::Path;

@@ -448,17 +448,16 @@ mod tests {
     use testkit::walk;
 
     use super::*;
+    use crate::export::tests::ingested_with;
     use crate::export::{Layout, export};
-    use crate::ingest::{IngestOptions, ingest};
+    use crate::ingest::IngestOptions;
 
     fn ingested(source: &Path, out: &Path) -> Dataset {
         let options = IngestOptions {
             fps: Some(features::released_fps()),
             ..IngestOptions::default()
         };
-        let sources = [PathBuf::from(source)];
-        let report = ingest(&sources, out, &options, "test", &NoProgress);
-        report.expect("plain files").dataset
+        ingested_with(&options, source, out)
     }
 
     /// A dump of two pairs, of which one has no words.

@@ -1,6 +1,5 @@
-//! AMASS archives are read back as they were.
-
 use std::fs;
+use std::path::Path;
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Motion, NoProgress, Skeleton};
@@ -9,15 +8,24 @@ use kinematics::rotation::{angle_between, from_axis_angle};
 use testkit::walk;
 
 use crate::clips::Clips;
-use crate::export::humanml3d::tests::ingested;
 use crate::export::{Layout, export};
+use crate::ingest::{IngestOptions, ingest};
+
+pub(super) fn ingested(source: &Path, out: &Path) -> Dataset {
+    ingested_with(&IngestOptions::default(), source, out)
+}
+
+pub(super) fn ingested_with(options: &IngestOptions, source: &Path, out: &Path) -> Dataset {
+    let report = ingest(&[source.to_owned()], out, options, "test", &NoProgress);
+    report.expect("plain files").dataset
+}
 
 fn rotation(axis_angle: [f32; 3]) -> DQuat {
     from_axis_angle(DVec3::from_array(axis_angle.map(f64::from)))
 }
 
 #[test]
-fn what_is_exported_comes_back() {
+fn exported_amass_archives_come_back() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let at = |name: &str| folder.path().join(name);
     fs::create_dir_all(at("in/a")).expect("made");
