@@ -154,26 +154,14 @@ pub(super) fn write(
         "clips",
         clips.len() - paired.len() as u64,
     );
-    let mut says = [
-        ("pair_styles", 0),
-        ("pair_parts", 0),
-        ("edit_types", 0),
-        ("accepted_by", 0),
-    ];
-    for pair in &written {
-        let is_said = [
-            pair.style.is_some(),
-            !pair.parts.is_empty(),
-            pair.edit_type.is_some(),
-            pair.accepted_by.is_some(),
-        ];
-        for ((_, count), is_said) in says.iter_mut().zip(is_said) {
-            *count += u64::from(is_said);
-        }
-    }
-    for (name, count) in says {
-        put(&mut done.left_out, name, count);
-    }
+    let mut say = |name, is_said: fn(&PairRow) -> bool| {
+        let said = written.iter().filter(|pair| is_said(pair));
+        put(&mut done.left_out, name, said.count() as u64);
+    };
+    say("pair_styles", |pair| pair.style.is_some());
+    say("pair_parts", |pair| !pair.parts.is_empty());
+    say("edit_types", |pair| pair.edit_type.is_some());
+    say("accepted_by", |pair| pair.accepted_by.is_some());
     Ok(done)
 }
 
