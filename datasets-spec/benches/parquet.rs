@@ -120,7 +120,6 @@ fn read_one_motion(bencher: Bencher) {
         });
 }
 
-/// A random clip of a file that is already open.
 #[divan::bench]
 fn read_random_clip(bencher: Bencher) {
     let dir = tempfile::tempdir().expect("temporary folder");

@@ -6,7 +6,6 @@ use datasets_spec::record::{
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{MotionId, Split};
 
-/// The names of the tables.
 pub(crate) const CLIP_TABLES: [&str; 3] = [MotionRow::TABLE, MarkerRow::TABLE, HumanMl3dRow::TABLE];
 
 /// Whether a table is composed of motions by a stage that can make it again.
@@ -20,7 +19,6 @@ pub(crate) fn is_composed(table: &str) -> bool {
     !CLIP_TABLES.contains(&table) && !of_ingestion.contains(&table)
 }
 
-/// The ids of the clips of a file of one of these tables.
 pub(crate) fn clip_ids(
     table: &str,
     shard: &ShardReader,
@@ -42,10 +40,8 @@ pub(crate) fn borrowed(facts: &[(String, String)]) -> Vec<(&str, String)> {
 
 /// A row of one of these tables.
 pub(crate) trait ClipRow: Row {
-    /// Id of the clip.
     fn id(&self) -> &MotionId;
 
-    /// Split of the clip.
     fn split(&self) -> Split;
 
     fn place(&mut self, id: MotionId, split: Split);

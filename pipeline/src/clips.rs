@@ -22,7 +22,6 @@ pub struct Clips<'a> {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Part {
-    /// Number of the file.
     pub(crate) shard: usize,
     /// Places among its chosen clips.
     pub(crate) clips: Range<usize>,
@@ -193,7 +192,6 @@ impl Shard {
     }
 }
 
-/// Checks a motion against its recorded hash.
 pub(crate) fn check_content(row: &MotionRow, path: &std::path::Path) -> Result<(), Error> {
     let found = row.motion()?.content_hash();
     if found == row.content_hash {

@@ -10,7 +10,6 @@ pub const TOLERANCE_M: f64 = 0.005;
 
 const JOINTS: usize = 22;
 
-/// Frames that are compared.
 const FRAMES: usize = 8;
 
 /// The body joints of a motion in some frames, seen from where it begins.

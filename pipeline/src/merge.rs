@@ -367,7 +367,6 @@ fn clip_tables(
     Ok(tables)
 }
 
-/// The split of every clip of the result.
 fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split> {
     let mut splits: BTreeMap<MotionId, Split> = BTreeMap::new();
     for (part, clips) in parts.iter().zip(clips) {

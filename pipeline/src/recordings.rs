@@ -144,7 +144,6 @@ pub(crate) struct Clip {
     pub(crate) fps: Option<f32>,
 }
 
-/// The clips of a dataset, without their frames.
 pub(crate) fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
     let mut clips = Vec::new();
     for (path, file) in dataset.files(MotionRow::TABLE, None) {

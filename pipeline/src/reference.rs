@@ -193,7 +193,6 @@ struct Reference {
 /// Result for a clip of the dataset.
 enum Met {
     Unknown,
-    /// It was compared as far as possible.
     Compared {
         frames: usize,
         /// By group; none for a group whose file is missing or unreadable.
@@ -312,7 +311,6 @@ fn note_lengths(folder: &str, own: usize, published: usize, problems: &mut Vec<S
     }
 }
 
-/// Tolerance of a group of features.
 #[derive(Clone, Copy)]
 struct Rule {
     name: &'static str,
@@ -322,7 +320,6 @@ struct Rule {
     end: usize,
 }
 
-/// The rules of the groups of features.
 const RULES: [Rule; GROUPS.len()] = {
     let mut rules = [JOINT_RULE; GROUPS.len()];
     let mut group = 0;
@@ -342,7 +339,6 @@ const RULES: [Rule; GROUPS.len()] = {
     rules
 };
 
-/// The rule of the joints.
 const JOINT_RULE: Rule = Rule {
     name: JOINT_GROUP,
     tolerance: JOINT_TOLERANCE_M,
@@ -561,7 +557,6 @@ mod tests {
         commit(root, &rows, |row| row.split, "p")
     }
 
-    /// Writes the files of a clip into a published folder.
     fn publish(folder: &Path, id: &str, features: &[Features]) {
         let joints: Vec<f32> = recover_joints(features)
             .iter()

@@ -108,7 +108,6 @@ impl Client {
         Self { store, attempts }
     }
 
-    /// The client of the bucket that a place is in.
     pub(crate) fn of(place: &Place, retries: usize) -> io::Result<Self> {
         let retry = RetryConfig {
             max_retries: retries,

@@ -27,7 +27,6 @@ pub struct Remote {
     known: Mutex<BTreeMap<PathBuf, Known>>,
 }
 
-/// What is known of a file before it is read.
 #[derive(Clone, Debug)]
 struct Known {
     size: u64,
@@ -80,7 +79,6 @@ impl Remote {
         Ok(Found::Remote(place, client))
     }
 
-    /// [`Remote::find`], to write there.
     fn find_to_write(&self, path: &Path) -> io::Result<(Place, Client)> {
         match self.find(path)? {
             Found::Remote(place, client) if place.scheme != Scheme::Http => Ok((place, client)),

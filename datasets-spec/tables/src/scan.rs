@@ -134,7 +134,6 @@ impl Scan {
         Ok(whole)
     }
 
-    /// The named columns of a batch.
     fn part(
         &self,
         batch: &RecordBatch,

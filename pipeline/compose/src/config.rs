@@ -285,7 +285,6 @@ impl ComposeConfig {
         }
     }
 
-    /// Stored frames a window spans.
     pub(super) fn span(&self, stride: usize) -> usize {
         (self.window - 1) * stride + 1
     }

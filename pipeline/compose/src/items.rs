@@ -213,7 +213,6 @@ pub fn digest_of_ids<'a>(ids: impl Iterator<Item = &'a str>) -> String {
     digest
 }
 
-/// How many items are still wanted.
 struct Quota {
     /// Of any novelty.
     left: usize,

@@ -71,7 +71,6 @@ struct Stored {
     normalizer: Normalizer,
 }
 
-/// The number of a shard.
 #[derive(Serialize, Deserialize)]
 struct Detail {
     shard: u64,
@@ -235,7 +234,6 @@ impl Recording {
         }
     }
 
-    /// A piece for each shard.
     fn pieces(&self) -> Vec<Piece> {
         let piece = |shard: u64| {
             let (name, rows) = (self.name(shard), self.rows_of(shard));
@@ -291,7 +289,6 @@ impl Recording {
         Ok(rows)
     }
 
-    /// Commits the shards.
     fn commit(
         &self,
         transaction: Transaction,

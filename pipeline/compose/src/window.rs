@@ -597,7 +597,6 @@ mod tests {
         }
     }
 
-    /// Some frames of a motion.
     fn framed(motion: &Motion, start: usize, count: usize, stride: usize) -> Vec<Frame> {
         let stored = (0..count).map(|frame| {
             let at = start + frame * stride;

@@ -6,7 +6,6 @@ use rand::RngExt;
 
 use super::curve::{Track, ease};
 
-/// One side of the body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
     Left,
@@ -283,7 +282,6 @@ impl FootTrack {
         }
     }
 
-    /// The foot at a time in seconds.
     pub(super) fn at(&self, secs: f64) -> FootSample {
         let [pitch] = self.pitch.at(secs);
         let index = self.plants.partition_point(|plant| plant.from <= secs) - 1;

@@ -331,7 +331,6 @@ pub fn write_limits(
 }
 
 impl Question {
-    /// Both motions.
     fn perform(&self, seed: Seed) -> [Motion; 2] {
         let play = |performance: &Performance, least_secs: f64| {
             let asked = Asked {

@@ -104,7 +104,6 @@ impl AnswerReport {
     }
 }
 
-/// Names of the items.
 struct Names(BTreeMap<String, usize>);
 
 impl Names {
@@ -161,7 +160,6 @@ fn motionfix_number(item: &ItemRow) -> Option<String> {
     Some(name.strip_suffix("-source")?.to_owned())
 }
 
-/// An answer that was read.
 struct Found {
     file: String,
     file_hash: String,

@@ -15,7 +15,6 @@ use super::listed::{Looked, seconds_in};
 /// the ratio of duration to size.
 const SAMPLED_FILES: usize = 3;
 
-/// The subsets of AMASS among the files, and the estimate of their ingest.
 pub(super) fn amass_subsets(rest: &[&Looked]) -> (Vec<SubsetFindings>, Estimate) {
     let mut by_subset: BTreeMap<&str, Vec<&Looked>> = BTreeMap::new();
     for file in rest {

@@ -19,7 +19,6 @@ const STANCE_PARTS: [(&str, u64); 8] = [
     ("split/style_transfer", 2),
     ("split/adjustment", 2),
 ];
-/// Files of the MotionFix release.
 const MOTIONFIX_PARTS: [(&str, u64); 4] = [
     ("motionfix.pth.tar", 1),
     ("motionfix_val.pth.tar", 1),

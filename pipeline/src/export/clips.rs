@@ -14,7 +14,6 @@ use super::paths::{safe_stem, unique};
 use crate::Error;
 use crate::clips::Clips;
 
-/// Makes the bytes of a clip's file.
 type Encode = fn(&MotionRow, &Skeleton) -> Result<std::io::Result<Vec<u8>>, Error>;
 
 /// A file for each clip under a path made from its id, with its metadata in a sidecar, so that ingesting it again
@@ -105,7 +104,6 @@ pub(super) fn amass_stem(id: &str, taken: &mut BTreeSet<String>) -> String {
     format!("{}{STEM_END}", unique(safe_stem(id, STEM_END), taken))
 }
 
-/// Writes what is said of a clip beside its file.
 fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error> {
     let captions = row.captions_by_origin();
     let said = Sidecar {

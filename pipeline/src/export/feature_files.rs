@@ -7,7 +7,6 @@ use pickle::npy;
 
 use crate::Error;
 
-/// Lines of comma-separated values.
 pub(super) struct Lines(csv::Writer<Vec<u8>>);
 
 impl Lines {

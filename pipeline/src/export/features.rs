@@ -27,19 +27,16 @@ pub(super) struct Recipe<const WIDTH: usize> {
     groups: &'static [(&'static str, Range<usize>)],
 }
 
-/// The 272 features.
 pub(super) const DIM_272: Recipe<{ representation_272::WIDTH }> = Recipe {
     features: representation_272::features_of_motion,
     groups: &representation_272::GROUPS,
 };
 
-/// The 201 features.
 pub(super) const DIM_201: Recipe<{ hy_motion::WIDTH }> = Recipe {
     features: hy_motion::features_of_motion,
     groups: &[],
 };
 
-/// Names of the folders and files.
 pub(super) struct Form {
     motions: &'static str,
     mean: &'static str,
@@ -53,7 +50,6 @@ pub(super) struct Form {
 
 const ANY_LENGTH: RangeInclusive<usize> = 0..=usize::MAX;
 
-/// HumanML3D-272.
 pub(super) const HUMANML3D_272: Form = Form {
     motions: "motion_data",
     mean: "mean_std/Mean.npy",
@@ -62,7 +58,6 @@ pub(super) const HUMANML3D_272: Form = Form {
     is_plain: false,
 };
 
-/// BABEL-272.
 pub(super) const BABEL_272: Form = Form {
     mean: "t2m_babel_mean_std/Mean.npy",
     std: "t2m_babel_mean_std/Std.npy",

@@ -46,7 +46,6 @@ impl dyn ByClip {
     }
 }
 
-/// How the files of a layout are written.
 pub(super) enum Form {
     ByClip(Box<dyn ByClip>),
     /// In one go, because they depend on each other.

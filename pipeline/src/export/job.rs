@@ -25,7 +25,6 @@ use work::{
 };
 use work::{NewFolder, is_occupied};
 
-/// Name of the job.
 pub(crate) const JOB: &str = "export";
 
 /// Folder of the pieces among what is staged.
@@ -35,7 +34,6 @@ const PIECES: &str = "pieces";
 #[serde(deny_unknown_fields)]
 struct Stored {
     dataset: PathBuf,
-    /// Root hash of the dataset.
     root_hash: String,
     layout: String,
     filter: Option<String>,

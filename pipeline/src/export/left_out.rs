@@ -249,7 +249,6 @@ fn newer<T: Cell>(shard: &Shard, name: &'static str) -> Vec<T> {
     shard.column(name).unwrap_or_default()
 }
 
-/// A column of a table of the dataset.
 fn column<R: Row, T: Cell>(dataset: &Dataset, name: &'static str) -> Result<Vec<T>, Error> {
     let mut values = Vec::new();
     for (path, _) in dataset.files(R::TABLE, None) {

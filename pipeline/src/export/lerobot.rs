@@ -69,7 +69,6 @@ pub(super) fn write(
     Ok(Exported::of(clips.len()))
 }
 
-/// A clip, and the location of its frames.
 struct Episode {
     index: usize,
     task: usize,
@@ -77,7 +76,6 @@ struct Episode {
     first_row: usize,
     file: usize,
     statistics: Statistics,
-    /// The clip without its frames.
     clip: MotionRow,
 }
 
@@ -175,7 +173,6 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// Writes the pending frames as a file.
     fn write_frames(&mut self) -> Result<(), Error> {
         if self.states.is_empty() {
             return Ok(());
@@ -202,7 +199,6 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// Writes the pending episodes as a file.
     fn write_episodes(&mut self) -> Result<(), Error> {
         let Some(first) = self.episodes.first() else {
             return Ok(());

@@ -109,7 +109,6 @@ struct Adjustment {
     pair: PairRow,
 }
 
-/// Files of the motions.
 struct Plan {
     /// Section and file stem of motions with their own file, by id; none for motions that occur only in
     /// adjustments.
@@ -147,13 +146,11 @@ impl Plan {
         plan
     }
 
-    /// Whether the lists of the release have a place for a mask.
     fn has_place(&self, mask: &MaskRow) -> bool {
         let place = self.places.get(mask.motion_id.as_str());
         is_named(mask) && matches!(place, Some(Some((BASE_MOTION, _))))
     }
 
-    /// Pairs that are files of the release.
     fn num_pairs(&self) -> usize {
         let places = self.places.values().flatten();
         let styled = places.filter(|(section, _)| *section == STYLE_TRANSFER);

@@ -17,7 +17,6 @@ use crate::Error;
 use crate::clips::Clips;
 use pickle::npy;
 
-/// Limits on the clips and bytes of a shard.
 const SHARD_CLIPS: usize = 1000;
 const SHARD_BYTES: u64 = 256 << 20;
 const MODE: u32 = 0o644;

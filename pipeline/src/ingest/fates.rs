@@ -14,7 +14,6 @@ use super::recorded::{Recorded, RecordedClip};
 use crate::Error;
 use crate::clip_table::ClipRow;
 
-/// What becomes of a recorded clip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fate {
     /// Its source is not among those of this run, or cannot be read now.
@@ -99,7 +98,6 @@ impl<'a> Fates<'a> {
         )
     }
 
-    /// The clips that stay as they are.
     pub(super) fn staying(&self) -> impl Iterator<Item = &'a RecordedClip> + '_ {
         let clips = self.recorded.clips.iter().enumerate();
         clips

@@ -22,7 +22,6 @@ use crate::Error;
 use crate::versions::check_lost;
 use work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece};
 
-/// Name of the job.
 pub(crate) const JOB: &str = "ingest";
 
 /// What a piece needs beside its shard's motions.
@@ -150,7 +149,6 @@ pub(crate) fn open_job(plan: &work::Plan) -> Result<Box<dyn Job>, Failed> {
     }))
 }
 
-/// What all pieces of an ingestion share.
 struct Ingestion {
     plan: Plan,
     shards: Vec<Dealt>,
@@ -182,7 +180,6 @@ impl Ingestion {
         }
     }
 
-    /// Checks that what a piece reads is as it was planned.
     fn check(&self, detail: &Detail) -> Result<(), Failed> {
         use rayon::prelude::*;
 

@@ -17,7 +17,6 @@ use crate::Error;
 
 /// What a run knows of the sources of its dataset.
 pub(super) struct Known<'a> {
-    /// The dataset, as it was given.
     pub(super) out: &'a Path,
     pub(super) recorded: &'a Recorded,
     pub(super) places: &'a Places,

@@ -34,7 +34,6 @@ pub(super) struct Source {
 /// each is skipped.
 #[derive(Default)]
 pub(crate) struct Listing {
-    /// The files by their relative paths.
     pub(crate) files: BTreeMap<String, PathBuf>,
     /// Relative path and reason of other entries.
     pub(crate) special: Vec<(String, String)>,
@@ -51,7 +50,6 @@ const FOLDER_LINK: &str =
     "link to a folder, not followed; name the folder it leads to as a source of its own";
 
 pub(crate) struct Listed {
-    /// The name that was given.
     pub(super) name: Option<String>,
     /// The path as it was given; of several files, the first.
     pub(super) given: PathBuf,
@@ -162,7 +160,6 @@ impl Listed {
         }
     }
 
-    /// Whether something can be listed at the place of a source.
     pub(super) fn is_there(arg: &SourceArg) -> bool {
         let holds_files = |folder: &Path| {
             // Whether there is something at a URL is known once it is listed.

@@ -129,7 +129,6 @@ pub(super) struct StoredOptions {
 }
 
 impl StoredOptions {
-    /// Keeps options as they were given.
     pub(super) fn of(options: &IngestOptions) -> Result<Self, Error> {
         let subjects = options.read.subjects.as_ref().map(|subjects| {
             let folder = absolute(subjects.folder())?;

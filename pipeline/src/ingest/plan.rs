@@ -59,7 +59,6 @@ pub(super) struct Plan {
     pub(super) split_by: SplitBy,
 }
 
-/// A motion of the sources.
 #[derive(Clone)]
 pub(super) struct Planned {
     pub(super) entry: Entry,
@@ -79,7 +78,6 @@ pub(super) struct Planned {
     /// Action that its labels state.
     pub(super) action: Option<String>,
     pub(super) id: String,
-    /// Hash of all that the motion is read from.
     pub(super) inputs: String,
     /// The clip of the version before that this one is, by its place in
     /// [`Recorded::clips`](super::recorded::Recorded).
@@ -230,13 +228,11 @@ impl Plan {
         source.and_then(|source| self.given.get(source.of))
     }
 
-    /// Name of the source of a file.
     pub(super) fn source_name(&self, file: &str) -> &str {
         self.source_of(file)
             .map_or("", |source| source.label.name.as_str())
     }
 
-    /// The row of a file of this run that was rejected.
     pub(super) fn rejected_row(&self, file: &str, key: &str, rejected: Rejected) -> QuarantineRow {
         let hash = source_hash(&self.sources, file);
         quarantine_row(file, key, self.source_name(file), hash, rejected)

@@ -221,7 +221,6 @@ impl Tally {
         masks
     }
 
-    /// The motions of the dataset and their splits.
     pub(super) fn splits<'a>(&'a self, shards: &'a Shards<'a>) -> BTreeMap<&'a str, Split> {
         let staying = self.staying.iter();
         let made = shards.iter().flat_map(|(_, items)| items);

@@ -111,7 +111,6 @@ struct Pairs {
 }
 
 impl Prepared {
-    /// Carries a plan out.
     pub(super) fn conclude(
         self,
         transaction: Transaction,

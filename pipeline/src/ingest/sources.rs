@@ -123,7 +123,6 @@ pub(super) struct SourceLabel {
     pub(super) name: String,
 }
 
-/// What was given of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Kind {

@@ -210,7 +210,6 @@ impl Plan {
         })
     }
 
-    /// Whether a file is as it was planned.
     pub(super) fn is_as_planned(&self, path: &str) -> io::Result<bool> {
         let (Some(source), Some(place)) = (self.sources.get(path), self.files.path(path)) else {
             return Ok(false);

@@ -25,7 +25,6 @@ pub struct KeptLabel {
     pub id: String,
 }
 
-/// Masks and pairs by their ids.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Labels {
     pub(super) masks: BTreeMap<String, MaskRow>,

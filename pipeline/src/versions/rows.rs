@@ -25,7 +25,6 @@ pub(super) struct Clip {
 }
 
 impl Clip {
-    /// Whether the dataset has a motion of it.
     pub(super) fn has_motion(&self) -> bool {
         self.places[0].is_some()
     }
@@ -64,7 +63,6 @@ impl ClipIndex {
         Ok(index)
     }
 
-    /// Number of shards that the clips fill.
     pub(super) fn num_shards(&self) -> usize {
         let clips_of = |split| self.clips.iter().filter(move |clip| clip.split == split);
         let shards = Split::ALL.map(|split| clips_of(split).count().div_ceil(SHARD_CLIPS));

@@ -25,7 +25,6 @@ pub const SELECTED_FACT: &str = "selected";
 /// Where a dataset's clips were selected from.
 #[derive(Debug, Serialize, Deserialize)]
 struct Origin {
-    /// Root hash of the dataset.
     root_hash: String,
     #[serde(rename = "where")]
     condition: String,
@@ -132,7 +131,6 @@ fn selected_from(dataset: &Dataset, filter: &Condition) -> String {
     json(&selections)
 }
 
-/// The labels of some clips, and a report of the others.
 fn belonging(all: &Labels, chosen: &BTreeSet<MotionId>) -> (Labels, Selected) {
     let mut labels = all.clone();
     labels
@@ -166,7 +164,6 @@ pub(super) fn composed(dataset: &Dataset) -> Vec<String> {
     tables.filter(|table| is_composed(table)).cloned().collect()
 }
 
-/// A fact of a manifest.
 pub(crate) fn json(value: &impl Serialize) -> String {
     serde_json::to_string(value).expect("texts and counts serialise")
 }

@@ -17,7 +17,6 @@ use super::error::Error;
 const ENDPOINT: &str = "https://huggingface.co";
 /// The branch that is followed where none is named.
 pub(super) const BRANCH: &str = "main";
-/// Maximum number of redirects followed.
 pub(super) const MAX_REDIRECTS: u32 = 5;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(30);
 const READ_TIMEOUT: Duration = Duration::from_secs(60);

@@ -40,7 +40,6 @@ impl RepoKind {
 pub struct RepoName(String);
 
 impl RepoName {
-    /// Owner and name.
     fn parts(&self) -> (&str, &str) {
         self.0.split_once('/').unwrap_or(("", self.0.as_str()))
     }

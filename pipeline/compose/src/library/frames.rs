@@ -23,7 +23,6 @@ use crate::{Error, FrameCache};
 /// First bytes of a file; its frames follow their number.
 const MAGIC: [u8; 16] = *b"stance frames 1\n";
 const HEADER_BYTES: usize = MAGIC.len() + 8;
-/// Numbers of a [`StoredFrame`].
 const NUMBERS: usize = 6 + BODY_POSE_WIDTH;
 /// Bytes of a frame: its numbers and their CRC-32, little endian.
 const FRAME_BYTES: usize = 4 * NUMBERS + 4;
@@ -34,7 +33,6 @@ const CLIPS_IN_MEMORY: usize = 256;
 /// Frames that are decoded at a time, unless a clip has more.
 const FRAMES_AT_ONCE: usize = 32_768;
 
-/// The frames of some motions of one rate.
 #[derive(Debug)]
 pub(crate) struct FrameFile {
     path: PathBuf,
@@ -270,7 +268,6 @@ fn unwritten(path: &Path, num_frames: u64, source: std::io::Error) -> Error {
     }
 }
 
-/// The bytes of a motion's frames.
 fn encode(motion: &Motion) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(motion.len() * FRAME_BYTES);
     let columns = motion.transl().iter().zip(motion.global_orient());

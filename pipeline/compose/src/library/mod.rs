@@ -27,7 +27,6 @@ pub(crate) use of_rows::{library, library_of, stream};
 pub(super) use pairing::{Pairing, Subject};
 pub use rows::{check_mask, check_pair, motion_on};
 
-/// A motion of the base.
 #[derive(Clone, Debug)]
 pub(super) struct Clip {
     pub(super) id: MotionId,
@@ -42,7 +41,6 @@ pub(super) struct Clip {
     pub(super) in_base: bool,
 }
 
-/// Where the frames of a clip are.
 #[derive(Clone, Debug)]
 struct FileFrames {
     file: Arc<FrameFile>,
@@ -142,7 +140,6 @@ pub struct Library {
     annotations: Vec<Annotation>,
     pairs: Vec<Pair>,
     alignment: Alignment,
-    /// Where the files of frames are.
     cache: FrameCache,
     /// The key of the file of the clips as they were captured.
     key: String,

@@ -62,7 +62,6 @@ impl Library {
     }
 }
 
-/// A library of the clips of [`testkit::rows`].
 pub(crate) fn library(split: Split, num_clips: usize) -> Library {
     let (motions, masks) = testkit::rows(split, num_clips);
     library_of(split, &motions, &masks, &[])

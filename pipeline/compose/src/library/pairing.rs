@@ -122,7 +122,6 @@ impl Library {
         }
     }
 
-    /// Number of frames of a clip.
     pub(crate) fn len_of(&self, clip: usize) -> usize {
         self.clips[clip].len()
     }
@@ -149,7 +148,6 @@ impl Library {
         in_crop(held.start)..in_crop(held.end)
     }
 
-    /// The joints of the partner that are replaced.
     pub(crate) fn mask_of(
         &self,
         subject: Subject,
@@ -168,7 +166,6 @@ impl Library {
         }
     }
 
-    /// All wordings of the instruction.
     pub(crate) fn wordings(
         &self,
         subject: Subject,
@@ -324,7 +321,6 @@ impl Library {
         }
     }
 
-    /// Names of the parts of an annotation or pair.
     pub(crate) fn parts_of(&self, subject: Subject) -> &[String] {
         match subject {
             Subject::Annotation(annotation) => &self.annotations[annotation].parts,
@@ -332,7 +328,6 @@ impl Library {
         }
     }
 
-    /// The instruction of the dataset.
     pub(crate) fn text_of(&self, subject: Subject) -> &Arc<str> {
         match subject {
             Subject::Annotation(annotation) => &self.annotations[annotation].instruction,

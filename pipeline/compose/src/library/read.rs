@@ -136,7 +136,6 @@ fn check(clip: &LabelledClip, skeleton: &Skeleton) -> Result<(), Error> {
     })
 }
 
-/// The motions of some clips of a shard.
 fn motions_of(shard: &ShardReader, clips: &[(usize, LabelledClip)]) -> Result<Vec<Motion>, Error> {
     let rows: Vec<usize> = clips.iter().map(|(row, _)| *row).collect();
     let read: Vec<FramesRow> = shard.rows_at(&rows)?;

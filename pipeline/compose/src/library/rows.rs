@@ -84,7 +84,6 @@ impl<'a> LibraryRows<'a> {
         Ok(())
     }
 
-    /// Orders and numbers the clips.
     pub(super) fn end_of_clips(&mut self) -> Result<(), Error> {
         self.clips.sort_by(|a, b| a.id.cmp(&b.id));
         check_distinct("motions", &self.clips, |clip| clip.id.as_str())?;
@@ -138,7 +137,6 @@ impl<'a> LibraryRows<'a> {
         Ok(())
     }
 
-    /// Index of the clip that a row belongs to.
     fn clip(&self, table: &'static str, row: &str, id: &MotionId) -> Result<usize, Error> {
         let found = self.clips.binary_search_by(|clip| clip.id.cmp(id));
         found.map_err(|_| Error::UnknownMotion {
@@ -169,7 +167,6 @@ impl<'a> LibraryRows<'a> {
     }
 }
 
-/// Checks sorted rows.
 fn check_distinct<T>(
     table: &'static str,
     rows: &[T],

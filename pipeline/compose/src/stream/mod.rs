@@ -293,7 +293,6 @@ impl Stream {
         windows: std::ops::Range<u64>,
         mut take: impl FnMut(WindowRow, &WindowBatch, usize),
     ) -> Result<(), Error> {
-        /// Windows composed at a time.
         const AT_ONCE: u64 = 4096;
         let window = self.window_len();
         let mut batch = WindowBatch::default();

@@ -18,7 +18,6 @@ pub(super) const QUANTILES: [(&str, f64); 5] = [
 /// A number for each column of the state.
 pub(super) type Columns = [f64; STATE_WIDTH];
 
-/// Statistics of each number of the state.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Statistics {
     pub(super) frames: u64,
