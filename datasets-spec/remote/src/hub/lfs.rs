@@ -15,6 +15,7 @@ use super::repo::Repo;
 const BATCH: usize = 32;
 const LFS: &str = "application/vnd.git-lfs+json";
 
+#[derive(Clone)]
 pub(super) struct Object<'a> {
     pub(super) file: &'a HubFile,
     /// SHA-256, hexadecimal.
