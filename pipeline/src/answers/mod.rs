@@ -93,15 +93,6 @@ impl AnswerReport {
     pub fn balances(&self) -> bool {
         self.found == self.imported + self.refused.len() + self.passed_over.len()
     }
-
-    /// Refusals by code.
-    pub fn codes(&self) -> BTreeMap<&'static str, usize> {
-        let mut codes = BTreeMap::new();
-        for refusal in &self.refused {
-            *codes.entry(refusal.code).or_default() += 1;
-        }
-        codes
-    }
 }
 
 struct Names(BTreeMap<String, usize>);
