@@ -9,7 +9,7 @@ use formats::source::amass::catalogue::Recording;
 use formats::source::amass::{self, Variant};
 
 use super::findings::{Estimate, SubsetFindings};
-use super::listed::{Looked, seconds_in};
+use super::{Looked, seconds_in};
 
 /// Files sampled from a subset. A subset comes from one archive, so a few files show its variant and
 /// the ratio of duration to size.

@@ -8,7 +8,7 @@ use formats::source::humanml3d::{self, Layout};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::findings::{EXAMPLES, Estimate, HumanMl3dFindings, ListFindings};
-use super::listed::{Looked, seconds_in};
+use super::{Looked, seconds_in};
 
 pub(super) fn files_of(layout: &Layout) -> impl Iterator<Item = &str> {
     let motions = layout.joints.values().chain(layout.vectors.values());

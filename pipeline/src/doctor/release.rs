@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use formats::source::motionfix;
 
+use super::Looked;
 use super::findings::{Part, ReleaseFindings};
-use super::listed::Looked;
 
 /// Parts of the STANCE release and the number of files published, those of its earlier form
 /// included.

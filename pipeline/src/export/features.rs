@@ -11,8 +11,7 @@ use features::{Statistics, hy_motion, representation_272};
 use pickle::npy;
 
 use super::clips::stems;
-use super::document::file;
-use super::feature_files::{Lines, read_features};
+use super::document::{Lines, file, read_features};
 use super::form::{ByClip, Note, labels, sorted_lines};
 use super::humanml3d::{caption_line, names};
 use super::paths::{safe_stem, unique};

@@ -12,8 +12,7 @@ use features::{Statistics, smpl_body};
 use formats::source::humanml3d::is_id;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-use super::document::file;
-use super::feature_files::{Lines, read_features};
+use super::document::{Lines, file, read_features};
 use super::form::{ByClip, Note, labels, sorted_lines};
 use crate::Error;
 use crate::clips::Clips;

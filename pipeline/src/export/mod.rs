@@ -3,11 +3,9 @@
 //! An export appears whole or not at all: it is written to a temporary folder beside the destination, and
 //! renamed when it is complete.
 
-mod before;
 mod clips;
 mod document;
 mod edits;
-mod feature_files;
 mod features;
 mod form;
 mod humanml3d;
@@ -34,13 +32,12 @@ use crate::clips::Clips;
 use work::NewFolder;
 
 use self::form::{Form, PART_CLIPS};
-pub use before::before;
 pub use edits::{Sides, export_edits};
 pub use items::export_items;
 pub(crate) use items::item_stem;
 pub use job::plan_export;
 pub(crate) use job::{JOB, open_job};
-pub use layout::Layout;
+pub use layout::{Layout, before};
 pub use left_out::{Counts, Exported, untagged_captions};
 pub use motionfix::export_triplets;
 
