@@ -4,7 +4,7 @@
 //! writers and readers against the copy and the matrix product below them.
 
 use std::hint::black_box;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use datasets_spec::record::{FramesRow, HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
 use datasets_spec::table::{ShardReader, read_rows, write_rows};
@@ -80,6 +80,14 @@ fn frames() -> ItemsCount {
     ItemsCount::new(NUM_CLIPS * NUM_FRAMES)
 }
 
+fn shard() -> (tempfile::TempDir, PathBuf) {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let path = dir.path().join("shard.parquet");
+    let bytes = write_rows(Vec::new(), &path, &motion_rows(), &[]).expect("written");
+    std::fs::write(&path, bytes).expect("written");
+    (dir, path)
+}
+
 #[divan::bench]
 fn write_humanml3d(bencher: Bencher) {
     let rows = feature_rows();
@@ -98,10 +106,7 @@ fn write_motions(bencher: Bencher) {
 
 #[divan::bench]
 fn read_motions(bencher: Bencher) {
-    let dir = tempfile::tempdir().expect("temporary folder");
-    let path = dir.path().join("shard.parquet");
-    let bytes = write_rows(Vec::new(), &path, &motion_rows(), &[]).expect("written");
-    std::fs::write(&path, bytes).expect("written");
+    let (_dir, path) = shard();
     bencher
         .counter(frames())
         .bench_local(|| read_rows::<MotionRow>(black_box(&path)).expect("reads"));
@@ -109,10 +114,7 @@ fn read_motions(bencher: Bencher) {
 
 #[divan::bench]
 fn read_one_motion(bencher: Bencher) {
-    let dir = tempfile::tempdir().expect("temporary folder");
-    let path = dir.path().join("shard.parquet");
-    let bytes = write_rows(Vec::new(), &path, &motion_rows(), &[]).expect("written");
-    std::fs::write(&path, bytes).expect("written");
+    let (_dir, path) = shard();
     bencher
         .counter(ItemsCount::new(NUM_FRAMES))
         .bench_local(|| -> Result<Vec<MotionRow>, _> {
@@ -120,13 +122,9 @@ fn read_one_motion(bencher: Bencher) {
         });
 }
 
-/// A random clip of a file that is already open.
 #[divan::bench]
 fn read_random_clip(bencher: Bencher) {
-    let dir = tempfile::tempdir().expect("temporary folder");
-    let path = dir.path().join("shard.parquet");
-    let bytes = write_rows(Vec::new(), &path, &motion_rows(), &[]).expect("written");
-    std::fs::write(&path, bytes).expect("written");
+    let (_dir, path) = shard();
     let reader = ShardReader::open(&path).expect("a shard");
     let mut clip = 0;
     bencher

@@ -6,7 +6,6 @@ use crate::Split;
 use crate::license::{hub_names, is_non_commercial, licenses, warning};
 use crate::manifest::{Manifest, SPLIT_BY_FACT};
 
-/// Name of the file.
 pub(crate) const FILE: &str = "README.md";
 
 /// The library's split name for tables without splits. It reserves `all`.
@@ -74,7 +73,6 @@ fn main_table(manifest: &Manifest) -> &str {
         .unwrap_or("motions")
 }
 
-/// How Python reads the dataset.
 fn loading(manifest: &Manifest, main: &str) -> String {
     let files = manifest.tables.get(main).into_iter().flatten();
     let split = files
@@ -103,7 +101,6 @@ fn tables(manifest: &Manifest) -> String {
     text
 }
 
-/// Clips by licence, and what follows from a mixture of them.
 fn license_table(manifest: &Manifest) -> String {
     let licenses = licenses(manifest);
     if licenses.is_empty() {

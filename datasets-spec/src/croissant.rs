@@ -10,7 +10,6 @@ use crate::manifest::Manifest;
 use crate::record::all_tables;
 use crate::table::Column;
 
-/// Name of the file.
 pub(crate) const FILE: &str = "croissant.json";
 /// Files of a table beyond which they are described by a pattern.
 const MOST_FILES: usize = 100;
@@ -144,7 +143,6 @@ fn field(set: &str, column: &Column, source: &Value) -> Value {
     field
 }
 
-/// The context that Croissant documents share.
 fn context() -> Value {
     json!({
         "@language": "en",

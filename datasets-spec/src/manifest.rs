@@ -67,6 +67,13 @@ pub struct FileEntry {
     pub sha256: String,
 }
 
+impl FileEntry {
+    /// The name of the file, without its folders.
+    pub fn name(&self) -> &str {
+        self.path.rsplit('/').next().unwrap_or(&self.path)
+    }
+}
+
 /// Counts of the source files: `sources = ingested + quarantined + skipped`, always.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Accounting {
@@ -83,6 +90,22 @@ pub struct Accounting {
 }
 
 impl Accounting {
+    /// The counts of what became rows, of what was skipped, and of what was rejected with these codes.
+    pub fn of(ingested: u64, skipped: u64, rejected: impl IntoIterator<Item = String>) -> Self {
+        let mut codes: BTreeMap<String, u64> = BTreeMap::new();
+        for code in rejected {
+            *codes.entry(code).or_default() += 1;
+        }
+        let quarantined = codes.values().sum::<u64>();
+        Self {
+            sources: ingested + quarantined + skipped,
+            ingested,
+            quarantined,
+            skipped,
+            codes,
+        }
+    }
+
     /// Whether every source is accounted for.
     pub fn balances(&self) -> bool {
         self.sources == self.ingested + self.quarantined + self.skipped

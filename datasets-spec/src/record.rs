@@ -694,7 +694,6 @@ impl MaskRow {
     }
 }
 
-/// Digits of an item's id.
 const ITEM_ID_DIGITS: usize = 32;
 
 impl ItemRow {

@@ -3,7 +3,6 @@
 use datasets_spec::record::all_tables;
 use datasets_spec::table::{Column, SCHEMA_VERSION};
 
-/// A table's columns as the format document lists them.
 fn listing(columns: &[Column]) -> String {
     let mut text =
         String::from("| column | type | null | unit | meaning |\n|---|---|---|---|---|\n");

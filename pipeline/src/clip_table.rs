@@ -1,21 +1,49 @@
 //! The tables with a row for each clip: a shard of motions has its markers and features beside it.
 
-use datasets_spec::record::{HumanMl3dRow, MarkerRow, MotionRow};
-use datasets_spec::table::Row;
+use datasets_spec::record::{
+    HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
+};
+use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{MotionId, Split};
 
-/// The names of the tables.
 pub(crate) const CLIP_TABLES: [&str; 3] = [MotionRow::TABLE, MarkerRow::TABLE, HumanMl3dRow::TABLE];
+
+/// Whether a table is composed of motions by a stage that can make it again.
+pub(crate) fn is_composed(table: &str) -> bool {
+    let of_ingestion = [
+        MaskRow::TABLE,
+        PairRow::TABLE,
+        QuarantineRow::TABLE,
+        SkippedRow::TABLE,
+    ];
+    !CLIP_TABLES.contains(&table) && !of_ingestion.contains(&table)
+}
+
+pub(crate) fn clip_ids(
+    table: &str,
+    shard: &ShardReader,
+) -> Result<Vec<MotionId>, datasets_spec::Error> {
+    match table {
+        MotionRow::TABLE => shard.column::<MotionRow, _>("id"),
+        MarkerRow::TABLE => shard.column::<MarkerRow, _>("id"),
+        _ => shard.column::<HumanMl3dRow, _>("id"),
+    }
+}
+
+/// What a file says of itself, as a file is written with it.
+pub(crate) fn borrowed(facts: &[(String, String)]) -> Vec<(&str, String)> {
+    let facts = facts.iter();
+    facts
+        .map(|(key, value)| (key.as_str(), value.clone()))
+        .collect()
+}
 
 /// A row of one of these tables.
 pub(crate) trait ClipRow: Row {
-    /// Id of the clip.
     fn id(&self) -> &MotionId;
 
-    /// Split of the clip.
     fn split(&self) -> Split;
 
-    /// Gives the clip another id and split.
     fn place(&mut self, id: MotionId, split: Split);
 
     /// Name of the source that the clip came from, where the table has it.

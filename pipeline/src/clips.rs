@@ -19,11 +19,9 @@ pub struct Clips<'a> {
     shards: Vec<Shard>,
 }
 
-/// Some clips of one file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Part {
-    /// Number of the file.
     pub(crate) shard: usize,
     /// Places among its chosen clips.
     pub(crate) clips: Range<usize>,
@@ -115,9 +113,6 @@ impl<'a> Clips<'a> {
     }
 
     /// The rows of a part; see [`Shard::read`].
-    ///
-    /// # Errors
-    /// The file cannot be read, has no such rows, or a motion is damaged.
     pub(crate) fn read(&self, part: &Part) -> Result<Vec<MotionRow>, Error> {
         let Some(shard) = self.shards.get(part.shard) else {
             return Ok(Vec::new());
@@ -159,7 +154,6 @@ impl<'a> Clips<'a> {
 }
 
 impl Shard {
-    /// The file.
     pub(crate) fn path(&self) -> &std::path::Path {
         &self.path
     }
@@ -198,10 +192,6 @@ impl Shard {
     }
 }
 
-/// Checks a motion against its recorded hash.
-///
-/// # Errors
-/// They differ.
 pub(crate) fn check_content(row: &MotionRow, path: &std::path::Path) -> Result<(), Error> {
     let found = row.motion()?.content_hash();
     if found == row.content_hash {

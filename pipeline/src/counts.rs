@@ -73,7 +73,6 @@ impl Counts {
         })
     }
 
-    /// Columns of the rows of a table.
     pub(crate) fn rows<T: DeserializeOwned>(
         &mut self,
         columns: &str,

@@ -26,11 +26,8 @@ pub enum Error {
         id: String,
     },
     /// Several items have ids with this prefix.
-    #[error("several items begin with {id:?}; write more of the id")]
-    SeveralItems {
-        /// The prefix asked for.
-        id: String,
-    },
+    #[error("several items begin with {0:?}; write more of the id")]
+    SeveralItems(String),
     /// A question to the tables of a dataset cannot be understood or answered.
     #[error(transparent)]
     Tables(#[from] tables::Error),
@@ -38,12 +35,9 @@ pub enum Error {
     #[error(
         "{} holds neither recorded triplets, nor items with targets, nor pairs with instructions; \
          `stance triplets DATASET --out TRIPLETS` records triplets",
-        path.display()
+        .0.display()
     )]
-    NoTriplets {
-        /// The dataset.
-        path: PathBuf,
-    },
+    NoTriplets(PathBuf),
     /// A folder holds something else than motions.
     #[error("{} is {other}", path.display())]
     OtherThanMotions {
@@ -89,11 +83,8 @@ pub enum Error {
         differing: String,
     },
     /// It cannot be known which source is meant.
-    #[error("{reason}")]
-    AskedSource {
-        /// What cannot be known, and how to say it.
-        reason: String,
-    },
+    #[error("{0}")]
+    AskedSource(String),
     /// Clips would stay as they were while settings change that all clips of a dataset share.
     #[error(
         "{count} clips of {} cannot be read again with the new settings ({differing}): {shown}; nothing was changed. \
@@ -122,11 +113,8 @@ pub enum Error {
         second: String,
     },
     /// A new dataset is to be written where there is one.
-    #[error("{} is a dataset already; choose a folder that does not exist", path.display())]
-    DatasetExists {
-        /// The folder.
-        path: PathBuf,
-    },
+    #[error("{} is a dataset already; choose a folder that does not exist", .0.display())]
+    DatasetExists(PathBuf),
     /// Labels would be lost.
     #[error(
         "{count} labels in {} belong to clips that changed or went: {shown}; nothing was changed. Pass \
@@ -161,26 +149,17 @@ pub enum Error {
     /// Every clip of a dataset would be removed.
     #[error(
         "every clip of {} would be removed; nothing was changed. Remove the folder if that is meant",
-        path.display()
+        .0.display()
     )]
-    AllRemoved {
-        /// The dataset.
-        path: PathBuf,
-    },
+    AllRemoved(PathBuf),
     /// Two datasets differ in what must be one over a dataset.
     #[error(
-        "the datasets cannot be one: {differing}; ingest one of them again with the setting of the other"
+        "the datasets cannot be one: {0}; ingest one of them again with the setting of the other"
     )]
-    CannotMerge {
-        /// The settings that differ, with both values and their datasets.
-        differing: String,
-    },
+    CannotMerge(String),
     /// A source folder or file does not exist.
-    #[error("no such file or folder: {}; check the path", path.display())]
-    MissingSource {
-        /// The path given.
-        path: PathBuf,
-    },
+    #[error("no such file or folder: {}; check the path", .0.display())]
+    MissingSource(PathBuf),
     /// The sources hold no files at all.
     #[error("no files under {paths}; {hint}")]
     NoFiles {
@@ -193,12 +172,9 @@ pub enum Error {
     #[error(
         "{}: the members of a packed tar cannot be read by many processes; unpack it and name its folder, or pack it \
          as zip",
-        path.display()
+        .0.display()
     )]
-    PackedTar {
-        /// The archive.
-        path: PathBuf,
-    },
+    PackedTar(PathBuf),
     /// A file of chosen ids that chooses nothing.
     #[error("cannot choose clips by {}: {reason}", path.display())]
     IdList {
@@ -210,18 +186,12 @@ pub enum Error {
     /// A dataset without motions was to be exported.
     #[error(
         "{} holds neither motions nor edits; name a dataset, or a folder that `stance edit` wrote",
-        path.display()
+        .0.display()
     )]
-    NoMotions {
-        /// The dataset.
-        path: PathBuf,
-    },
+    NoMotions(PathBuf),
     /// Edits were to be exported in a layout of whole datasets.
-    #[error("{layout} is a layout of whole datasets; edits are exported as bvh, amass or gltf")]
-    LayoutOfEdits {
-        /// The layout.
-        layout: &'static str,
-    },
+    #[error("{0} is a layout of whole datasets; edits are exported as bvh, amass or gltf")]
+    LayoutOfEdits(&'static str),
     /// A bundle of answers, or a folder that is to become one, breaks a rule.
     #[error("{}: {problem}", path.display())]
     Bundle {
@@ -231,11 +201,8 @@ pub enum Error {
         problem: String,
     },
     /// Two items have one id.
-    #[error("item {id} is in the table twice; draw the items again with `stance items`")]
-    ItemTwice {
-        /// The id.
-        id: String,
-    },
+    #[error("item {0} is in the table twice; draw the items again with `stance items`")]
+    ItemTwice(String),
     /// The layout has one frame rate and the clips have several.
     #[error("clip {motion} is at {other} fps and others at {first}; ingest with one --fps")]
     MixedRates {
@@ -271,11 +238,11 @@ impl Error {
             Self::Compose(error) => return error.code(),
             Self::Formats(error) => return error.code(),
             Self::Work(error) => return error.code(),
-            Self::MissingSource { path } => ("E-MISSING", path),
+            Self::MissingSource(path) => ("E-MISSING", path),
             Self::Mixture { path, .. } => ("E-MIXTURE", path),
-            Self::AskedSource { .. } => return Some(("E-SOURCE-NAME", None)),
+            Self::AskedSource(_) => return Some(("E-SOURCE-NAME", None)),
             Self::IdList { path, .. } => ("E-ID-LIST", path),
-            Self::PackedTar { path } => ("E-PACKED-TAR", path),
+            Self::PackedTar(path) => ("E-PACKED-TAR", path),
             Self::NoFiles { paths, .. } => return Some(("E-NO-FILES", Some(paths.clone()))),
             Self::NoClip { id, .. } => return Some(("E-CLIP-UNKNOWN", Some(id.clone()))),
             Self::NoItem { id, .. } => return Some(("E-ITEM-UNKNOWN", Some(id.clone()))),

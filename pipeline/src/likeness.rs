@@ -8,10 +8,8 @@ use kinematics::rotation::yaw;
 /// equal. Conversion to another format and back moves joints by less; two takes of one person differ by more.
 pub const TOLERANCE_M: f64 = 0.005;
 
-/// Joints that are compared.
 const JOINTS: usize = 22;
 
-/// Frames that are compared.
 const FRAMES: usize = 8;
 
 /// The body joints of a motion in some frames, seen from where it begins.

@@ -46,7 +46,6 @@ struct Part<'a> {
     sources: &'a MergedSources,
     /// What its paths begin with in the result.
     label: String,
-    /// Clips that the other has.
     shared: BTreeSet<MotionId>,
     ids: BTreeMap<MotionId, MotionId>,
     splits: BTreeMap<MotionId, Split>,
@@ -96,7 +95,6 @@ impl<'a> Part<'a> {
         Some((split, row))
     }
 
-    /// What the dataset rejected.
     fn quarantine(&self) -> Result<Vec<QuarantineRow>, Error> {
         let rows = self.dataset.read::<QuarantineRow>(None)?.into_iter();
         let rows = rows.map(|row| QuarantineRow {
@@ -145,9 +143,7 @@ pub fn merge(
     check_settings(&datasets, &clips)?;
     let transaction = Transaction::begin(out, holder)?;
     if transaction.base().is_some() {
-        return Err(Error::DatasetExists {
-            path: out.to_owned(),
-        });
+        return Err(Error::DatasetExists(out.to_owned()));
     }
     let sources = MergedSources::of(a, b);
     let mut facts = sources.facts.clone();
@@ -188,7 +184,11 @@ pub fn merge(
         tables,
         plan_hash: plan,
         skeleton,
-        accounting: Some(accounting(num_clips, &quarantine, skipped.len() as u64)),
+        accounting: Some(Accounting::of(
+            num_clips,
+            skipped.len() as u64,
+            quarantine.into_iter().map(|row| row.code),
+        )),
         facts,
         ..Commit::default()
     })?;
@@ -209,7 +209,6 @@ pub fn merge(
     })
 }
 
-/// The skeleton of both datasets.
 fn common_skeleton(first: &Dataset, second: &Dataset) -> Result<Skeleton, Error> {
     let skeleton = first.skeleton()?;
     if skeleton.hash() != second.skeleton()?.hash() {
@@ -253,9 +252,7 @@ fn check_settings(datasets: &[Dataset; 2], clips: &[Vec<Clip>; 2]) -> Result<(),
     }
     match differing.is_empty() {
         true => Ok(()),
-        false => Err(Error::CannotMerge {
-            differing: differing.join("; "),
-        }),
+        false => Err(Error::CannotMerge(differing.join("; "))),
     }
 }
 
@@ -370,7 +367,6 @@ fn clip_tables(
     Ok(tables)
 }
 
-/// The split of every clip of the result.
 fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split> {
     let mut splits: BTreeMap<MotionId, Split> = BTreeMap::new();
     for (part, clips) in parts.iter().zip(clips) {
@@ -392,22 +388,6 @@ fn passed_over(parts: &[&Part<'_>]) -> Result<(Vec<QuarantineRow>, Vec<SkippedRo
     Ok((quarantine, skipped))
 }
 
-/// The counts of the result, whose sources are its clips and what was passed over.
-fn accounting(ingested: u64, quarantine: &[QuarantineRow], skipped: u64) -> Accounting {
-    let mut codes = BTreeMap::new();
-    for row in quarantine {
-        *codes.entry(row.code.clone()).or_default() += 1;
-    }
-    let quarantined = quarantine.len() as u64;
-    Accounting {
-        sources: ingested + quarantined + skipped,
-        ingested,
-        quarantined,
-        skipped,
-        codes,
-    }
-}
-
 /// The labels of both datasets, and the ids of those whose motions are in two splits now.
 struct Labels {
     masks: Vec<MaskRow>,
@@ -416,7 +396,6 @@ struct Labels {
 }
 
 impl Labels {
-    /// Writes the tables that have rows.
     fn tables(
         &self,
         transaction: &Transaction,
@@ -496,24 +475,18 @@ fn shards<R: ClipRow>(
     parts: &[&Part<'_>],
     facts: &[(&str, String)],
 ) -> Result<Vec<FileEntry>, Error> {
-    let name = |file: &FileEntry| {
-        file.path
-            .rsplit('/')
-            .next()
-            .unwrap_or(&file.path)
-            .to_owned()
-    };
-    let mut names: Vec<(usize, String)> = Vec::new();
+    let mut names: Vec<(usize, &str)> = Vec::new();
     for (part, Part { dataset, .. }) in parts.iter().enumerate() {
         let files = CLIP_TABLES.map(|table| dataset.files(table, None));
-        names.extend(files.iter().flatten().map(|(_, file)| (part, name(file))));
+        let files = files.iter().flatten();
+        names.extend(files.map(|(_, file)| (part, file.name())));
     }
     names.sort();
     names.dedup();
     let mut entries = Vec::new();
     for (number, part) in parts.iter().enumerate() {
         for (path, file) in part.dataset.files(R::TABLE, None) {
-            let place = (number, name(file));
+            let place = (number, file.name());
             let index = names.iter().position(|name| *name == place).unwrap_or(0);
             let mut by_split: BTreeMap<Split, Vec<R>> = BTreeMap::new();
             for row in read_rows::<R>(&path)? {

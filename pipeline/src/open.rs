@@ -48,7 +48,7 @@ pub fn stored_item(dataset: &Dataset, id: &str) -> Result<ItemRow, Error> {
     let mut found = rows.into_iter().filter(|row| row.id.starts_with(id));
     match (found.next(), found.next()) {
         (Some(item), None) => Ok(item),
-        (Some(_), Some(_)) => Err(Error::SeveralItems { id: id.to_owned() }),
+        (Some(_), Some(_)) => Err(Error::SeveralItems(id.to_owned())),
         (None, _) => Err(Error::NoItem {
             path: dataset.root().to_owned(),
             id: id.to_owned(),

@@ -21,7 +21,6 @@ use crate::likeness::{Sketch, near_pairs};
 /// Formats of single files, each of which holds one recording. Every other format is of releases.
 const OF_FILES: [&str; 6] = ["amass", "bvh", "c3d", "fbx", "gltf", "trc"];
 
-/// What a clip says of its origin.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Origin {
     pub(crate) id: MotionId,
@@ -33,16 +32,13 @@ pub(crate) struct Origin {
     pub(crate) mirrored_of: Option<String>,
 }
 
-/// What names a recording.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Recording {
     /// Source clip of an id, in one dataset.
     Clip(usize, String),
-    /// A file, by its hash.
     File(String),
     /// A file of a release, and the name of a clip in the release.
     Member(String, String),
-    /// A motion, by its hash.
     Motion(String),
 }
 
@@ -107,7 +103,7 @@ impl Origin {
 
 /// Puts clips into groups, those with a recording in common into one. Returns a number for each.
 pub(crate) fn grouped(recordings: &[Vec<Recording>]) -> Groups {
-    let mut groups = Groups((0..recordings.len()).collect());
+    let mut groups = Groups::new(recordings.len());
     let mut first: BTreeMap<&Recording, usize> = BTreeMap::new();
     for (clip, recordings) in recordings.iter().enumerate() {
         for recording in recordings {
@@ -118,10 +114,14 @@ pub(crate) fn grouped(recordings: &[Vec<Recording>]) -> Groups {
     groups
 }
 
-/// Groups of numbers.
+/// Numbers, some of which are united.
 pub(crate) struct Groups(Vec<usize>);
 
 impl Groups {
+    pub(crate) fn new(count: usize) -> Self {
+        Self((0..count).collect())
+    }
+
     /// The smallest number of a group.
     pub(crate) fn of(&self, mut number: usize) -> usize {
         while self.0[number] != number {
@@ -144,7 +144,6 @@ pub(crate) struct Clip {
     pub(crate) fps: Option<f32>,
 }
 
-/// The clips of a dataset, without their frames.
 pub(crate) fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
     let mut clips = Vec::new();
     for (path, file) in dataset.files(MotionRow::TABLE, None) {

@@ -192,9 +192,7 @@ struct Reference {
 
 /// Result for a clip of the dataset.
 enum Met {
-    /// The folder lacks it.
     Unknown,
-    /// It was compared as far as possible.
     Compared {
         frames: usize,
         /// By group; none for a group whose file is missing or unreadable.
@@ -206,9 +204,7 @@ enum Met {
 impl Reference {
     fn find(folder: &Path) -> Result<Self, Error> {
         if !folder.is_dir() {
-            return Err(Error::MissingSource {
-                path: folder.to_owned(),
-            });
+            return Err(Error::MissingSource(folder.to_owned()));
         }
         let reference = Self {
             vectors: arrays(&folder.join(VECTORS))?,
@@ -229,7 +225,6 @@ impl Reference {
         self.vectors.keys().chain(self.joints.keys()).collect()
     }
 
-    /// Compares the features of a clip.
     fn meet(&self, id: &str, features: Result<Vec<Features>, String>) -> Met {
         let (vector, joints) = (self.vectors.get(id), self.joints.get(id));
         if vector.is_none() && joints.is_none() {
@@ -316,7 +311,6 @@ fn note_lengths(folder: &str, own: usize, published: usize, problems: &mut Vec<S
     }
 }
 
-/// Tolerance of a group of features.
 #[derive(Clone, Copy)]
 struct Rule {
     name: &'static str,
@@ -326,7 +320,6 @@ struct Rule {
     end: usize,
 }
 
-/// The rules of the groups of features.
 const RULES: [Rule; GROUPS.len()] = {
     let mut rules = [JOINT_RULE; GROUPS.len()];
     let mut group = 0;
@@ -346,7 +339,6 @@ const RULES: [Rule; GROUPS.len()] = {
     rules
 };
 
-/// The rule of the joints.
 const JOINT_RULE: Rule = Rule {
     name: JOINT_GROUP,
     tolerance: JOINT_TOLERANCE_M,
@@ -533,9 +525,8 @@ impl Missing {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::dataset::commit_rows;
     use datasets_spec::{MotionId, NoProgress, Split};
-    use testkit::{motion_row, wandering};
+    use testkit::{commit, motion_row, wandering};
 
     use super::*;
     use pickle::npy::encode;
@@ -548,7 +539,6 @@ mod tests {
         features_of(&motion_row(id, Split::Train, &wandering(id, 50)), &body).expect("a body")
     }
 
-    /// A dataset of features.
     fn dataset(root: &Path, ids: &[&str]) -> Dataset {
         let rows: Vec<HumanMl3dRow> = ids
             .iter()
@@ -564,18 +554,9 @@ mod tests {
                 }
             })
             .collect();
-        commit_rows(
-            root,
-            &rows,
-            Some(|row| row.split),
-            &Skeleton::smplx_neutral(),
-            "p",
-            "test",
-        )
-        .expect("committed")
+        commit(root, &rows, |row| row.split, "p")
     }
 
-    /// Writes the files of a clip into a published folder.
     fn publish(folder: &Path, id: &str, features: &[Features]) {
         let joints: Vec<f32> = recover_joints(features)
             .iter()
@@ -626,10 +607,7 @@ mod tests {
     fn motions_stand_in_for_features_that_were_not_stored() {
         let dir = tempfile::tempdir().expect("temporary folder");
         let rows = IDS.map(|id| motion_row(id, Split::Train, &wandering(id, 50)));
-        let skeleton = Skeleton::smplx_neutral();
-        let root = dir.path().join("d");
-        let dataset = commit_rows(&root, &rows, Some(|row| row.split), &skeleton, "p", "test")
-            .expect("committed");
+        let dataset = commit(&dir.path().join("d"), &rows, |row| row.split, "p");
         let folder = dir.path().join("published");
         publish(&folder, IDS[1], &features(IDS[1]));
         let found = compared(&dataset, &folder);
@@ -723,6 +701,6 @@ mod tests {
         let none = compare(&dataset, dir.path(), &NoProgress);
         assert!(matches!(none, Err(Error::NoFiles { .. })));
         let nowhere = compare(&dataset, &dir.path().join("nowhere"), &NoProgress);
-        assert!(matches!(nowhere, Err(Error::MissingSource { .. })));
+        assert!(matches!(nowhere, Err(Error::MissingSource(_))));
     }
 }

@@ -299,7 +299,6 @@ impl fmt::Display for Statistics {
 }
 
 impl Statistics {
-    /// Writes the table of distributions.
     fn write_spreads(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,

@@ -299,7 +299,6 @@ mod tests {
     use crate::rotation::from_axis_angle;
     use crate::units::Fps;
 
-    /// A frame as it was written.
     #[derive(Clone, Debug, PartialEq)]
     struct Written {
         rotations: [Option<[f32; 4]>; NUM_BODY_JOINTS],

@@ -81,7 +81,6 @@ impl Cache {
         Ok(())
     }
 
-    /// Forgets a file.
     pub(crate) fn forget(&self, hash: &str, length: u64) {
         for block in 0..length.div_ceil(BLOCK) {
             // It may not be here.

@@ -90,7 +90,6 @@ pub(crate) struct Got {
     pub(crate) tag: Option<String>,
 }
 
-/// An entry of a listing.
 pub(crate) struct Listed {
     pub(crate) key: Key,
     pub(crate) size: u64,
@@ -109,7 +108,6 @@ impl Client {
         Self { store, attempts }
     }
 
-    /// The client of the bucket that a place is in.
     pub(crate) fn of(place: &Place, retries: usize) -> io::Result<Self> {
         let retry = RetryConfig {
             max_retries: retries,
@@ -314,7 +312,6 @@ impl Client {
         })
     }
 
-    /// All objects below a key.
     pub(crate) fn list_all(&self, key: &Key) -> io::Result<Vec<Listed>> {
         let (store, key) = (Arc::clone(&self.store), key.clone());
         wait(async move {

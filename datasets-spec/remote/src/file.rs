@@ -65,17 +65,7 @@ impl ReadAt for RemoteFile {
                 .map(|range| cut(&bytes, tail, range))
                 .collect());
         }
-        match self.fetch(ranges) {
-            Err(error) if error.kind() == io::ErrorKind::Unsupported => {
-                let whole = self.client.get(&self.key)?.bytes;
-                if whole.len() as u64 != self.size {
-                    return Err(error);
-                }
-                let whole = self.whole.get_or_init(|| whole);
-                Ok(ranges.iter().map(|range| cut(whole, 0, range)).collect())
-            }
-            done => done,
-        }
+        self.fetch(ranges)
     }
 
     fn is_distant(&self) -> bool {
@@ -95,23 +85,27 @@ impl RemoteFile {
             return Ok(bytes.clone());
         }
         let range = start..self.size;
-        let bytes = match self.fetch(std::slice::from_ref(&range)) {
+        let bytes = self.fetch(std::slice::from_ref(&range))?;
+        let bytes = bytes.into_iter().next().unwrap_or_default();
+        Ok(self.tail.get_or_init(|| bytes).clone())
+    }
+
+    /// Reads ranges; of the whole file where the server sends no ranges.
+    fn fetch(&self, ranges: &[Range<u64>]) -> io::Result<Vec<Bytes>> {
+        let fetched = match self.cache.as_deref().zip(self.hash.as_deref()) {
+            Some((cache, hash)) => self.by_blocks(cache, hash, ranges),
+            None => self.directly(ranges),
+        };
+        match fetched {
             Err(error) if error.kind() == io::ErrorKind::Unsupported => {
                 let whole = self.client.get(&self.key)?.bytes;
                 if whole.len() as u64 != self.size {
                     return Err(error);
                 }
-                cut(self.whole.get_or_init(|| whole), 0, &range)
+                let whole = self.whole.get_or_init(|| whole);
+                Ok(ranges.iter().map(|range| cut(whole, 0, range)).collect())
             }
-            done => done?.into_iter().next().unwrap_or_default(),
-        };
-        Ok(self.tail.get_or_init(|| bytes).clone())
-    }
-
-    fn fetch(&self, ranges: &[Range<u64>]) -> io::Result<Vec<Bytes>> {
-        match self.cache.as_deref().zip(self.hash.as_deref()) {
-            Some((cache, hash)) => self.by_blocks(cache, hash, ranges),
-            None => self.directly(ranges),
+            done => done,
         }
     }
 

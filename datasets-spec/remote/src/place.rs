@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use object_store::path::Path as Key;
 
-/// What a URL names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Place {
     pub(crate) scheme: Scheme,
@@ -16,7 +15,6 @@ pub(crate) struct Place {
     pub(crate) key: Key,
 }
 
-/// Kinds of storage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Scheme {
     S3,

@@ -22,13 +22,11 @@ pub struct Remote {
     retries: usize,
     cache: Option<Arc<Cache>>,
     hub: Option<HubCache>,
-    /// Clients by scheme and bucket.
     clients: Mutex<BTreeMap<String, Client>>,
     /// What is known of files that do not change while this process reads them.
     known: Mutex<BTreeMap<PathBuf, Known>>,
 }
 
-/// What is known of a file before it is read.
 #[derive(Clone, Debug)]
 struct Known {
     size: u64,
@@ -81,7 +79,6 @@ impl Remote {
         Ok(Found::Remote(place, client))
     }
 
-    /// [`Remote::find`], to write there.
     fn find_to_write(&self, path: &Path) -> io::Result<(Place, Client)> {
         match self.find(path)? {
             Found::Remote(place, client) if place.scheme != Scheme::Http => Ok((place, client)),
@@ -137,7 +134,6 @@ impl Remote {
         Ok(whole.into_iter().next().unwrap_or_default())
     }
 
-    /// Keeps a file in the cache.
     fn keep(&self, hash: &str, bytes: &Bytes) {
         use crate::cache::BLOCK;
 

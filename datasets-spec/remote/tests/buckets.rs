@@ -23,17 +23,14 @@ use object_store::{
 };
 use remote_store::{Remote, Settings};
 
-/// A bucket in memory.
 #[derive(Debug, Default)]
 struct Bucket {
     objects: InMemory,
-    /// Reads of content.
     reads: AtomicUsize,
     /// The answers of all writes are lost.
     loses_answers: AtomicBool,
     /// Bodies end too early.
     cuts_bodies: AtomicBool,
-    /// Requests that still fail.
     failures: AtomicUsize,
 }
 

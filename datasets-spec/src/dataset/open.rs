@@ -22,7 +22,6 @@ pub struct Dataset {
     chosen: Option<Arc<Chosen>>,
 }
 
-/// Clips of a dataset that somebody chose.
 #[derive(Debug)]
 struct Chosen {
     condition: String,

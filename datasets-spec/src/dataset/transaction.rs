@@ -14,7 +14,6 @@ use crate::store::{ByPath, Lock, Locking, Store, write_atomically, write_new};
 use crate::table::SCHEMA_VERSION;
 use crate::{Error, Skeleton};
 
-/// The program and its version.
 const TOOL: &str = concat!("stance ", env!("CARGO_PKG_VERSION"));
 
 /// A run that writes to a dataset. It holds the folder's lock until it is committed or dropped; at a URL
@@ -239,7 +238,6 @@ fn newer_version(version: &str) -> &str {
     }
 }
 
-/// The text of a JSON file.
 fn json<T: Serialize>(path: &Path, value: &T) -> Result<Vec<u8>, Error> {
     let mut text = serde_json::to_vec_pretty(value).map_err(|source| Error::Json {
         path: path.to_owned(),

@@ -114,7 +114,6 @@ fn of(path: &Path) -> io::Result<Found> {
     found(path, path.parent().and_then(mounted_at))
 }
 
-/// The store of what is in a folder.
 fn in_folder(folder: &Path) -> io::Result<Found> {
     found(folder, mounted_at(folder))
 }

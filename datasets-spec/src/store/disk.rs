@@ -115,7 +115,6 @@ impl Store for Disk {
     }
 }
 
-/// A lock of the operating system.
 #[derive(Debug)]
 struct FileLock(File);
 

@@ -110,7 +110,6 @@ pub trait Row: Sized + Clone + Send + Sync {
     }
 }
 
-/// Finds a column by name.
 pub(crate) fn column<'a>(
     table: &'static str,
     batch: &'a RecordBatch,

@@ -30,9 +30,7 @@ const ROW_GROUP_PAGES: usize = 256;
 const ZSTD_LEVEL: i32 = 1;
 /// One clip must stay one page however long it is.
 const PAGE_BYTES: usize = 64 << 20;
-/// Rows decoded at a time.
 const READ_BATCH_ROWS: usize = 64;
-/// Rows of a batch of columns.
 const COLUMN_BATCH_ROWS: usize = 4096;
 
 /// Columns of frames: their leaves are encoded byte by byte and read clip by clip.

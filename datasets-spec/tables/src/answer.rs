@@ -111,7 +111,6 @@ impl Answer {
         Ok(bytes)
     }
 
-    /// The places of a condition's rows, ascending.
     pub(crate) fn places(&self) -> Vec<usize> {
         let column = self.frame.column(PLACE).and_then(|column| column.u32());
         let places = column

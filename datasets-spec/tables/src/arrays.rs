@@ -20,10 +20,6 @@ use polars_arrow::types::NativeType;
 
 use pl::ArrayFromIter as _;
 
-/// The type of polars for a type of a table.
-///
-/// # Errors
-/// No table has the type.
 pub(crate) fn polars_type(data_type: &DataType) -> Result<pl::DataType, String> {
     Ok(match data_type {
         DataType::Utf8 => pl::DataType::String,
@@ -50,9 +46,6 @@ pub(crate) fn polars_type(data_type: &DataType) -> Result<pl::DataType, String> 
 }
 
 /// A column of polars with the values of an array.
-///
-/// # Errors
-/// No table has the type, or the array breaks its rules.
 pub(crate) fn series(name: &str, array: &dyn Array) -> Result<pl::Series, String> {
     let array = polars_array(array)?;
     pl::Series::from_arrow(name.into(), array).map_err(|error| error.to_string())
@@ -125,9 +118,6 @@ fn validity(array: &dyn Array) -> Option<Bitmap> {
 }
 
 /// Converts a column of polars into an array of Arrow. Types that our tables do not have, such as dates, become text.
-///
-/// # Errors
-/// A value cannot be written as text.
 pub(crate) fn arrow_array(series: &pl::Series) -> Result<ArrayRef, String> {
     let fails = |error: pl::PolarsError| error.to_string();
     let series = series.rechunk();

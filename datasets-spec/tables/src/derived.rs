@@ -14,7 +14,6 @@ use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::{Row as _, ShardReader};
 use datasets_spec::{Dataset, MotionId};
 
-/// A derived column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Derived {
     Seconds,
@@ -69,7 +68,6 @@ impl Derived {
         }
     }
 
-    /// The stored columns that it is derived from.
     pub(crate) fn needs(self) -> &'static [&'static str] {
         match self {
             Self::Seconds => &["n_frames", "fps"],
@@ -81,9 +79,6 @@ impl Derived {
     }
 
     /// Ids of the clips that a table beside the motions speaks of, where the column is about them.
-    ///
-    /// # Errors
-    /// The table cannot be read.
     pub(crate) fn beside(
         self,
         dataset: &Dataset,
@@ -157,7 +152,6 @@ impl Derived {
     }
 }
 
-/// The texts of a list of captions.
 fn texts(captions: &ArrayRef, place: usize) -> Option<ArrayRef> {
     let list = captions.as_list::<i32>();
     let texts = Arc::clone(list.values().as_struct().columns().get(place)?);

@@ -121,10 +121,6 @@ fn parser(text: &str) -> Result<Parser<'static>, String> {
     Ok(parser.with_tokens(tokens))
 }
 
-/// A query that polars answers.
-///
-/// # Errors
-/// It is not one `SELECT`, calls a function in place of a table, or tests a list as polars cannot.
 pub(crate) fn rewrite_query(text: &str, names: &Names) -> Result<String, String> {
     let mut statements = parser(text)?
         .parse_statements()
@@ -136,10 +132,6 @@ pub(crate) fn rewrite_query(text: &str, names: &Names) -> Result<String, String>
     Ok(query.to_string())
 }
 
-/// A condition that polars understands.
-///
-/// # Errors
-/// It is not one expression, or as [`rewrite_query`].
 pub(crate) fn rewrite_condition(text: &str, names: &Names) -> Result<String, String> {
     let mut expr = condition(text)?;
     visited(VisitMut::visit(&mut expr, &mut Rewriting { names }))?;
@@ -396,7 +388,6 @@ fn date(text: &Expr) -> Option<String> {
     is_text.then(|| format!("DATE({text})"))
 }
 
-/// Whether a function is one of texts in a list.
 fn takes_texts(function: &Function) -> bool {
     let name = function.name.to_string().to_ascii_lowercase();
     matches!(
@@ -461,9 +452,6 @@ fn regex_of(pattern: &str, escape: Option<char>) -> Result<String, String> {
 }
 
 /// Checks that the columns of a condition exist. Columns inside subqueries are checked by polars.
-///
-/// # Errors
-/// There is no such column of motions: which was meant, and what there is.
 pub(crate) fn check_columns(text: &str, names: &Names) -> Result<(), String> {
     struct Checking<'a> {
         names: &'a Names,
@@ -549,7 +537,6 @@ fn listed<T: AsRef<str>>(names: impl IntoIterator<Item = T>) -> String {
     names.join(", ")
 }
 
-/// The tables that a query names.
 fn relations(query: &str) -> BTreeSet<String> {
     struct Named(BTreeSet<String>);
 
@@ -574,7 +561,6 @@ fn relations(query: &str) -> BTreeSet<String> {
     named.0
 }
 
-/// What is wrong with a query, from an error of polars.
 pub(crate) fn problem_of(query: &str, error: &PolarsError, names: &Names) -> String {
     let text = error.to_string();
     let first = text

@@ -17,7 +17,6 @@ use crate::derived::Derived;
 /// Column with the row number, for [`crate::Condition`]. Its name is one that no query uses by chance.
 pub(crate) const PLACE: &str = "__place";
 
-/// A table of a dataset.
 pub(crate) struct Scan {
     dataset: Dataset,
     files: Vec<PathBuf>,
@@ -67,7 +66,6 @@ impl Scan {
         pl::LazyFrame::anonymous_scan(Arc::new(self), args)
     }
 
-    /// The named columns of all rows.
     fn read(&self, names: &[&str]) -> Result<pl::DataFrame, String> {
         let derived: Vec<Derived> = Derived::ALL
             .into_iter()
@@ -136,7 +134,6 @@ impl Scan {
         Ok(whole)
     }
 
-    /// The named columns of a batch.
     fn part(
         &self,
         batch: &RecordBatch,

@@ -55,7 +55,6 @@ impl FrameCache {
         })
     }
 
-    /// The file of this key.
     pub(super) fn file(&self, key: &str) -> PathBuf {
         self.folder.join(format!("{key}.frames"))
     }
@@ -108,9 +107,6 @@ fn is_being_written(path: &Path) -> bool {
 }
 
 /// Reads a number of bytes: digits, then `kB`, `MB`, `GB` or `TB` (powers of 1,000) or nothing.
-///
-/// # Errors
-/// The text is none; what is expected.
 fn parse_bytes(text: &str) -> Result<u64, String> {
     let text = text.trim();
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());

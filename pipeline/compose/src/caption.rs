@@ -13,83 +13,31 @@ use datasets_spec::table::Caption;
 use super::instruction::instruction;
 
 /// Words of captions for the person who moves.
-const SUBJECTS: [&str; 17] = [
-    "person",
-    "man",
-    "woman",
-    "boy",
-    "girl",
-    "guy",
-    "lady",
-    "human",
-    "figure",
-    "character",
-    "someone",
-    "somebody",
-    "individual",
-    "subject",
-    "he",
-    "she",
-    "they",
-];
+const SUBJECTS: &str = "person man woman boy girl guy lady human figure character someone somebody individual \
+     subject he she they";
 /// Words that may stand before the subject.
-const DETERMINERS: [&str; 5] = ["a", "an", "the", "this", "one"];
+const DETERMINERS: &str = "a an the this one";
 /// Words that may introduce another clause, whose verb would need another form too.
-const CONJUNCTIONS: [&str; 18] = [
-    "and", "then", "while", "but", "before", "after", "until", "till", "as", "when", "which",
-    "who", "that", "so", "because", "or", "where", "if",
-];
+const CONJUNCTIONS: &str =
+    "and then while but before after until till as when which who that so because or where if";
 /// Verbs of another clause that are not in the list.
-const OTHER_FINITE: [&str; 8] = ["is", "are", "was", "were", "has", "had", "seems", "appears"];
+const OTHER_FINITE: &str = "is are was were has had seems appears";
 
 /// Words in -s that begin no clause where they follow a conjunction.
-const NO_VERBS_IN_S: [&str; 12] = [
-    "his", "its", "hers", "theirs", "this", "always", "arms", "hands", "legs", "feet", "across",
-    "towards",
-];
+const NO_VERBS_IN_S: &str = "his its hers theirs this always arms hands legs feet across towards";
 
 /// Words after which a word that is a third person and a plural, such as "steps", is the plural.
-const BEFORE_PLURALS: [&str; 33] = [
-    "two",
-    "three",
-    "four",
-    "five",
-    "six",
-    "seven",
-    "eight",
-    "nine",
-    "ten",
-    "few",
-    "some",
-    "several",
-    "many",
-    "more",
-    "multiple",
-    "both",
-    "half",
-    "couple",
-    "small",
-    "big",
-    "large",
-    "little",
-    "huge",
-    "tiny",
-    "wide",
-    "in",
-    "of",
-    "with",
-    "doing",
-    "making",
-    "performing",
-    "taking",
-    "practicing",
-];
+const BEFORE_PLURALS: &str = "two three four five six seven eight nine ten few some several many more multiple both half \
+     couple small big large little huge tiny wide in of with doing making performing taking \
+     practicing";
 /// Words that say how or where to as well as what kind: "four slow steps", but "walks slow, steps back".
 /// The word before them tells.
-const ADJECTIVES_OR_ADVERBS: [&str; 13] = [
-    "forward", "backward", "sideways", "straight", "fast", "slow", "quick", "long", "short",
-    "high", "low", "heavy", "deep",
-];
+const ADJECTIVES_OR_ADVERBS: &str =
+    "forward backward sideways straight fast slow quick long short high low heavy deep";
+
+fn is_one_of(word: &str, words: &str) -> bool {
+    words.split(' ').any(|one| one == word)
+}
 
 /// The verbs of `verbs.txt`: the gerund by the third person, by the gerund itself and by the bare form.
 struct Verbs {
@@ -180,18 +128,14 @@ fn doing(text: &str) -> Option<String> {
     }
     let said: Vec<&str> = text.split_whitespace().collect();
     let words: Vec<String> = said.iter().map(|word| word.to_lowercase()).collect();
-    let is = |place: usize, list: &[&str]| {
-        words
-            .get(place)
-            .is_some_and(|word| list.contains(&word.as_str()))
-    };
-    let determined = usize::from(is(0, &DETERMINERS));
-    let has_subject = is(determined, &SUBJECTS);
+    let is = |place: usize, list| words.get(place).is_some_and(|word| is_one_of(word, list));
+    let determined = usize::from(is(0, DETERMINERS));
+    let has_subject = is(determined, SUBJECTS);
     if determined == 1 && !has_subject {
         return None;
     }
     let start = determined + usize::from(has_subject);
-    if has_subject && is(start, &["is"]) {
+    if has_subject && is(start, "is") {
         let rest = &words[start + 1..];
         let fits = !VERBS.bare.contains_key(rest.first()?) && !has_other_clause(rest);
         return fits.then(|| said[start + 1..].join(" "));
@@ -207,8 +151,8 @@ fn doing(text: &str) -> Option<String> {
         false => VERBS.gerunds.get(verb).or_else(|| VERBS.bare.get(verb)),
     }?;
     // What somebody looks like is no action, and a "kneeling person" is a subject.
-    let is_likeness = verb == "looking" && is(place + 1, &["like", "as"]);
-    if is_likeness || is(place + 1, &SUBJECTS) || has_other_clause(&words[place + 1..]) {
+    let is_likeness = verb == "looking" && is(place + 1, "like as");
+    if is_likeness || is(place + 1, SUBJECTS) || has_other_clause(&words[place + 1..]) {
         return None;
     }
     let (before, rest) = (&said[start..place], &said[place + 1..]);
@@ -226,21 +170,19 @@ fn has_other_clause(rest: &[String]) -> bool {
     for (place, said) in rest.iter().enumerate() {
         let ends = said.ends_with(',');
         let word = said.trim_end_matches(',').to_owned();
-        let is_finite = OTHER_FINITE.contains(&word.as_str())
+        let is_finite = is_one_of(&word, OTHER_FINITE)
             || VERBS.only_finite.contains(&word)
             || (place > 0 && VERBS.finite.contains_key(&word) && !is_plural(&rest[..place]))
             || (place > 0 && is_verb_with_particle(&rest[place - 1..]));
         let ends_in_s = word.ends_with('s') && !word.ends_with("ss") && !word.ends_with("wards");
-        let may_be_verb = VERBS.bare.contains_key(&word)
-            || (ends_in_s && !NO_VERBS_IN_S.contains(&word.as_str()));
+        let may_be_verb =
+            VERBS.bare.contains_key(&word) || (ends_in_s && !is_one_of(&word, NO_VERBS_IN_S));
         if is_finite || (opens && may_be_verb) {
             return true;
         }
         let goes_on = opens
-            && (is_adverb(&word)
-                || ["thereby", "also"].contains(&word.as_str())
-                || SUBJECTS.contains(&word.as_str()));
-        opens = ends || goes_on || CONJUNCTIONS.contains(&word.as_str());
+            && (is_adverb(&word) || is_one_of(&word, "thereby also") || is_one_of(&word, SUBJECTS));
+        opens = ends || goes_on || is_one_of(&word, CONJUNCTIONS);
     }
     false
 }
@@ -251,21 +193,20 @@ fn is_verb_with_particle(words: &[String]) -> bool {
     let [before, verb, particle, ..] = words else {
         return false;
     };
-    let before = before.as_str();
-    ["around", "up", "down", "back", "away"].contains(&particle.as_str())
+    is_one_of(particle, "around up down back away")
         && VERBS.bare.contains_key(verb)
-        && !["back", "circle"].contains(&verb.as_str())
-        && !DETERMINERS.contains(&before)
-        && !["to", "his", "her", "its", "their"].contains(&before)
+        && !is_one_of(verb, "back circle")
+        && !is_one_of(before, DETERMINERS)
+        && !is_one_of(before, "to his her its their")
 }
 
 /// Whether a plural is expected after the words `before`.
 fn is_plural(before: &[String]) -> bool {
     let mut before = before.iter().rev().map(String::as_str);
-    let Some(word) = before.find(|word| !ADJECTIVES_OR_ADVERBS.contains(word)) else {
+    let Some(word) = before.find(|word| !is_one_of(word, ADJECTIVES_OR_ADVERBS)) else {
         return false;
     };
-    BEFORE_PLURALS.contains(&word) || word.bytes().all(|byte| byte.is_ascii_digit())
+    is_one_of(word, BEFORE_PLURALS) || word.bytes().all(|byte| byte.is_ascii_digit())
 }
 
 /// The third person of a regular verb.

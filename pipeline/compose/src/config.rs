@@ -1,5 +1,8 @@
 //! Settings of the composer.
 
+use std::fmt;
+use std::str::FromStr;
+
 use datasets_spec::Fps;
 use kinematics::canonical::{Anchor, FIXED_FRAMES, WINDOW_ADVANCE, WINDOW_FRAMES};
 use rand::RngExt;
@@ -145,6 +148,61 @@ impl EditKind {
     }
 }
 
+/// Task of a test question.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ItemTask {
+    /// A body part does something else.
+    Semantic,
+    /// A body part moves in another style.
+    Style,
+    /// A body part moves a little differently.
+    FineGrained,
+    /// A pair of MotionFix: no donor, no blending, source and target of any length.
+    #[serde(rename = "motionfix")]
+    MotionFix,
+}
+
+impl ItemTask {
+    /// All tasks, in the order of the paper's tables.
+    pub const ALL: [Self; 4] = [
+        Self::Semantic,
+        Self::Style,
+        Self::FineGrained,
+        Self::MotionFix,
+    ];
+
+    /// The name in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Semantic => EditKind::Semantic.as_str(),
+            Self::Style => EditKind::Style.as_str(),
+            Self::FineGrained => EditKind::FineGrained.as_str(),
+            Self::MotionFix => "motionfix",
+        }
+    }
+}
+
+impl FromStr for ItemTask {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        Self::ALL
+            .into_iter()
+            .find(|task| task.as_str() == name)
+            .ok_or_else(|| {
+                let known = Self::ALL.map(Self::as_str).join(", ");
+                format!("{name:?} is no task; known are {known}")
+            })
+    }
+}
+
+impl fmt::Display for ItemTask {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
 /// Time alignment of two separately captured motions of a pair.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -223,59 +281,49 @@ impl ComposeConfig {
     /// # Errors
     /// A setting is out of range.
     pub fn check(&self) -> Result<(), Error> {
-        for (key, got) in [
-            ("mcm_ratio", self.mcm_ratio),
-            ("annotated_ratio", self.annotated_ratio),
-        ] {
-            if !(got > 0.0 && got <= 1.0) {
-                return Err(Error::Config {
-                    key,
-                    expected: "above 0 and at most 1",
-                    got,
-                });
-            }
-        }
-        for (key, got) in [
-            ("undonored_ratio", self.undonored_ratio.unwrap_or(0.0)),
-            ("mirrored_ratio", self.mirrored_ratio),
-        ] {
-            if !(0.0..=1.0).contains(&got) {
-                return Err(Error::Config {
-                    key,
-                    expected: "from 0 to 1",
-                    got,
-                });
-            }
-        }
-        if self.kinds.is_empty() {
-            return Err(Error::Config {
-                key: "kinds",
-                expected: "at least one of semantic, style, fine-grained",
-                got: 0.0,
-            });
-        }
-        self.phrases.check()?;
-        if self.window <= FIXED_FRAMES {
-            return Err(Error::Config {
-                key: "window",
-                expected: "more than the two fixed frames",
-                got: self.window as f64,
-            });
-        }
+        let is_share = |got: f64| got > 0.0 && got <= 1.0;
+        let is_probability = |got: f64| (0.0..=1.0).contains(&got);
         let AlphaDistribution::Uniform { low, high } = self.alpha;
-        for (key, got, fits) in [
-            ("alpha.low", low, (0.0..=1.0).contains(&low)),
-            ("alpha.high", high, (low..=1.0).contains(&high)),
+        let undonored = self.undonored_ratio.unwrap_or(0.0);
+        let (share, probability) = ("above 0 and at most 1", "from 0 to 1");
+        let kinds = "at least one of semantic, style, fine-grained";
+        let window = "more than the two fixed frames";
+        let alpha = "between 0 and 1, low not above high";
+        for (key, got, fits, expected) in [
+            ("mcm_ratio", self.mcm_ratio, is_share(self.mcm_ratio), share),
+            (
+                "annotated_ratio",
+                self.annotated_ratio,
+                is_share(self.annotated_ratio),
+                share,
+            ),
+            (
+                "undonored_ratio",
+                undonored,
+                is_probability(undonored),
+                probability,
+            ),
+            (
+                "mirrored_ratio",
+                self.mirrored_ratio,
+                is_probability(self.mirrored_ratio),
+                probability,
+            ),
+            ("kinds", 0.0, !self.kinds.is_empty(), kinds),
+            (
+                "window",
+                self.window as f64,
+                self.window > FIXED_FRAMES,
+                window,
+            ),
+            ("alpha.low", low, is_probability(low), alpha),
+            ("alpha.high", high, (low..=1.0).contains(&high), alpha),
         ] {
             if !fits {
-                return Err(Error::Config {
-                    key,
-                    expected: "between 0 and 1, low not above high",
-                    got,
-                });
+                return Err(Error::Config { key, expected, got });
             }
         }
-        Ok(())
+        self.phrases.check()
     }
 
     /// Stored frames per frame of the model.
@@ -295,7 +343,6 @@ impl ComposeConfig {
         }
     }
 
-    /// Stored frames a window spans.
     pub(super) fn span(&self, stride: usize) -> usize {
         (self.window - 1) * stride + 1
     }

@@ -109,9 +109,7 @@ impl Stream {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use datasets_spec::{Seed, Split};
+    use datasets_spec::Split;
 
     use super::*;
     use crate::{ComposeConfig, fixture};
@@ -119,9 +117,7 @@ mod tests {
     fn batch(threads: usize, first: u64, count: usize) -> CoordinatorBatch {
         let config = ComposeConfig::default();
         let library = fixture::library(Split::Train, 9);
-        let normalizer = library.fit_normalizer(&config).expect("long enough");
-        let stream =
-            Stream::new(Arc::new(library), config, Seed(5), &normalizer).expect("a stream");
+        let stream = fixture::stream(library, config, 5).expect("a stream");
         let mut batch = CoordinatorBatch::default();
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads)

@@ -24,12 +24,9 @@ pub enum Error {
     /// Recorded windows of several lengths.
     #[error(
         "the windows recorded in {} are of several lengths; record them again: stance triplets DATASET --windows N --out FOLDER",
-        path.display()
+        .0.display()
     )]
-    UnequalWindows {
-        /// The dataset.
-        path: PathBuf,
-    },
+    UnequalWindows(PathBuf),
     /// Edits cannot be composed without masks or pairs.
     #[error(
         "{} has neither masks nor pairs in split {split}; run `stance masks {}` for semantic edits, \
@@ -108,11 +105,8 @@ pub enum Error {
         motion: MotionId,
     },
     /// A mask takes no joint.
-    #[error("mask {mask:?} names no joint; annotate it again")]
-    EmptyMask {
-        /// Id of the mask.
-        mask: String,
-    },
+    #[error("mask {0:?} names no joint; annotate it again")]
+    EmptyMask(String),
     /// A mask or pair has no instruction.
     #[error("{table} {row:?} has no text; annotate it again")]
     EmptyText {
@@ -255,12 +249,9 @@ pub enum Error {
     },
     /// A motion has nothing to be blended with.
     #[error(
-        "motion {motion} has no partner: no other clip drawn from its split is long enough; add motions, raise mcm_ratio or widen base.sources"
+        "motion {0} has no partner: no other clip drawn from its split is long enough; add motions, raise mcm_ratio or widen base.sources"
     )]
-    NoPartner {
-        /// The motion.
-        motion: MotionId,
-    },
+    NoPartner(MotionId),
     /// The motion base is empty, because no motion is of the sources it is limited to.
     #[error(
         "split {split} has no motion of the sources that base.sources names ({}); it has motions of {}: correct the setting or ingest such motions",
@@ -290,11 +281,8 @@ pub enum Error {
         clip: Option<String>,
     },
     /// Statistics were asked of another split than train.
-    #[error("statistics are fitted on split train alone, the library holds split {split}")]
-    NotTrain {
-        /// The split of the library.
-        split: Split,
-    },
+    #[error("statistics are fitted on split train alone, the library holds split {0}")]
+    NotTrain(Split),
     /// No motion of the training split is there to compare with.
     #[error(
         "no motion of split train is present, and activity is measured relative to it; pass all motions of the dataset"

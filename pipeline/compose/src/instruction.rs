@@ -79,10 +79,6 @@ impl Default for Phrases {
 }
 
 impl Phrases {
-    /// Checks the templates.
-    ///
-    /// # Errors
-    /// There is none, or one leaves out the instruction or the part.
     pub(super) fn check(&self) -> Result<(), Error> {
         let whole =
             |template: &String| template.contains("{instruction}") && template.contains("{part}");

@@ -213,7 +213,6 @@ pub fn digest_of_ids<'a>(ids: impl Iterator<Item = &'a str>) -> String {
     digest
 }
 
-/// How many items are still wanted.
 struct Quota {
     /// Of any novelty.
     left: usize,
@@ -269,7 +268,6 @@ impl Quota {
     }
 }
 
-/// What an attempt at an item gave.
 enum Attempt {
     Drawn(Box<ItemRow>),
     /// A question of a novelty that is not wanted any more.
@@ -346,7 +344,6 @@ impl Drawer<'_> {
         })
     }
 
-    /// An item of a subject.
     fn item(
         &self,
         subject: Subject,
@@ -503,29 +500,26 @@ impl Drawer<'_> {
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::{JointSet, Skeleton, Split};
+    use datasets_spec::{JointSet, Split};
 
     use super::*;
     use crate::fixture;
 
     const CLIPS: usize = 9;
 
-    fn of_count(count: usize) -> ItemConfig {
-        ItemConfig {
-            count: ItemCount::Exactly(count),
+    fn drawn(library: &Arc<Library>, count: ItemCount) -> Vec<ItemRow> {
+        let config = ItemConfig {
+            count,
             ..ItemConfig::default()
-        }
+        };
+        draw_items(library, &config, &Shown::default(), Seed(3)).expect("enough clips")
     }
 
     #[test]
     fn the_annotations_are_covered_before_any_is_used_again() {
         let library = Arc::new(fixture::library(Split::Test, CLIPS));
-        let items =
-            draw_items(&library, &of_count(13), &Shown::default(), Seed(3)).expect("enough clips");
-        assert_eq!(
-            items,
-            draw_items(&library, &of_count(13), &Shown::default(), Seed(3)).expect("enough clips")
-        );
+        let items = drawn(&library, ItemCount::Exactly(13));
+        assert_eq!(items, drawn(&library, ItemCount::Exactly(13)));
         let num_masks = (library.all_subjects())
             .filter(|subject| matches!(subject, Subject::Annotation(_)))
             .count();
@@ -544,12 +538,7 @@ mod tests {
         }
         let ids: BTreeSet<&str> = items.iter().map(|item| item.id.as_str()).collect();
         assert_eq!(ids.len(), items.len());
-        let all = ItemConfig {
-            count: ItemCount::All,
-            ..ItemConfig::default()
-        };
-        let all = draw_items(&library, &all, &Shown::default(), Seed(3)).expect("enough clips");
-        assert_eq!(all, items[..num_masks]);
+        assert_eq!(drawn(&library, ItemCount::All), items[..num_masks]);
     }
 
     #[test]
@@ -557,11 +546,8 @@ mod tests {
         let (motions, mut masks) = fixture::rows(Split::Test, CLIPS);
         masks.retain(|mask| mask.motion_id.as_str() == "clip8");
         (masks[0].start, masks[0].end) = (Some(50), Some(90));
-        let skeleton = Skeleton::smplx_neutral();
-        let library = Library::new(Split::Test, &motions, &masks, &[], &skeleton);
-        let library = Arc::new(library.expect("valid rows"));
-        let items = draw_items(&library, &of_count(3), &Shown::default(), Seed(3));
-        for item in &items.expect("enough clips") {
+        let library = Arc::new(fixture::library_of(Split::Test, &motions, &masks, &[]));
+        for item in &drawn(&library, ItemCount::Exactly(3)) {
             item.check().expect("named by its content");
             let (source, target) = (item.source().expect("valid"), item.target().expect("valid"));
             let edited = item.edited_frames().expect("a range");
@@ -577,8 +563,7 @@ mod tests {
     #[test]
     fn the_id_follows_from_the_content_alone() {
         let library = Arc::new(fixture::library(Split::Test, CLIPS));
-        let items =
-            draw_items(&library, &of_count(2), &Shown::default(), Seed(3)).expect("enough clips");
+        let items = drawn(&library, ItemCount::Exactly(2));
         let mut found_otherwise = items[0].clone();
         found_otherwise.seed = 9;
         found_otherwise.origin = "elsewhere".to_owned();
@@ -606,11 +591,8 @@ mod tests {
         let (motions, _) = fixture::rows(Split::Test, CLIPS);
         let mut pair = fixture::pair_row("fine-grained", Split::Test, 0, 8);
         pair.source = "motionfix".to_owned();
-        let skeleton = Skeleton::smplx_neutral();
-        let library = Library::new(Split::Test, &motions, &[], &[pair], &skeleton);
-        let library = Arc::new(library.expect("valid rows"));
-        let items =
-            draw_items(&library, &of_count(5), &Shown::default(), Seed(3)).expect("one pair");
+        let library = Arc::new(fixture::library_of(Split::Test, &motions, &[], &[pair]));
+        let items = drawn(&library, ItemCount::Exactly(5));
         let [item] = items.as_slice() else {
             panic!("{} items of one pair", items.len())
         };
@@ -638,15 +620,12 @@ mod tests {
     #[test]
     fn other_takes_are_of_the_same_action_and_style_and_blended_alike() {
         let (mut motions, masks) = fixture::rows(Split::Test, CLIPS);
-        let skeleton = Skeleton::smplx_neutral();
         // The waving clips are the annotated ones; the last of them is alone in its style.
         for (number, row) in motions.iter_mut().enumerate() {
             row.style = Some(if number == 8 { "old" } else { "plain" }.to_owned());
         }
-        let library = Library::new(Split::Test, &motions, &masks, &[], &skeleton);
-        let library = Arc::new(library.expect("valid rows"));
-        let items =
-            draw_items(&library, &of_count(10), &Shown::default(), Seed(3)).expect("enough clips");
+        let library = Arc::new(fixture::library_of(Split::Test, &motions, &masks, &[]));
+        let items = drawn(&library, ItemCount::Exactly(10));
         assert!(items.iter().any(|item| item.target_id.as_str() == "clip8"));
         for item in &items {
             let other = item.other_take().expect("valid");
@@ -677,9 +656,7 @@ mod tests {
         let (motions, masks) = fixture::rows(Split::Test, CLIPS);
         let others = |kind: &str, number: usize| {
             let pairs = [fixture::pair_row(kind, Split::Test, 0, 2)];
-            let skeleton = Skeleton::smplx_neutral();
-            let library = Library::new(Split::Test, &motions, &masks, &pairs, &skeleton);
-            let library = library.expect("valid rows");
+            let library = fixture::library_of(Split::Test, &motions, &masks, &pairs);
             let clip = library.captured(&motions[number].id);
             let others = library.other_takes(clip).map(|clip| clip.id.to_string());
             others.collect::<Vec<_>>()

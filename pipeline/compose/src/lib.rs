@@ -27,7 +27,6 @@ pub mod recording;
 mod sinc;
 mod stats;
 mod stream;
-mod task;
 mod triplet;
 mod window;
 
@@ -35,8 +34,8 @@ pub use blend::{blend_motion, blend_pose};
 pub use cache::FrameCache;
 pub use caption::{Described, described};
 pub use config::{
-    Alignment, AlphaDistribution, BaseFilter, COMPOSE_VERSION, ComposeConfig, EditKind, RangeRule,
-    SlerpRule,
+    Alignment, AlphaDistribution, BaseFilter, COMPOSE_VERSION, ComposeConfig, EditKind, ItemTask,
+    RangeRule, SlerpRule,
 };
 pub use coordinator::CoordinatorBatch;
 pub use during::{keep_outside, leaves_frames};
@@ -50,12 +49,11 @@ pub use novelty::{Novelty, Shown};
 pub use open::{COMPOSED, library, train_stream};
 pub use stats::{StreamStats, TripletStats, triplet_stats};
 pub use stream::{Stream, WindowBatch};
-pub use task::ItemTask;
 pub use triplet::Triplet;
 
 #[cfg(test)]
 mod fixture {
     pub(crate) use testkit::*;
 
-    pub(crate) use crate::library::library;
+    pub(crate) use crate::library::{library, library_of, stream};
 }

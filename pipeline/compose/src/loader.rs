@@ -206,7 +206,6 @@ impl WindowLoader {
         Ok(())
     }
 
-    /// Writes a window to its place in a batch.
     fn put(&self, row: usize, window: &WindowFrames, batch: &mut WindowBatch, place: usize) {
         batch.progress[place] = self.progress[row];
         let text = &self.instructions[self.instruction_of[row] as usize];
@@ -235,9 +234,7 @@ impl WindowLoader {
             {
                 return Ok(read);
             }
-            Err(Error::UnequalWindows {
-                path: self.root.clone(),
-            })
+            Err(Error::UnequalWindows(self.root.clone()))
         };
         let group = Arc::new(Group {
             epoch,
@@ -274,21 +271,14 @@ impl WindowLoader {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use datasets_spec::dataset::commit_rows;
-    use datasets_spec::{Skeleton, Split};
-
     use super::*;
-    use crate::{ComposeConfig, Stream, fixture};
+    use crate::{ComposeConfig, fixture};
 
     /// A recorded stream, and what was recorded.
     fn recorded(count: usize) -> (tempfile::TempDir, Dataset, WindowBatch) {
         let library = fixture::library(Split::Train, 30);
         let config = ComposeConfig::default();
-        let normalizer = library.fit_normalizer(&config).expect("long enough");
-        let stream = Stream::new(Arc::new(library), config, Seed(2), &normalizer);
-        let stream = stream.expect("a stream");
+        let stream = fixture::stream(library, config, 2).expect("a stream");
         let mut whole = WindowBatch::default();
         let mut rows = Vec::new();
         stream
@@ -304,10 +294,8 @@ mod tests {
             })
             .expect("in memory");
         let dir = tempfile::tempdir().expect("a folder");
-        let split_of: fn(&WindowRow) -> Split = |row| row.split;
-        let skeleton = Skeleton::smplx_neutral();
-        let dataset = commit_rows(dir.path(), &rows, Some(split_of), &skeleton, "plan", "test");
-        (dir, dataset.expect("committed"), whole)
+        let dataset = fixture::commit(dir.path(), &rows, |row| row.split, "plan");
+        (dir, dataset, whole)
     }
 
     fn epoch(loader: &WindowLoader, epoch: u64, batch_len: usize) -> WindowBatch {

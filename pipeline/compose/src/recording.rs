@@ -61,25 +61,21 @@ pub struct Settings {
     pub condition: Option<String>,
 }
 
-/// The settings of a plan.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
     dataset: PathBuf,
-    /// Hash of what is composed.
     content_hash: String,
     settings: Settings,
     /// Fitted once, when the plan is made.
     normalizer: Normalizer,
 }
 
-/// The number of a shard.
 #[derive(Serialize, Deserialize)]
 struct Detail {
     shard: u64,
 }
 
-/// A recording that is ready to be made.
 struct Recording {
     settings: Settings,
     content_hash: String,
@@ -211,7 +207,6 @@ impl Recording {
         (plan, row)
     }
 
-    /// Whether a dataset holds this recording.
     fn is_in(&self, transaction: &Transaction) -> bool {
         let plan = |table| transaction.base().map_or("", |base| base.plan(table));
         let has_normalizer = match self.settings.kind {
@@ -239,7 +234,6 @@ impl Recording {
         }
     }
 
-    /// A piece for each shard.
     fn pieces(&self) -> Vec<Piece> {
         let piece = |shard: u64| {
             let (name, rows) = (self.name(shard), self.rows_of(shard));
@@ -295,7 +289,6 @@ impl Recording {
         Ok(rows)
     }
 
-    /// Commits the shards.
     fn commit(
         &self,
         transaction: Transaction,

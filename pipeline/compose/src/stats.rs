@@ -170,22 +170,14 @@ fn speed(motion: &Motion, skeleton: &Skeleton) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use datasets_spec::Seed;
-
     use super::*;
-    use crate::EditKind;
-    use crate::{ComposeConfig, Library, fixture};
+    use crate::{ComposeConfig, EditKind, fixture};
 
     fn stream(config: ComposeConfig) -> Stream {
         let (motions, masks) = fixture::rows(Split::Train, 9);
         let pairs = [fixture::pair_row("style", Split::Train, 5, 6)];
-        let skeleton = Skeleton::smplx_neutral();
-        let library = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
-        let library = library.expect("valid rows");
-        let normalizer = library.fit_normalizer(&config).expect("long enough");
-        Stream::new(Arc::new(library), config, Seed(5), &normalizer).expect("a stream")
+        let library = fixture::library_of(Split::Train, &motions, &masks, &pairs);
+        fixture::stream(library, config, 5).expect("a stream")
     }
 
     #[test]

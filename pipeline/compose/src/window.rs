@@ -22,12 +22,10 @@ use kinematics::{FrameParts, FrameSink};
 
 use super::SlerpRule;
 
-/// Components of a quaternion.
 const QUAT: usize = 4;
 /// Padding before and after the points of a frame, so that every number has neighbours two indices away
 /// ([`Placement`]).
 const MARGIN: usize = 2;
-/// The points of a frame with their margins.
 type PaddedPoints = [f32; FRAME_WIDTH + 2 * MARGIN];
 
 type Points = Vectors<f32>;
@@ -125,7 +123,6 @@ pub(super) struct BlendPlan {
 }
 
 impl BlendPlan {
-    /// Plans the blend with a mask.
     pub(super) fn new(mask: BlendMask, slerp: SlerpRule) -> Self {
         let origins: [Origin; NUM_BODY_JOINTS] = std::array::from_fn(|joint| {
             if mask.hard().contains(joint) {
@@ -172,12 +169,10 @@ impl BlendPlan {
         }
     }
 
-    /// The parts of a source frame that the blend reads.
     pub(super) fn parts_of_source(&self) -> FrameParts {
         self.parts_of(Origin::Source)
     }
 
-    /// The parts of a target frame that the blend reads.
     pub(super) fn parts_of_target(&self) -> FrameParts {
         self.parts_of(Origin::Target)
     }
@@ -236,7 +231,6 @@ pub(super) struct Composer {
 }
 
 impl Composer {
-    /// A composer for a skeleton and a normaliser.
     pub(super) fn new(skeleton: &Skeleton, anchor: Anchor, normalizer: &Normalizer) -> Self {
         let scale = std::array::from_fn::<f64, 3, _>(|axis| {
             2.0 / (normalizer.max[axis] - normalizer.min[axis])
@@ -603,7 +597,6 @@ mod tests {
         }
     }
 
-    /// Some frames of a motion.
     fn framed(motion: &Motion, start: usize, count: usize, stride: usize) -> Vec<Frame> {
         let stored = (0..count).map(|frame| {
             let at = start + frame * stride;

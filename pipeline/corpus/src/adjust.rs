@@ -19,12 +19,10 @@ pub(super) struct Adjustment {
     pub(super) part: BodyPart,
     /// Changes the style. Angles change by 0.25 to 0.45 rad, so that the change is visible and no style.
     change: fn(&mut Style),
-    /// The actions that show the change.
     suits: fn(Action) -> bool,
 }
 
 impl Adjustment {
-    /// All adjustments.
     pub(super) const ALL: [Adjustment; 8] = [
         Adjustment {
             name: "lean",
@@ -93,7 +91,6 @@ impl Adjustment {
         },
     ];
 
-    /// The adjustment of a name that is listed.
     pub(super) fn named(name: &str) -> Self {
         let found = Self::ALL
             .into_iter()
@@ -101,12 +98,10 @@ impl Adjustment {
         found.expect("an adjustment of the corpus")
     }
 
-    /// Whether an action shows the change.
     pub(super) fn suits(&self, action: Action) -> bool {
         (self.suits)(action)
     }
 
-    /// The style with this change.
     pub(super) fn of(&self, style: &Style) -> Style {
         let mut changed = *style;
         (self.change)(&mut changed);

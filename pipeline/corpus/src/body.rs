@@ -28,11 +28,9 @@ pub(super) struct Script {
     pub(super) trunk: Keys<3>,
     /// Head: nod, tilt to the left, turn to the left.
     pub(super) head: Keys<3>,
-    /// Gestures of the left and right arm.
     pub(super) arms: [Vec<ArmKey>; 2],
 }
 
-/// How the upper body follows the legs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Coupling {
     /// Turn of the pelvis in radians per metre between the feet.
@@ -62,7 +60,6 @@ pub(super) struct Coupling {
 }
 
 impl Coupling {
-    /// A body that walks.
     pub(super) const WALK: Coupling = Coupling {
         pelvis_turn: 0.16,
         chest_turn: 0.26,
@@ -135,7 +132,6 @@ const MAX_BEND: f64 = 2.6;
 const PELVIS_FORESIGHT_SECS: f64 = 0.10;
 /// Height in metres by which a foot is lifted off its plan when it bears no weight.
 const UNLOADED_LIFT: f64 = 0.05;
-/// Shares of spine1, spine2 and spine3 in a bend of the trunk.
 const SPINE_SHARES: [f64; 3] = [0.30, 0.35, 0.35];
 
 /// One frame of the legs' part of the plan.
@@ -146,7 +142,6 @@ struct Ground {
     feet: [Foot; 2],
 }
 
-/// Target of one foot.
 #[derive(Clone, Copy)]
 struct Foot {
     ankle: DVec3,
@@ -167,7 +162,6 @@ struct Answers {
     load: Vec<f64>,
 }
 
-/// Performs a script in a style.
 pub(super) fn perform(
     script: &Script,
     style: &Style,
@@ -241,7 +235,6 @@ pub(super) fn perform(
         .collect()
 }
 
-/// Samples the feet and the path.
 fn ground_plan(script: &Script, body: &Body, num_frames: usize, fps: Fps) -> Vec<Ground> {
     let offsets = script.feet_offset.each_ref().map(track);
     (0..num_frames)

@@ -6,7 +6,6 @@ use rand::RngExt;
 
 use super::curve::{Track, ease};
 
-/// One side of the body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
     Left,
@@ -25,7 +24,6 @@ impl Side {
         }
     }
 
-    /// The other side.
     pub(super) fn other(self) -> Self {
         match self {
             Self::Left => Self::Right,
@@ -33,7 +31,6 @@ impl Side {
         }
     }
 
-    /// A random side.
     pub(super) fn draw(rng: &mut Rng) -> Self {
         if rng.random_bool(0.5) {
             Self::Left
@@ -141,7 +138,6 @@ pub(super) struct FootShape {
 const HEEL_BEHIND_ANKLE: f64 = 0.05;
 
 impl FootShape {
-    /// The foot below the given ankle.
     pub(super) fn new(skeleton: &Skeleton, foot: Joint) -> Self {
         let toe = skeleton.offset(foot.index());
         Self {
@@ -211,14 +207,12 @@ pub(super) struct FootTrack {
     pitch: Track<1>,
 }
 
-/// A foot at an instant.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FootSample {
     /// Where the ankle of the flat foot would be, in metres above the floor below the ankle.
     pub(super) place: DVec3,
     pub(super) yaw: f64,
     pub(super) pitch: f64,
-    /// Whether the foot stands on the floor.
     pub(super) planted: bool,
 }
 
@@ -288,7 +282,6 @@ impl FootTrack {
         }
     }
 
-    /// The foot at a time in seconds.
     pub(super) fn at(&self, secs: f64) -> FootSample {
         let [pitch] = self.pitch.at(secs);
         let index = self.plants.partition_point(|plant| plant.from <= secs) - 1;
@@ -340,7 +333,6 @@ pub(super) struct Gait {
     pub(super) swing: Swing,
     /// Relative scatter of the step times.
     pub(super) jitter: f64,
-    /// The foot that steps first.
     pub(super) first: Side,
 }
 

@@ -34,7 +34,6 @@ const AT_SIDE: Hold = hold([0.22, -0.93, 0.22], 0.4, [0.4, -0.2, -1.0]);
 const RAISED: Hold = hold([0.44, 0.60, 0.26], 1.35, [0.75, -0.65, -0.1]);
 /// Half-way to and from a raised hand, in front of the body.
 const HALF_RAISED: Hold = hold([0.50, -0.12, 0.70], 1.6, [0.7, -0.7, -0.2]);
-/// Fists before the chin.
 const GUARD: Hold = hold([-0.22, 0.48, 0.80], 2.2, [0.5, -0.85, 0.0]);
 /// A straight punch at chest height.
 const STRIKE: Hold = hold([-0.20, 0.10, 0.97], 0.12, [0.7, -0.6, -0.1]);
@@ -44,9 +43,7 @@ const PALMS_APART: Hold = hold([0.045, -0.07, 0.32], 1.72, [0.75, -0.65, -0.2]);
 /// The arm stretched out sideways, and overhead.
 const ASIDE: Hold = hold([0.96, -0.05, 0.22], 0.2, [0.0, -0.6, -1.0]);
 const OVERHEAD: Hold = hold([0.14, 0.97, 0.08], 0.16, [0.9, 0.0, -0.5]);
-/// The arm stretched out forwards.
 const FORWARD: Hold = hold([0.05, -0.05, 1.0], 0.2, [0.7, -0.7, 0.0]);
-/// A telephone at the ear.
 const AT_EAR: Hold = hold([-0.03, 0.13, 0.13], 2.38, [0.75, -0.6, 0.25]);
 /// A hand on the thigh of a sitting body.
 const ON_THIGH: Hold = hold([-0.02, -0.80, 0.60], 0.75, [0.7, -0.1, -0.8]);
@@ -55,7 +52,6 @@ const BESIDE: Hold = Hold {
     upright: 0.45,
     ..hold([0.16, -0.97, 0.12], 0.25, [0.4, 0.0, -1.0])
 };
-/// An object held before the chest.
 const BEFORE_CHEST: Hold = hold([-0.18, -0.28, 0.85], 1.65, [0.6, -0.8, -0.2]);
 
 impl Hold {
@@ -135,7 +131,6 @@ impl<'a> ArmScript<'a> {
     }
 }
 
-/// Waves with one hand.
 pub(super) fn wave(
     script: &mut Script,
     style: &Style,
@@ -168,7 +163,6 @@ pub(super) fn wave(
     end
 }
 
-/// Claps the hands.
 pub(super) fn clap(script: &mut Script, style: &Style, from: f64, claps: usize) -> f64 {
     let mut end = from;
     for side in Side::BOTH {
@@ -432,7 +426,6 @@ pub(super) fn jump_arms(script: &mut Script, style: &Style, from: f64, off: f64,
     }
 }
 
-/// Holds a telephone to the ear.
 pub(super) fn phone(script: &mut Script, style: &Style, side: Side, from: f64, to: f64) {
     let mut arm = ArmScript::begin(script, style, side, from);
     arm.then(0.5, HALF_RAISED).then(0.45, AT_EAR);

@@ -22,7 +22,6 @@ const TEST_ACTIONS: [Action; 4] = [Action::Bow, Action::PickUp, Action::Jump, Ac
 /// Actions of the validation split alone.
 const VAL_ACTIONS: [Action; 2] = [Action::Turn, Action::SideStep];
 
-/// Whether training shows an action.
 pub(super) fn is_shown(action: Action) -> bool {
     !TEST_ACTIONS.contains(&action) && !VAL_ACTIONS.contains(&action)
 }

@@ -60,7 +60,6 @@ pub const CORPUS_FPS: f64 = 60.0;
 pub const CLIPS_PER_TAKE: usize = Action::ALL.len() * style::ALL.len();
 /// Clips of a corpus that [`write_held_out_corpus`] is meant for.
 pub const HELD_OUT_CLIPS: usize = held_out::TAKES * CLIPS_PER_TAKE;
-/// Takes of the default corpus.
 const DEFAULT_TAKES: usize = 2;
 /// The licence of the clips, which are generated.
 const LICENSE: &str = "CC0-1.0";
@@ -135,7 +134,6 @@ pub struct AdjustedClip {
     pub part: BodyPart,
 }
 
-/// The format a clip is written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ClipFormat {
     Amass,
@@ -251,13 +249,11 @@ fn stated(action: Action, take: usize) -> Sidecar {
     }
 }
 
-/// Plays a take of an action, by the performer of the take.
 fn perform_take(action: Action, style: &style::Style, take: usize, seed: Seed) -> (Motion, Facts) {
     let style = &Performer::of_take(take).plays(style, seed);
     perform(action, style, Asked::default(), &take.to_string(), seed)
 }
 
-/// Plays a take of an action.
 fn perform(
     action: Action,
     style: &style::Style,
@@ -276,7 +272,6 @@ fn perform(
     (motion, facts)
 }
 
-/// Name of a clip.
 fn clip_name(action: Action, style: &style::Style, take: usize) -> String {
     format!("{}_{}_{:03}", action.name(), style.name, take + 1)
 }
@@ -385,7 +380,6 @@ fn write_with(
     Ok(summary)
 }
 
-/// Writes a list of pairs. Returns its bytes.
 fn write_list(path: PathBuf, lines: &str) -> Result<u64, Error> {
     let list = format!("styled,original,style,text,kind,parts\n{lines}");
     replace_file(&path, list.as_bytes()).map_err(|source| Error::Write { path, source })?;

@@ -18,7 +18,6 @@ pub(super) struct Limb {
     straight: f64,
 }
 
-/// A solved limb.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LimbPose {
     /// Global rotation of the first bone.

@@ -178,12 +178,10 @@ fn sides(seed: Seed) -> Vec<Question> {
     questions
 }
 
-/// The facts of a neutral take.
 fn facts(action: Action, take: &str, seed: Seed) -> Facts {
     perform(action, &style::NEUTRAL, Asked::default(), take, seed).1
 }
 
-/// Other words for an adjustment, by its name.
 const ADJUSTMENT_WORDS: [(&str, &str); 24] = [
     ("lean", "Tip the trunk to the front."),
     ("lean", "Stoop a bit while you do it."),
@@ -214,7 +212,6 @@ const ADJUSTMENT_WORDS: [(&str, &str); 24] = [
     ("swing-arms", "Give the arms a bigger pendulum motion."),
 ];
 
-/// Other words for a style, by its name.
 const STYLE_WORDS: [(&str, &str); 20] = [
     ("proud", "Strut as though you had won a medal"),
     ("proud", "Carry yourself like royalty"),
@@ -334,7 +331,6 @@ pub fn write_limits(
 }
 
 impl Question {
-    /// Both motions.
     fn perform(&self, seed: Seed) -> [Motion; 2] {
         let play = |performance: &Performance, least_secs: f64| {
             let asked = Asked {

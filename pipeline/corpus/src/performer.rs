@@ -8,17 +8,14 @@ use super::style::Style;
 /// Takes in a row that one performer plays.
 const TAKES_PER_PERFORMER: usize = 2;
 
-/// A performer, by number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Performer(usize);
 
 impl Performer {
-    /// The performer of a take.
     pub(super) fn of_take(take: usize) -> Self {
         Self(take / TAKES_PER_PERFORMER)
     }
 
-    /// The name in sidecars.
     pub(super) fn name(self) -> String {
         format!("performer-{}", self.0 + 1)
     }

@@ -293,7 +293,6 @@ pub(super) fn throwing(style: &Style, facts: Facts, scatter: &mut Rng) -> Script
     script
 }
 
-/// Gravity in m/s^2.
 const GRAVITY: f64 = 9.81;
 
 pub(super) fn jumping(

@@ -6,9 +6,7 @@
 pub(super) struct Style {
     /// Name in clip names and sidecars.
     pub(super) name: &'static str,
-    /// Speed of everything.
     pub(super) tempo: f64,
-    /// Length of steps.
     pub(super) stride: f64,
     /// Height of the swinging foot.
     pub(super) lift: f64,
@@ -36,7 +34,6 @@ pub(super) struct Style {
     pub(super) sway: f64,
     /// Rise of the body over the standing leg, beyond what the legs dictate.
     pub(super) bounce: f64,
-    /// Size of gestures.
     pub(super) amplitude: f64,
     /// Size of the small motions of a body that means to be still.
     pub(super) restlessness: f64,

@@ -115,7 +115,6 @@ fn manners(style: &str) -> &'static [&'static str] {
     }
 }
 
-/// Words of a style for one part.
 fn part_manner(style: &str) -> &'static str {
     manners(style)[0]
 }

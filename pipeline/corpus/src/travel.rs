@@ -308,7 +308,6 @@ impl Travel {
         }
     }
 
-    /// Performs this way of moving.
     pub(super) fn perform(self, style: &Style, take: &mut Rng, scatter: &mut Rng) -> Script {
         let duration = (self.duration_secs / style.tempo.sqrt()).max(MIN_SECS);
         let tempo = style.tempo.powf(self.haste);
@@ -370,7 +369,6 @@ impl Travel {
     }
 }
 
-/// Waves while walking.
 pub(super) fn walk_wave(style: &Style, facts: Facts, take: &mut Rng, scatter: &mut Rng) -> Script {
     let mut script = Travel::walk(take).perform(style, take, scatter);
     // The wave takes 3.2 to 3.8 neutral seconds; it begins so that it fits.

@@ -4,7 +4,6 @@ use datasets_spec::BodyPart;
 
 use super::action::Action;
 
-/// What is said of an action.
 pub(super) struct Words {
     actions: &'static [Action],
     /// Sentences about the whole body.
@@ -22,7 +21,6 @@ impl Words {
     }
 }
 
-/// The arm that acts.
 const ACTING: Option<BodyPart> = None;
 const BOTH_ARMS: Option<BodyPart> = Some(BodyPart::BothArms);
 const LEFT_ARM: Option<BodyPart> = Some(BodyPart::LeftArm);

@@ -131,10 +131,6 @@ pub fn automatic_masks(
 /// How much each region of the body moves in a clip, in m/s.
 pub(crate) type Activity = [f64; Region::ALL.len()];
 
-/// The activities of clips.
-///
-/// # Errors
-/// A setting is out of range, or a row is not usable.
 pub(crate) fn activities(
     motions: &[MotionRow],
     skeleton: &Skeleton,
@@ -149,9 +145,6 @@ pub(crate) fn activities(
 }
 
 /// [`automatic_masks`] of clips whose activities are known; their frames are not looked at.
-///
-/// # Errors
-/// No motion is of the training split, or the captions of a row are not usable.
 pub(crate) fn masks_from(
     motions: &[MotionRow],
     activities: &[Activity],

@@ -35,7 +35,6 @@ const MAX_TEXT_LEN: u64 = 1 << 20;
 const MAX_ANSWERS_LEN: u64 = 4 << 30;
 /// Fewest frames of an answer: metrics need a frame with a neighbour on both sides.
 const MIN_FRAMES: usize = 3;
-/// Rows decoded at a time.
 const BATCH_ROWS: usize = 64;
 
 /// What a bundle says of itself.

@@ -11,23 +11,20 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::rotation::{from_six_d_rows, to_axis_angle};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-use super::options::{AnswerOptions, Place, Up};
 use super::recorded::{Recorded, VECTORS_WIDTH};
+use super::{AnswerOptions, Place, Up};
 use pickle::joblib;
 use pickle::npy;
 use pickle::npz::Archive;
 use pickle::{self, Value};
 
-/// Kind of a file by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// SMPL parameters of AMASS's layouts, z up, or of the store's, y up.
     Npz,
     /// A dictionary of MotionFix's evaluation, or an array of HumanML3D.
     Npy,
-    /// A pickled dictionary.
     Pickle,
-    /// A table of answers.
     Parquet,
 }
 

@@ -5,7 +5,6 @@
 
 pub mod bundle;
 mod file;
-mod options;
 mod recorded;
 mod table;
 
@@ -18,7 +17,7 @@ use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
 use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Motion, Progress, Seed, Skeleton, Transaction};
+use datasets_spec::{Dataset, Fps, Motion, Progress, Seed, Skeleton, Transaction};
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -29,7 +28,40 @@ use crate::ingest::list_files;
 use file::Kind;
 use recorded::Recorded;
 
-pub use options::{AnswerOptions, Place, Up};
+/// The vertical axis of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Up {
+    /// As in the store.
+    Y,
+    /// As in AMASS and MotionFix.
+    Z,
+}
+
+/// Placement of an answer on the ground.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// As in its file.
+    File,
+    /// On the floor, with the position and heading of the first frame of the item's source.
+    Source,
+}
+
+/// Options of an import: the name of the system, and what its files leave out.
+#[derive(Clone, Debug)]
+pub struct AnswerOptions {
+    /// Name of the system in tables.
+    pub system: String,
+    /// The settings it answered with, a JSON object.
+    pub settings: String,
+    /// Seed of answers that state none; takes of one item differ by it.
+    pub seed: Seed,
+    /// Rate of all answers, in place of the files' own.
+    pub fps: Option<Fps>,
+    /// Vertical axis of all answers, in place of that of their formats.
+    pub up: Option<Up>,
+    /// Placement of all answers, in place of that of their formats.
+    pub place: Option<Place>,
+}
 
 /// The answers of one system.
 #[derive(Clone, Debug)]
@@ -93,18 +125,8 @@ impl AnswerReport {
     pub fn balances(&self) -> bool {
         self.found == self.imported + self.refused.len() + self.passed_over.len()
     }
-
-    /// Refusals by code.
-    pub fn codes(&self) -> BTreeMap<&'static str, usize> {
-        let mut codes = BTreeMap::new();
-        for refusal in &self.refused {
-            *codes.entry(refusal.code).or_default() += 1;
-        }
-        codes
-    }
 }
 
-/// Names of the items.
 struct Names(BTreeMap<String, usize>);
 
 impl Names {
@@ -116,9 +138,7 @@ impl Names {
         for (index, item) in items.iter().enumerate() {
             item.check()?;
             if names.insert(item.id.clone(), index).is_some() {
-                return Err(Error::ItemTwice {
-                    id: item.id.clone(),
-                });
+                return Err(Error::ItemTwice(item.id.clone()));
             }
         }
         // A name that is not an id must not shadow an id or be ambiguous.
@@ -163,7 +183,6 @@ fn motionfix_number(item: &ItemRow) -> Option<String> {
     Some(name.strip_suffix("-source")?.to_owned())
 }
 
-/// An answer that was read.
 struct Found {
     file: String,
     file_hash: String,
@@ -221,7 +240,6 @@ pub fn read_answers(
     Ok(Answers::of(found, passed_over, items, options))
 }
 
-/// Context for reading an answer.
 struct Reader<'a> {
     names: &'a Names,
     items: &'a [ItemRow],
@@ -428,15 +446,12 @@ impl Answers {
             let files = transaction.write_rows(&self.quarantine, None, skeleton, &plan_hash)?;
             tables.insert(QuarantineRow::TABLE.to_owned(), files);
         }
-        let codes = self.report.codes().into_iter();
+        let report = &self.report;
+        let refused = report.refused.iter().map(|refusal| refusal.code.to_owned());
+        let (imported, passed_over) = (report.imported as u64, report.passed_over.len() as u64);
         let accounting = Accounting {
-            sources: self.report.found as u64,
-            ingested: self.report.imported as u64,
-            quarantined: self.report.refused.len() as u64,
-            skipped: self.report.passed_over.len() as u64,
-            codes: codes
-                .map(|(code, count)| (code.to_owned(), count as u64))
-                .collect(),
+            sources: report.found as u64,
+            ..Accounting::of(imported, passed_over, refused)
         };
         Ok(transaction.commit(Commit {
             tables,

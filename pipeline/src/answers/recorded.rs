@@ -11,7 +11,7 @@ use kinematics::resample;
 use kinematics::rotation::{self, to_axis_angle};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-use super::options::{AnswerOptions, Place, Up};
+use super::{AnswerOptions, Place, Up};
 
 /// Numbers of the rotation vectors of a frame: root and 21 body joints.
 pub(super) const VECTORS_WIDTH: usize = 3 * NUM_BODY_JOINTS;
@@ -26,7 +26,6 @@ pub(super) struct Recorded {
     pub(super) fps: Option<f64>,
     /// The vertical axis of its format.
     pub(super) up: Up,
-    /// Placement of motions of its format.
     pub(super) place: Place,
     pub(super) transl: Vec<[f64; 3]>,
     pub(super) vectors: Vec<[f64; VECTORS_WIDTH]>,

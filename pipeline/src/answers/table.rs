@@ -18,13 +18,11 @@ const ID_COLUMNS: [&str; 2] = ["id", "item"];
 const MOTION_COLUMNS: [&str; 3] = ["transl", "global_orient", "body_pose"];
 const FPS_COLUMN: &str = "fps";
 const SEED_COLUMN: &str = "seed";
-/// Rows decoded at a time.
 const BATCH_ROWS: usize = 64;
 /// Limit on the unpacked bytes of the columns: ten thousand answers of ten seconds in double precision take
 /// 2.2 GB.
 const MAX_UNPACKED_LEN: i64 = 8 << 30;
 
-/// An answer of a table.
 pub(super) struct TableAnswer {
     /// The row's name of its item.
     pub(super) id: String,
@@ -112,7 +110,6 @@ fn answer(batch: &RecordBatch, row: usize, id_column: &str) -> Result<TableAnswe
     })
 }
 
-/// A whole number, with all its digits.
 fn whole(values: &ArrayRef, row: usize) -> Option<u64> {
     match values.data_type() {
         DataType::UInt64 => Some(values.as_primitive::<UInt64Type>().value(row)),

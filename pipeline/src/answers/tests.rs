@@ -86,7 +86,6 @@ fn apart(a: &Motion, b: &Motion) -> f64 {
     pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
 }
 
-/// An archive in the store's layout.
 fn store_npz(motion: &Motion, fps: f64) -> Vec<u8> {
     let wide = |values: &[f32]| -> Vec<f64> { values.iter().map(|&v| f64::from(v)).collect() };
     let frames = motion.len();
@@ -187,35 +186,23 @@ fn every_format_brings_the_motion_back_within_its_precision() {
     let (items, skeleton) = (items(6), Skeleton::smplx_neutral());
     let dir = dir();
     let motion = |number: usize| wandering(&format!("answer {number}"), 40);
-    let id = |number: usize| items[number].id.as_str();
+    let name = |number: usize, ending: &str| format!("{}{ending}", items[number].id);
     let amass = formats::write::amass::encode(&motion(0), &skeleton).expect("encoded");
-    put(dir.path(), &format!("{}.npz", id(0)), amass);
-    put(
-        dir.path(),
-        &format!("{}.npz", id(1)),
-        store_npz(&motion(1), 20.0),
-    );
+    put(dir.path(), &name(0, ".npz"), amass);
+    put(dir.path(), &name(1, ".npz"), store_npz(&motion(1), 20.0));
     let third = npy_of(motionfix_pose(&at_30(&motion(2))));
-    put(dir.path(), &format!("{}.npy", id(2)), third);
+    put(dir.path(), &name(2, ".npy"), third);
     put(
         dir.path(),
-        &format!("{}.npy", id(3)),
+        &name(3, ".npy"),
         npy_of(motionfix_rots(&at_30(&motion(3)))),
     );
     let joints = features::humanml3d::joints_of_motion(&motion(4), &features::smpl_body(&skeleton));
     let features = features::humanml3d::features_of_joints(&joints).expect("a clip");
     let wide: Vec<f64> = features.iter().flatten().map(|&v| f64::from(v)).collect();
-    put(
-        dir.path(),
-        &format!("{}.npy", id(4)),
-        npy_f8(&[39, 263], &wide),
-    );
+    put(dir.path(), &name(4, ".npy"), npy_f8(&[39, 263], &wide));
     let release = testkit::dictionary(&motion(5));
-    put(
-        dir.path(),
-        &format!("{}.pkl", id(5)),
-        pickle::encode(&release),
-    );
+    put(dir.path(), &name(5, ".pkl"), pickle::encode(&release));
 
     let answers = answers(dir.path(), &items, &options());
     assert_eq!(answers.report.refused, []);
@@ -266,49 +253,32 @@ fn hostile_files_are_refused_one_by_one_and_the_rest_goes_on() {
     let items = items(9);
     let dir = dir();
     let id = |number: usize| items[number].id.as_str();
+    let name = |number: usize, ending: &str| format!("{}{ending}", items[number].id);
     let good = |number: usize| store_npz(&wandering(&format!("answer {number}"), 30), 20.0);
-    put(dir.path(), &format!("{}.npz", id(0)), good(0));
+    put(dir.path(), &name(0, ".npz"), good(0));
     let whole = good(1);
-    put(
-        dir.path(),
-        &format!("{}.npz", id(1)),
-        &whole[..whole.len() / 2],
-    );
+    put(dir.path(), &name(1, ".npz"), &whole[..whole.len() / 2]);
     let system = b"cos\nsystem\n(S'touch owned'\ntR.";
     let header = "{'descr': '|O', 'fortran_order': False, 'shape': (), }";
-    put(dir.path(), &format!("{}.npy", id(2)), npy(header, system));
+    put(dir.path(), &name(2, ".npy"), npy(header, system));
     let mut narrow = clip_members(4, 165);
     narrow[0].1 = npy_f8(&[4, 66], &[0.0; 4 * 66]);
     narrow[1].1 = npy_f8(&[3, 3], &[0.0; 9]);
-    put(dir.path(), &format!("{}.npz", id(3)), npz(&narrow));
+    put(dir.path(), &name(3, ".npz"), npz(&narrow));
     let mut broken = clip_members(4, 165);
-    broken[1].1 = npy_f8(
-        &[4, 3],
-        &[
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            f64::NAN,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-        ],
-    );
-    put(dir.path(), &format!("{}.npz", id(4)), npz(&broken));
-    put(dir.path(), &format!("{}.npz", id(5)), good(5));
-    put(dir.path(), &format!("{}_stageii.npz", id(5)), good(6));
+    let mut transl = [0.0; 12];
+    transl[4] = f64::NAN;
+    broken[1].1 = npy_f8(&[4, 3], &transl);
+    put(dir.path(), &name(4, ".npz"), npz(&broken));
+    put(dir.path(), &name(5, ".npz"), good(5));
+    put(dir.path(), &name(5, "_stageii.npz"), good(6));
     put(dir.path(), "nobody.npz", good(7));
     put(
         dir.path(),
-        &format!("{}.npy", id(6)),
+        &name(6, ".npy"),
         npy_f8(&[30, 262], &[0.0; 30 * 262]),
     );
-    put(dir.path(), &format!("{}.pkl", id(7)), b"\x80\x04}.");
+    put(dir.path(), &name(7, ".pkl"), b"\x80\x04}.");
     put(dir.path(), "notes.txt", "mine");
 
     let answers = answers(dir.path(), &items, &options());
@@ -415,7 +385,6 @@ enum Writer {
     Nested,
     /// polars: large lists and large text.
     Large,
-    /// All numbers in one list.
     Flat,
     /// Fixed-size lists of floats, as our own tables have them.
     Fixed,

@@ -9,13 +9,12 @@ use formats::source::amass::catalogue::Recording;
 use formats::source::amass::{self, Variant};
 
 use super::findings::{Estimate, SubsetFindings};
-use super::listed::{Looked, seconds_in};
+use super::{Looked, seconds_in};
 
 /// Files sampled from a subset. A subset comes from one archive, so a few files show its variant and
 /// the ratio of duration to size.
 const SAMPLED_FILES: usize = 3;
 
-/// The subsets of AMASS among the files, and the estimate of their ingest.
 pub(super) fn amass_subsets(rest: &[&Looked]) -> (Vec<SubsetFindings>, Estimate) {
     let mut by_subset: BTreeMap<&str, Vec<&Looked>> = BTreeMap::new();
     for file in rest {

@@ -7,8 +7,8 @@ use datasets_spec::store::{ByPath, Store};
 use formats::source::{ReadOptions, Recognised, c3d, trc};
 use rayon::prelude::*;
 
+use super::Looked;
 use super::findings::{CaptureFindings, EXAMPLES};
-use super::listed::Looked;
 
 /// Reads the captures among the files as ingestion would, short of solving, and says which give no motion.
 pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFindings> {

@@ -8,9 +8,8 @@ use formats::source::humanml3d::{self, Layout};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::findings::{EXAMPLES, Estimate, HumanMl3dFindings, ListFindings};
-use super::listed::{Looked, seconds_in};
+use super::{Looked, seconds_in};
 
-/// The files of a HumanML3D folder.
 pub(super) fn files_of(layout: &Layout) -> impl Iterator<Item = &str> {
     let motions = layout.joints.values().chain(layout.vectors.values());
     motions.chain(layout.texts.values()).map(String::as_str)

@@ -8,7 +8,6 @@ mod crop_list;
 mod display;
 mod findings;
 mod humanml3d;
-mod listed;
 mod release;
 #[cfg(test)]
 mod tests;
@@ -18,7 +17,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::license::is_non_commercial;
+use datasets_spec::store::{ByPath, Store};
 use datasets_spec::{Dataset, Fps, Progress};
+use rayon::prelude::*;
 
 use advice::advise;
 use amass::amass_subsets;
@@ -26,9 +27,10 @@ use crop_list::{ask, index_among};
 use formats::source::archive::Archives;
 use formats::source::humanml3d::{FORMAT as HUMANML3D, layouts, parse_index};
 use formats::source::labels::FolderLabels;
-use formats::source::{Files, ReadOptions, Recognised, motionfix, stance};
+use formats::source::{
+    Files, Format, ReadOptions, Recognised, is_pointer, motionfix, read_head, recognise, stance,
+};
 use humanml3d::{estimate_layouts, files_of};
-use listed::{Looked, look, seconds_in};
 use release::{is_stance, motionfix_folders, stance_folders};
 
 use crate::Error;
@@ -205,4 +207,35 @@ fn estimate_others(rest: &[&Looked]) -> Estimate {
         estimate.add(Estimate::of(1, frames));
     }
     estimate
+}
+
+/// Seconds of motion in files of a format, estimated from their size.
+fn seconds_in(format: Format, bytes: u64) -> f64 {
+    bytes as f64 / format.bytes_per_second()
+}
+
+/// A listed file and what its first bytes say.
+struct Looked {
+    relative: String,
+    path: PathBuf,
+    bytes: u64,
+    is_pointer: bool,
+    kind: Recognised,
+}
+
+fn look(files: &BTreeMap<String, PathBuf>) -> Vec<Looked> {
+    let listed: Vec<(&String, &PathBuf)> = files.iter().collect();
+    listed
+        .into_par_iter()
+        .map(|(relative, path)| {
+            let head = read_head(path);
+            Looked {
+                relative: relative.clone(),
+                path: path.clone(),
+                bytes: ByPath.size(path).unwrap_or(0),
+                is_pointer: is_pointer(&head),
+                kind: recognise(Path::new(relative), &head),
+            }
+        })
+        .collect()
 }

@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use formats::source::motionfix;
 
+use super::Looked;
 use super::findings::{Part, ReleaseFindings};
-use super::listed::Looked;
 
 /// Parts of the STANCE release and the number of files published, those of its earlier form
 /// included.
@@ -19,7 +19,6 @@ const STANCE_PARTS: [(&str, u64); 8] = [
     ("split/style_transfer", 2),
     ("split/adjustment", 2),
 ];
-/// Files of the MotionFix release.
 const MOTIONFIX_PARTS: [(&str, u64); 4] = [
     ("motionfix.pth.tar", 1),
     ("motionfix_val.pth.tar", 1),

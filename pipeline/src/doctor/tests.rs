@@ -11,6 +11,11 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) {
     fs::write(path, bytes).expect("written");
 }
 
+fn examined(root: &Path, index: Option<&Path>) -> Diagnosis {
+    let options = ReadOptions::default();
+    examine(&[root.to_owned()], index, &options, &NoProgress).expect("listed")
+}
+
 #[test]
 fn a_humanml3d_folder_tells_what_it_lacks_both_ways() {
     let folder = tempfile::tempdir().expect("temporary folder");
@@ -25,13 +30,7 @@ fn a_humanml3d_folder_tells_what_it_lacks_both_ways() {
         "h/new_joints/000004.npy",
         &npy_f8(&[3, 22, 3], &[0.0; 198]),
     );
-    let diagnosis = examine(
-        &[root.to_owned()],
-        None,
-        &ReadOptions::default(),
-        &NoProgress,
-    )
-    .expect("listed");
+    let diagnosis = examined(root, None);
     let found = &diagnosis.sources[0].humanml3d[0];
     assert_eq!((found.vectors, found.joints, found.texts), (1, 1, 2));
     assert_eq!(found.texts_without_motion, 1, "000002");
@@ -65,13 +64,7 @@ fn the_index_names_the_archive_of_every_missing_subset() {
           ./pose_data/MPI_Limits/1/a_poses.npy,0,5,000001.npy\n\
           ./pose_data/humanact12/humanact12/P1.npy,0,-1,000002.npy\n",
     );
-    let diagnosis = examine(
-        &[root.to_owned()],
-        Some(&index),
-        &ReadOptions::default(),
-        &NoProgress,
-    )
-    .expect("listed");
+    let diagnosis = examined(root, Some(&index));
     let found = diagnosis.index.as_ref().expect("given");
     assert_eq!((found.rows, found.humanact12, found.found), (3, 1, 1));
     let text = diagnosis.to_string();
@@ -96,13 +89,7 @@ fn releases_tell_which_parts_are_there_and_pointers_are_counted() {
         "dataset/style_transfer/000009_proud.pkl",
         b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n",
     );
-    let diagnosis = examine(
-        &[root.to_owned()],
-        None,
-        &ReadOptions::default(),
-        &NoProgress,
-    )
-    .expect("listed");
+    let diagnosis = examined(root, None);
     let source = &diagnosis.sources[0];
     assert_eq!(source.lfs_pointers, 1);
     let counts = |release: &ReleaseFindings| -> Vec<u64> {
@@ -124,7 +111,7 @@ fn the_real_files_are_all_counted_once() {
         skipped();
         return;
     };
-    let diagnosis = examine(&[root], None, &ReadOptions::default(), &NoProgress).expect("listed");
+    let diagnosis = examined(&root, None);
     let source = &diagnosis.sources[0];
     let files: u64 = source.kinds.iter().map(|kind| kind.files).sum();
     assert_eq!(files, source.files);

@@ -3,20 +3,17 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use datasets_spec::Skeleton;
 use datasets_spec::record::MotionRow;
-use datasets_spec::{Progress, Skeleton};
 use formats::sidecar::{LabelCaption, Sidecar};
-use rayon::prelude::*;
 
-use super::amass::file_stem;
-use super::by_clip::{ByClip, Note};
 use super::document::file;
+use super::form::{ByClip, Note};
 use super::humanml3d::ids;
 use super::paths::{safe_stem, unique};
 use crate::Error;
 use crate::clips::Clips;
 
-/// Makes the bytes of a clip's file.
 type Encode = fn(&MotionRow, &Skeleton) -> Result<std::io::Result<Vec<u8>>, Error>;
 
 /// A file for each clip under a path made from its id, with its metadata in a sidecar, so that ingesting it again
@@ -36,21 +33,14 @@ impl Files {
         stem_of: impl Fn(&str, &mut BTreeSet<String>) -> String,
         encode: Encode,
     ) -> Result<Self, Error> {
-        let mut taken = BTreeSet::new();
-        let ids = ids(clips)?.into_iter();
-        let stems = ids.map(|(id, _)| {
-            let stem = stem_of(&id, &mut taken);
-            (id, stem)
-        });
         Ok(Self {
             extension,
             encode,
             skeleton: clips.dataset().skeleton()?,
-            stems: stems.collect(),
+            stems: stems(clips, stem_of)?,
         })
     }
 
-    /// BVH files.
     pub(super) fn bvh(clips: &Clips) -> Result<Self, Error> {
         let stem = |id: &str, taken: &mut _| unique(safe_stem(id, ".bvh"), taken);
         Self::new(clips, "bvh", stem, |row, skeleton| {
@@ -60,7 +50,6 @@ impl Files {
         })
     }
 
-    /// GLB files.
     pub(super) fn gltf(clips: &Clips) -> Result<Self, Error> {
         let stem = |id: &str, taken: &mut _| unique(safe_stem(id, ".glb"), taken);
         Self::new(clips, "glb", stem, |row, skeleton| {
@@ -70,7 +59,7 @@ impl Files {
 
     /// AMASS archives, named as those of the release, at the rate of recordings.
     pub(super) fn amass(clips: &Clips) -> Result<Self, Error> {
-        Self::new(clips, "npz", file_stem, |row, skeleton| {
+        Self::new(clips, "npz", amass_stem, |row, skeleton| {
             let motion = formats::write::amass::at_rate_of_recordings(&row.motion()?)?;
             Ok(formats::write::amass::encode_smplx(&motion, skeleton))
         })
@@ -78,23 +67,14 @@ impl Files {
 }
 
 impl ByClip for Files {
-    fn write(
-        &self,
-        rows: Vec<MotionRow>,
-        folder: &Path,
-        progress: &dyn Progress,
-    ) -> Result<Vec<Note>, Error> {
-        let written = rows.into_par_iter().map(|row| {
-            let stem = self.stems.get(row.id.as_str()).cloned().unwrap_or_default();
-            let name = format!("{stem}.{}", self.extension);
-            let bytes = (self.encode)(&row, &self.skeleton)?
-                .map_err(datasets_spec::Error::io("encode", folder.join(&name)))?;
-            file(folder, &name, &bytes)?;
-            write_sidecar(folder, &stem, row)?;
-            progress.advance(1);
-            Ok(None)
-        });
-        written.collect()
+    fn write_clip(&self, row: MotionRow, folder: &Path) -> Result<Note, Error> {
+        let stem = self.stems.get(row.id.as_str()).cloned().unwrap_or_default();
+        let name = format!("{stem}.{}", self.extension);
+        let bytes = (self.encode)(&row, &self.skeleton)?
+            .map_err(datasets_spec::Error::io("encode", folder.join(&name)))?;
+        file(folder, &name, &bytes)?;
+        write_sidecar(folder, &stem, row)?;
+        Ok(None)
     }
 
     fn finish(&self, clips: &Clips, _: &[Note], _: &Path) -> Result<u64, Error> {
@@ -102,7 +82,28 @@ impl ByClip for Files {
     }
 }
 
-/// Writes what is said of a clip beside its file.
+/// The path each motion gets, by its id.
+pub(super) fn stems(
+    clips: &Clips,
+    stem_of: impl Fn(&str, &mut BTreeSet<String>) -> String,
+) -> Result<BTreeMap<String, String>, Error> {
+    let mut taken = BTreeSet::new();
+    let ids = ids(clips)?.into_iter();
+    let stems = ids.map(|(id, _)| {
+        let stem = stem_of(&id, &mut taken);
+        (id, stem)
+    });
+    Ok(stems.collect())
+}
+
+/// Suffix of the names of AMASS files, before the extension.
+const STEM_END: &str = "_stageii";
+
+/// A relative path for an id without extension, named as files of AMASS are.
+pub(super) fn amass_stem(id: &str, taken: &mut BTreeSet<String>) -> String {
+    format!("{}{STEM_END}", unique(safe_stem(id, STEM_END), taken))
+}
+
 fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error> {
     let captions = row.captions_by_origin();
     let said = Sidecar {

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use pickle::npy;
 use serde::Serialize;
 
 use crate::Error;
@@ -22,4 +23,37 @@ pub(super) fn write_json(folder: &Path, name: &str, value: &impl Serialize) -> R
         .map_err(|error| datasets_spec::Error::io("write", folder.join(name))(error.into()))?;
     text.push(b'\n');
     file(folder, name, &text)
+}
+
+pub(super) struct Lines(csv::Writer<Vec<u8>>);
+
+impl Lines {
+    pub(super) fn new<const N: usize>(header: [&str; N]) -> Self {
+        let mut lines = Self(csv::Writer::from_writer(Vec::new()));
+        lines.take(header);
+        lines
+    }
+
+    pub(super) fn take<const N: usize>(&mut self, fields: [&str; N]) {
+        self.0
+            .write_record(fields)
+            .expect("every line has as many fields, and memory takes them");
+    }
+
+    pub(super) fn into_bytes(self) -> Vec<u8> {
+        self.0.into_inner().expect("memory takes the lines")
+    }
+}
+
+pub(super) fn read_features<const WIDTH: usize>(path: &Path) -> Result<Vec<[f32; WIDTH]>, Error> {
+    let bytes = fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
+    let name = path.display().to_string();
+    let array = npy::read_numbers(&name, &bytes)
+        .map_err(|error| datasets_spec::Error::io("read", path)(std::io::Error::other(error)))?;
+    let (frames, _) = array.values.as_chunks::<WIDTH>();
+    // They were written in single precision.
+    Ok(frames
+        .iter()
+        .map(|frame| frame.map(|value| value as f32))
+        .collect())
 }

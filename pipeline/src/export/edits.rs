@@ -8,9 +8,10 @@ use datasets_spec::{Dataset, Motion, Progress, Skeleton};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::clips::amass_stem;
 use super::document::{file, write_json};
 use super::paths::{safe_path, unique};
-use super::{Layout, amass, item_stem};
+use super::{Layout, item_stem};
 use crate::Error;
 use work::NewFolder;
 
@@ -25,7 +26,6 @@ pub struct Sides {
     pub targets: bool,
 }
 
-/// A motion to write.
 struct Clip<'a> {
     stem: String,
     motion: Motion,
@@ -66,9 +66,7 @@ pub fn export_edits(
         Layout::Bvh => "bvh",
         Layout::Gltf => "glb",
         other => {
-            return Err(Error::LayoutOfEdits {
-                layout: other.as_str(),
-            });
+            return Err(Error::LayoutOfEdits(other.as_str()));
         }
     };
     let skeleton = dataset.skeleton()?;
@@ -88,7 +86,7 @@ pub fn export_edits(
             // Files of AMASS end as those of its release do.
             let name = match layout {
                 Layout::Amass => {
-                    format!("{}.{extension}", amass::file_stem(&clip.stem, &mut taken))
+                    format!("{}.{extension}", amass_stem(&clip.stem, &mut taken))
                 }
                 _ => format!("{}.{extension}", unique(clip.stem.clone(), &mut taken)),
             };

@@ -1,46 +1,41 @@
 //! Folders of features per clip, with captions, split lists and statistics: HumanML3D-272, BABEL-272,
 //! MotionMillion, and the 201 features of HY-Motion in the same form.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::ops::{Range, RangeInclusive};
 use std::path::Path;
 
 use datasets_spec::record::MotionRow;
-use datasets_spec::{Motion, Progress, Skeleton, Split};
+use datasets_spec::{Motion, Skeleton, Split};
 use features::{Statistics, hy_motion, representation_272};
 use pickle::npy;
-use rayon::prelude::*;
 
-use super::by_clip::{ByClip, Note};
-use super::document::file;
-use super::feature_files::{Lines, read_features};
-use super::humanml3d::{caption_line, ids, names};
+use super::clips::stems;
+use super::document::{Lines, file, read_features};
+use super::form::{ByClip, Note, labels, sorted_lines};
+use super::humanml3d::{caption_line, names};
 use super::paths::{safe_stem, unique};
 use crate::Error;
 use crate::clips::Clips;
 
 type Features<const WIDTH: usize> = Vec<[f32; WIDTH]>;
 
-/// How features are computed.
 pub(super) struct Recipe<const WIDTH: usize> {
     features: fn(&Motion, &Skeleton) -> Result<Features<WIDTH>, kinematics::Error>,
     /// Groups in which the deviation is averaged.
     groups: &'static [(&'static str, Range<usize>)],
 }
 
-/// The 272 features.
 pub(super) const DIM_272: Recipe<{ representation_272::WIDTH }> = Recipe {
     features: representation_272::features_of_motion,
     groups: &representation_272::GROUPS,
 };
 
-/// The 201 features.
 pub(super) const DIM_201: Recipe<{ hy_motion::WIDTH }> = Recipe {
     features: hy_motion::features_of_motion,
     groups: &[],
 };
 
-/// Names of the folders and files.
 pub(super) struct Form {
     motions: &'static str,
     mean: &'static str,
@@ -54,7 +49,6 @@ pub(super) struct Form {
 
 const ANY_LENGTH: RangeInclusive<usize> = 0..=usize::MAX;
 
-/// HumanML3D-272.
 pub(super) const HUMANML3D_272: Form = Form {
     motions: "motion_data",
     mean: "mean_std/Mean.npy",
@@ -63,7 +57,6 @@ pub(super) const HUMANML3D_272: Form = Form {
     is_plain: false,
 };
 
-/// BABEL-272.
 pub(super) const BABEL_272: Form = Form {
     mean: "t2m_babel_mean_std/Mean.npy",
     std: "t2m_babel_mean_std/Std.npy",
@@ -101,7 +94,6 @@ pub(super) struct FeatureFolder<const WIDTH: usize> {
 }
 
 impl<const WIDTH: usize> FeatureFolder<WIDTH> {
-    /// The folder of some clips.
     pub(super) fn new(
         clips: &Clips,
         form: &'static Form,
@@ -112,7 +104,7 @@ impl<const WIDTH: usize> FeatureFolder<WIDTH> {
             recipe,
             skeleton: clips.dataset().skeleton()?,
             names: if form.is_plain {
-                paths(clips)?
+                stems(clips, |id, taken| unique(safe_stem(id, ".npy"), taken))?
             } else {
                 names(clips)?
             },
@@ -129,58 +121,41 @@ impl<const WIDTH: usize> FeatureFolder<WIDTH> {
 }
 
 impl<const WIDTH: usize> ByClip for FeatureFolder<WIDTH> {
-    fn write(
-        &self,
-        rows: Vec<MotionRow>,
-        folder: &Path,
-        progress: &dyn Progress,
-    ) -> Result<Vec<Note>, Error> {
-        let written = rows.par_iter().map(|row| {
-            let name = self.name(row.id.as_str());
-            let features = (self.recipe.features)(&row.motion()?, &self.skeleton)?;
-            let vector = npy::encode(&[features.len(), WIDTH], features.as_flattened());
-            file(folder, &self.motion(name), &vector)?;
-            let lines: String = match self.form.is_plain {
-                false => row.stated_captions().map(caption_line).collect(),
-                true => row
-                    .stated_captions()
-                    .filter(|caption| caption.from_s == 0.0 && caption.to_s == 0.0)
-                    .map(|caption| caption.text.replace(['\r', '\n'], " ") + "\n")
-                    .collect(),
-            };
-            // Loaders open the file of every clip; a clip whose file is empty is passed over.
-            file(folder, &format!("texts/{name}.txt"), lines.as_bytes())?;
-            progress.advance(1);
-            Ok(None)
-        });
-        written.collect()
+    fn write_clip(&self, row: MotionRow, folder: &Path) -> Result<Note, Error> {
+        let name = self.name(row.id.as_str());
+        let features = (self.recipe.features)(&row.motion()?, &self.skeleton)?;
+        let vector = npy::encode(&[features.len(), WIDTH], features.as_flattened());
+        file(folder, &self.motion(name), &vector)?;
+        let lines: String = match self.form.is_plain {
+            false => row.stated_captions().map(caption_line).collect(),
+            true => row
+                .stated_captions()
+                .filter(|caption| caption.from_s == 0.0 && caption.to_s == 0.0)
+                .map(|caption| caption.text.replace(['\r', '\n'], " ") + "\n")
+                .collect(),
+        };
+        // Loaders open the file of every clip; a clip whose file is empty is passed over.
+        file(folder, &format!("texts/{name}.txt"), lines.as_bytes())?;
+        Ok(None)
     }
 
     fn finish(&self, clips: &Clips, _: &[Note], folder: &Path) -> Result<u64, Error> {
         let mut statistics = Statistics::<WIDTH>::default();
         let mut listed: BTreeMap<Split, Vec<(&str, usize)>> = BTreeMap::new();
         let mut lines = Lines::new(["name", "id", "split", "license"]);
-        for shard in clips.shards(None) {
-            let ids = shard.column::<String>("id")?;
-            let splits = shard.column::<Split>("split")?;
-            let licenses = shard.column::<Option<String>>("license")?;
-            for ((id, split), license) in ids.iter().zip(splits).zip(licenses) {
-                let name = self.name(id);
-                let license = license.as_deref().unwrap_or_default();
-                lines.take([name, id, split.as_str(), license]);
-                let features = read_features::<WIDTH>(&folder.join(self.motion(name)))?;
-                statistics.take(&features);
-                let listed = listed.entry(split).or_default();
-                listed.push((name, features.len()));
-            }
+        for (id, split, license) in labels(clips)? {
+            let name = self.name(&id);
+            lines.take([name, &id, split.as_str(), &license]);
+            let features = read_features::<WIDTH>(&folder.join(self.motion(name)))?;
+            statistics.take(&features);
+            let listed = listed.entry(split).or_default();
+            listed.push((name, features.len()));
         }
         for (list, lengths) in self.form.lists {
             let names = |splits: &[Split]| -> String {
                 let listed = splits.iter().filter_map(|split| listed.get(split));
                 let fitting = listed.flatten().filter(|(_, len)| lengths.contains(len));
-                let mut names: Vec<&str> = fitting.map(|(name, _)| *name).collect();
-                names.sort_unstable();
-                names.iter().flat_map(|name| [*name, "\n"]).collect()
+                sorted_lines(fitting.map(|(name, _)| *name).collect())
             };
             for split in Split::ALL {
                 let path = format!("{list}/{split}.txt");
@@ -198,16 +173,4 @@ impl<const WIDTH: usize> ByClip for FeatureFolder<WIDTH> {
         file(folder, "ids.csv", &lines.into_bytes())?;
         Ok(clips.len())
     }
-}
-
-/// The path each motion gets, by its id.
-fn paths(clips: &Clips) -> Result<BTreeMap<String, String>, Error> {
-    let mut taken = BTreeSet::new();
-    let ids = ids(clips)?.into_iter();
-    Ok(ids
-        .map(|(id, _)| {
-            let path = unique(safe_stem(&id, ".npy"), &mut taken);
-            (id, path)
-        })
-        .collect())
 }

@@ -6,16 +6,14 @@ use std::path::Path;
 
 use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
 use datasets_spec::table::{Caption, Row, ShardReader};
-use datasets_spec::{Dataset, Fps, Progress, Skeleton, Split};
+use datasets_spec::{Dataset, Fps, Skeleton, Split};
 use features::humanml3d::{Features, RECIPE, recover_joints};
 use features::{Statistics, smpl_body};
 use formats::source::humanml3d::is_id;
 use kinematics::skeleton::NUM_BODY_JOINTS;
-use rayon::prelude::*;
 
-use super::by_clip::{ByClip, Note};
-use super::document::file;
-use super::feature_files::{Lines, read_features};
+use super::document::{Lines, file, read_features};
+use super::form::{ByClip, Note, labels, sorted_lines};
 use crate::Error;
 use crate::clips::Clips;
 use crate::reference::features_of;
@@ -41,7 +39,6 @@ pub(super) struct HumanMl3dFolder {
 const VECTORS: &str = "new_joint_vecs";
 
 impl HumanMl3dFolder {
-    /// The folder of some clips.
     pub(super) fn new(clips: &Clips) -> Result<Self, Error> {
         Ok(Self {
             skeleton: smpl_body(&clips.dataset().skeleton()?),
@@ -53,12 +50,14 @@ impl HumanMl3dFolder {
     fn name(&self, id: &str) -> &str {
         self.names.get(id).map_or("", String::as_str)
     }
+}
 
-    fn write_clip(&self, row: &MotionRow, folder: &Path) -> Result<Note, Error> {
+impl ByClip for HumanMl3dFolder {
+    fn write_clip(&self, row: MotionRow, folder: &Path) -> Result<Note, Error> {
         let (id, name) = (row.id.as_str(), self.name(row.id.as_str()));
         let features = match self.stored.get(id)? {
             Some(features) => features,
-            None => match features_of(row, &self.skeleton) {
+            None => match features_of(&row, &self.skeleton) {
                 Ok(features) => features,
                 Err(reason) => return Ok(Some(reason)),
             },
@@ -80,22 +79,6 @@ impl HumanMl3dFolder {
         }
         Ok(None)
     }
-}
-
-impl ByClip for HumanMl3dFolder {
-    fn write(
-        &self,
-        rows: Vec<MotionRow>,
-        folder: &Path,
-        progress: &dyn Progress,
-    ) -> Result<Vec<Note>, Error> {
-        let written = rows.par_iter().map(|row| {
-            let note = self.write_clip(row, folder)?;
-            progress.advance(1);
-            Ok(note)
-        });
-        written.collect()
-    }
 
     fn finish(&self, clips: &Clips, notes: &[Note], folder: &Path) -> Result<u64, Error> {
         for name in [VECTORS, "new_joints", "texts"] {
@@ -107,23 +90,18 @@ impl ByClip for HumanMl3dFolder {
         let mut statistics = Statistics::<HUMANML3D_WIDTH>::default();
         let mut lines = Lines::new(["name", "id", "left_out", "license"]);
         let mut written = 0;
-        for shard in clips.shards(None) {
-            let ids = shard.column::<String>("id")?;
-            let splits = shard.column::<Split>("split")?;
-            let licenses = shard.column::<Option<String>>("license")?;
-            for ((id, split), license) in ids.iter().zip(splits).zip(licenses) {
-                let name = self.name(id);
-                let left_out = notes.next().cloned().flatten();
-                let reason = left_out.as_deref().unwrap_or_default();
-                lines.take([name, id, reason, license.as_deref().unwrap_or_default()]);
-                if left_out.is_some() {
-                    continue;
-                }
-                let path = folder.join(format!("{VECTORS}/{name}.npy"));
-                statistics.take(&read_features::<HUMANML3D_WIDTH>(&path)?);
-                by_split.entry(split).or_default().push(name);
-                written += 1;
+        for (id, split, license) in labels(clips)? {
+            let name = self.name(&id);
+            let left_out = notes.next().cloned().flatten();
+            let reason = left_out.as_deref().unwrap_or_default();
+            lines.take([name, &id, reason, &license]);
+            if left_out.is_some() {
+                continue;
             }
+            let path = folder.join(format!("{VECTORS}/{name}.npy"));
+            statistics.take(&read_features::<HUMANML3D_WIDTH>(&path)?);
+            by_split.entry(split).or_default().push(name);
+            written += 1;
         }
         file(folder, "ids.csv", &lines.into_bytes())?;
         for (list, splits) in [
@@ -134,9 +112,7 @@ impl ByClip for HumanMl3dFolder {
             ("all.txt", &Split::ALL),
         ] {
             let listed = splits.iter().filter_map(|split| by_split.get(split));
-            let mut names: Vec<&str> = listed.flatten().copied().collect();
-            names.sort_unstable();
-            let lines: String = names.iter().flat_map(|name| [*name, "\n"]).collect();
+            let lines = sorted_lines(listed.flatten().copied().collect());
             file(folder, list, lines.as_bytes())?;
         }
         let width = [HUMANML3D_WIDTH];
@@ -260,7 +236,7 @@ fn words(text: &str) -> String {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use std::path::PathBuf;
 
     use features::humanml3d::{
@@ -270,23 +246,10 @@ pub(super) mod tests {
     use testkit::walk;
 
     use super::*;
+    use crate::export::tests::ingested;
     use crate::export::{Layout, export};
-    use crate::ingest::{IngestOptions, ingest};
     use datasets_spec::{Dataset, Motion, NoProgress};
     use pickle::npy::read_numbers;
-
-    pub(crate) fn ingested(source: &Path, out: &Path) -> Dataset {
-        let sources = [PathBuf::from(source)];
-        ingest(
-            &sources,
-            out,
-            &IngestOptions::default(),
-            "test",
-            &NoProgress,
-        )
-        .expect("plain files")
-        .dataset
-    }
 
     fn points(path: &Path) -> Vec<DVec3> {
         let bytes = fs::read(path).expect("written");

@@ -48,7 +48,6 @@ struct File {
     frames: usize,
 }
 
-/// The stem of the files of an item.
 pub(crate) fn item_stem(id: &str) -> String {
     super::paths::safe_path(&id.replace('/', "_"))
 }

@@ -15,8 +15,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use tables::Condition;
 
-use super::by_clip::{Note, PART_CLIPS};
-use super::form::Form;
+use super::form::{Form, Note, PART_CLIPS};
 use super::{Exported, Layout};
 use crate::Error;
 use crate::clips::{Clips, Part, Shard};
@@ -26,21 +25,17 @@ use work::{
 };
 use work::{NewFolder, is_occupied};
 
-/// Name of the job.
 pub(crate) const JOB: &str = "export";
 
 /// Folder of the pieces among what is staged.
 const PIECES: &str = "pieces";
 
-/// The settings of a plan.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
     dataset: PathBuf,
-    /// Root hash of the dataset.
     root_hash: String,
     layout: String,
-    /// The condition on the clips.
     filter: Option<String>,
 }
 
@@ -50,7 +45,6 @@ impl Stored {
     }
 }
 
-/// An export that is ready to be made.
 struct Export {
     dataset: Dataset,
     layout: Layout,
@@ -75,9 +69,7 @@ pub fn plan_export(
 ) -> Result<Plan, Error> {
     let dataset = Dataset::open_unverified(root)?;
     if !dataset.manifest().tables.contains_key(MotionRow::TABLE) {
-        return Err(Error::NoMotions {
-            path: root.to_owned(),
-        });
+        return Err(Error::NoMotions(root.to_owned()));
     }
     if is_occupied(destination) {
         return Err(work::Error::Occupied {
@@ -123,7 +115,6 @@ pub fn plan_export(
     Ok(draft.write(out, |_| Ok(()))?)
 }
 
-/// Opens the job of a plan.
 pub(crate) fn open_job(plan: &Plan) -> Result<Box<dyn Job>, Failed> {
     let stored: Stored = plan.settings()?;
     let dataset = Dataset::open_unverified(&stored.dataset)?;
@@ -178,7 +169,6 @@ impl Export {
         }
     }
 
-    /// Files of motions that a piece reads, with their places.
     fn motions(&self, part: Option<&Part>) -> Vec<(PathBuf, &FileEntry)> {
         let mut files = self.dataset.files(MotionRow::TABLE, None);
         if let Some(part) = part {
@@ -249,7 +239,6 @@ impl Export {
     }
 }
 
-/// What a piece notes.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {

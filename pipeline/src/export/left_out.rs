@@ -31,7 +31,6 @@ pub struct Exported {
 }
 
 impl Exported {
-    /// An export of some clips that leaves nothing out.
     pub(super) fn of(clips: u64) -> Self {
         Self {
             clips,
@@ -40,9 +39,6 @@ impl Exported {
     }
 
     /// Adds what the layout has no place for, and clips that the writer left out.
-    ///
-    /// # Errors
-    /// The dataset cannot be read.
     pub(super) fn complete(&mut self, layout: Layout, clips: &Clips) -> Result<(), Error> {
         for (name, count) in left_out(layout, clips)? {
             put(&mut self.left_out, &name, count);
@@ -89,9 +85,7 @@ const MASKS: &str = "masks";
 pub(super) const PAIRS: &str = "pairs";
 const FEATURES: &str = "humanml3d_features";
 
-/// Parts of a caption.
 const WORDS: [&str; 3] = [CAPTIONS, CAPTION_TIMES, CAPTION_TOKENS];
-/// Other labels of a clip.
 const LABELS: [&str; 6] = [
     MADE_CAPTIONS,
     PART_CAPTIONS,
@@ -134,9 +128,6 @@ fn rate(layout: Layout) -> Option<Fps> {
 }
 
 /// Counts what a layout has no place for. Only columns of labels are read.
-///
-/// # Errors
-/// The dataset cannot be read.
 fn left_out(layout: Layout, clips: &Clips) -> Result<Counts, Error> {
     let mut counts = Counts::new();
     let held = held(layout);
@@ -258,7 +249,6 @@ fn newer<T: Cell>(shard: &Shard, name: &'static str) -> Vec<T> {
     shard.column(name).unwrap_or_default()
 }
 
-/// A column of a table of the dataset.
 fn column<R: Row, T: Cell>(dataset: &Dataset, name: &'static str) -> Result<Vec<T>, Error> {
     let mut values = Vec::new();
     for (path, _) in dataset.files(R::TABLE, None) {

@@ -39,15 +39,10 @@ use crate::clips::Clips;
 const FILE_FRAMES: usize = 100_000;
 /// Episodes of a file of the table of episodes: about 50 MB, most of it statistics.
 const FILE_EPISODES: usize = 10_000;
-/// Files per chunk, by the format.
 const CHUNK_FILES: usize = 1000;
 /// Task of a clip without a caption.
 const NO_TASK: &str = "move";
 
-/// Writes the data set.
-///
-/// # Errors
-/// The dataset cannot be read, its clips differ in frame rate, or a file cannot be written.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,
@@ -74,7 +69,6 @@ pub(super) fn write(
     Ok(Exported::of(clips.len()))
 }
 
-/// A clip, and the location of its frames.
 struct Episode {
     index: usize,
     task: usize,
@@ -82,7 +76,6 @@ struct Episode {
     first_row: usize,
     file: usize,
     statistics: Statistics,
-    /// The clip without its frames.
     clip: MotionRow,
 }
 
@@ -93,7 +86,6 @@ struct Writer<'a> {
     tasks: Vec<String>,
     task_places: BTreeMap<String, usize>,
     num_episodes: usize,
-    /// Episodes waiting for their file.
     episodes: Vec<Episode>,
     /// Frames waiting for their file, with episode, frame and task.
     states: Vec<[f32; STATE_WIDTH]>,
@@ -181,7 +173,6 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// Writes the pending frames as a file.
     fn write_frames(&mut self) -> Result<(), Error> {
         if self.states.is_empty() {
             return Ok(());
@@ -208,7 +199,6 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// Writes the pending episodes as a file.
     fn write_episodes(&mut self) -> Result<(), Error> {
         let Some(first) = self.episodes.first() else {
             return Ok(());
@@ -443,11 +433,10 @@ fn write_parquet<N: AsRef<str>>(
 mod tests {
     use arrow_array::cast::AsArray;
     use arrow_array::types::{Float32Type, Int64Type};
-    use datasets_spec::dataset::commit_rows;
+    use datasets_spec::NoProgress;
     use datasets_spec::table::Caption;
-    use datasets_spec::{NoProgress, Skeleton};
     use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-    use testkit::{motion_row, wandering};
+    use testkit::{commit, motion_row, wandering};
 
     use super::*;
 
@@ -475,15 +464,7 @@ mod tests {
         }];
         let rows = [row("a", Split::Train, 20), said];
         let dir = tempfile::tempdir().expect("temporary folder");
-        let dataset = commit_rows(
-            &dir.path().join("dataset"),
-            &rows,
-            Some(|row: &MotionRow| row.split),
-            &Skeleton::smplx_neutral(),
-            "plan",
-            "test",
-        )
-        .expect("committed");
+        let dataset = commit(&dir.path().join("dataset"), &rows, |row| row.split, "plan");
         let out = dir.path().join("out");
         assert_eq!(
             write(&Clips::all(&dataset), &out, &NoProgress).expect("written"),

@@ -3,13 +3,9 @@
 //! An export appears whole or not at all: it is written to a temporary folder beside the destination, and
 //! renamed when it is complete.
 
-mod amass;
-mod before;
-mod by_clip;
 mod clips;
 mod document;
 mod edits;
-mod feature_files;
 mod features;
 mod form;
 mod humanml3d;
@@ -21,6 +17,8 @@ mod lerobot;
 mod motionfix;
 mod paths;
 mod stance;
+#[cfg(test)]
+mod tests;
 mod webdataset;
 
 use std::path::Path;
@@ -33,15 +31,13 @@ use crate::Error;
 use crate::clips::Clips;
 use work::NewFolder;
 
-use self::by_clip::PART_CLIPS;
-use self::form::Form;
-pub use before::before;
+use self::form::{Form, PART_CLIPS};
 pub use edits::{Sides, export_edits};
 pub use items::export_items;
 pub(crate) use items::item_stem;
 pub use job::plan_export;
 pub(crate) use job::{JOB, open_job};
-pub use layout::Layout;
+pub use layout::{Layout, before};
 pub use left_out::{Counts, Exported, untagged_captions};
 pub use motionfix::export_triplets;
 
@@ -58,9 +54,7 @@ pub fn export(
 ) -> Result<Exported, Error> {
     let dataset = clips.dataset();
     if !dataset.manifest().tables.contains_key(MotionRow::TABLE) {
-        return Err(Error::NoMotions {
-            path: dataset.root().to_owned(),
-        });
+        return Err(Error::NoMotions(dataset.root().to_owned()));
     }
     let folder = NewFolder::beside(out)?;
     let mut done = match Form::of(layout, clips)? {

@@ -99,16 +99,11 @@ pub fn export_triplets(
 }
 
 fn none(dataset: &Dataset) -> Error {
-    Error::NoTriplets {
-        path: dataset.root().to_owned(),
-    }
+    Error::NoTriplets(dataset.root().to_owned())
 }
 
 /// Writes the pairs whose motions are both among the clips. A style pair without words gets those of its style; other
 /// pairs without words are left out.
-///
-/// # Errors
-/// There is no such pair, the dataset cannot be read or a file cannot be written.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,
@@ -159,26 +154,14 @@ pub(super) fn write(
         "clips",
         clips.len() - paired.len() as u64,
     );
-    let mut says = [
-        ("pair_styles", 0),
-        ("pair_parts", 0),
-        ("edit_types", 0),
-        ("accepted_by", 0),
-    ];
-    for pair in &written {
-        let is_said = [
-            pair.style.is_some(),
-            !pair.parts.is_empty(),
-            pair.edit_type.is_some(),
-            pair.accepted_by.is_some(),
-        ];
-        for ((_, count), is_said) in says.iter_mut().zip(is_said) {
-            *count += u64::from(is_said);
-        }
-    }
-    for (name, count) in says {
-        put(&mut done.left_out, name, count);
-    }
+    let mut say = |name, is_said: fn(&PairRow) -> bool| {
+        let said = written.iter().filter(|pair| is_said(pair));
+        put(&mut done.left_out, name, said.count() as u64);
+    };
+    say("pair_styles", |pair| pair.style.is_some());
+    say("pair_parts", |pair| !pair.parts.is_empty());
+    say("edit_types", |pair| pair.edit_type.is_some());
+    say("accepted_by", |pair| pair.accepted_by.is_some());
     Ok(done)
 }
 
@@ -259,7 +242,6 @@ fn key_in<'a>(id: &'a str, side: &str) -> Option<&'a str> {
     (is_key && key.bytes().all(|byte| byte.is_ascii_digit())).then_some(key)
 }
 
-/// Digits of a published key.
 const KEY_DIGITS: usize = 6;
 /// Digits of a key made here: as a number it is exact in double precision.
 const NEW_KEY_DIGITS: u32 = 15;
@@ -267,7 +249,6 @@ const NEW_KEY_LEN: usize = NEW_KEY_DIGITS as usize;
 
 type Dump = DictWriter<BufWriter<File>>;
 
-/// Dumps that are being written.
 struct Writer<'a> {
     folder: PathBuf,
     skeleton: &'a Skeleton,
@@ -455,17 +436,16 @@ mod tests {
     use testkit::walk;
 
     use super::*;
+    use crate::export::tests::ingested_with;
     use crate::export::{Layout, export};
-    use crate::ingest::{IngestOptions, ingest};
+    use crate::ingest::IngestOptions;
 
     fn ingested(source: &Path, out: &Path) -> Dataset {
         let options = IngestOptions {
             fps: Some(features::released_fps()),
             ..IngestOptions::default()
         };
-        let sources = [PathBuf::from(source)];
-        let report = ingest(&sources, out, &options, "test", &NoProgress);
-        report.expect("plain files").dataset
+        ingested_with(&options, source, out)
     }
 
     /// A dump of two pairs, of which one has no words.
@@ -561,7 +541,7 @@ mod tests {
             &at("out"),
             &NoProgress,
         );
-        assert!(matches!(refused, Err(Error::NoTriplets { .. })));
+        assert!(matches!(refused, Err(Error::NoTriplets(_))));
         assert!(!at("out").exists());
     }
 }

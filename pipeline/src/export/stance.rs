@@ -28,9 +28,6 @@ use pickle::{self, Array, Value};
 /// The layout of the release has no place for semantic pairs, for some styles of styles, for masks without named parts
 /// and for those of other motions than base motions: [`Exported::beside`] counts them. All masks and pairs are in files
 /// of this program. Motions of other rates than 20 fps are resampled.
-///
-/// # Errors
-/// The dataset cannot be read or the folder cannot be written.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,
@@ -112,13 +109,11 @@ struct Adjustment {
     pair: PairRow,
 }
 
-/// Files of the motions.
 struct Plan {
     /// Section and file stem of motions with their own file, by id; none for motions that occur only in
     /// adjustments.
     places: BTreeMap<String, Option<(&'static str, String)>>,
     adjustments: Vec<Adjustment>,
-    /// The adjustments of each motion.
     uses: BTreeMap<String, Vec<usize>>,
 }
 
@@ -151,13 +146,11 @@ impl Plan {
         plan
     }
 
-    /// Whether the lists of the release have a place for a mask.
     fn has_place(&self, mask: &MaskRow) -> bool {
         let place = self.places.get(mask.motion_id.as_str());
         is_named(mask) && matches!(place, Some(Some((BASE_MOTION, _))))
     }
 
-    /// Pairs that are files of the release.
     fn num_pairs(&self) -> usize {
         let places = self.places.values().flatten();
         let styled = places.filter(|(section, _)| *section == STYLE_TRANSFER);
@@ -246,7 +239,6 @@ fn file_name(text: &str) -> String {
         .collect()
 }
 
-/// Whether a mask is made of named parts.
 fn is_named(mask: &MaskRow) -> bool {
     let mut parts = mask.parts.iter();
     !mask.parts.is_empty() && parts.all(|part| part.parse::<BodyPart>().is_ok())
@@ -462,7 +454,6 @@ fn json_text(content: &impl Serialize) -> Vec<u8> {
     serde_json::to_vec_pretty(content).expect("texts and numbers serialise")
 }
 
-/// Writes rows, one in each line.
 fn save_rows(path: &Path, rows: &[impl Serialize]) -> Result<(), Error> {
     let mut lines = Vec::new();
     for row in rows {

@@ -6,7 +6,7 @@
 
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Progress, Split};
@@ -17,16 +17,11 @@ use crate::Error;
 use crate::clips::Clips;
 use pickle::npy;
 
-/// Limits on the clips and bytes of a shard.
 const SHARD_CLIPS: usize = 1000;
 const SHARD_BYTES: u64 = 256 << 20;
-/// Permissions of a member.
 const MODE: u32 = 0o644;
 
 /// Writes the shards of every split.
-///
-/// # Errors
-/// The dataset cannot be read or a shard cannot be written.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,
@@ -60,6 +55,7 @@ struct Shards<'a> {
 }
 
 struct Shard {
+    path: PathBuf,
     tar: tar::Builder<BufWriter<File>>,
     clips: usize,
     bytes: u64,
@@ -67,81 +63,70 @@ struct Shard {
 
 impl Shards<'_> {
     fn append(&mut self, row: &MotionRow) -> Result<(), Error> {
-        let full = self
-            .open
-            .as_ref()
-            .is_some_and(|shard| shard.clips >= SHARD_CLIPS || shard.bytes >= SHARD_BYTES);
-        if full {
+        let is_full = |shard: &Shard| shard.clips >= SHARD_CLIPS || shard.bytes >= SHARD_BYTES;
+        if self.open.as_ref().is_some_and(is_full) {
             self.close()?;
         }
-        let path = self
-            .folder
-            .join(format!("{}-{:06}.tar", self.split, self.index));
         if self.open.is_none() {
-            let file = File::create(&path).map_err(datasets_spec::Error::io("create", &path))?;
-            self.open = Some(Shard {
-                tar: tar::Builder::new(BufWriter::new(file)),
-                clips: 0,
-                bytes: 0,
-            });
+            let name = format!("{}-{:06}.tar", self.split, self.index);
+            self.open = Some(Shard::create(self.folder.join(name))?);
+            self.index += 1;
         }
         let Some(shard) = &mut self.open else {
             return Ok(());
         };
-        let key = key(row.id.as_str());
         let array =
             |frames: &[f32], width: usize| npy::encode(&[frames.len() / width, width], frames);
-        let members = [
+        let key = key(row.id.as_str());
+        for (name, bytes) in [
             ("transl.npy", array(row.transl.as_flattened(), 3)),
             (
                 "global_orient.npy",
                 array(row.global_orient.as_flattened(), 3),
             ),
             ("body_pose.npy", array(row.body_pose.as_flattened(), 63)),
-        ];
-        for (name, bytes) in members {
-            shard
-                .append(&format!("{key}.{name}"), &bytes)
-                .map_err(datasets_spec::Error::io("write", &path))?;
+            ("json", facts(row).to_string().into_bytes()),
+        ] {
+            shard.append(&format!("{key}.{name}"), &bytes)?;
         }
-        let text = facts(row).to_string().into_bytes();
-        shard
-            .append(&format!("{key}.json"), &text)
-            .map_err(datasets_spec::Error::io("write", &path))?;
         shard.clips += 1;
         Ok(())
     }
 
     fn close(&mut self) -> Result<(), Error> {
-        let Some(shard) = self.open.take() else {
-            return Ok(());
-        };
-        let path = self
-            .folder
-            .join(format!("{}-{:06}.tar", self.split, self.index));
-        self.index += 1;
-        let buffer = shard
-            .tar
-            .into_inner()
-            .map_err(datasets_spec::Error::io("write", &path))?;
-        let file = buffer
-            .into_inner()
-            .map_err(|error| datasets_spec::Error::io("write", &path)(error.into_error()))?;
-        Ok(file
-            .sync_all()
-            .map_err(datasets_spec::Error::io("sync", &path))?)
+        self.open.take().map_or(Ok(()), Shard::close)
     }
 }
 
 impl Shard {
+    fn create(path: PathBuf) -> Result<Self, Error> {
+        let file = File::create(&path).map_err(datasets_spec::Error::io("create", &path))?;
+        Ok(Self {
+            path,
+            tar: tar::Builder::new(BufWriter::new(file)),
+            clips: 0,
+            bytes: 0,
+        })
+    }
+
     /// Appends a member with a reproducible header.
-    fn append(&mut self, name: &str, bytes: &[u8]) -> std::io::Result<()> {
+    fn append(&mut self, name: &str, bytes: &[u8]) -> Result<(), Error> {
         let mut header = tar::Header::new_gnu();
         header.set_size(bytes.len() as u64);
         header.set_mode(MODE);
         header.set_mtime(0);
         self.bytes += bytes.len() as u64;
-        self.tar.append_data(&mut header, name, bytes)
+        let appended = self.tar.append_data(&mut header, name, bytes);
+        Ok(appended.map_err(datasets_spec::Error::io("write", &self.path))?)
+    }
+
+    fn close(self) -> Result<(), Error> {
+        let buffer = self.tar.into_inner();
+        let file =
+            buffer.and_then(|buffer| buffer.into_inner().map_err(|error| error.into_error()));
+        let file = file.map_err(datasets_spec::Error::io("write", &self.path))?;
+        let synced = file.sync_all();
+        Ok(synced.map_err(datasets_spec::Error::io("sync", &self.path))?)
     }
 }
 

@@ -18,6 +18,7 @@ use super::fates::Fates;
 use super::recorded::Recorded;
 use crate::Error;
 use crate::likeness::{Sketch, TOLERANCE_M};
+use crate::recordings::Groups;
 
 /// Motions that are equal or nearly so.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -46,7 +47,6 @@ struct Numbers {
     split: Option<Split>,
     num_frames: i32,
     centre: Option<[f32; 3]>,
-    /// Number of its file.
     file: usize,
 }
 
@@ -107,11 +107,11 @@ impl Alike {
     fn of(all: &[Numbers], groups: &Groups, near: &[usize]) -> Self {
         let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
         for index in 0..all.len() {
-            *sizes.entry(groups.root(index)).or_default() += 1;
+            *sizes.entry(groups.of(index)).or_default() += 1;
         }
         let mut alike = Self::default();
         for (index, numbers) in all.iter().enumerate() {
-            let class = groups.root(index);
+            let class = groups.of(index);
             if sizes[&class] > 1 {
                 alike.classes.insert(numbers.id.clone(), class);
                 if let Some(split) = numbers.split {
@@ -119,16 +119,14 @@ impl Alike {
                 }
             }
         }
-        alike.near = near.iter().map(|index| groups.root(*index)).collect();
+        alike.near = near.iter().map(|index| groups.of(*index)).collect();
         alike
     }
 
-    /// The class of a motion that is like another.
     pub(super) fn class(&self, id: &str) -> Option<usize> {
         self.classes.get(id).copied()
     }
 
-    /// The split that the clips of a class have already.
     pub(super) fn split(&self, class: usize) -> Option<Split> {
         self.splits.get(&class).copied()
     }
@@ -199,10 +197,8 @@ fn may_be_near(a: &Numbers, b: &Numbers) -> bool {
         && centres.is_some_and(|(a, b)| std::iter::zip(a, b).all(|(a, b)| is_near(a, b)))
 }
 
-/// Clips that are decoded at a time.
 const CLIPS_AT_ONCE: usize = 32;
 
-/// The files that motions are read from.
 #[derive(Default)]
 struct Files {
     paths: Vec<PathBuf>,
@@ -290,7 +286,7 @@ impl Files {
         let mut is_wanted = vec![false; order.places.len()];
         order.neighbours(|_, [a, b]| {
             let [first, second] = order.indices([a, b]);
-            if groups.root(first) != groups.root(second) {
+            if groups.of(first) != groups.of(second) {
                 (is_wanted[a], is_wanted[b]) = (true, true);
             }
             Ok(())
@@ -306,7 +302,7 @@ impl Files {
         let mut near = Vec::new();
         order.neighbours(|start, places| {
             let [first, second] = order.indices(places);
-            if groups.root(first) != groups.root(second) {
+            if groups.of(first) != groups.of(second) {
                 let distance = sketches.distance(start, places)?;
                 if distance.is_some_and(|distance| distance <= TOLERANCE_M) {
                     groups.unite(first, second);
@@ -341,7 +337,6 @@ impl<'a> Order<'a> {
         }
     }
 
-    /// The motions at two places.
     fn indices(&self, places: [usize; 2]) -> [usize; 2] {
         places.map(|place| self.places[place].1)
     }
@@ -422,26 +417,5 @@ impl Window<'_> {
             .map(|(index, sketch)| (next[&index], sketch));
         self.held.extend(placed);
         Ok(())
-    }
-}
-
-/// Places, some of which are united.
-struct Groups(Vec<usize>);
-
-impl Groups {
-    fn new(count: usize) -> Self {
-        Self((0..count).collect())
-    }
-
-    fn root(&self, mut place: usize) -> usize {
-        while self.0[place] != place {
-            place = self.0[place];
-        }
-        place
-    }
-
-    fn unite(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.0[a.max(b)] = a.min(b);
     }
 }

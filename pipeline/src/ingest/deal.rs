@@ -72,7 +72,6 @@ impl Plan {
         shards
     }
 
-    /// The motions of a shard.
     pub(super) fn items_of(&self, shard: &Dealt) -> Vec<Item<'_>> {
         let items = shard.items.iter();
         items
@@ -80,7 +79,6 @@ impl Plan {
             .collect()
     }
 
-    /// The motions with these ids that are read.
     pub(super) fn items_with_ids(&self, ids: &BTreeSet<&str>) -> Vec<Item<'_>> {
         let items = self.items.iter().enumerate();
         let items = items.filter(|(_, item)| !item.is_kept && ids.contains(item.id.as_str()));

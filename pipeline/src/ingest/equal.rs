@@ -52,10 +52,7 @@ impl Run<'_> {
         };
         let mut moved: BTreeMap<Split, Vec<R>> = BTreeMap::new();
         for (name, shard) in self.shards {
-            let is_of_shard = |file: &FileEntry| {
-                let stem = |path: &str| path.rsplit('/').next().unwrap_or(path).to_owned();
-                stem(&file.path) == stem(&shard.path)
-            };
+            let is_of_shard = |file: &FileEntry| file.name() == shard.name();
             let Some(place) = files.iter().position(is_of_shard) else {
                 continue;
             };

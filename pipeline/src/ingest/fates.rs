@@ -8,13 +8,12 @@ use datasets_spec::record::{HumanMl3dRow, MarkerRow, MotionRow};
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{MotionId, Split, Transaction};
 
-use super::growth::Growth;
+use super::kept::Growth;
 use super::plan::Plan;
 use super::recorded::{Recorded, RecordedClip};
 use crate::Error;
 use crate::clip_table::ClipRow;
 
-/// What becomes of a recorded clip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fate {
     /// Its source is not among those of this run, or cannot be read now.
@@ -34,7 +33,6 @@ pub(super) enum Fate {
     },
 }
 
-/// The fates of all recorded clips.
 #[derive(Clone)]
 pub(super) struct Fates<'a> {
     recorded: &'a Recorded,
@@ -100,7 +98,6 @@ impl<'a> Fates<'a> {
         )
     }
 
-    /// The clips that stay as they are.
     pub(super) fn staying(&self) -> impl Iterator<Item = &'a RecordedClip> + '_ {
         let clips = self.recorded.clips.iter().enumerate();
         clips

@@ -9,16 +9,17 @@ use datasets_spec::store::ByPath;
 use serde::Serialize;
 
 use super::fates::{Fate, Fates};
-use super::growth::LostLabel;
+use super::kept::LostLabel;
 use super::list::list_given;
 use super::options::IngestOptions;
 use super::plan::Plan;
 use super::prepared::Prepared;
 use super::recorded::Recorded;
-use super::run::{foreseen, labels, refuse_loss, refuse_mixture};
+use super::run::{foreseen, labels, refuse_mixture};
 use super::sources::SourceArg;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
+use crate::versions::check_lost;
 
 /// What a run would do.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -95,7 +96,7 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
     if let Some(differing) = prepared.must_agree().filter(|_| options.new_version) {
         refuse(refuse_mixture(out, &fates, differing));
     }
-    refuse(refuse_loss(out, &lost, options.drop_labels));
+    refuse(check_lost(out, &lost.lost, options.drop_labels));
     Ok(Forecast {
         sources: plan.forecast(recorded, &fates),
         settings: prepared.differing,

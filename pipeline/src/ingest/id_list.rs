@@ -71,7 +71,6 @@ impl IdList {
         }
     }
 
-    /// Whether a line names a clip by one of its names.
     pub(super) fn chooses(&self, names: &BTreeSet<String>) -> bool {
         let mut patterns = self.lines.iter().filter(|(_, line)| is_pattern(line));
         names.iter().any(|name| self.names.contains(name))

@@ -96,7 +96,6 @@ pub(super) fn of_single_files<'a>(
         .collect()
 }
 
-/// What the motions of a release are read from.
 pub(super) struct FilesOfRelease<'a> {
     /// By file: it, and those of the same name elsewhere in the release.
     pub(super) own: BTreeMap<&'a str, Vec<&'a str>>,
@@ -104,7 +103,6 @@ pub(super) struct FilesOfRelease<'a> {
     pub(super) common: Vec<&'a str>,
 }
 
-/// What the motions of a release are read from.
 pub(super) fn files_of_release(contents: &Contents) -> FilesOfRelease<'_> {
     let motions: BTreeSet<&str> = contents.entries.iter().map(|e| e.file.as_str()).collect();
     let stems: BTreeSet<&str> = motions
@@ -153,7 +151,6 @@ pub(super) fn of_release(contents: &Contents, sources: &BTreeMap<String, Source>
         .collect()
 }
 
-/// A folder and those above it, to the root.
 fn above(folder: &str) -> impl Iterator<Item = &str> {
     std::iter::successors(Some(folder), |folder| match *folder {
         "" => None,

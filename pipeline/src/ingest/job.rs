@@ -15,13 +15,13 @@ use super::list::list_given;
 use super::options::{IngestOptions, StoredOptions};
 use super::plan::{Plan, Planned};
 use super::prepared::{Prepared, effective};
-use super::run::{Pieces, foreseen, labels, piece, refuse_loss, refuse_mixture, shard_facts};
+use super::run::{Pieces, foreseen, labels, piece, refuse_mixture, shard_facts};
 use super::shard::ShardNotes;
 use super::sources::SourceArg;
 use crate::Error;
+use crate::versions::check_lost;
 use work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece};
 
-/// Name of the job.
 pub(crate) const JOB: &str = "ingest";
 
 /// What a piece needs beside its shard's motions.
@@ -54,9 +54,7 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     prepared.refuse_other_settings(destination)?;
     let plan = prepared.plan(store, destination, listed, progress)?;
     if let Some(path) = plan.files.archives().unpacked() {
-        return Err(Error::PackedTar {
-            path: path.to_owned(),
-        });
+        return Err(Error::PackedTar(path.to_owned()));
     }
     let fates = Fates::of(&plan, &prepared.base.recorded, options.prune);
     // Nothing is planned for clips that cannot stay, or for labels that may not be lost.
@@ -65,7 +63,7 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     }
     let foreseen = foreseen(&plan, &prepared.base, &fates, &prepared.options);
     let labels = labels(&prepared.base, &foreseen);
-    refuse_loss(destination, &labels, options.drop_labels)?;
+    check_lost(destination, &labels.lost, options.drop_labels)?;
     let version = newest.as_ref().map_or(0, |base| base.version);
     let plan_hash = plan.hash(&prepared.settings, &prepared.options, version);
     let draft = Draft {
@@ -126,7 +124,6 @@ impl Plan {
     }
 }
 
-/// Opens the job of a plan.
 pub(crate) fn open_job(plan: &work::Plan) -> Result<Box<dyn Job>, Failed> {
     let stored: StoredOptions = plan.settings()?;
     let given = stored.options()?;
@@ -152,7 +149,6 @@ pub(crate) fn open_job(plan: &work::Plan) -> Result<Box<dyn Job>, Failed> {
     }))
 }
 
-/// What all pieces of an ingestion share.
 struct Ingestion {
     plan: Plan,
     shards: Vec<Dealt>,
@@ -184,7 +180,6 @@ impl Ingestion {
         }
     }
 
-    /// Checks that what a piece reads is as it was planned.
     fn check(&self, detail: &Detail) -> Result<(), Failed> {
         use rayon::prelude::*;
 

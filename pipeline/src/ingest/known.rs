@@ -11,13 +11,12 @@ use formats::source::name_of_text;
 
 use super::list::{Listed, Listing, list_sources};
 use super::places::Places;
-use super::recorded::{Recorded, RecordedClip};
+use super::recorded::Recorded;
 use super::sources::{Given, Kind, SourceArg, SourceLabel, below, check_name, free};
 use crate::Error;
 
 /// What a run knows of the sources of its dataset.
 pub(super) struct Known<'a> {
-    /// The dataset, as it was given.
     pub(super) out: &'a Path,
     pub(super) recorded: &'a Recorded,
     pub(super) places: &'a Places,
@@ -27,10 +26,6 @@ pub(super) struct Known<'a> {
 pub(super) type Identified = (Vec<(Given, Listing)>, Vec<String>);
 
 impl Known<'_> {
-    /// Says which source each listing is.
-    ///
-    /// # Errors
-    /// It cannot be known; the error says how to answer.
     pub(super) fn identify(&self, listed: Vec<Listed>) -> Result<Identified, Error> {
         let mut remarks = Vec::new();
         let names = self.names(&listed, &mut remarks)?;
@@ -74,9 +69,6 @@ impl Known<'_> {
     }
 
     /// The recorded sources with clips that are not among `given`, listed where they were found before.
-    ///
-    /// # Errors
-    /// One of them is not there any more, or in several places.
     pub(super) fn others(
         &self,
         given: &[(Given, Listing)],
@@ -103,7 +95,9 @@ impl Known<'_> {
             if let (Some(label), true) =
                 (label, kinds.contains(&(source.place.as_str(), Kind::Files)))
             {
-                source.keep_files(&self.paths_of(label));
+                let paths = self.paths_of(&label.name);
+                let own = paths.filter_map(|path| below(&label.label, path));
+                source.keep_files(&own.collect());
             }
         }
         let names: Vec<&str> = listed
@@ -146,38 +140,19 @@ impl Known<'_> {
         }
     }
 
-    /// Recorded paths of a source, without its label.
-    fn paths_of(&self, source: &SourceLabel) -> BTreeSet<&str> {
-        let name = source.name.as_str();
-        let is_of = |clip: &&RecordedClip| self.recorded.sources[clip.source].name == name;
-        let clips = self
-            .recorded
-            .clips
-            .iter()
-            .filter(is_of)
-            .map(|clip| clip.path.as_str());
-        let rejected = self
-            .recorded
-            .quarantine
-            .iter()
-            .filter(|row| row.source_name == name);
-        let skipped = self
-            .recorded
-            .skipped
-            .iter()
-            .filter(|row| row.source_name == name);
-        let paths = clips
+    /// Recorded paths of a source.
+    fn paths_of(&self, name: &str) -> impl Iterator<Item = &str> {
+        let clips = self.recorded.clips.iter();
+        let clips = clips.filter(move |clip| self.recorded.sources[clip.source].name == name);
+        let rejected = self.recorded.quarantine.iter();
+        let rejected = rejected.filter(move |row| row.source_name == name);
+        let skipped = self.recorded.skipped.iter();
+        let skipped = skipped.filter(move |row| row.source_name == name);
+        (clips.map(|clip| clip.path.as_str()))
             .chain(rejected.map(|row| row.path.as_str()))
-            .chain(skipped.map(|row| row.path.as_str()));
-        paths
-            .filter_map(|path| below(&source.label, path))
-            .collect()
+            .chain(skipped.map(|row| row.path.as_str()))
     }
 
-    /// The name of every source.
-    ///
-    /// # Errors
-    /// As [`Known::identify`].
     pub(super) fn names(
         &self,
         listed: &[Listed],
@@ -207,17 +182,7 @@ impl Known<'_> {
         let name = self.recorded.sources[index].name.as_str();
         let now = names.iter().zip(listed).filter(|(own, _)| *own == name);
         let now = now.flat_map(|(_, source)| source.listing.files.keys());
-        let clips = self.recorded.clips.iter();
-        let clips = clips.filter(|clip| clip.source == index);
-        let rejected = self.recorded.quarantine.iter();
-        let rejected = rejected.filter(|row| row.source_name == name);
-        let skipped = self.recorded.skipped.iter();
-        let skipped = skipped.filter(|row| row.source_name == name);
-        now.map(String::as_str)
-            .chain(clips.map(|clip| clip.path.as_str()))
-            .chain(rejected.map(|row| row.path.as_str()))
-            .chain(skipped.map(|row| row.path.as_str()))
-            .collect()
+        now.map(String::as_str).chain(self.paths_of(name)).collect()
     }
 
     /// A label of another source that is also a folder of this one.
@@ -231,7 +196,6 @@ impl Known<'_> {
         labels.find(is_there)
     }
 
-    /// The name of a source.
     fn name(&self, source: &Listed, remarks: &mut Vec<String>) -> Result<String, Error> {
         if let Some(name) = &source.name {
             return Ok(name.clone());
@@ -316,7 +280,7 @@ impl Known<'_> {
 }
 
 fn asked(reason: String) -> Error {
-    Error::AskedSource { reason }
+    Error::AskedSource(reason)
 }
 
 /// Refuses two sources of one name, and one place under two names.

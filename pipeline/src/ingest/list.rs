@@ -18,7 +18,6 @@ use super::places::Places;
 use super::sources::{Kind, SourceArg, free, name_of_folder};
 use crate::Error;
 
-/// A source file in the plan.
 #[derive(Clone, Debug)]
 pub(super) struct Source {
     /// The source it is of, by its place in [`Plan::given`](super::plan::Plan).
@@ -35,7 +34,6 @@ pub(super) struct Source {
 /// each is skipped.
 #[derive(Default)]
 pub(crate) struct Listing {
-    /// The files by their relative paths.
     pub(crate) files: BTreeMap<String, PathBuf>,
     /// Relative path and reason of other entries.
     pub(crate) special: Vec<(String, String)>,
@@ -51,15 +49,12 @@ pub(crate) struct Listing {
 const FOLDER_LINK: &str =
     "link to a folder, not followed; name the folder it leads to as a source of its own";
 
-/// The files of one source.
 pub(crate) struct Listed {
-    /// The name that was given.
     pub(super) name: Option<String>,
     /// The path as it was given; of several files, the first.
     pub(super) given: PathBuf,
     /// The folder, without links where that can be had, as text.
     pub(super) place: String,
-    /// The folder.
     folder: PathBuf,
     /// Whether all below the folder is listed; else only the files that were given.
     pub(super) is_whole: bool,
@@ -85,9 +80,7 @@ impl<'a> Located<'a> {
     fn find(arg: &'a SourceArg) -> Result<Self, Error> {
         use std::io::ErrorKind::NotFound;
 
-        let missing = || Error::MissingSource {
-            path: arg.path.clone(),
-        };
+        let missing = || Error::MissingSource(arg.path.clone());
         let (path, is_file) = if is_url(&arg.path) {
             let text = arg.path.to_string_lossy();
             let path = PathBuf::from(text.trim_end_matches('/'));
@@ -109,7 +102,6 @@ impl<'a> Located<'a> {
         Ok(Self { arg, folder, file })
     }
 
-    /// Whether it is in a source that is listed already.
     fn is_in(&self, listed: &Listed) -> bool {
         let name = self.arg.name.as_ref();
         let is_named = name.is_none() || listed.name.as_ref() == name;
@@ -143,12 +135,10 @@ impl<'a> Located<'a> {
 }
 
 impl Listed {
-    /// The name of its folder.
     pub(super) fn own_name(&self) -> String {
         name_of_folder(&self.folder)
     }
 
-    /// The names of its folder and the one above.
     pub(super) fn longer_name(&self) -> String {
         let above = self.folder.parent().map(name_of_folder);
         match above.filter(|above| !above.is_empty()) {
@@ -157,7 +147,6 @@ impl Listed {
         }
     }
 
-    /// Names under which its place is recorded.
     pub(super) fn names_in<'a>(&self, places: &'a Places) -> BTreeSet<&'a str> {
         let files = self
             .given_files
@@ -171,7 +160,6 @@ impl Listed {
         }
     }
 
-    /// Whether something can be listed at the place of a source.
     pub(super) fn is_there(arg: &SourceArg) -> bool {
         let holds_files = |folder: &Path| {
             // Whether there is something at a URL is known once it is listed.
@@ -213,9 +201,6 @@ impl Listed {
     }
 
     /// Leaves datasets out that lie in the folder. A dataset that is itself the source is read.
-    ///
-    /// # Errors
-    /// The dataset to be written is the source.
     fn leave_datasets_out(&mut self, out: Option<&Path>) -> Result<(), Error> {
         let out = out.map(resolved);
         let own = out.and_then(|out| {
@@ -224,12 +209,10 @@ impl Listed {
             Some(names.join("/"))
         });
         if own.as_deref() == Some("") {
-            return Err(Error::AskedSource {
-                reason: format!(
-                    "{} is the dataset and its source at the same time; write the dataset to another folder",
-                    self.given.display()
-                ),
-            });
+            return Err(Error::AskedSource(format!(
+                "{} is the dataset and its source at the same time; write the dataset to another folder",
+                self.given.display()
+            )));
         }
         let roots = self
             .listing
@@ -294,9 +277,6 @@ fn resolved(path: &Path) -> PathBuf {
 
 /// The files of every source, by their paths relative to it. A source that is given twice is listed once. Files of
 /// one folder are one source. `out` is the dataset that will be written.
-///
-/// # Errors
-/// A source does not exist or cannot be listed, or there is no file at all.
 pub(crate) fn list_sources(
     sources: &[SourceArg],
     out: Option<&Path>,
@@ -343,9 +323,6 @@ pub(crate) fn list_sources(
 }
 
 /// The files of the sources of a run, whose dataset is at `out`.
-///
-/// # Errors
-/// As [`list_sources`].
 pub(super) fn list_given<S: Clone + Into<SourceArg>>(
     sources: &[S],
     out: &Path,
@@ -439,7 +416,6 @@ pub(crate) fn labelled(label: &str, name: &str) -> String {
 }
 
 impl Listing {
-    /// Lists the files below a URL.
     fn list_url(&mut self, folder: &Path, given: &Path) -> Result<(), Error> {
         let files = ByPath.files_below(folder);
         for file in files.map_err(datasets_spec::Error::io("list", given))? {
@@ -448,9 +424,7 @@ impl Listing {
             self.files.insert(names.join("/"), file);
         }
         match self.files.is_empty() {
-            true => Err(Error::MissingSource {
-                path: given.to_owned(),
-            }),
+            true => Err(Error::MissingSource(given.to_owned())),
             false => Ok(()),
         }
     }
@@ -513,7 +487,6 @@ impl Listing {
         }
     }
 
-    /// What is there in place of files.
     fn why_empty(&self) -> String {
         if let Some((folder, reason)) = self.unlisted.first() {
             return format!("folder {folder} cannot be listed: {reason}");

@@ -129,7 +129,6 @@ pub(super) struct StoredOptions {
 }
 
 impl StoredOptions {
-    /// Keeps options as they were given.
     pub(super) fn of(options: &IngestOptions) -> Result<Self, Error> {
         let subjects = options.read.subjects.as_ref().map(|subjects| {
             let folder = absolute(subjects.folder())?;
@@ -166,9 +165,6 @@ impl StoredOptions {
     }
 
     /// The options. Files that are kept by their paths are read.
-    ///
-    /// # Errors
-    /// One of them is gone or changed.
     pub(super) fn options(self) -> Result<IngestOptions, Error> {
         let changed = |path: PathBuf| Error::from(work::Error::SourceChanged { path });
         let subjects = match self.subjects {
@@ -252,7 +248,6 @@ pub(super) const SETTINGS_FACT: &str = "ingest_settings";
 
 /// Settings that are recorded by the hash of a file.
 const KEPT_BY_HASH: [&str; 4] = ["splits", "ids", "joint-map", "subject-models"];
-/// Settings that are one for all clips of a dataset.
 pub(super) const SHARED_SETTINGS: [&str; 4] = ["fps", "resample", "skeleton", "features"];
 
 /// The settings that decide how a clip is read, by name. Clips of a dataset are all read with the same.

@@ -24,9 +24,6 @@ pub(crate) struct Places(BTreeMap<String, BTreeMap<String, Kind>>);
 
 impl Places {
     /// Reads the places that a dataset records. A file that cannot be understood records none.
-    ///
-    /// # Errors
-    /// The file is there and cannot be read.
     pub(crate) fn read(store: &dyn Store, root: &Path) -> Result<Self, Error> {
         let path = root.join(PRIVATE).join(FILE);
         match store.read(&path) {
@@ -37,9 +34,6 @@ impl Places {
     }
 
     /// Writes the places, unless they are recorded already.
-    ///
-    /// # Errors
-    /// A file cannot be written.
     pub(crate) fn write(&self, store: &dyn Store, root: &Path) -> Result<(), Error> {
         let folder = root.join(PRIVATE);
         let text = serde_json::to_vec_pretty(self).expect("texts serialise");

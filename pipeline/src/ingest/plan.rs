@@ -36,13 +36,11 @@ pub(super) struct Plan {
     pub(super) sources: BTreeMap<String, Source>,
     pub(super) releases: Vec<FoundRelease>,
     pub(super) items: Vec<Planned>,
-    /// The sources.
     pub(super) given: Vec<Given>,
     /// Files without a motion.
     pub(super) skipped: Vec<SkippedRow>,
     /// Files found broken while planning, and folders that cannot be listed.
     pub(super) rejected: Vec<QuarantineRow>,
-    /// Folders that cannot be listed.
     pub(super) unlisted: Vec<String>,
     /// Files whose clips stay as they are, because their labels cannot be read now.
     pub(super) staying: BTreeSet<String>,
@@ -56,13 +54,11 @@ pub(super) struct Plan {
     pub(super) folder_labels: FolderLabels,
     /// Lines of the list of splits that gave no clip a split.
     pub(super) refused_splits: Vec<RefusedLine>,
-    /// Files that are a release's.
     pub(super) claimed: BTreeSet<String>,
     /// What drawn splits keep together.
     pub(super) split_by: SplitBy,
 }
 
-/// A motion of the sources.
 #[derive(Clone)]
 pub(super) struct Planned {
     pub(super) entry: Entry,
@@ -81,9 +77,7 @@ pub(super) struct Planned {
     pub(super) subject: Option<String>,
     /// Action that its labels state.
     pub(super) action: Option<String>,
-    /// Id in the dataset.
     pub(super) id: String,
-    /// Hash of all that the motion is read from.
     pub(super) inputs: String,
     /// The clip of the version before that this one is, by its place in
     /// [`Recorded::clips`](super::recorded::Recorded).
@@ -113,7 +107,6 @@ impl Planned {
         }
     }
 
-    /// Takes what its labels state.
     fn state(&mut self, stated: Sidecar) {
         self.labelled_split = stated.split;
         self.subject = stated.subject;
@@ -230,19 +223,16 @@ impl Plan {
         });
     }
 
-    /// The source of a file.
     pub(super) fn source_of(&self, file: &str) -> Option<&Given> {
         let source = self.sources.get(file);
         source.and_then(|source| self.given.get(source.of))
     }
 
-    /// Name of the source of a file.
     pub(super) fn source_name(&self, file: &str) -> &str {
         self.source_of(file)
             .map_or("", |source| source.label.name.as_str())
     }
 
-    /// The row of a file of this run that was rejected.
     pub(super) fn rejected_row(&self, file: &str, key: &str, rejected: Rejected) -> QuarantineRow {
         let hash = source_hash(&self.sources, file);
         quarantine_row(file, key, self.source_name(file), hash, rejected)
@@ -523,7 +513,6 @@ impl Plan {
         self.items = items;
     }
 
-    /// Remarks on the dataset and on this run.
     pub(super) fn all_remarks(&self) -> Vec<String> {
         [&self.remarks[..], &self.said].concat()
     }

@@ -38,9 +38,6 @@ pub(super) struct Prepared {
 
 impl Prepared {
     /// Reads what the dataset at `root` holds.
-    ///
-    /// # Errors
-    /// It cannot be read.
     pub(super) fn of(
         store: &dyn Store,
         root: &Path,

@@ -113,8 +113,7 @@ impl Recorded {
         for table in CLIP_TABLES {
             for file in base.tables.get(table).into_iter().flatten() {
                 let Some(split) = file.split else { continue };
-                let name = file.path.rsplit('/').next().unwrap_or(&file.path);
-                let shard = shards.entry(name).or_insert_with(|| RecordedShard {
+                let shard = shards.entry(file.name()).or_insert_with(|| RecordedShard {
                     split,
                     files: Vec::new(),
                 });
@@ -139,7 +138,6 @@ impl Recorded {
     }
 }
 
-/// The sources that a manifest records.
 fn sources_of(facts: &BTreeMap<String, String>) -> Vec<SourceLabel> {
     let text = facts.get(SOURCES_FACT);
     text.and_then(|text| serde_json::from_str(text).ok())
@@ -178,7 +176,6 @@ fn rows<R: Row>(root: &Path, base: &Manifest) -> Result<Vec<R>, Error> {
     Ok(rows)
 }
 
-/// Columns of a clip.
 struct Columns {
     ids: Vec<MotionId>,
     /// Name of the source, path, hash, inputs, content.
@@ -369,9 +366,6 @@ impl MergedSources {
     }
 
     /// Where the sources of both were found.
-    ///
-    /// # Errors
-    /// They are recorded and cannot be read.
     pub(crate) fn places(&self, store: &dyn Store, roots: [&Path; 2]) -> Result<Places, Error> {
         let mut places = Places::read(store, roots[0])?;
         places.extend(Places::read(store, roots[1])?, &self.names[1].renamed);

@@ -12,8 +12,7 @@ use datasets_spec::{Dataset, MotionId, Split};
 
 use super::alike::{Alike, AlikeClips};
 use super::deal::Shards;
-use super::growth::Growth;
-use super::kept::Outside;
+use super::kept::{Growth, Outside};
 use super::options::{LABEL_PROBLEMS_FACT, REFUSED_PAIRS_FACT};
 use super::plan::Plan;
 use super::shard::ShardNotes;
@@ -97,7 +96,6 @@ pub(super) struct Tally {
     /// Clips of this run that moved into the split of an equal one.
     pub(super) moves: BTreeMap<String, Split>,
     pub(super) ingested: BTreeSet<String>,
-    /// Motions that are alike.
     pub(super) alike: Alike,
     pub(super) pairs: Vec<PairRow>,
     pub(super) dropped_pairs: u64,
@@ -154,16 +152,11 @@ impl Tally {
         self.quarantine.sort_by(|a, b| a.path.cmp(&b.path));
         self.skipped.extend(outside.skipped);
         self.skipped.sort_by(|a, b| a.path.cmp(&b.path));
-        let mut codes = BTreeMap::new();
-        for row in &self.quarantine {
-            *codes.entry(row.code.clone()).or_default() += 1;
-        }
+        let rejected = self.quarantine.iter().map(|row| row.code.clone());
+        let ingested = self.staying.len() + self.ingested.len();
         Accounting {
             sources: num_items + num_beside + num_rejected as u64,
-            ingested: (self.staying.len() + self.ingested.len()) as u64,
-            quarantined: self.quarantine.len() as u64,
-            skipped: self.skipped.len() as u64,
-            codes,
+            ..Accounting::of(ingested as u64, self.skipped.len() as u64, rejected)
         }
     }
 
@@ -227,7 +220,6 @@ impl Tally {
         masks
     }
 
-    /// The motions of the dataset and their splits.
     pub(super) fn splits<'a>(&'a self, shards: &'a Shards<'a>) -> BTreeMap<&'a str, Split> {
         let staying = self.staying.iter();
         let made = shards.iter().flat_map(|(_, items)| items);

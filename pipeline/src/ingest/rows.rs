@@ -64,7 +64,6 @@ fn marker_row(
     }
 }
 
-/// Resamples a clip to the stored rate, checks it, and makes its rows.
 pub(super) fn clip_rows(
     mut clip: SourceClip,
     id: MotionId,
@@ -226,7 +225,6 @@ fn drop_reference(clip: &mut SourceClip, skeleton: &Skeleton) {
     clip.flags |= FLAG_REFERENCE_DROPPED;
 }
 
-/// The features of a motion by the HumanML3D recipe.
 fn features_of(motion: &Motion, body: &Skeleton) -> Result<Vec<Features>, Rejected> {
     let joints = humanml3d::joints_of_motion(motion, body);
     humanml3d::features_of_joints(&joints)
@@ -249,7 +247,6 @@ fn feature_row(
     }
 }
 
-/// Flags for the captions of a clip and for its fit.
 pub(super) fn said_flags(clip: &SourceClip, duration_secs: f32) -> u32 {
     // Times are written with one decimal at most, and a clip of n frames ends a frame early.
     const TOLERANCE_SECS: f32 = 0.15;

@@ -10,14 +10,12 @@ use datasets_spec::manifest::{Accounting, FileEntry, SPLIT_BY_FACT};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use datasets_spec::{NoProgress, Progress, Split, Transaction};
-use serde::Serialize;
 
 use super::alike::Alike;
 use super::deal::{Item, Shards};
 use super::equal;
 use super::fates::{Fates, Files};
-use super::growth::{Growth, LostLabel};
-use super::kept::{Labels, Outside};
+use super::kept::{Growth, Labels, Outside};
 use super::options::{
     IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
     SETTINGS_FACT, Settings, rate_name,
@@ -31,10 +29,10 @@ use super::shard::{Done, ShardNotes};
 use super::sources::SOURCES_FACT;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
-use crate::clip_table::CLIP_TABLES;
+use crate::clip_table::is_composed;
+use crate::versions::{check_lost, json};
 use work::{self, Failed, Made, Piece};
 
-/// A run from its plan to the report.
 struct Run<'a> {
     transaction: Transaction,
     options: &'a IngestOptions,
@@ -46,7 +44,6 @@ struct Run<'a> {
     plan: &'a Plan,
     fates: Fates<'a>,
     plan_hash: String,
-    /// Facts of every file.
     facts: [(&'static str, String); 6],
 }
 
@@ -67,7 +64,6 @@ pub(super) fn piece(plan_hash: &str, number: usize, name: &ShardName, items: &[I
     Piece::new(plan_hash, number, stem, items.len() as u64, reads)
 }
 
-/// Facts of every file of a run.
 pub(super) fn shard_facts(options: &IngestOptions, plan_hash: &str) -> [(&'static str, String); 6] {
     [
         ("skeleton", options.read.skeleton.name().to_owned()),
@@ -114,7 +110,6 @@ struct Pairs {
 }
 
 impl Prepared {
-    /// Carries a plan out.
     pub(super) fn conclude(
         self,
         transaction: Transaction,
@@ -365,7 +360,11 @@ impl<'a> Run<'a> {
     }
 
     fn refuse_loss(&self, labels: &Labels) -> Result<(), Error> {
-        refuse_loss(self.transaction.root(), labels, self.options.drop_labels)
+        check_lost(
+            self.transaction.root(),
+            &labels.lost,
+            self.options.drop_labels,
+        )
     }
 
     /// The pairs that stay, those that came with clips of this run, and those of the list.
@@ -505,17 +504,6 @@ fn staged_shard(
     }))
 }
 
-/// Whether a table is composed of motions by a stage that can make it again.
-fn is_composed(table: &str) -> bool {
-    let of_ingestion = [
-        MaskRow::TABLE,
-        PairRow::TABLE,
-        QuarantineRow::TABLE,
-        SkippedRow::TABLE,
-    ];
-    !CLIP_TABLES.contains(&table) && !of_ingestion.contains(&table)
-}
-
 /// The labels of a dataset that stay, and those that are lost.
 pub(super) fn labels(base: &Base, fates: &Fates<'_>) -> Labels {
     fates.labels(base.masks.clone(), base.label_pairs.clone())
@@ -544,14 +532,6 @@ pub(super) fn foreseen<'a>(
     foreseen
 }
 
-/// Refuses the loss of labels unless it was asked for.
-pub(super) fn refuse_loss(root: &Path, labels: &Labels, drop_labels: bool) -> Result<(), Error> {
-    match labels.lost.is_empty() || drop_labels {
-        true => Ok(()),
-        false => Err(labels_lost(root, &labels.lost)),
-    }
-}
-
 /// Refuses clips that stay as they were while settings change that all clips of a dataset share.
 pub(super) fn refuse_mixture(root: &Path, fates: &Fates<'_>, differing: &str) -> Result<(), Error> {
     const SHOWN: usize = 5;
@@ -566,25 +546,6 @@ pub(super) fn refuse_mixture(root: &Path, fates: &Fates<'_>, differing: &str) ->
         shown: shown.join(", "),
         differing: differing.to_owned(),
     })
-}
-
-fn labels_lost(root: &Path, lost: &[LostLabel]) -> Error {
-    const SHOWN: usize = 5;
-    let shown: Vec<String> = lost
-        .iter()
-        .take(SHOWN)
-        .map(|label| format!("{} of {} ({})", label.id, label.table, label.reason))
-        .collect();
-    Error::LabelsLost {
-        path: root.to_owned(),
-        count: lost.len(),
-        shown: shown.join(", "),
-    }
-}
-
-/// A fact of a manifest as JSON.
-fn json(fact: &impl Serialize) -> String {
-    serde_json::to_string(fact).expect("numbers and texts serialise")
 }
 
 /// Writes a table with a shard for each split that has rows.

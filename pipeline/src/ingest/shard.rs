@@ -67,7 +67,6 @@ impl ShardNotes {
     }
 }
 
-/// Outcome of one item.
 pub(super) enum Done {
     Clip(Box<ClipRows>, Vec<LabelProblem>),
     Skipped(String),
@@ -130,7 +129,6 @@ impl Plan {
         Ok((entry, notes))
     }
 
-    /// Reads motions.
     pub(super) fn read_items(
         &self,
         items: &[Item],

@@ -115,7 +115,6 @@ pub(super) fn name_of_folder(folder: &Path) -> String {
     replaced.collect()
 }
 
-/// A source of a dataset.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct SourceLabel {
     /// What the paths of its files begin with; empty for the first source of a dataset.
@@ -124,19 +123,15 @@ pub(super) struct SourceLabel {
     pub(super) name: String,
 }
 
-/// What was given of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Kind {
     /// A single file that was given a name.
     File,
-    /// Some files of a folder.
     Files,
-    /// A folder with all that is below it.
     Folder,
 }
 
-/// A source of a run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Given {
     pub(super) label: SourceLabel,

@@ -6,12 +6,11 @@ use std::path::Path;
 use csv::StringRecord;
 use datasets_spec::Split;
 
-use formats::csv_lines;
 use formats::source::labels::{is_pattern, matches};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::annotation::pairs::RefusedLine;
+use crate::annotation::pairs::{RefusedLine, parse_lines};
 
 /// Prefix of a name that means all clips of a subject.
 const SUBJECT: &str = "subject:";
@@ -49,18 +48,7 @@ impl SplitList {
         let mut list = Self::default();
         let is_header =
             |record: &StringRecord| record.len() == 2 && record[1].eq_ignore_ascii_case("split");
-        for (place, (number, record)) in csv_lines::records(bytes).enumerate() {
-            if place == 0 && record.as_ref().is_ok_and(is_header) {
-                continue;
-            }
-            match record.and_then(|record| parse_line(number, &record)) {
-                Ok(line) => list.lines.push(line),
-                Err(reason) => list.refused.push(RefusedLine {
-                    line: number,
-                    reason,
-                }),
-            }
-        }
+        (list.lines, list.refused) = parse_lines(bytes, is_header, parse_line);
         for (place, line) in list.lines.iter().enumerate() {
             list.exact.entry(line.name.clone()).or_insert(place);
         }
@@ -89,7 +77,6 @@ impl SplitList {
         pattern.or(exact.copied())
     }
 
-    /// The split of a line.
     pub(super) fn split(&self, line: usize) -> Split {
         self.lines[line].split
     }
@@ -110,7 +97,6 @@ impl SplitList {
     }
 }
 
-/// The name of all clips of a subject.
 pub(super) fn name_of_subject(subject: &str) -> String {
     format!("{SUBJECT}{subject}")
 }

@@ -110,7 +110,6 @@ struct Rest {
 }
 
 impl Plan {
-    /// Writes the plan to a folder.
     pub(super) fn write(&self, folder: &Path) -> Result<(), Error> {
         let sources = self.sources.iter().map(|(path, source)| {
             let place = absolute(self.files.path(path).unwrap_or(Path::new("")))?;
@@ -145,9 +144,6 @@ impl Plan {
 
     /// Reads a plan that was written. No source is listed or hashed; of the sources, only what says something about
     /// many motions is read.
-    ///
-    /// # Errors
-    /// The plan cannot be read, or its releases are not as they were planned.
     pub(super) fn read(
         folder: &Path,
         store: Arc<dyn Store>,
@@ -214,10 +210,6 @@ impl Plan {
         })
     }
 
-    /// Whether a file is as it was planned.
-    ///
-    /// # Errors
-    /// It is there and cannot be read.
     pub(super) fn is_as_planned(&self, path: &str) -> io::Result<bool> {
         let (Some(source), Some(place)) = (self.sources.get(path), self.files.path(path)) else {
             return Ok(false);

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::Split;
 
-use super::finding::{Check, Finding};
+use super::{Check, Finding};
 
 /// Columns of an item that its edits repeat.
 #[derive(PartialEq)]

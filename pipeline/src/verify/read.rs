@@ -14,7 +14,7 @@ use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{MotionId, Skeleton, Split};
 
 use super::answers::{Answer, Asked};
-use super::finding::{Check, Finding};
+use super::{Check, Finding};
 use crate::likeness::Sketch;
 use crate::recordings::Origin;
 
@@ -28,7 +28,6 @@ pub(super) struct Met {
     pub(super) frames: i32,
 }
 
-/// A row that names a motion.
 pub(super) struct Named {
     table: &'static str,
     row: String,
@@ -79,11 +78,9 @@ struct Label<'a> {
     motions: Vec<&'a MotionId>,
     /// Frames that they must have.
     frames: i32,
-    /// Whether the composer accepts it.
     usable: Result<(), compose::Error>,
 }
 
-/// Contents of one file.
 #[derive(Default)]
 pub(super) struct Read {
     pub(super) rows: u64,
@@ -93,7 +90,6 @@ pub(super) struct Read {
     pub(super) labels: Vec<(&'static str, String, Split)>,
     pub(super) items: Vec<(String, Asked)>,
     pub(super) answers: Vec<Answer>,
-    /// Recipes of features, and a motion of each.
     pub(super) recipes: BTreeMap<String, MotionId>,
     pub(super) findings: Vec<Finding>,
 }

@@ -10,6 +10,7 @@ use datasets_spec::{Dataset, MotionId};
 use tables::Condition;
 
 use crate::Error;
+use crate::clip_table::clip_ids;
 use crate::clips::Clips;
 
 /// Ids named in an error.
@@ -48,10 +49,6 @@ impl Choice {
         })
     }
 
-    /// The clips of a dataset that are meant.
-    ///
-    /// # Errors
-    /// None is, an id is not in the dataset, or a file cannot be read.
     pub(super) fn of(&self, dataset: &Dataset) -> Result<BTreeSet<MotionId>, Error> {
         match self {
             Self::Where(filter) => {
@@ -63,11 +60,10 @@ impl Choice {
             }
             Self::Ids { path, ids } => {
                 let mut known = BTreeSet::new();
-                for (file, _) in dataset.files(MotionRow::TABLE, None) {
-                    known.extend(ShardReader::open(&file)?.column::<MotionRow, MotionId>("id")?);
-                }
-                for (file, _) in dataset.files(MarkerRow::TABLE, None) {
-                    known.extend(ShardReader::open(&file)?.column::<MarkerRow, MotionId>("id")?);
+                for table in [MotionRow::TABLE, MarkerRow::TABLE] {
+                    for (file, _) in dataset.files(table, None) {
+                        known.extend(clip_ids(table, &ShardReader::open(&file)?)?);
+                    }
                 }
                 let (chosen, unknown): (Vec<&String>, Vec<&String>) = ids
                     .iter()

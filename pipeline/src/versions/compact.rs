@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::rows::ClipIndex;
 use crate::Error;
-use crate::clip_table::CLIP_TABLES;
+use crate::clip_table::{CLIP_TABLES, borrowed};
 
 /// Files of a dataset, and their size.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -156,11 +156,10 @@ impl Source<'_> {
             if files.is_empty() {
                 continue;
             }
-            let facts: Vec<(&str, String)> = facts
-                .iter()
-                .map(|(key, value)| (key.as_str(), value.clone()))
-                .collect();
-            entries.extend(self.transaction.write_shards(split, &rows, &facts)?);
+            entries.extend(
+                self.transaction
+                    .write_shards(split, &rows, &borrowed(&facts))?,
+            );
         }
         tables.insert(R::TABLE.to_owned(), entries);
         Ok(())

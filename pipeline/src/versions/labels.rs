@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Skeleton, Split, Transaction};
@@ -14,7 +15,6 @@ use crate::annotation::masks::AUTHOR;
 use crate::annotation::pairs::is_from_labels;
 use crate::ingest::LostLabel;
 
-/// Labels named in an error.
 const SHOWN: usize = 5;
 
 /// A label that stays.
@@ -26,7 +26,6 @@ pub struct KeptLabel {
     pub id: String,
 }
 
-/// Masks and pairs by their ids.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Labels {
     pub(super) masks: BTreeMap<String, MaskRow>,
@@ -50,28 +49,31 @@ impl Labels {
         transaction: &Transaction,
         skeleton: &Skeleton,
         plan: &str,
-    ) -> Result<BTreeMap<String, Vec<datasets_spec::manifest::FileEntry>>, Error> {
-        let mut tables = BTreeMap::new();
-        if self.masks != before.masks {
-            let rows: Vec<MaskRow> = self.masks.values().cloned().collect();
-            let split: fn(&MaskRow) -> Split = |row| row.split;
-            let files = match rows.is_empty() {
-                true => Vec::new(),
-                false => transaction.write_rows(&rows, Some(split), skeleton, plan)?,
-            };
-            tables.insert(MaskRow::TABLE.to_owned(), files);
-        }
-        if self.pairs != before.pairs {
-            let rows: Vec<PairRow> = self.pairs.values().cloned().collect();
-            let split: fn(&PairRow) -> Split = |row| row.split;
-            let files = match rows.is_empty() {
-                true => Vec::new(),
-                false => transaction.write_rows(&rows, Some(split), skeleton, plan)?,
-            };
-            tables.insert(PairRow::TABLE.to_owned(), files);
-        }
-        Ok(tables)
+    ) -> Result<BTreeMap<String, Vec<FileEntry>>, Error> {
+        let stage = (transaction, skeleton, plan);
+        let masks = changed([&self.masks, &before.masks], |row| row.split, stage)?;
+        let pairs = changed([&self.pairs, &before.pairs], |row| row.split, stage)?;
+        let tables = [(MaskRow::TABLE, masks), (PairRow::TABLE, pairs)].into_iter();
+        Ok(tables
+            .filter_map(|(table, files)| Some((table.to_owned(), files?)))
+            .collect())
     }
+}
+
+/// The files of a table whose rows changed.
+fn changed<R: Row + PartialEq>(
+    [rows, before]: [&BTreeMap<String, R>; 2],
+    split: fn(&R) -> Split,
+    (transaction, skeleton, plan): (&Transaction, &Skeleton, &str),
+) -> Result<Option<Vec<FileEntry>>, Error> {
+    if rows == before {
+        return Ok(None);
+    }
+    let rows: Vec<R> = rows.values().cloned().collect();
+    Ok(Some(match rows.is_empty() {
+        true => Vec::new(),
+        false => transaction.write_rows(&rows, Some(split), skeleton, plan)?,
+    }))
 }
 
 /// Whether reading the source of its clip makes a mask again.
@@ -105,10 +107,7 @@ pub(super) fn lost(table: &str, id: &str, clip: &MotionId, reason: String) -> Lo
 }
 
 /// Refuses to lose labels, unless that is allowed.
-///
-/// # Errors
-/// Some would be lost.
-pub(super) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> Result<(), Error> {
+pub(crate) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> Result<(), Error> {
     if drop_labels || lost.is_empty() {
         return Ok(());
     }

@@ -15,7 +15,7 @@ use super::choose::{Choice, REMOVED, accounting, left_out};
 use super::labels::{Labels, check_lost, is_mask_of_people, is_pair_of_people, lost};
 use super::select::{composed, json};
 use crate::Error;
-use crate::clip_table::{CLIP_TABLES, ClipRow};
+use crate::clip_table::{CLIP_TABLES, ClipRow, borrowed, clip_ids};
 use crate::ingest::LostLabel;
 
 /// What [`remove`] did, or would do.
@@ -83,9 +83,7 @@ pub fn remove_in(
     let left = left_out(&dataset, |id| chosen.contains(id), REMOVED)?;
     let mut shards = Shards::read(&dataset)?;
     if shards.num_clips() <= left.len() {
-        return Err(Error::AllRemoved {
-            path: root.to_owned(),
-        });
+        return Err(Error::AllRemoved(root.to_owned()));
     }
     let mut report = Removed {
         removed: chosen.iter().map(ToString::to_string).collect(),
@@ -187,20 +185,11 @@ impl Shards {
         for table in CLIP_TABLES {
             for (path, file) in dataset.files(table, None) {
                 let reader = ShardReader::open(&path)?;
-                let ids: Vec<MotionId> = match table {
-                    MotionRow::TABLE => reader.column::<MotionRow, _>("id")?,
-                    MarkerRow::TABLE => reader.column::<MarkerRow, _>("id")?,
-                    _ => reader.column::<HumanMl3dRow, _>("id")?,
-                };
-                let name = file
-                    .path
-                    .rsplit('/')
-                    .next()
-                    .unwrap_or(&file.path)
-                    .to_owned();
                 let split = file.split.unwrap_or(Split::Train);
-                let (_, files) = shards.entry(name).or_insert_with(|| (split, Vec::new()));
-                files.push((table, file.clone(), ids));
+                let (_, files) = shards
+                    .entry(file.name().to_owned())
+                    .or_insert_with(|| (split, Vec::new()));
+                files.push((table, file.clone(), clip_ids(table, &reader)?));
             }
         }
         Ok(Self(shards))
@@ -263,15 +252,14 @@ fn rewrite<R: ClipRow>(
     chosen: &BTreeSet<MotionId>,
 ) -> Result<Option<FileEntry>, Error> {
     let shard = ShardReader::open(&transaction.root().join(&file.path))?;
-    let facts = shard.facts();
-    let facts: Vec<(&str, String)> = facts
-        .iter()
-        .map(|(key, value)| (key.as_str(), value.clone()))
-        .collect();
     let mut rows: Vec<R> = shard.rows()?;
     rows.retain(|row| !chosen.contains(row.id()));
     if rows.is_empty() {
         return Ok(None);
     }
-    Ok(Some(transaction.write_shard(name, &rows, &facts)?))
+    Ok(Some(transaction.write_shard(
+        name,
+        &rows,
+        &borrowed(&shard.facts()),
+    )?))
 }

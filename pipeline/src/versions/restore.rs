@@ -200,9 +200,6 @@ impl Merge {
     }
 
     /// The split of the clips of a label in the older version.
-    ///
-    /// # Errors
-    /// One of them is not there, has another motion, or they are in two splits.
     fn split_of(
         &self,
         (first, others): (&MotionId, &[&MotionId]),

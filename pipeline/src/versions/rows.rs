@@ -10,7 +10,7 @@ use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Progress, Split, Transaction};
 
 use crate::Error;
-use crate::clip_table::{CLIP_TABLES, ClipRow};
+use crate::clip_table::{CLIP_TABLES, ClipRow, borrowed, clip_ids};
 use crate::ingest::SHARD_CLIPS;
 
 /// File and row.
@@ -25,7 +25,6 @@ pub(super) struct Clip {
 }
 
 impl Clip {
-    /// Whether the dataset has a motion of it.
     pub(super) fn has_motion(&self) -> bool {
         self.places[0].is_some()
     }
@@ -34,7 +33,6 @@ impl Clip {
 /// The clips of a dataset in the order of its files, without their frames.
 pub(super) struct ClipIndex {
     pub(super) clips: Vec<Clip>,
-    /// Files by table.
     files: [Vec<PathBuf>; 3],
 }
 
@@ -48,12 +46,7 @@ impl ClipIndex {
         for (table, name) in CLIP_TABLES.into_iter().enumerate() {
             for (number, (path, file)) in dataset.files(name, None).into_iter().enumerate() {
                 let shard = ShardReader::open(&path)?;
-                let ids: Vec<MotionId> = match name {
-                    MotionRow::TABLE => shard.column::<MotionRow, _>("id")?,
-                    MarkerRow::TABLE => shard.column::<MarkerRow, _>("id")?,
-                    _ => shard.column::<HumanMl3dRow, _>("id")?,
-                };
-                for (row, id) in ids.into_iter().enumerate() {
+                for (row, id) in clip_ids(name, &shard)?.into_iter().enumerate() {
                     let clip = *of_id.entry(id.clone()).or_insert_with(|| {
                         index.clips.push(Clip {
                             id,
@@ -70,7 +63,6 @@ impl ClipIndex {
         Ok(index)
     }
 
-    /// Number of shards that the clips fill.
     pub(super) fn num_shards(&self) -> usize {
         let clips_of = |split| self.clips.iter().filter(move |clip| clip.split == split);
         let shards = Split::ALL.map(|split| clips_of(split).count().div_ceil(SHARD_CLIPS));
@@ -150,12 +142,10 @@ impl Shard<'_> {
             table: R::TABLE,
             ..self.name.clone()
         };
-        let facts: Vec<(&str, String)> = facts
-            .iter()
-            .map(|(key, value)| (key.as_str(), value.clone()))
-            .collect();
         let rows: Vec<R> = rows_at(files, &places)?;
-        let entry = self.transaction.write_shard(&name, &rows, &facts)?;
+        let entry = self
+            .transaction
+            .write_shard(&name, &rows, &borrowed(facts))?;
         let files = self.tables.entry(R::TABLE.to_owned()).or_default();
         files.push(entry);
         Ok(())

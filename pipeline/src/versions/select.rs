@@ -6,9 +6,7 @@ use std::path::Path;
 use datasets_spec::dataset::{Commit, table_facts};
 use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{LAID_OUT_FACT, plan_hash};
-use datasets_spec::record::{
-    HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
-};
+use datasets_spec::record::{MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Progress, Transaction};
 use serde::{Deserialize, Serialize};
@@ -18,6 +16,7 @@ use super::choose::{Choice, NOT_SELECTED, accounting, left_out};
 use super::labels::Labels;
 use super::rows::ClipIndex;
 use crate::Error;
+use crate::clip_table::is_composed;
 use crate::ingest::Places;
 
 /// Fact of a manifest: the datasets and conditions that its clips were selected from and by, as JSON.
@@ -26,9 +25,7 @@ pub const SELECTED_FACT: &str = "selected";
 /// Where a dataset's clips were selected from.
 #[derive(Debug, Serialize, Deserialize)]
 struct Origin {
-    /// Root hash of the dataset.
     root_hash: String,
-    /// The condition.
     #[serde(rename = "where")]
     condition: String,
 }
@@ -72,9 +69,7 @@ pub fn select(
     let chosen = Choice::Where(filter.clone()).of(&dataset)?;
     let transaction = Transaction::begin(out, holder)?;
     if transaction.base().is_some() {
-        return Err(Error::DatasetExists {
-            path: out.to_owned(),
-        });
+        return Err(Error::DatasetExists(out.to_owned()));
     }
     let manifest = dataset.manifest();
     let skeleton = dataset.skeleton()?;
@@ -123,7 +118,6 @@ pub fn select(
     Ok(report)
 }
 
-/// The selections that led to a dataset, with this one.
 fn selected_from(dataset: &Dataset, filter: &Condition) -> String {
     let manifest = dataset.manifest();
     let earlier = manifest.facts.get(SELECTED_FACT);
@@ -137,7 +131,6 @@ fn selected_from(dataset: &Dataset, filter: &Condition) -> String {
     json(&selections)
 }
 
-/// The labels of some clips, and a report of the others.
 fn belonging(all: &Labels, chosen: &BTreeSet<MotionId>) -> (Labels, Selected) {
     let mut labels = all.clone();
     labels
@@ -167,22 +160,10 @@ fn belonging(all: &Labels, chosen: &BTreeSet<MotionId>) -> (Labels, Selected) {
 
 /// Tables that stages make of all clips of a dataset.
 pub(super) fn composed(dataset: &Dataset) -> Vec<String> {
-    const OF_CLIPS: [&str; 7] = [
-        MotionRow::TABLE,
-        MarkerRow::TABLE,
-        HumanMl3dRow::TABLE,
-        MaskRow::TABLE,
-        PairRow::TABLE,
-        QuarantineRow::TABLE,
-        SkippedRow::TABLE,
-    ];
     let tables = dataset.manifest().tables.keys();
-    tables
-        .filter(|table| !OF_CLIPS.contains(&table.as_str()))
-        .cloned()
-        .collect()
+    tables.filter(|table| is_composed(table)).cloned().collect()
 }
 
-pub(super) fn json<T: Serialize>(value: &T) -> String {
+pub(crate) fn json(value: &impl Serialize) -> String {
     serde_json::to_string(value).expect("texts and counts serialise")
 }

@@ -5,5 +5,5 @@ mod motions;
 mod releases;
 
 pub use files::{npy, npy_f8, npz};
-pub use motions::{SPAN, mask_row, motion_row, pair_row, rows, walk, wandering};
+pub use motions::{SPAN, commit, mask_row, motion_row, pair_row, rows, walk, wandering};
 pub use releases::{adjustment, clip_members, dictionary, put, swinging, write_release};

@@ -1,7 +1,13 @@
 //! Synthetic motions and their rows.
 
+use std::path::Path;
+
+use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::{BodyPart, Fps, MASK_DEF_VERSION, Motion, MotionId, Pose, Seed, Split};
+use datasets_spec::table::Row;
+use datasets_spec::{
+    BodyPart, Dataset, Fps, MASK_DEF_VERSION, Motion, MotionId, Pose, Seed, Skeleton, Split,
+};
 use glam::DVec3;
 use kinematics::canonical::WINDOW_FRAMES;
 use kinematics::rotation::from_axis_angle;
@@ -32,6 +38,12 @@ pub fn wandering(name: &str, num_frames: usize) -> Motion {
         })
         .collect();
     Motion::from_poses(Fps::STORE, &poses).expect("finite")
+}
+
+/// Commits the rows of a table as the newest version of a dataset of the neutral body.
+pub fn commit<R: Row>(root: &Path, rows: &[R], split_of: fn(&R) -> Split, plan: &str) -> Dataset {
+    let skeleton = Skeleton::smplx_neutral();
+    commit_rows(root, rows, Some(split_of), &skeleton, plan, "test").expect("committed")
 }
 
 /// The row of a motion.

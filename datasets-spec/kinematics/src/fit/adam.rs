@@ -149,7 +149,6 @@ fn vector(parameters: &Parameters, joint: usize) -> DVec3 {
     DVec3::from_slice(&parameters[3 + 3 * joint..])
 }
 
-/// A skeleton as the fit walks it.
 struct Body {
     pelvis: DVec3,
     offsets: [DVec3; NUM_KEYPOINTS],

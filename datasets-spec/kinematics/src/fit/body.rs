@@ -8,7 +8,6 @@ use crate::pose::{KeypointFrame, Pose};
 use crate::rotation::{from_axis_angle, slerp};
 use crate::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton, parent_of};
 
-/// A body in the unknowns of the fit.
 #[derive(Clone)]
 pub(super) struct Body {
     pub(super) pelvis: DVec3,

@@ -15,7 +15,6 @@ const HINGE_SINE: f64 = 0.2;
 
 /// A limb whose twist about its own bone follows from the direction in which the next bone bends.
 struct Hinge {
-    /// The joint to be twisted.
     joint: usize,
     /// Axis of the hinge at the far end in the rest pose; a positive rotation about it flexes.
     axis: DVec3,

@@ -7,9 +7,7 @@ pub(super) const MAX_CHILDREN: usize = 3;
 /// Joints on the longest chain, pelvis and wrist included.
 pub(super) const MAX_CHAIN: usize = 8;
 
-/// The keypoint tree by joint.
 pub(super) struct Tree {
-    /// Number of keypoint children of each joint.
     pub(super) num_children: [usize; NUM_BODY_JOINTS],
     /// Slots of those children.
     pub(super) children: [[usize; MAX_CHILDREN]; NUM_BODY_JOINTS],

@@ -27,7 +27,6 @@ pub fn set<T, const N: usize>(planes: &mut [[T; LANES]; N], lane: usize, value: 
     }
 }
 
-/// The quaternions of a block of rotation vectors.
 #[inline(always)]
 pub(crate) fn quaternions(vectors: &Vectors) -> Quaternions {
     let mut out = [[0.0; LANES]; 4];
@@ -65,9 +64,7 @@ pub(crate) fn frame_of(first: usize, at: usize, num_frames: usize) -> usize {
 
 /// Frames in any storage that blocks can be gathered from.
 pub(crate) trait Frames: Copy {
-    /// Number of frames.
     fn len(self) -> usize;
-    /// The translation in a frame.
     fn transl(self, frame: usize) -> [f64; 3];
     /// The local rotations of a joint in the frames from `first` on.
     fn turns(self, first: usize, joint: usize) -> Quaternions;
@@ -95,7 +92,6 @@ impl Frames for &[Pose] {
     }
 }
 
-/// The columns of a motion.
 #[derive(Clone, Copy)]
 pub(crate) struct Columns<'a> {
     pub(crate) transl: &'a [[f32; 3]],
@@ -185,7 +181,6 @@ impl Frames for WideColumns<'_> {
     }
 }
 
-/// The poses of frames.
 pub(crate) fn poses_of(frames: impl Frames) -> Vec<Pose> {
     struct Gather<'a, F> {
         frames: F,

@@ -38,7 +38,6 @@ impl HubCache {
         Some(Self { root })
     }
 
-    /// The folder.
     pub(crate) fn root(&self) -> &Path {
         &self.root
     }

@@ -55,7 +55,6 @@ impl Checksum {
         }
     }
 
-    /// Whether content has this checksum.
     pub(super) fn is_of(&self, content: impl Read, len: u64) -> io::Result<bool> {
         Ok(self.of(content, len)? == self.as_str())
     }

@@ -17,10 +17,8 @@ use super::error::Error;
 const ENDPOINT: &str = "https://huggingface.co";
 /// The branch that is followed where none is named.
 pub(super) const BRANCH: &str = "main";
-/// Maximum number of redirects followed.
 pub(super) const MAX_REDIRECTS: u32 = 5;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(30);
-/// Read timeout.
 const READ_TIMEOUT: Duration = Duration::from_secs(60);
 /// Time in which a commit of many files, or the assembly of a large file, is answered.
 const COMMIT_TIMEOUT: Duration = Duration::from_secs(600);
@@ -117,13 +115,10 @@ impl Hub {
     pub fn check_token(&self) -> Result<(), Error> {
         match self.token {
             Some(_) => Ok(()),
-            None => Err(Error::NoToken {
-                endpoint: self.endpoint.clone(),
-            }),
+            None => Err(Error::NoToken(self.endpoint.clone())),
         }
     }
 
-    /// Whether there is a token.
     pub(super) fn has_token(&self) -> bool {
         self.token.is_some()
     }
@@ -181,7 +176,6 @@ impl Hub {
         Err("the server redirects without end".to_owned())
     }
 
-    /// The answer to a GET request.
     pub(super) fn ask(&self, address: &str) -> Result<Answer, Error> {
         let response = self
             .get(address, 0)
@@ -256,7 +250,6 @@ impl Read for Shortened {
     }
 }
 
-/// What the server says.
 pub(super) struct Answer {
     /// What was asked, without what may be secret in it.
     pub(super) address: String,
@@ -292,7 +285,7 @@ impl Answer {
                     false => "set HF_TOKEN or run `hf auth login`",
                 },
             },
-            StatusCode::NOT_FOUND => Error::NotFound { what: address },
+            StatusCode::NOT_FOUND => Error::NotFound(address),
             _ => Error::Call { address, problem },
         })
     }
@@ -346,7 +339,6 @@ pub(super) fn text_of<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str>
     headers.get(name)?.to_str().ok()
 }
 
-/// Whether text is the name of a commit.
 pub(super) fn is_commit(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_hexdigit())
 }

@@ -78,7 +78,6 @@ impl Content {
         }
     }
 
-    /// Whether it has a checksum.
     pub(super) fn has(&self, checksum: &Checksum, size: u64) -> Result<bool, Error> {
         match checksum {
             Checksum::Sha256(expected) => Ok(self.sha256()? == *expected),

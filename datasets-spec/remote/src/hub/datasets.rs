@@ -8,9 +8,6 @@ use super::client::BRANCH;
 use crate::place::Place;
 
 /// The local path of `hf://datasets/OWNER/NAME[@REVISION][/PATH]`.
-///
-/// # Errors
-/// The URL has another form, or the dataset is not in the cache.
 pub(crate) fn dataset_path(cache: Option<&HubCache>, place: &Place) -> io::Result<PathBuf> {
     let refused = |text: String| io::Error::other(text);
     let parts: Vec<&str> = place.key.as_ref().split('/').collect();
@@ -51,7 +48,6 @@ fn form() -> String {
         .to_owned()
 }
 
-/// The URL of an entry of a folder at a URL.
 pub(crate) fn beside(folder: &Path, entry: &Path) -> PathBuf {
     folder.join(entry.file_name().unwrap_or_default())
 }

@@ -14,7 +14,6 @@ use super::error::Error;
 const MAX_ATTEMPTS: u32 = 20;
 const BUFFER_LEN: usize = 1 << 18;
 
-/// A file on the server.
 pub(super) struct Remote {
     pub(super) content: Wanted,
     pub(super) commit: String,

@@ -29,13 +29,10 @@ pub enum Error {
     },
     /// No token is known.
     #[error(
-        "no token of the hub is known; make one with the right to write at {endpoint}/settings/tokens, and set HF_TOKEN \
+        "no token of the hub is known; make one with the right to write at {0}/settings/tokens, and set HF_TOKEN \
          or run `hf auth login`"
     )]
-    NoToken {
-        /// The server.
-        endpoint: String,
-    },
+    NoToken(String),
     /// The server does not allow a request.
     #[error("the hub refuses {address} ({problem}); {remedy}")]
     Refused {
@@ -47,17 +44,11 @@ pub enum Error {
         remedy: &'static str,
     },
     /// The server has no such repo or revision, or does not show it.
-    #[error("the hub has no {what}, or does not show it to this token")]
-    NotFound {
-        /// What was looked for.
-        what: String,
-    },
+    #[error("the hub has no {0}, or does not show it to this token")]
+    NotFound(String),
     /// A name is that of a dataset and of a model.
-    #[error("{name} is a dataset and a model; say which: --type dataset or --type model")]
-    Ambiguous {
-        /// The name.
-        name: String,
-    },
+    #[error("{0} is a dataset and a model; say which: --type dataset or --type model")]
+    Ambiguous(String),
     /// A request failed.
     #[error("{address} failed ({problem}); run the same command again to go on where it stopped")]
     Call {
@@ -103,11 +94,8 @@ pub enum Error {
         path: String,
     },
     /// The folder to write is there already.
-    #[error("{} is there already; choose another folder", path.display())]
-    Exists {
-        /// The folder.
-        path: PathBuf,
-    },
+    #[error("{} is there already; choose another folder", .0.display())]
+    Exists(PathBuf),
     /// A download failed.
     #[error(
         "cannot download {address} ({problem}); run again to go on where it stopped, or download \
@@ -142,9 +130,9 @@ impl Error {
         let item = match self {
             Self::Spec(error) => return error.code(),
             Self::Proxy { variable, .. } => (*variable).to_owned(),
-            Self::Name { name, .. } | Self::Ambiguous { name } => name.clone(),
-            Self::NoToken { endpoint } => endpoint.clone(),
-            Self::NotFound { what } => what.clone(),
+            Self::Name { name, .. } | Self::Ambiguous(name) => name.clone(),
+            Self::NoToken(endpoint) => endpoint.clone(),
+            Self::NotFound(what) => what.clone(),
             Self::Refused { address, .. }
             | Self::Call { address, .. }
             | Self::Download { address, .. } => address.clone(),
@@ -152,7 +140,7 @@ impl Error {
                 path.clone()
             }
             Self::Foreign { repo, .. } => repo.clone(),
-            Self::Exists { path } | Self::Checksum { path, .. } => path.display().to_string(),
+            Self::Exists(path) | Self::Checksum { path, .. } => path.display().to_string(),
         };
         Some(("E-HUB", Some(item)))
     }

@@ -15,7 +15,7 @@ use super::repo::Repo;
 const BATCH: usize = 32;
 const LFS: &str = "application/vnd.git-lfs+json";
 
-/// A file by what it holds.
+#[derive(Clone)]
 pub(super) struct Object<'a> {
     pub(super) file: &'a HubFile,
     /// SHA-256, hexadecimal.
@@ -25,9 +25,6 @@ pub(super) struct Object<'a> {
 
 /// Uploads what the storage lacks, and returns how many objects and bytes that was. An object that was uploaded before
 /// is not asked for again, so an interrupted upload goes on with the first that is missing.
-///
-/// # Errors
-/// The server refuses or fails, or a file cannot be read.
 pub(super) fn send(
     hub: &Hub,
     repo: &Repo,

@@ -80,16 +80,13 @@ pub fn pull(
     out: &Path,
     progress: &dyn Progress,
 ) -> Result<Staged, Error> {
-    let exists = || Error::Exists {
-        path: out.to_owned(),
-    };
+    let exists = || Error::Exists(out.to_owned());
     let name = out.file_name().ok_or_else(exists)?.to_string_lossy();
     if fs::symlink_metadata(out).is_ok() {
         return Err(exists());
     }
-    let commit = commit_of(hub, repo, revision)?.ok_or_else(|| Error::NotFound {
-        what: repo.to_string(),
-    })?;
+    let commit =
+        commit_of(hub, repo, revision)?.ok_or_else(|| Error::NotFound(repo.to_string()))?;
     let mut files = tree(hub, repo, &commit)?;
     // Another commit has another folder, so that none of its files is taken for one of this.
     let folder = out.with_file_name(format!(".{name}.{commit:.12}.part"));

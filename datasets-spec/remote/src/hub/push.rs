@@ -253,14 +253,7 @@ fn distinct<'a>(objects: &[Object<'a>]) -> Vec<Object<'a>> {
         .rev()
         .map(|object| (object.oid.as_str(), object))
         .collect();
-    let mut distinct: Vec<Object<'a>> = by_oid
-        .into_values()
-        .map(|object| Object {
-            file: object.file,
-            oid: object.oid.clone(),
-            size: object.size,
-        })
-        .collect();
+    let mut distinct: Vec<Object<'a>> = by_oid.into_values().cloned().collect();
     distinct.sort_by(|a, b| a.file.path.cmp(&b.file.path));
     distinct
 }
@@ -312,7 +305,6 @@ fn commit_lines(
     Ok(lines)
 }
 
-/// Makes the commit and returns its name.
 fn commit(hub: &Hub, repo: &Repo, revision: &str, lines: &[u8]) -> Result<String, Error> {
     let address = format!("{}/commit/{}", repo.api(hub), quoted(revision, ""));
     let answer = hub

@@ -40,7 +40,6 @@ impl RepoKind {
 pub struct RepoName(String);
 
 impl RepoName {
-    /// Owner and name.
     fn parts(&self) -> (&str, &str) {
         self.0.split_once('/').unwrap_or(("", self.0.as_str()))
     }
@@ -101,7 +100,6 @@ pub struct Repo {
 }
 
 impl Repo {
-    /// Its path on the server.
     pub(super) fn path(&self) -> String {
         match self.kind {
             RepoKind::Dataset => format!("datasets/{}", self.name),
@@ -133,9 +131,6 @@ impl fmt::Display for Repo {
 
 /// The commit of a branch, tag or commit; none if there is no such repo. Without a token, a repo that is not there cannot
 /// be told from a private one.
-///
-/// # Errors
-/// The repo has no such revision, or does not show it to the token; or the server cannot be reached or fails.
 pub(super) fn commit_of(hub: &Hub, repo: &Repo, revision: &str) -> Result<Option<String>, Error> {
     let address = format!("{}/revision/{}", repo.api(hub), quoted(revision, ""));
     let answer = hub.ask(&address)?;
@@ -169,12 +164,8 @@ pub fn kind_of(hub: &Hub, name: &RepoName, revision: &str) -> Result<RepoKind, E
     }
     match found[..] {
         [kind] => Ok(kind),
-        [] => Err(Error::NotFound {
-            what: format!("dataset or model {name}"),
-        }),
-        _ => Err(Error::Ambiguous {
-            name: name.to_string(),
-        }),
+        [] => Err(Error::NotFound(format!("dataset or model {name}"))),
+        _ => Err(Error::Ambiguous(name.to_string())),
     }
 }
 
@@ -195,10 +186,8 @@ pub(super) fn create(hub: &Hub, repo: &Repo, is_private: bool) -> Result<(), Err
     }
 }
 
-/// The files of a repo by their paths.
 pub(super) type Tree = BTreeMap<String, Wanted>;
 
-/// The files of a commit.
 pub(super) fn tree(hub: &Hub, repo: &Repo, commit: &str) -> Result<Tree, Error> {
     let mut files = Tree::new();
     let mut next = Some(format!("{}/tree/{commit}?recursive=true", repo.api(hub)));

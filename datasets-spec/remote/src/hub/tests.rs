@@ -22,7 +22,6 @@ const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
 #[derive(Clone)]
 struct Served {
     content: Vec<u8>,
-    /// Checksum the server claims.
     etag: String,
     /// Bytes of an answer's body after which the server hangs up.
     cut: Option<usize>,
@@ -154,14 +153,27 @@ fn content(len: usize) -> Vec<u8> {
     (0..len).map(|i| (i * i / 7) as u8).collect()
 }
 
+fn cache() -> (tempfile::TempDir, HubCache) {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let cache = HubCache::new(dir.path());
+    (dir, cache)
+}
+
+fn serve_model(served: Served) -> (Hub, Log) {
+    serve(BTreeMap::from([("model.safetensors", served)]))
+}
+
+fn fetched(cache: &HubCache, hub: &Hub, file: &str) -> PathBuf {
+    fetch(cache, hub, file).expect("fetched").expect("there")
+}
+
 fn fetch(cache: &HubCache, hub: &Hub, file: &str) -> Result<Option<PathBuf>, Error> {
     cache.fetch(hub, REPO, file, &mut |_, _| {})
 }
 
 #[test]
 fn files_are_fetched_once_and_found_afterwards() {
-    let dir = tempfile::tempdir().expect("temporary folder");
-    let cache = HubCache::new(dir.path());
+    let (_dir, cache) = cache();
     let (weights, config) = (content(1000), b"{}".to_vec());
     let (hub, log) = serve(BTreeMap::from([
         ("model.safetensors", Served::large(&weights)),
@@ -178,9 +190,7 @@ fn files_are_fetched_once_and_found_afterwards() {
     assert_eq!(seen.last(), Some(&(1000, Some(1000))));
     assert_eq!(cache.find(REPO, "model.safetensors"), Some(path.clone()));
     assert_eq!(read_checked(&path).expect("whole"), weights);
-    let path = fetch(&cache, &hub, "tokenizer.json")
-        .expect("fetched")
-        .expect("there");
+    let path = fetched(&cache, &hub, "tokenizer.json");
     assert_eq!(read_checked(&path).expect("whole"), config);
     assert_eq!(fetch(&cache, &hub, "missing").expect("asked"), None);
 
@@ -193,8 +203,7 @@ fn files_are_fetched_once_and_found_afterwards() {
 
 #[test]
 fn an_interrupted_download_goes_on_where_it_stopped() {
-    let dir = tempfile::tempdir().expect("temporary folder");
-    let cache = HubCache::new(dir.path());
+    let (_dir, cache) = cache();
     let weights = content(1000);
     let served = Served {
         cut: Some(400),
@@ -206,10 +215,8 @@ fn an_interrupted_download_goes_on_where_it_stopped() {
     let part = blobs.join(format!("{}.incomplete", served.etag));
     fs::write(&part, &weights[..100]).expect("written");
 
-    let (hub, log) = serve(BTreeMap::from([("model.safetensors", served)]));
-    let path = fetch(&cache, &hub, "model.safetensors")
-        .expect("fetched")
-        .expect("there");
+    let (hub, log) = serve_model(served);
+    let path = fetched(&cache, &hub, "model.safetensors");
     assert_eq!(read_checked(&path).expect("whole"), weights);
     assert!(!part.exists());
     let log = log.lock().expect("whole");
@@ -222,8 +229,7 @@ fn an_interrupted_download_goes_on_where_it_stopped() {
 
 #[test]
 fn a_server_that_cannot_continue_starts_over() {
-    let dir = tempfile::tempdir().expect("temporary folder");
-    let cache = HubCache::new(dir.path());
+    let (_dir, cache) = cache();
     let weights = content(1000);
     let served = Served {
         ranges: false,
@@ -232,17 +238,14 @@ fn a_server_that_cannot_continue_starts_over() {
     let blobs = cache.folder(REPO).join("blobs");
     fs::create_dir_all(&blobs).expect("created");
     fs::write(blobs.join(format!("{}.incomplete", served.etag)), [7; 300]).expect("written");
-    let (hub, _) = serve(BTreeMap::from([("model.safetensors", served)]));
-    let path = fetch(&cache, &hub, "model.safetensors")
-        .expect("fetched")
-        .expect("there");
+    let (hub, _) = serve_model(served);
+    let path = fetched(&cache, &hub, "model.safetensors");
     assert_eq!(read_checked(&path).expect("whole"), weights);
 }
 
 #[test]
 fn a_server_that_brings_nothing_more_is_an_error_and_the_part_is_kept() {
-    let dir = tempfile::tempdir().expect("temporary folder");
-    let cache = HubCache::new(dir.path());
+    let (_dir, cache) = cache();
     let served = Served {
         cut: Some(0),
         ..Served::large(&content(1000))
@@ -253,7 +256,7 @@ fn a_server_that_brings_nothing_more_is_an_error_and_the_part_is_kept() {
         .join(format!("{}.incomplete", served.etag));
     fs::create_dir_all(part.parent().expect("a folder")).expect("created");
     fs::write(&part, &content(1000)[..10]).expect("written");
-    let (hub, _) = serve(BTreeMap::from([("model.safetensors", served)]));
+    let (hub, _) = serve_model(served);
     let error = fetch(&cache, &hub, "model.safetensors").expect_err("cut off");
     assert!(matches!(error, Error::Download { .. }), "{error}");
     assert_eq!(fs::read(&part).expect("kept").len(), 10);
@@ -262,8 +265,7 @@ fn a_server_that_brings_nothing_more_is_an_error_and_the_part_is_kept() {
 
 #[test]
 fn wrong_content_is_refused_wherever_it_comes_from() {
-    let dir = tempfile::tempdir().expect("temporary folder");
-    let cache = HubCache::new(dir.path());
+    let (_dir, cache) = cache();
     let weights = content(1000);
     for served in [Served::large(&weights), Served::small(&weights)] {
         let etag = served.etag.clone();
@@ -271,7 +273,7 @@ fn wrong_content_is_refused_wherever_it_comes_from() {
             content: content(999).into_iter().chain([0]).collect(),
             ..served
         };
-        let (hub, _) = serve(BTreeMap::from([("model.safetensors", lying)]));
+        let (hub, _) = serve_model(lying);
         let error = fetch(&cache, &hub, "model.safetensors").expect_err("wrong");
         assert!(matches!(error, Error::Checksum { .. }), "{error}");
         assert!(error.to_string().contains(&etag), "{error}");
@@ -281,13 +283,8 @@ fn wrong_content_is_refused_wherever_it_comes_from() {
     }
 
     // Content that went bad later is found when it is read.
-    let (hub, _) = serve(BTreeMap::from([(
-        "model.safetensors",
-        Served::large(&weights),
-    )]));
-    let path = fetch(&cache, &hub, "model.safetensors")
-        .expect("fetched")
-        .expect("there");
+    let (hub, _) = serve_model(Served::large(&weights));
+    let path = fetched(&cache, &hub, "model.safetensors");
     fs::write(&path, &weights[1..]).expect("written through the link");
     assert!(matches!(read_checked(&path), Err(Error::Checksum { .. })));
 
@@ -295,7 +292,7 @@ fn wrong_content_is_refused_wherever_it_comes_from() {
         etag: "abc".to_owned(),
         ..Served::large(&weights)
     };
-    let (hub, _) = serve(BTreeMap::from([("model.safetensors", nameless)]));
+    let (hub, _) = serve_model(nameless);
     let error = fetch(&cache, &hub, "model.safetensors").expect_err("no checksum");
     assert!(matches!(error, Error::Download { .. }), "{error}");
 }

@@ -19,7 +19,6 @@ use crate::{
     Stream, WindowBatch, draw_items, fixture,
 };
 
-/// A dataset of motions, masks and pairs.
 fn committed(root: &Path, motions: &[MotionRow], masks: &[MaskRow], pairs: &[PairRow]) -> Dataset {
     let skeleton = Skeleton::smplx_neutral();
     let transaction = Transaction::begin(root, "test").expect("begins");
@@ -83,7 +82,6 @@ fn rows(seed: u64, num_clips: usize) -> (Vec<MotionRow>, Vec<MaskRow>, Vec<PairR
     (motions, masks, pairs)
 }
 
-/// Everything that is composed of a library.
 #[derive(Debug, PartialEq)]
 struct Composed {
     normalizer: kinematics::normalise::Normalizer,
@@ -160,8 +158,7 @@ proptest! {
             let library = Library::read(&dataset, Split::Train, &cache(folder.path()));
             Arc::new(library.expect("a library"))
         };
-        let skeleton = Skeleton::smplx_neutral();
-        let given = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
+        let given = Library::new(Split::Train, &motions, &masks, &pairs);
         let expected = composed(&Arc::new(given.expect("valid rows")), &config, seed);
         prop_assert_eq!(&composed(&read(), &config, seed), &expected);
         // The second process finds the files of the first.

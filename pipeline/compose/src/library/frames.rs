@@ -23,7 +23,6 @@ use crate::{Error, FrameCache};
 /// First bytes of a file; its frames follow their number.
 const MAGIC: [u8; 16] = *b"stance frames 1\n";
 const HEADER_BYTES: usize = MAGIC.len() + 8;
-/// Numbers of a [`StoredFrame`].
 const NUMBERS: usize = 6 + BODY_POSE_WIDTH;
 /// Bytes of a frame: its numbers and their CRC-32, little endian.
 const FRAME_BYTES: usize = 4 * NUMBERS + 4;
@@ -34,7 +33,6 @@ const CLIPS_IN_MEMORY: usize = 256;
 /// Frames that are decoded at a time, unless a clip has more.
 const FRAMES_AT_ONCE: usize = 32_768;
 
-/// The frames of some motions of one rate.
 #[derive(Debug)]
 pub(crate) struct FrameFile {
     path: PathBuf,
@@ -45,9 +43,6 @@ pub(crate) struct FrameFile {
 impl FrameFile {
     /// Opens the file of this key; without one, or where it is not whole, `make` writes its `num_frames`
     /// frames. Processes that need the same file at once wait for the one that writes it.
-    ///
-    /// # Errors
-    /// The file cannot be written or read, or `make` fails.
     ///
     /// # Panics
     /// If `make` writes another number of frames.
@@ -127,9 +122,6 @@ impl FrameFile {
     }
 
     /// Reads `count` frames, each `stride` after the one before, from frame `first` of the file on.
-    ///
-    /// # Errors
-    /// The file cannot be read, or was damaged since it was written.
     pub(super) fn read(
         &self,
         first: u64,
@@ -163,9 +155,6 @@ impl FrameFile {
     }
 
     /// Reads `count` frames as a motion, beginning with frame `first` of the file.
-    ///
-    /// # Errors
-    /// The file cannot be read, or was damaged since it was written.
     pub(super) fn motion(&self, first: u64, count: usize) -> Result<Motion, Error> {
         let mut room = FrameRoom::default();
         self.read(first, count, 1, &mut room)?;
@@ -192,7 +181,6 @@ fn damaged(path: &Path, problem: &'static str) -> Error {
     }
 }
 
-/// A file of frames that is being written.
 pub(super) struct FrameWriter {
     file: BufWriter<File>,
     path: PathBuf,
@@ -210,9 +198,6 @@ impl FrameWriter {
     }
 
     /// Appends the motions of clips, given their lengths in frames. A few hundred are in memory at a time.
-    ///
-    /// # Errors
-    /// A motion cannot be had, or the file cannot be written.
     pub(super) fn extend(
         &mut self,
         lens: &[usize],
@@ -283,7 +268,6 @@ fn unwritten(path: &Path, num_frames: u64, source: std::io::Error) -> Error {
     }
 }
 
-/// The bytes of a motion's frames.
 fn encode(motion: &Motion) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(motion.len() * FRAME_BYTES);
     let columns = motion.transl().iter().zip(motion.global_orient());

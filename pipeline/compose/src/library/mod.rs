@@ -23,11 +23,10 @@ use frames::FrameFile;
 pub(super) use frames::FrameRoom;
 
 #[cfg(test)]
-pub(crate) use of_rows::library;
+pub(crate) use of_rows::{library, library_of, stream};
 pub(super) use pairing::{Pairing, Subject};
 pub use rows::{check_mask, check_pair, motion_on};
 
-/// A motion of the base.
 #[derive(Clone, Debug)]
 pub(super) struct Clip {
     pub(super) id: MotionId,
@@ -42,7 +41,6 @@ pub(super) struct Clip {
     pub(super) in_base: bool,
 }
 
-/// Where the frames of a clip are.
 #[derive(Clone, Debug)]
 struct FileFrames {
     file: Arc<FrameFile>,
@@ -52,23 +50,15 @@ struct FileFrames {
 }
 
 impl Clip {
-    /// Number of frames.
     pub(super) fn len(&self) -> usize {
         self.frames.len
     }
 
-    /// All frames.
-    ///
-    /// # Errors
-    /// They cannot be read.
     pub(super) fn motion(&self) -> Result<Motion, Error> {
         self.crop(0..self.len())
     }
 
     /// The frames of a range.
-    ///
-    /// # Errors
-    /// They cannot be read.
     ///
     /// # Panics
     /// If the range is empty or leaves the clip.
@@ -82,9 +72,6 @@ impl Clip {
     }
 
     /// Reads `count` frames, each `stride` after the one before, from frame `start` on.
-    ///
-    /// # Errors
-    /// They cannot be read.
     ///
     /// # Panics
     /// If the frames leave the clip.
@@ -153,7 +140,6 @@ pub struct Library {
     annotations: Vec<Annotation>,
     pairs: Vec<Pair>,
     alignment: Alignment,
-    /// Where the files of frames are.
     cache: FrameCache,
     /// The key of the file of the clips as they were captured.
     key: String,
@@ -207,7 +193,6 @@ impl Library {
         &self.pairs[index].instruction
     }
 
-    /// A clip by its index.
     pub(super) fn clip(&self, clip: usize) -> &Clip {
         &self.clips[clip]
     }
@@ -245,9 +230,6 @@ impl Library {
     }
 
     /// The library with the motions of its pairs aligned in time.
-    ///
-    /// # Errors
-    /// The motions cannot be read, or the frames of aligned ones cannot be written.
     pub(super) fn aligned(self: Arc<Self>, alignment: Alignment) -> Result<Arc<Self>, Error> {
         if alignment == self.alignment {
             return Ok(self);

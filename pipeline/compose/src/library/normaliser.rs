@@ -26,7 +26,7 @@ impl Library {
     /// Paper App. B.2.
     pub fn fit_normalizer(&self, config: &ComposeConfig) -> Result<Normalizer, Error> {
         if self.split != Split::Train {
-            return Err(Error::NotTrain { split: self.split });
+            return Err(Error::NotTrain(self.split));
         }
         config.check()?;
         let stride = config.stride(self.fps)?;

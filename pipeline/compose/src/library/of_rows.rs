@@ -3,23 +3,22 @@
 use std::sync::Arc;
 
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::{Fps, Motion, Skeleton, Split};
+use datasets_spec::{Fps, Motion, Seed, Skeleton, Split};
 
 use super::frames::FrameFile;
 use super::rows::{LibraryRows, StatedClip, motion_on};
 use super::{Library, frames_of_file};
-use crate::{Error, FrameCache};
+use crate::{ComposeConfig, Error, FrameCache, Stream};
 
 impl Library {
-    /// Takes the rows of one split.
     pub(crate) fn new(
         split: Split,
         rows: &[MotionRow],
         masks: &[MaskRow],
         pairs: &[PairRow],
-        skeleton: &Skeleton,
     ) -> Result<Self, Error> {
-        let motions = rows.iter().map(|row| motion_on(row, skeleton));
+        let skeleton = Skeleton::smplx_neutral();
+        let motions = rows.iter().map(|row| motion_on(row, &skeleton));
         let motions: Vec<Motion> = motions.collect::<Result<_, _>>()?;
         let cache = FrameCache {
             folder: std::env::temp_dir().join("stance-tests"),
@@ -44,7 +43,7 @@ impl Library {
         let file = FrameFile::open(&cache, &key, num_frames, fps, |writer| {
             writer.extend(&lens, |places| Ok(motions[places].to_vec()))
         })?;
-        let mut library = LibraryRows::new(split, skeleton);
+        let mut library = LibraryRows::new(split, &skeleton);
         let frames = frames_of_file(Arc::new(file), lens);
         for ((row, motion), frames) in rows.iter().zip(&motions).zip(frames) {
             let stated = StatedClip {
@@ -63,8 +62,27 @@ impl Library {
     }
 }
 
-/// A library of the clips of [`testkit::rows`].
 pub(crate) fn library(split: Split, num_clips: usize) -> Library {
     let (motions, masks) = testkit::rows(split, num_clips);
-    Library::new(split, &motions, &masks, &[], &Skeleton::smplx_neutral()).expect("valid rows")
+    library_of(split, &motions, &masks, &[])
+}
+
+pub(crate) fn library_of(
+    split: Split,
+    motions: &[MotionRow],
+    masks: &[MaskRow],
+    pairs: &[PairRow],
+) -> Library {
+    Library::new(split, motions, masks, pairs).expect("valid rows")
+}
+
+/// A stream whose normaliser is fitted to its own library.
+pub(crate) fn stream(
+    library: impl Into<Arc<Library>>,
+    config: ComposeConfig,
+    seed: u64,
+) -> Result<Stream, Error> {
+    let library = library.into();
+    let normalizer = library.fit_normalizer(&config).expect("long enough");
+    Stream::new(library, config, Seed(seed), &normalizer)
 }

@@ -16,9 +16,7 @@ use crate::{ComposeConfig, Error, ItemTask};
 /// The annotation or pair that an item is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Subject {
-    /// Index of an annotation.
     Annotation(usize),
-    /// Index of a pair.
     Pair(usize),
 }
 
@@ -42,9 +40,6 @@ pub(crate) struct Pairing {
 
 impl Library {
     /// The clips partners are drawn from.
-    ///
-    /// # Errors
-    /// No motion is of the kinds of source that the base is limited to.
     pub(crate) fn base(
         &self,
         config: &ComposeConfig,
@@ -127,7 +122,6 @@ impl Library {
         }
     }
 
-    /// Number of frames of a clip.
     pub(crate) fn len_of(&self, clip: usize) -> usize {
         self.clips[clip].len()
     }
@@ -154,7 +148,6 @@ impl Library {
         in_crop(held.start)..in_crop(held.end)
     }
 
-    /// The joints of the partner that are replaced.
     pub(crate) fn mask_of(
         &self,
         subject: Subject,
@@ -173,7 +166,6 @@ impl Library {
         }
     }
 
-    /// All wordings of the instruction.
     pub(crate) fn wordings(
         &self,
         subject: Subject,
@@ -189,7 +181,6 @@ impl Library {
         self.clips[source].origin != self.clips[target].origin
     }
 
-    /// Whether a clip may be the partner of an edit.
     pub(crate) fn may_meet(&self, clip: usize, subject: Subject) -> bool {
         match subject {
             Subject::Annotation(annotation) => {
@@ -330,7 +321,6 @@ impl Library {
         }
     }
 
-    /// Names of the parts of an annotation or pair.
     pub(crate) fn parts_of(&self, subject: Subject) -> &[String] {
         match subject {
             Subject::Annotation(annotation) => &self.annotations[annotation].parts,
@@ -338,7 +328,6 @@ impl Library {
         }
     }
 
-    /// The instruction of the dataset.
     pub(crate) fn text_of(&self, subject: Subject) -> &Arc<str> {
         match subject {
             Subject::Annotation(annotation) => &self.annotations[annotation].instruction,
@@ -383,9 +372,7 @@ impl Library {
         [long, other_action, other]
             .into_iter()
             .find(|partners| !partners.is_empty())
-            .ok_or_else(|| Error::NoPartner {
-                motion: target.id.clone(),
-            })
+            .ok_or_else(|| Error::NoPartner(target.id.clone()))
     }
 
     /// The instruction of the dataset, with the part added by the first template.

@@ -35,7 +35,6 @@ datasets_spec::table! {
     }
 }
 
-/// The chosen clips of a file, with their places in it.
 type ChosenClips = Vec<(usize, LabelledClip)>;
 
 impl Library {
@@ -137,7 +136,6 @@ fn check(clip: &LabelledClip, skeleton: &Skeleton) -> Result<(), Error> {
     })
 }
 
-/// The motions of some clips of a shard.
 fn motions_of(shard: &ShardReader, clips: &[(usize, LabelledClip)]) -> Result<Vec<Motion>, Error> {
     let rows: Vec<usize> = clips.iter().map(|(row, _)| *row).collect();
     let read: Vec<FramesRow> = shard.rows_at(&rows)?;

@@ -10,7 +10,6 @@ use super::{Annotation, Clip, FileFrames, Library, Pair};
 use crate::config::{Alignment, EditKind};
 use crate::{Error, FrameCache, ItemTask, style_instruction};
 
-/// What the row of a clip states beside its frames.
 pub(super) struct StatedClip<'a> {
     pub(super) id: &'a MotionId,
     pub split: Split,
@@ -57,7 +56,6 @@ impl<'a> LibraryRows<'a> {
         })
     }
 
-    /// Adds a clip, whose skeleton is the library's.
     pub(super) fn add_clip(
         &mut self,
         stated: &StatedClip<'_>,
@@ -86,7 +84,6 @@ impl<'a> LibraryRows<'a> {
         Ok(())
     }
 
-    /// Orders and numbers the clips.
     pub(super) fn end_of_clips(&mut self) -> Result<(), Error> {
         self.clips.sort_by(|a, b| a.id.cmp(&b.id));
         check_distinct("motions", &self.clips, |clip| clip.id.as_str())?;
@@ -140,7 +137,6 @@ impl<'a> LibraryRows<'a> {
         Ok(())
     }
 
-    /// Index of the clip that a row belongs to.
     fn clip(&self, table: &'static str, row: &str, id: &MotionId) -> Result<usize, Error> {
         let found = self.clips.binary_search_by(|clip| clip.id.cmp(id));
         found.map_err(|_| Error::UnknownMotion {
@@ -171,7 +167,6 @@ impl<'a> LibraryRows<'a> {
     }
 }
 
-/// Checks sorted rows.
 fn check_distinct<T>(
     table: &'static str,
     rows: &[T],
@@ -251,7 +246,6 @@ fn unusable(row: &MaskRow, source: datasets_spec::Error) -> Error {
     }
 }
 
-/// The kind, instruction and parts of a pair.
 fn meaning_of_pair(row: &PairRow) -> Result<(EditKind, String, Vec<BodyPart>), Error> {
     let kind = EditKind::parse(&row.kind).ok_or_else(|| Error::PairKind {
         pair: row.id.clone(),
@@ -303,9 +297,7 @@ fn blend_of_mask(row: &MaskRow) -> Result<BlendMask, Error> {
         .and_then(|hard| BlendMask::new(hard, joints(&row.soft_joints)?))
         .map_err(|source| unusable(row, source))?;
     if mask.is_empty() {
-        return Err(Error::EmptyMask {
-            mask: row.id.clone(),
-        });
+        return Err(Error::EmptyMask(row.id.clone()));
     }
     if row.text.trim().is_empty() {
         return Err(Error::EmptyText {

@@ -125,9 +125,9 @@ impl Stream {
         let mut num_items = 0;
         for subject in library.subjects(&config, seed, span) {
             if !base.iter().any(|&clip| library.may_meet(clip, subject)) {
-                return Err(Error::NoPartner {
-                    motion: library.clip(library.target_of(subject)).id.clone(),
-                });
+                return Err(Error::NoPartner(
+                    library.clip(library.target_of(subject)).id.clone(),
+                ));
             }
             let fixed = config.fixed_pairs.then(|| {
                 let mut rng = seed.rng(&["fixed pair", library.subject_id(subject)]);
@@ -293,7 +293,6 @@ impl Stream {
         windows: std::ops::Range<u64>,
         mut take: impl FnMut(WindowRow, &WindowBatch, usize),
     ) -> Result<(), Error> {
-        /// Windows composed at a time.
         const AT_ONCE: u64 = 4096;
         let window = self.window_len();
         let mut batch = WindowBatch::default();
@@ -373,13 +372,11 @@ impl Stream {
         self.draw_pairing(self.target_of(item).0, &mut rng)
     }
 
-    /// The kind of edit an item of an epoch is.
     pub(super) fn kind(&self, epoch: u64, place: u64) -> EditKind {
         let item = self.order(epoch).at(place);
         self.library.kind_of(self.target_of(item).0.subject)
     }
 
-    /// The pairing of a clip of an epoch, and its instruction.
     pub(super) fn clip_pairing(&self, epoch: u64, number: u64) -> (Pairing, &str) {
         let target = &self.targets[number as usize];
         let seed = self.epoch_seed(epoch).derive(&["clip"]);
@@ -410,7 +407,6 @@ impl Stream {
         Ok(&room.frames)
     }
 
-    /// The target of an item, and the index of its window.
     fn target_of(&self, item: u64) -> (&Target, usize) {
         let place = self.first_items.partition_point(|&first| first <= item) - 1;
         (
@@ -497,7 +493,6 @@ impl Stream {
         self.config.mirrored_ratio > 0.0 && rng.random_bool(self.config.mirrored_ratio)
     }
 
-    /// The wording of a pairing.
     pub(super) fn instruction_of(&self, epoch: u64, place: u64, pairing: &Pairing) -> &str {
         let item = self.order(epoch).at(place);
         self.target_of(item).0.wording(pairing)

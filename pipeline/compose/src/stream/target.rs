@@ -9,7 +9,6 @@ use crate::library::{Pairing, Subject};
 use crate::window::BlendPlan;
 use crate::{ComposeConfig, Library};
 
-/// An annotation or pair in use.
 #[derive(Clone, Debug)]
 pub(super) struct Target {
     pub(super) subject: Subject,
@@ -23,7 +22,6 @@ pub(super) struct Target {
     pub(super) fixed: Option<Box<Pairing>>,
 }
 
-/// The wordings of an instruction.
 pub(super) type Wordings = Arc<[String]>;
 
 /// What many targets have in common, held once: a dataset has more masks than body parts.
@@ -116,7 +114,6 @@ impl Target {
         };
         (Some(side), &side.wordings)
     }
-    /// The wording of the instruction that a pairing draws.
     pub(super) fn wording(&self, pairing: &Pairing) -> &str {
         let (_, wordings) = self.side_of(pairing);
         let wording = (pairing.wording * wordings.len() as f64) as usize;

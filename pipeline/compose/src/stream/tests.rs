@@ -7,13 +7,8 @@ use crate::{BaseFilter, ItemTask, fixture};
 
 const CLIPS: usize = 9;
 
-fn stream_of(library: Library, config: ComposeConfig, seed: u64) -> Result<Stream, Error> {
-    let normalizer = library.fit_normalizer(&config).expect("long enough");
-    Stream::new(Arc::new(library), config, Seed(seed), &normalizer)
-}
-
 fn stream(config: ComposeConfig) -> Stream {
-    stream_of(fixture::library(Split::Train, CLIPS), config, 5).expect("a stream")
+    fixture::stream(fixture::library(Split::Train, CLIPS), config, 5).expect("a stream")
 }
 
 fn epoch(stream: &Stream, epoch: u64) -> WindowBatch {
@@ -54,9 +49,8 @@ fn the_order_of_the_rows_does_not_matter() {
     let (mut motions, mut masks) = fixture::rows(Split::Train, CLIPS);
     motions.reverse();
     masks.reverse();
-    let skeleton = datasets_spec::Skeleton::smplx_neutral();
-    let library = Library::new(Split::Train, &motions, &masks, &[], &skeleton).expect("valid");
-    let reversed = stream_of(library, ComposeConfig::default(), 5).expect("a stream");
+    let library = fixture::library_of(Split::Train, &motions, &masks, &[]);
+    let reversed = fixture::stream(library, ComposeConfig::default(), 5).expect("a stream");
     assert_eq!(
         epoch(&reversed, 0),
         epoch(&stream(ComposeConfig::default()), 0)
@@ -79,7 +73,7 @@ fn both_windows_stand_at_the_origin_and_face_forward() {
     let library = fixture::library(Split::Train, CLIPS);
     let skeleton = library.skeleton().clone();
     let normalizer = library.fit_normalizer(&config).expect("long enough");
-    let stream = stream_of(library, config, 5).expect("a stream");
+    let stream = fixture::stream(library, config, 5).expect("a stream");
     let batch = epoch(&stream, 0);
     let triangle = skeleton.rest_triangle();
     for windows in [&batch.original, &batch.edited] {
@@ -138,9 +132,8 @@ fn a_motion_never_meets_its_own_mirror_image() {
     let mut mirrored = motions[0].clone();
     mirrored.id = datasets_spec::MotionId::parse("clip0~m").expect("valid");
     motions.push(mirrored);
-    let skeleton = datasets_spec::Skeleton::smplx_neutral();
-    let library = Library::new(Split::Train, &motions, &masks, &[], &skeleton).expect("valid");
-    let stream = stream_of(library, ComposeConfig::default(), 1).expect("a stream");
+    let library = fixture::library_of(Split::Train, &motions, &masks, &[]);
+    let stream = fixture::stream(library, ComposeConfig::default(), 1).expect("a stream");
     for epoch in 0..50 {
         for item in 0..stream.epoch_len() {
             let pairing = stream.pairing(epoch, item);
@@ -149,10 +142,10 @@ fn a_motion_never_meets_its_own_mirror_image() {
         }
     }
     let alone = &motions[..1];
-    let library = Library::new(Split::Train, alone, &masks[..1], &[], &skeleton).expect("valid");
+    let library = fixture::library_of(Split::Train, alone, &masks[..1], &[]);
     assert!(matches!(
-        stream_of(library, ComposeConfig::default(), 1),
-        Err(Error::NoPartner { motion }) if motion.as_str() == "clip0"
+        fixture::stream(library, ComposeConfig::default(), 1),
+        Err(Error::NoPartner(motion)) if motion.as_str() == "clip0"
     ));
 }
 
@@ -223,9 +216,8 @@ fn the_base_can_be_limited_to_kinds_of_source() {
     for (number, row) in motions.iter_mut().enumerate() {
         row.source = ["humanml3d", "bvh", "amass"][number % 3].to_owned();
     }
-    let skeleton = datasets_spec::Skeleton::smplx_neutral();
     let stream = |sources: &[&str], mcm_ratio| {
-        let library = Library::new(Split::Train, &motions, &masks, &[], &skeleton).expect("valid");
+        let library = fixture::library_of(Split::Train, &motions, &masks, &[]);
         let config = ComposeConfig {
             base: BaseFilter {
                 sources: sources.iter().map(|&name| name.to_owned()).collect(),
@@ -233,7 +225,7 @@ fn the_base_can_be_limited_to_kinds_of_source() {
             mcm_ratio,
             ..ComposeConfig::default()
         };
-        stream_of(library, config, 5)
+        fixture::stream(library, config, 5)
     };
     let limited = stream(&["humanml3d", "nothing"], 1.0).expect("three clips");
     for epoch in 0..10 {
@@ -258,9 +250,8 @@ fn pair_stream(config: ComposeConfig, same_motion: bool) -> Stream {
     let target = if same_motion { 5 } else { 6 };
     let pairs = [("style", 5, target), ("fine-grained", 7, 8)]
         .map(|(kind, source, target)| fixture::pair_row(kind, Split::Train, source, target));
-    let skeleton = datasets_spec::Skeleton::smplx_neutral();
-    let library = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
-    stream_of(library.expect("valid"), config, 5).expect("a stream")
+    let library = fixture::library_of(Split::Train, &motions, &masks, &pairs);
+    fixture::stream(library, config, 5).expect("a stream")
 }
 
 #[test]
@@ -343,14 +334,13 @@ fn pairs_of_motionfix_stay_as_captured_unless_a_ratio_is_given() {
         (Some(0.0), [1.0, 1.0]),
         (Some(1.0), [0.0, 0.0]),
     ] {
-        let skeleton = datasets_spec::Skeleton::smplx_neutral();
-        let library = Library::new(Split::Train, &motions, &masks, &pairs, &skeleton);
+        let library = fixture::library_of(Split::Train, &motions, &masks, &pairs);
         let config = ComposeConfig {
             kinds: vec![EditKind::FineGrained],
             undonored_ratio,
             ..ComposeConfig::default()
         };
-        let stream = stream_of(library.expect("valid"), config, 5).expect("a stream");
+        let stream = fixture::stream(library, config, 5).expect("a stream");
         let items = (0..20).flat_map(|epoch| (0..stream.epoch_len()).map(move |i| (epoch, i)));
         let mut composed = [(0, 0); 2];
         for (epoch, item) in items {
@@ -437,15 +427,14 @@ fn fixed_pairs_take_whole_parts_from_the_middle() {
 
 #[test]
 fn a_split_without_long_masks_is_refused() {
-    let skeleton = datasets_spec::Skeleton::smplx_neutral();
     let (motions, _) = fixture::rows(Split::Train, 3);
     let short = fixture::wandering("short", fixture::SPAN - 1);
     let row = fixture::motion_row("short", Split::Train, &short);
     let rows = [motions, vec![row]].concat();
     let mask = fixture::mask_row("short", Split::Train, BodyPart::LeftArm);
-    let library = Library::new(Split::Train, &rows, &[mask], &[], &skeleton).expect("valid");
+    let library = fixture::library_of(Split::Train, &rows, &[mask], &[]);
     assert!(matches!(
-        stream_of(library, ComposeConfig::default(), 1),
+        fixture::stream(library, ComposeConfig::default(), 1),
         Err(Error::NoItem {
             frames: fixture::SPAN,
             ..

@@ -24,7 +24,6 @@ pub struct PairList {
     hash: String,
 }
 
-/// A line of a list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Line {
     number: u64,
@@ -35,7 +34,6 @@ struct Line {
     instruction: String,
     #[serde(default = "default_kind", skip_serializing_if = "is_default_kind")]
     kind: EditKind,
-    /// Names of body parts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     parts: Vec<String>,
     /// One of [`EDIT_TYPES`].
@@ -71,6 +69,25 @@ impl std::fmt::Display for RefusedLine {
     }
 }
 
+/// The lines of a CSV file, but for its header, and those that are refused.
+pub(crate) fn parse_lines<T>(
+    bytes: &[u8],
+    is_header: impl Fn(&StringRecord) -> bool,
+    parse: impl Fn(u64, &StringRecord) -> Result<T, String>,
+) -> (Vec<T>, Vec<RefusedLine>) {
+    let (mut lines, mut refused) = (Vec::new(), Vec::new());
+    for (place, (line, record)) in csv_lines::records(bytes).enumerate() {
+        if place == 0 && record.as_ref().is_ok_and(&is_header) {
+            continue;
+        }
+        match record.and_then(|record| parse(line, &record)) {
+            Ok(line) => lines.push(line),
+            Err(reason) => refused.push(RefusedLine { line, reason }),
+        }
+    }
+    (lines, refused)
+}
+
 /// Result of reading a list.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ListedPairs {
@@ -103,18 +120,7 @@ impl PairList {
             let begins = record.iter().take(2);
             begins.map(str::to_lowercase).eq(["styled", "original"])
         };
-        for (place, (number, record)) in csv_lines::records(bytes).enumerate() {
-            if place == 0 && record.as_ref().is_ok_and(is_header) {
-                continue;
-            }
-            match record.and_then(|record| Line::parse(number, &record)) {
-                Ok(line) => list.lines.push(line),
-                Err(reason) => list.refused.push(RefusedLine {
-                    line: number,
-                    reason,
-                }),
-            }
-        }
+        (list.lines, list.refused) = parse_lines(bytes, is_header, Line::parse);
         list
     }
 

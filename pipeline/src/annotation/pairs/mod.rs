@@ -13,7 +13,7 @@ use tables::Tables;
 
 use crate::Error;
 pub use list::{LISTED, ListedPairs, PairList, RefusedLine};
-pub(crate) use list::{names_of, originals};
+pub(crate) use list::{names_of, originals, parse_lines};
 
 /// Source of pairs from labels; the number is the version of the rules.
 pub const SOURCE: &str = "style-labels-2";

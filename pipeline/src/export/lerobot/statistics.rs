@@ -6,9 +6,7 @@
 
 use serde_json::{Map, Value, json};
 
-/// Numbers of a frame.
 pub(super) const STATE_WIDTH: usize = 69;
-/// Quantiles by their names.
 pub(super) const QUANTILES: [(&str, f64); 5] = [
     ("q01", 0.01),
     ("q10", 0.1),
@@ -20,7 +18,6 @@ pub(super) const QUANTILES: [(&str, f64); 5] = [
 /// A number for each column of the state.
 pub(super) type Columns = [f64; STATE_WIDTH];
 
-/// Statistics of each number of the state.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Statistics {
     pub(super) frames: u64,
@@ -32,7 +29,6 @@ pub(super) struct Statistics {
 }
 
 impl Statistics {
-    /// Statistics of an episode.
     pub(super) fn of(states: &[[f32; STATE_WIDTH]]) -> Self {
         let mut statistics = Self {
             frames: states.len() as u64,

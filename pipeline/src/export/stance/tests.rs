@@ -1,25 +1,13 @@
-use std::path::PathBuf;
-
-use datasets_spec::dataset::commit_rows;
 use datasets_spec::{Dataset, MotionId, NoProgress};
-use testkit::write_release;
+use testkit::{commit, write_release};
 
 use super::*;
 use crate::export::{Layout, export};
-use crate::ingest::{IngestOptions, ingest};
 
 fn ingested(source: &Path, out: &Path) -> Dataset {
-    let sources: [PathBuf; 1] = [source.to_owned()];
-    let report = ingest(
-        &sources,
-        out,
-        &IngestOptions::default(),
-        "test",
-        &NoProgress,
-    );
-    let report = report.expect("ingested");
-    assert_eq!(report.quarantine, []);
-    report.dataset
+    let dataset = crate::export::tests::ingested(source, out);
+    assert_eq!(dataset.manifest().accounting.quarantined, 0);
+    dataset
 }
 
 /// What an export must keep of the motions, the pairs and the masks, in lines.
@@ -152,33 +140,9 @@ fn motions_that_humanml3d_does_not_know_keep_their_ids_and_pairs() {
         accepted_by: None,
     };
     let root = dir.path().join("other");
-    commit_rows(
-        &root,
-        &rows,
-        Some(|row: &MotionRow| row.split),
-        &datasets_spec::Skeleton::smplx_neutral(),
-        "1",
-        "test",
-    )
-    .expect("committed");
-    commit_rows(
-        &root,
-        &pairs,
-        Some(|row: &PairRow| row.split),
-        &datasets_spec::Skeleton::smplx_neutral(),
-        "2",
-        "test",
-    )
-    .expect("committed");
-    let other = commit_rows(
-        &root,
-        &[mask],
-        Some(|row: &MaskRow| row.split),
-        &datasets_spec::Skeleton::smplx_neutral(),
-        "3",
-        "test",
-    )
-    .expect("committed");
+    commit(&root, &rows, |row: &MotionRow| row.split, "1");
+    commit(&root, &pairs, |row: &PairRow| row.split, "2");
+    let other = commit(&root, &[mask], |row: &MaskRow| row.split, "3");
     let again = exported_again(&other, dir.path());
     assert_eq!(kept(&again), kept(&other));
     assert!(dir.path().join("exported/base_motion/029232.pkl").is_file());
