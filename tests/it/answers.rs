@@ -116,8 +116,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
         &at("elsewhere"),
         &settings,
     )
-    .expect_code(0)
-    .json();
+    .done();
     assert_eq!(
         (&report["imported"], &report["answered"]),
         (&8.into(), &8.into())
@@ -130,16 +129,14 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     }
     // As AMASS has them: z up, through double precision.
     let exported = at("exported");
-    let json: Value = typed("--json export {} --to amass --out {}", &[&here, &exported])
-        .expect_code(0)
-        .json();
+    let json: Value = typed("--json export {} --to amass --out {}", &[&here, &exported]).done();
     assert_eq!(json["clips"], 8);
     import(&exported, &items, "Turned", &at("turned"), &[]).expect_code(0);
 
     let more = ["--format", "json", "--further"];
     let folders = [here.clone(), at("elsewhere"), at("turned")];
     let folders: Vec<&Path> = folders.iter().map(PathBuf::as_path).collect();
-    let table: Value = bench.eval(&folders, &more).expect_code(0).json();
+    let table: Value = bench.eval(&folders, &more).done();
     let [ours, theirs, turned] =
         ["Here", "Elsewhere", "Turned"].map(|system| scores(&table, system));
     assert!(ours.len() > 10, "{ours:?}");
@@ -157,20 +154,16 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     }
     // Under the name of another system it is refused, not averaged.
     import(&at("answers"), &items, "Here", &at("again"), &[]).expect_code(0);
-    let refused = bench.eval(&[&here, &at("again")], &more).expect_code(1);
-    refused.expect_said("two checkpoints");
+    bench
+        .eval(&[&here, &at("again")], &more)
+        .expect_refused("two checkpoints");
 
-    let verified: Value = stance(&["--json", "verify", arg(&at("elsewhere"))])
-        .expect_code(0)
-        .json();
+    let verified: Value = stance(&["--json", "verify", arg(&at("elsewhere"))]).done();
     assert_eq!(verified["passed"], true);
-    let inspected = stance(&["inspect", arg(&at("elsewhere"))])
-        .expect_code(0)
-        .stdout;
+    let inspected = stance(&["inspect", arg(&at("elsewhere"))]).printed();
     let clip = [&made[0].id[..8], "--json"];
-    let item: Value = stance(&["inspect", arg(&at("elsewhere")), "--clip", clip[0], clip[1]])
-        .expect_code(0)
-        .json();
+    let item: Value =
+        stance(&["inspect", arg(&at("elsewhere")), "--clip", clip[0], clip[1]]).done();
     assert_eq!(item["facts"]["instruction"], made[0].instruction.as_str());
     assert_eq!(item["answers"].as_array().expect("answers").len(), 1);
     let picture = at("item.svg");
@@ -181,13 +174,8 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     )
     .expect_code(0);
     let picture = fs::read_to_string(picture).expect("drawn");
-    for label in ["source", "target", "Elsewhere, seed 0"] {
-        assert!(picture.contains(label), "{label}");
-    }
-    assert!(
-        inspected.contains("Elsewhere") && inspected.contains("semantic"),
-        "{inspected}"
-    );
+    assert_has(&picture, &["source", "target", "Elsewhere, seed 0"]);
+    assert_has(&inspected, &["Elsewhere", "semantic"]);
 }
 
 #[test]
@@ -207,10 +195,7 @@ fn the_sources_of_exported_items_score_as_the_identity() {
     }
     assert!(!out.join("targets").exists());
     import(&out, &at("items"), "Lazy", &at("lazy"), &[]).expect_code(0);
-    let table: Value = bench
-        .eval(&[&at("lazy")], &["--format", "json"])
-        .expect_code(0)
-        .json();
+    let table: Value = bench.eval(&[&at("lazy")], &["--format", "json"]).done();
     let (lazy, identity) = (scores(&table, "Lazy"), scores(&table, "Identity"));
     assert!(lazy.len() > 5);
     for (key, value) in &lazy {
@@ -238,9 +223,10 @@ fn the_sources_of_exported_items_score_as_the_identity() {
             marked.iter().all(|line| !line.starts_with("| Lazy")),
             "{text}"
         );
-        assert!(text.contains(
-            "Never marked as best, as all values are those of the identity editor: Lazy."
-        ));
+        assert_has(
+            &text,
+            &["Never marked as best, as all values are those of the identity editor: Lazy."],
+        );
         let args = ["report", "--encoder", "builtin", "--out", arg(&page)];
         stance(&[&args, &systems[..]].concat()).expect_code(0);
         let html = fs::read_to_string(&page).expect("written");
@@ -337,12 +323,11 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
     assert!(truncated["byte_offset"].is_u64());
     // What was refused stays on record, and a table with holes is not scored.
     stance(&["verify", arg(&out)]).expect_code(0);
-    let inspected: Value = stance(&["--json", "inspect", arg(&out)])
-        .expect_code(0)
-        .json();
+    let inspected: Value = stance(&["--json", "inspect", arg(&out)]).done();
     assert_eq!(inspected["tables"]["quarantine"], 6);
-    let scored = bench.eval(&[&out], &[]).expect_code(1);
-    scored.expect_said("lacks 4 of 8 items");
+    bench
+        .eval(&[&out], &[])
+        .expect_refused("lacks 4 of 8 items");
 }
 
 #[test]
@@ -381,9 +366,8 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
         places
     };
     assert_eq!(places(&rows_of::<EditRow>(&at("again"))), places(&made));
-    let refused = typed("export {} --to stance --out {}", &[&here, &at("no")]).expect_code(1);
-    refused.expect_said("bvh, amass or gltf");
+    typed("export {} --to stance --out {}", &[&here, &at("no")])
+        .expect_refused("bvh, amass or gltf");
     let items = at("items");
-    let refused = typed("export {} --to bvh --out {}", &[&items, &at("no")]).expect_code(1);
-    refused.expect_said("--sources");
+    typed("export {} --to bvh --out {}", &[&items, &at("no")]).expect_refused("--sources");
 }

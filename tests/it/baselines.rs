@@ -41,7 +41,7 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     train("mixed", &[]).expect_code(0);
     train("fixed", &["--compose", arg(&fixed)]).expect_code(0);
     // The same command goes on with the run, which is complete.
-    let again: Value = train("mixed", &[]).expect_code(0).json();
+    let again: Value = train("mixed", &[]).done();
     assert_eq!(again["steps"], 4);
 
     let mixed = bench.answers("mixed", "items", "with", &["--diffusion-steps", "3"]);
@@ -59,10 +59,7 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     let settings: Value = serde_json::from_str(&edits[0].settings).expect("an object");
     assert_eq!(settings["steps"], 3);
 
-    let scores: Value = bench
-        .eval(&[&mixed, &without], &["--json"])
-        .expect_code(0)
-        .json();
+    let scores: Value = bench.eval(&[&mixed, &without], &["--json"]).done();
     let systems: BTreeSet<&str> = scores
         .as_array()
         .expect("rows")
@@ -77,16 +74,14 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     let pairs = workshop.path("pairs.toml");
     fs::write(&pairs, format!("data = \"pairs\"\n{SMALL_TMED}")).expect("writes");
     let refused = workshop.train_with("tmed", "pairs", &["--config", arg(&pairs)]);
-    let refused = refused.expect_code(1);
-    refused.expect_said("composed");
+    refused.expect_refused("composed");
     // It follows one instruction, of some frames or of all.
     let clip = workshop.clip();
     let (run, out) = (workshop.path("mixed"), workshop.path("part.npz"));
     let (wave, bow) = ("0:10 The person is waving.", "10:20 The person is bowing.");
-    let refused = typed(
+    typed(
         "edit {} --motion {} --during {} --during {} --out {}",
         &[&run, &clip, &wave, &bow, &out],
     )
-    .expect_code(1);
-    refused.expect_said("one instruction");
+    .expect_refused("one instruction");
 }

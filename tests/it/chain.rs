@@ -72,9 +72,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         "#,
     )
     .expect("writes");
-    let first: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)])
-        .expect_code(0)
-        .json();
+    let first: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)]).done();
     let systems: BTreeSet<&str> = first
         .scores
         .iter()
@@ -114,9 +112,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
 
     // Nothing is left to do, so the models are not trained again and the numbers are the same.
     let before = fs::read(run.join("runs/motionrefit/metrics.jsonl")).expect("metrics");
-    let again: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)])
-        .expect_code(0)
-        .json();
+    let again: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)]).done();
     let after = fs::read(run.join("runs/motionrefit/metrics.jsonl")).expect("metrics");
     assert_eq!(before, after);
     assert_eq!(again.root_hash, first.root_hash);
@@ -134,9 +130,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     let (_, items) = rest.split_once("[items]").expect("a section");
     let named = |encoder: &str| format!("encoder = \"{encoder}\"\n{settings}[items]{items}");
     fs::write(&builtin, named("builtin")).expect("writes");
-    let judged = stance(&["--json", "run", "--weak-judge", "--config", arg(&builtin)])
-        .expect_code(0)
-        .stdout;
+    let judged = stance(&["--json", "run", "--weak-judge", "--config", arg(&builtin)]).printed();
     let judged: serde_json::Value = serde_json::from_str(&judged).expect("JSON");
     assert_eq!(judged["encoder"], serde_json::Value::Null);
     let report = include_str!("../../eval/judge/builtin/report.json");
@@ -145,12 +139,10 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         assert_eq!(row["encoder_hash"], report["encoder_hash"]);
     }
     fs::write(&builtin, named("another")).expect("writes");
-    let refused = stance(&["run", "--config", arg(&builtin)])
-        .expect_code(1)
-        .stderr;
-    assert!(
-        refused.contains("builtin.toml:1:11: encoder is \"builtin\", or a section [encoder]"),
-        "{refused}"
+    let refused = stance(&["run", "--config", arg(&builtin)]).refusal();
+    assert_has(
+        &refused,
+        &["builtin.toml:1:11: encoder is \"builtin\", or a section [encoder]"],
     );
 
     // Each stage is also a verb of its own.
@@ -160,7 +152,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         &[&dataset],
     )
     .expect_code(0);
-    assert!(explained.stdout.contains("recipe_hash"));
+    explained.expect_printed("recipe_hash");
     let edits = run.join("edits/full");
     let encoder = run.join("runs/tmr");
     let eval = |more: &[&str]| {
@@ -205,11 +197,11 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     ];
     stance(&[&draw[..], &[arg(&editor), arg(&once)]].concat()).expect_code(0);
     let drawn = fs::read_to_string(&strip).expect("a strip");
-    for label in ["tiny + coordinator", "tiny, seed", "composed once"] {
-        assert!(drawn.contains(label), "{label}");
-    }
-    let refused = stance(&[&draw[..], &[arg(&dataset)]].concat()).expect_code(1);
-    refused.expect_said("has no answer to item");
+    assert_has(
+        &drawn,
+        &["tiny + coordinator", "tiny, seed", "composed once"],
+    );
+    stance(&[&draw[..], &[arg(&dataset)]].concat()).expect_refused("has no answer to item");
     let edited = dir.path().join("edited.npz");
     typed(
         "edit {} --dataset {} --motion {} --text {} --out {}",
@@ -239,8 +231,7 @@ fn a_misspelt_setting_is_refused_by_name() {
         "sources = [\"x\"]\nout = \"y\"\n[train]\nnum_stps = 3\n",
     )
     .expect("writes");
-    let ran = stance(&["run", "--config", arg(&config)]).expect_code(1);
-    ran.expect_said("num_stps");
+    stance(&["run", "--config", arg(&config)]).expect_refused("num_stps");
 }
 
 #[test]
@@ -269,12 +260,10 @@ fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
         "--author",
         "ann",
     ];
-    let done: serde_json::Value = stance(&accept).expect_code(0).json();
+    let done: serde_json::Value = stance(&accept).done();
     assert_eq!(done["masks"], lines.lines().count() - 1);
     assert_eq!(done["origins"]["human"], 2);
-    let ran = stance(&["masks", arg(&dataset)]).expect_code(1);
-    ran.expect_said("2 masks judged by people");
+    stance(&["masks", arg(&dataset)]).expect_refused("2 masks judged by people");
     fs::write(&file, "{}\n").expect("writes");
-    let ran = stance(&accept).expect_code(1);
-    ran.expect_said("masks.jsonl:1");
+    stance(&accept).expect_refused("masks.jsonl:1");
 }

@@ -40,10 +40,10 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
     )
     .expect("writes");
     let build = ["--json", "build", "--config", arg(&config)];
-    let built: Built = stance(&build).expect_code(0).json();
+    let built: Built = stance(&build).done();
     assert_eq!((built.motions, built.recorded), (CLIPS as u64, 40));
     assert!(built.pairs > 15, "{}", built.pairs);
-    let again: Built = stance(&build).expect_code(0).json();
+    let again: Built = stance(&build).done();
     assert_eq!(again.root_hash, built.root_hash, "nothing is left to do");
 
     let out = dir.path().join("built");
@@ -134,14 +134,11 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
     fs::write(&scalar, "range = \"scalar\"\n").expect("writes");
     let other = at("other");
     record(&other, &["--compose", arg(&scalar)]);
-    let refused = train(&other, &at("run2")).expect_code(1);
-    refused.expect_said("another normaliser");
+    train(&other, &at("run2")).expect_refused("another normaliser");
 
     let sheet = at("sheet.svg");
     let stats: serde_json::Value =
-        typed("--json triplets stats {} --sheet {}", &[&dataset, &sheet])
-            .expect_code(0)
-            .json();
+        typed("--json triplets stats {} --sheet {}", &[&dataset, &sheet]).done();
     assert!(
         stats["distinct_pairs"]["semantic"]
             .as_u64()
@@ -167,9 +164,7 @@ fn the_examples_build_datasets() {
         let out = dir.path().join(example.file_stem().expect("a name"));
         let build = ["--json", "build", "--config", arg(example)];
         let places = ["--sources", arg(&source), "--out", arg(&out)];
-        let built: Built = stance(&[&build[..], &places].concat())
-            .expect_code(0)
-            .json();
+        let built: Built = stance(&[&build[..], &places].concat()).done();
         assert_eq!(built.motions, 24);
         assert!(
             built.pairs > 0 && built.recorded > 0,

@@ -111,10 +111,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     let bench = Bench::open();
     let first = bench.edits("first", &[]);
     let second = bench.edits("second", &["--guidance", "2"]);
-    let both: Value = bench
-        .eval(&[&first, &second], &["--json"])
-        .expect_code(0)
-        .json();
+    let both: Value = bench.eval(&[&first, &second], &["--json"]).done();
     let systems: BTreeSet<&str> = both
         .as_array()
         .expect("rows")
@@ -132,7 +129,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         ]
     );
 
-    let scores: Value = bench.eval(&[&first], &["--json"]).expect_code(0).json();
+    let scores: Value = bench.eval(&[&first], &["--json"]).done();
     let names = ["Real Data", "Identity", "MotionReFit"];
     let ran = bench
         .eval(&[&first], &["--published", "--format", "markdown"])
@@ -180,11 +177,8 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
             &["--table", "a3", "--format", "markdown", "--further"],
         )
         .expect_code(0);
-    assert!(ran.stderr.contains("Table A3 is about motionfix edits"));
-    let full: Value = bench
-        .eval(&[&first], &["--table", "a3", "--json"])
-        .expect_code(0)
-        .json();
+    ran.expect_said("Table A3 is about motionfix edits");
+    let full: Value = bench.eval(&[&first], &["--table", "a3", "--json"]).done();
     // A further metric that was not measured here, such as Multimodality of one take, has no column.
     let columns = |part: Part| -> Vec<String> {
         let is_measured = |metric: &&Metric| {
@@ -222,7 +216,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
 
     let times = |format: &str| {
         let args = ["--table", "a4", "--published", "--format", format];
-        bench.eval(&[&first], &args).expect_code(0).stdout
+        bench.eval(&[&first], &args).printed()
     };
     let found = tables(&times("markdown"));
     let [latency, throughput] = &found[..] else {
@@ -258,8 +252,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         "--json eval encoder {} --encoder {}",
         &[&bench.workshop.dataset(), &bench.encoder],
     )
-    .expect_code(0)
-    .json();
+    .done();
     let rows = fit.as_array().expect("rows");
     assert_eq!(rows.len(), 10);
     let recalls: Vec<f64> = rows[..3]
@@ -273,8 +266,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
             "--json eval compare {} {} --encoder {} --weak-judge --repeats 2",
             &[&first, &b, &bench.encoder],
         )
-        .expect_code(0)
-        .json()
+        .done()
     };
     let same = compare(&first);
     let differences = |document: &Value| -> Vec<Value> {
@@ -339,8 +331,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         ("mcm_ratio", "compose.mcm_ratio"),
     ] {
         let plan = write_plan(&bench, &format!("{systems}{}", figures(key)));
-        let refused = stance(&["reproduce", arg(&plan)]).expect_code(1);
-        refused.expect_said(word);
+        stance(&["reproduce", arg(&plan)]).expect_refused(word);
     }
     let tables = "[[table]]\npaper = \"1\"\npublished = true\n[[table]]\npaper = \"a4\"\nsystems = [\"ours\"]\n";
     let plan = write_plan(
@@ -360,9 +351,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         ]
     );
     assert!(!bench.workshop.path("made").exists());
-    let first: Value = typed("--json reproduce --weak-judge {} --at-once 2", &[&plan])
-        .expect_code(0)
-        .json();
+    let first: Value = typed("--json reproduce --weak-judge {} --at-once 2", &[&plan]).done();
     let out = bench.workshop.path("made");
     // The ratio of 1 is the default: two trainings of the editor serve five points, and its table.
     let count = |folder: &str| fs::read_dir(out.join(folder)).expect("a folder").count();
@@ -470,9 +459,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     let (page, old) = (out.join("index.html"), out.join("old.html"));
     fs::hard_link(&page, &old).expect("a second name");
     fs::write(&old, "old").expect("writes");
-    let again: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)])
-        .expect_code(0)
-        .json();
+    let again: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).done();
     assert_eq!(first, again);
     assert_eq!((count("runs"), count("edits")), (3, 5));
     assert_eq!(fs::read_to_string(&old).expect("a file"), "old");
@@ -492,9 +479,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         "--at-once",
         "1",
     ];
-    let one_by_one: Value = stance(&[&plan[..], &["--out", arg(&other)]].concat())
-        .expect_code(0)
-        .json();
+    let one_by_one: Value = stance(&[&plan[..], &["--out", arg(&other)]].concat()).done();
     let points = |made: &Value| [0, 1].map(|figure| made["figures"][figure]["points"].clone());
     assert_eq!(points(&first), points(&one_by_one));
     assert_eq!(first["tables"][0], one_by_one["tables"][0]);
@@ -510,11 +495,11 @@ fn a_plan_trains_anew_when_its_dataset_has_grown() {
     let [dataset, corpus, more] =
         ["dataset", "corpus", "more"].map(|name| bench.workshop.path(name));
     let run = || stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]);
-    let first: Value = run().expect_code(0).json();
+    let first: Value = run().done();
     typed("--seed 9 corpus --clips 30 --out {}", &[&more]).expect_code(0);
     stance(&["ingest", arg(&corpus), arg(&more), "--out", arg(&dataset)]).expect_code(0);
     stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
-    let second: Value = run().expect_code(0).json();
+    let second: Value = run().done();
     assert_ne!(first["tables"], second["tables"]);
     for folder in ["runs", "edits"] {
         let made = fs::read_dir(bench.workshop.path("made").join(folder)).expect("a folder");
@@ -596,12 +581,9 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
             ),
         )
     };
-    let twice = stance(&["reproduce", arg(&plan("[6, 6]"))]).expect_code(1);
-    twice.expect_said("holds 6 twice");
+    stance(&["reproduce", arg(&plan("[6, 6]"))]).expect_refused("holds 6 twice");
     let run = |seeds: &str| -> Value {
-        stance(&["--json", "reproduce", "--weak-judge", arg(&plan(seeds))])
-            .expect_code(0)
-            .json()
+        stance(&["--json", "reproduce", "--weak-judge", arg(&plan(seeds))]).done()
     };
     let alone = [run("[6]"), run("[7]")];
     let runs = bench.workshop.path("made/runs");
@@ -631,9 +613,9 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
     assert_eq!(mean(&point["trainings"][1], "ours"), seeds[1]);
     let tables = bench.workshop.path("made/tables");
     let table = fs::read_to_string(tables.join("table-1.md")).expect("a table");
-    assert!(
-        table.contains("Means over 2 trainings of each system, fewer for once"),
-        "{table}"
+    assert_has(
+        &table,
+        &["Means over 2 trainings of each system, fewer for once"],
     );
     let figure = fs::read_to_string(tables.join("pairs.md")).expect("a table");
     // Six items have too few targets for an interval, whatever their trainings add.
@@ -649,9 +631,7 @@ fn items_that_are_short_for_one_window_count_at_none() {
         "[[system]]\nname = \"ours\"\n\
          [[figure]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 24]\nmetrics = [\"FS\"]\n",
     );
-    let made: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)])
-        .expect_code(0)
-        .json();
+    let made: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).done();
     let figure = &made["figures"][0];
     let counts: Vec<&Value> = [0, 1]
         .map(|point| &figure["points"][point]["scores"][0]["n"])
@@ -675,9 +655,7 @@ fn convergence_scores_the_kept_checkpoints_of_one_training() {
          train = { keep_epochs = 1, length = { epochs = 2, steps = 500 } }\n\
          [[figure]]\nname = \"convergence\"\nkey = \"epoch\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
-    let made: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)])
-        .expect_code(0)
-        .json();
+    let made: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).done();
     let points = made["figures"][0]["points"].as_array().expect("points");
     let names: Vec<&str> = points
         .iter()
@@ -691,9 +669,7 @@ fn convergence_scores_the_kept_checkpoints_of_one_training() {
 
 #[test]
 fn plans_of_the_program_can_be_followed() {
-    let listed: Vec<String> = stance(&["--json", "reproduce", "--list"])
-        .expect_code(0)
-        .json();
+    let listed: Vec<String> = stance(&["--json", "reproduce", "--list"]).done();
     assert_eq!(listed.len(), 22);
     for name in listed {
         let ran = stance(&["reproduce", &name, "--dry-run"]).expect_code(0);
@@ -771,7 +747,7 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
 
     let hashes = [Skeleton::smplx_neutral().hash(), tall.hash()];
     let refused = |ran: Ran| {
-        let said = ran.expect_code(1).stderr;
+        let said = ran.refusal();
         for hash in &hashes {
             assert!(said.contains(&hash[..12]), "{said}");
         }
@@ -838,8 +814,7 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
         "--json report {} --encoder {} --weak-judge --items 3 --out {}",
         &[&first, &bench.encoder, &page],
     )
-    .expect_code(0)
-    .json();
+    .done();
     let html = fs::read_to_string(&page).expect("written");
     assert_eq!(made["bytes"], html.len());
     let items_of = |viewer: &str| -> Vec<Value> {
@@ -880,8 +855,7 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
         assert_eq!(labels[2], "target");
     }
     assert!(html.contains("script-src 'sha256-") && !html.contains("https://"));
-    let refused = stance(&["report", arg(&bench.encoder), "--out", arg(&page)]).expect_code(1);
-    refused.expect_said("encoder");
+    stance(&["report", arg(&bench.encoder), "--out", arg(&page)]).expect_refused("encoder");
 }
 
 #[test]
@@ -892,14 +866,15 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     let train =
         |out: &Path| typed("train tmr {} --out {} --steps 1", &[&dataset, &out]).expect_code(0);
     let said = train(&weak).stdout;
-    for words in [
-        "text to motion: R@1",
-        "motion to text: R@1",
-        "chance",
-        "ranks nothing",
-    ] {
-        assert!(said.contains(words), "{words}: {said}");
-    }
+    assert_has(
+        &said,
+        &[
+            "text to motion: R@1",
+            "motion to text: R@1",
+            "chance",
+            "ranks nothing",
+        ],
+    );
     let report: Value =
         serde_json::from_slice(&fs::read(weak.join("report.json")).expect("a report"))
             .expect("JSON");
@@ -978,9 +953,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     assert!(table.starts_with(sentence), "{table}");
 
     // The same edits are ranked by the encoder of the program; a folder without a report is not believed.
-    let ranked = typed("eval {} --encoder builtin --repeats 2", &[&edits])
-        .expect_code(0)
-        .stdout;
+    let ranked = typed("eval {} --encoder builtin --repeats 2", &[&edits]).printed();
     // Novelties of few items have tables of their own below, which need not rank.
     let first = ranked.lines().next().expect("a table");
     assert!(
@@ -1042,7 +1015,7 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     }
     // Two takes of one system: the value of each repeat is that of one of them.
     let error = |edits: &[&Path]| {
-        let scores: Value = bench.eval(edits, &["--json"]).expect_code(0).json();
+        let scores: Value = bench.eval(edits, &["--json"]).done();
         let rows = of_system(&scores, "MotionReFit");
         let found = rows
             .iter()
@@ -1055,9 +1028,7 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     bench.items("others", &["--count", "8", "--seed", "5"]);
     let others = bench.answers("editor", "others", "elsewhere", &[]);
     let refused = bench.eval(&[&zero, &others], &[]).expect_code(1);
-    for text in ["different items", "zero", "elsewhere"] {
-        refused.expect_said(text);
-    }
+    assert_has(&refused.stderr, &["different items", "zero", "elsewhere"]);
     // Many takes can be made at once, and are the same takes.
     let takes = bench.edits("takes", &["--takes", "2"]);
     let (_, together) = read(&takes);
@@ -1089,10 +1060,7 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     let base = bench.edits("base", &[]);
     let full = bench.edits("full", &["--coordinator", arg(&guide)]);
     let without = bench.answers("fixed", "items", "without", &[]);
-    let scores: Value = bench
-        .eval(&[&full, &base, &without], &["--json"])
-        .expect_code(0)
-        .json();
+    let scores: Value = bench.eval(&[&full, &base, &without], &["--json"]).done();
     for system in [
         "Real Data",
         "Identity",
@@ -1110,9 +1078,10 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     };
     let ours = named("editor", "ours", &[]);
     let refused = |other: &Path, what: &str| {
-        let ran = bench.eval(&[&ours, other], &[]).expect_code(1);
-        ran.expect_said(what);
-        ran.expect_said("--name");
+        bench
+            .eval(&[&ours, other], &[])
+            .expect_refused(what)
+            .expect_said("--name");
     };
     refused(&named("fixed", "other-weights", &[]), "two checkpoints");
     refused(
@@ -1138,9 +1107,10 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
         "test",
     )
     .expect("writes");
-    let ran = bench.eval(&[&forged], &[]).expect_code(1);
-    ran.expect_said(&rows[3].id);
-    ran.expect_said("stance items");
+    bench
+        .eval(&[&forged], &[])
+        .expect_refused(&rows[3].id)
+        .expect_said("stance items");
     let verified = stance(&["verify", arg(&forged)]).expect_code(1);
     assert!(
         [verified.stdout, verified.stderr]
@@ -1153,7 +1123,6 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
         "--json eval --items {} --encoder {} --weak-judge",
         &[&items, &bench.encoder],
     )
-    .expect_code(0)
-    .json();
+    .done();
     assert!(!of_system(&scores, "Identity").is_empty());
 }

@@ -166,7 +166,7 @@ fn triplets_and_items_become_dumps_of_motionfix() {
         let (made, out) = (at(verb), at(&format!("{verb}-motionfix")));
         stance(&[verb, arg(&dataset), "--count", "6", "--out", arg(&made)]).expect_code(0);
         let export = |out: &Path| typed("--json export {} --to motionfix --out {}", &[&made, &out]);
-        let said: serde_json::Value = export(&out).expect_code(0).json();
+        let said: serde_json::Value = export(&out).done();
         let count = usize::try_from(said["clips"].as_u64().expect("a count")).expect("few");
         assert!((1..=6).contains(&count), "{verb}: {count}");
         let splits = std::fs::read(out.join("splits.json")).expect("written");
@@ -252,9 +252,7 @@ fn verify_passes_what_ingest_wrote_and_fails_what_was_altered() {
     let dir = corpus(6);
     ingested(dir.path(), "corpus", "dataset");
     let dataset = dir.path().join("dataset");
-    let verified: Verified = stance(&["--json", "verify", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let verified: Verified = stance(&["--json", "verify", arg(&dataset)]).done();
     let manifest = Dataset::open(&dataset)
         .expect("a dataset")
         .manifest()

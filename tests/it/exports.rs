@@ -56,10 +56,9 @@ fn a_condition_chooses_the_clips_of_every_layout() {
             let to = ["--json", "export", arg(&dataset), "--to", layout];
             stance(&[&to[..], &["--where", condition, "--out", arg(out)]].concat())
         };
-        let said: Value = export(&condition, &out).expect_code(0).json();
+        let said: Value = export(&condition, &out).done();
         assert_eq!(said["clips"], expected, "{layout}");
-        let none = export("style = 'nobody walks so'", &dir.path().join("none")).expect_code(1);
-        none.expect_said("no clip of");
+        export("style = 'nobody walks so'", &dir.path().join("none")).expect_refused("no clip of");
     }
     let files = files_with_extension(&dir.path().join("bvh"), "bvh");
     assert_eq!(files.len(), expected);
@@ -235,8 +234,7 @@ fn a_motion_of_a_file_is_drawn_by_its_name() {
     draw("motion").expect_code(0);
     let svg = std::fs::read_to_string(&picture).expect("written");
     assert!(svg.contains("#motion"), "{svg:.300}");
-    let refused = draw("dance").expect_code(1);
-    refused.expect_said("no motion \"dance\"; its motions are motion");
+    draw("dance").expect_refused("no motion \"dance\"; its motions are motion");
 }
 
 #[test]
@@ -256,9 +254,7 @@ fn stats_count_masks_of_a_clip_and_pairs_of_a_style() {
     );
     std::fs::write(&list, line).expect("written");
     stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
-    let said: Value = stance(&["--json", "stats", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let said: Value = stance(&["--json", "stats", arg(&dataset)]).done();
     let masks: Vec<datasets_spec::record::MaskRow> = rows_of(&dataset);
     let clips: std::collections::BTreeSet<_> = masks.iter().map(|mask| &mask.motion_id).collect();
     assert!(clips.len() > 1 && masks.len() > clips.len());
@@ -267,7 +263,7 @@ fn stats_count_masks_of_a_clip_and_pairs_of_a_style() {
     assert!((said["masks_per_clip"].as_f64().expect("a number") - average).abs() < 1e-9);
     assert_eq!(said["pairs"]["style"], 1);
     assert_eq!(said["pair_styles"]["old"], 1);
-    let text = stance(&["stats", arg(&dataset)]).expect_code(0).stdout;
+    let text = stance(&["stats", arg(&dataset)]).printed();
     assert!(text.contains(&format!("{average:.1} on average")), "{text}");
     assert!(text.contains("style of edit"), "{text}");
 }
@@ -472,8 +468,7 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     // The folder cannot be made, and yet it is said.
     let file = dir.path().join("file");
     std::fs::write(&file, "").expect("written");
-    let refused = export("humanml3d", &file.join("out")).expect_code(1);
-    refused.expect_said(&said);
+    export("humanml3d", &file.join("out")).expect_refused(&said);
     // So it is where any number of processes will write them.
     let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
     let planned = typed(

@@ -37,7 +37,7 @@ pub(crate) fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
     args.extend(sources.iter().map(|source| arg(source)));
     args.extend(["--out", arg(out)]);
     args.extend(more);
-    stance(&args).expect_code(1).stderr
+    stance(&args).refusal()
 }
 
 /// All clips.

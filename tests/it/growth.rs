@@ -348,11 +348,13 @@ fn other_settings_are_named_and_keep_ids_splits_and_labels() {
         &dataset,
         &["--fps", "30", "--license", "CC0-1.0"],
     );
-    assert!(
-        message.contains("fps was 20 and is now 30")
-            && message.contains("license was none and is now CC0-1.0")
-            && message.contains("--new-version"),
-        "{message}"
+    assert_has(
+        &message,
+        &[
+            "fps was 20 and is now 30",
+            "license was none and is now CC0-1.0",
+            "--new-version",
+        ],
     );
     ingest(&[&source], &dataset, &["--fps", "30", "--new-version"], 0);
     let after = clips(&dataset);
@@ -519,9 +521,7 @@ fn two_datasets_merge_and_lose_no_label() {
     ingest(&[&more], &b, &["--seed", "5"], 0);
     let judged_too = judge(&b, dir.path());
     let out = dir.path().join("both");
-    let merged: Value = typed("--json dataset merge {} {} --out {}", &[&a, &b, &out])
-        .expect_code(0)
-        .json();
+    let merged: Value = typed("--json dataset merge {} {} --out {}", &[&a, &b, &out]).done();
     verified(&out);
     let (before, after) = (clips(&a), clips(&out));
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
@@ -582,10 +582,8 @@ fn old_versions_go_only_when_asked() {
         .root_hash
         .clone();
     let prune = ["--json", "dataset", "prune", arg(&dataset)];
-    let asked: Value = stance(&[&prune[..], &["--dry-run"]].concat())
-        .expect_code(0)
-        .json();
-    let done: Value = stance(&prune).expect_code(0).json();
+    let asked: Value = stance(&[&prune[..], &["--dry-run"]].concat()).done();
+    let done: Value = stance(&prune).done();
     assert_eq!(asked["files"], done["files"]);
     assert_eq!(done["versions"], serde_json::json!([1, 2, 3]));
     assert!(done["files"].as_u64() > Some(0));
@@ -597,6 +595,6 @@ fn old_versions_go_only_when_asked() {
         root_hash
     );
     verified(&dataset);
-    let again: Value = stance(&prune).expect_code(0).json();
+    let again: Value = stance(&prune).done();
     assert_eq!(again["versions"], serde_json::json!([]));
 }

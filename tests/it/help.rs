@@ -42,13 +42,14 @@ const VERBS: [&str; 31] = [
 
 #[test]
 fn every_verb_explains_itself_and_its_options() {
-    let help = stance(&["--help"]).expect_code(0).stdout;
+    let help = stance(&["--help"]).printed();
     for verb in VERBS {
         assert!(help.contains(&format!("\n  {verb}")), "{verb} is listed");
-        let help = stance(&[verb, "--help"]).expect_code(0).stdout;
-        for option in ["--threads", "--seed", "--json", "--quiet", "--no-progress"] {
-            assert!(help.contains(option), "{verb} lacks {option}");
-        }
+        let help = stance(&[verb, "--help"]).printed();
+        assert_has(
+            &help,
+            &["--threads", "--seed", "--json", "--quiet", "--no-progress"],
+        );
     }
 }
 
@@ -83,10 +84,10 @@ const INNER: [&[&str]; 15] = [
 #[test]
 fn help_texts_are_those_of_the_snapshot() {
     let verbs = VERBS.iter().map(std::slice::from_ref);
-    let mut found = stance(&["--help"]).expect_code(0).stdout;
+    let mut found = stance(&["--help"]).printed();
     for verb in verbs.chain(INNER) {
         let args = [verb, &["--help"]].concat();
-        let help = stance(&args).expect_code(0).stdout;
+        let help = stance(&args).printed();
         found += &format!("\n==== stance {}\n\n{help}", verb.join(" "));
     }
     let lines: Vec<&str> = found.lines().map(str::trim_end).collect();
@@ -108,7 +109,7 @@ fn help_texts_are_those_of_the_snapshot() {
 #[test]
 fn options_of_models_stand_where_a_model_runs() {
     for verb in VERBS {
-        let help = stance(&[verb, "--help"]).expect_code(0).stdout;
+        let help = stance(&[verb, "--help"]).printed();
         let (device, devices) = (help.contains("--device "), help.contains("--devices "));
         let runs = [
             "demo",
@@ -132,7 +133,7 @@ fn options_of_models_stand_where_a_model_runs() {
 #[test]
 fn shells_and_man_know_every_verb() {
     for shell in ["bash", "zsh", "fish"] {
-        let script = stance(&["completions", shell]).expect_code(0).stdout;
+        let script = stance(&["completions", shell]).printed();
         for verb in VERBS {
             assert!(script.contains(verb), "{shell} lacks {verb}");
         }

@@ -17,7 +17,7 @@ fn ingest(sources: &[&Path], out: &Path) -> Value {
     let mut args = vec!["--json", "ingest"];
     args.extend(sources.iter().map(|source| arg(source)));
     args.extend(["--out", arg(out), "--fps", "native"]);
-    let done: Value = stance(&args).expect_code(0).json();
+    let done: Value = stance(&args).done();
     let count = |name: &str| done[name].as_u64().expect("a count");
     assert_eq!(
         count("sources"),

@@ -30,11 +30,7 @@ fn mdm_edits_body_parts_and_stands_in_the_table() {
     let settings = bench.workshop.path("mdm.toml");
     fs::write(&settings, SMALL).expect("writes");
     let small = ["--config", arg(&settings), "--steps", "3"];
-    let done: Value = bench
-        .workshop
-        .train_with("mdm", "mdm", &small)
-        .expect_code(0)
-        .json();
+    let done: Value = bench.workshop.train_with("mdm", "mdm", &small).done();
     assert_eq!(
         (&done["steps"], &done["is_complete"]),
         (&3.into(), &true.into())
@@ -91,10 +87,7 @@ fn mdm_edits_body_parts_and_stands_in_the_table() {
     }
 
     let ours = bench.edits("ours", &[]);
-    let scores: Value = bench
-        .eval(&[&ours, &out], &["--json"])
-        .expect_code(0)
-        .json();
+    let scores: Value = bench.eval(&[&ours, &out], &["--json"]).done();
     for system in ["MDM-BP (guidance 2)", "Identity", "MotionReFit"] {
         assert!(
             score(&scores, system, "E2T AvgR")["mean"]

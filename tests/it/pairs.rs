@@ -47,9 +47,7 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
         let dir = corpus(clips);
         let dataset = dir.path().join("dataset");
         ingest(&dir.path().join("corpus"), &dataset, &[], 0);
-        let made: Json = stance(&["--json", "pairs", arg(&dataset)])
-            .expect_code(0)
-            .json();
+        let made: Json = stance(&["--json", "pairs", arg(&dataset)]).done();
         assert_eq!(made["alone"], 0, "{made}");
         for split in ["train", "val", "test"] {
             let count = made["splits"][split].as_u64().expect("a number");
@@ -121,10 +119,7 @@ fn a_dataset_that_grows_keeps_the_splits_and_the_seed_it_was_made_with() {
     assert_eq!(again["already_complete"], true);
     assert_eq!(again["root_hash"], made["root_hash"]);
     let remark = again["remarks"][0].as_str().expect("a remark");
-    assert!(
-        remark.contains("seed 6") && remark.contains("seed 9"),
-        "{remark}"
-    );
+    assert_has(remark, &["seed 6", "seed 9"]);
 
     copy_tree(&whole, &part);
     let grown = ingest(&part, &dataset, &["--seed", "9"], 0);
@@ -163,9 +158,7 @@ fn real_style_captures_share_the_split_of_their_take() {
         of_take.values().all(|splits| splits.len() == 1),
         "{of_take:?}"
     );
-    let made: Json = stance(&["--json", "pairs", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let made: Json = stance(&["--json", "pairs", arg(&dataset)]).done();
     for split in ["train", "val", "test"] {
         assert!(made["splits"][split].as_u64() > Some(0), "{made}");
     }
@@ -200,10 +193,7 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
         .map(|line| line["line"].as_u64().expect("a number"))
         .collect();
     assert_eq!(refused, [4, 5]);
-    assert!(
-        ran.stderr
-            .contains("line 4: no motion of the dataset has the id \"nobody\"")
-    );
+    ran.expect_said("line 4: no motion of the dataset has the id \"nobody\"");
     ran.expect_said("line 5: it has 2 fields");
     let rows = rows_of::<PairRow>(&dataset);
     let texts: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
@@ -216,9 +206,7 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
         .expect_code(3)
         .json();
     assert_eq!(again["root_hash"], added["root_hash"]);
-    let both: Json = stance(&["--json", "pairs", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let both: Json = stance(&["--json", "pairs", arg(&dataset)]).done();
     assert_eq!(both["pairs"], 2 + 10, "{both}");
     stance(&["verify", arg(&dataset)]).expect_code(0);
 }
@@ -239,9 +227,7 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
     assert_eq!(made["ingested"], CLIPS_PER_TAKE + 52);
     assert_eq!(made["tables"]["pairs"], 52);
     // Pairs from labels stand beside those of the list, and an adjusted clip is no style.
-    let both: Json = stance(&["--json", "pairs", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let both: Json = stance(&["--json", "pairs", arg(&dataset)]).done();
     assert_eq!(
         (&both["pairs"], &both["alone"]),
         (&(52 + 130).into(), &0.into())
@@ -470,9 +456,7 @@ fn a_motionfix_folder_goes_to_table_2_with_a_row_for_the_identity_editor() {
         "all",
         "--out",
     ];
-    let drawn: Json = stance(&[&draw[..], &[arg(&items)]].concat())
-        .expect_code(0)
-        .json();
+    let drawn: Json = stance(&[&draw[..], &[arg(&items)]].concat()).done();
     assert_eq!(
         (&drawn["items"], &drawn["targets"]),
         (&36.into(), &36.into())
@@ -593,13 +577,12 @@ fn a_coordinator_without_two_clips_to_compose_says_what_is_missing() {
     fs::write(&config, "batch_size = 8\nval_windows = 8\n").expect("writes");
     fs::write(&compose, "base = { sources = [\"bvh\"] }\n").expect("writes");
     let run = dir.path().join("run");
-    let refused = typed(
+    typed(
         "train coordinator {} --out {} --steps 2 --config {} --compose {}",
         &[&dataset, &run, &config, &compose],
     )
-    .expect_code(1);
-    refused.expect_said("two different clips");
-    refused.expect_said("base.sources");
+    .expect_refused("two different clips")
+    .expect_said("base.sources");
 }
 
 #[test]
@@ -700,11 +683,7 @@ fn folders_of_something_else_say_what_they_are_and_who_takes_them() {
     .expect_code(0);
     for verb in ["stats", "masks", "pairs"] {
         let refused = stance(&[verb, arg(&items)]).expect_code(1);
-        assert!(
-            refused.stderr.contains("a folder of items") && refused.stderr.contains("stance edit"),
-            "{verb}: {}",
-            refused.stderr
-        );
+        assert_has(&refused.stderr, &["a folder of items", "stance edit"]);
     }
     let said = stance(&["doctor", arg(&items)]).expect_code(0);
     said.expect_printed("a folder of items");
@@ -739,12 +718,6 @@ fn a_dataset_without_masks_and_pairs_says_which_verbs_make_them() {
         ],
     ] {
         let refused = stance(&args).expect_code(1);
-        for verb in ["stance masks", "stance pairs"] {
-            assert!(
-                refused.stderr.contains(verb),
-                "{args:?}: {}",
-                refused.stderr
-            );
-        }
+        assert_has(&refused.stderr, &["stance masks", "stance pairs"]);
     }
 }

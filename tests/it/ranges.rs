@@ -47,8 +47,7 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
         "--author",
         "ann",
     ];
-    let refused = stance(&accept).expect_code(1);
-    assert!(refused.stderr.contains("31 at least"), "{}", refused.stderr);
+    stance(&accept).expect_refused("31 at least");
     fs::write(&lines, edited.join("\n")).expect("writes");
     stance(&accept).expect_code(0);
     stance(&["verify", arg(&dataset)]).expect_code(0);

@@ -53,10 +53,12 @@ fn a_quote_that_is_not_closed_is_named_by_its_line() {
     let out = dir.path().join("dataset");
     let done = ingest(&source, &out, &[], 0);
     let problems = done["label_problems"].to_string();
-    assert!(
-        problems.contains("line 3: a quote in it is not closed")
-            && problems.contains("the 2 lines behind it"),
-        "{problems}"
+    assert_has(
+        &problems,
+        &[
+            "line 3: a quote in it is not closed",
+            "the 2 lines behind it",
+        ],
     );
     let rows: Vec<MotionRow> = rows_of(&out);
     for row in rows {
@@ -77,10 +79,7 @@ fn a_quote_that_is_not_closed_is_named_by_its_line() {
     let out = dir.path().join("split");
     let done = ingest(&source, &out, &["--splits", arg(&list)], 3);
     let refused = done["refused_splits"].to_string();
-    assert!(
-        refused.contains("\"line\":3") && refused.contains("not closed"),
-        "{refused}"
-    );
+    assert_has(&refused, &["\"line\":3", "not closed"]);
 }
 
 #[test]
@@ -114,8 +113,8 @@ fn ids_choose_the_clips_that_are_read() {
     // The dataset knows its choice.
     let again = ingest(&source, &out, &["--ids", arg(&list)], 0);
     assert_eq!(again["already_complete"], true, "{again}");
-    let other = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(1);
-    other.expect_said("ids was a file and is not given now");
+    stance(&["ingest", arg(&source), "--out", arg(&out)])
+        .expect_refused("ids was a file and is not given now");
     // With another choice the clips that are there and are not chosen stay.
     fs::write(&list, "run_1\n").expect("written");
     let done = ingest(&source, &out, &["--ids", arg(&list), "--new-version"], 0);
@@ -130,8 +129,8 @@ fn ids_choose_the_clips_that_are_read() {
     assert_eq!(ids(&out), all);
     stance(&["verify", arg(&out)]).expect_code(0);
     fs::write(&list, "# nothing\n").expect("written");
-    let empty = typed("ingest {} --out {} --ids {}", &[&source, &out, &list]).expect_code(1);
-    empty.expect_said("it names no clip");
+    typed("ingest {} --out {} --ids {}", &[&source, &out, &list])
+        .expect_refused("it names no clip");
 }
 
 #[test]
@@ -235,12 +234,12 @@ fn ten_hours_are_refused_by_the_header() {
         (row.path.as_str(), row.code.as_str()),
         ("day_poses.npz", "E-NPZ-LIMIT")
     );
-    assert!(
-        row.reason
-            .contains("4320000 frames at 120 fps are 10.0 hours")
-            && row.reason.contains("cut the recording"),
-        "{}",
-        row.reason
+    assert_has(
+        &row.reason,
+        &[
+            "4320000 frames at 120 fps are 10.0 hours",
+            "cut the recording",
+        ],
     );
     assert_eq!(ids(&out), ["good".to_owned()].into());
 }
@@ -264,9 +263,7 @@ fn a_name_of_254_bytes_is_shortened_and_said() {
         "lerobot",
     ] {
         let to = dir.path().join(layout);
-        let done: Value = typed("--json export {} --to {} --out {}", &[&out, &layout, &to])
-            .expect_code(0)
-            .json();
+        let done: Value = typed("--json export {} --to {} --out {}", &[&out, &layout, &to]).done();
         assert_eq!(done["clips"], 4, "{layout}");
         let is_said = done["remarks"].to_string().contains("3 names are too long");
         let has_names = ["amass", "bvh", "gltf", "motionmillion"].contains(&layout);

@@ -82,7 +82,7 @@ impl Labelled {
         let (dataset, store) = (self.path(dataset), self.path(store));
         let options = ["annotate", arg(&dataset), "--store", arg(&store), "--json"];
         let ran = stance(&[&options[..], words].concat());
-        ran.expect_code(0).json()
+        ran.done()
     }
 
     fn annotate(&self, store: &str, words: &[&str]) -> Value {
@@ -108,7 +108,7 @@ impl Labelled {
             "--out",
             arg(&out),
         ];
-        stance(&export).expect_code(0).json()
+        stance(&export).done()
     }
 
     fn ingest(&self, source: &str, out: &str, more: &[&str], code: i32) -> Value {
@@ -419,12 +419,11 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
     .expect_code(0);
     made.ingest("other", "other-dataset", &[], 0);
     let (dataset, store) = (made.path("other-dataset"), made.path("other.sqlite"));
-    let refused = typed(
+    typed(
         "annotate {} --store {} import {}",
         &[&dataset, &store, &folder],
     )
-    .expect_code(1);
-    refused.expect_said("its content is");
+    .expect_refused("its content is");
 }
 
 #[test]
@@ -459,9 +458,9 @@ fn pairs_whose_motions_are_in_two_splits_are_left_out_of_a_project_and_counted()
     let filled = made.annotate_of("parted", "parted.sqlite", &["import", arg(&folder)]);
     assert_eq!(filled["counts"]["pairs_across_splits"], across, "{filled}");
     let said = filled["messages"].to_string();
-    assert!(
-        said.contains(&format!("{across} pairs have their motions in two splits")),
-        "{said}"
+    assert_has(
+        &said,
+        &[&format!("{across} pairs have their motions in two splits")],
     );
     // No answer of the project is about one of them.
     let answers = made.answers("parted", "parted.sqlite").into_iter();
@@ -499,12 +498,8 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     let report = made.ingest("stance", "again", &[], 3);
     assert_eq!(report["codes"]["E-STANCE-ORIGIN"], 2, "{report}");
     let again = made.path("again");
-    let listed = stance(&["inspect", arg(&again), "--list", "quarantine"])
-        .expect_code(0)
-        .stdout;
-    for id in [first.0, second.0] {
-        assert!(listed.contains(id), "{listed}");
-    }
+    let listed = stance(&["inspect", arg(&again), "--list", "quarantine"]).printed();
+    assert_has(&listed, &[first.0, second.0]);
     assert!(listed.contains("masks.jsonl holds the masks"), "{listed}");
     // The other motions are as they were.
     let motions: Vec<MotionRow> = made.rows("again");
@@ -605,13 +600,10 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
         stance(&[&options[..], words].concat())
     };
     of(&dataset, &store, &["pack", arg(&file)]).expect_code(1);
-    let refused = of(&dataset, &store, &["unpack", arg(&file)]).expect_code(1);
-    refused.expect_said("stays");
+    of(&dataset, &store, &["unpack", arg(&file)]).expect_refused("stays");
 
     // The same dataset: nothing is asked again, and nobody can log in with an old token.
-    let moved: Value = of(&dataset, &fresh, &["unpack", arg(&file)])
-        .expect_code(0)
-        .json();
+    let moved: Value = of(&dataset, &fresh, &["unpack", arg(&file)]).done();
     assert_eq!(
         (&moved["people"], &moved["changed"]),
         (&2.into(), &0.into())
@@ -629,17 +621,15 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
     let ingest = ["ingest", arg(&source), "--out", arg(&other), "--fps", "30"];
     stance(&ingest).expect_code(0);
     let none = made.path("none.sqlite");
-    let moved: Value = of(&other, &none, &["unpack", arg(&file)])
-        .expect_code(0)
-        .json();
-    let listed: Value = of(&other, &none, &["changed"]).expect_code(0).json();
+    let moved: Value = of(&other, &none, &["unpack", arg(&file)]).done();
+    let listed: Value = of(&other, &none, &["changed"]).done();
     assert!(moved["changed"].as_u64() > Some(20), "{moved}");
     assert_eq!(
         listed.as_array().map(Vec::len),
         moved["changed"].as_u64().map(|count| count as usize)
     );
     assert_eq!(
-        of(&other, &none, &["check"]).expect_code(0).json::<Value>()["findings"],
+        of(&other, &none, &["check"]).done::<Value>()["findings"],
         serde_json::json!([])
     );
 
@@ -793,7 +783,7 @@ fn features_and_chosen_clips_are_counted_too() {
             "--out",
             arg(&out),
         ];
-        stance(&[&export[..], more].concat()).expect_code(0).json()
+        stance(&[&export[..], more].concat()).done()
     };
     let said = export(&dataset, "stance", "a", &[]);
     assert_eq!(said["left_out"]["humanml3d_features"], rows, "{said}");
@@ -814,9 +804,7 @@ fn features_and_chosen_clips_are_counted_too() {
     )
     .expect_code(0);
     stance(&["stage", "work", arg(&plan)]).expect_code(0);
-    let done: Value = stance(&["--json", "stage", "commit", arg(&plan)])
-        .expect_code(0)
-        .json();
+    let done: Value = stance(&["--json", "stage", "commit", arg(&plan)]).done();
     let masks = made.rows::<MaskRow>("dataset").len();
     assert_eq!(done["notes"]["left_out"]["masks"], masks, "{done}");
 }

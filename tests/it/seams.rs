@@ -147,8 +147,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         args.extend(["--out", arg(&out)]);
         stance(&args)
     };
-    let refused = ask(&broken, &[]).expect_code(1);
-    refused.expect_said("mcm_ratio");
+    ask(&broken, &[]).expect_refused("mcm_ratio");
 
     // Coordinators that were shown other windows do not fit.
     for (name, compose, reason) in [
@@ -157,8 +156,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
     ] {
         train_composed(&workshop, "coordinator", name, compose, &[]).expect_code(0);
         let guide = workshop.path(name);
-        let refused = ask(&editor, &["--coordinator", arg(&guide)]).expect_code(1);
-        refused.expect_said(reason);
+        ask(&editor, &["--coordinator", arg(&guide)]).expect_refused(reason);
     }
     let compose = "anchor = \"translation\"\nfps = 5.0\n";
     train_composed(&workshop, "coordinator", "guide", compose, &[]).expect_code(0);
@@ -224,7 +222,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
             })
             .collect()
     };
-    let said: Value = answer(&editor, "edits").expect_code(0).json();
+    let said: Value = answer(&editor, "edits").done();
     assert_eq!(said["num_short"], 0);
     // Splits keep the takes of an action together, so that some actions of the test are new.
     let asked: Vec<ItemRow> = rows_of(&items);
@@ -311,7 +309,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     ran.expect_said("never seen levitate, ultrasonically");
 
     // The published fit needs its network, and its rows say that it was used.
-    let refused = |args: &[&str]| stance(args).expect_code(1).stderr;
+    let refused = |args: &[&str]| stance(args).refusal();
     let published = [
         "edit",
         arg(&editor),
@@ -389,10 +387,7 @@ fn windows_of_a_trained_editor_join() {
         bench.answers(run, "asked", &out, &["--name", run])
     });
     let edits: Vec<&Path> = edits.iter().map(PathBuf::as_path).collect();
-    let scores: Value = bench
-        .eval(&edits, &["--further", "--json"])
-        .expect_code(0)
-        .json();
+    let scores: Value = bench.eval(&edits, &["--further", "--json"]).done();
     let [real, joined, apart] =
         ["Real Data", "joined", "apart"].map(|system| Quality::of(&scores, system));
     let ratio = |quality: &Quality| quality.seam / quality.inside;

@@ -244,13 +244,8 @@ fn nothing_leaves_unless_it_is_asked_for() {
     let missing = &kept["growth"]["missing"];
     assert_eq!(list(missing).into_iter().collect::<BTreeSet<_>>(), gone);
     assert_eq!(clips(&dataset), before);
-    let text = stance(&["ingest", arg(&source), "--out", arg(&dataset)])
-        .expect_code(0)
-        .stdout;
-    assert!(
-        text.contains("2 missing, kept; --prune removes them"),
-        "{text}"
-    );
+    let text = stance(&["ingest", arg(&source), "--out", arg(&dataset)]).printed();
+    assert_has(&text, &["2 missing, kept; --prune removes them"]);
     // Labels that people made hold a clip back.
     let refused = grow(&[bare(&source)], &dataset, &["--prune"], 1);
     assert!(
@@ -415,11 +410,7 @@ fn a_dry_run_tells_what_happens_and_writes_nothing() {
             .contains("fps was 20 and is now 30")
     );
     let text = stance(&["ingest", arg(&source), "--out", arg(&dataset), "--dry-run"]);
-    assert!(
-        text.expect_code(0)
-            .stdout
-            .starts_with("nothing was written")
-    );
+    assert!(text.printed().starts_with("nothing was written"));
 }
 
 /// Checks that a dry run told what a run did.
@@ -547,10 +538,7 @@ fn a_dataset_of_an_earlier_build_asks_for_names_and_deletes_nothing() {
     let before = clips(&dataset);
     // It has two sources whose folders are called data, and their files are not here.
     let said = asked(&[bare(&source)], &dataset);
-    assert!(
-        said.contains("one-data (2 clips), two-data (2 clips)"),
-        "{said}"
-    );
+    assert_has(&said, &["one-data (2 clips), two-data (2 clips)"]);
     assert!(
         said.contains(&named("one-data", &source)) && said.contains(&named("corpus", &source)),
         "{said}"
@@ -622,9 +610,7 @@ fn many_processes_grow_a_dataset_alike() {
     .concat();
     stance(&job).expect_code(0);
     stance(&["stage", "work", arg(&plan)]).expect_code(0);
-    let made: Value = stance(&["--json", "stage", "commit", arg(&plan)])
-        .expect_code(0)
-        .json();
+    let made: Value = stance(&["--json", "stage", "commit", arg(&plan)]).done();
     assert_eq!(made["root_hash"], done["root_hash"]);
     // The places are recorded by either way.
     let again = grow(&[bare(&ben)], &many, &[], 0);

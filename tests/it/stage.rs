@@ -94,7 +94,7 @@ fn root_hash(verb: &[&str], out: &Path) -> String {
     let mut args = vec!["--json"];
     args.extend(verb);
     args.extend(["--out", arg(out)]);
-    let done: serde_json::Value = stance(&args).expect_code(0).json();
+    let done: serde_json::Value = stance(&args).done();
     done["root_hash"].as_str().expect("a hash").to_owned()
 }
 
@@ -103,7 +103,7 @@ fn planned(job: &[&str], into: &Path, plan: &Path) -> Planned {
     let mut args = vec!["--json", "stage", "plan"];
     args.extend(job);
     args.extend(["--into", arg(into), "--out", arg(plan)]);
-    stance(&args).expect_code(0).json()
+    stance(&args).done()
 }
 
 fn records(ran: &Ran) -> Vec<Record> {
@@ -127,7 +127,7 @@ fn commit(plan: &Path, more: &[&str], code: i32) -> Committed {
 
 fn status(plan: &Path) -> Status {
     let args = ["--json", "stage", "status", arg(plan)];
-    stance(&args).expect_code(0).json()
+    stance(&args).done()
 }
 
 fn pieces(plan: &Path) -> Vec<Piece> {
@@ -379,8 +379,7 @@ fn a_plan_is_refused_once_its_destination_has_another_version() {
     for record in work(&plan, &[], 3) {
         assert_eq!(record.code.as_deref(), Some("E-PLAN-STALE"));
     }
-    let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-    ran.expect_said("plan again");
+    stance(&["stage", "commit", arg(&plan)]).expect_refused("plan again");
     assert_eq!(
         Dataset::open(&into).expect("opens").manifest().root_hash,
         before
@@ -426,8 +425,7 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
         "{reason}"
     );
     assert_eq!(status(&plan).failed.len(), 1);
-    let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-    ran.expect_said("--quarantine-failed");
+    stance(&["stage", "commit", arg(&plan)]).expect_refused("--quarantine-failed");
 
     let items = pieces(&plan)
         .into_iter()
@@ -522,8 +520,7 @@ fn a_dry_run_counts_and_writes_nothing() {
         "--json stage plan ingest {} --into {} --dry-run",
         &[&source, &into],
     )
-    .expect_code(0)
-    .json();
+    .done();
     assert_eq!(planned.items, 12);
     assert!(planned.pieces > 0 && planned.bytes > 0);
     let sample = planned.sample.expect("a sample");
@@ -810,8 +807,7 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
     if !into.exists() {
         fs::create_dir_all(&into).expect("a folder");
         fs::write(into.join("notes.txt"), "mine").expect("written");
-        let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-        ran.expect_said(arg(&into));
+        stance(&["stage", "commit", arg(&plan)]).expect_refused(arg(&into));
         fs::remove_dir_all(&into).expect("removed");
     }
     let done = commit(&plan, &[], 0);
@@ -839,8 +835,7 @@ fn a_dry_run_of_an_export_makes_a_few_clips() {
             "--json stage plan export {} --to {} --into {} --dry-run",
             &[&dataset, &layout, &into],
         )
-        .expect_code(0)
-        .json();
+        .done();
         let sample = planned.sample.expect("a sample");
         assert_eq!((planned.items, sample.items), (40, 16), "{layout}");
         assert!(planned.bytes > 0 && !into.exists(), "{layout}");
@@ -881,8 +876,7 @@ fn an_export_of_chosen_clips_in_pieces_is_that_of_one_process() {
         "{made:?}"
     );
     let args = ["stage", "commit", arg(&plan), "--quarantine-failed"];
-    let ran = stance(&args).expect_code(1);
-    ran.expect_said("whole or not at all");
+    stance(&args).expect_refused("whole or not at all");
     fs::write(shard, whole).expect("written");
     work(&plan, &[], 0);
     commit(&plan, &[], 0);

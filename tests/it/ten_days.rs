@@ -77,7 +77,7 @@ impl Days {
         args.extend(sources.iter().map(|source| arg(source)));
         args.extend(more);
         let before = everything(&self.dataset);
-        let told: Value = stance(&args).expect_code(0).json();
+        let told: Value = stance(&args).done();
         assert_eq!(everything(&self.dataset), before);
         let total = clips(&self.dataset).len();
         let done = ingest(sources, &self.dataset, more, 0);
@@ -211,9 +211,7 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     let same = days.grow(&[Path::new(&named), &more], &[]);
     assert_eq!(same["growth"]["new"], 0);
     days.check("grown after a restore");
-    let compacted: Value = stance(&["--json", "dataset", "compact", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let compacted: Value = stance(&["--json", "dataset", "compact", arg(&dataset)]).done();
     assert!(compacted["after"]["files"].as_u64() < compacted["before"]["files"].as_u64());
     assert_eq!(clips(&dataset), before.0);
     days.check("compacted");

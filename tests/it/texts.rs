@@ -89,8 +89,7 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     assert_eq!(lines.stdout.lines().collect::<Vec<_>>(), vectors.texts);
     vectors.write("letters.safetensors", 1.0).expect_code(0);
     let short = vectors.make("short.safetensors", &vectors.values[WIDTH..]);
-    let said = short.expect_code(1).stderr;
-    assert!(said.contains("no row for each"), "{said}");
+    short.expect_refused("no row for each");
 
     let small = fs::read_to_string(workshop.path("small.toml")).expect("settings");
     let settings = workshop.path("table.toml");
@@ -100,15 +99,13 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
         let settings = ["--config", arg(&settings), "--steps", "4"];
         workshop.train_with(model, "editor", &[&settings, more].concat())
     };
-    let unnamed = train("motionrefit", &[]).expect_code(1);
-    unnamed.expect_said("--text-encoder");
+    train("motionrefit", &[]).expect_refused("--text-encoder");
     train("motionrefit", &["--text-encoder", arg(&table)]).expect_code(0);
     let alone = workshop.path("tmed.toml");
     fs::write(&alone, "text.encoder = \"table\"\n").expect("writes");
     let told = ["--config", arg(&alone), "--text-encoder", arg(&table)];
     let tokens = workshop.train_with("tmed", "tmed", &told);
-    let said = tokens.expect_code(1).stderr;
-    assert!(said.contains("TMED reads tokens"), "{said}");
+    tokens.expect_refused("TMED reads tokens");
     let record = fs::read_to_string(workshop.path("editor/config.json")).expect("a record");
     let record: Value = serde_json::from_str(&record).expect("JSON");
     let frozen = &record["config"]["text"]["frozen"];
@@ -131,7 +128,7 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
         stance(&args)
     };
     let refused = |what: &[&str], table: &str, why: &str| {
-        let said = edit("refused", what, Some(table)).expect_code(1).stderr;
+        let said = edit("refused", what, Some(table)).refusal();
         assert!(said.contains(why), "{said}");
     };
     edit("edits", &items, None).expect_code(0);
@@ -221,11 +218,9 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
         |model: &str, settings: &str, told: &[&str]| train_into(model, model, settings, told);
     let told = ["--text-encoder", arg(&encoder)];
     let editor = format!("text.encoder = \"bert\"\n{small}");
-    let unnamed = train("motionrefit", &editor, &[]).expect_code(1).stderr;
-    assert!(unnamed.contains("--text-encoder"), "{unnamed}");
+    train("motionrefit", &editor, &[]).expect_refused("--text-encoder");
     let states = format!("text.vectors = \"states\"\n{editor}");
-    let refused = train("motionrefit", &states, &told).expect_code(1).stderr;
-    assert!(refused.contains("one vector for each token"), "{refused}");
+    train("motionrefit", &states, &told).expect_refused("one vector for each token");
     train("motionrefit", &editor, &told).expect_code(0);
     let tokens = format!("text.encoder = \"bert\"\n{SMALL_TMED}");
     train("tmed", &tokens, &told).expect_code(0);
@@ -263,7 +258,6 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
         let args = [&["edit", arg(&run), "--out", arg(&out)][..], &spin, told].concat();
         stance(&args)
     };
-    let unnamed = edit("never", &[]).expect_code(1).stderr;
-    assert!(unnamed.contains("--text-encoder"), "{unnamed}");
+    edit("never", &[]).expect_refused("--text-encoder");
     edit("spun", &told).expect_code(0);
 }

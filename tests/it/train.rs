@@ -107,10 +107,7 @@ impl Workshop {
 fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
     let workshop = Workshop::open();
     let steps = "300";
-    let whole: Value = workshop
-        .train("motionrefit", "whole", steps)
-        .expect_code(0)
-        .json();
+    let whole: Value = workshop.train("motionrefit", "whole", steps).done();
     assert_eq!(whole["is_complete"], true);
 
     let run = workshop.path("parts");
@@ -147,10 +144,7 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
     let stopped: Value = stopped.json();
     assert_eq!(stopped["is_complete"], false);
 
-    let done: Value = workshop
-        .train("motionrefit", "parts", steps)
-        .expect_code(0)
-        .json();
+    let done: Value = workshop.train("motionrefit", "parts", steps).done();
     for figure in ["steps", "last_loss", "best_val_loss", "best_step"] {
         assert_eq!(done[figure], whole[figure], "{figure}");
     }
@@ -228,7 +222,7 @@ fn training_leaves_the_dataset_as_it_was_and_every_run_goes_on() {
         .expect_code(0);
     assert_eq!(workshop.root_hash(), before);
     for (model, run) in [("tmr", "encoder"), ("motionrefit", "editor")] {
-        let again: Value = workshop.train(model, run, "2").expect_code(0).json();
+        let again: Value = workshop.train(model, run, "2").done();
         assert_eq!(again["steps"], 2, "{run}");
     }
     let range = |run: &str| workshop.record(run)["config"]["normalizer"].clone();
@@ -257,10 +251,7 @@ fn fixed_pairs_are_validated_on_what_everything_else_is() {
     let still = ["--config", arg(&settings), "--steps", "1"];
     let loss = |run: &str, more: &[&str]| -> Value {
         let args = [&still[..], more].concat();
-        let done: Value = workshop
-            .train_with("motionrefit", run, &args)
-            .expect_code(0)
-            .json();
+        let done: Value = workshop.train_with("motionrefit", run, &args).done();
         done["best_val_loss"].clone()
     };
     let full = loss("full", &[]);
@@ -292,15 +283,11 @@ fn every_kind_of_run_is_extended_and_begins_with_anothers_weights() {
     let workshop = Workshop::open();
     for model in ["motionrefit", "coordinator", "tmr"] {
         workshop.train(model, model, "4").expect_code(0);
-        let refused = workshop.train(model, model, "6").expect_code(1);
-        refused.expect_said("--extend");
+        workshop.train(model, model, "6").expect_refused("--extend");
         let settings = workshop.settings(model);
         let longer = ["--config", arg(&settings), "--steps", "6"];
         let extend = [&longer[..], &["--extend"]].concat();
-        let done: Value = workshop
-            .train_with(model, model, &extend)
-            .expect_code(0)
-            .json();
+        let done: Value = workshop.train_with(model, model, &extend).done();
         assert_eq!(done["steps"], 6, "{model}");
         let lineage = workshop.record(model)["lineage"].clone();
         assert_eq!(
@@ -363,7 +350,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
     for out in &outs {
         args.extend(["--out", arg(out)]);
     }
-    let made: Value = stance(&args).expect_code(0).json();
+    let made: Value = stance(&args).done();
     assert!(made["times"]["coordinator_secs"].as_f64().expect("secs") > 0.0);
     assert!(made["times"]["diffusion_secs"].as_f64().expect("secs") > 0.0);
     let magic: [&[u8]; 6] = [b"PK", b"HIERARCHY", b"glTF", b"<svg", b"\x89PNG", b"GIF8"];
@@ -472,18 +459,16 @@ fn an_editor_of_the_body_joints_alone_trains_and_edits() {
             ],
         )
     };
-    let refused = edit("whole").expect_code(1);
-    refused.expect_said("other keypoints");
-    let made: Value = edit("guide").expect_code(0).json();
+    edit("whole").expect_refused("other keypoints");
+    let made: Value = edit("guide").done();
     assert!(made["fit_error_m"].as_f64().expect("metres").is_finite());
     assert!(fs::read(&out).expect("written").starts_with(b"PK"));
     let odd = workshop.path("odd.toml");
     fs::write(&odd, format!("keypoints = 24\n{SMALL}")).expect("writes");
     let odd = ["--config", arg(&odd), "--steps", "1"];
-    let refused = workshop
+    workshop
         .train_with("motionrefit", "odd", &odd)
-        .expect_code(1);
-    refused.expect_said("keypoints");
+        .expect_refused("keypoints");
 }
 
 #[test]
@@ -508,14 +493,14 @@ fn a_history_goes_on_and_back() {
         child.wait_with_output().expect("ends").into()
     };
     let counts = |ran: Ran| -> (usize, u64) {
-        let document: Value = ran.expect_code(0).json();
+        let document: Value = ran.done();
         let edits = document["edits"].as_array().expect("edits").len();
         (edits, document["undone"].as_u64().expect("a count"))
     };
-    assert!(edit(&[], "").expect_code(1).stderr.contains("--motion"));
+    assert!(edit(&[], "").refusal().contains("--motion"));
     let begin = ["--motion", arg(&clip), "--text", "The person is waving."];
     assert_eq!(counts(edit(&begin, "")), (1, 0));
-    assert!(edit(&begin, "").expect_code(1).stderr.contains("exists"));
+    assert!(edit(&begin, "").refusal().contains("exists"));
     assert_eq!(
         counts(edit(&["--text", "The person is nodding."], "")),
         (2, 0)
@@ -534,8 +519,7 @@ fn a_history_goes_on_and_back() {
     assert_eq!(counts(edit(&["--undo"], "")), (2, 1));
     assert_eq!(counts(edit(&["--redo"], "")), (3, 0));
     assert!(before == fs::read(&history).expect("a history"));
-    let unknown = edit(&[], ":sing\n").expect_code(1);
-    unknown.expect_said(":undo");
+    edit(&[], ":sing\n").expect_refused(":undo");
 }
 
 /// The tensors of a safetensors file by name.
@@ -585,8 +569,7 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     assert!(weights(&guide) == weights(&back));
     let broken = workshop.path("broken.pth");
     fs::write(&broken, b"PK\x03\x04 no archive").expect("writes");
-    let refused = import(&broken).expect_code(1);
-    refused.expect_said("broken.pth");
+    import(&broken).expect_refused("broken.pth");
 }
 
 /// Losses of a run, as its metrics file has them.
@@ -636,11 +619,8 @@ fn devices_are_listed_on_any_command_line_and_others_are_refused() {
         &["train", "--device", "list"][..],
         &["edit", "--device=list", "--json"],
     ] {
-        let listed = stance(args).expect_code(0).stdout;
-        assert!(
-            listed.contains("cpu") && listed.contains("threads"),
-            "{listed}"
-        );
+        let listed = stance(args).printed();
+        assert_has(&listed, &["cpu", "threads"]);
     }
     let listed: Value =
         serde_json::from_str(&stance(&["train", "--device=list", "--json"]).stdout).expect("JSON");
@@ -662,17 +642,12 @@ fn devices_are_listed_on_any_command_line_and_others_are_refused() {
 #[test]
 fn a_device_is_tested_and_measured_without_a_dataset() {
     let asked = ["--json", "device", "--secs", "0", "--windows", "2"];
-    let said: Value = stance(&asked).expect_code(0).json();
+    let said: Value = stance(&asked).done();
     assert_eq!(said["device"], "cpu");
     assert_eq!(said["products"], "single precision");
     assert_eq!((&said["steps"], &said["windows"]), (&1.into(), &2.into()));
     assert!(said["windows_per_sec"].as_f64() > Some(0.0), "{said}");
     // Another processor backend is named by what it is.
-    let text = typed("device --device ndarray --secs 0 --windows 1", &[])
-        .expect_code(0)
-        .stdout;
-    assert!(
-        text.contains("burn-ndarray") && text.contains("passed"),
-        "{text}"
-    );
+    let text = typed("device --device ndarray --secs 0 --windows 1", &[]).printed();
+    assert_has(&text, &["burn-ndarray", "passed"]);
 }

@@ -69,9 +69,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
             "--out",
             arg(out),
         ];
-        stance(&[&args[..], &ANY, more].concat())
-            .expect_code(0)
-            .json()
+        stance(&[&args[..], &ANY, more].concat()).done()
     };
     let first = made(&out, &[]);
     let count = |of: &Value, name: &str| of["counts"][name].as_u64().expect("a count");
@@ -113,15 +111,12 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     assert!(repeated["counts"].is_null() && repeated["root_hash"] == first["root_hash"]);
     assert_eq!(made(&again, &[])["root_hash"], first["root_hash"]);
     let args = ["variants", arg(&out), "--out", arg(&again)];
-    let refused = stance(&args).expect_code(1);
-    refused.expect_said("another dataset");
+    stance(&args).expect_refused("another dataset");
 
     // Variants that were made elsewhere are motions named base/variant.
     let paired = workshop.path("paired");
     let elsewhere = ["--json", "variants", arg(&out), "--out", arg(&paired)];
-    let elsewhere: Value = stance(&[&elsewhere[..], &ANY].concat())
-        .expect_code(0)
-        .json();
+    let elsewhere: Value = stance(&[&elsewhere[..], &ANY].concat()).done();
     assert_eq!(count(&elsewhere, "variants"), 2 * kept);
     assert_eq!(elsewhere["pairs"], kept);
 
@@ -146,9 +141,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     // Nor are they once all their pairs were judged unusable and left the dataset.
     let import = |store: &str| -> Value {
         let store = workshop.path(store);
-        typed("--json annotate {} --store {} import", &[&paired, &store])
-            .expect_code(0)
-            .json()
+        typed("--json annotate {} --store {} import", &[&paired, &store]).done()
     };
     assert_eq!(count(&import("first.sqlite"), "new_tasks"), kept);
     let file = workshop.path("first.sqlite");
