@@ -22,7 +22,9 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use crate::util::{arg, command, corpus, rows_of, stance, typed};
+use crate::util::{
+    arg, assert_has, command, corpus, json_of, put, rows_of, stance, text_of, typed, typed_with,
+};
 
 #[derive(Deserialize)]
 struct Listening {
@@ -336,8 +338,7 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
     let file = |name: &str| dir.path().join(name);
     let run = |store: &str, words: &[&str]| -> Value {
         let store = file(store);
-        let options = ["annotate", arg(&dataset), "--store", arg(&store), "--json"];
-        stance(&[&options[..], words].concat()).done()
+        typed_with("annotate {} --store {} --json", &[&dataset, &store], words).done()
     };
     for name in ["first.sqlite", "second.sqlite", "third.sqlite"] {
         let store = open_sqlite(&file(name)).expect("a store");
@@ -398,10 +399,7 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
     };
     let said = rows.into_iter().map(|row| row.accepted_by);
     assert_eq!(marked(said.collect()), [3, 9], "masks have two rows each");
-    let json = |name: &str| -> Value {
-        let bytes = std::fs::read(file("stance3").join(name)).expect("a file");
-        serde_json::from_slice(&bytes).expect("JSON")
-    };
+    let json = |name: &str| -> Value { json_of(file("stance3").join(name)) };
     let text = |value: &Value| value.as_str().map(str::to_owned);
     let masks = json("accepted_by.json");
     let said = masks.as_object().expect("an object").values().map(text);
@@ -444,10 +442,8 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
 #[test]
 fn a_server_starts_on_a_dataset_that_was_ingested_anew_and_asks_about_its_answers() {
     let (dir, dataset) = dataset(24);
-    let run = |words: &[&str]| -> Value {
-        let options = ["--json", "annotate", arg(&dataset)];
-        stance(&[&options[..], words].concat()).done()
-    };
+    let run =
+        |words: &[&str]| -> Value { typed_with("--json annotate {}", &[&dataset], words).done() };
     run(&["import"]);
     let file = dataset.join("annotate").join("store.sqlite");
     let store = open_sqlite(&file).expect("a store");
@@ -458,9 +454,8 @@ fn a_server_starts_on_a_dataset_that_was_ingested_anew_and_asks_about_its_answer
     assert_eq!(listed(&["changed"]), 0);
     // Every clip has the same id and other frames.
     let source = dir.path().join("corpus");
-    let args = ["ingest", arg(&source), "--out", arg(&dataset)];
     let anew = ["--fps", "30", "--new-version", "--drop-labels"];
-    stance(&[&args[..], &anew].concat()).expect_code(0);
+    typed_with("ingest {} --out {}", &[&source, &dataset], &anew).expect_code(0);
     drop(Process::start(&dataset, "127.0.0.1:0"));
     assert_eq!(listed(&["changed"]), 8);
     let folder = dir.path().join("files");
@@ -472,8 +467,7 @@ fn a_server_starts_on_a_dataset_that_was_ingested_anew_and_asks_about_its_answer
     run(&["export"]);
     stance(&["verify", arg(&dataset)]).expect_code(0);
     let count = ["--count", "8", "--json"];
-    let stats = ["triplets", "stats", arg(&dataset)];
-    stance(&[&stats[..], &count].concat()).expect_code(0);
+    typed_with("triplets stats {}", &[&dataset], &count).expect_code(0);
     assert_eq!(run(&["check"])["findings"], json!([]));
 }
 
@@ -504,8 +498,7 @@ fn backups_are_made_on_a_schedule_and_the_last_ones_kept() {
             .is_empty()
     );
     let other = dir.path().join("copies");
-    std::fs::create_dir(&other).expect("a folder");
-    std::fs::write(other.join("store-20200101T000000Z.sqlite"), "").expect("an old copy");
+    put(other.join("store-20200101T000000Z.sqlite"), "");
     let made: Value = typed("annotate {} --json backup {} --keep 1", &[&data, &other]).done();
     assert_eq!(
         copies(&other),
@@ -608,8 +601,7 @@ fn a_server_says_who_else_can_reach_it() {
     let refused = typed("annotate {} --trusted-proxy proxy.example", &[&dataset]).expect_code(2);
     refused.expect_said("10.0.0.0/8");
     for host in ["https://a.example", "a.example:8443", ""] {
-        let wrong = ["annotate", arg(&dataset), "--host", host];
-        let refused = stance(&wrong).expect_code(2);
+        let refused = typed("annotate {} --host {}", &[&dataset, &host]).expect_code(2);
         refused.expect_said("scheme and port");
     }
 }
@@ -650,7 +642,7 @@ fn the_store_can_be_named_where_others_do_not_see_it() {
 fn deployed() -> [Vec<String>; 2] {
     let read = |name: &str| {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("annotate/deploy");
-        std::fs::read_to_string(folder.join(name)).expect("a file of the repository")
+        text_of(folder.join(name))
     };
     let unit = read("stance-annotate.service");
     let unit = unit
@@ -1040,7 +1032,7 @@ fn styles_go_into_another_project_as_they_come_out() {
     let told = "[[style]]\nname = \"old\"\ntext = \"\"\"Short steps,\nbent back.\"\"\"\ncolour = \"#8f6b00\"\n\
                 guideline = \"\"\"Bend the knees.\n\nDo not limp.\"\"\"\n\n\
                 [[style]]\nname = \"limping\"\n";
-    std::fs::write(&file, told).expect("a file");
+    put(&file, told);
     let taken: Value = styles(stores[0], &[arg(&file), "--json"]).done();
     assert_eq!((&taken["new"], &taken["changed"]), (&json!(1), &json!(1)));
     let out = styles(stores[0], &[]).printed();
@@ -1049,7 +1041,7 @@ fn styles_go_into_another_project_as_they_come_out() {
     let old = listed.iter().find(|style| style["name"] == "old");
     let old = old.expect("the style of the file");
     assert_eq!(old["guideline"], "Bend the knees.\n\nDo not limp.");
-    std::fs::write(&file, &out).expect("a file");
+    put(&file, &out);
     styles(stores[1], &[arg(&file)]).expect_code(0);
     let [one, two] = stores.map(|store| -> Vec<Value> {
         let mut all: Vec<Value> = styles(store, &["--json"]).done();
@@ -1058,7 +1050,7 @@ fn styles_go_into_another_project_as_they_come_out() {
     });
     assert_eq!(one, two);
 
-    std::fs::write(&file, "[[style]]\nname = \"x\"\ncolour = \"red\"\n").expect("a file");
+    put(&file, "[[style]]\nname = \"x\"\ncolour = \"red\"\n");
     styles(stores[0], &[arg(&file)]).expect_refused("#rrggbb");
 }
 
@@ -1072,10 +1064,7 @@ fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_i
     };
     import();
     stance(&["pairs", arg(&dataset)]).expect_code(0);
-    let pairs: Vec<PairRow> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read(None)
-        .expect("pairs");
+    let pairs: Vec<PairRow> = rows_of(&dataset);
     let first = pairs.iter().find(|pair| pair.kind == "style");
     let first = first.expect("the corpus has style pairs");
     let (motion, style) = (&first.source_id, first.style.as_deref().expect("a style"));
@@ -1093,7 +1082,7 @@ fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_i
         "motion,style,takes\n{motion},{style},{}\nnot-yet,{style},1\n",
         alike + 1
     );
-    std::fs::write(&file, &plan).expect("a file");
+    put(&file, &plan);
     let taken: Value = captures(&[arg(&file), "--json"]).done();
     assert_eq!(taken, json!({ "cells": 2, "unknown_motions": 1 }));
     assert_eq!(captures(&[]).printed(), plan);
@@ -1113,10 +1102,10 @@ fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_i
 
     let sheet = dir.path().join("sheet.html");
     captures(&["--sheet", arg(&sheet)]).expect_code(0);
-    let page = std::fs::read_to_string(&sheet).expect("a page");
+    let page = text_of(&sheet);
     assert!(page.contains("<strong>not-yet</strong>, 1 take"), "{page}");
 
-    std::fs::write(&file, format!("{motion},{style},none\n")).expect("a file");
+    put(&file, format!("{motion},{style},none\n"));
     captures(&[arg(&file)]).expect_refused("line 1");
     assert_eq!(captures(&[]).printed(), plan);
 }

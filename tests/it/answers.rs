@@ -5,12 +5,13 @@ use std::fs;
 use std::io::{Cursor, Write as _};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
-use crate::util::{Ran, arg, files_with_extension, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, files_with_extension, put, rows_of, stance, text_of, typed, typed_with,
+};
 
 /// Metrics of what a system recorded while it generated; answers from elsewhere have none.
 const RECORDED: [&str; 2] = ["Fit error", "Bone drift"];
@@ -32,20 +33,11 @@ fn scores(rows: &Value, system: &str) -> Scores {
 }
 
 fn import(files: &Path, items: &Path, name: &str, out: &Path, more: &[&str]) -> Ran {
-    let mut args = vec![
-        "--json",
-        "edits",
-        "import",
-        arg(files),
-        "--items",
-        arg(items),
-        "--name",
-        name,
-        "--out",
-        arg(out),
-    ];
-    args.extend(more);
-    stance(&args)
+    typed_with(
+        "--json edits import {} --items {} --name {} --out {}",
+        &[&files, &items, &name, &out],
+        more,
+    )
 }
 
 /// An array as `numpy.save` writes one (version 1.0 of the format).
@@ -95,7 +87,7 @@ fn write_answers(edits: &[EditRow], folder: &Path) {
             ],
             row.fps.into(),
         );
-        fs::write(folder.join(format!("{}.npz", row.id)), bytes).expect("written");
+        put(folder.join(format!("{}.npz", row.id)), bytes);
     }
 }
 
@@ -173,7 +165,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
         &[&clip[0], &folder, &picture],
     )
     .expect_code(0);
-    let picture = fs::read_to_string(picture).expect("drawn");
+    let picture = text_of(picture);
     assert_has(&picture, &["source", "target", "Elsewhere, seed 0"]);
     assert_has(&inspected, &["Elsewhere", "semantic"]);
 }
@@ -184,7 +176,7 @@ fn the_sources_of_exported_items_score_as_the_identity() {
     let at = |name: &str| bench.workshop.path(name);
     let out = at("questions");
     stance(&["items", "export", arg(&at("items")), "--out", arg(&out)]).expect_code(0);
-    let list = fs::read_to_string(out.join("items.json")).expect("a list");
+    let list = text_of(out.join("items.json"));
     let list: Value = serde_json::from_str(&list).expect("JSON");
     let listed = list["items"].as_array().expect("items");
     assert_eq!(listed.len(), 8);
@@ -227,9 +219,8 @@ fn the_sources_of_exported_items_score_as_the_identity() {
             &text,
             &["Never marked as best, as all values are those of the identity editor: Lazy."],
         );
-        let args = ["report", "--encoder", "builtin", "--out", arg(&page)];
-        stance(&[&args, &systems[..]].concat()).expect_code(0);
-        let html = fs::read_to_string(&page).expect("written");
+        typed_with("report --encoder builtin --out {}", &[&page], &systems).expect_code(0);
+        let html = text_of(&page);
         let mut lines = html.lines().filter(|line| line.contains(">Lazy</th>"));
         assert!(lines.clone().count() > 1, "no row of the system");
         assert!(lines.all(|line| !line.contains("class=\"best\"")));
@@ -240,16 +231,15 @@ fn the_sources_of_exported_items_score_as_the_identity() {
 fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
     let bench = Bench::open();
     let at = |name: &str| bench.workshop.path(name);
-    let dataset = Dataset::open(&at("items")).expect("a dataset");
-    let items: Vec<ItemRow> = dataset.read(None).expect("rows");
+    let items: Vec<ItemRow> = rows_of(&at("items"));
     let answers: Vec<EditRow> = rows_of::<EditRow>(&bench.edits("here", &[]));
     write_answers(&answers, &at("answers"));
     let file = |number: usize, extension: &str| {
         at("answers").join(format!("{}.{extension}", answers[number].id))
     };
     let whole = fs::read(file(0, "npz")).expect("written");
-    fs::write(file(0, "npz"), &whole[..whole.len() / 3]).expect("cut");
-    fs::write(at("answers").join("nobody.npz"), &whole).expect("written");
+    put(file(0, "npz"), &whole[..whole.len() / 3]);
+    put(at("answers").join("nobody.npz"), &whole);
     fs::copy(
         file(1, "npz"),
         at("answers").join(format!("{}-0.npz", answers[1].id)),
@@ -261,11 +251,11 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
     hostile.extend(format!("{header:<117}\n").into_bytes());
     hostile.extend(b"cos\nsystem\n(S'touch owned'\ntR.");
     fs::remove_file(file(2, "npz")).expect("removed");
-    fs::write(file(2, "npy"), hostile).expect("written");
+    put(file(2, "npy"), hostile);
     let mut broken = answers[3].clone();
     broken.transl[5][1] = f32::NAN;
     write_answers(&[broken], &at("answers"));
-    fs::write(at("answers/readme.md"), "mine").expect("written");
+    put(at("answers/readme.md"), "mine");
 
     let out = at("imported");
     let refused = import(&at("answers"), &at("items"), "TMED", &out, &[]).expect_code(1);
@@ -353,7 +343,7 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
             });
             assert_eq!(found.count(), 1, "{start}");
         }
-        let list = fs::read_to_string(out.join("edits.json")).expect("a list");
+        let list = text_of(out.join("edits.json"));
         let list: Value = serde_json::from_str(&list).expect("JSON");
         assert_eq!(list.as_array().expect("motions").len(), 32);
     }

@@ -12,7 +12,7 @@ use serde_json::Value;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use crate::util::{Ran, arg, command, corpus, files_with_extension, stance, typed};
+use crate::util::{Ran, arg, assert_has, command, corpus, files_with_extension, stance, typed};
 
 /// Files by their names.
 pub(crate) type Files = BTreeMap<String, Vec<u8>>;
@@ -165,7 +165,7 @@ impl Place {
     fn put(&self, name: &str, bytes: impl AsRef<[u8]>) {
         let path = self.path(name);
         fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-        fs::write(path, bytes).expect("written");
+        put(path, bytes);
     }
 
     /// Runs the command. Nothing it unpacks stays.

@@ -1,14 +1,13 @@
 //! The systems that the method is compared with.
 
 use std::collections::BTreeSet;
-use std::fs;
 
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
-use crate::util::{arg, typed};
+use crate::util::{arg, put, typed};
 
 /// A small TMED.
 pub(crate) const SMALL_TMED: &str = "
@@ -31,8 +30,8 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     let bench = Bench::open();
     let workshop = &bench.workshop;
     let (small, fixed) = (workshop.path("tmed.toml"), workshop.path("fixed.toml"));
-    fs::write(&small, SMALL_TMED).expect("writes");
-    fs::write(&fixed, "fixed_pairs = true\n").expect("writes");
+    put(&small, SMALL_TMED);
+    put(&fixed, "fixed_pairs = true\n");
     let settings = ["--config", arg(&small), "--steps", "4"];
     let train = |run: &str, more: &[&str]| {
         let args = [&settings[..], more].concat();
@@ -72,7 +71,7 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
 
     // The corpus has masks and no captured pairs.
     let pairs = workshop.path("pairs.toml");
-    fs::write(&pairs, format!("data = \"pairs\"\n{SMALL_TMED}")).expect("writes");
+    put(&pairs, format!("data = \"pairs\"\n{SMALL_TMED}"));
     let refused = workshop.train_with("tmed", "pairs", &["--config", arg(&pairs)]);
     refused.expect_refused("composed");
     // It follows one instruction, of some frames or of all.

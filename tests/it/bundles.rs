@@ -11,12 +11,11 @@ use serde_json::Value;
 
 use crate::evaluate::Bench;
 use crate::tables::tables;
-use crate::util::{Ran, arg, stance, typed};
+use crate::util::{Ran, arg, assert_has, put, stance, typed, typed_with};
 
 /// Bundles edits.
 fn bundle(edits: &Path, out: &Path, more: &[&str]) -> Ran {
-    let args = ["--json", "edits", "bundle", arg(edits), "--out", arg(out)];
-    stance(&[&args, more].concat())
+    typed_with("--json edits bundle {} --out {}", &[&edits, &out], more)
 }
 
 /// Members of a zip with their names.
@@ -53,7 +52,7 @@ fn forged(zip: &[u8], folder: &Path, change: impl Fn(&mut Vec<EditRow>)) -> Vec<
         found.expect("a member")
     };
     let answers = place("answers.parquet", &members);
-    fs::write(&path, &members[answers].1).expect("written");
+    put(&path, &members[answers].1);
     let mut rows: Vec<EditRow> = read_rows(&path).expect("rows");
     change(&mut rows);
     let facts = [("skeleton", "smplx-neutral".to_owned())];
@@ -225,7 +224,7 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
     let items = at("items");
     let eval = |name: &str, zip: &[u8]| {
         let path = at(name);
-        fs::write(&path, zip).expect("written");
+        put(&path, zip);
         let ran = bench
             .eval(&[&path], &["--items", arg(&items)])
             .expect_code(1);

@@ -9,7 +9,7 @@ use formats::markers::{MarkerSet, marker_sets};
 use glam::DVec3;
 
 use crate::formats::{all_in_train, ingested, inspected, put, walk};
-use crate::util::{arg, real_data, stance};
+use crate::util::{arg, assert_has, real_data, rows_of, stance, typed};
 
 const FPS: f32 = 60.0;
 
@@ -318,14 +318,7 @@ fn unknown_labels_are_quarantined_until_a_marker_set_is_given() {
         r#"{"name": "lab", "markers": {"M000": "LFOO9"}}"#,
     );
     let bad = dir.path().join("bad.json");
-    let ran = stance(&[
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&made),
-        "--markers",
-        arg(&bad),
-    ]);
+    let ran = typed("ingest {} --out {} --markers {}", &[&source, &made, &bad]);
     assert!(
         ran.code != 0 && ran.stderr.contains("where LFOO9 is"),
         "{}",
@@ -446,21 +439,13 @@ fn each_person_of_a_capture_is_a_clip() {
     let other = other.expect("another split");
     std::fs::write(&list, format!("subject:Ben,{other}\n")).expect("written");
     let listed = dir.path().join("listed");
-    let done = stance(&[
-        "--json",
-        "ingest",
-        arg(&source),
-        "--out",
-        arg(&listed),
-        "--splits",
-        arg(&list),
-    ]);
+    let done = typed(
+        "--json ingest {} --out {} --splits {}",
+        &[&source, &listed, &list],
+    );
     let done: serde_json::Value = done.expect_code(3).json();
     assert!(!done.to_string().contains("no clip is called"), "{done}");
-    let listed: Vec<MotionRow> = Dataset::open(&listed)
-        .expect("a dataset")
-        .read(None)
-        .expect("rows");
+    let listed: Vec<MotionRow> = rows_of(&listed);
     let shared = listed.iter().filter(|row| row.id.as_str().contains('#'));
     for row in shared {
         // Who is in one capture with him follows him.
@@ -532,15 +517,8 @@ fn a_wrong_unit_is_named_and_overridden() {
                 row.id
             );
         }
-        let again = [
-            "ingest",
-            arg(&source),
-            "--out",
-            arg(&made),
-            "--splits",
-            arg(&splits),
-        ];
-        stance(&again).expect_refused("unit was");
+        typed("ingest {} --out {} --splits {}", &[&source, &made, &splits])
+            .expect_refused("unit was");
     }
     stance(&["ingest", "x", "--out", "y", "--unit", "parsec"]).expect_code(2);
 }

@@ -12,7 +12,10 @@ use serde_json::Value;
 use crate::tables::tables;
 use crate::texts::TextTable;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, corpus, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, corpus, files_with_extension, json_of, put, rows_of, stance, text_of,
+    typed, typed_with,
+};
 
 /// Settings of an evaluation encoder that is trained in a second.
 pub(crate) const SMALL_ENCODER: &str = "
@@ -45,7 +48,7 @@ impl Bench {
         workshop.train("motionrefit", "editor", "4").expect_code(0);
         let encoder = workshop.path("encoder");
         let settings = workshop.path("encoder.toml");
-        fs::write(&settings, SMALL_ENCODER).expect("writes");
+        put(&settings, SMALL_ENCODER);
         typed(
             "train tmr {} --out {} --config {}",
             &[&workshop.dataset(), &encoder, &settings],
@@ -60,9 +63,7 @@ impl Bench {
     pub(crate) fn items(&self, name: &str, more: &[&str]) -> PathBuf {
         let out = self.workshop.path(name);
         let dataset = self.workshop.dataset();
-        let mut args = vec!["items", arg(&dataset), "--out", arg(&out)];
-        args.extend(more);
-        stance(&args).expect_code(0);
+        typed_with("items {} --out {}", &[&dataset, &out], more).expect_code(0);
         out
     }
 
@@ -74,16 +75,7 @@ impl Bench {
     /// Answers items with a run.
     pub(crate) fn answers(&self, run: &str, items: &str, name: &str, more: &[&str]) -> PathBuf {
         let [run, items, out] = [run, items, name].map(|name| self.workshop.path(name));
-        let mut args = vec![
-            "edit",
-            arg(&run),
-            "--items",
-            arg(&items),
-            "--out",
-            arg(&out),
-        ];
-        args.extend(more);
-        stance(&args).expect_code(0);
+        typed_with("edit {} --items {} --out {}", &[&run, &items, &out], more).expect_code(0);
         out
     }
 
@@ -297,7 +289,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
 
 /// A plan of a small editor, with its settings in section `models.motionrefit`.
 fn write_plan(bench: &Bench, rest: &str) -> std::path::PathBuf {
-    let settings = fs::read_to_string(bench.workshop.path("small.toml")).expect("settings");
+    let settings = text_of(bench.workshop.path("small.toml"));
     let settings = settings.replace("[model]", "[models.motionrefit.model]");
     let plan = bench.workshop.path("plan.toml");
     let text = format!(
@@ -305,7 +297,7 @@ fn write_plan(bench: &Bench, rest: &str) -> std::path::PathBuf {
          [eval]\nrepeats = 2\n[items]\ncount = 6\n\
          [models.motionrefit]\nlength = {{ steps = 3 }}\n{settings}"
     );
-    fs::write(&plan, text).expect("writes");
+    put(&plan, text);
     plan
 }
 
@@ -361,7 +353,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         "mcm-ratio-fs",
         "guidance-semantic-e2t-avgr",
     ] {
-        let svg = fs::read_to_string(out.join(format!("figures/{drawing}.svg"))).expect("drawn");
+        let svg = text_of(out.join(format!("figures/{drawing}.svg")));
         assert!(
             svg.starts_with("<svg") && !svg.contains("no values"),
             "{drawing}"
@@ -370,7 +362,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         assert!(png.starts_with(b"\x89PNG"));
     }
     // The picture has the answers of both systems to two items, in its order.
-    let drawn = fs::read_to_string(out.join("figures/both.svg")).expect("drawn");
+    let drawn = text_of(out.join("figures/both.svg"));
     let labels = ["source", "Nearest", "ours", "target"];
     let counts = labels.map(|label| drawn.matches(label).count());
     assert!(counts[0] >= 2 && counts == [counts[0]; 4], "{counts:?}");
@@ -381,28 +373,28 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     assert_eq!(pictures.len(), 3);
     // The rule by which these are chosen stands beside the instruction: how much closer to the target an edit is.
     let [worst, best] = ["worst", "best"].map(|name| {
-        let drawn = fs::read_to_string(out.join(format!("figures/{name}.svg"))).expect("drawn");
+        let drawn = text_of(out.join(format!("figures/{name}.svg")));
         let (before, _) = drawn.split_once(" cm closer)").expect("a gain");
         let (_, gain) = before.rsplit_once('(').expect("a bracket");
         gain.parse::<f64>().expect("a number")
     });
     assert!(worst <= best, "{worst} {best}");
     // Every cell of the table is a number, in the order of the plan.
-    let csv = fs::read_to_string(out.join("tables/table-1.csv")).expect("a table");
+    let csv = text_of(out.join("tables/table-1.csv"));
     assert!(csv.contains("Nearest") && csv.contains("ours"), "{csv}");
-    let text = fs::read_to_string(out.join("tables/table-1.txt")).expect("a table");
+    let text = text_of(out.join("tables/table-1.txt"));
     let place = |name: &str| text.find(name).expect("a row");
     assert!(place("Real Data") < place("Identity") && place("Identity") < place("ours"));
     assert!(
         place("ours") < place("Nearest")
             && place("Nearest") < place("Published, not measured here")
     );
-    let times = fs::read_to_string(out.join("tables/table-a4.md")).expect("a table");
+    let times = text_of(out.join("tables/table-a4.md"));
     assert!(times.contains("ours"), "{times}");
-    let page = fs::read_to_string(out.join("index.html")).expect("a page");
+    let page = text_of(out.join("index.html"));
     assert!(page.contains("guidance") && page.contains("Nearest"));
     // The record holds what tables and figures show.
-    let record = fs::read_to_string(out.join("record.jsonl")).expect("a record");
+    let record = text_of(out.join("record.jsonl"));
     let record: Vec<Value> = record
         .lines()
         .map(|line| serde_json::from_str(line).expect("JSON"))
@@ -413,7 +405,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         rows.count()
     };
     let cells = |row: &&str| row.starts_with('|') && !row.starts_with("| :--");
-    let table = fs::read_to_string(out.join("tables/table-1.md")).expect("a table");
+    let table = text_of(out.join("tables/table-1.md"));
     let (ours, _) = table.split_once("Published").unwrap_or((&table, ""));
     let systems = ["Real Data", "Identity", "ours", "Nearest"];
     let rows = ours.lines().filter(cells);
@@ -458,28 +450,20 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     // A file is replaced, never written over.
     let (page, old) = (out.join("index.html"), out.join("old.html"));
     fs::hard_link(&page, &old).expect("a second name");
-    fs::write(&old, "old").expect("writes");
+    put(&old, "old");
     let again: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).done();
     assert_eq!(first, again);
     assert_eq!((count("runs"), count("edits")), (3, 5));
-    assert_eq!(fs::read_to_string(&old).expect("a file"), "old");
-    assert!(
-        fs::read_to_string(&page)
-            .expect("a page")
-            .contains("guidance")
-    );
+    assert_eq!(text_of(&old), "old");
+    assert!(text_of(&page).contains("guidance"));
 
     // Trainings one after the other give the same scores.
     let other = bench.workshop.path("one-by-one");
-    let plan = [
-        "--json",
-        "reproduce",
-        "--weak-judge",
-        arg(&plan),
-        "--at-once",
-        "1",
-    ];
-    let one_by_one: Value = stance(&[&plan[..], &["--out", arg(&other)]].concat()).done();
+    let one_by_one: Value = typed(
+        "--json reproduce --weak-judge {} --at-once 1 --out {}",
+        &[&plan, &other],
+    )
+    .done();
     let points = |made: &Value| [0, 1].map(|figure| made["figures"][figure]["points"].clone());
     assert_eq!(points(&first), points(&one_by_one));
     assert_eq!(first["tables"][0], one_by_one["tables"][0]);
@@ -536,15 +520,14 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     let mut seeds: Vec<u64> = fs::read_dir(out.join("runs"))
         .expect("runs")
         .map(|run| {
-            let text = fs::read(run.expect("a run").path().join("config.json")).expect("a record");
-            let record: Value = serde_json::from_slice(&text).expect("JSON");
+            let record: Value = json_of(run.expect("a run").path().join("config.json"));
             record["config"]["train"]["seed"].as_u64().expect("a seed")
         })
         .collect();
     seeds.sort_unstable();
     // The system, its window of 12 and its fixed pairs; the window of 16 is the preset's.
     assert_eq!(seeds, [1, 2, 4, 4, 4]);
-    let svg = fs::read_to_string(out.join("figures/pairs-fs.svg")).expect("drawn");
+    let svg = text_of(out.join("figures/pairs-fs.svg"));
     assert!(svg.contains(">true<") && svg.contains(">false<"), "{svg}");
 }
 
@@ -612,12 +595,12 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
     assert!((mean(&point["scores"], "ours") - expected).abs() < 1e-12);
     assert_eq!(mean(&point["trainings"][1], "ours"), seeds[1]);
     let tables = bench.workshop.path("made/tables");
-    let table = fs::read_to_string(tables.join("table-1.md")).expect("a table");
+    let table = text_of(tables.join("table-1.md"));
     assert_has(
         &table,
         &["Means over 2 trainings of each system, fewer for once"],
     );
-    let figure = fs::read_to_string(tables.join("pairs.md")).expect("a table");
+    let figure = text_of(tables.join("pairs.md"));
     // Six items have too few targets for an interval, whatever their trainings add.
     let cell = format!("| false | {expected:.3} |");
     assert!(figure.contains(&cell), "{cell} {figure}");
@@ -709,7 +692,7 @@ fn tall_body(path: &Path) -> Skeleton {
             bytes.extend(value.to_le_bytes());
         }
     }
-    fs::write(path, bytes).expect("writes");
+    put(path, bytes);
     formats::source::body_model::read_skeleton(path).expect("a body")
 }
 
@@ -729,16 +712,11 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     let encoder_settings = workshop.path("encoder.toml");
     for (model, settings) in [("motionrefit", &settings), ("tmr", &encoder_settings)] {
         let out = workshop.path(&format!("tall-{model}"));
-        let train = [
-            "train",
-            model,
-            arg(&root),
-            "--out",
-            arg(&out),
-            "--steps",
-            "2",
-        ];
-        stance(&[&train[..], &["--config", arg(settings)]].concat()).expect_code(0);
+        typed(
+            "train {} {} --out {} --steps 2 --config {}",
+            &[&model, &root, &out, &settings],
+        )
+        .expect_code(0);
     }
     workshop.train("coordinator", "guide", "2").expect_code(0);
     workshop
@@ -755,8 +733,7 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     let out = workshop.path("answers");
     let (own, foreign) = (workshop.path("tall-motionrefit"), workshop.path("editor"));
     let edit = |run: &Path, more: &[&str]| {
-        let args = ["edit", arg(run), "--items", arg(&items), "--out", arg(&out)];
-        stance(&[&args[..], more].concat())
+        typed_with("edit {} --items {} --out {}", &[&run, &items, &out], more)
     };
     refused(edit(&foreign, &[]));
     refused(edit(&own, &["--coordinator", arg(&workshop.path("guide"))]));
@@ -766,16 +743,13 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     refused(bench.eval(&[&out], &[]));
     let scores = workshop.path("tall-scores");
     let encoder = workshop.path("tall-tmr");
-    let eval = [
-        "eval",
-        "--encoder",
-        arg(&encoder),
-        "--weak-judge",
-        "--repeats",
-        "2",
-    ];
     let rest = ["--out", arg(&scores), arg(&out)];
-    stance(&[&eval[..], &rest[..]].concat()).expect_code(0);
+    typed_with(
+        "eval --encoder {} --weak-judge --repeats 2",
+        &[&encoder],
+        &rest,
+    )
+    .expect_code(0);
 
     let clip = rows_of::<MotionRow>(&root)
         .into_iter()
@@ -790,10 +764,7 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
         "--out",
         arg(&one),
     ];
-    let edit_one = |run: &Path| {
-        let from = ["edit", arg(run), "--dataset", arg(&root)];
-        stance(&[&from[..], &args].concat())
-    };
+    let edit_one = |run: &Path| typed_with("edit {} --dataset {}", &[&run, &root], &args);
     refused(edit_one(&foreign));
     edit_one(&own).expect_code(0);
     for made in [&out, &scores, &one] {
@@ -815,7 +786,7 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
         &[&first, &bench.encoder, &page],
     )
     .done();
-    let html = fs::read_to_string(&page).expect("written");
+    let html = text_of(&page);
     assert_eq!(made["bytes"], html.len());
     let items_of = |viewer: &str| -> Vec<Value> {
         let data = html
@@ -875,9 +846,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
             "ranks nothing",
         ],
     );
-    let report: Value =
-        serde_json::from_slice(&fs::read(weak.join("report.json")).expect("a report"))
-            .expect("JSON");
+    let report: Value = json_of(weak.join("report.json"));
     let folder = Dataset::open(&dataset).expect("a dataset");
     assert_eq!(report["dataset_hash"], folder.manifest().root_hash);
     let clips: Vec<MotionRow> = folder.read(Some(Split::Val)).expect("rows");
@@ -893,15 +862,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     let edits = bench.edits("first", &[]);
     let sentence = "This table ranks nothing.";
     let eval = |more: &[&str], code: i32| {
-        let args = [
-            "eval",
-            arg(&edits),
-            "--encoder",
-            arg(&weak),
-            "--repeats",
-            "2",
-        ];
-        stance(&[&args, more].concat()).expect_code(code)
+        typed_with("eval {} --encoder {} --repeats 2", &[&edits, &weak], more).expect_code(code)
     };
     let ran = eval(&[], 1);
     assert!(ran.stdout.starts_with(sentence), "{}", ran.stdout);
@@ -924,32 +885,24 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     assert!(compared[0]["unranked"].is_string(), "{compared}");
 
     let ranks_nothing = |page: &Path| {
-        let html = fs::read_to_string(page).expect("a page");
+        let html = text_of(page);
         assert!(html.contains(sentence) && !html.contains("class=\"best\""));
     };
     let page = bench.workshop.path("page.html");
-    let write = [
-        "report",
-        arg(&edits),
-        "--encoder",
-        arg(&weak),
-        "--out",
-        arg(&page),
-    ];
-    stance(&write).expect_code(1);
+    typed("report {} --encoder {} --out {}", &[&edits, &weak, &page]).expect_code(1);
     ranks_nothing(&page);
     fs::rename(&weak, bench.workshop.path("encoder-of-one-step")).expect("renamed");
     let plan = write_plan(
         &bench,
         "[[system]]\nname = \"ours\"\n[[table]]\npaper = \"1\"\n",
     );
-    let text = fs::read_to_string(&plan).expect("a plan");
+    let text = text_of(&plan);
     let text = text.replace("encoder = \"encoder\"", "encoder = \"encoder-of-one-step\"");
-    fs::write(&plan, text).expect("writes");
+    put(&plan, text);
     stance(&["reproduce", arg(&plan)]).expect_code(1);
     let made = bench.workshop.path("made");
     ranks_nothing(&made.join("index.html"));
-    let table = fs::read_to_string(made.join("tables/table-1.txt")).expect("a table");
+    let table = text_of(made.join("tables/table-1.txt"));
     assert!(table.starts_with(sentence), "{table}");
 
     // The same edits are ranked by the encoder of the program; a folder without a report is not believed.
@@ -962,8 +915,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     );
     let weak = bench.workshop.path("encoder-of-one-step");
     fs::remove_file(weak.join("report.json")).expect("removed");
-    let args = ["eval", arg(&edits), "--encoder", arg(&weak)];
-    let ran = stance(&args).expect_code(1);
+    let ran = typed("eval {} --encoder {}", &[&edits, &weak]).expect_code(1);
     ran.expect_printed("holds no report.json");
     train(&weak);
     assert!(
@@ -991,11 +943,10 @@ fn items_do_not_change_with_the_seed_of_sampling() {
         bench.edits("one", &["--seed", "1"]),
     );
     let files = |folder: &Path| {
-        let mut files: Vec<Vec<u8>> =
-            crate::util::files_with_extension(&folder.join("data/items"), "parquet")
-                .iter()
-                .map(|path| fs::read(path).expect("a shard"))
-                .collect();
+        let mut files: Vec<Vec<u8>> = files_with_extension(&folder.join("data/items"), "parquet")
+            .iter()
+            .map(|path| fs::read(path).expect("a shard"))
+            .collect();
         files.sort();
         files
     };
@@ -1045,7 +996,7 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     let workshop = &bench.workshop;
     workshop.train("coordinator", "guide", "4").expect_code(0);
     let fixed = workshop.path("fixed.toml");
-    fs::write(&fixed, "fixed_pairs = true\n").expect("writes");
+    put(&fixed, "fixed_pairs = true\n");
     typed(
         "train motionrefit {} --out {} --config {} --compose {} --steps 4",
         &[

@@ -7,7 +7,7 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Motion, Skeleton};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
+use crate::util::{arg, corpus, files_with_extension, put, rows_of, stance, typed};
 
 const CLIPS: usize = 8;
 
@@ -217,8 +217,7 @@ fn an_export_appears_whole_or_not_at_all() {
     let dir = corpus(4);
     ingested(dir.path(), "corpus", "dataset");
     let (dataset, taken) = (dir.path().join("dataset"), dir.path().join("taken"));
-    std::fs::create_dir(&taken).expect("made");
-    std::fs::write(taken.join("mine.txt"), "mine").expect("written");
+    put(taken.join("mine.txt"), "mine");
     for layout in ["webdataset", "lerobot"] {
         exported(dir.path(), layout);
         let refused =
@@ -263,7 +262,7 @@ fn verify_passes_what_ingest_wrote_and_fails_what_was_altered() {
     let mut bytes = std::fs::read(shard).expect("a shard");
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
-    std::fs::write(shard, bytes).expect("written");
+    put(shard, bytes);
     let ran = stance(&["verify", arg(&dataset)]).expect_code(1);
     ran.expect_printed("1 wrong");
 }

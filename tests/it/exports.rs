@@ -11,7 +11,9 @@ use datasets_spec::record::MotionRow;
 use pickle::npz::Archive;
 use serde_json::Value;
 
-use crate::util::{arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed};
+use crate::util::{
+    arg, command, corpus, files_with_extension, put, real_data, rows_of, stance, text_of, typed,
+};
 
 const LAYOUTS: [&str; 11] = [
     "amass",
@@ -125,7 +127,7 @@ fn licences_and_captions_travel() {
     }
     let out = dir.path().join("humanml3d");
     typed("export {} --to humanml3d --out {}", &[&dataset, &out]).expect_code(0);
-    let ids = std::fs::read_to_string(out.join("ids.csv")).expect("written");
+    let ids = text_of(out.join("ids.csv"));
     assert_eq!(ids.matches(&license).count(), rows.len(), "{ids}");
     assert_eq!(
         files_with_extension(&out.join("texts"), "txt").len(),
@@ -197,7 +199,7 @@ fn damaged_motions_do_not_matter_to_metadata() {
     // Nearly all of a shard is poses.
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
-    std::fs::write(shard, bytes).expect("written");
+    put(shard, bytes);
 
     stance(&["verify", arg(&dataset)]).expect_code(1);
     assert_eq!(stats(0), before);
@@ -232,7 +234,7 @@ fn a_motion_of_a_file_is_drawn_by_its_name() {
         stance(&["render", &motion, "--out", arg(&picture)])
     };
     draw("motion").expect_code(0);
-    let svg = std::fs::read_to_string(&picture).expect("written");
+    let svg = text_of(&picture);
     assert!(svg.contains("#motion"), "{svg:.300}");
     draw("dance").expect_refused("no motion \"dance\"; its motions are motion");
 }
@@ -252,7 +254,7 @@ fn stats_count_masks_of_a_clip_and_pairs_of_a_style() {
         "{},{},old,walk as an old person\n",
         styled[0].0, styled[1].0
     );
-    std::fs::write(&list, line).expect("written");
+    put(&list, line);
     stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
     let said: Value = stance(&["--json", "stats", arg(&dataset)]).done();
     let masks: Vec<datasets_spec::record::MaskRow> = rows_of(&dataset);
@@ -291,8 +293,7 @@ fn again(dir: &Path, sources: &[&Path], name: &str) -> (PathBuf, BTreeMap<String
     let out = dir.join(name);
     let sources: Vec<&str> = sources.iter().map(|path| arg(path)).collect();
     stance(&[&["ingest"], &sources[..], &["--out", arg(&out)]].concat()).expect_code(0);
-    let dataset = Dataset::open(&out).expect("a dataset");
-    let rows: Vec<MotionRow> = dataset.read(None).expect("rows");
+    let rows: Vec<MotionRow> = rows_of(&out);
     (
         out,
         rows.into_iter()
@@ -316,7 +317,7 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
         let (styled, original) = (&train[0].id, &original.id);
         format!("{styled},{original},old,walk as an old person\n")
     };
-    std::fs::write(&list, line(train[1]) + &line(train[2])).expect("written");
+    put(&list, line(train[1]) + &line(train[2]));
     stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
     // As the annotation tool exports them.
     let stored = Dataset::open(&dataset).expect("a dataset");
@@ -372,7 +373,7 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
     let shards = files_with_extension(&dataset.join("data/motions"), "parquet");
     let mut bytes = std::fs::read(&shards[0]).expect("a shard");
     bytes.push(0);
-    std::fs::write(&shards[0], bytes).expect("written");
+    put(&shards[0], bytes);
     let damaged = dir.path().join("damaged");
     let ran = stance(&["--json", "ingest", arg(&dataset), "--out", arg(&damaged)]).expect_code(3);
     assert_eq!(
@@ -467,7 +468,7 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     let said = format!("{untagged} captions have no tokens with part-of-speech tags");
     // The folder cannot be made, and yet it is said.
     let file = dir.path().join("file");
-    std::fs::write(&file, "").expect("written");
+    put(&file, "");
     export("humanml3d", &file.join("out")).expect_refused(&said);
     // So it is where any number of processes will write them.
     let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
@@ -520,7 +521,7 @@ fn what_a_killed_export_left_is_removed_by_the_next_one() {
     // Items and edits are written the same way.
     let dead = home.join(".stance.0-0.partial");
     std::fs::create_dir_all(dead.join("new")).expect("made");
-    std::fs::write(dead.join("LOCK"), "").expect("written");
+    put(dead.join("LOCK"), "");
     let items = dir.path().join("items");
     typed(
         "items {} --split train --count 4 --out {}",

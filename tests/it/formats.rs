@@ -14,7 +14,7 @@ use glam::{DQuat, DVec3, EulerRot};
 use parquet::arrow::ArrowWriter;
 use serde::Deserialize;
 
-use crate::util::{arg, stance};
+use crate::util::{arg, assert_has, stance};
 
 /// What `ingest --json` says, as far as it matters here.
 #[derive(Debug, Deserialize)]

@@ -8,7 +8,7 @@ use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{arg, corpus, rows_of, stance, typed};
+use crate::util::{arg, corpus, put, rows_of, stance, text_of, typed};
 
 /// Ingests, and holds the counts of the document against each other and against the tables.
 pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
@@ -120,8 +120,8 @@ pub(crate) fn judge(dataset: &Path, dir: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset)]).expect_code(0);
     let file = dir.join("judged.jsonl");
     stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
-    let lines = fs::read_to_string(&file).expect("drafts");
-    fs::write(&file, lines.replace("\"todo\"", "\"accept\"")).expect("written");
+    let lines = text_of(&file);
+    put(&file, lines.replace("\"todo\"", "\"accept\""));
     typed("masks {} --accept {} --author ann", &[&dataset, &file]).expect_code(0);
     let masks = masks(dataset);
     assert!(!masks.is_empty() && masks.values().all(|mask| mask.text_origin == "human"));

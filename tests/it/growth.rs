@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::grown::{
     clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
 };
-use crate::util::{arg, corpus, rows_of, stance, typed};
+use crate::util::{arg, assert_has, corpus, put, rows_of, stance, text_of, typed};
 
 /// Checks that equal motions share a split. Returns how many motions outside of `train` have an equal one:
 /// a rule that does nothing would part some of them.
@@ -244,7 +244,7 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
         root_hash
     );
     // The file is back: nothing happened.
-    fs::write(&file, &kept).expect("written");
+    put(&file, &kept);
     assert_eq!(
         ingest(&[&source], &dataset, &[], 0)["already_complete"],
         true
@@ -316,7 +316,7 @@ fn captions_that_change_are_read_again_and_masks_stay() {
     let file = &files(&source)[0];
     let text =
         r#"{"captions": [{"text": "a person is new", "tokens": "", "from_s": 0, "to_s": 0}]}"#;
-    fs::write(file.with_extension("stance.json"), text).expect("written");
+    put(file.with_extension("stance.json"), text);
     let grown = ingest(&[&source], &dataset, &[], 0);
     assert_eq!(
         grown["growth"]["read_again"]
@@ -427,15 +427,13 @@ fn equal_motions_of_other_bytes_share_a_split() {
     let dir = corpus(48);
     let source = dir.path().join("corpus");
     let copies = dir.path().join("copies");
-    fs::create_dir(&copies).expect("made");
     let is_bvh = |file: &PathBuf| file.extension().is_some_and(|end| end == "bvh");
     for (number, file) in files(&source).into_iter().filter(is_bvh).enumerate() {
-        let text = fs::read_to_string(&file).expect("text");
-        fs::write(
+        let text = text_of(&file);
+        put(
             copies.join(format!("copy{number}.bvh")),
             format!("{text}\n"),
-        )
-        .expect("written");
+        );
     }
     let one_split_each = |dataset: &Path| {
         assert!(equal_motions_share_a_split(dataset) > 0);
@@ -460,15 +458,15 @@ fn equal_motions_in_two_splits_fail_verification() {
         .find(|file| file.extension().is_some_and(|end| end == "bvh"));
     let bvh = bvh.expect("a BVH");
     // The same motion in other bytes, and a list that wants it in another split.
-    let text = fs::read_to_string(&bvh).expect("text");
-    fs::write(source.join("copy.bvh"), format!("{text}\n")).expect("written");
+    let text = text_of(&bvh);
+    put(source.join("copy.bvh"), format!("{text}\n"));
     let stem = bvh
         .file_stem()
         .expect("a name")
         .to_string_lossy()
         .into_owned();
     let list = dir.path().join("splits.csv");
-    fs::write(&list, format!("clip,split\n*{stem},train\ncopy,test\n")).expect("written");
+    put(&list, format!("clip,split\n*{stem},train\ncopy,test\n"));
     let dataset = dir.path().join("dataset");
     ingest(&[&source], &dataset, &["--splits", arg(&list)], 0);
     let ran = stance(&["verify", arg(&dataset)]).expect_code(1);
@@ -480,7 +478,7 @@ fn equal_motions_in_two_splits_fail_verification() {
 fn what_was_skipped_is_listed_the_same_on_every_run() {
     let dir = corpus(4);
     let source = dir.path().join("corpus");
-    fs::write(source.join("notes.txt"), "no motion").expect("written");
+    put(source.join("notes.txt"), "no motion");
     let dataset = dir.path().join("dataset");
     let first = ingest(&[&source], &dataset, &[], 0);
     let again = ingest(&[&source], &dataset, &[], 0);

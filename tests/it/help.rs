@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::util::{arg, stance};
+use crate::util::{arg, assert_has, put, stance, text_of};
 
 /// The verbs of this version; scripts rely on them.
 const VERBS: [&str; 31] = [
@@ -96,7 +96,7 @@ fn help_texts_are_those_of_the_snapshot() {
     let expected = fs::read_to_string(&snapshot).unwrap_or_default();
     if found != expected {
         let now = Path::new(env!("CARGO_TARGET_TMPDIR")).join("help.txt");
-        fs::write(&now, &found).expect("writes");
+        put(&now, &found);
         let differing = found.lines().zip(expected.lines()).find(|(a, b)| a != b);
         panic!(
             "help texts changed, first {differing:?}; if that is meant: cp {} {}",
@@ -185,7 +185,7 @@ fn links_between_documents_lead_to_files_and_headings() {
     }
     let mut links = 0;
     for document in &documents {
-        let text = fs::read_to_string(document).expect("text");
+        let text = text_of(document);
         for link in text.split("](").skip(1) {
             let link = link.split([')', ' ']).next().unwrap_or("");
             if link.contains("://") {
@@ -198,7 +198,7 @@ fn links_between_documents_lead_to_files_and_headings() {
             };
             assert!(path.exists(), "{}: {target}", document.display());
             if !wanted.is_empty() {
-                let text = fs::read_to_string(&path).expect("text");
+                let text = text_of(&path);
                 let mut headings = text.lines().filter(|line| line.starts_with('#'));
                 let is_there = headings.any(|heading| anchor(heading) == wanted);
                 assert!(is_there, "{}: no heading for {link}", document.display());
@@ -213,7 +213,7 @@ fn links_between_documents_lead_to_files_and_headings() {
 #[test]
 fn every_word_has_the_type_that_it_names() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("datasets-spec");
-    let document = fs::read_to_string(folder.join("README.md")).expect("a file");
+    let document = text_of(folder.join("README.md"));
     let (_, section) = document.split_once("## Words\n").expect("a section");
     let section = section.split("\n## ").next().expect("a section");
     let mut seen: Vec<(&str, &str)> = Vec::new();

@@ -14,7 +14,9 @@ use serde_json::{Value, json};
 
 use self::server::{Hub, TOKEN};
 use crate::archives::files_below;
-use crate::util::{Ran, arg, corpus, files_with_extension, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of, typed,
+};
 
 const CLIPS: &str = "lab/clips";
 
@@ -54,7 +56,6 @@ fn dataset() -> (tempfile::TempDir, PathBuf) {
 /// A run folder as training leaves one, with weights of four kinds.
 fn run_folder(folder: &Path, dataset_hash: &str) {
     let best = folder.join("checkpoint/best");
-    fs::create_dir_all(&best).expect("made");
     let record = json!({
         "format": 1,
         "kind": "motionrefit",
@@ -63,15 +64,15 @@ fn run_folder(folder: &Path, dataset_hash: &str) {
         "skeleton": "smplx-neutral",
         "config": { "train": { "seed": 7 } },
     });
-    fs::write(folder.join("config.json"), record.to_string()).expect("written");
-    fs::write(folder.join("metrics.jsonl"), "").expect("written");
+    put(folder.join("config.json"), record.to_string());
+    put(folder.join("metrics.jsonl"), "");
     fs::create_dir_all(folder.join("checkpoint/.last.new")).expect("made");
-    fs::write(folder.join("checkpoint/.last.new/half"), "half").expect("written");
+    put(folder.join("checkpoint/.last.new/half"), "half");
     for (number, size) in [100, 20_000, 20_001, 90_000].into_iter().enumerate() {
         let bytes: Vec<u8> = (0..size)
             .map(|at| (at * (number + 3) % 251) as u8)
             .collect();
-        fs::write(best.join(format!("{number}.safetensors")), bytes).expect("written");
+        put(best.join(format!("{number}.safetensors")), bytes);
     }
 }
 
@@ -299,7 +300,7 @@ fn tokens_and_names_are_checked() {
     assert!(hub.state().paths("models/lab/editor").is_empty());
 
     // The token of `hf auth login`, and a repo that needs one.
-    fs::write(hub.token_file(), format!("{TOKEN}\n")).expect("written");
+    put(hub.token_file(), format!("{TOKEN}\n"));
     let args = [&args[..], &["--private"]].concat();
     hub.run(None, &args).expect_code(0);
     let out = dir.path().join("pulled");
@@ -369,9 +370,9 @@ fn what_may_not_be_passed_on_is_refused() {
     let clips = sources.path().join("corpus");
     // Sidecars state a licence of their own.
     for sidecar in files_with_extension(&clips, "json") {
-        let text = fs::read_to_string(&sidecar).expect("text");
+        let text = text_of(&sidecar);
         let text = text.replace("CC0-1.0", "LicenseRef-AMASS-NonCommercial");
-        fs::write(&sidecar, text).expect("written");
+        put(&sidecar, text);
     }
     let tag = "LicenseRef-AMASS-NonCommercial";
     typed(

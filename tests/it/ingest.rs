@@ -11,7 +11,10 @@ use eval::metric::foot_score::{FOOT_JOINTS, foot_score};
 use eval::protocol::Floor;
 use serde::Deserialize;
 
-use crate::util::{arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, command, corpus, files_with_extension, put, real_data, rows_of, stance,
+    text_of, typed,
+};
 
 /// The document of `ingest --json`, as a script relies on it.
 #[derive(Debug, Deserialize)]
@@ -95,10 +98,7 @@ fn a_finished_run_repeated_changes_nothing_and_another_plan_is_refused() {
 fn good_files(dir: &Path) -> (Vec<u8>, String) {
     let npz = files_with_extension(dir, "npz").remove(0);
     let bvh = files_with_extension(dir, "bvh").remove(0);
-    (
-        fs::read(npz).expect("an archive"),
-        fs::read_to_string(bvh).expect("a BVH file"),
-    )
+    (fs::read(npz).expect("an archive"), text_of(bvh))
 }
 
 /// The archive with one number of its poses replaced by NaN, written anew.
@@ -129,23 +129,21 @@ fn bad_files_are_quarantined_with_a_reason_and_the_rest_goes_on() {
     let dir = corpus(8);
     let source = dir.path().join("corpus");
     let (npz, bvh) = good_files(&source);
-    fs::write(source.join("truncated.npz"), &npz[..npz.len() / 2]).expect("writes");
-    fs::write(source.join("nan.npz"), with_nan(&npz)).expect("writes");
+    put(source.join("truncated.npz"), &npz[..npz.len() / 2]);
+    put(source.join("nan.npz"), with_nan(&npz));
     let extra_row = bvh.trim_end().lines().last().expect("a row").to_owned();
-    fs::write(
+    put(
         source.join("extra_row.bvh"),
         format!("{}\n{extra_row}\n", bvh.trim_end()),
-    )
-    .expect("writes");
-    fs::write(source.join("notes.md"), "not a motion").expect("writes");
+    );
+    put(source.join("notes.md"), "not a motion");
 
     let out = dir.path().join("dataset");
     let done = ingest(&source, &out, &[], 3);
     assert_eq!((done.ingested, done.quarantined), (8, 3), "{done:?}");
     assert!(done.balances() && done.resumed_shards == 0, "{done:?}");
     assert_eq!((done.files, done.dropped_pairs), (8 + 8 + 4, 0));
-    let dataset = Dataset::open(&out).expect("a dataset");
-    let rows: Vec<QuarantineRow> = dataset.read(None).expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&out);
     let found: Vec<(&str, &str)> = rows
         .iter()
         .map(|r| (r.path.as_str(), r.code.as_str()))
@@ -194,7 +192,7 @@ fn a_write_that_fails_leaves_no_dataset_and_the_next_run_completes_it() {
     let binary = env!("CARGO_BIN_EXE_stance");
     // The ignored signal is inherited, so the write fails with an error instead of a kill.
     let script = r#"trap '' XFSZ; ulimit -f 64; exec "$0" ingest "$1" --out "$2""#;
-    let ran: crate::util::Ran = std::process::Command::new("bash")
+    let ran: Ran = std::process::Command::new("bash")
         .args(["-c", script, binary, arg(&source), arg(&out)])
         .output()
         .expect("bash starts")
@@ -265,7 +263,7 @@ fn inspect_counts_what_ingest_wrote() {
     let mut bytes = fs::read(shard).expect("a shard");
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
-    fs::write(shard, bytes).expect("writes");
+    put(shard, bytes);
     stance(&["masks", arg(&out)]).expect_refused("does not match its manifest");
 }
 

@@ -5,11 +5,14 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::Split;
 use datasets_spec::record::{MarkerRow, MotionRow, QuarantineRow};
-use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{Ran, arg, corpus, files_with_extension, real_data, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, corpus, files_with_extension, put, real_data, rows_of, stance, text_of,
+    typed, typed_with,
+};
 
 /// A folder of BVH files without labels, with others written by a test.
 struct Sources {
@@ -39,7 +42,7 @@ impl Sources {
     fn write_bytes(&self, name: &str, content: &[u8]) {
         let path = self.path("in").join(name);
         fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-        fs::write(path, content).expect("written");
+        put(path, content);
     }
 
     /// Writes motions under these names, each another one.
@@ -52,9 +55,7 @@ impl Sources {
 
     fn run(&self, out: &str, more: &[&str]) -> Ran {
         let (source, out) = (self.path("in"), self.path(out));
-        let mut args = vec!["--json", "ingest", arg(&source), "--out", arg(&out)];
-        args.extend(more);
-        stance(&args)
+        typed_with("--json ingest {} --out {}", &[&source, &out], more)
     }
 
     fn ingest(&self, out: &str, more: &[&str]) -> (Value, BTreeMap<String, MotionRow>) {
@@ -313,8 +314,7 @@ fn captions_made_from_names_are_marked_and_never_exported_without_the_mark() {
             .collect();
         assert_eq!(found, expected, "{layout}");
     }
-    let clip = ["inspect", arg(&dataset), "--clip", names[0]];
-    let shown = stance(&clip).printed();
+    let shown = typed("inspect {} --clip {}", &[&dataset, &names[0]]).printed();
     assert!(shown.contains("(made from the file name)"), "{shown}");
     let counted = stance(&["stats", arg(&dataset)]).printed();
     assert_has(&counted, &["2 of them made from file names"]);
@@ -376,13 +376,13 @@ fn licences_are_found_in_the_sources_and_travel() {
     let remarks = document["remarks"].to_string();
     assert!(remarks.contains(warning), "{remarks}");
     let out = sources.path("out");
-    let card = fs::read_to_string(out.join("README.md")).expect("a card");
+    let card = text_of(out.join("README.md"));
     assert_has(&card, &["\nlicense:\n- cc-by-4.0\n- cc-by-nc-4.0\n- mit\n"]);
     assert!(
         card.contains("| CC-BY-NC-4.0 | 2 | no |") && card.contains(warning),
         "{card}"
     );
-    let croissant = fs::read_to_string(out.join("croissant.json")).expect("metadata");
+    let croissant = text_of(out.join("croissant.json"));
     let croissant: Value = serde_json::from_str(&croissant).expect("JSON");
     assert_eq!(
         croissant["license"][1],
@@ -391,7 +391,7 @@ fn licences_are_found_in_the_sources_and_travel() {
 
     // Later stages keep the licences on the card.
     stance(&["masks", arg(&out)]).expect_code(0);
-    let card = fs::read_to_string(out.join("README.md")).expect("a card");
+    let card = text_of(out.join("README.md"));
     assert!(card.contains(warning), "{card}");
 }
 
@@ -437,19 +437,17 @@ fn markers_of_captures_have_a_licence_too() {
     {
         fs::copy(path, source.join(format!("{number}.c3d"))).expect("copied");
     }
-    fs::write(
+    put(
         source.join("COPYING"),
         "Creative Commons Attribution 4.0 International\n",
-    )
-    .expect("written");
+    );
     let out = dir.path().join("out");
     typed(
         "ingest {} --out {} --allow-quarantine 100%",
         &[&source, &out],
     )
     .expect_code(0);
-    let dataset = Dataset::open(&out).expect("opens");
-    let markers: Vec<MarkerRow> = dataset.read(None).expect("rows");
+    let markers: Vec<MarkerRow> = rows_of(&out);
     assert!(!markers.is_empty());
     assert!(
         markers
@@ -471,11 +469,10 @@ fn splits_of_the_users_own_win_over_drawn_ones() {
     sources.write("carl/stance.toml", "subject = 'carl'\n");
     sources.write("bert/stance.toml", "split = 'val'\n");
     let list = sources.path("splits.csv");
-    fs::write(
+    put(
         &list,
         "clip,split\nanna/walk,val\nanna/*,test\nsubject:carl,train\nbert/run.bvh,test\n",
-    )
-    .expect("written");
+    );
     let (document, rows) = sources.ingest("out", &["--splits", arg(&list)]);
     assert_eq!(document["refused_splits"], serde_json::json!([]));
     let splits: Vec<(&str, Split)> = rows
@@ -494,7 +491,7 @@ fn splits_of_the_users_own_win_over_drawn_ones() {
     );
     stance(&["verify", arg(&sources.path("out"))]).expect_code(0);
 
-    fs::write(&list, "ghost,val\nanna/*,all\nanna/*,test\n").expect("written");
+    put(&list, "ghost,val\nanna/*,all\nanna/*,test\n");
     let ran = sources
         .run("other", &["--splits", arg(&list)])
         .expect_code(3);
@@ -555,8 +552,7 @@ fn resampling_that_would_not_fit_into_memory_is_refused() {
     );
     // It is the only motion, so the dataset has none.
     sources.run("out", &["--fps", "1000"]).expect_code(1);
-    let dataset = Dataset::open(&sources.path("out")).expect("opens");
-    let rows: Vec<QuarantineRow> = dataset.read(None).expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&sources.path("out"));
     assert_eq!(rows[0].code, "E-TOO-LARGE");
     assert_has(&rows[0].reason, &["choose a lower rate"]);
 }

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::grown::{clips, files, ingest, motions, move_files};
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, assert_has, corpus, put, stance};
 
 fn names(dataset: &Path) -> BTreeSet<String> {
     let rows = motions(dataset).into_iter();
@@ -15,7 +15,7 @@ fn names(dataset: &Path) -> BTreeSet<String> {
 /// Writes a configuration of `run` or `build` whose sources are these.
 fn configure(file: &Path, sources: &str, out: &str, more: &str) {
     let text = format!("sources = {sources}\nout = \"{out}\"\ntriplets = 4\n{more}");
-    fs::write(file, text).expect("written");
+    put(file, text);
 }
 
 /// Two folders of one name, `anna/takes` and `ben/takes`.

@@ -7,7 +7,7 @@ use datasets_spec::Split;
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
 use serde_json::Value;
 
-use crate::util::{arg, rows_of, stance, typed};
+use crate::util::{arg, assert_has, rows_of, stance, typed};
 
 /// Makes the dataset of the built-in test set from a corpus of so many clips.
 fn dataset(dir: &Path, clips: &str) -> std::path::PathBuf {

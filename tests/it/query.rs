@@ -11,7 +11,7 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use serde_json::{Value, json};
 use tables::{Condition, Tables};
 
-use crate::util::{arg, corpus, stance, typed};
+use crate::util::{arg, corpus, put, stance, typed};
 
 /// A dataset of the corpus with masks and pairs, and its clips.
 fn made(dir: &Path) -> (PathBuf, Vec<MotionRow>) {
@@ -280,7 +280,7 @@ fn hostile_queries_end_with_an_error_and_read_nothing_else() {
     let dir = corpus(4);
     let (dataset, _) = made(dir.path());
     let secret = dir.path().join("secret.csv");
-    std::fs::write(&secret, "a\nsecret\n").expect("written");
+    put(&secret, "a\nsecret\n");
     let deep = format!("SELECT {}1{}", "(".repeat(100_000), ")".repeat(100_000));
     let long = format!(
         "SELECT id FROM motions WHERE {}",

@@ -8,7 +8,9 @@ use std::path::{Path, PathBuf};
 use datasets_spec::record::{MaskRow, MotionRow, QuarantineRow, SkippedRow};
 use serde_json::Value;
 
-use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
+use crate::util::{
+    arg, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of, typed,
+};
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
     let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
@@ -45,11 +47,10 @@ fn motions(dir: &Path, names: &[&str]) -> PathBuf {
 fn a_quote_that_is_not_closed_is_named_by_its_line() {
     let dir = corpus(8);
     let source = motions(dir.path(), &["walk", "run", "jump", "sit"]);
-    fs::write(
+    put(
         source.join("captions.csv"),
         "clip,text\nwalk,a person walks\nrun,\"a person runs\njump,a person jumps\nsit,a person sits\n",
-    )
-    .expect("written");
+    );
     let out = dir.path().join("dataset");
     let done = ingest(&source, &out, &[], 0);
     let problems = done["label_problems"].to_string();
@@ -75,7 +76,7 @@ fn a_quote_that_is_not_closed_is_named_by_its_line() {
     }
     // Lists of splits and pairs are read by the same rules.
     let list = dir.path().join("splits.csv");
-    fs::write(&list, "clip,split\nwalk,test\n\"run,val\njump,val\n").expect("written");
+    put(&list, "clip,split\nwalk,test\n\"run,val\njump,val\n");
     let out = dir.path().join("split");
     let done = ingest(&source, &out, &["--splits", arg(&list)], 3);
     let refused = done["refused_splits"].to_string();
@@ -87,11 +88,10 @@ fn ids_choose_the_clips_that_are_read() {
     let dir = corpus(12);
     let source = motions(dir.path(), &["walk_1", "walk_2", "run_1", "run_2", "sit"]);
     let list = dir.path().join("ids.txt");
-    fs::write(
+    put(
         &list,
         "# chosen by hand\nwalk_*   # both\nsit\n\ngone\nnobody_*\n",
-    )
-    .expect("written");
+    );
     let out = dir.path().join("dataset");
     let done = ingest(&source, &out, &["--ids", arg(&list)], 0);
     assert_eq!(
@@ -116,7 +116,7 @@ fn ids_choose_the_clips_that_are_read() {
     stance(&["ingest", arg(&source), "--out", arg(&out)])
         .expect_refused("ids was a file and is not given now");
     // With another choice the clips that are there and are not chosen stay.
-    fs::write(&list, "run_1\n").expect("written");
+    put(&list, "run_1\n");
     let done = ingest(&source, &out, &["--ids", arg(&list), "--new-version"], 0);
     assert_eq!(done["growth"]["new"], 1, "{done}");
     assert!(
@@ -128,7 +128,7 @@ fn ids_choose_the_clips_that_are_read() {
     let all: BTreeSet<String> = chosen.into_iter().chain(["run_1".to_owned()]).collect();
     assert_eq!(ids(&out), all);
     stance(&["verify", arg(&out)]).expect_code(0);
-    fs::write(&list, "# nothing\n").expect("written");
+    put(&list, "# nothing\n");
     typed("ingest {} --out {} --ids {}", &[&source, &out, &list])
         .expect_refused("it names no clip");
 }
@@ -138,9 +138,9 @@ fn another_list_of_splits_is_told_by_the_ids_that_it_moves() {
     let dir = corpus(8);
     let source = motions(dir.path(), &["walk", "run", "jump"]);
     let (out, list) = (dir.path().join("dataset"), dir.path().join("splits.csv"));
-    fs::write(&list, "walk,train\nrun,train\njump,train\n").expect("written");
+    put(&list, "walk,train\nrun,train\njump,train\n");
     ingest(&source, &out, &["--splits", arg(&list)], 0);
-    fs::write(&list, "walk,train\nrun,test\njump,train\n").expect("written");
+    put(&list, "walk,train\nrun,test\njump,train\n");
     let ran = typed("ingest {} --out {} --splits {}", &[&source, &out, &list]).expect_code(1);
     ran.expect_said("splits moves run (train, now test)");
     assert!(!ran.stderr.contains("walk"), "{}", ran.stderr);
@@ -312,8 +312,7 @@ fn edited_texts_without_a_verdict_are_kept() {
     ingest(&dir.path().join("corpus"), &out, &[], 0);
     stance(&["masks", arg(&out)]).expect_code(0);
     stance(&["masks", arg(&out), "--drafts", arg(&file)]).expect_code(0);
-    let mut lines: Vec<Value> = fs::read_to_string(&file)
-        .expect("drafts")
+    let mut lines: Vec<Value> = text_of(&file)
         .lines()
         .map(|line| serde_json::from_str(line).expect("a line"))
         .collect();
@@ -321,7 +320,7 @@ fn edited_texts_without_a_verdict_are_kept() {
     lines[1]["verdict"] = "accept".into();
     let edited = lines[0]["mask"].as_str().expect("an id").to_owned();
     let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
-    fs::write(&file, text).expect("written");
+    put(&file, text);
     let ran = typed("masks {} --accept {} --author ann", &[&out, &file]).expect_code(0);
     ran.expect_said("1 edited lines have no verdict yet");
     let masks: Vec<MaskRow> = rows_of(&out);
@@ -334,7 +333,7 @@ fn edited_texts_without_a_verdict_are_kept() {
     );
     // It is open still, and no run of the stage discards it.
     stance(&["masks", arg(&out), "--drafts", arg(&file)]).expect_code(0);
-    let lines = fs::read_to_string(&file).expect("drafts");
+    let lines = text_of(&file);
     let line = lines
         .lines()
         .find(|line| line.contains("thinking about it"))
@@ -349,8 +348,8 @@ fn listed_ids_without_a_motion_are_a_remark() {
     ingest(&dir.path().join("corpus"), &dataset, &[], 0);
     typed("export {} --to humanml3d --out {}", &[&dataset, &release]).expect_code(0);
     let list = release.join("test.txt");
-    let listed = fs::read_to_string(&list).expect("a list");
-    fs::write(&list, listed + "014000\n014001\n").expect("written");
+    let listed = text_of(&list);
+    put(&list, listed + "014000\n014001\n");
     let said = "2 ids of test.txt have no motion (such as 014000, 014001)";
     let out = dir.path().join("again");
     let done = ingest(&release, &out, &[], 0);
@@ -363,7 +362,7 @@ fn listed_ids_without_a_motion_are_a_remark() {
     let list = release.join("split/base_motion/test.txt");
     let listed = fs::read_to_string(&list).unwrap_or_default();
     fs::create_dir_all(list.parent().expect("a folder")).expect("made");
-    fs::write(&list, listed + "014000\n").expect("written");
+    put(&list, listed + "014000\n");
     let done = ingest(&release, &dir.path().join("stance-again"), &[], 0);
     assert!(
         done["remarks"]

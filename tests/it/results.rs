@@ -1,7 +1,6 @@
 //! What tables and pages say about their numbers.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Dataset;
@@ -12,7 +11,7 @@ use serde_json::Value;
 
 use crate::evaluate::Bench;
 use crate::tables::{printed, tables};
-use crate::util::{arg, stance, typed};
+use crate::util::{arg, assert_has, stance, text_of, typed, typed_with};
 
 /// The items the bench answers.
 fn items_of(bench: &Bench) -> Vec<ItemRow> {
@@ -206,15 +205,7 @@ fn a_system_behind_the_identity_editor_is_never_best() {
     )
     .expect("writes");
     let eval = |more: &[&str]| {
-        let args = [
-            "eval",
-            "--encoder",
-            "builtin",
-            "--repeats",
-            "2",
-            arg(&edits),
-        ];
-        stance(&[&args, more].concat()).expect_code(0)
+        typed_with("eval --encoder builtin --repeats 2 {}", &[&edits], more).expect_code(0)
     };
     let scores: Value = eval(&["--json"]).json();
     let [own, identity] =
@@ -360,16 +351,12 @@ fn a_comparison_names_its_fid_and_draws_targets() {
     let first = bench.edits("first", &[]);
     let second = bench.edits("second", &["--guidance", "2", "--name", "strong"]);
     let compare = |more: &[&str]| {
-        let mut args = vec!["eval", "compare", arg(&first), arg(&second)];
-        args.extend([
-            "--encoder",
-            arg(&bench.encoder),
-            "--weak-judge",
-            "--repeats",
-            "2",
-        ]);
-        args.extend(more);
-        stance(&args).expect_code(0)
+        typed_with(
+            "eval compare {} {} --encoder {} --weak-judge --repeats 2",
+            &[&first, &second, &bench.encoder],
+            more,
+        )
+        .expect_code(0)
     };
     let document: Value = compare(&["--json"]).json();
     let task = &document[0];
@@ -491,7 +478,7 @@ fn pairs_of_motionfix_fill_its_tables() {
     // Nothing was blended, and the part is marked all the same.
     let page = bench.workshop.path("page.html");
     stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
-    let html = fs::read_to_string(&page).expect("written");
+    let html = text_of(&page);
     assert!(html.contains("#1BAA78"), "no joint is marked");
 }
 
@@ -573,7 +560,7 @@ fn a_page_shows_settings_as_a_table() {
     let second = bench.edits("second", &["--guidance", "2", "--name", "strong"]);
     let page = bench.workshop.path("page.html");
     stance(&["report", arg(&first), arg(&second), "--out", arg(&page)]).expect_code(0);
-    let html = fs::read_to_string(&page).expect("written");
+    let html = text_of(&page);
     let settings = html
         .split_once("<table class=\"settings\">")
         .and_then(|(_, rest)| rest.split_once("</table>"))
@@ -624,6 +611,6 @@ fn how_motions_move_stands_beside_real_data() {
         arg(&page),
     ];
     stance(&[&["report", arg(&edits)], &out[..]].concat()).expect_code(0);
-    let html = fs::read_to_string(&page).expect("written");
+    let html = text_of(&page);
     assert!(html.contains("Foot slide (m/s)") && html.contains("Jerk (m/s³)"));
 }

@@ -16,7 +16,7 @@ use datasets_spec::{Dataset, MotionId, Split};
 use serde_json::Value;
 
 use crate::annotate::{accept, settings};
-use crate::util::{arg, stance, typed};
+use crate::util::{arg, assert_has, put, stance, typed, typed_with};
 
 /// Rejected pairs among the answers.
 const REJECTED: usize = 5;
@@ -36,15 +36,11 @@ impl Labelled {
         let (source, dataset) = (made.path("corpus"), made.path("dataset"));
         typed("corpus --clips 36 --adjusted 1 --out {}", &[&source]).expect_code(0);
         let pairs = source.join("pairs.csv");
-        let ingest = [
-            "ingest",
-            arg(&source),
-            "--out",
-            arg(&dataset),
-            "--pairs",
-            arg(&pairs),
-        ];
-        stance(&ingest).expect_code(0);
+        typed(
+            "ingest {} --out {} --pairs {}",
+            &[&source, &dataset, &pairs],
+        )
+        .expect_code(0);
         stance(&["pairs", arg(&dataset)]).expect_code(0);
         stance(&["masks", arg(&dataset)]).expect_code(0);
         let store = open_sqlite(&made.path("store.sqlite")).expect("a store");
@@ -80,8 +76,7 @@ impl Labelled {
 
     fn annotate_of(&self, dataset: &str, store: &str, words: &[&str]) -> Value {
         let (dataset, store) = (self.path(dataset), self.path(store));
-        let options = ["annotate", arg(&dataset), "--store", arg(&store), "--json"];
-        let ran = stance(&[&options[..], words].concat());
+        let ran = typed_with("annotate {} --store {} --json", &[&dataset, &store], words);
         ran.done()
     }
 
@@ -99,22 +94,16 @@ impl Labelled {
 
     fn export(&self, layout: &str) -> Value {
         let (dataset, out) = (self.path("dataset"), self.path(layout));
-        let export = [
-            "--json",
-            "export",
-            arg(&dataset),
-            "--to",
-            layout,
-            "--out",
-            arg(&out),
-        ];
-        stance(&export).done()
+        typed(
+            "--json export {} --to {} --out {}",
+            &[&dataset, &layout, &out],
+        )
+        .done()
     }
 
     fn ingest(&self, source: &str, out: &str, more: &[&str], code: i32) -> Value {
         let (source, out) = (self.path(source), self.path(out));
-        let ingest = ["--json", "ingest", arg(&source), "--out", arg(&out)];
-        stance(&[&ingest[..], more].concat())
+        typed_with("--json ingest {} --out {}", &[&source, &out], more)
             .expect_code(code)
             .json()
     }
@@ -443,7 +432,7 @@ fn pairs_whose_motions_are_in_two_splits_are_left_out_of_a_project_and_counted()
         format!("{},{split}\n", row.id)
     });
     let list = made.path("splits.csv");
-    fs::write(&list, format!("clip,split\n{}", lines.collect::<String>())).expect("written");
+    put(&list, format!("clip,split\n{}", lines.collect::<String>()));
     made.ingest("corpus", "parted", &["--splits", arg(&list)], 0);
     let splits: BTreeMap<String, Split> = made
         .rows::<MotionRow>("parted")
@@ -494,7 +483,7 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     });
     let [first, second] = [(); 2].map(|()| alone.next().expect("two motions"));
     std::fs::copy(&first.1, &second.1).expect("copied");
-    std::fs::write(folder.join("regen/mask_all.json"), "{}").expect("written");
+    put(folder.join("regen/mask_all.json"), "{}");
     let report = made.ingest("stance", "again", &[], 3);
     assert_eq!(report["codes"]["E-STANCE-ORIGIN"], 2, "{report}");
     let again = made.path("again");
@@ -538,7 +527,7 @@ fn every_answer_of_a_project_comes_back_by_way_of_the_stance_layout() {
     assert_eq!(answers.iter().filter(|row| row.extent.is_some()).count(), 6);
     assert_eq!(made.answers("dataset", "fresh.sqlite"), answers);
     // Lists that say something else than the table are not passed over in silence.
-    std::fs::write(to.join("mask_all.json"), "{}").expect("written");
+    put(to.join("mask_all.json"), "{}");
     let (dataset, store) = (made.path("dataset"), made.path("third.sqlite"));
     let refused =
         typed("annotate {} --store {} import {}", &[&dataset, &store, &to]).expect_code(1);
@@ -596,8 +585,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
     // Never over a file, and never over a project.
     let (dataset, fresh) = (made.path("dataset"), made.path("fresh.sqlite"));
     let of = |dataset: &Path, store: &Path, words: &[&str]| {
-        let options = ["annotate", arg(dataset), "--store", arg(store), "--json"];
-        stance(&[&options[..], words].concat())
+        typed_with("annotate {} --store {} --json", &[&dataset, &store], words)
     };
     of(&dataset, &store, &["pack", arg(&file)]).expect_code(1);
     of(&dataset, &store, &["unpack", arg(&file)]).expect_refused("stays");
@@ -618,8 +606,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
 
     // Other content: each task with an answer is flagged.
     let source = made.path("corpus");
-    let ingest = ["ingest", arg(&source), "--out", arg(&other), "--fps", "30"];
-    stance(&ingest).expect_code(0);
+    typed("ingest {} --out {} --fps 30", &[&source, &other]).expect_code(0);
     let none = made.path("none.sqlite");
     let moved: Value = of(&other, &none, &["unpack", arg(&file)]).done();
     let listed: Value = of(&other, &none, &["changed"]).done();
@@ -635,7 +622,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
 
     // Not a project: nothing is left.
     let nothing = made.path("nothing.sqlite");
-    fs::write(made.path("text"), "no project").expect("written");
+    put(made.path("text"), "no project");
     of(&dataset, &nothing, &["unpack", arg(&made.path("text"))]).expect_code(1);
     assert!(!nothing.exists());
 }
@@ -774,16 +761,12 @@ fn features_and_chosen_clips_are_counted_too() {
     let rows = made.rows::<HumanMl3dRow>("features").len();
     let export = |dataset: &Path, layout: &str, out: &str, more: &[&str]| -> Value {
         let out = made.path(out);
-        let export = [
-            "--json",
-            "export",
-            arg(dataset),
-            "--to",
-            layout,
-            "--out",
-            arg(&out),
-        ];
-        stance(&[&export[..], more].concat()).done()
+        typed_with(
+            "--json export {} --to {} --out {}",
+            &[&dataset, &layout, &out],
+            more,
+        )
+        .done()
     };
     let said = export(&dataset, "stance", "a", &[]);
     assert_eq!(said["left_out"]["humanml3d_features"], rows, "{said}");

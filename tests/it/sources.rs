@@ -8,7 +8,7 @@ use datasets_spec::record::{MotionRow, SkippedRow};
 use serde_json::{Value, json};
 
 use crate::grown::{clips, files, halves, ingest, judge, masks, motions, move_files, verified};
-use crate::util::{arg, command, corpus, rows_of, stance};
+use crate::util::{arg, assert_has, command, corpus, put, rows_of, stance, text_of};
 
 /// Runs `ingest` with sources as a user writes them, and returns its document.
 fn grow(sources: &[String], out: &Path, more: &[&str], code: i32) -> Value {
@@ -83,7 +83,7 @@ pub(crate) fn everything(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 fn folders_that_share_a_file_are_two_sources() {
     let (dir, a, b) = halves(12);
     for folder in [&a, &b] {
-        fs::write(folder.join("LICENSE"), "MIT License\n").expect("written");
+        put(folder.join("LICENSE"), "MIT License\n");
     }
     let dataset = dir.path().join("dataset");
     ingest(&[&a], &dataset, &[], 0);
@@ -278,7 +278,7 @@ fn a_clip_whose_file_is_damaged_stays_as_it_was() {
     let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
     let file = files(&source)[0].clone();
     let kept = fs::read(&file).expect("read");
-    fs::write(&file, &kept[..kept.len() / 2]).expect("written");
+    put(&file, &kept[..kept.len() / 2]);
     let row = motions(&dataset)
         .into_iter()
         .find(|row| source.join(&row.source_path) == file);
@@ -293,10 +293,10 @@ fn a_clip_whose_file_is_damaged_stays_as_it_was() {
         verified(&dataset);
     }
     // It is whole again, and then pruned while it is not.
-    fs::write(&file, &kept).expect("written");
+    put(&file, &kept);
     ingest(&[&source], &dataset, &[], 0);
     assert_eq!(clips(&dataset), before);
-    fs::write(&file, &kept[..kept.len() / 2]).expect("written");
+    put(&file, &kept[..kept.len() / 2]);
     let pruned = ingest(&[&source], &dataset, &["--prune", "--drop-labels"], 3);
     assert_eq!(pruned["growth"]["pruned"], json!([id]));
     assert_eq!(clips(&dataset).len(), before.len() - 1);
@@ -531,7 +531,7 @@ fn a_dataset_of_an_earlier_build_asks_for_names_and_deletes_nothing() {
             true => fs::create_dir_all(&to).expect("made"),
             false => {
                 fs::create_dir_all(to.parent().expect("a folder")).expect("made");
-                fs::write(&to, bytes).expect("written");
+                put(&to, bytes);
             }
         }
     }
@@ -546,8 +546,7 @@ fn a_dataset_of_an_earlier_build_asks_for_names_and_deletes_nothing() {
     let grown = grow(&[named("corpus", &source)], &dataset, &[], 0);
     assert_eq!(grown["growth"]["new"], 4);
     let empty = dir.path().join("empty");
-    fs::create_dir(&empty).expect("made");
-    fs::write(empty.join("notes.txt"), "no motion").expect("written");
+    put(empty.join("notes.txt"), "no motion");
     let grown = grow(&[named("one-data", &empty)], &dataset, &[], 0);
     assert_eq!(list(&grown["growth"]["missing"]).len(), 2, "{grown}");
     let after = clips(&dataset);
@@ -557,7 +556,7 @@ fn a_dataset_of_an_earlier_build_asks_for_names_and_deletes_nothing() {
 #[test]
 fn no_path_of_this_machine_is_published() {
     let (dir, source, more) = halves(12);
-    fs::write(source.join("broken.bvh"), "HIERARCHY\nROOT").expect("written");
+    put(source.join("broken.bvh"), "HIERARCHY\nROOT");
     let dataset = dir.path().join("dataset");
     ingest(&[&source], &dataset, &[], 3);
     ingest(&[&more], &dataset, &[], 3);
@@ -578,10 +577,7 @@ fn no_path_of_this_machine_is_published() {
     };
     assert_eq!(holds(&dataset), Vec::<PathBuf>::new());
     assert!(dataset.join(".stance/sources.json").exists());
-    assert_eq!(
-        fs::read_to_string(dataset.join(".stance/.gitignore")).expect("read"),
-        "*\n"
-    );
+    assert_eq!(text_of(dataset.join(".stance/.gitignore")), "*\n");
     for layout in ["bvh", "webdataset", "stance"] {
         let out = dir.path().join(layout);
         stance(&["export", arg(&dataset), "--to", layout, "--out", arg(&out)]).expect_code(0);

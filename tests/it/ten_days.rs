@@ -16,7 +16,7 @@ use crate::grown::{
     clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
 };
 use crate::sources::{everything, predicted};
-use crate::util::{arg, corpus, files_with_extension, stance};
+use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
 
 /// Copies motions to a folder under the names of others of the same kind.
 fn copy_twins(names: &[PathBuf], motions: &[PathBuf], from: &Path, to: &Path) {
@@ -230,12 +230,10 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     merged.check("merged");
     // 10 export and prune.
     let export = dir.path().join("export");
-    let args = ["export", arg(&dataset), "--to", "bvh"];
-    stance(&[&args[..], &["--out", arg(&export)]].concat()).expect_code(0);
+    typed("export {} --to bvh --out {}", &[&dataset, &export]).expect_code(0);
     stance(&["dataset", "prune", arg(&dataset)]).expect_code(0);
     days.check("old versions are gone");
-    let opened = Dataset::open(&dataset).expect("a dataset");
-    let pairs: Vec<PairRow> = opened.read(None).expect("rows");
+    let pairs: Vec<PairRow> = rows_of(&dataset);
     let ids: BTreeSet<String> = clips(&dataset).into_keys().collect();
     assert!(
         pairs

@@ -10,7 +10,10 @@ use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
-use crate::util::{Ran, arg, command, corpus, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, command, corpus, files_with_extension, json_of, put, rows_of, stance,
+    text_of, typed,
+};
 
 /// Clips of the corpus: six styles of twenty actions.
 const CLIPS: usize = 120;
@@ -42,8 +45,8 @@ impl Workshop {
         let dataset = workshop.dataset();
         stance(&["ingest", arg(&sources), "--out", arg(&dataset)]).expect_code(0);
         stance(&["masks", arg(&dataset)]).expect_code(0);
-        fs::write(workshop.path("small.toml"), SMALL).expect("writes");
-        fs::write(workshop.path("encoder.toml"), SMALL_ENCODER).expect("writes");
+        put(workshop.path("small.toml"), SMALL);
+        put(workshop.path("encoder.toml"), SMALL_ENCODER);
         workshop
     }
 
@@ -85,8 +88,7 @@ impl Workshop {
 
     /// A document of a run folder.
     fn record(&self, run: &str) -> Value {
-        let text = fs::read_to_string(self.path(run).join("config.json")).expect("a record");
-        serde_json::from_str(&text).expect("JSON")
+        json_of(self.path(run).join("config.json"))
     }
 
     pub(crate) fn root_hash(&self) -> String {
@@ -96,7 +98,7 @@ impl Workshop {
 
     /// A clip of the corpus as a file.
     pub(crate) fn clip(&self) -> PathBuf {
-        crate::util::files_with_extension(&self.path("corpus"), "bvh")
+        files_with_extension(&self.path("corpus"), "bvh")
             .into_iter()
             .next()
             .expect("the corpus has BVH files")
@@ -159,7 +161,7 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
     let plot = workshop.path("losses.svg");
     let (whole, parts) = (workshop.path("whole"), workshop.path("parts"));
     typed("train plot {} {} --out {}", &[&whole, &parts, &plot]).expect_code(0);
-    let svg = fs::read_to_string(&plot).expect("a picture");
+    let svg = text_of(&plot);
     assert!(svg.contains("whole validation") && svg.contains("parts training"));
 }
 
@@ -171,7 +173,7 @@ fn the_released_pose_network_begins_as_pytorchs_layers_do() {
         .train_with("j2s", "poses", &settings)
         .expect_code(0);
     let run = workshop.path("poses");
-    let metrics = fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
+    let metrics = text_of(run.join("metrics.jsonl"));
     let losses: Vec<Value> = metrics
         .lines()
         .map(|line| serde_json::from_str::<Value>(line).expect("JSON"))
@@ -202,13 +204,12 @@ fn training_leaves_the_dataset_as_it_was_and_every_run_goes_on() {
     workshop.train("tmr", "encoder", "2").expect_code(0);
     workshop.train("motionrefit", "editor", "2").expect_code(0);
     let compose = workshop.path("compose.toml");
-    fs::write(
+    put(
         &compose,
         "fps = 5.0\nanchor = \"translation\"\nwindow = 10\n",
-    )
-    .expect("writes");
+    );
     let settings = workshop.path("other.toml");
-    fs::write(&settings, format!("window = 10\n{SMALL}")).expect("writes");
+    put(&settings, format!("window = 10\n{SMALL}"));
     let other = [
         "--config",
         arg(&settings),
@@ -239,15 +240,14 @@ fn fixed_pairs_are_validated_on_what_everything_else_is() {
     // Weights that do not move tell the windows they are validated on. A residual would not: its units
     // are fitted to the training windows, which differ.
     let settings = workshop.path("still.toml");
-    fs::write(
+    put(
         &settings,
         format!(
             "{SMALL}\n[optimizer]\nlearning_rate = 0.0\n\n[diffusion]\nnoise = \"white\"\nprediction = \"change\"\n"
         ),
-    )
-    .expect("writes");
+    );
     let fixed = workshop.path("fixed.toml");
-    fs::write(&fixed, "fixed_pairs = true\n").expect("writes");
+    put(&fixed, "fixed_pairs = true\n");
     let still = ["--config", arg(&settings), "--steps", "1"];
     let loss = |run: &str, more: &[&str]| -> Value {
         let args = [&still[..], more].concat();
@@ -263,7 +263,7 @@ fn fixed_pairs_are_validated_on_what_everything_else_is() {
 fn a_seed_in_a_file_counts_unless_one_is_given() {
     let workshop = Workshop::open();
     let settings = workshop.path("seeded.toml");
-    fs::write(&settings, format!("seed = 5\n{SMALL}")).expect("writes");
+    put(&settings, format!("seed = 5\n{SMALL}"));
     for (run, more, expected) in [("own", &[][..], 5), ("given", &["--seed", "7"][..], 7)] {
         for model in ["motionrefit", "coordinator"] {
             let run = format!("{run}-{model}");
@@ -393,7 +393,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
     assert!(!out.exists());
     // A coordinator of another diffusion does not fit.
     let other = workshop.path("other.toml");
-    fs::write(&other, format!("diffusion_steps = 60\n{SMALL}")).expect("writes");
+    put(&other, format!("diffusion_steps = 60\n{SMALL}"));
     let misfit = workshop.path("misfit");
     typed(
         "train coordinator {} --out {} --config {} --steps 2",
@@ -416,7 +416,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
 fn an_editor_of_the_body_joints_alone_trains_and_edits() {
     let workshop = Workshop::open();
     let settings = workshop.path("joints.toml");
-    fs::write(&settings, format!("keypoints = 22\n{SMALL}")).expect("writes");
+    put(&settings, format!("keypoints = 22\n{SMALL}"));
     let args = ["--config", arg(&settings), "--steps", "6"];
     workshop
         .train_with("motionrefit", "editor", &args)
@@ -464,7 +464,7 @@ fn an_editor_of_the_body_joints_alone_trains_and_edits() {
     assert!(made["fit_error_m"].as_f64().expect("metres").is_finite());
     assert!(fs::read(&out).expect("written").starts_with(b"PK"));
     let odd = workshop.path("odd.toml");
-    fs::write(&odd, format!("keypoints = 24\n{SMALL}")).expect("writes");
+    put(&odd, format!("keypoints = 24\n{SMALL}"));
     let odd = ["--config", arg(&odd), "--steps", "1"];
     workshop
         .train_with("motionrefit", "odd", &odd)
@@ -538,12 +538,11 @@ fn tensors(path: &Path) -> Vec<(String, Vec<u8>)> {
 #[test]
 fn networks_go_out_under_the_released_names_and_come_back() {
     let workshop = Workshop::open();
-    fs::write(
+    put(
         workshop.path("small.toml"),
         // The sizes of the preset, which are what an import expects.
         "val_every = 2\nval_windows = 8\nlog_every = 2\nbatch_size = 8\n",
-    )
-    .expect("writes");
+    );
     workshop.train("coordinator", "guide", "2").expect_code(0);
     let (guide, out) = (workshop.path("guide"), workshop.path("out"));
     stance(&["model", "export", arg(&guide), "--out", arg(&out)]).expect_code(0);
@@ -568,14 +567,13 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     let weights = |run: &Path| tensors(&run.join("checkpoint/best/coordinator.safetensors"));
     assert!(weights(&guide) == weights(&back));
     let broken = workshop.path("broken.pth");
-    fs::write(&broken, b"PK\x03\x04 no archive").expect("writes");
+    put(&broken, b"PK\x03\x04 no archive");
     import(&broken).expect_refused("broken.pth");
 }
 
 /// Losses of a run, as its metrics file has them.
 fn losses(run: &Path) -> Vec<f64> {
-    fs::read_to_string(run.join("metrics.jsonl"))
-        .expect("metrics")
+    text_of(run.join("metrics.jsonl"))
         .lines()
         .map(|line| serde_json::from_str::<Value>(line).expect("JSON"))
         .filter_map(|line| line["loss"].as_f64().or(line["val_loss"].as_f64()))
@@ -641,8 +639,7 @@ fn devices_are_listed_on_any_command_line_and_others_are_refused() {
 
 #[test]
 fn a_device_is_tested_and_measured_without_a_dataset() {
-    let asked = ["--json", "device", "--secs", "0", "--windows", "2"];
-    let said: Value = stance(&asked).done();
+    let said: Value = typed("--json device --secs 0 --windows 2", &[]).done();
     assert_eq!(said["device"], "cpu");
     assert_eq!(said["products"], "single precision");
     assert_eq!((&said["steps"], &said["windows"]), (&1.into(), &2.into()));

@@ -1,7 +1,5 @@
 //! Candidates of fine-grained pairs: made by a generator or elsewhere, and shown to annotators.
 
-use std::fs;
-
 use annotate::store::{Claimed, NewTask, open_sqlite};
 use annotate::wire::{Answer, TaskKind, Verdict};
 use datasets_spec::Dataset;
@@ -10,7 +8,7 @@ use serde_json::Value;
 
 use crate::annotate::bare_task;
 use crate::train::Workshop;
-use crate::util::{arg, rows_of, stance, typed};
+use crate::util::{arg, put, rows_of, stance, typed};
 
 /// Settings of a generator that is trained in a second.
 pub(crate) const SMALL: &str = "
@@ -49,7 +47,7 @@ pub(crate) const ANY: [&str; 8] = [
 fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let workshop = Workshop::open();
     let settings = workshop.path("mld.toml");
-    fs::write(&settings, SMALL).expect("writes");
+    put(&settings, SMALL);
     let small = ["--config", arg(&settings), "--steps", "3"];
     workshop.train_with("mld", "mld", &small).expect_code(0);
 
@@ -110,8 +108,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let repeated = made(&out, &[]);
     assert!(repeated["counts"].is_null() && repeated["root_hash"] == first["root_hash"]);
     assert_eq!(made(&again, &[])["root_hash"], first["root_hash"]);
-    let args = ["variants", arg(&out), "--out", arg(&again)];
-    stance(&args).expect_refused("another dataset");
+    typed("variants {} --out {}", &[&out, &again]).expect_refused("another dataset");
 
     // Variants that were made elsewhere are motions named base/variant.
     let paired = workshop.path("paired");

@@ -9,7 +9,9 @@ use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
 use super::grown::{clips, masks};
-use super::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
+use super::util::{
+    arg, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of, typed,
+};
 
 /// Runs a command that is to succeed, and returns its document.
 fn json(args: &[&str]) -> Value {
@@ -31,8 +33,8 @@ fn judge(dataset: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset), "--add"]).expect_code(0);
     let file = dataset.with_extension("jsonl");
     stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
-    let lines = fs::read_to_string(&file).expect("drafts");
-    fs::write(&file, lines.replace("\"todo\"", "\"accept\"")).expect("written");
+    let lines = text_of(&file);
+    put(&file, lines.replace("\"todo\"", "\"accept\""));
     typed("masks {} --accept {} --author ann", &[&dataset, &file]).expect_code(0);
     masks(dataset)
 }
@@ -134,15 +136,11 @@ fn a_search_for_parquet_files_finds_current_rows_alone_whatever_was_done() {
     check("compact");
     let id = clips(&dataset).into_keys().next().expect("a clip");
     let condition = format!("id = '{id}'");
-    let remove = [
-        "dataset",
-        "remove",
-        arg(&dataset),
-        "--where",
-        &condition,
-        "--drop-labels",
-    ];
-    stance(&remove).expect_code(0);
+    typed(
+        "dataset remove {} --where {} --drop-labels",
+        &[&dataset, &condition],
+    )
+    .expect_code(0);
     check("remove");
     stance(&["dataset", "prune", arg(&dataset)]).expect_code(0);
     check("prune");
@@ -496,7 +494,7 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
         .motion_id
         .to_string();
     let list = days.dir.path().join("ids.txt");
-    fs::write(&list, format!("{labelled}\n\n")).expect("written");
+    put(&list, format!("{labelled}\n\n"));
     let remove = ["dataset", "remove", arg(&dataset), "--ids", arg(&list)];
     let refused = stance(&remove).refusal();
     assert!(
@@ -541,7 +539,7 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     assert_eq!(clips(&dataset), before);
     assert_eq!(masks(&dataset), judged);
     // Mistakes are named.
-    fs::write(&list, "nobody\n").expect("written");
+    put(&list, "nobody\n");
     stance(&remove).expect_refused("nobody");
     typed(
         "dataset remove {} --where {} --drop-labels",
@@ -558,8 +556,7 @@ fn datasets_of_two_rates_cannot_be_merged_and_a_mixture_does_not_pass() {
     ingest(&days.source, &a, &[]);
     ingest(&days.source, &b, &["--fps", "30"]);
     let out = days.dir.path().join("both");
-    let merge = ["dataset", "merge", arg(&a), arg(&b), "--out", arg(&out)];
-    let refused = stance(&merge).refusal();
+    let refused = typed("dataset merge {} {} --out {}", &[&a, &b, &out]).refusal();
     assert_has(&refused, &["fps is 20 in", "and 30 in"]);
     assert!(!out.exists());
     // A dataset that an earlier build merged of two rates.
