@@ -11,7 +11,10 @@ use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
-use crate::util::{arg, assert_has, corpus, files_with_extension, put, rows_of, stance, typed};
+use crate::util::{
+    arg, assert_counted, assert_has, corpus, files_with_extension, put, rows_of, stance, typed,
+    typed_with,
+};
 
 /// A failure, as a script relies on it.
 #[derive(Debug, Deserialize)]
@@ -32,15 +35,10 @@ struct Done {
 }
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Done {
-    let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
-    args.extend(more);
-    let done: Done = stance(&args).expect_code(code).json();
-    assert_eq!(
-        done.sources,
-        done.ingested + done.quarantined + done.skipped,
-        "{done:?}"
-    );
-    done
+    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+    let ran = ran.expect_code(code);
+    assert_counted(&ran.json());
+    ran.json()
 }
 
 /// A person who walks along x at half a metre per second, swinging arms and legs.

@@ -12,7 +12,9 @@ use serde_json::Value;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use crate::util::{Ran, arg, assert_has, command, corpus, files_with_extension, stance, typed};
+use crate::util::{
+    Ran, arg, assert_counted, assert_has, command, corpus, files_with_extension, stance, typed,
+};
 
 /// Files by their names.
 pub(crate) type Files = BTreeMap<String, Vec<u8>>;
@@ -188,12 +190,7 @@ impl Place {
                 code,
             )
             .json();
-        let count = |name: &str| done[name].as_u64().expect("a count");
-        assert_eq!(
-            count("sources"),
-            count("ingested") + count("quarantined") + count("skipped"),
-            "{done}"
-        );
+        assert_counted(&done);
         done
     }
 

@@ -9,7 +9,7 @@ use formats::markers::{MarkerSet, marker_sets};
 use glam::DVec3;
 
 use crate::formats::{all_in_train, ingested, inspected, put, walk};
-use crate::util::{arg, assert_has, real_data, rows_of, stance, typed};
+use crate::util::{arg, assert_has, motions_of, real_data, rows_of, stance, typed};
 
 const FPS: f32 = 60.0;
 
@@ -179,13 +179,6 @@ fn apart(row: &MotionRow, poses: &[Pose]) -> (f64, f64) {
     (mean, all.into_iter().fold(0.0, f64::max))
 }
 
-fn rows(dataset: &Dataset) -> BTreeMap<String, MotionRow> {
-    let rows: Vec<MotionRow> = dataset.read(None).expect("rows");
-    rows.into_iter()
-        .map(|row| (row.id.to_string(), row))
-        .collect()
-}
-
 /// Code and reason of every quarantined motion, by its path.
 fn refused(dataset: &Dataset) -> BTreeMap<String, (String, String)> {
     let rows: Vec<QuarantineRow> = dataset.read(None).expect("rows");
@@ -217,7 +210,7 @@ fn every_built_in_set_gives_the_motion_or_says_what_it_leaves_open() {
         (whole as u64, 3),
         "{done:?}"
     );
-    for (id, row) in rows(&dataset) {
+    for (id, row) in motions_of(dataset.root()) {
         // Bounds in metres of the mean and of the largest distance. The sets of gait laboratories have one marker on
         // the wrist and none on the head, so that they leave some turns open.
         let (mean_bound, bound) = match id.as_str() {
@@ -289,7 +282,7 @@ fn unknown_labels_are_quarantined_until_a_marker_set_is_given() {
     let more = ["--splits", arg(&splits), "--markers", arg(&own)];
     let (done, dataset, made) = ingested(&source, &more, 0);
     assert_eq!((done.ingested, done.quarantined), (2, 0), "{done:?}");
-    for row in rows(&dataset).values() {
+    for row in motions_of(dataset.root()).values() {
         let (mean, largest) = apart(row, &poses);
         assert!(
             mean < 0.015 && largest < 0.04,
@@ -394,7 +387,7 @@ fn each_person_of_a_capture_is_a_clip() {
     put(&source, "strange.c3d", strange.c3d());
     let (done, dataset, out) = ingested(&source, &[], 3);
     assert_eq!((done.ingested, done.quarantined), (6, 1), "{done:?}");
-    let rows = rows(&dataset);
+    let rows = motions_of(dataset.root());
     let ids: Vec<&str> = rows.keys().map(String::as_str).collect();
     let expected = [
         "alone",
@@ -509,7 +502,7 @@ fn a_wrong_unit_is_named_and_overridden() {
         let more = ["--splits", arg(&splits), "--unit", unit];
         let (done, dataset, made) = ingested(&source, &more, 0);
         assert_eq!(done.ingested, 2, "{done:?}");
-        for row in rows(&dataset).values() {
+        for row in motions_of(dataset.root()).values() {
             let (mean, largest) = apart(row, &poses);
             assert!(
                 mean < 0.015 && largest < 0.04,
@@ -552,7 +545,7 @@ fn points_at_the_origin_are_not_seen() {
         .map(|(code, _)| code)
         .collect();
     assert_eq!(codes, ["E-C3D-ZERO", "E-TRC-EMPTY", "E-C3D-ZERO"]);
-    let (mean, largest) = apart(&rows(&dataset)["some"], &poses);
+    let (mean, largest) = apart(&motions_of(dataset.root())["some"], &poses);
     assert!(mean < 0.015 && largest < 0.04, "{mean} {largest}");
     let said = inspected(&out, "some").to_string();
     assert!(said.contains("10 positions at the origin"), "{said}");
@@ -591,7 +584,7 @@ fn trc_captures_are_ingested_as_markers_and_motions() {
     );
     let (done, dataset, out) = ingested(&source, &[], 3);
     assert_eq!((done.ingested, done.quarantined), (2, 4), "{done:?}");
-    let (mean, largest) = apart(&rows(&dataset)["walk"], &poses);
+    let (mean, largest) = apart(&motions_of(dataset.root())["walk"], &poses);
     assert!(mean < 0.015 && largest < 0.04, "{mean} {largest}");
     let markers: Vec<MarkerRow> = dataset.read(None).expect("rows");
     assert_eq!(markers.len(), 2);
@@ -631,7 +624,7 @@ fn real_captures_are_all_accounted_for_with_a_reason() {
     let ran = stance(&["--json", "ingest", all, cases, "--out", arg(&out)]).expect_code(3);
     let done: serde_json::Value = ran.json();
     let dataset = Dataset::open(&out).expect("a dataset");
-    let rows = rows(&dataset);
+    let rows = motions_of(dataset.root());
     // What is counted as ingested is a motion.
     assert_eq!(done["ingested"], rows.len(), "{done}");
     let ids: Vec<&str> = rows.keys().map(String::as_str).collect();

@@ -7,7 +7,7 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Motion, Skeleton};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, files_with_extension, put, rows_of, stance, typed};
+use crate::util::{arg, corpus, files_with_extension, motions_of, put, stance, typed};
 
 const CLIPS: usize = 8;
 
@@ -18,10 +18,7 @@ fn ingested(dir: &Path, source: &str, out: &str) -> BTreeMap<String, MotionRow> 
 fn ingested_at(dir: &Path, source: &str, out: &str, fps: &str) -> BTreeMap<String, MotionRow> {
     let (source, out) = (dir.join(source), dir.join(out));
     stance(&["ingest", arg(&source), "--out", arg(&out), "--fps", fps]).expect_code(0);
-    let rows: Vec<MotionRow> = rows_of(&out);
-    rows.into_iter()
-        .map(|row| (row.id.as_str().to_owned(), row))
-        .collect()
+    motions_of(&out)
 }
 
 fn exported(dir: &Path, layout: &str) {

@@ -12,7 +12,8 @@ use pickle::npz::Archive;
 use serde_json::Value;
 
 use crate::util::{
-    arg, command, corpus, files_with_extension, put, real_data, rows_of, stance, text_of, typed,
+    arg, command, corpus, files_with_extension, motions_of, put, real_data, rows_of, stance,
+    text_of, typed,
 };
 
 const LAYOUTS: [&str; 11] = [
@@ -34,9 +35,8 @@ fn dataset(dir: &Path, more: &[&str]) -> (PathBuf, BTreeMap<String, MotionRow>) 
     let (source, out) = (dir.join("corpus"), dir.join("dataset"));
     let args = [&["ingest", arg(&source), "--out", arg(&out)], more].concat();
     stance(&args).expect_code(0);
-    let rows: Vec<MotionRow> = rows_of(&out);
-    let rows = rows.into_iter().map(|row| (row.id.to_string(), row));
-    (out, rows.collect())
+    let rows = motions_of(&out);
+    (out, rows)
 }
 
 #[test]
@@ -293,13 +293,8 @@ fn again(dir: &Path, sources: &[&Path], name: &str) -> (PathBuf, BTreeMap<String
     let out = dir.join(name);
     let sources: Vec<&str> = sources.iter().map(|path| arg(path)).collect();
     stance(&[&["ingest"], &sources[..], &["--out", arg(&out)]].concat()).expect_code(0);
-    let rows: Vec<MotionRow> = rows_of(&out);
-    (
-        out,
-        rows.into_iter()
-            .map(|row| (row.id.to_string(), row))
-            .collect(),
-    )
+    let rows = motions_of(&out);
+    (out, rows)
 }
 
 #[test]

@@ -14,12 +14,11 @@ use glam::{DQuat, DVec3, EulerRot};
 use parquet::arrow::ArrowWriter;
 use serde::Deserialize;
 
-use crate::util::{arg, assert_has, stance};
+use crate::util::{arg, assert_counted, assert_has, stance, typed_with};
 
 /// What `ingest --json` says, as far as it matters here.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Ingested {
-    pub(crate) sources: u64,
     pub(crate) ingested: u64,
     pub(crate) quarantined: u64,
     pub(crate) skipped: u64,
@@ -40,13 +39,10 @@ pub(crate) fn ingested(
     code: i32,
 ) -> (Ingested, Dataset, std::path::PathBuf) {
     let out = source.with_extension("dataset");
-    let mut args = vec!["--json", "ingest", arg(source), "--out", arg(&out)];
-    args.extend(more);
-    let done: Ingested = stance(&args).expect_code(code).json();
-    assert_eq!(
-        done.sources,
-        done.ingested + done.quarantined + done.skipped
-    );
+    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+    let ran = ran.expect_code(code);
+    assert_counted(&ran.json());
+    let done: Ingested = ran.json();
     assert_eq!(done.quarantined, done.codes.values().sum::<u64>());
     stance(&["verify", arg(&out)]).expect_code(0);
     let dataset = Dataset::open(&out).expect("a dataset");
@@ -250,7 +246,7 @@ pub(crate) fn seed_walk(num_frames: usize) -> String {
 
 /// Checks the joints of a stored motion against those of the poses it was made of, of which it keeps every
 /// `stride`th.
-fn assert_shows(row: &MotionRow, poses: &[Pose], stride: usize) {
+pub(crate) fn assert_shows(row: &MotionRow, poses: &[Pose], stride: usize) {
     let skeleton = Skeleton::smplx_neutral();
     let points = skeleton
         .motion_keypoints(&row.motion().expect("valid"))

@@ -8,36 +8,37 @@ use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{arg, corpus, put, rows_of, stance, text_of, typed};
+use crate::util::{Ran, arg, assert_counted, corpus, put, rows_of, stance, text_of, typed};
+
+/// Runs `ingest --json` with these sources.
+fn ran(sources: &[&Path], out: &Path, more: &[&str]) -> Ran {
+    let sources: Vec<&str> = sources.iter().map(|source| arg(source)).collect();
+    stance(
+        &[
+            &["--json", "ingest"],
+            &sources[..],
+            &["--out", arg(out)],
+            more,
+        ]
+        .concat(),
+    )
+}
 
 /// Ingests, and holds the counts of the document against each other and against the tables.
 pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
-    let mut args = vec!["--json", "ingest"];
-    args.extend(sources.iter().map(|source| arg(source)));
-    args.extend(["--out", arg(out)]);
-    args.extend(more);
-    let done: Value = stance(&args).expect_code(code).json();
-    let count = |name: &str| done[name].as_u64().expect("a count");
-    assert_eq!(
-        count("sources"),
-        count("ingested") + count("quarantined") + count("skipped")
-    );
+    let done: Value = ran(sources, out, more).expect_code(code).json();
+    assert_counted(&done);
     let dataset = Dataset::open(out).expect("a dataset");
-    assert_eq!(
-        dataset.manifest().rows("quarantine", None),
-        count("quarantined")
-    );
-    assert_eq!(dataset.manifest().rows("skipped", None), count("skipped"));
+    for table in ["quarantine", "skipped"] {
+        let count = &done[table.replace("quarantine", "quarantined")];
+        assert_eq!(*count, dataset.manifest().rows(table, None), "{table}");
+    }
     done
 }
 
 /// What an ingestion says that fails.
 pub(crate) fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
-    let mut args = vec!["ingest"];
-    args.extend(sources.iter().map(|source| arg(source)));
-    args.extend(["--out", arg(out)]);
-    args.extend(more);
-    stance(&args).refusal()
+    ran(sources, out, more).refusal()
 }
 
 /// All clips.

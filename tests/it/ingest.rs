@@ -13,7 +13,7 @@ use serde::Deserialize;
 
 use crate::util::{
     Ran, arg, assert_has, command, corpus, files_with_extension, put, real_data, rows_of, stance,
-    text_of, typed,
+    text_of, typed, typed_with,
 };
 
 /// The document of `ingest --json`, as a script relies on it.
@@ -56,9 +56,8 @@ impl Ingested {
 }
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Ingested {
-    let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
-    args.extend(more);
-    stance(&args).expect_code(code).json()
+    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+    ran.expect_code(code).json()
 }
 
 #[test]

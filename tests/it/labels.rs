@@ -3,15 +3,15 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use datasets_spec::Split;
 use datasets_spec::record::{MarkerRow, MotionRow, QuarantineRow};
 use serde_json::Value;
 
 use crate::util::{
-    Ran, arg, assert_has, corpus, files_with_extension, put, real_data, rows_of, stance, text_of,
-    typed, typed_with,
+    Ran, arg, assert_has, corpus, files_with_extension, motions_of, put, real_data, rows_of,
+    stance, text_of, typed, typed_with,
 };
 
 /// A folder of BVH files without labels, with others written by a test.
@@ -60,15 +60,8 @@ impl Sources {
 
     fn ingest(&self, out: &str, more: &[&str]) -> (Value, BTreeMap<String, MotionRow>) {
         let document = self.run(out, more).done();
-        (document, rows(&self.path(out)))
+        (document, motions_of(&self.path(out)))
     }
-}
-
-fn rows(dataset: &Path) -> BTreeMap<String, MotionRow> {
-    let rows: Vec<MotionRow> = rows_of(dataset);
-    rows.into_iter()
-        .map(|row| (row.id.to_string(), row))
-        .collect()
 }
 
 fn texts(row: &MotionRow) -> Vec<&str> {
@@ -167,7 +160,7 @@ fn a_folder_says_what_its_clips_are_and_the_nearer_wins() {
     let lone = sources.path("lone");
     let file = sources.path("in/inner/run.bvh");
     stance(&["ingest", arg(&file), "--out", arg(&lone)]).expect_code(0);
-    let lone = self::rows(&lone);
+    let lone = self::motions_of(&lone);
     assert_eq!(lone["run"].license.as_deref(), Some("CC0-1.0"));
 }
 
@@ -296,7 +289,7 @@ fn captions_made_from_names_are_marked_and_never_exported_without_the_mark() {
         let again = sources.path(&format!("{layout}-again"));
         let exported = sources.path(layout);
         stance(&["ingest", arg(&exported), "--out", arg(&again)]).expect_code(0);
-        let found: Vec<(Vec<String>, Vec<String>)> = self::rows(&again)
+        let found: Vec<(Vec<String>, Vec<String>)> = self::motions_of(&again)
             .into_values()
             .map(|row| {
                 (
@@ -510,7 +503,7 @@ fn splits_of_the_users_own_win_over_drawn_ones() {
     assert_eq!(refused[0], (1, "no clip is called \"ghost\""));
     assert_eq!((refused.len(), refused[1].0), (2, 2));
     assert_eq!(
-        self::rows(&sources.path("other"))["anna/run"].split,
+        self::motions_of(&sources.path("other"))["anna/run"].split,
         Split::Test
     );
 }

@@ -20,9 +20,8 @@ use crate::util::{
 };
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Json {
-    let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
-    args.extend(more);
-    stance(&args).expect_code(code).json()
+    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+    ran.expect_code(code).json()
 }
 
 fn splits(dataset: &Path) -> BTreeMap<MotionId, Split> {

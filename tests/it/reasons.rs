@@ -9,19 +9,14 @@ use datasets_spec::record::{MaskRow, MotionRow, QuarantineRow, SkippedRow};
 use serde_json::Value;
 
 use crate::util::{
-    arg, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of, typed,
+    arg, assert_counted, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of,
+    typed, typed_with,
 };
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
-    let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
-    args.extend(more);
-    let done: Value = stance(&args).expect_code(code).json();
-    let count = |name: &str| done[name].as_u64().expect("a count");
-    assert_eq!(
-        count("sources"),
-        count("ingested") + count("quarantined") + count("skipped"),
-        "{done}"
-    );
+    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+    let done = ran.expect_code(code).json();
+    assert_counted(&done);
     done
 }
 

@@ -1,13 +1,16 @@
 //! A temporary folder and the `stance` command.
 
+use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use datasets_spec::Dataset;
+use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 /// What a command printed and how it ended.
 pub(crate) struct Ran {
@@ -176,6 +179,20 @@ pub(crate) fn real_data(test: &str) -> Option<PathBuf> {
 pub(crate) fn rows_of<R: Row>(dataset: &Path) -> Vec<R> {
     let dataset = Dataset::open(dataset).expect("a dataset");
     dataset.read(None).expect("rows")
+}
+
+/// The clips of a dataset by their ids.
+pub(crate) fn motions_of(dataset: &Path) -> BTreeMap<String, MotionRow> {
+    let rows = rows_of::<MotionRow>(dataset).into_iter();
+    rows.map(|row| (row.id.to_string(), row)).collect()
+}
+
+/// Checks that the counts of an ingestion's document add up.
+#[track_caller]
+pub(crate) fn assert_counted(done: &Value) {
+    let count = |name: &str| done[name].as_u64().expect("a count");
+    let counted = count("ingested") + count("quarantined") + count("skipped");
+    assert_eq!(count("sources"), counted, "{done}");
 }
 
 /// All files with an extension under a folder, sorted.
