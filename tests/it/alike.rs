@@ -6,7 +6,7 @@ use datasets_spec::Split;
 use serde_json::json;
 
 use crate::grown::{clips, files, ingest, motions, verified};
-use crate::util::{arg, corpus, put, stance, text_of};
+use crate::util::{arg, corpus, len_of, put, stance, text_of};
 
 /// A BVH file with one value of every frame changed by a hair.
 fn nudged(text: &str) -> String {
@@ -56,11 +56,7 @@ fn nearly_equal_motions_share_a_split() {
     let apart = dir.path().join("apart");
     let made = ingest(&[&source, &copies], &apart, &["--splits", arg(&list)], 0);
     let groups = made["alike"].as_array().expect("a list").iter();
-    assert!(
-        groups
-            .clone()
-            .any(|group| group["splits"].as_array().expect("a list").len() > 1)
-    );
+    assert!(groups.clone().any(|group| len_of(&group["splits"]) > 1));
     let rows = motions(&apart);
     let mut of_copies = rows.iter().filter(|row| row.source_name == "copies");
     assert!(of_copies.all(|row| row.split == Split::Test));

@@ -23,7 +23,8 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use crate::util::{
-    arg, assert_has, command, corpus, json_of, put, rows_of, stance, text_of, typed, typed_with,
+    arg, assert_has, command, corpus, json_of, len_of, put, rows_of, stance, text_of, typed,
+    typed_with,
 };
 
 #[derive(Deserialize)]
@@ -450,7 +451,7 @@ fn a_server_starts_on_a_dataset_that_was_ingested_anew_and_asks_about_its_answer
     store.put_settings(1, settings(), 0).expect("settings");
     drop(store);
     answer_and_accept(&file);
-    let listed = |words: &[&str]| run(words).as_array().expect("a list").len();
+    let listed = |words: &[&str]| len_of(&run(words));
     assert_eq!(listed(&["changed"]), 0);
     // Every clip has the same id and other frames.
     let source = dir.path().join("corpus");

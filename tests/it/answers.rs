@@ -10,7 +10,8 @@ use serde_json::Value;
 
 use crate::evaluate::Bench;
 use crate::util::{
-    Ran, arg, assert_has, files_with_extension, put, rows_of, stance, text_of, typed, typed_with,
+    Ran, arg, assert_has, files_with_extension, len_of, put, rows_of, stance, text_of, typed,
+    typed_with,
 };
 
 /// Metrics of what a system recorded while it generated; answers from elsewhere have none.
@@ -157,7 +158,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     let item: Value =
         stance(&["inspect", arg(&at("elsewhere")), "--clip", clip[0], clip[1]]).done();
     assert_eq!(item["facts"]["instruction"], made[0].instruction.as_str());
-    assert_eq!(item["answers"].as_array().expect("answers").len(), 1);
+    assert_eq!(len_of(&item["answers"]), 1);
     let picture = at("item.svg");
     let folder = at("elsewhere");
     typed(
@@ -345,7 +346,7 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
         }
         let list = text_of(out.join("edits.json"));
         let list: Value = serde_json::from_str(&list).expect("JSON");
-        assert_eq!(list.as_array().expect("motions").len(), 32);
+        assert_eq!(len_of(&list), 32);
     }
     // The takes find back to their items and seeds by their names.
     let system = at("amass/ours, w_o MCM");

@@ -155,6 +155,13 @@ impl Capture {
     }
 }
 
+/// Checks that a motion is [`apart`] from poses by little.
+fn assert_near(row: &MotionRow, poses: &[Pose]) {
+    let (mean, largest) = apart(row, poses);
+    let is_near = mean < 0.015 && largest < 0.04;
+    assert!(is_near, "{}: {mean} m, {largest} m", row.id);
+}
+
 fn set(name: &str) -> &'static MarkerSet {
     let mut sets = marker_sets().iter();
     sets.find(|set| set.name() == name).expect("built in")
@@ -283,12 +290,7 @@ fn unknown_labels_are_quarantined_until_a_marker_set_is_given() {
     let (done, dataset, made) = ingested(&source, &more, 0);
     assert_eq!((done.ingested, done.quarantined), (2, 0), "{done:?}");
     for row in motions_of(dataset.root()).values() {
-        let (mean, largest) = apart(row, &poses);
-        assert!(
-            mean < 0.015 && largest < 0.04,
-            "{}: {mean} {largest}",
-            row.id
-        );
+        assert_near(row, &poses);
     }
     let said = stance(&["doctor", arg(&source), "--markers", arg(&own)]).expect_code(0);
     assert!(!said.stdout.contains("E-MARKERS"), "{}", said.stdout);
@@ -415,8 +417,7 @@ fn each_person_of_a_capture_is_a_clip() {
         for pose in poses.iter_mut().filter(|_| name == "Ben") {
             pose.transl.x += 2.0;
         }
-        let (mean, largest) = apart(row, &poses);
-        assert!(mean < 0.015 && largest < 0.04, "{id}: {mean} {largest}");
+        assert_near(row, &poses);
     }
     for file in ["take", "other"] {
         let of_file = rows
@@ -503,12 +504,7 @@ fn a_wrong_unit_is_named_and_overridden() {
         let (done, dataset, made) = ingested(&source, &more, 0);
         assert_eq!(done.ingested, 2, "{done:?}");
         for row in motions_of(dataset.root()).values() {
-            let (mean, largest) = apart(row, &poses);
-            assert!(
-                mean < 0.015 && largest < 0.04,
-                "{}: {mean} {largest}",
-                row.id
-            );
+            assert_near(row, &poses);
         }
         typed("ingest {} --out {} --splits {}", &[&source, &made, &splits])
             .expect_refused("unit was");
@@ -545,8 +541,7 @@ fn points_at_the_origin_are_not_seen() {
         .map(|(code, _)| code)
         .collect();
     assert_eq!(codes, ["E-C3D-ZERO", "E-TRC-EMPTY", "E-C3D-ZERO"]);
-    let (mean, largest) = apart(&motions_of(dataset.root())["some"], &poses);
-    assert!(mean < 0.015 && largest < 0.04, "{mean} {largest}");
+    assert_near(&motions_of(dataset.root())["some"], &poses);
     let said = inspected(&out, "some").to_string();
     assert!(said.contains("10 positions at the origin"), "{said}");
 }
@@ -584,8 +579,7 @@ fn trc_captures_are_ingested_as_markers_and_motions() {
     );
     let (done, dataset, out) = ingested(&source, &[], 3);
     assert_eq!((done.ingested, done.quarantined), (2, 4), "{done:?}");
-    let (mean, largest) = apart(&motions_of(dataset.root())["walk"], &poses);
-    assert!(mean < 0.015 && largest < 0.04, "{mean} {largest}");
+    assert_near(&motions_of(dataset.root())["walk"], &poses);
     let markers: Vec<MarkerRow> = dataset.read(None).expect("rows");
     assert_eq!(markers.len(), 2);
     let shown = inspected(&out, "walk").to_string();

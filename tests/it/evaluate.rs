@@ -13,8 +13,8 @@ use crate::tables::tables;
 use crate::texts::TextTable;
 use crate::train::Workshop;
 use crate::util::{
-    Ran, arg, assert_has, corpus, files_with_extension, json_of, put, rows_of, stance, text_of,
-    typed, typed_with,
+    Ran, arg, assert_has, corpus, files_with_extension, json_of, len_of, put, rows_of, stance,
+    text_of, typed, typed_with,
 };
 
 /// Settings of an evaluation encoder that is trained in a second.
@@ -505,14 +505,10 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     let ran = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).expect_code(1);
     ran.expect_said("train.window = 400");
     let made: Value = ran.json();
-    assert_eq!(
-        made["failed"].as_array().expect("a list").len(),
-        3,
-        "{made}"
-    );
+    assert_eq!(len_of(&made["failed"]), 3, "{made}");
     let scored = |figure: usize, point: usize| {
         let scores = &made["figures"][figure]["points"][point]["scores"];
-        scores.as_array().expect("rows").len()
+        len_of(scores)
     };
     assert!((0..2).all(|point| scored(1, point) > 0 && scored(2, point) > 0));
     assert_eq!(bench.workshop.root_hash(), before);

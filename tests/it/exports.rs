@@ -12,8 +12,8 @@ use pickle::npz::Archive;
 use serde_json::Value;
 
 use crate::util::{
-    arg, command, corpus, files_with_extension, motions_of, put, real_data, rows_of, stance,
-    text_of, typed,
+    arg, command, corpus, files_with_extension, motions_of, name_of, put, real_data, rows_of,
+    stance, text_of, typed,
 };
 
 const LAYOUTS: [&str; 11] = [
@@ -151,11 +151,7 @@ fn names_do_not_repeat_their_extension() {
     let files = files_with_extension(&out, "bvh");
     assert_eq!(files.len(), 2);
     for file in files {
-        let name = file
-            .file_name()
-            .expect("a name")
-            .to_string_lossy()
-            .into_owned();
+        let name = name_of(&file);
         assert_eq!(name.matches(".bvh").count(), 1, "{name}");
     }
 }

@@ -8,7 +8,9 @@ use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{Ran, arg, assert_counted, corpus, put, rows_of, stance, text_of, typed};
+use crate::util::{
+    Ran, arg, assert_counted, corpus, name_of, put, rows_of, stance, stem_of, text_of, typed,
+};
 
 /// Runs `ingest --json` with these sources.
 fn ran(sources: &[&Path], out: &Path, more: &[&str]) -> Ran {
@@ -86,19 +88,11 @@ pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
 pub(crate) fn move_files(files: &[PathBuf], to: &Path) {
     fs::create_dir_all(to).expect("made");
     for file in files {
-        let stem = file
-            .file_stem()
-            .expect("a name")
-            .to_string_lossy()
-            .into_owned();
+        let stem = stem_of(file);
         let folder = file.parent().expect("a folder");
         for entry in fs::read_dir(folder).expect("listed") {
             let path = entry.expect("an entry").path();
-            let name = path
-                .file_name()
-                .expect("a name")
-                .to_string_lossy()
-                .into_owned();
+            let name = name_of(&path);
             if name.starts_with(&format!("{stem}.")) {
                 fs::rename(&path, to.join(name)).expect("moved");
             }
@@ -114,6 +108,22 @@ pub(crate) fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
     let half: Vec<PathBuf> = files.into_iter().skip(1).step_by(2).collect();
     move_files(&half, &second);
     (dir, first, second)
+}
+
+/// A corpus of so many clips, and a dataset of it.
+pub(crate) fn begun(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
+    let dir = corpus(clips);
+    let [source, dataset] = ["corpus", "dataset"].map(|name| dir.path().join(name));
+    ingest(&[&source], &dataset, &[], 0);
+    (dir, source, dataset)
+}
+
+/// The [`halves`] of a corpus, and a dataset of the first.
+pub(crate) fn begun_with_half(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf, PathBuf) {
+    let (dir, source, more) = halves(clips);
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    (dir, source, more, dataset)
 }
 
 /// Accepts every automatic mask in the name of a person.

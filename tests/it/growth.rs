@@ -9,9 +9,10 @@ use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
 use crate::grown::{
-    clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
+    begun, begun_with_half, clips, files, halves, ingest, judge, masks, motions, move_files,
+    refused, verified,
 };
-use crate::util::{arg, assert_has, corpus, put, rows_of, stance, text_of, typed};
+use crate::util::{arg, assert_has, corpus, len_of, put, rows_of, stance, stem_of, text_of, typed};
 
 /// Checks that equal motions share a split. Returns how many motions outside of `train` have an equal one:
 /// a rule that does nothing would part some of them.
@@ -32,9 +33,7 @@ fn equal_motions_share_a_split(dataset: &Path) -> usize {
 
 #[test]
 fn judged_masks_survive_a_file_that_is_added() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, more, dataset) = begun_with_half(12);
     let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
     move_files(&files(&more)[..1], &source);
     let grown = ingest(&[&source], &dataset, &[], 0);
@@ -67,9 +66,7 @@ fn judged_masks_survive_a_file_that_is_added() {
 
 #[test]
 fn a_source_that_is_added_changes_no_id_and_no_split() {
-    let (dir, source, more) = halves(24);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, more, dataset) = begun_with_half(24);
     let before = clips(&dataset);
     let grown = ingest(&[&source, &more], &dataset, &[], 0);
     assert_eq!(grown["growth"]["kept"], before.len());
@@ -99,9 +96,7 @@ fn a_source_that_is_added_changes_no_id_and_no_split() {
 
 #[test]
 fn a_folder_may_be_given_alone_and_the_others_stay() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (_dir, source, more, dataset) = begun_with_half(12);
     let before = clips(&dataset);
     let grown = ingest(&[&more], &dataset, &[], 0);
     assert_eq!(grown["growth"]["missing"], serde_json::json!([]));
@@ -209,9 +204,7 @@ fn signs_in_names_do_not_collapse_splits() {
 
 #[test]
 fn labels_of_clips_that_change_are_not_lost_unasked() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, more, dataset) = begun_with_half(12);
     let judged = judge(&dataset, dir.path());
     let root_hash = Dataset::open(&dataset)
         .expect("a dataset")
@@ -252,7 +245,7 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
     // With the flag, the labels of this clip are listed and lost, and those of others stay.
     fs::copy(other, &file).expect("copied");
     let grown = ingest(&[&source], &dataset, &["--drop-labels"], 0);
-    let lost = grown["growth"]["lost"].as_array().expect("a list").len();
+    let lost = len_of(&grown["growth"]["lost"]);
     let expected = judged
         .values()
         .filter(|mask| mask.motion_id == row.id)
@@ -271,60 +264,39 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
 
 #[test]
 fn a_file_that_moves_keeps_its_clip_and_so_does_one_that_goes() {
-    let dir = corpus(12);
-    let source = dir.path().join("corpus");
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, dataset) = begun(12);
     let before = clips(&dataset);
     let judged = judge(&dataset, dir.path());
     let all = files(&source);
     move_files(&all[..1], &source.join("sorted/later"));
     let grown = ingest(&[&source], &dataset, &[], 0);
-    assert_eq!(
-        grown["growth"]["moved"].as_array().expect("a list").len(),
-        1
-    );
+    assert_eq!(len_of(&grown["growth"]["moved"]), 1);
     assert_eq!(grown["growth"]["new"], 0);
     assert_eq!(clips(&dataset), before);
     assert_eq!(masks(&dataset), judged);
     // A file goes. Its clip stays until pruning is asked for, with its labels until that is said too.
     fs::remove_file(&all[3]).expect("removed");
     let kept = ingest(&[&source], &dataset, &[], 0);
-    assert_eq!(
-        kept["growth"]["missing"].as_array().expect("a list").len(),
-        1
-    );
+    assert_eq!(len_of(&kept["growth"]["missing"]), 1);
     assert_eq!(clips(&dataset), before);
     refused(&[&source], &dataset, &["--prune"]);
     let more = ["--prune", "--drop-labels"];
     let grown = ingest(&[&source], &dataset, &more, 0);
-    assert_eq!(
-        grown["growth"]["pruned"].as_array().expect("a list").len(),
-        1
-    );
+    assert_eq!(len_of(&grown["growth"]["pruned"]), 1);
     assert_eq!(clips(&dataset).len(), before.len() - 1);
     verified(&dataset);
 }
 
 #[test]
 fn captions_that_change_are_read_again_and_masks_stay() {
-    let dir = corpus(8);
-    let source = dir.path().join("corpus");
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, dataset) = begun(8);
     let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
     let file = &files(&source)[0];
     let text =
         r#"{"captions": [{"text": "a person is new", "tokens": "", "from_s": 0, "to_s": 0}]}"#;
     put(file.with_extension("stance.json"), text);
     let grown = ingest(&[&source], &dataset, &[], 0);
-    assert_eq!(
-        grown["growth"]["read_again"]
-            .as_array()
-            .expect("a list")
-            .len(),
-        1
-    );
+    assert_eq!(len_of(&grown["growth"]["read_again"]), 1);
     assert_eq!(grown["growth"]["kept"], before.len() - 1);
     assert_eq!(clips(&dataset), before);
     assert_eq!(masks(&dataset), judged);
@@ -338,10 +310,7 @@ fn captions_that_change_are_read_again_and_masks_stay() {
 
 #[test]
 fn other_settings_are_named_and_keep_ids_splits_and_labels() {
-    let dir = corpus(8);
-    let source = dir.path().join("corpus");
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, dataset) = begun(8);
     let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
     let message = refused(
         &[&source],
@@ -460,11 +429,7 @@ fn equal_motions_in_two_splits_fail_verification() {
     // The same motion in other bytes, and a list that wants it in another split.
     let text = text_of(&bvh);
     put(source.join("copy.bvh"), format!("{text}\n"));
-    let stem = bvh
-        .file_stem()
-        .expect("a name")
-        .to_string_lossy()
-        .into_owned();
+    let stem = stem_of(&bvh);
     let list = dir.path().join("splits.csv");
     put(&list, format!("clip,split\n*{stem},train\ncopy,test\n"));
     let dataset = dir.path().join("dataset");
@@ -542,9 +507,7 @@ fn two_datasets_merge_and_lose_no_label() {
 
 #[test]
 fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (_dir, source, more, dataset) = begun_with_half(12);
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let derived = masks(&dataset);
     // Their texts are those of captions, and a stage cut them out.
@@ -569,9 +532,7 @@ fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
 
 #[test]
 fn old_versions_go_only_when_asked() {
-    let (dir, source, more) = halves(8);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, more, dataset) = begun_with_half(8);
     judge(&dataset, dir.path());
     ingest(&[&source, &more], &dataset, &[], 0);
     let root_hash = Dataset::open(&dataset)

@@ -15,8 +15,8 @@ use serde_json::Value as Json;
 use crate::tables::tables;
 use crate::train::Workshop;
 use crate::util::{
-    arg, assert_has, corpus, files_with_extension, put, real_data, rows_of, stance, text_of, typed,
-    typed_with,
+    arg, assert_has, corpus, files_with_extension, name_of, put, real_data, rows_of, stance,
+    text_of, typed, typed_with,
 };
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Json {
@@ -100,11 +100,7 @@ fn a_dataset_that_grows_keeps_the_splits_and_the_seed_it_was_made_with() {
     for action in ["walk", "run", "wave"] {
         for extension in ["npz", "bvh"] {
             for file in files_with_extension(&part, extension) {
-                let name = file
-                    .file_name()
-                    .expect("a name")
-                    .to_string_lossy()
-                    .into_owned();
+                let name = name_of(&file);
                 if name.starts_with(action) {
                     fs::remove_file(file).expect("removed");
                 }

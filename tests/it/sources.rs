@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use datasets_spec::record::{MotionRow, SkippedRow};
 use serde_json::{Value, json};
 
-use crate::grown::{clips, files, halves, ingest, judge, masks, motions, move_files, verified};
+use crate::grown::{
+    begun_with_half, clips, files, halves, ingest, judge, masks, motions, move_files, verified,
+};
 use crate::util::{arg, assert_has, command, corpus, put, rows_of, stance, text_of};
 
 /// Runs `ingest` with sources as a user writes them, and returns its document.
@@ -615,9 +617,7 @@ fn many_processes_grow_a_dataset_alike() {
 
 #[test]
 fn a_folder_named_like_another_source_is_asked_about() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, more, dataset) = begun_with_half(12);
     ingest(&[&more], &dataset, &[], 0);
     let before = clips(&dataset);
     move_files(&files(&source)[..1], &source.join("more"));

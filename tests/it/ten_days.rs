@@ -16,7 +16,7 @@ use crate::grown::{
     clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
 };
 use crate::sources::{everything, predicted};
-use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
+use crate::util::{arg, corpus, files_with_extension, len_of, rows_of, stance, typed};
 
 /// Copies motions to a folder under the names of others of the same kind.
 fn copy_twins(names: &[PathBuf], motions: &[PathBuf], from: &Path, to: &Path) {
@@ -83,7 +83,7 @@ impl Days {
         let done = ingest(sources, &self.dataset, more, 0);
         predicted(&told, &done);
         let growth = &done["growth"];
-        let pruned = growth["pruned"].as_array().expect("a list").len();
+        let pruned = len_of(&growth["pruned"]);
         let new = usize::try_from(growth["new"].as_u64().expect("a count")).expect("few");
         assert_eq!(clips(&self.dataset).len(), total + new - pruned);
         done

@@ -11,8 +11,8 @@ use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
 use crate::util::{
-    Ran, arg, assert_has, command, corpus, files_with_extension, json_of, put, rows_of, stance,
-    text_of, typed,
+    Ran, arg, assert_has, command, corpus, files_with_extension, json_of, len_of, put, rows_of,
+    stance, text_of, typed,
 };
 
 /// Clips of the corpus: six styles of twenty actions.
@@ -494,7 +494,7 @@ fn a_history_goes_on_and_back() {
     };
     let counts = |ran: Ran| -> (usize, u64) {
         let document: Value = ran.done();
-        let edits = document["edits"].as_array().expect("edits").len();
+        let edits = len_of(&document["edits"]);
         (edits, document["undone"].as_u64().expect("a count"))
     };
     assert!(edit(&[], "").refusal().contains("--motion"));

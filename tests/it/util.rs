@@ -131,6 +131,23 @@ pub(crate) fn assert_has(text: &str, parts: &[&str]) {
     }
 }
 
+/// The number of elements of a list.
+#[track_caller]
+pub(crate) fn len_of(list: &Value) -> usize {
+    list.as_array().expect("a list").len()
+}
+
+/// The name of a file.
+pub(crate) fn name_of(path: &Path) -> String {
+    let name = path.file_name().expect("a name");
+    name.to_string_lossy().into_owned()
+}
+
+/// The name of a file without its extension.
+pub(crate) fn stem_of(path: &Path) -> String {
+    name_of(&path.with_extension(""))
+}
+
 /// Writes a file, and the folders that it lies in.
 pub(crate) fn put(path: impl AsRef<Path>, bytes: impl AsRef<[u8]>) {
     let path = path.as_ref();

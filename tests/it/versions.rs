@@ -8,7 +8,7 @@ use datasets_spec::record::{MaskRow, MotionRow, PairRow, SkippedRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use super::grown::{clips, masks};
+use super::grown::{clips, masks, move_files};
 use super::util::{
     arg, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of, typed,
 };
@@ -78,25 +78,9 @@ impl Days {
 /// Moves a file with the files of its name beside it, and returns where it lies then.
 fn moved(file: &Path, from: &Path, to: &Path) -> PathBuf {
     let below = file.strip_prefix(from).expect("below");
-    let folder = to.join(below).parent().expect("a folder").to_owned();
-    fs::create_dir_all(&folder).expect("made");
-    let stem = file
-        .file_stem()
-        .expect("a name")
-        .to_string_lossy()
-        .into_owned();
-    for entry in fs::read_dir(file.parent().expect("a folder")).expect("listed") {
-        let path = entry.expect("an entry").path();
-        let name = path
-            .file_name()
-            .expect("a name")
-            .to_string_lossy()
-            .into_owned();
-        if name.starts_with(&format!("{stem}.")) {
-            fs::rename(&path, folder.join(name)).expect("moved");
-        }
-    }
-    to.join(below)
+    let place = to.join(below);
+    move_files(&[file.to_owned()], place.parent().expect("a folder"));
+    place
 }
 
 /// The Parquet files of a folder are those that the newest manifest names.
