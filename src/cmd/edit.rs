@@ -308,11 +308,6 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
         system.prepare(&texts, session)?;
         edit_layers(&*system, id, &original, &layers, seed, session)
     })?;
-    let texts: Vec<&str> = layers
-        .iter()
-        .flatten()
-        .map(|asked| asked.text.as_str())
-        .collect();
     let shown = Shown {
         id,
         skeleton: &skeleton,

@@ -28,7 +28,7 @@ use work::Plan;
 use self::words::foreseen;
 use crate::exit::Exit;
 use crate::failure::Failure;
-use crate::global::Global;
+use crate::global::{Global, Names, one_of};
 use crate::report;
 
 pub(crate) use self::words::summary;
@@ -50,8 +50,8 @@ pub(crate) struct Args {
     #[arg(long, default_value = "20", value_parser = parse_fps)]
     fps: FpsArg,
     /// How clips are brought to that rate
-    #[arg(long, value_enum, default_value_t = ResampleArg::Exact)]
-    resample: ResampleArg,
+    #[arg(long, value_parser = one_of(RESAMPLES), default_value = "exact")]
+    resample: Resample,
     /// Cut the clips of HumanML3D from the AMASS files among the sources, by its index.csv
     #[arg(long, value_name = "CSV")]
     humanml3d_index: Option<PathBuf>,
@@ -75,8 +75,8 @@ pub(crate) struct Args {
     #[arg(long, value_enum)]
     features: Option<FeaturesArg>,
     /// How to treat motions with a jump faster than 20 m/s
-    #[arg(long, value_enum, default_value_t = TeleportsArg::Quarantine)]
-    teleports: TeleportsArg,
+    #[arg(long, value_parser = one_of(TELEPORTS), default_value = "quarantine")]
+    teleports: Teleports,
     /// Accept BVH and TRC files whose header states another number of frames than rows follow. Such clips are
     /// flagged
     #[arg(long)]
@@ -157,15 +157,15 @@ fn format_parser() -> impl TypedValueParser<Value = Format> {
         .map(|name| format_named(&name).expect("a listed name"))
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum TeleportsArg {
-    /// Quarantine them
-    Quarantine,
-    /// Keep their longest part without a jump
-    Trim,
-    /// Keep them unchanged
-    Keep,
-}
+const TELEPORTS: Names<Teleports> = &[
+    ("quarantine", Teleports::Quarantine, "Quarantine them"),
+    (
+        "trim",
+        Teleports::Trim,
+        "Keep their longest part without a jump",
+    ),
+    ("keep", Teleports::Keep, "Keep them unchanged"),
+];
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum FeaturesArg {
@@ -173,13 +173,14 @@ enum FeaturesArg {
     Humanml3d,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum ResampleArg {
-    /// Interpolate at exact times
-    Exact,
-    /// Drop frames by the published HumanML3D rule
-    Humanml3d,
-}
+const RESAMPLES: Names<Resample> = &[
+    ("exact", Resample::Exact, "Interpolate at exact times"),
+    (
+        "humanml3d",
+        Resample::HumanMl3d,
+        "Drop frames by the published HumanML3D rule",
+    ),
+];
 
 #[derive(Clone, Copy, Debug)]
 struct FpsArg(Option<Fps>);
@@ -230,20 +231,13 @@ impl Args {
 fn options(args: &Args, global: &Global) -> anyhow::Result<IngestOptions> {
     Ok(IngestOptions {
         fps: args.fps.0,
-        resample: match args.resample {
-            ResampleArg::Exact => Resample::Exact,
-            ResampleArg::Humanml3d => Resample::HumanMl3d,
-        },
+        resample: args.resample,
         format: args.format,
         humanml3d_index: args.humanml3d_index.clone(),
         new_version: args.new_version,
         prune: args.prune,
         drop_labels: args.drop_labels,
-        teleports: match args.teleports {
-            TeleportsArg::Quarantine => Teleports::Quarantine,
-            TeleportsArg::Trim => Teleports::Trim,
-            TeleportsArg::Keep => Teleports::Keep,
-        },
+        teleports: args.teleports,
         read: read_options(args)?,
         humanml3d_features: args.features.is_some(),
         seed: global.seed(),
