@@ -636,7 +636,7 @@ impl Shown<'_> {
             Some("glb") => formats::write::gltf::encode(edited, skeleton)?,
             Some("svg") => strip::strip(&rows(), &style).into_bytes(),
             Some("png") => raster::png(&strip::strip(&rows(), &style), 2.0)?,
-            Some("gif") => raster::gif(&rows(), &style, 1.0)?,
+            Some("gif") => raster::gif(&rows(), 1.0)?,
             None => return self.table(out, skeleton, global),
             Some(other) => bail!(
                 "{} ends in .{other}; known are .npz, .bvh, .glb, .svg, .png, .gif, and a folder",
