@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use datasets_spec::license::licenses;
 use datasets_spec::record::EditRow;
-use datasets_spec::store::replace_file;
 use datasets_spec::{Dataset, Fps};
 use pipeline::answers::bundle::Bundle;
 use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
@@ -14,6 +13,7 @@ use serde::Serialize;
 use crate::evaluators::judge_hash;
 use crate::exit::Exit;
 use crate::global::{Global, one_of};
+use crate::local;
 use crate::report;
 
 /// Import answers of systems outside this program, and bundle answers.
@@ -201,8 +201,7 @@ fn bundle(args: &BundleArgs, global: &Global) -> anyhow::Result<Exit> {
     let (items, skeleton) = (folder.items()?, folder.skeleton()?);
     let bundle = Bundle::new(&args.edits, rows, &items, &skeleton, &license, judge)?;
     let zip = bundle.to_zip()?;
-    replace_file(&args.out, &zip)
-        .with_context(|| format!("cannot write {}", args.out.display()))?;
+    local::write(&args.out, &zip)?;
     global.say(
         &serde_json::json!({
             "out": args.out,

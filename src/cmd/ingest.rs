@@ -29,6 +29,7 @@ use self::words::foreseen;
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::global::{Global, Names, one_of};
+use crate::local;
 use crate::report;
 
 pub(crate) use self::words::summary;
@@ -332,25 +333,18 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
             .with_context(|| format!("cannot use {} as body model", path.display()))?,
         None => Skeleton::smplx_neutral(),
     };
-    let user_map = match &args.joint_map {
-        Some(path) => {
-            let text = std::fs::read_to_string(path)
-                .with_context(|| format!("cannot read {}", path.display()))?;
-            let map = UserMap::parse(&text)
-                .with_context(|| format!("{} is no joint map", path.display()))?;
-            Some(map)
-        }
-        None => None,
+    let user_map = |path: &Path| {
+        UserMap::parse(&local::read_text(path)?)
+            .with_context(|| format!("{} is no joint map", path.display()))
     };
+    let user_map = args.joint_map.as_deref().map(user_map).transpose()?;
     let markers = args.markers.as_deref().map(read_markers).transpose()?;
-    let subjects = match &args.subject_models {
-        Some(folder) => {
-            let subjects = Subjects::read(folder)
-                .with_context(|| format!("cannot use the body models in {}", folder.display()))?;
-            Some(Arc::new(subjects))
-        }
-        None => None,
+    let subjects = |folder: &Path| {
+        Subjects::read(folder)
+            .with_context(|| format!("cannot use the body models in {}", folder.display()))
+            .map(Arc::new)
     };
+    let subjects = args.subject_models.as_deref().map(subjects).transpose()?;
     Ok(ReadOptions {
         skeleton,
         user_map,
@@ -364,9 +358,8 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
 
 /// Reads a marker set of the user.
 pub(crate) fn read_markers(path: &Path) -> anyhow::Result<MarkerSet> {
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    MarkerSet::parse(&text).with_context(|| format!("{} is no marker set", path.display()))
+    MarkerSet::parse(&local::read_text(path)?)
+        .with_context(|| format!("{} is no marker set", path.display()))
 }
 
 fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {

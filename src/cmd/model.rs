@@ -25,6 +25,7 @@ use crate::cmd::triplets::ComposeArgs;
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::global::{Global, Names, PRESETS, one_of};
+use crate::local;
 use crate::session::{hub_cache, text_encoder};
 
 /// Import and export networks of the released program, and prepare text encoders.
@@ -270,13 +271,13 @@ fn list_texts(args: &TextsArgs, global: &Global) -> anyhow::Result<Exit> {
 
 fn make_table(args: &TableArgs) -> anyhow::Result<()> {
     let texts = read_texts(&args.texts)?;
-    let vectors = exchange::read_npy_numbers(&read(&args.vectors)?, &args.vectors)?;
+    let vectors = exchange::read_npy_numbers(&local::read(&args.vectors)?, &args.vectors)?;
     let table = EmbeddingTable::of_vectors(&args.encoder, &texts, &vectors)?;
     Ok(table.save(&args.out)?)
 }
 
 fn read_texts(path: &Path) -> anyhow::Result<Vec<String>> {
-    let TextList { texts } = serde_json::from_slice(&read(path)?).with_context(|| {
+    let TextList { texts } = serde_json::from_slice(&local::read(path)?).with_context(|| {
         format!(
             "{} is not the document of `stance model texts DATASET --json`",
             path.display()
@@ -393,7 +394,7 @@ fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
     let clip = text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitL14, &device())?;
     let import = TmedImport {
         num_heads: args.heads,
-        statistics: read_released_statistics(&read(stats)?, stats)?,
+        statistics: read_released_statistics(&local::read(stats)?, stats)?,
         text: TextRecord::Frozen {
             encoder_hash: clip.token_identity(),
             width: clip.token_width(),
@@ -432,7 +433,7 @@ fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> any
     };
     let numbers = |name: &str| -> anyhow::Result<Vec<f32>> {
         let path = stats.join(name);
-        Ok(exchange::read_torch_numbers(&read(&path)?, &path)?)
+        Ok(exchange::read_torch_numbers(&local::read(&path)?, &path)?)
     };
     let features = FeatureStats {
         recipe,
@@ -457,14 +458,14 @@ fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
     let weights = weights(&args.file, &options)?;
     let described = args.file.with_file_name("args.json");
     let mdm: MdmArgs = if described.exists() {
-        serde_json::from_slice(&read(&described)?)
+        serde_json::from_slice(&local::read(&described)?)
             .with_context(|| format!("{} does not describe an MDM", described.display()))?
     } else {
         MdmArgs::default()
     };
     let numbers = |name: &str| -> anyhow::Result<Vec<f32>> {
         let path = stats.join(name);
-        Ok(exchange::read_npy_numbers(&read(&path)?, &path)?)
+        Ok(exchange::read_npy_numbers(&local::read(&path)?, &path)?)
     };
     let features = FeatureStats {
         recipe: FeatureRecipe::HumanMl3d,
@@ -483,7 +484,7 @@ fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
 }
 
 fn weights(file: &Path, options: &StateDictOptions<'_>) -> anyhow::Result<Vec<u8>> {
-    let bytes = read(file)?;
+    let bytes = local::read(file)?;
     if file
         .extension()
         .is_some_and(|ending| ending == "safetensors")
@@ -494,14 +495,10 @@ fn weights(file: &Path, options: &StateDictOptions<'_>) -> anyhow::Result<Vec<u8
 }
 
 fn range(path: &Path) -> anyhow::Result<Normalizer> {
-    let bytes = read(path)?;
+    let bytes = local::read(path)?;
     if path.extension().is_some_and(|ending| ending == "json") {
         return serde_json::from_slice(&bytes)
             .with_context(|| format!("{} is no normaliser", path.display()));
     }
     Ok(exchange::read_released_range(&bytes, path)?)
-}
-
-fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
-    std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }
