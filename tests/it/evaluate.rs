@@ -96,6 +96,21 @@ impl Bench {
         args.extend(edits.iter().map(|path| arg(path)));
         stance(&args)
     }
+
+    /// How much is in a folder of what a plan made.
+    fn made(&self, folder: &str) -> usize {
+        let folder = self.workshop.path("made").join(folder);
+        fs::read_dir(folder).expect("a folder").count()
+    }
+}
+
+/// A text of an object.
+fn name_in(key: &str) -> impl Fn(&Value) -> &str {
+    move |object| object[key].as_str().expect("a text")
+}
+
+fn reproduce(plan: &Path) -> Ran {
+    stance(&["--json", "reproduce", "--weak-judge", arg(plan)])
 }
 
 #[test]
@@ -104,12 +119,8 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     let first = bench.edits("first", &[]);
     let second = bench.edits("second", &["--guidance", "2"]);
     let both: Value = bench.eval(&[&first, &second], &["--json"]).done();
-    let systems: BTreeSet<&str> = both
-        .as_array()
-        .expect("rows")
-        .iter()
-        .map(|row| row["system"].as_str().expect("a name"))
-        .collect();
+    let rows = both.as_array().expect("rows").iter();
+    let systems: BTreeSet<&str> = rows.map(name_in("system")).collect();
     // What differs from the settings of the training stands in the name.
     assert_eq!(
         Vec::from_iter(systems),
@@ -278,17 +289,14 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         );
         assert_eq!(difference["better"], Value::Null);
     }
-    let other = compare(&second);
-    let moved = differences(&other)
-        .into_iter()
-        .find(|row| row["metric"] == "Position error (cm)")
-        .expect("measured");
-    let number = |value: &Value| value.as_f64().expect("a number");
-    assert!(number(&moved["difference"]) != 0.0);
+    let other = differences(&compare(&second));
+    let mut other = other.iter();
+    let moved = other.find(|row| row["metric"] == "Position error (cm)");
+    assert_ne!(moved.expect("measured")["difference"], 0.0);
 }
 
 /// A plan of a small editor, with its settings in section `models.motionrefit`.
-fn write_plan(bench: &Bench, rest: &str) -> std::path::PathBuf {
+fn write_plan(bench: &Bench, rest: &str) -> PathBuf {
     let settings = text_of(bench.workshop.path("small.toml"));
     let settings = settings.replace("[model]", "[models.motionrefit.model]");
     let plan = bench.workshop.path("plan.toml");
@@ -346,8 +354,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     let first: Value = typed("--json reproduce --weak-judge {} --at-once 2", &[&plan]).done();
     let out = bench.workshop.path("made");
     // The ratio of 1 is the default: two trainings of the editor serve five points, and its table.
-    let count = |folder: &str| fs::read_dir(out.join(folder)).expect("a folder").count();
-    assert_eq!((count("runs"), count("edits")), (3, 5));
+    assert_eq!((bench.made("runs"), bench.made("edits")), (3, 5));
     for drawing in [
         "mcm-ratio-e2t-avgr",
         "mcm-ratio-fs",
@@ -395,10 +402,10 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     assert!(page.contains("guidance") && page.contains("Nearest"));
     // The record holds what tables and figures show.
     let record = text_of(out.join("record.jsonl"));
-    let record: Vec<Value> = record
+    let record = record
         .lines()
-        .map(|line| serde_json::from_str(line).expect("JSON"))
-        .collect();
+        .map(|line| serde_json::from_str(line).expect("JSON"));
+    let record: Vec<Value> = record.collect();
     let shown = |place: &str, at: &Value| {
         let rows = record.iter();
         let rows = rows.filter(|row| row["shown_in"] == place && row["at"] == *at);
@@ -408,17 +415,12 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     let table = text_of(out.join("tables/table-1.md"));
     let (ours, _) = table.split_once("Published").unwrap_or((&table, ""));
     let systems = ["Real Data", "Identity", "ours", "Nearest"];
+    let systems = systems.map(|name| format!("| {name} |"));
     let rows = ours.lines().filter(cells);
-    let rows = rows.filter(|row| {
-        systems
-            .iter()
-            .any(|name| row.contains(&format!("| {name} |")))
-    });
+    let rows = rows.filter(|row| systems.iter().any(|name| row.contains(name)));
     let numbers = rows.map(|row| {
-        row.split('|')
-            .skip(2)
-            .filter(|cell| cell.contains('.'))
-            .count()
+        let cells = row.split('|').skip(2);
+        cells.filter(|cell| cell.contains('.')).count()
     });
     assert_eq!(shown("table-1", &Value::Null), numbers.sum::<usize>());
     assert_eq!(shown("MCM ratio", &serde_json::json!([0.2])), 2);
@@ -451,9 +453,9 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     let (page, old) = (out.join("index.html"), out.join("old.html"));
     fs::hard_link(&page, &old).expect("a second name");
     put(&old, "old");
-    let again: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).done();
+    let again: Value = reproduce(&plan).done();
     assert_eq!(first, again);
-    assert_eq!((count("runs"), count("edits")), (3, 5));
+    assert_eq!((bench.made("runs"), bench.made("edits")), (3, 5));
     assert_eq!(text_of(&old), "old");
     assert!(text_of(&page).contains("guidance"));
 
@@ -478,17 +480,13 @@ fn a_plan_trains_anew_when_its_dataset_has_grown() {
     );
     let [dataset, corpus, more] =
         ["dataset", "corpus", "more"].map(|name| bench.workshop.path(name));
-    let run = || stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]);
-    let first: Value = run().done();
+    let first: Value = reproduce(&plan).done();
     typed("--seed 9 corpus --clips 30 --out {}", &[&more]).expect_code(0);
     stance(&["ingest", arg(&corpus), arg(&more), "--out", arg(&dataset)]).expect_code(0);
     stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
-    let second: Value = run().done();
+    let second: Value = reproduce(&plan).done();
     assert_ne!(first["tables"], second["tables"]);
-    for folder in ["runs", "edits"] {
-        let made = fs::read_dir(bench.workshop.path("made").join(folder)).expect("a folder");
-        assert_eq!(made.count(), 2, "{folder}");
-    }
+    assert_eq!((bench.made("runs"), bench.made("edits")), (2, 2));
 }
 
 #[test]
@@ -502,7 +500,7 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
          [[figure]]\nname = \"seed\"\nkey = \"train.seed\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
     let before = bench.workshop.root_hash();
-    let ran = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).expect_code(1);
+    let ran = reproduce(&plan).expect_code(1);
     ran.expect_said("train.window = 400");
     let made: Value = ran.json();
     assert_eq!(len_of(&made["failed"]), 3, "{made}");
@@ -541,8 +539,7 @@ fn a_plan_trains_anew_when_its_text_vectors_change() {
     for (scale, runs) in [(1.0, 1), (1.0, 1), (2.0, 2)] {
         table.write("table.safetensors", scale).expect_code(0);
         stance(&["reproduce", "--weak-judge", arg(&plan)]).expect_code(0);
-        let made = fs::read_dir(workshop.path("made/runs")).expect("runs");
-        assert_eq!(made.count(), runs, "vectors times {scale}");
+        assert_eq!(bench.made("runs"), runs, "vectors times {scale}");
     }
 }
 
@@ -561,15 +558,11 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
         )
     };
     stance(&["reproduce", arg(&plan("[6, 6]"))]).expect_refused("holds 6 twice");
-    let run = |seeds: &str| -> Value {
-        stance(&["--json", "reproduce", "--weak-judge", arg(&plan(seeds))]).done()
-    };
+    let run = |seeds: &str| -> Value { reproduce(&plan(seeds)).done() };
     let alone = [run("[6]"), run("[7]")];
-    let runs = bench.workshop.path("made/runs");
-    let count = || fs::read_dir(&runs).expect("runs").count();
-    assert_eq!(count(), 3);
+    assert_eq!(bench.made("runs"), 3);
     let both = run("[6, 7]");
-    assert_eq!(count(), 3);
+    assert_eq!(bench.made("runs"), 3);
     let mean = |rows: &Value, system: &str| {
         let rows = rows.as_array().expect("rows");
         let of = |row: &&Value| row["system"] == system && row["metric"] == "FS";
@@ -610,11 +603,9 @@ fn items_that_are_short_for_one_window_count_at_none() {
         "[[system]]\nname = \"ours\"\n\
          [[figure]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 24]\nmetrics = [\"FS\"]\n",
     );
-    let made: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).done();
+    let made: Value = reproduce(&plan).done();
     let figure = &made["figures"][0];
-    let counts: Vec<&Value> = [0, 1]
-        .map(|point| &figure["points"][point]["scores"][0]["n"])
-        .into();
+    let counts = [0, 1].map(|point| &figure["points"][point]["scores"][0]["n"]);
     assert_eq!(counts[0], counts[1]);
     let items = Dataset::open(&bench.workshop.path("made/items")).expect("items");
     let rows = items.items().expect("rows");
@@ -634,16 +625,12 @@ fn convergence_scores_the_kept_checkpoints_of_one_training() {
          train = { keep_epochs = 1, length = { epochs = 2, steps = 500 } }\n\
          [[figure]]\nname = \"convergence\"\nkey = \"epoch\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
-    let made: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).done();
+    let made: Value = reproduce(&plan).done();
     let points = made["figures"][0]["points"].as_array().expect("points");
-    let names: Vec<&str> = points
-        .iter()
-        .map(|point| point["point"].as_str().expect("a name"))
-        .collect();
+    let names: Vec<&str> = points.iter().map(name_in("point")).collect();
     assert_eq!(names, ["epoch = 1", "epoch = 2"]);
     assert_ne!(points[0]["scores"], points[1]["scores"]);
-    let runs = bench.workshop.path("made/runs");
-    assert_eq!(fs::read_dir(runs).expect("runs").count(), 1);
+    assert_eq!(bench.made("runs"), 1);
 }
 
 #[test]
@@ -795,31 +782,23 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     };
     let opening = items_of("opening-viewer");
     assert_eq!(opening.len(), 1);
-    let labels: Vec<&Value> = opening[0]["motions"]
-        .as_array()
-        .expect("motions")
-        .iter()
-        .map(|motion| &motion["label"])
-        .collect();
-    let edited = labels[1].as_str().expect("a label");
+    let labels_of = |item: &Value| -> Vec<String> {
+        let motions = item["motions"].as_array().expect("motions").iter();
+        motions.map(name_in("label")).map(str::to_owned).collect()
+    };
+    let labels = labels_of(&opening[0]);
     assert_eq!(
-        (labels.len(), labels[0], labels[2]),
-        (3, &"source".into(), &"target".into())
+        (labels.len(), &*labels[0], &*labels[2]),
+        (3, "source", "target")
     );
-    assert!(edited.starts_with("edited by "), "{edited}");
+    assert!(labels[1].starts_with("edited by "), "{labels:?}");
     // The editor has hardly been trained.
     assert!(html.contains("No best case: none of the edits"));
     let items = items_of("viewer");
     assert_eq!(items.len(), 3);
     for item in &items {
-        let labels: Vec<&str> = item["motions"]
-            .as_array()
-            .expect("motions")
-            .iter()
-            .map(|motion| motion["label"].as_str().expect("a label"))
-            .collect();
-        assert_eq!(labels[0], "source");
-        assert_eq!(labels[2], "target");
+        let labels = labels_of(item);
+        assert_eq!([&labels[0], &labels[2]], ["source", "target"]);
     }
     assert!(html.contains("script-src 'sha256-") && !html.contains("https://"));
     stance(&["report", arg(&bench.encoder), "--out", arg(&page)]).expect_refused("encoder");
@@ -978,10 +957,9 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     assert_has(&refused.stderr, &["different items", "zero", "elsewhere"]);
     // Many takes can be made at once, and are the same takes.
     let takes = bench.edits("takes", &["--takes", "2"]);
-    let (_, together) = read(&takes);
+    let (_, mut together) = read(&takes);
     let mut apart = [first, second].concat();
     apart.sort_by(|a, b| (a.seed, &a.id).cmp(&(b.seed, &b.id)));
-    let mut together = together;
     together.sort_by(|a, b| (a.seed, &a.id).cmp(&(b.seed, &b.id)));
     assert_eq!(together, apart);
 }
