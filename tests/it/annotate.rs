@@ -40,6 +40,18 @@ struct Token {
     user: User,
 }
 
+/// Starts a server and reads its first line.
+fn begun(command: &mut Command) -> (Child, String) {
+    let mut child = command
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("stance starts");
+    let mut line = String::new();
+    let stdout = child.stdout.take().expect("a pipe");
+    BufReader::new(stdout).read_line(&mut line).expect("a line");
+    (child, line)
+}
+
 /// A server that is a process of its own.
 struct Process {
     child: Child,
@@ -55,15 +67,8 @@ impl Process {
     }
 
     fn spawn(mut command: Command) -> Self {
-        let mut child = command
-            .args(["--json", "--quiet"])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("stance starts");
-        let mut line = String::new();
-        let stdout = child.stdout.take().expect("a pipe");
-        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        command.args(["--json", "--quiet"]).stderr(Stdio::null());
+        let (child, line) = begun(&mut command);
         let listening: Listening =
             serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line:?}"));
         Self {
@@ -214,7 +219,12 @@ pub(crate) fn settings() -> Settings {
 }
 
 fn wants_one_answer(dataset: &Path) {
-    let store = open_sqlite(&dataset.join("annotate").join("store.sqlite")).expect("a store");
+    set(&dataset.join("annotate/store.sqlite"));
+}
+
+/// Gives a store the settings of these tests.
+fn set(file: &Path) {
+    let store = open_sqlite(file).expect("a store");
     store.put_settings(1, settings(), 0).expect("settings");
 }
 
@@ -281,8 +291,7 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
     assert_eq!(masks["origins"]["human"], 12);
     let triplets: Value = typed("triplets stats {} --count 64 --json", &[&dataset]).done();
     let text = triplets.to_string();
-    assert_has(&text, &["testing"]);
-    assert!(text.contains("fine-grained"), "{text}");
+    assert_has(&text, &["testing", "fine-grained"]);
     let out = dataset.with_file_name("triplets");
     typed("triplets {} --out {} --count 16", &[&dataset, &out]).expect_code(0);
 }
@@ -342,8 +351,7 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
         typed_with("annotate {} --store {} --json", &[&dataset, &store], words).done()
     };
     for name in ["first.sqlite", "second.sqlite", "third.sqlite"] {
-        let store = open_sqlite(&file(name)).expect("a store");
-        store.put_settings(1, settings(), 0).expect("settings");
+        set(&file(name));
     }
     let tasks = run("first.sqlite", &["import"])["counts"]["new_tasks"].clone();
     answer_and_accept(&file("first.sqlite"));
@@ -446,11 +454,8 @@ fn a_server_starts_on_a_dataset_that_was_ingested_anew_and_asks_about_its_answer
     let run =
         |words: &[&str]| -> Value { typed_with("--json annotate {}", &[&dataset], words).done() };
     run(&["import"]);
-    let file = dataset.join("annotate").join("store.sqlite");
-    let store = open_sqlite(&file).expect("a store");
-    store.put_settings(1, settings(), 0).expect("settings");
-    drop(store);
-    answer_and_accept(&file);
+    wants_one_answer(&dataset);
+    answer_and_accept(&dataset.join("annotate/store.sqlite"));
     let listed = |words: &[&str]| len_of(&run(words));
     assert_eq!(listed(&["changed"]), 0);
     // Every clip has the same id and other frames.
@@ -579,15 +584,7 @@ fn a_server_says_who_else_can_reach_it() {
         ),
     ] {
         let mut command = command(&["annotate", arg(&dataset), "--listen", listen]);
-        let mut child = command
-            .args(more)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("stance starts");
-        let mut line = String::new();
-        let stdout = child.stdout.take().expect("a pipe");
-        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        let (mut child, line) = begun(command.args(more).stderr(Stdio::piped()));
         // It listens; what it had to say before is said.
         child.kill().expect("a running server");
         let said = child.wait_with_output().expect("an end").stderr;
