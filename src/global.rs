@@ -1,5 +1,6 @@
 //! Options that several verbs share.
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use compose::FrameCache;
 use datasets_spec::Seed;
 use serde::Serialize;
@@ -105,24 +106,27 @@ impl Global {
     }
 }
 
-/// Named settings of models.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum PresetArg {
-    /// Small: minutes on two cores
-    #[default]
-    Tiny,
-    /// What the paper says
-    Paper,
-    /// The released configuration
-    Official,
+/// Names that an option takes: what each stands for, and its help.
+pub(crate) type Names<T> = &'static [(&'static str, T, &'static str)];
+
+/// Parses one of some names.
+pub(crate) fn one_of<T>(names: Names<T>) -> impl TypedValueParser<Value = T>
+where
+    T: Copy + Send + Sync + 'static,
+{
+    let listed = names.iter().map(|(name, _, help)| match help.is_empty() {
+        true => PossibleValue::new(*name),
+        false => PossibleValue::new(*name).help(*help),
+    });
+    PossibleValuesParser::new(listed).map(move |given| {
+        let row = names.iter().find(|(name, ..)| *name == given);
+        row.expect("the parser knows the names").1
+    })
 }
 
-impl From<PresetArg> for Preset {
-    fn from(preset: PresetArg) -> Self {
-        match preset {
-            PresetArg::Tiny => Self::Tiny,
-            PresetArg::Paper => Self::Paper,
-            PresetArg::Official => Self::Official,
-        }
-    }
-}
+/// Named settings of models.
+pub(crate) const PRESETS: Names<Preset> = &[
+    ("tiny", Preset::Tiny, "Small: minutes on two cores"),
+    ("paper", Preset::Paper, "What the paper says"),
+    ("official", Preset::Official, "The released configuration"),
+];

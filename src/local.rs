@@ -1,5 +1,6 @@
 //! Paths that cannot be URLs, and files at them.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -21,6 +22,16 @@ pub(crate) fn check(path: &Path) -> Result<(), String> {
         )),
         false => Ok(()),
     }
+}
+
+/// Reads a file.
+pub(crate) fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
+    fs::read(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// Reads a file of text.
+pub(crate) fn read_text(path: &Path) -> anyhow::Result<String> {
+    fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
 /// Writes a file, which appears whole or not at all.

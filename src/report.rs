@@ -49,6 +49,24 @@ pub(crate) fn listing(lines: &[String]) -> String {
     text
 }
 
+/// Rows of cells, one below the other; those of the columns for which it holds stand to the right.
+pub(crate) fn columns(rows: &[Vec<String>], is_right: impl Fn(usize) -> bool) -> String {
+    let count = rows.first().map_or(0, Vec::len);
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max();
+    let widths: Vec<usize> = (0..count).filter_map(width).collect();
+    let mut text = String::new();
+    for row in rows {
+        let cells = row.iter().zip(&widths).enumerate();
+        let cells = cells.map(|(column, (cell, &width))| match is_right(column) {
+            true => format!("{cell:>width$}  "),
+            false => format!("{cell:<width$}  "),
+        });
+        text += cells.collect::<String>().trim_end();
+        text.push('\n');
+    }
+    text
+}
+
 /// Writes what the buffer of stdout still holds.
 pub(crate) fn flush() {
     // A closed pipe is not an error here either.

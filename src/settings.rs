@@ -2,18 +2,17 @@
 
 use std::path::Path;
 
-use anyhow::Context;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 use toml::de::{DeTable, DeValue};
 use train::config::SettingError;
 
+use crate::local;
+
 /// Reads a TOML file.
 pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<T> {
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    parse(&text, path)
+    parse(&local::read_text(path)?, path)
 }
 
 /// Parses the text of a TOML file. An error begins with file, line and column.

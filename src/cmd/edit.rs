@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::store::replace_file;
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Motion, MotionId, Resample, Seed, Skeleton, Split};
 use eval::draw::raster;
@@ -27,6 +26,7 @@ use work::commit_edits;
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::local;
 use crate::report;
 use crate::session::{surroundings, text_encoder, with_session};
 use crate::stages::{self, note_remarks, per_window};
@@ -308,11 +308,6 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
         system.prepare(&texts, session)?;
         edit_layers(&*system, id, &original, &layers, seed, session)
     })?;
-    let texts: Vec<&str> = layers
-        .iter()
-        .flatten()
-        .map(|asked| asked.text.as_str())
-        .collect();
     let shown = Shown {
         id,
         skeleton: &skeleton,
@@ -416,8 +411,7 @@ fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit
             EditHistory::open(motion.as_str(), &opened(args, motion, &skeleton)?)
         }
         (None, true) => {
-            let text = std::fs::read_to_string(path)
-                .with_context(|| format!("cannot read {}", path.display()))?;
+            let text = local::read_text(path)?;
             EditHistory::from_json(&text).with_context(|| format!("in {}", path.display()))?
         }
         (None, false) => bail!("{} does not exist; begin it with --motion", path.display()),
@@ -499,8 +493,7 @@ impl Interactive<'_> {
     }
 
     fn save(&self, history: &EditHistory) -> anyhow::Result<()> {
-        replace_file(self.path, history.to_json().as_bytes())
-            .with_context(|| format!("cannot write {}", self.path.display()))
+        local::write(self.path, history.to_json().as_bytes())
     }
 
     fn write(&self, history: &EditHistory, out: &Path) -> anyhow::Result<()> {
@@ -641,14 +634,14 @@ impl Shown<'_> {
             Some("glb") => formats::write::gltf::encode(edited, skeleton)?,
             Some("svg") => strip::strip(&rows(), &style).into_bytes(),
             Some("png") => raster::png(&strip::strip(&rows(), &style), 2.0)?,
-            Some("gif") => raster::gif(&rows(), &style, 1.0)?,
+            Some("gif") => raster::gif(&rows(), 1.0)?,
             None => return self.table(out, skeleton, global),
             Some(other) => bail!(
                 "{} ends in .{other}; known are .npz, .bvh, .glb, .svg, .png, .gif, and a folder",
                 out.display()
             ),
         };
-        replace_file(out, &bytes).with_context(|| format!("cannot write {}", out.display()))
+        local::write(out, &bytes)
     }
 
     /// Writes the original as an item without a target, and the edit of it, both at the edit's rate.

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use datasets_spec::license::licenses;
 use datasets_spec::record::EditRow;
-use datasets_spec::store::replace_file;
 use datasets_spec::{Dataset, Fps};
 use pipeline::answers::bundle::Bundle;
 use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
@@ -13,7 +12,8 @@ use serde::Serialize;
 
 use crate::evaluators::judge_hash;
 use crate::exit::Exit;
-use crate::global::Global;
+use crate::global::{Global, one_of};
+use crate::local;
 use crate::report;
 
 /// Import answers of systems outside this program, and bundle answers.
@@ -74,12 +74,12 @@ struct ImportArgs {
     #[arg(long, value_parser = parse_fps)]
     fps: Option<Fps>,
     /// Vertical axis of the answers [default: z for AMASS and MotionFix, otherwise y]
-    #[arg(long, value_enum)]
-    up: Option<UpArg>,
+    #[arg(long, value_parser = one_of(&[("y", Up::Y, ""), ("z", Up::Z, "")]))]
+    up: Option<Up>,
     /// Placement of the answers: as in their files, or on the floor at the start of the item's source
     /// [default: source for MotionFix and HumanML3D, whose files have an origin of their own]
-    #[arg(long, value_enum)]
-    place: Option<PlaceArg>,
+    #[arg(long, value_parser = one_of(&[("file", Place::File, ""), ("source", Place::Source, "")]))]
+    place: Option<Place>,
     /// Write the folder even if items have no answer; `stance eval` asks for all of them
     #[arg(long)]
     allow_missing: bool,
@@ -88,31 +88,18 @@ struct ImportArgs {
     out: PathBuf,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum UpArg {
-    Y,
-    Z,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum PlaceArg {
-    File,
-    Source,
-}
-
 fn parse_name(text: &str) -> Result<String, String> {
-    match text.trim() {
-        "" => Err("expected a name".to_owned()),
-        name => Ok(name.to_owned()),
-    }
+    trimmed(text).ok_or_else(|| "expected a name".to_owned())
 }
 
 /// Parses the tag of a licence.
 pub(crate) fn parse_license(text: &str) -> Result<String, String> {
-    match text.trim() {
-        "" => Err("expected a licence".to_owned()),
-        license => Ok(license.to_owned()),
-    }
+    trimmed(text).ok_or_else(|| "expected a licence".to_owned())
+}
+
+fn trimmed(text: &str) -> Option<String> {
+    let text = text.trim();
+    (!text.is_empty()).then(|| text.to_owned())
 }
 
 fn parse_zip(text: &str) -> Result<PathBuf, String> {
@@ -155,14 +142,8 @@ fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
         settings: settings(args.settings.as_deref())?,
         seed: global.seed(),
         fps: args.fps,
-        up: args.up.map(|up| match up {
-            UpArg::Y => Up::Y,
-            UpArg::Z => Up::Z,
-        }),
-        place: args.place.map(|place| match place {
-            PlaceArg::File => Place::File,
-            PlaceArg::Source => Place::Source,
-        }),
+        up: args.up,
+        place: args.place,
     };
     let answers = read_answers(&args.files, &items, &skeleton, &options, &global.bars())?;
     let report = &answers.report;
@@ -220,8 +201,7 @@ fn bundle(args: &BundleArgs, global: &Global) -> anyhow::Result<Exit> {
     let (items, skeleton) = (folder.items()?, folder.skeleton()?);
     let bundle = Bundle::new(&args.edits, rows, &items, &skeleton, &license, judge)?;
     let zip = bundle.to_zip()?;
-    replace_file(&args.out, &zip)
-        .with_context(|| format!("cannot write {}", args.out.display()))?;
+    local::write(&args.out, &zip)?;
     global.say(
         &serde_json::json!({
             "out": args.out,

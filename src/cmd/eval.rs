@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
+use clap::ValueEnum as _;
 use datasets_spec::{Seed, Split};
 use eval::answers::{Answered, Paired, Scores};
 use eval::format;
@@ -20,7 +21,7 @@ use pipeline::answers::bundle::{Bundle, Rates};
 use crate::device::DeviceArgs;
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, encoder_retrieval, judge_hash};
 use crate::exit::Exit;
-use crate::global::Global;
+use crate::global::{Global, Names, one_of};
 use crate::{report, stages};
 
 /// Score tables of edits, print the result table, or compare two systems.
@@ -45,8 +46,8 @@ pub(crate) struct Args {
     #[arg(long, value_enum, default_value_t = TableArg::Main)]
     table: TableArg,
     /// Source of the intervals: bootstrap draws of the targets, or the repeats, as published
-    #[arg(long, value_enum, default_value_t = IntervalArg::Targets)]
-    interval: IntervalArg,
+    #[arg(long, value_parser = one_of(INTERVALS), default_value = "targets")]
+    interval: Spread,
     /// Print further columns that the paper lacks: median ranks, raw FID, multimodality, errors and
     /// motion quality
     #[arg(long)]
@@ -204,11 +205,10 @@ enum FormatArg {
     Json,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum IntervalArg {
-    Targets,
-    Repeats,
-}
+const INTERVALS: Names<Spread> = &[
+    ("targets", Spread::Targets, ""),
+    ("repeats", Spread::Repeats, ""),
+];
 
 fn parse_keypoints(text: &str) -> Result<Keypoints, String> {
     [Keypoints::All, Keypoints::Body]
@@ -241,16 +241,9 @@ pub(crate) enum TableArg {
 
 impl TableArg {
     /// Its name on the command line.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Main => "main",
-            Self::One => "1",
-            Self::Two => "2",
-            Self::A1 => "a1",
-            Self::A2 => "a2",
-            Self::A3 => "a3",
-            Self::A4 => "a4",
-        }
+    pub(crate) fn name(self) -> String {
+        let value = self.to_possible_value().expect("no table is left out");
+        value.get_name().to_owned()
     }
 
     /// The table of the paper whose protocol and published rows it has; none for Table A4, which holds no scores.
@@ -276,10 +269,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         return timed(args, global);
     };
     let protocol = Protocol {
-        interval: match args.interval {
-            IntervalArg::Targets => Spread::Targets,
-            IntervalArg::Repeats => Spread::Repeats,
-        },
+        interval: args.interval,
         ..args.measure.protocol(Some(table), global)
     };
     let runs = args.measure.runs()?;

@@ -15,7 +15,7 @@ use work::Plan;
 
 use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
-use crate::global::Global;
+use crate::global::{Global, Names, one_of};
 use crate::report;
 
 /// Write a dataset, or a folder of edits, in a layout that other tools read.
@@ -30,8 +30,8 @@ pub(crate) struct Args {
     /// Dataset folder, or folder of edits
     dataset: PathBuf,
     /// Layout to write; edits go to amass, bvh or gltf, triplets and items to motionfix
-    #[arg(long, value_enum)]
-    to: LayoutArg,
+    #[arg(long, value_parser = one_of(LAYOUTS))]
+    to: Layout,
     #[command(flatten)]
     chosen: ChosenArgs,
     /// Also write the source motions, to sources/ITEM
@@ -45,54 +45,57 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum LayoutArg {
-    /// AMASS npz files, SMPL-X keys, z up, at least 60 fps
-    Amass,
-    /// HumanML3D: joints, 263-d vectors, texts, splits, Mean and Std
-    Humanml3d,
-    /// The layout of the STANCE release: pickles and JSON
-    Stance,
-    /// A BVH file for each clip
-    Bvh,
-    /// A GLB file for each clip, with a body of capsules
-    Gltf,
-    /// Tar shards of npy and json members
-    Webdataset,
-    /// LeRobot v3: one row a frame
-    Lerobot,
-    /// HumanML3D-272: 272-d vectors at 30 fps, texts, splits, Mean and Std
-    #[value(name = "humanml3d-272")]
-    Humanml3d272,
-    /// BABEL-272: as humanml3d-272
-    #[value(name = "babel-272")]
-    Babel272,
-    /// MotionMillion: 272-d vectors by id, plain texts, splits by length, mean and std
-    Motionmillion,
-    /// The 201-d vectors of HY-Motion at 30 fps, texts, splits, Mean and Std
-    HyMotion,
-    /// MotionFix: joblib dumps of triplets, items or pairs at 30 fps, splits.json
-    Motionfix,
-}
-
-impl From<LayoutArg> for Layout {
-    fn from(layout: LayoutArg) -> Self {
-        match layout {
-            LayoutArg::Amass => Self::Amass,
-            LayoutArg::Humanml3d => Self::HumanMl3d,
-            LayoutArg::Stance => Self::Stance,
-            LayoutArg::Bvh => Self::Bvh,
-            LayoutArg::Gltf => Self::Gltf,
-            LayoutArg::Webdataset => Self::WebDataset,
-            LayoutArg::Lerobot => Self::LeRobot,
-            LayoutArg::Humanml3d272 => Self::HumanMl3d272,
-            LayoutArg::Babel272 => Self::Babel272,
-            LayoutArg::Motionmillion => Self::MotionMillion,
-            LayoutArg::HyMotion => Self::HyMotion,
-            LayoutArg::Motionfix => Self::MotionFix,
-        }
-    }
-}
+/// The layouts by their names.
+const LAYOUTS: Names<Layout> = &[
+    (
+        "amass",
+        Layout::Amass,
+        "AMASS npz files, SMPL-X keys, z up, at least 60 fps",
+    ),
+    (
+        "humanml3d",
+        Layout::HumanMl3d,
+        "HumanML3D: joints, 263-d vectors, texts, splits, Mean and Std",
+    ),
+    (
+        "stance",
+        Layout::Stance,
+        "The layout of the STANCE release: pickles and JSON",
+    ),
+    ("bvh", Layout::Bvh, "A BVH file for each clip"),
+    (
+        "gltf",
+        Layout::Gltf,
+        "A GLB file for each clip, with a body of capsules",
+    ),
+    (
+        "webdataset",
+        Layout::WebDataset,
+        "Tar shards of npy and json members",
+    ),
+    ("lerobot", Layout::LeRobot, "LeRobot v3: one row a frame"),
+    (
+        "humanml3d-272",
+        Layout::HumanMl3d272,
+        "HumanML3D-272: 272-d vectors at 30 fps, texts, splits, Mean and Std",
+    ),
+    ("babel-272", Layout::Babel272, "BABEL-272: as humanml3d-272"),
+    (
+        "motionmillion",
+        Layout::MotionMillion,
+        "MotionMillion: 272-d vectors by id, plain texts, splits by length, mean and std",
+    ),
+    (
+        "hy-motion",
+        Layout::HyMotion,
+        "The 201-d vectors of HY-Motion at 30 fps, texts, splits, Mean and Std",
+    ),
+    (
+        "motionfix",
+        Layout::MotionFix,
+        "MotionFix: joblib dumps of triplets, items or pairs at 30 fps, splits.json",
+    ),
+];
 
 impl Args {
     /// Plans the export of motions for any number of processes.
@@ -100,7 +103,7 @@ impl Args {
         if self.sources || self.targets {
             bail!("exports of motions are planned; --sources and --targets are of items");
         }
-        let layout = Layout::from(self.to);
+        let layout = self.to;
         let dataset = Dataset::open_unverified(&self.dataset)?;
         if dataset.manifest().tables.contains_key(MotionRow::TABLE) {
             remark_before(layout, &self.clips(&dataset)?)?;
@@ -134,7 +137,7 @@ fn remark_before(layout: Layout, clips: &Clips) -> anyhow::Result<Vec<String>> {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let layout = Layout::from(args.to);
+    let layout = args.to;
     let dataset = match &args.chosen.condition {
         // Hashing every file would read every clip; those that are chosen are checked one by one. Stored
         // features of HumanML3D have no hashes of their own.

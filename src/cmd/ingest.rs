@@ -28,7 +28,8 @@ use work::Plan;
 use self::words::foreseen;
 use crate::exit::Exit;
 use crate::failure::Failure;
-use crate::global::Global;
+use crate::global::{Global, Names, one_of};
+use crate::local;
 use crate::report;
 
 pub(crate) use self::words::summary;
@@ -50,8 +51,8 @@ pub(crate) struct Args {
     #[arg(long, default_value = "20", value_parser = parse_fps)]
     fps: FpsArg,
     /// How clips are brought to that rate
-    #[arg(long, value_enum, default_value_t = ResampleArg::Exact)]
-    resample: ResampleArg,
+    #[arg(long, value_parser = one_of(RESAMPLES), default_value = "exact")]
+    resample: Resample,
     /// Cut the clips of HumanML3D from the AMASS files among the sources, by its index.csv
     #[arg(long, value_name = "CSV")]
     humanml3d_index: Option<PathBuf>,
@@ -75,8 +76,8 @@ pub(crate) struct Args {
     #[arg(long, value_enum)]
     features: Option<FeaturesArg>,
     /// How to treat motions with a jump faster than 20 m/s
-    #[arg(long, value_enum, default_value_t = TeleportsArg::Quarantine)]
-    teleports: TeleportsArg,
+    #[arg(long, value_parser = one_of(TELEPORTS), default_value = "quarantine")]
+    teleports: Teleports,
     /// Accept BVH and TRC files whose header states another number of frames than rows follow. Such clips are
     /// flagged
     #[arg(long)]
@@ -157,15 +158,15 @@ fn format_parser() -> impl TypedValueParser<Value = Format> {
         .map(|name| format_named(&name).expect("a listed name"))
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum TeleportsArg {
-    /// Quarantine them
-    Quarantine,
-    /// Keep their longest part without a jump
-    Trim,
-    /// Keep them unchanged
-    Keep,
-}
+const TELEPORTS: Names<Teleports> = &[
+    ("quarantine", Teleports::Quarantine, "Quarantine them"),
+    (
+        "trim",
+        Teleports::Trim,
+        "Keep their longest part without a jump",
+    ),
+    ("keep", Teleports::Keep, "Keep them unchanged"),
+];
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum FeaturesArg {
@@ -173,13 +174,14 @@ enum FeaturesArg {
     Humanml3d,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum ResampleArg {
-    /// Interpolate at exact times
-    Exact,
-    /// Drop frames by the published HumanML3D rule
-    Humanml3d,
-}
+const RESAMPLES: Names<Resample> = &[
+    ("exact", Resample::Exact, "Interpolate at exact times"),
+    (
+        "humanml3d",
+        Resample::HumanMl3d,
+        "Drop frames by the published HumanML3D rule",
+    ),
+];
 
 #[derive(Clone, Copy, Debug)]
 struct FpsArg(Option<Fps>);
@@ -230,20 +232,13 @@ impl Args {
 fn options(args: &Args, global: &Global) -> anyhow::Result<IngestOptions> {
     Ok(IngestOptions {
         fps: args.fps.0,
-        resample: match args.resample {
-            ResampleArg::Exact => Resample::Exact,
-            ResampleArg::Humanml3d => Resample::HumanMl3d,
-        },
+        resample: args.resample,
         format: args.format,
         humanml3d_index: args.humanml3d_index.clone(),
         new_version: args.new_version,
         prune: args.prune,
         drop_labels: args.drop_labels,
-        teleports: match args.teleports {
-            TeleportsArg::Quarantine => Teleports::Quarantine,
-            TeleportsArg::Trim => Teleports::Trim,
-            TeleportsArg::Keep => Teleports::Keep,
-        },
+        teleports: args.teleports,
         read: read_options(args)?,
         humanml3d_features: args.features.is_some(),
         seed: global.seed(),
@@ -338,25 +333,18 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
             .with_context(|| format!("cannot use {} as body model", path.display()))?,
         None => Skeleton::smplx_neutral(),
     };
-    let user_map = match &args.joint_map {
-        Some(path) => {
-            let text = std::fs::read_to_string(path)
-                .with_context(|| format!("cannot read {}", path.display()))?;
-            let map = UserMap::parse(&text)
-                .with_context(|| format!("{} is no joint map", path.display()))?;
-            Some(map)
-        }
-        None => None,
+    let user_map = |path: &Path| {
+        UserMap::parse(&local::read_text(path)?)
+            .with_context(|| format!("{} is no joint map", path.display()))
     };
+    let user_map = args.joint_map.as_deref().map(user_map).transpose()?;
     let markers = args.markers.as_deref().map(read_markers).transpose()?;
-    let subjects = match &args.subject_models {
-        Some(folder) => {
-            let subjects = Subjects::read(folder)
-                .with_context(|| format!("cannot use the body models in {}", folder.display()))?;
-            Some(Arc::new(subjects))
-        }
-        None => None,
+    let subjects = |folder: &Path| {
+        Subjects::read(folder)
+            .with_context(|| format!("cannot use the body models in {}", folder.display()))
+            .map(Arc::new)
     };
+    let subjects = args.subject_models.as_deref().map(subjects).transpose()?;
     Ok(ReadOptions {
         skeleton,
         user_map,
@@ -370,9 +358,8 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
 
 /// Reads a marker set of the user.
 pub(crate) fn read_markers(path: &Path) -> anyhow::Result<MarkerSet> {
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    MarkerSet::parse(&text).with_context(|| format!("{} is no marker set", path.display()))
+    MarkerSet::parse(&local::read_text(path)?)
+        .with_context(|| format!("{} is no marker set", path.display()))
 }
 
 fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {

@@ -223,6 +223,14 @@ fn listing(facts: &BTreeMap<String, String>) -> String {
     lines.concat()
 }
 
+/// Lines below a title; nothing for none.
+fn section(title: &str, lines: &[String]) -> String {
+    match lines {
+        [] => String::new(),
+        lines => format!("{title}\n  {}\n", lines.join("\n  ")),
+    }
+}
+
 fn shard_text(shard: &ShardDescription) -> String {
     let mut text = format!(
         "{} rows in {} row groups\n",
@@ -291,11 +299,7 @@ impl Question {
     }
 
     fn text(&self) -> String {
-        let mut text = listing(&self.facts);
-        if !self.answers.is_empty() {
-            text += &format!("answers\n  {}\n", self.answers.join("\n  "));
-        }
-        text
+        listing(&self.facts) + &section("answers", &self.answers)
     }
 }
 
@@ -370,16 +374,9 @@ impl Clip {
     fn text(&self) -> String {
         let mut text = listing(&self.facts);
         text += &format!("{:<14} {}\n", "flags", self.flags.join(", "));
-        for (title, lines) in [
-            ("captions", &self.captions),
-            ("parts", &self.parts),
-            ("notes", &self.notes),
-        ] {
-            if !lines.is_empty() {
-                text += &format!("{title}\n  {}\n", lines.join("\n  "));
-            }
-        }
-        text
+        text += &section("captions", &self.captions);
+        text += &section("parts", &self.parts);
+        text + &section("notes", &self.notes)
     }
 }
 
@@ -511,11 +508,8 @@ impl Foreign {
                 text += &format!("\n{}\n", motion.name);
             }
             text += &listing(&motion.facts);
-            for (title, lines) in [("captions", &motion.captions), ("notes", &motion.notes)] {
-                if !lines.is_empty() {
-                    text += &format!("{title}\n  {}\n", lines.join("\n  "));
-                }
-            }
+            text += &section("captions", &motion.captions);
+            text += &section("notes", &motion.notes);
         }
         text
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::table::Row;
@@ -102,8 +102,7 @@ fn accept(args: &Args, file: &PathBuf, global: &Global) -> anyhow::Result<Datase
     if author.is_empty() {
         bail!("--author must name who judged");
     }
-    let lines =
-        std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let lines = local::read_text(file)?;
     let dataset = Dataset::open(&args.dataset)?;
     let motions: BTreeMap<MotionId, (Split, i32)> = dataset
         .read::<MotionRow>(None)?

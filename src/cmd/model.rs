@@ -10,7 +10,7 @@ use remote_store::hub::Hub;
 use serde::{Deserialize, Serialize};
 use train::checkpoint::Slot;
 use train::compose::ComposeRecord;
-use train::config::{BertVectors, TrainConfig};
+use train::config::{BertVectors, Preset, TrainConfig};
 use train::coordinator::{CoordinatorConfig, CoordinatorRecord};
 use train::exchange::{self, MdmArgs, TextSide};
 use train::features::{FeatureRecipe, FeatureStats};
@@ -24,7 +24,8 @@ use train::tmed::{TmedImport, import_tmed, read_released_statistics};
 use crate::cmd::triplets::ComposeArgs;
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
-use crate::global::{Global, PresetArg};
+use crate::global::{Global, Names, PRESETS, one_of};
+use crate::local;
 use crate::session::{hub_cache, text_encoder};
 
 /// Import and export networks of the released program, and prepare text encoders.
@@ -109,8 +110,8 @@ struct EmbedArgs {
     #[arg(long, value_name = "FOLDER")]
     text_encoder: PathBuf,
     /// One vector for each text, or one for each token
-    #[arg(long, value_enum, default_value_t)]
-    vectors: Vectors,
+    #[arg(long, value_parser = one_of(VECTORS), default_value = "pooled")]
+    vectors: BertVectors,
     /// Table to write (.safetensors)
     #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
@@ -118,30 +119,30 @@ struct EmbedArgs {
     device: DeviceArgs,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum Vectors {
-    /// One for each text, pooled as the encoder's files say
-    #[default]
-    Pooled,
-    /// One for each token: the last hidden states
-    States,
-}
+const VECTORS: Names<BertVectors> = &[
+    (
+        "pooled",
+        BertVectors::Pooled,
+        "One for each text, pooled as the encoder's files say",
+    ),
+    (
+        "states",
+        BertVectors::States,
+        "One for each token: the last hidden states",
+    ),
+];
 
 #[derive(clap::Args, Debug)]
 struct FetchArgs {
     /// Which CLIP
-    #[arg(long, value_enum, default_value_t)]
-    clip: Clip,
+    #[arg(long, value_parser = one_of(CLIPS), default_value = "vit-b32")]
+    clip: ClipModel,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum Clip {
-    /// ViT-B/32: MotionReFit
-    #[default]
-    VitB32,
-    /// ViT-L/14: TMED
-    VitL14,
-}
+const CLIPS: Names<ClipModel> = &[
+    ("vit-b32", ClipModel::VitB32, "ViT-B/32: MotionReFit"),
+    ("vit-l14", ClipModel::VitL14, "ViT-L/14: TMED"),
+];
 
 /// Make a run folder from a released checkpoint (.pth) or of a safetensors file under its names.
 ///
@@ -154,14 +155,14 @@ struct ImportArgs {
     #[arg(long, value_enum, default_value_t = Model::Motionrefit)]
     model: Model,
     /// Settings the network was made with
-    #[arg(long, value_enum, default_value_t = PresetArg::Official)]
-    preset: PresetArg,
+    #[arg(long, value_parser = one_of(PRESETS), default_value = "official")]
+    preset: Preset,
     /// The released normaliser (norm_scaled.npy), or a range.json of `stance model export`
     #[arg(long, value_name = "FILE", required_unless_present = "stats")]
     range: Option<PathBuf>,
     /// Features of an evaluation encoder
-    #[arg(long, value_enum, required_if_eq("model", "tmr"), requires = "stats")]
-    features: Option<Features>,
+    #[arg(long, value_parser = one_of(FEATURES), required_if_eq("model", "tmr"), requires = "stats")]
+    features: Option<FeatureRecipe>,
     /// Folder with the mean.pt and std.pt of those features; for mdm with the Mean.npy and Std.npy of
     /// HumanML3D; for tmed the file statistics_motionfix.npy
     #[arg(long, value_name = "PATH", required_if_eq_any([("model", "mdm"), ("model", "tmed")]))]
@@ -207,25 +208,24 @@ enum Model {
     Mdm,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Features {
-    /// 135 numbers, y up, 20 fps
-    Smpl135,
-    /// The 263 numbers of HumanML3D, 20 fps: TMR
-    Humanml3d,
-    /// 135 numbers, z up, 30 fps: the MotionFix evaluation
-    Motionfix,
-}
-
-impl Features {
-    pub(crate) fn recipe(self) -> FeatureRecipe {
-        match self {
-            Self::Smpl135 => FeatureRecipe::Smpl135,
-            Self::Humanml3d => FeatureRecipe::HumanMl3d,
-            Self::Motionfix => FeatureRecipe::MotionFix,
-        }
-    }
-}
+/// What evaluation encoders see of a motion.
+pub(crate) const FEATURES: Names<FeatureRecipe> = &[
+    (
+        "smpl135",
+        FeatureRecipe::Smpl135,
+        "135 numbers, y up, 20 fps",
+    ),
+    (
+        "humanml3d",
+        FeatureRecipe::HumanMl3d,
+        "The 263 numbers of HumanML3D, 20 fps: TMR",
+    ),
+    (
+        "motionfix",
+        FeatureRecipe::MotionFix,
+        "135 numbers, z up, 30 fps: the MotionFix evaluation",
+    ),
+];
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let files = match &args.action {
@@ -271,13 +271,13 @@ fn list_texts(args: &TextsArgs, global: &Global) -> anyhow::Result<Exit> {
 
 fn make_table(args: &TableArgs) -> anyhow::Result<()> {
     let texts = read_texts(&args.texts)?;
-    let vectors = exchange::read_npy_numbers(&read(&args.vectors)?, &args.vectors)?;
+    let vectors = exchange::read_npy_numbers(&local::read(&args.vectors)?, &args.vectors)?;
     let table = EmbeddingTable::of_vectors(&args.encoder, &texts, &vectors)?;
     Ok(table.save(&args.out)?)
 }
 
 fn read_texts(path: &Path) -> anyhow::Result<Vec<String>> {
-    let TextList { texts } = serde_json::from_slice(&read(path)?).with_context(|| {
+    let TextList { texts } = serde_json::from_slice(&local::read(path)?).with_context(|| {
         format!(
             "{} is not the document of `stance model texts DATASET --json`",
             path.display()
@@ -290,15 +290,11 @@ fn embed(args: &EmbedArgs, global: &Global) -> anyhow::Result<()> {
     args.device.choose()?;
     let texts = read_texts(&args.texts)?;
     let encoder = text_encoder(Some(&args.text_encoder)).load_bert(&device())?;
-    let vectors = match args.vectors {
-        Vectors::Pooled => BertVectors::Pooled,
-        Vectors::States => BertVectors::States,
-    };
     let bars = global.bars();
     bars.begin("texts", Some(texts.len() as u64));
     let mut reported = 0;
     let all = texts.iter().map(String::as_str);
-    let table = EmbeddingTable::compute_bert(&encoder, vectors, all, &mut |done, _| {
+    let table = EmbeddingTable::compute_bert(&encoder, args.vectors, all, &mut |done, _| {
         bars.advance((done - reported) as u64);
         reported = done;
     })?;
@@ -306,15 +302,12 @@ fn embed(args: &EmbedArgs, global: &Global) -> anyhow::Result<()> {
     Ok(table.save(&args.out)?)
 }
 
-fn fetch(clip: Clip, global: &Global) -> anyhow::Result<Vec<PathBuf>> {
+fn fetch(clip: ClipModel, global: &Global) -> anyhow::Result<Vec<PathBuf>> {
     let hub = Hub::from_variables(|name| std::env::var_os(name))?;
     let bars = global.bars();
     bars.begin("fetch", None);
     let files = ClipFiles::fetch(
-        match clip {
-            Clip::VitB32 => ClipModel::VitB32,
-            Clip::VitL14 => ClipModel::VitL14,
-        },
+        clip,
         &hub_cache().ok_or(train::Error::NoHubCache)?,
         &hub,
         &mut |done, total| {
@@ -329,7 +322,7 @@ fn fetch(clip: Clip, global: &Global) -> anyhow::Result<Vec<PathBuf>> {
 fn import(args: &ImportArgs) -> anyhow::Result<()> {
     args.device.choose()?;
     if let (Model::Tmr, Some(features), Some(stats)) = (args.model, args.features, &args.stats) {
-        return import_encoder(args, features.recipe(), stats);
+        return import_encoder(args, features, stats);
     }
     if let (Model::Mdm, Some(stats)) = (args.model, &args.stats) {
         return import_mdm(args, stats);
@@ -340,7 +333,7 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
     let Some(range_file) = &args.range else {
         bail!("the normaliser is missing: --range norm_scaled.npy");
     };
-    let preset = args.preset.into();
+    let preset = args.preset;
     let weights = weights(&args.file, &StateDictOptions::default())?;
     let normalizer = range(range_file)?;
     // The released models were trained on the male body; motions are posed for them on the skeleton of
@@ -401,7 +394,7 @@ fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
     let clip = text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitL14, &device())?;
     let import = TmedImport {
         num_heads: args.heads,
-        statistics: read_released_statistics(&read(stats)?, stats)?,
+        statistics: read_released_statistics(&local::read(stats)?, stats)?,
         text: TextRecord::Frozen {
             encoder_hash: clip.token_identity(),
             width: clip.token_width(),
@@ -440,7 +433,7 @@ fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> any
     };
     let numbers = |name: &str| -> anyhow::Result<Vec<f32>> {
         let path = stats.join(name);
-        Ok(exchange::read_torch_numbers(&read(&path)?, &path)?)
+        Ok(exchange::read_torch_numbers(&local::read(&path)?, &path)?)
     };
     let features = FeatureStats {
         recipe,
@@ -465,14 +458,14 @@ fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
     let weights = weights(&args.file, &options)?;
     let described = args.file.with_file_name("args.json");
     let mdm: MdmArgs = if described.exists() {
-        serde_json::from_slice(&read(&described)?)
+        serde_json::from_slice(&local::read(&described)?)
             .with_context(|| format!("{} does not describe an MDM", described.display()))?
     } else {
         MdmArgs::default()
     };
     let numbers = |name: &str| -> anyhow::Result<Vec<f32>> {
         let path = stats.join(name);
-        Ok(exchange::read_npy_numbers(&read(&path)?, &path)?)
+        Ok(exchange::read_npy_numbers(&local::read(&path)?, &path)?)
     };
     let features = FeatureStats {
         recipe: FeatureRecipe::HumanMl3d,
@@ -491,7 +484,7 @@ fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
 }
 
 fn weights(file: &Path, options: &StateDictOptions<'_>) -> anyhow::Result<Vec<u8>> {
-    let bytes = read(file)?;
+    let bytes = local::read(file)?;
     if file
         .extension()
         .is_some_and(|ending| ending == "safetensors")
@@ -502,14 +495,10 @@ fn weights(file: &Path, options: &StateDictOptions<'_>) -> anyhow::Result<Vec<u8
 }
 
 fn range(path: &Path) -> anyhow::Result<Normalizer> {
-    let bytes = read(path)?;
+    let bytes = local::read(path)?;
     if path.extension().is_some_and(|ending| ending == "json") {
         return serde_json::from_slice(&bytes)
             .with_context(|| format!("{} is no normaliser", path.display()));
     }
     Ok(exchange::read_released_range(&bytes, path)?)
-}
-
-fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
-    std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }

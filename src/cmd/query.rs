@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use datasets_spec::Dataset;
+use eval::format::csv::line;
 use serde_json::{Map, Value};
 use tables::{Answer, Tables};
 
@@ -102,15 +103,9 @@ fn cell(value: &Value) -> String {
 }
 
 fn csv(answer: &Answer) -> String {
-    let quoted = |text: String| match text.contains([',', '"', '\n', '\r']) {
-        true => format!("\"{}\"", text.replace('"', "\"\"")),
-        false => text,
-    };
-    let line =
-        |cells: Vec<String>| cells.into_iter().map(quoted).collect::<Vec<_>>().join(",") + "\n";
-    let mut text = line(answer.columns());
+    let mut text = line(&answer.columns());
     for row in 0..answer.len() {
-        text += &line(answer.row(row).iter().map(cell).collect());
+        text += &line(&answer.row(row).iter().map(cell).collect::<Vec<_>>());
     }
     text
 }
@@ -120,7 +115,6 @@ fn csv(answer: &Answer) -> String {
 const LONGEST_CELL: usize = 80;
 
 fn table(answer: &Answer) -> String {
-    let names = answer.columns();
     let shown = |value: &Value| {
         let text = cell(value).replace('\n', " ");
         match text.char_indices().nth(LONGEST_CELL) {
@@ -128,27 +122,7 @@ fn table(answer: &Answer) -> String {
             None => text,
         }
     };
-    let rows: Vec<Vec<String>> = (0..answer.len())
-        .map(|row| answer.row(row).iter().map(shown).collect())
-        .collect();
-    let width = |column: usize| {
-        let cells = rows.iter().map(|row| &row[column]).chain([&names[column]]);
-        cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
-    };
-    let widths: Vec<usize> = (0..names.len()).map(width).collect();
-    let line = |cells: &[String]| {
-        let mut line = String::new();
-        for (column, (cell, &width)) in cells.iter().zip(&widths).enumerate() {
-            line += &match answer.is_number(column) {
-                true => format!("{cell:>width$}  "),
-                false => format!("{cell:<width$}  "),
-            };
-        }
-        line.trim_end().to_owned() + "\n"
-    };
-    let mut text = line(&names);
-    for row in &rows {
-        text += &line(row);
-    }
-    text
+    let rows = (0..answer.len()).map(|row| answer.row(row).iter().map(shown).collect());
+    let rows: Vec<Vec<String>> = std::iter::once(answer.columns()).chain(rows).collect();
+    report::columns(&rows, |column| answer.is_number(column))
 }

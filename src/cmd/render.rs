@@ -256,7 +256,7 @@ impl Picture {
         Ok(match extension.and_then(|extension| extension.to_str()) {
             Some("svg") => self.svg(&style).into_bytes(),
             Some("png") => raster::png(&self.svg(&style), args.zoom)?,
-            Some("gif") => raster::gif(&self.rows, &style, args.zoom / 2.0)?,
+            Some("gif") => raster::gif(&self.rows, args.zoom / 2.0)?,
             _ => bail!("{} must end in .svg, .png or .gif", args.out.display()),
         })
     }

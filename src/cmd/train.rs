@@ -1,24 +1,25 @@
 //! `stance train`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use eval::draw::plot::{Curve, Plot, Scale, plot};
 use serde_json::{Map, Value};
 use train::checkpoint::Start;
-use train::config::{RunLength, TrainConfig};
+use train::config::{Preset, RunLength, TrainConfig};
+use train::features::FeatureRecipe;
 use train::kind::TrainRequest;
 use train::registry::{self, MODELS};
 
 use crate::chosen::ChosenArgs;
-use crate::cmd::model::Features;
+use crate::cmd::model::FEATURES;
 use crate::cmd::render::write_picture;
 use crate::cmd::triplets::ComposeArgs;
 use crate::device::TrainDeviceArgs;
 use crate::evaluators::report_on_encoder;
 use crate::exit::Exit;
-use crate::global::{Global, PresetArg};
+use crate::global::{Global, PRESETS, one_of};
 use crate::session::{text_encoder, with_session};
 use crate::settings;
 
@@ -47,14 +48,14 @@ pub(crate) struct Args {
     #[arg(long, required = true, value_parser = crate::local::path())]
     out: Option<PathBuf>,
     /// Named settings
-    #[arg(long, value_enum, default_value_t)]
-    preset: PresetArg,
+    #[arg(long, value_parser = one_of(PRESETS), default_value = "tiny")]
+    preset: Preset,
     /// TOML file of settings that differ from the preset
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// What the evaluation encoder sees of a motion, in place of what the preset says
-    #[arg(long, value_enum)]
-    features: Option<Features>,
+    #[arg(long, value_parser = one_of(FEATURES))]
+    features: Option<FeatureRecipe>,
     /// Steps to train, in place of the preset's length
     #[arg(long)]
     steps: Option<u64>,
@@ -139,12 +140,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         if kind.name != ENCODER {
             bail!("--features is about the evaluation encoder: stance train tmr");
         }
-        own.insert(
-            "features".to_owned(),
-            serde_json::to_value(features.recipe())?,
-        );
+        own.insert("features".to_owned(), serde_json::to_value(features)?);
     }
-    let preset = args.preset.into();
+    let preset = args.preset;
     let length = match (args.steps, args.epochs) {
         (Some(steps), _) => Some(RunLength::of_steps(steps)),
         (None, Some(epochs)) => Some(RunLength {
@@ -190,6 +188,17 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     })
 }
 
+/// The losses of a run over its steps, with a text before their names.
+pub(crate) fn loss_curves(run: &Path, before: &str) -> anyhow::Result<[Curve; 2]> {
+    let metrics = train::metrics::read(run)?;
+    let curves = [("training", metrics.loss), ("validation", metrics.val_loss)];
+    Ok(curves.map(|(name, points)| Curve {
+        name: format!("{before}{name}"),
+        points,
+        ..Curve::default()
+    }))
+}
+
 fn draw(args: &PlotArgs, global: &Global) -> anyhow::Result<Exit> {
     let mut curves = Vec::new();
     for run in &args.runs {
@@ -197,17 +206,7 @@ fn draw(args: &PlotArgs, global: &Global) -> anyhow::Result<Exit> {
             1 => String::new(),
             _ => format!("{} ", run.file_name().unwrap_or_default().to_string_lossy()),
         };
-        let metrics = train::metrics::read(run)?;
-        curves.push(Curve {
-            name: format!("{name}training"),
-            points: metrics.loss,
-            ..Curve::default()
-        });
-        curves.push(Curve {
-            name: format!("{name}validation"),
-            points: metrics.val_loss,
-            ..Curve::default()
-        });
+        curves.extend(loss_curves(run, &name)?);
     }
     let svg = plot(&Plot {
         title: String::new(),

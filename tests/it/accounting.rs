@@ -7,11 +7,14 @@ use std::path::Path;
 
 use clip::check::flag_names;
 use datasets_spec::record::{HumanMl3dRow, MotionRow};
-use datasets_spec::{Dataset, Fps, Motion, Pose, Skeleton};
+use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use glam::{DQuat, DVec3};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
+use crate::util::{
+    arg, assert_counted, assert_has, corpus, files_with_extension, put, rows_of, stance, typed,
+    typed_with,
+};
 
 /// A failure, as a script relies on it.
 #[derive(Debug, Deserialize)]
@@ -32,15 +35,10 @@ struct Done {
 }
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Done {
-    let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
-    args.extend(more);
-    let done: Done = stance(&args).expect_code(code).json();
-    assert_eq!(
-        done.sources,
-        done.ingested + done.quarantined + done.skipped,
-        "{done:?}"
-    );
-    done
+    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+    let ran = ran.expect_code(code);
+    assert_counted(&ran.json());
+    ran.json()
 }
 
 /// A person who walks along x at half a metre per second, swinging arms and legs.
@@ -93,10 +91,9 @@ fn a_dataset_lists_its_clips_and_the_files_it_left_out() {
     }
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (source, out) = (dir.path().join("source"), dir.path().join("dataset"));
-    fs::create_dir(&source).expect("a folder");
-    fs::write(source.join("walk.bvh"), bvh(&walk(60))).expect("writes");
-    fs::write(source.join("broken.bvh"), "HIERARCHY\nROOT").expect("writes");
-    fs::write(source.join("notes.md"), "no motion").expect("writes");
+    put(source.join("walk.bvh"), bvh(&walk(60)));
+    put(source.join("broken.bvh"), "HIERARCHY\nROOT");
+    put(source.join("notes.md"), "no motion");
     ingest(&source, &out, &[], 3);
     let list = |kind| ["inspect", arg(&out), "--list", kind].map(str::to_owned);
     let json = |kind| {
@@ -108,7 +105,7 @@ fn a_dataset_lists_its_clips_and_the_files_it_left_out() {
     let text = |kind| {
         let list = list(kind);
         let args: Vec<&str> = list.iter().map(String::as_str).collect();
-        stance(&args).expect_code(0).stdout
+        stance(&args).printed()
     };
 
     let clips: Vec<Clip> = json("clips").json();
@@ -133,14 +130,15 @@ fn a_dataset_lists_its_clips_and_the_files_it_left_out() {
     assert!(!rejection.reason.is_empty());
     let offset = rejection.byte_offset.expect("a place in the file");
     let line = text("quarantine");
-    for part in [
-        "broken.bvh",
-        "E-BVH-SYNTAX",
-        &format!("byte {offset}"),
-        &rejection.reason,
-    ] {
-        assert!(line.contains(part), "{line}");
-    }
+    assert_has(
+        &line,
+        &[
+            "broken.bvh",
+            "E-BVH-SYNTAX",
+            &format!("byte {offset}"),
+            &rejection.reason,
+        ],
+    );
     let _skipped: Vec<serde_json::Value> = json("skipped").json();
     stance(&["inspect", arg(&out), "--list", "clips", "--clip", "walk"]).expect_code(2);
 }
@@ -150,7 +148,7 @@ fn inspect_of_a_rejected_file_exits_with_3_and_names_the_reason() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let broken = dir.path().join("broken.bvh");
     let rows = bvh(&walk(20)).replace("Frames: 20", "Frames: 21");
-    fs::write(&broken, rows).expect("writes");
+    put(&broken, rows);
     let text = stance(&["inspect", arg(&broken)]).expect_code(3).stdout;
     assert!(text.contains("E-BVH-FRAMES found 20 rows"), "{text}");
     let failure: Failure = stance(&["--json", "inspect", arg(&broken)])
@@ -161,16 +159,14 @@ fn inspect_of_a_rejected_file_exits_with_3_and_names_the_reason() {
     assert!(failure.reason.contains("found 20 rows"), "{failure:?}");
     // A motion that the checks refuse, not the reader.
     let short = dir.path().join("short.bvh");
-    fs::write(&short, bvh(&walk(1))).expect("writes");
+    put(&short, bvh(&walk(1)));
     let failure: Failure = stance(&["--json", "inspect", arg(&short)])
         .expect_code(3)
         .json();
     assert_eq!(failure.code, "E-TOO-SHORT");
     let good = dir.path().join("good.bvh");
-    fs::write(&good, bvh(&walk(20))).expect("writes");
-    let good: serde_json::Value = stance(&["--json", "inspect", arg(&good)])
-        .expect_code(0)
-        .json();
+    put(&good, bvh(&walk(20)));
+    let good: serde_json::Value = stance(&["--json", "inspect", arg(&good)]).done();
     assert_eq!(good.get("code"), None);
 }
 
@@ -180,7 +176,7 @@ fn a_failure_is_json_too_where_json_is_asked_for() {
     let missing = dir.path().join("missing");
     let missing = arg(&missing);
     let broken = dir.path().join("broken.bvh");
-    fs::write(&broken, "HIERARCHY").expect("writes");
+    put(&broken, "HIERARCHY");
     let out = dir.path().join("out");
     let picture = dir.path().join("x.png");
     for (args, exit, code, item) in [
@@ -221,12 +217,10 @@ fn a_failure_is_json_too_where_json_is_asked_for() {
         );
         assert!(stance(args).expect_code(exit).stdout.is_empty(), "{args:?}");
     }
-    let help = stance(&["--help"]).expect_code(0).stdout;
-    for field in ["code", "item", "reason"] {
-        assert!(help.contains(field), "{help}");
-    }
+    let help = stance(&["--help"]).printed();
+    assert_has(&help, &["code", "item", "reason"]);
     let lock = datasets_spec::dataset::Transaction::begin(&out, "the other run").expect("locks");
-    fs::write(dir.path().join("walk.bvh"), bvh(&walk(20))).expect("writes");
+    put(dir.path().join("walk.bvh"), bvh(&walk(20)));
     let failure: Failure = stance(&["--json", "ingest", arg(dir.path()), "--out", arg(&out)])
         .expect_code(75)
         .json();
@@ -247,11 +241,11 @@ fn names_that_are_not_text_stay_apart_and_never_reach_the_terminal() {
     let label =
         r#"{"captions": [{"text": "a person walks", "tokens": "", "from_s": 0, "to_s": 0}]}"#;
     for name in [&b"a\xff"[..], b"a\xfe", br"a\xff", b"red\x1b[31m"] {
-        fs::write(path(&[name, b".bvh"].concat()), bvh(&walk(30))).expect("writes");
-        fs::write(path(&[name, b".stance.json"].concat()), label).expect("writes");
+        put(path(&[name, b".bvh"].concat()), bvh(&walk(30)));
+        put(path(&[name, b".stance.json"].concat()), label);
     }
-    fs::write(path(b"\x1b]0;title\x07.bvh"), "HIERARCHY").expect("writes");
-    fs::write(path(b"\xc2\x9b31m.md"), "no motion").expect("writes");
+    put(path(b"\x1b]0;title\x07.bvh"), "HIERARCHY");
+    put(path(b"\xc2\x9b31m.md"), "no motion");
     let ran = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(3);
     let listed = stance(&["inspect", arg(&out), "--list", "quarantine"]).expect_code(0);
     let broken = path(b"\x1b]0;title\x07.bvh");
@@ -275,8 +269,7 @@ fn names_that_are_not_text_stay_apart_and_never_reach_the_terminal() {
 fn a_folder_that_cannot_be_listed_does_not_end_the_run() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (source, out) = (dir.path().join("source"), dir.path().join("dataset"));
-    fs::create_dir(&source).expect("a folder");
-    fs::write(source.join("walk.bvh"), bvh(&walk(30))).expect("writes");
+    put(source.join("walk.bvh"), bvh(&walk(30)));
     // Deeper than a path may be long: not even an administrator can list the innermost folders.
     let script = r#"cd "$0" && for i in $(seq 20); do mkdir $1 && cd $1 || exit 1; done"#;
     let made = std::process::Command::new("bash")
@@ -291,7 +284,7 @@ fn a_folder_that_cannot_be_listed_does_not_end_the_run() {
     list.expect_printed("cannot list the folder");
     let again = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(3);
     again.expect_printed("already complete");
-    let doctor = stance(&["doctor", arg(&source)]).expect_code(0).stdout;
+    let doctor = stance(&["doctor", arg(&source)]).printed();
     assert!(doctor.contains("cannot be listed"), "{doctor}");
 }
 
@@ -301,22 +294,20 @@ fn a_folder_of_links_says_so() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (source, real) = (dir.path().join("source"), dir.path().join("real"));
     fs::create_dir(&source).expect("a folder");
-    fs::create_dir(&real).expect("a folder");
-    fs::write(real.join("walk.bvh"), bvh(&walk(30))).expect("writes");
+    put(real.join("walk.bvh"), bvh(&walk(30)));
     for name in ["one", "two"] {
         std::os::unix::fs::symlink(&real, source.join(name)).expect("links");
     }
     let out = dir.path().join("dataset");
-    let ran = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(1);
-    ran.expect_said("all 2 entries are skipped: link to a folder");
-    ran.expect_said("name the folder it leads to");
+    stance(&["ingest", arg(&source), "--out", arg(&out)])
+        .expect_refused("all 2 entries are skipped: link to a folder")
+        .expect_said("name the folder it leads to");
 }
 
 #[test]
 fn archives_are_named_and_a_dataset_without_motions_is_a_failure() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (source, out) = (dir.path().join("source"), dir.path().join("dataset"));
-    fs::create_dir(&source).expect("a folder");
     for name in [
         "walks.zip",
         "walks.tar",
@@ -324,7 +315,7 @@ fn archives_are_named_and_a_dataset_without_motions_is_a_failure() {
         "walk.bvh.gz",
         "walks.7z",
     ] {
-        fs::write(source.join(name), "an archive").expect("writes");
+        put(source.join(name), "an archive");
     }
     for _ in 0..2 {
         let done = ingest(&source, &out, &[], 1);
@@ -342,10 +333,10 @@ fn archives_are_named_and_a_dataset_without_motions_is_a_failure() {
         assert_eq!(failure.code, "E-NO-MOTION");
         assert_eq!(failure.item.as_deref(), Some(arg(&out)));
     }
-    let ran = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(1);
-    ran.expect_said("the dataset has no motion");
+    stance(&["ingest", arg(&source), "--out", arg(&out)])
+        .expect_refused("the dataset has no motion");
     // One motion more, and the run succeeds.
-    fs::write(source.join("walk.bvh"), bvh(&walk(30))).expect("writes");
+    put(source.join("walk.bvh"), bvh(&walk(30)));
     ingest(&source, &dir.path().join("other"), &[], 3);
 }
 
@@ -353,17 +344,15 @@ fn archives_are_named_and_a_dataset_without_motions_is_a_failure() {
 fn a_reference_frame_before_the_motion_is_dropped_with_a_flag() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (source, out) = (dir.path().join("source"), dir.path().join("dataset"));
-    fs::create_dir(&source).expect("a folder");
     let mut poses = walk(1300);
     // A T-pose three metres away, whose rotations are not exactly zero.
     poses[0].transl.x -= 3.0;
     poses[0].rotations = [DQuat::from_rotation_y(1e-4); 22];
-    fs::write(source.join("captured.bvh"), bvh(&poses)).expect("writes");
-    fs::write(
+    put(source.join("captured.bvh"), bvh(&poses));
+    put(
         source.join("captured.stance.json"),
         r#"{"captions": [{"text": "a person walks", "tokens": "", "from_s": 1, "to_s": 3}]}"#,
-    )
-    .expect("writes");
+    );
     ingest(&source, &out, &[], 0);
     let row = &rows_of::<MotionRow>(&out)[0];
     assert_eq!((row.start_frame, row.end_frame), (1, 1300));
@@ -381,12 +370,12 @@ fn a_reference_frame_before_the_motion_is_dropped_with_a_flag() {
     assert!((said.from_s - 29.0 / 30.0).abs() < 1e-5, "{said:?}");
     assert!((said.to_s - 89.0 / 30.0).abs() < 1e-5, "{said:?}");
     // The rest is what the file without the frame gives.
-    fs::write(source.join("captured.bvh"), bvh(&poses[1..])).expect("writes");
+    put(source.join("captured.bvh"), bvh(&poses[1..]));
     let plain = dir.path().join("plain");
     ingest(&source, &plain, &[], 0);
     assert_eq!(rows_of::<MotionRow>(&plain)[0].n_frames, row.n_frames);
     // Who asks to keep jumps keeps the frame.
-    fs::write(source.join("captured.bvh"), bvh(&poses)).expect("writes");
+    put(source.join("captured.bvh"), bvh(&poses));
     let kept = dir.path().join("kept");
     ingest(&source, &kept, &["--teleports", "keep"], 0);
     assert_eq!(rows_of::<MotionRow>(&kept)[0].start_frame, 0);
@@ -396,13 +385,12 @@ fn a_reference_frame_before_the_motion_is_dropped_with_a_flag() {
 fn a_trimmed_clip_says_where_it_starts_and_its_captions_move_along() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (source, out) = (dir.path().join("source"), dir.path().join("dataset"));
-    fs::create_dir(&source).expect("a folder");
     let mut poses = walk(300);
     for pose in &mut poses[90..] {
         pose.transl.x += 4.0;
     }
-    fs::write(source.join("jumps.bvh"), bvh(&poses)).expect("writes");
-    fs::write(
+    put(source.join("jumps.bvh"), bvh(&poses));
+    put(
         source.join("jumps.stance.json"),
         r#"{"captions": [
             {"text": "a person walks", "tokens": "", "from_s": 0, "to_s": 0},
@@ -410,8 +398,7 @@ fn a_trimmed_clip_says_where_it_starts_and_its_captions_move_along() {
             {"text": "through the jump", "tokens": "", "from_s": 2, "to_s": 5},
             {"text": "last steps", "tokens": "", "from_s": 8, "to_s": 10}
         ]}"#,
-    )
-    .expect("writes");
+    );
     ingest(&source, &out, &["--teleports", "trim"], 0);
     let row = &rows_of::<MotionRow>(&out)[0];
     // At 20 fps, stored frame 60 is source frame 90, and the frame before it lies between 88 and 89.
@@ -448,19 +435,16 @@ fn a_trimmed_clip_says_where_it_starts_and_its_captions_move_along() {
 fn a_row_too_many_or_too_few_is_read_where_that_is_asked_for() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (source, out) = (dir.path().join("source"), dir.path().join("dataset"));
-    fs::create_dir(&source).expect("a folder");
     let text = bvh(&walk(60));
-    fs::write(
+    put(
         source.join("many.bvh"),
         text.replace("Frames: 60", "Frames: 59"),
-    )
-    .expect("writes");
-    fs::write(
+    );
+    put(
         source.join("few.bvh"),
         text.replace("Frames: 60", "Frames: 61"),
-    )
-    .expect("writes");
-    fs::write(source.join("good.bvh"), &text).expect("writes");
+    );
+    put(source.join("good.bvh"), &text);
     let strict = ingest(&source, &out, &[], 3);
     assert_eq!((strict.ingested, strict.codes["E-BVH-FRAMES"]), (1, 2));
     // It is another plan.
@@ -489,7 +473,7 @@ fn a_row_too_many_or_too_few_is_read_where_that_is_asked_for() {
     );
     // A broken row is refused all the same.
     let last = text.trim_end().rfind(' ').expect("several numbers");
-    fs::write(source.join("few.bvh"), &text[..last]).expect("writes");
+    put(source.join("few.bvh"), &text[..last]);
     let broken = dir.path().join("broken");
     ingest(&source, &broken, &["--lenient"], 3);
 }
@@ -517,8 +501,7 @@ fn humanml3d_features_come_out_as_they_went_in() {
     export(&made, &folder);
     let out = dir.path().join("dataset");
     ingest(&folder, &out, &["--features", "humanml3d"], 0);
-    let dataset = Dataset::open(&out).expect("a dataset");
-    let rows: Vec<HumanMl3dRow> = dataset.read(None).expect("rows");
+    let rows: Vec<HumanMl3dRow> = rows_of(&out);
     let frames: BTreeMap<String, i32> = rows_of::<MotionRow>(&out)
         .iter()
         .map(|row| (row.id.to_string(), row.n_frames))

@@ -1,13 +1,12 @@
 //! Motions that are nearly equal share a split.
 
-use std::fs;
 use std::path::PathBuf;
 
 use datasets_spec::Split;
 use serde_json::json;
 
 use crate::grown::{clips, files, ingest, motions, verified};
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, corpus, len_of, put, stance, text_of};
 
 /// A BVH file with one value of every frame changed by a hair.
 fn nudged(text: &str) -> String {
@@ -29,11 +28,10 @@ fn nearly_equal_motions_share_a_split() {
     let dir = corpus(48);
     let source = dir.path().join("corpus");
     let copies = dir.path().join("copies");
-    fs::create_dir(&copies).expect("made");
     let is_bvh = |file: &PathBuf| file.extension().is_some_and(|end| end == "bvh");
     for (number, file) in files(&source).into_iter().filter(is_bvh).enumerate() {
-        let text = fs::read_to_string(&file).expect("text");
-        fs::write(copies.join(format!("copy{number}.bvh")), nudged(&text)).expect("written");
+        let text = text_of(&file);
+        put(copies.join(format!("copy{number}.bvh")), nudged(&text));
     }
     let [both, grown] = ["both", "grown"].map(|name| dir.path().join(name));
     let made = ingest(&[&source, &copies], &both, &[], 0);
@@ -54,15 +52,11 @@ fn nearly_equal_motions_share_a_split() {
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
     // A list that puts them apart is obeyed, and said.
     let list = dir.path().join("splits.csv");
-    fs::write(&list, "clip,split\ncopies/*,test\ncorpus/*,train\n").expect("written");
+    put(&list, "clip,split\ncopies/*,test\ncorpus/*,train\n");
     let apart = dir.path().join("apart");
     let made = ingest(&[&source, &copies], &apart, &["--splits", arg(&list)], 0);
     let groups = made["alike"].as_array().expect("a list").iter();
-    assert!(
-        groups
-            .clone()
-            .any(|group| group["splits"].as_array().expect("a list").len() > 1)
-    );
+    assert!(groups.clone().any(|group| len_of(&group["splits"]) > 1));
     let rows = motions(&apart);
     let mut of_copies = rows.iter().filter(|row| row.source_name == "copies");
     assert!(of_copies.all(|row| row.split == Split::Test));

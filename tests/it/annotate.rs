@@ -22,7 +22,10 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use crate::util::{arg, command, corpus, rows_of, stance, typed};
+use crate::util::{
+    arg, assert_has, command, corpus, json_of, len_of, put, rows_of, stance, text_of, typed,
+    typed_with,
+};
 
 #[derive(Deserialize)]
 struct Listening {
@@ -35,6 +38,18 @@ struct Listening {
 struct Token {
     token: String,
     user: User,
+}
+
+/// Starts a server and reads its first line.
+fn begun(command: &mut Command) -> (Child, String) {
+    let mut child = command
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("stance starts");
+    let mut line = String::new();
+    let stdout = child.stdout.take().expect("a pipe");
+    BufReader::new(stdout).read_line(&mut line).expect("a line");
+    (child, line)
 }
 
 /// A server that is a process of its own.
@@ -52,15 +67,8 @@ impl Process {
     }
 
     fn spawn(mut command: Command) -> Self {
-        let mut child = command
-            .args(["--json", "--quiet"])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("stance starts");
-        let mut line = String::new();
-        let stdout = child.stdout.take().expect("a pipe");
-        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        command.args(["--json", "--quiet"]).stderr(Stdio::null());
+        let (child, line) = begun(&mut command);
         let listening: Listening =
             serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line:?}"));
         Self {
@@ -133,7 +141,7 @@ impl Person {
     fn of_store(options: &[&str], dataset: &Path, name: &str, role: &str) -> Self {
         let add = ["--json", "user", "add", name, "--role", role];
         let args = [&["annotate", arg(dataset)], options, &add].concat();
-        let token: Token = stance(&args).expect_code(0).json();
+        let token: Token = stance(&args).done();
         Self {
             user: token.user,
             token: token.token,
@@ -211,7 +219,12 @@ pub(crate) fn settings() -> Settings {
 }
 
 fn wants_one_answer(dataset: &Path) {
-    let store = open_sqlite(&dataset.join("annotate").join("store.sqlite")).expect("a store");
+    set(&dataset.join("annotate/store.sqlite"));
+}
+
+/// Gives a store the settings of these tests.
+fn set(file: &Path) {
+    let store = open_sqlite(file).expect("a store");
     store.put_settings(1, settings(), 0).expect("settings");
 }
 
@@ -271,24 +284,14 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
         let _: Value = eve.post(url, "reviews", &decision);
     }
     // The server goes on while the accepted answers are written.
-    let written: Value = stance(&["annotate", arg(&dataset), "--json", "export"])
-        .expect_code(0)
-        .json();
+    let written: Value = stance(&["annotate", arg(&dataset), "--json", "export"]).done();
     assert_eq!(written["counts"]["motions_described"], 6);
     stance(&["verify", arg(&dataset)]).expect_code(0);
-    let masks: Value = typed("masks {} --accept /dev/null --author x --json", &[&dataset])
-        .expect_code(0)
-        .json();
+    let masks: Value = typed("masks {} --accept /dev/null --author x --json", &[&dataset]).done();
     assert_eq!(masks["origins"]["human"], 12);
-    let triplets: Value = typed("triplets stats {} --count 64 --json", &[&dataset])
-        .expect_code(0)
-        .json();
+    let triplets: Value = typed("triplets stats {} --count 64 --json", &[&dataset]).done();
     let text = triplets.to_string();
-    assert!(
-        text.contains("testing"),
-        "the annotators' words are among the instructions: {text}"
-    );
-    assert!(text.contains("fine-grained"), "{text}");
+    assert_has(&text, &["testing", "fine-grained"]);
     let out = dataset.with_file_name("triplets");
     typed("triplets {} --out {} --count 16", &[&dataset, &out]).expect_code(0);
 }
@@ -345,14 +348,10 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
     let file = |name: &str| dir.path().join(name);
     let run = |store: &str, words: &[&str]| -> Value {
         let store = file(store);
-        let options = ["annotate", arg(&dataset), "--store", arg(&store), "--json"];
-        stance(&[&options[..], words].concat())
-            .expect_code(0)
-            .json()
+        typed_with("annotate {} --store {} --json", &[&dataset, &store], words).done()
     };
     for name in ["first.sqlite", "second.sqlite", "third.sqlite"] {
-        let store = open_sqlite(&file(name)).expect("a store");
-        store.put_settings(1, settings(), 0).expect("settings");
+        set(&file(name));
     }
     let tasks = run("first.sqlite", &["import"])["counts"]["new_tasks"].clone();
     answer_and_accept(&file("first.sqlite"));
@@ -409,10 +408,7 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
     };
     let said = rows.into_iter().map(|row| row.accepted_by);
     assert_eq!(marked(said.collect()), [3, 9], "masks have two rows each");
-    let json = |name: &str| -> Value {
-        let bytes = std::fs::read(file("stance3").join(name)).expect("a file");
-        serde_json::from_slice(&bytes).expect("JSON")
-    };
+    let json = |name: &str| -> Value { json_of(file("stance3").join(name)) };
     let text = |value: &Value| value.as_str().map(str::to_owned);
     let masks = json("accepted_by.json");
     let said = masks.as_object().expect("an object").values().map(text);
@@ -455,25 +451,17 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
 #[test]
 fn a_server_starts_on_a_dataset_that_was_ingested_anew_and_asks_about_its_answers() {
     let (dir, dataset) = dataset(24);
-    let run = |words: &[&str]| -> Value {
-        let options = ["--json", "annotate", arg(&dataset)];
-        stance(&[&options[..], words].concat())
-            .expect_code(0)
-            .json()
-    };
+    let run =
+        |words: &[&str]| -> Value { typed_with("--json annotate {}", &[&dataset], words).done() };
     run(&["import"]);
-    let file = dataset.join("annotate").join("store.sqlite");
-    let store = open_sqlite(&file).expect("a store");
-    store.put_settings(1, settings(), 0).expect("settings");
-    drop(store);
-    answer_and_accept(&file);
-    let listed = |words: &[&str]| run(words).as_array().expect("a list").len();
+    wants_one_answer(&dataset);
+    answer_and_accept(&dataset.join("annotate/store.sqlite"));
+    let listed = |words: &[&str]| len_of(&run(words));
     assert_eq!(listed(&["changed"]), 0);
     // Every clip has the same id and other frames.
     let source = dir.path().join("corpus");
-    let args = ["ingest", arg(&source), "--out", arg(&dataset)];
     let anew = ["--fps", "30", "--new-version", "--drop-labels"];
-    stance(&[&args[..], &anew].concat()).expect_code(0);
+    typed_with("ingest {} --out {}", &[&source, &dataset], &anew).expect_code(0);
     drop(Process::start(&dataset, "127.0.0.1:0"));
     assert_eq!(listed(&["changed"]), 8);
     let folder = dir.path().join("files");
@@ -485,8 +473,7 @@ fn a_server_starts_on_a_dataset_that_was_ingested_anew_and_asks_about_its_answer
     run(&["export"]);
     stance(&["verify", arg(&dataset)]).expect_code(0);
     let count = ["--count", "8", "--json"];
-    let stats = ["triplets", "stats", arg(&dataset)];
-    stance(&[&stats[..], &count].concat()).expect_code(0);
+    typed_with("triplets stats {}", &[&dataset], &count).expect_code(0);
     assert_eq!(run(&["check"])["findings"], json!([]));
 }
 
@@ -517,11 +504,8 @@ fn backups_are_made_on_a_schedule_and_the_last_ones_kept() {
             .is_empty()
     );
     let other = dir.path().join("copies");
-    std::fs::create_dir(&other).expect("a folder");
-    std::fs::write(other.join("store-20200101T000000Z.sqlite"), "").expect("an old copy");
-    let made: Value = typed("annotate {} --json backup {} --keep 1", &[&data, &other])
-        .expect_code(0)
-        .json();
+    put(other.join("store-20200101T000000Z.sqlite"), "");
+    let made: Value = typed("annotate {} --json backup {} --keep 1", &[&data, &other]).done();
     assert_eq!(
         copies(&other),
         [PathBuf::from(made["backup"].as_str().expect("a path"))]
@@ -533,45 +517,33 @@ fn the_command_says_what_to_do_when_it_cannot() {
     let (_dir, dataset) = dataset(4);
     let data = arg(&dataset);
     let nowhere = dataset.with_file_name("nowhere");
-    let missing = stance(&["annotate", arg(&nowhere), "user", "list"]).expect_code(1);
-    missing.expect_said("is not a dataset");
+    stance(&["annotate", arg(&nowhere), "user", "list"]).expect_refused("is not a dataset");
     assert!(!nowhere.exists(), "no folder is made of a typing error");
     let token = stance(&["annotate", data, "user", "add", "ann"]).expect_code(0);
     assert!(token.stdout.trim().starts_with("ann_") && token.stdout.trim().len() == 68);
-    let again = stance(&["annotate", data, "user", "add", "ann"]).expect_code(1);
-    again.expect_said("choose another name");
-    let unknown = stance(&["annotate", data, "token", "bob"]).expect_code(1);
-    unknown.expect_said("known are: ann");
+    stance(&["annotate", data, "user", "add", "ann"]).expect_refused("choose another name");
+    stance(&["annotate", data, "token", "bob"]).expect_refused("known are: ann");
     stance(&["annotate", data, "user", "add", "x", "--role", "king"]).expect_code(2);
     stance(&["annotate", data, "export", "--format", "csv"]).expect_code(2);
-    let users: Value = stance(&["annotate", data, "--json", "user", "list"])
-        .expect_code(0)
-        .json();
+    let users: Value = stance(&["annotate", data, "--json", "user", "list"]).done();
     assert_eq!(users[0]["name"], "ann");
     stance(&["annotate", data, "user", "disable", "ann"]).expect_code(0);
     let copy = dataset.with_file_name("copy.sqlite");
     stance(&["annotate", data, "backup", arg(&copy)]).expect_code(0);
     stance(&["annotate", data, "backup", arg(&copy)]).expect_code(1);
-    let imported: Value = stance(&["annotate", data, "--json", "import"])
-        .expect_code(0)
-        .json();
+    let imported: Value = stance(&["annotate", data, "--json", "import"]).done();
     assert!(
         imported["counts"]["new_tasks"]
             .as_i64()
             .is_some_and(|count| count > 0)
     );
-    let checked: Value = stance(&["annotate", data, "--json", "check"])
-        .expect_code(0)
-        .json();
+    let checked: Value = stance(&["annotate", data, "--json", "check"]).done();
     assert_eq!(checked["findings"], json!([]));
-    let rebuilt: Value = stance(&["annotate", data, "--json", "rebuild"])
-        .expect_code(0)
-        .json();
+    let rebuilt: Value = stance(&["annotate", data, "--json", "rebuild"]).done();
     assert_eq!(rebuilt["changed"], json!([]));
     let taken = Process::start(&dataset, "127.0.0.1:0");
     let address = taken.url.trim_start_matches("http://").to_owned();
-    let busy = stance(&["annotate", data, "--listen", &address]).expect_code(1);
-    busy.expect_said("--listen");
+    stance(&["annotate", data, "--listen", &address]).expect_refused("--listen");
 }
 
 /// How often the server is killed; the full form of the test sets `ANNOTATE_KILLS=50`.
@@ -612,15 +584,7 @@ fn a_server_says_who_else_can_reach_it() {
         ),
     ] {
         let mut command = command(&["annotate", arg(&dataset), "--listen", listen]);
-        let mut child = command
-            .args(more)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("stance starts");
-        let mut line = String::new();
-        let stdout = child.stdout.take().expect("a pipe");
-        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        let (mut child, line) = begun(command.args(more).stderr(Stdio::piped()));
         // It listens; what it had to say before is said.
         child.kill().expect("a running server");
         let said = child.wait_with_output().expect("an end").stderr;
@@ -635,13 +599,8 @@ fn a_server_says_who_else_can_reach_it() {
     let refused = typed("annotate {} --trusted-proxy proxy.example", &[&dataset]).expect_code(2);
     refused.expect_said("10.0.0.0/8");
     for host in ["https://a.example", "a.example:8443", ""] {
-        let wrong = ["annotate", arg(&dataset), "--host", host];
-        let refused = stance(&wrong).expect_code(2);
-        assert!(
-            refused.stderr.contains("scheme and port"),
-            "{host}: {}",
-            refused.stderr
-        );
+        let refused = typed("annotate {} --host {}", &[&dataset, &host]).expect_code(2);
+        refused.expect_said("scheme and port");
     }
 }
 
@@ -673,7 +632,7 @@ fn the_store_can_be_named_where_others_do_not_see_it() {
         assert!(!said.contains("secret"), "{said}");
         assert_eq!(said.contains("set STANCE_STORE"), is_warned, "{said}");
     }
-    let help = stance(&["annotate", "--help"]).expect_code(0).stdout;
+    let help = stance(&["annotate", "--help"]).printed();
     assert!(help.contains("STANCE_STORE"), "{help}");
 }
 
@@ -681,7 +640,7 @@ fn the_store_can_be_named_where_others_do_not_see_it() {
 fn deployed() -> [Vec<String>; 2] {
     let read = |name: &str| {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("annotate/deploy");
-        std::fs::read_to_string(folder.join(name)).expect("a file of the repository")
+        text_of(folder.join(name))
     };
     let unit = read("stance-annotate.service");
     let unit = unit
@@ -1055,7 +1014,7 @@ fn styles_go_into_another_project_as_they_come_out() {
         Person::of_store(store, &dataset, "root", "admin");
     }
     stance(&["annotate", arg(&dataset), "import"]).expect_code(0);
-    let listed: Vec<Value> = styles(stores[0], &["--json"]).expect_code(0).json();
+    let listed: Vec<Value> = styles(stores[0], &["--json"]).done();
     let names: BTreeSet<String> = listed
         .iter()
         .map(|style| style["name"].as_str().expect("a name").to_owned())
@@ -1066,29 +1025,26 @@ fn styles_go_into_another_project_as_they_come_out() {
     let told = "[[style]]\nname = \"old\"\ntext = \"\"\"Short steps,\nbent back.\"\"\"\ncolour = \"#8f6b00\"\n\
                 guideline = \"\"\"Bend the knees.\n\nDo not limp.\"\"\"\n\n\
                 [[style]]\nname = \"limping\"\n";
-    std::fs::write(&file, told).expect("a file");
-    let taken: Value = styles(stores[0], &[arg(&file), "--json"])
-        .expect_code(0)
-        .json();
+    put(&file, told);
+    let taken: Value = styles(stores[0], &[arg(&file), "--json"]).done();
     assert_eq!((&taken["new"], &taken["changed"]), (&json!(1), &json!(1)));
-    let out = styles(stores[0], &[]).expect_code(0).stdout;
+    let out = styles(stores[0], &[]).printed();
     assert!(out.contains("#8f6b00"), "{out}");
-    let listed: Vec<Value> = styles(stores[0], &["--json"]).expect_code(0).json();
+    let listed: Vec<Value> = styles(stores[0], &["--json"]).done();
     let old = listed.iter().find(|style| style["name"] == "old");
     let old = old.expect("the style of the file");
     assert_eq!(old["guideline"], "Bend the knees.\n\nDo not limp.");
-    std::fs::write(&file, &out).expect("a file");
+    put(&file, &out);
     styles(stores[1], &[arg(&file)]).expect_code(0);
     let [one, two] = stores.map(|store| -> Vec<Value> {
-        let mut all: Vec<Value> = styles(store, &["--json"]).expect_code(0).json();
+        let mut all: Vec<Value> = styles(store, &["--json"]).done();
         all.sort_by_key(|style| style["name"].to_string());
         all
     });
     assert_eq!(one, two);
 
-    std::fs::write(&file, "[[style]]\nname = \"x\"\ncolour = \"red\"\n").expect("a file");
-    let refused = styles(stores[0], &[arg(&file)]).expect_code(1);
-    refused.expect_said("#rrggbb");
+    put(&file, "[[style]]\nname = \"x\"\ncolour = \"red\"\n");
+    styles(stores[0], &[arg(&file)]).expect_refused("#rrggbb");
 }
 
 /// What is still to capture shrinks as style pairs come into the dataset.
@@ -1101,10 +1057,7 @@ fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_i
     };
     import();
     stance(&["pairs", arg(&dataset)]).expect_code(0);
-    let pairs: Vec<PairRow> = Dataset::open(&dataset)
-        .expect("a dataset")
-        .read(None)
-        .expect("pairs");
+    let pairs: Vec<PairRow> = rows_of(&dataset);
     let first = pairs.iter().find(|pair| pair.kind == "style");
     let first = first.expect("the corpus has style pairs");
     let (motion, style) = (&first.source_id, first.style.as_deref().expect("a style"));
@@ -1122,31 +1075,30 @@ fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_i
         "motion,style,takes\n{motion},{style},{}\nnot-yet,{style},1\n",
         alike + 1
     );
-    std::fs::write(&file, &plan).expect("a file");
-    let taken: Value = captures(&[arg(&file), "--json"]).expect_code(0).json();
+    put(&file, &plan);
+    let taken: Value = captures(&[arg(&file), "--json"]).done();
     assert_eq!(taken, json!({ "cells": 2, "unknown_motions": 1 }));
-    assert_eq!(captures(&[]).expect_code(0).stdout, plan);
+    assert_eq!(captures(&[]).printed(), plan);
 
     let missing = |takes: usize| {
         format!(
             "motion,style,takes,note\n{motion},{style},{takes},\nnot-yet,{style},1,the project has no motion of this id\n"
         )
     };
-    let out = || captures(&["--missing"]).expect_code(0).stdout;
+    let out = || captures(&["--missing"]).printed();
     assert_eq!(out(), missing(alike + 1));
     import();
     assert_eq!(out(), missing(1));
-    let listed: Value = captures(&["--missing", "--json"]).expect_code(0).json();
+    let listed: Value = captures(&["--missing", "--json"]).done();
     assert_eq!(listed["cells"][0]["arrived"], alike);
     assert_eq!(listed["unplanned"], styled - alike);
 
     let sheet = dir.path().join("sheet.html");
     captures(&["--sheet", arg(&sheet)]).expect_code(0);
-    let page = std::fs::read_to_string(&sheet).expect("a page");
+    let page = text_of(&sheet);
     assert!(page.contains("<strong>not-yet</strong>, 1 take"), "{page}");
 
-    std::fs::write(&file, format!("{motion},{style},none\n")).expect("a file");
-    let refused = captures(&[arg(&file)]).expect_code(1);
-    refused.expect_said("line 1");
-    assert_eq!(captures(&[]).expect_code(0).stdout, plan);
+    put(&file, format!("{motion},{style},none\n"));
+    captures(&[arg(&file)]).expect_refused("line 1");
+    assert_eq!(captures(&[]).printed(), plan);
 }

@@ -5,12 +5,14 @@ use std::fs;
 use std::io::{Cursor, Write as _};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::Value;
 
 use crate::evaluate::Bench;
-use crate::util::{Ran, arg, files_with_extension, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, files_with_extension, len_of, put, rows_of, stance, text_of, typed,
+    typed_with,
+};
 
 /// Metrics of what a system recorded while it generated; answers from elsewhere have none.
 const RECORDED: [&str; 2] = ["Fit error", "Bone drift"];
@@ -32,20 +34,11 @@ fn scores(rows: &Value, system: &str) -> Scores {
 }
 
 fn import(files: &Path, items: &Path, name: &str, out: &Path, more: &[&str]) -> Ran {
-    let mut args = vec![
-        "--json",
-        "edits",
-        "import",
-        arg(files),
-        "--items",
-        arg(items),
-        "--name",
-        name,
-        "--out",
-        arg(out),
-    ];
-    args.extend(more);
-    stance(&args)
+    typed_with(
+        "--json edits import {} --items {} --name {} --out {}",
+        &[&files, &items, &name, &out],
+        more,
+    )
 }
 
 /// An array as `numpy.save` writes one (version 1.0 of the format).
@@ -95,7 +88,7 @@ fn write_answers(edits: &[EditRow], folder: &Path) {
             ],
             row.fps.into(),
         );
-        fs::write(folder.join(format!("{}.npz", row.id)), bytes).expect("written");
+        put(folder.join(format!("{}.npz", row.id)), bytes);
     }
 }
 
@@ -116,8 +109,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
         &at("elsewhere"),
         &settings,
     )
-    .expect_code(0)
-    .json();
+    .done();
     assert_eq!(
         (&report["imported"], &report["answered"]),
         (&8.into(), &8.into())
@@ -130,16 +122,14 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     }
     // As AMASS has them: z up, through double precision.
     let exported = at("exported");
-    let json: Value = typed("--json export {} --to amass --out {}", &[&here, &exported])
-        .expect_code(0)
-        .json();
+    let json: Value = typed("--json export {} --to amass --out {}", &[&here, &exported]).done();
     assert_eq!(json["clips"], 8);
     import(&exported, &items, "Turned", &at("turned"), &[]).expect_code(0);
 
     let more = ["--format", "json", "--further"];
     let folders = [here.clone(), at("elsewhere"), at("turned")];
     let folders: Vec<&Path> = folders.iter().map(PathBuf::as_path).collect();
-    let table: Value = bench.eval(&folders, &more).expect_code(0).json();
+    let table: Value = bench.eval(&folders, &more).done();
     let [ours, theirs, turned] =
         ["Here", "Elsewhere", "Turned"].map(|system| scores(&table, system));
     assert!(ours.len() > 10, "{ours:?}");
@@ -157,22 +147,18 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     }
     // Under the name of another system it is refused, not averaged.
     import(&at("answers"), &items, "Here", &at("again"), &[]).expect_code(0);
-    let refused = bench.eval(&[&here, &at("again")], &more).expect_code(1);
-    refused.expect_said("two checkpoints");
+    bench
+        .eval(&[&here, &at("again")], &more)
+        .expect_refused("two checkpoints");
 
-    let verified: Value = stance(&["--json", "verify", arg(&at("elsewhere"))])
-        .expect_code(0)
-        .json();
+    let verified: Value = stance(&["--json", "verify", arg(&at("elsewhere"))]).done();
     assert_eq!(verified["passed"], true);
-    let inspected = stance(&["inspect", arg(&at("elsewhere"))])
-        .expect_code(0)
-        .stdout;
+    let inspected = stance(&["inspect", arg(&at("elsewhere"))]).printed();
     let clip = [&made[0].id[..8], "--json"];
-    let item: Value = stance(&["inspect", arg(&at("elsewhere")), "--clip", clip[0], clip[1]])
-        .expect_code(0)
-        .json();
+    let item: Value =
+        stance(&["inspect", arg(&at("elsewhere")), "--clip", clip[0], clip[1]]).done();
     assert_eq!(item["facts"]["instruction"], made[0].instruction.as_str());
-    assert_eq!(item["answers"].as_array().expect("answers").len(), 1);
+    assert_eq!(len_of(&item["answers"]), 1);
     let picture = at("item.svg");
     let folder = at("elsewhere");
     typed(
@@ -180,14 +166,9 @@ fn edits_made_elsewhere_score_as_those_made_here() {
         &[&clip[0], &folder, &picture],
     )
     .expect_code(0);
-    let picture = fs::read_to_string(picture).expect("drawn");
-    for label in ["source", "target", "Elsewhere, seed 0"] {
-        assert!(picture.contains(label), "{label}");
-    }
-    assert!(
-        inspected.contains("Elsewhere") && inspected.contains("semantic"),
-        "{inspected}"
-    );
+    let picture = text_of(picture);
+    assert_has(&picture, &["source", "target", "Elsewhere, seed 0"]);
+    assert_has(&inspected, &["Elsewhere", "semantic"]);
 }
 
 #[test]
@@ -196,7 +177,7 @@ fn the_sources_of_exported_items_score_as_the_identity() {
     let at = |name: &str| bench.workshop.path(name);
     let out = at("questions");
     stance(&["items", "export", arg(&at("items")), "--out", arg(&out)]).expect_code(0);
-    let list = fs::read_to_string(out.join("items.json")).expect("a list");
+    let list = text_of(out.join("items.json"));
     let list: Value = serde_json::from_str(&list).expect("JSON");
     let listed = list["items"].as_array().expect("items");
     assert_eq!(listed.len(), 8);
@@ -207,10 +188,7 @@ fn the_sources_of_exported_items_score_as_the_identity() {
     }
     assert!(!out.join("targets").exists());
     import(&out, &at("items"), "Lazy", &at("lazy"), &[]).expect_code(0);
-    let table: Value = bench
-        .eval(&[&at("lazy")], &["--format", "json"])
-        .expect_code(0)
-        .json();
+    let table: Value = bench.eval(&[&at("lazy")], &["--format", "json"]).done();
     let (lazy, identity) = (scores(&table, "Lazy"), scores(&table, "Identity"));
     assert!(lazy.len() > 5);
     for (key, value) in &lazy {
@@ -238,12 +216,12 @@ fn the_sources_of_exported_items_score_as_the_identity() {
             marked.iter().all(|line| !line.starts_with("| Lazy")),
             "{text}"
         );
-        assert!(text.contains(
-            "Never marked as best, as all values are those of the identity editor: Lazy."
-        ));
-        let args = ["report", "--encoder", "builtin", "--out", arg(&page)];
-        stance(&[&args, &systems[..]].concat()).expect_code(0);
-        let html = fs::read_to_string(&page).expect("written");
+        assert_has(
+            &text,
+            &["Never marked as best, as all values are those of the identity editor: Lazy."],
+        );
+        typed_with("report --encoder builtin --out {}", &[&page], &systems).expect_code(0);
+        let html = text_of(&page);
         let mut lines = html.lines().filter(|line| line.contains(">Lazy</th>"));
         assert!(lines.clone().count() > 1, "no row of the system");
         assert!(lines.all(|line| !line.contains("class=\"best\"")));
@@ -254,16 +232,15 @@ fn the_sources_of_exported_items_score_as_the_identity() {
 fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
     let bench = Bench::open();
     let at = |name: &str| bench.workshop.path(name);
-    let dataset = Dataset::open(&at("items")).expect("a dataset");
-    let items: Vec<ItemRow> = dataset.read(None).expect("rows");
+    let items: Vec<ItemRow> = rows_of(&at("items"));
     let answers: Vec<EditRow> = rows_of::<EditRow>(&bench.edits("here", &[]));
     write_answers(&answers, &at("answers"));
     let file = |number: usize, extension: &str| {
         at("answers").join(format!("{}.{extension}", answers[number].id))
     };
     let whole = fs::read(file(0, "npz")).expect("written");
-    fs::write(file(0, "npz"), &whole[..whole.len() / 3]).expect("cut");
-    fs::write(at("answers").join("nobody.npz"), &whole).expect("written");
+    put(file(0, "npz"), &whole[..whole.len() / 3]);
+    put(at("answers").join("nobody.npz"), &whole);
     fs::copy(
         file(1, "npz"),
         at("answers").join(format!("{}-0.npz", answers[1].id)),
@@ -275,11 +252,11 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
     hostile.extend(format!("{header:<117}\n").into_bytes());
     hostile.extend(b"cos\nsystem\n(S'touch owned'\ntR.");
     fs::remove_file(file(2, "npz")).expect("removed");
-    fs::write(file(2, "npy"), hostile).expect("written");
+    put(file(2, "npy"), hostile);
     let mut broken = answers[3].clone();
     broken.transl[5][1] = f32::NAN;
     write_answers(&[broken], &at("answers"));
-    fs::write(at("answers/readme.md"), "mine").expect("written");
+    put(at("answers/readme.md"), "mine");
 
     let out = at("imported");
     let refused = import(&at("answers"), &at("items"), "TMED", &out, &[]).expect_code(1);
@@ -337,12 +314,11 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
     assert!(truncated["byte_offset"].is_u64());
     // What was refused stays on record, and a table with holes is not scored.
     stance(&["verify", arg(&out)]).expect_code(0);
-    let inspected: Value = stance(&["--json", "inspect", arg(&out)])
-        .expect_code(0)
-        .json();
+    let inspected: Value = stance(&["--json", "inspect", arg(&out)]).done();
     assert_eq!(inspected["tables"]["quarantine"], 6);
-    let scored = bench.eval(&[&out], &[]).expect_code(1);
-    scored.expect_said("lacks 4 of 8 items");
+    bench
+        .eval(&[&out], &[])
+        .expect_refused("lacks 4 of 8 items");
 }
 
 #[test]
@@ -368,9 +344,9 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
             });
             assert_eq!(found.count(), 1, "{start}");
         }
-        let list = fs::read_to_string(out.join("edits.json")).expect("a list");
+        let list = text_of(out.join("edits.json"));
         let list: Value = serde_json::from_str(&list).expect("JSON");
-        assert_eq!(list.as_array().expect("motions").len(), 32);
+        assert_eq!(len_of(&list), 32);
     }
     // The takes find back to their items and seeds by their names.
     let system = at("amass/ours, w_o MCM");
@@ -381,9 +357,8 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
         places
     };
     assert_eq!(places(&rows_of::<EditRow>(&at("again"))), places(&made));
-    let refused = typed("export {} --to stance --out {}", &[&here, &at("no")]).expect_code(1);
-    refused.expect_said("bvh, amass or gltf");
+    typed("export {} --to stance --out {}", &[&here, &at("no")])
+        .expect_refused("bvh, amass or gltf");
     let items = at("items");
-    let refused = typed("export {} --to bvh --out {}", &[&items, &at("no")]).expect_code(1);
-    refused.expect_said("--sources");
+    typed("export {} --to bvh --out {}", &[&items, &at("no")]).expect_refused("--sources");
 }

@@ -11,12 +11,11 @@ use serde_json::Value;
 
 use crate::evaluate::Bench;
 use crate::tables::tables;
-use crate::util::{Ran, arg, stance, typed};
+use crate::util::{Ran, arg, assert_has, put, stance, typed, typed_with};
 
 /// Bundles edits.
 fn bundle(edits: &Path, out: &Path, more: &[&str]) -> Ran {
-    let args = ["--json", "edits", "bundle", arg(edits), "--out", arg(out)];
-    stance(&[&args, more].concat())
+    typed_with("--json edits bundle {} --out {}", &[&edits, &out], more)
 }
 
 /// Members of a zip with their names.
@@ -53,7 +52,7 @@ fn forged(zip: &[u8], folder: &Path, change: impl Fn(&mut Vec<EditRow>)) -> Vec<
         found.expect("a member")
     };
     let answers = place("answers.parquet", &members);
-    fs::write(&path, &members[answers].1).expect("written");
+    put(&path, &members[answers].1);
     let mut rows: Vec<EditRow> = read_rows(&path).expect("rows");
     change(&mut rows);
     let facts = [("skeleton", "smplx-neutral".to_owned())];
@@ -71,9 +70,7 @@ fn a_bundle_scores_as_its_folder_and_has_the_same_bytes() {
     let bench = Bench::open();
     let at = |name: &str| bench.workshop.path(name);
     let edits = bench.edits("edits", &["--takes", "2"]);
-    let made: Value = bundle(&edits, &at("a.zip"), &["--license", "CC-BY-4.0"])
-        .expect_code(0)
-        .json();
+    let made: Value = bundle(&edits, &at("a.zip"), &["--license", "CC-BY-4.0"]).done();
     assert_eq!(
         (&made["answers"], &made["bundle"]["takes"]),
         (&16.into(), &2.into())
@@ -97,26 +94,24 @@ fn a_bundle_scores_as_its_folder_and_has_the_same_bytes() {
     assert_eq!(facts["judge_hash"], Value::Null);
     let card = std::str::from_utf8(&members[2].1).expect("text");
     let hash = facts["item_hash"].as_str().expect("text");
-    for text in ["# MotionReFit", "CC-BY-4.0", hash, "\"guidance\": 1.0"] {
-        assert!(card.contains(text), "{text}: {card}");
-    }
+    assert_has(
+        card,
+        &["# MotionReFit", "CC-BY-4.0", hash, "\"guidance\": 1.0"],
+    );
 
     let items = at("items");
-    let of_folder = bench.eval(&[&edits], &["--json"]).expect_code(0).stdout;
+    let of_folder = bench.eval(&[&edits], &["--json"]).printed();
     let of_bundle = bench
         .eval(&[&at("a.zip")], &["--json", "--items", arg(&items)])
-        .expect_code(0)
-        .stdout;
+        .printed();
     assert_eq!(of_bundle, of_folder);
     // A folder of edits holds items too.
     let other = bench.edits("other", &["--seed", "7", "--name", "Other"]);
-    let both = bench
-        .eval(&[&other, &at("a.zip")], &["--json"])
-        .expect_code(0)
-        .stdout;
+    let both = bench.eval(&[&other, &at("a.zip")], &["--json"]).printed();
     assert!(both.contains("\"Other\"") && both.contains("\"MotionReFit\""));
-    let alone = bench.eval(&[&at("a.zip")], &[]).expect_code(1);
-    alone.expect_said("--items ITEMS");
+    bench
+        .eval(&[&at("a.zip")], &[])
+        .expect_refused("--items ITEMS");
 }
 
 #[test]
@@ -141,7 +136,7 @@ fn bundles_are_ranked_in_one_table_with_paired_differences() {
             &[&first, &second, &items, &encoder],
         )
     };
-    let found = tables(&eval("builtin").expect_code(0).stdout);
+    let found = tables(&eval("builtin").printed());
     // The items of one task; tables of novelties follow.
     let table = &found[0];
     assert_eq!(table.names(), ["Real Data", "Identity", "First", "Second"]);
@@ -190,11 +185,8 @@ fn bundles_are_ranked_in_one_table_with_paired_differences() {
             .any(|note| note.starts_with("There are no intervals: "))
     );
 
-    let refused = eval(arg(&bench.encoder)).expect_code(1).stderr;
-    assert!(
-        refused.contains("First.zip") && refused.contains("judged by the encoder"),
-        "{refused}"
-    );
+    let refused = eval(arg(&bench.encoder)).refusal();
+    assert_has(&refused, &["First.zip", "judged by the encoder"]);
 }
 
 #[test]
@@ -203,7 +195,7 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
     let at = |name: &str| bench.workshop.path(name);
     let edits = bench.edits("edits", &[]);
     let license = ["--license", "CC0-1.0"];
-    let refused = bundle(&edits, &at("none.zip"), &[]).expect_code(1).stderr;
+    let refused = bundle(&edits, &at("none.zip"), &[]).refusal();
     assert!(refused.contains("--license"), "{refused}");
     assert!(!at("none.zip").exists());
     bundle(&edits, &at("good.zip"), &license).expect_code(0);
@@ -220,24 +212,19 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
         let skeleton = folder.skeleton().expect("built in");
         let out = at(name);
         work::commit_edits(&out, &items, &rows, &skeleton, name, "test").expect("writes");
-        bundle(&out, &at("refused.zip"), &license)
-            .expect_code(1)
-            .stderr
+        bundle(&out, &at("refused.zip"), &license).refusal()
     };
     let two = committed("two", &|rows| rows[0].system = "Another".to_owned());
     assert!(two.contains("2 systems (Another, MotionReFit)"), "{two}");
     let few = committed("few", &|rows| drop(rows.remove(0)));
-    assert!(
-        few.contains(&format!("item {first} has 0 answers")),
-        "{few}"
-    );
+    assert_has(&few, &[&format!("item {first} has 0 answers")]);
     assert!(!at("refused.zip").exists());
 
     // Bundles that were changed.
     let items = at("items");
     let eval = |name: &str, zip: &[u8]| {
         let path = at(name);
-        fs::write(&path, zip).expect("written");
+        put(&path, zip);
         let ran = bench
             .eval(&[&path], &["--items", arg(&items)])
             .expect_code(1);
@@ -330,11 +317,9 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
     }
     let others = bench.items("others", &["--count", "5"]);
     let path = at("good.zip");
-    let said = bench
+    bench
         .eval(&[&path], &["--items", arg(&others)])
-        .expect_code(1)
-        .stderr;
-    assert!(said.contains("it answers the items"), "{said}");
+        .expect_refused("it answers the items");
     assert!(rows.iter().all(|row| row.split == Split::Test));
 }
 
@@ -355,9 +340,7 @@ fn the_commands_of_the_leaderboard_exist() {
             .map(|(_, word)| word)
             .filter(|word| *word != "motionrefit")
             .collect();
-        let help = stance(&[&verbs[..], &["--help"]].concat())
-            .expect_code(0)
-            .stdout;
+        let help = stance(&[&verbs[..], &["--help"]].concat()).printed();
         for flag in words.iter().filter(|word| word.starts_with("--")) {
             assert!(help.contains(flag), "{line}: {flag}");
         }

@@ -6,7 +6,7 @@ use std::fs;
 use serde::Deserialize;
 
 use crate::tables::tables;
-use crate::util::{arg, corpus, rows_of, stance, typed};
+use crate::util::{arg, assert_has, corpus, put, rows_of, stance, text_of, typed, typed_with};
 
 #[derive(Deserialize)]
 struct Score {
@@ -43,7 +43,7 @@ impl Run {
 fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     let dir = corpus(120);
     let config = dir.path().join("run.toml");
-    fs::write(
+    put(
         &config,
         r#"
             sources = ["corpus"]
@@ -70,11 +70,8 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
             [items]
             count = 12
         "#,
-    )
-    .expect("writes");
-    let first: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)])
-        .expect_code(0)
-        .json();
+    );
+    let first: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)]).done();
     let systems: BTreeSet<&str> = first
         .scores
         .iter()
@@ -104,7 +101,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     assert!(first.editor.is_complete && first.editor.steps == 12);
 
     let run = dir.path().join("run");
-    let report = fs::read_to_string(run.join("report.html")).expect("a report");
+    let report = text_of(run.join("report.html"));
     assert!(report.contains("<svg") && report.contains("MotionReFit"));
     // The page works offline: it loads nothing, and its only script is the one its policy names.
     assert!(report.contains("script-src 'sha256-"));
@@ -114,9 +111,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
 
     // Nothing is left to do, so the models are not trained again and the numbers are the same.
     let before = fs::read(run.join("runs/motionrefit/metrics.jsonl")).expect("metrics");
-    let again: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)])
-        .expect_code(0)
-        .json();
+    let again: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)]).done();
     let after = fs::read(run.join("runs/motionrefit/metrics.jsonl")).expect("metrics");
     assert_eq!(before, after);
     assert_eq!(again.root_hash, first.root_hash);
@@ -128,15 +123,13 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     }
 
     // The encoder that ships with the program takes the place of one that is trained.
-    let text = fs::read_to_string(&config).expect("written");
+    let text = text_of(&config);
     let builtin = dir.path().join("builtin.toml");
     let (settings, rest) = text.split_once("[encoder]").expect("a section");
     let (_, items) = rest.split_once("[items]").expect("a section");
     let named = |encoder: &str| format!("encoder = \"{encoder}\"\n{settings}[items]{items}");
-    fs::write(&builtin, named("builtin")).expect("writes");
-    let judged = stance(&["--json", "run", "--weak-judge", "--config", arg(&builtin)])
-        .expect_code(0)
-        .stdout;
+    put(&builtin, named("builtin"));
+    let judged = stance(&["--json", "run", "--weak-judge", "--config", arg(&builtin)]).printed();
     let judged: serde_json::Value = serde_json::from_str(&judged).expect("JSON");
     assert_eq!(judged["encoder"], serde_json::Value::Null);
     let report = include_str!("../../eval/judge/builtin/report.json");
@@ -144,13 +137,11 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     for row in judged["scores"].as_array().expect("rows") {
         assert_eq!(row["encoder_hash"], report["encoder_hash"]);
     }
-    fs::write(&builtin, named("another")).expect("writes");
-    let refused = stance(&["run", "--config", arg(&builtin)])
-        .expect_code(1)
-        .stderr;
-    assert!(
-        refused.contains("builtin.toml:1:11: encoder is \"builtin\", or a section [encoder]"),
-        "{refused}"
+    put(&builtin, named("another"));
+    let refused = stance(&["run", "--config", arg(&builtin)]).refusal();
+    assert_has(
+        &refused,
+        &["builtin.toml:1:11: encoder is \"builtin\", or a section [encoder]"],
     );
 
     // Each stage is also a verb of its own.
@@ -160,18 +151,16 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         &[&dataset],
     )
     .expect_code(0);
-    assert!(explained.stdout.contains("recipe_hash"));
+    explained.expect_printed("recipe_hash");
     let edits = run.join("edits/full");
     let encoder = run.join("runs/tmr");
     let eval = |more: &[&str]| {
-        let args = [
-            "eval",
-            arg(&edits),
-            "--encoder",
-            arg(&encoder),
-            "--weak-judge",
-        ];
-        stance(&[&args, more].concat()).expect_code(0)
+        typed_with(
+            "eval {} --encoder {} --weak-judge",
+            &[&edits, &encoder],
+            more,
+        )
+        .expect_code(0)
     };
     let scores: serde_json::Value = eval(&["--json"]).json();
     for table in tables(&eval(&["--format", "markdown"]).stdout) {
@@ -185,11 +174,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         &[&clip, &dataset, &strip],
     )
     .expect_code(0);
-    assert!(
-        fs::read_to_string(&strip)
-            .expect("a strip")
-            .starts_with("<svg")
-    );
+    assert!(text_of(&strip).starts_with("<svg"));
     // Answers of several systems to an item lie below each other.
     let items = datasets_spec::Dataset::open(&edits).expect("edits").items();
     let item = &items.expect("items")[0].id;
@@ -204,12 +189,12 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         "--edits",
     ];
     stance(&[&draw[..], &[arg(&editor), arg(&once)]].concat()).expect_code(0);
-    let drawn = fs::read_to_string(&strip).expect("a strip");
-    for label in ["tiny + coordinator", "tiny, seed", "composed once"] {
-        assert!(drawn.contains(label), "{label}");
-    }
-    let refused = stance(&[&draw[..], &[arg(&dataset)]].concat()).expect_code(1);
-    refused.expect_said("has no answer to item");
+    let drawn = text_of(&strip);
+    assert_has(
+        &drawn,
+        &["tiny + coordinator", "tiny, seed", "composed once"],
+    );
+    stance(&[&draw[..], &[arg(&dataset)]].concat()).expect_refused("has no answer to item");
     let edited = dir.path().join("edited.npz");
     typed(
         "edit {} --dataset {} --motion {} --text {} --out {}",
@@ -234,13 +219,11 @@ fn first_clip(dataset: &std::path::Path) -> String {
 fn a_misspelt_setting_is_refused_by_name() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let config = dir.path().join("run.toml");
-    fs::write(
+    put(
         &config,
         "sources = [\"x\"]\nout = \"y\"\n[train]\nnum_stps = 3\n",
-    )
-    .expect("writes");
-    let ran = stance(&["run", "--config", arg(&config)]).expect_code(1);
-    ran.expect_said("num_stps");
+    );
+    stance(&["run", "--config", arg(&config)]).expect_refused("num_stps");
 }
 
 #[test]
@@ -255,11 +238,11 @@ fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let file = dir.path().join("masks.jsonl");
     stance(&["masks", arg(&dataset), "--drafts", arg(&file)]).expect_code(0);
-    let lines = fs::read_to_string(&file).expect("drafts");
+    let lines = text_of(&file);
     let judged = lines
         .replacen("\"todo\"", "\"accept\"", 2)
         .replacen("\"todo\"", "\"reject\"", 1);
-    fs::write(&file, judged).expect("writes");
+    put(&file, judged);
     let accept = [
         "--json",
         "masks",
@@ -269,12 +252,10 @@ fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
         "--author",
         "ann",
     ];
-    let done: serde_json::Value = stance(&accept).expect_code(0).json();
+    let done: serde_json::Value = stance(&accept).done();
     assert_eq!(done["masks"], lines.lines().count() - 1);
     assert_eq!(done["origins"]["human"], 2);
-    let ran = stance(&["masks", arg(&dataset)]).expect_code(1);
-    ran.expect_said("2 masks judged by people");
-    fs::write(&file, "{}\n").expect("writes");
-    let ran = stance(&accept).expect_code(1);
-    ran.expect_said("masks.jsonl:1");
+    stance(&["masks", arg(&dataset)]).expect_refused("2 masks judged by people");
+    put(&file, "{}\n");
+    stance(&accept).expect_refused("masks.jsonl:1");
 }

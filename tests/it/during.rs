@@ -9,7 +9,7 @@ use pipeline::open::clip_of_file;
 use serde_json::Value;
 
 use crate::train::Workshop;
-use crate::util::{arg, stance};
+use crate::util::{arg, json_of, put, stance};
 
 /// The numbers of a frame.
 fn frame(motion: &Motion, frame: usize) -> Vec<u32> {
@@ -111,8 +111,7 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     let begin = ["--dataset", arg(&dataset), "--motion", clip.id.as_str()];
     edit(&begin, "30:60 The person is waving.");
     edit(&[], "40:70 The person is nodding.");
-    let text = fs::read_to_string(&history).expect("a history");
-    let document: Value = serde_json::from_str(&text).expect("JSON");
+    let document: Value = json_of(&history);
     let columns = ["transl", "global_orient", "body_pose"];
     let kept_by = |before: &Value, after: &Value| -> Vec<usize> {
         (0..end)
@@ -145,7 +144,7 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     // What a file of this format keeps of the source, axes turned and turned back.
     let unedited = workshop.path("unedited.npz");
     let bytes = formats::write::amass::encode(&source, &skeleton).expect("an archive");
-    fs::write(&unedited, bytes).expect("writes");
+    put(&unedited, bytes);
     let [unedited, edited] =
         [unedited, out].map(|path| clip_of_file(&path, &skeleton).expect("a clip"));
     assert_edited_in(&unedited, &edited, std::slice::from_ref(&(first..end)));

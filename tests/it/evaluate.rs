@@ -12,7 +12,10 @@ use serde_json::Value;
 use crate::tables::tables;
 use crate::texts::TextTable;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, corpus, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, corpus, files_with_extension, json_of, len_of, put, rows_of, stance,
+    text_of, typed, typed_with,
+};
 
 /// Settings of an evaluation encoder that is trained in a second.
 pub(crate) const SMALL_ENCODER: &str = "
@@ -45,7 +48,7 @@ impl Bench {
         workshop.train("motionrefit", "editor", "4").expect_code(0);
         let encoder = workshop.path("encoder");
         let settings = workshop.path("encoder.toml");
-        fs::write(&settings, SMALL_ENCODER).expect("writes");
+        put(&settings, SMALL_ENCODER);
         typed(
             "train tmr {} --out {} --config {}",
             &[&workshop.dataset(), &encoder, &settings],
@@ -60,9 +63,7 @@ impl Bench {
     pub(crate) fn items(&self, name: &str, more: &[&str]) -> PathBuf {
         let out = self.workshop.path(name);
         let dataset = self.workshop.dataset();
-        let mut args = vec!["items", arg(&dataset), "--out", arg(&out)];
-        args.extend(more);
-        stance(&args).expect_code(0);
+        typed_with("items {} --out {}", &[&dataset, &out], more).expect_code(0);
         out
     }
 
@@ -74,16 +75,7 @@ impl Bench {
     /// Answers items with a run.
     pub(crate) fn answers(&self, run: &str, items: &str, name: &str, more: &[&str]) -> PathBuf {
         let [run, items, out] = [run, items, name].map(|name| self.workshop.path(name));
-        let mut args = vec![
-            "edit",
-            arg(&run),
-            "--items",
-            arg(&items),
-            "--out",
-            arg(&out),
-        ];
-        args.extend(more);
-        stance(&args).expect_code(0);
+        typed_with("edit {} --items {} --out {}", &[&run, &items, &out], more).expect_code(0);
         out
     }
 
@@ -104,6 +96,21 @@ impl Bench {
         args.extend(edits.iter().map(|path| arg(path)));
         stance(&args)
     }
+
+    /// How much is in a folder of what a plan made.
+    fn made(&self, folder: &str) -> usize {
+        let folder = self.workshop.path("made").join(folder);
+        fs::read_dir(folder).expect("a folder").count()
+    }
+}
+
+/// A text of an object.
+fn name_in(key: &str) -> impl Fn(&Value) -> &str {
+    move |object| object[key].as_str().expect("a text")
+}
+
+fn reproduce(plan: &Path) -> Ran {
+    stance(&["--json", "reproduce", "--weak-judge", arg(plan)])
 }
 
 #[test]
@@ -111,16 +118,9 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     let bench = Bench::open();
     let first = bench.edits("first", &[]);
     let second = bench.edits("second", &["--guidance", "2"]);
-    let both: Value = bench
-        .eval(&[&first, &second], &["--json"])
-        .expect_code(0)
-        .json();
-    let systems: BTreeSet<&str> = both
-        .as_array()
-        .expect("rows")
-        .iter()
-        .map(|row| row["system"].as_str().expect("a name"))
-        .collect();
+    let both: Value = bench.eval(&[&first, &second], &["--json"]).done();
+    let rows = both.as_array().expect("rows").iter();
+    let systems: BTreeSet<&str> = rows.map(name_in("system")).collect();
     // What differs from the settings of the training stands in the name.
     assert_eq!(
         Vec::from_iter(systems),
@@ -132,7 +132,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         ]
     );
 
-    let scores: Value = bench.eval(&[&first], &["--json"]).expect_code(0).json();
+    let scores: Value = bench.eval(&[&first], &["--json"]).done();
     let names = ["Real Data", "Identity", "MotionReFit"];
     let ran = bench
         .eval(&[&first], &["--published", "--format", "markdown"])
@@ -180,11 +180,8 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
             &["--table", "a3", "--format", "markdown", "--further"],
         )
         .expect_code(0);
-    assert!(ran.stderr.contains("Table A3 is about motionfix edits"));
-    let full: Value = bench
-        .eval(&[&first], &["--table", "a3", "--json"])
-        .expect_code(0)
-        .json();
+    ran.expect_said("Table A3 is about motionfix edits");
+    let full: Value = bench.eval(&[&first], &["--table", "a3", "--json"]).done();
     // A further metric that was not measured here, such as Multimodality of one take, has no column.
     let columns = |part: Part| -> Vec<String> {
         let is_measured = |metric: &&Metric| {
@@ -222,7 +219,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
 
     let times = |format: &str| {
         let args = ["--table", "a4", "--published", "--format", format];
-        bench.eval(&[&first], &args).expect_code(0).stdout
+        bench.eval(&[&first], &args).printed()
     };
     let found = tables(&times("markdown"));
     let [latency, throughput] = &found[..] else {
@@ -258,8 +255,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         "--json eval encoder {} --encoder {}",
         &[&bench.workshop.dataset(), &bench.encoder],
     )
-    .expect_code(0)
-    .json();
+    .done();
     let rows = fit.as_array().expect("rows");
     assert_eq!(rows.len(), 10);
     let recalls: Vec<f64> = rows[..3]
@@ -273,8 +269,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
             "--json eval compare {} {} --encoder {} --weak-judge --repeats 2",
             &[&first, &b, &bench.encoder],
         )
-        .expect_code(0)
-        .json()
+        .done()
     };
     let same = compare(&first);
     let differences = |document: &Value| -> Vec<Value> {
@@ -294,18 +289,15 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
         );
         assert_eq!(difference["better"], Value::Null);
     }
-    let other = compare(&second);
-    let moved = differences(&other)
-        .into_iter()
-        .find(|row| row["metric"] == "Position error (cm)")
-        .expect("measured");
-    let number = |value: &Value| value.as_f64().expect("a number");
-    assert!(number(&moved["difference"]) != 0.0);
+    let other = differences(&compare(&second));
+    let mut other = other.iter();
+    let moved = other.find(|row| row["metric"] == "Position error (cm)");
+    assert_ne!(moved.expect("measured")["difference"], 0.0);
 }
 
 /// A plan of a small editor, with its settings in section `models.motionrefit`.
-fn write_plan(bench: &Bench, rest: &str) -> std::path::PathBuf {
-    let settings = fs::read_to_string(bench.workshop.path("small.toml")).expect("settings");
+fn write_plan(bench: &Bench, rest: &str) -> PathBuf {
+    let settings = text_of(bench.workshop.path("small.toml"));
     let settings = settings.replace("[model]", "[models.motionrefit.model]");
     let plan = bench.workshop.path("plan.toml");
     let text = format!(
@@ -313,7 +305,7 @@ fn write_plan(bench: &Bench, rest: &str) -> std::path::PathBuf {
          [eval]\nrepeats = 2\n[items]\ncount = 6\n\
          [models.motionrefit]\nlength = {{ steps = 3 }}\n{settings}"
     );
-    fs::write(&plan, text).expect("writes");
+    put(&plan, text);
     plan
 }
 
@@ -339,8 +331,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         ("mcm_ratio", "compose.mcm_ratio"),
     ] {
         let plan = write_plan(&bench, &format!("{systems}{}", figures(key)));
-        let refused = stance(&["reproduce", arg(&plan)]).expect_code(1);
-        refused.expect_said(word);
+        stance(&["reproduce", arg(&plan)]).expect_refused(word);
     }
     let tables = "[[table]]\npaper = \"1\"\npublished = true\n[[table]]\npaper = \"a4\"\nsystems = [\"ours\"]\n";
     let plan = write_plan(
@@ -360,19 +351,16 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         ]
     );
     assert!(!bench.workshop.path("made").exists());
-    let first: Value = typed("--json reproduce --weak-judge {} --at-once 2", &[&plan])
-        .expect_code(0)
-        .json();
+    let first: Value = typed("--json reproduce --weak-judge {} --at-once 2", &[&plan]).done();
     let out = bench.workshop.path("made");
     // The ratio of 1 is the default: two trainings of the editor serve five points, and its table.
-    let count = |folder: &str| fs::read_dir(out.join(folder)).expect("a folder").count();
-    assert_eq!((count("runs"), count("edits")), (3, 5));
+    assert_eq!((bench.made("runs"), bench.made("edits")), (3, 5));
     for drawing in [
         "mcm-ratio-e2t-avgr",
         "mcm-ratio-fs",
         "guidance-semantic-e2t-avgr",
     ] {
-        let svg = fs::read_to_string(out.join(format!("figures/{drawing}.svg"))).expect("drawn");
+        let svg = text_of(out.join(format!("figures/{drawing}.svg")));
         assert!(
             svg.starts_with("<svg") && !svg.contains("no values"),
             "{drawing}"
@@ -381,7 +369,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         assert!(png.starts_with(b"\x89PNG"));
     }
     // The picture has the answers of both systems to two items, in its order.
-    let drawn = fs::read_to_string(out.join("figures/both.svg")).expect("drawn");
+    let drawn = text_of(out.join("figures/both.svg"));
     let labels = ["source", "Nearest", "ours", "target"];
     let counts = labels.map(|label| drawn.matches(label).count());
     assert!(counts[0] >= 2 && counts == [counts[0]; 4], "{counts:?}");
@@ -392,52 +380,47 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     assert_eq!(pictures.len(), 3);
     // The rule by which these are chosen stands beside the instruction: how much closer to the target an edit is.
     let [worst, best] = ["worst", "best"].map(|name| {
-        let drawn = fs::read_to_string(out.join(format!("figures/{name}.svg"))).expect("drawn");
+        let drawn = text_of(out.join(format!("figures/{name}.svg")));
         let (before, _) = drawn.split_once(" cm closer)").expect("a gain");
         let (_, gain) = before.rsplit_once('(').expect("a bracket");
         gain.parse::<f64>().expect("a number")
     });
     assert!(worst <= best, "{worst} {best}");
     // Every cell of the table is a number, in the order of the plan.
-    let csv = fs::read_to_string(out.join("tables/table-1.csv")).expect("a table");
+    let csv = text_of(out.join("tables/table-1.csv"));
     assert!(csv.contains("Nearest") && csv.contains("ours"), "{csv}");
-    let text = fs::read_to_string(out.join("tables/table-1.txt")).expect("a table");
+    let text = text_of(out.join("tables/table-1.txt"));
     let place = |name: &str| text.find(name).expect("a row");
     assert!(place("Real Data") < place("Identity") && place("Identity") < place("ours"));
     assert!(
         place("ours") < place("Nearest")
             && place("Nearest") < place("Published, not measured here")
     );
-    let times = fs::read_to_string(out.join("tables/table-a4.md")).expect("a table");
+    let times = text_of(out.join("tables/table-a4.md"));
     assert!(times.contains("ours"), "{times}");
-    let page = fs::read_to_string(out.join("index.html")).expect("a page");
+    let page = text_of(out.join("index.html"));
     assert!(page.contains("guidance") && page.contains("Nearest"));
     // The record holds what tables and figures show.
-    let record = fs::read_to_string(out.join("record.jsonl")).expect("a record");
-    let record: Vec<Value> = record
+    let record = text_of(out.join("record.jsonl"));
+    let record = record
         .lines()
-        .map(|line| serde_json::from_str(line).expect("JSON"))
-        .collect();
+        .map(|line| serde_json::from_str(line).expect("JSON"));
+    let record: Vec<Value> = record.collect();
     let shown = |place: &str, at: &Value| {
         let rows = record.iter();
         let rows = rows.filter(|row| row["shown_in"] == place && row["at"] == *at);
         rows.count()
     };
     let cells = |row: &&str| row.starts_with('|') && !row.starts_with("| :--");
-    let table = fs::read_to_string(out.join("tables/table-1.md")).expect("a table");
+    let table = text_of(out.join("tables/table-1.md"));
     let (ours, _) = table.split_once("Published").unwrap_or((&table, ""));
     let systems = ["Real Data", "Identity", "ours", "Nearest"];
+    let systems = systems.map(|name| format!("| {name} |"));
     let rows = ours.lines().filter(cells);
-    let rows = rows.filter(|row| {
-        systems
-            .iter()
-            .any(|name| row.contains(&format!("| {name} |")))
-    });
+    let rows = rows.filter(|row| systems.iter().any(|name| row.contains(name)));
     let numbers = rows.map(|row| {
-        row.split('|')
-            .skip(2)
-            .filter(|cell| cell.contains('.'))
-            .count()
+        let cells = row.split('|').skip(2);
+        cells.filter(|cell| cell.contains('.')).count()
     });
     assert_eq!(shown("table-1", &Value::Null), numbers.sum::<usize>());
     assert_eq!(shown("MCM ratio", &serde_json::json!([0.2])), 2);
@@ -469,32 +452,20 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     // A file is replaced, never written over.
     let (page, old) = (out.join("index.html"), out.join("old.html"));
     fs::hard_link(&page, &old).expect("a second name");
-    fs::write(&old, "old").expect("writes");
-    let again: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)])
-        .expect_code(0)
-        .json();
+    put(&old, "old");
+    let again: Value = reproduce(&plan).done();
     assert_eq!(first, again);
-    assert_eq!((count("runs"), count("edits")), (3, 5));
-    assert_eq!(fs::read_to_string(&old).expect("a file"), "old");
-    assert!(
-        fs::read_to_string(&page)
-            .expect("a page")
-            .contains("guidance")
-    );
+    assert_eq!((bench.made("runs"), bench.made("edits")), (3, 5));
+    assert_eq!(text_of(&old), "old");
+    assert!(text_of(&page).contains("guidance"));
 
     // Trainings one after the other give the same scores.
     let other = bench.workshop.path("one-by-one");
-    let plan = [
-        "--json",
-        "reproduce",
-        "--weak-judge",
-        arg(&plan),
-        "--at-once",
-        "1",
-    ];
-    let one_by_one: Value = stance(&[&plan[..], &["--out", arg(&other)]].concat())
-        .expect_code(0)
-        .json();
+    let one_by_one: Value = typed(
+        "--json reproduce --weak-judge {} --at-once 1 --out {}",
+        &[&plan, &other],
+    )
+    .done();
     let points = |made: &Value| [0, 1].map(|figure| made["figures"][figure]["points"].clone());
     assert_eq!(points(&first), points(&one_by_one));
     assert_eq!(first["tables"][0], one_by_one["tables"][0]);
@@ -509,17 +480,13 @@ fn a_plan_trains_anew_when_its_dataset_has_grown() {
     );
     let [dataset, corpus, more] =
         ["dataset", "corpus", "more"].map(|name| bench.workshop.path(name));
-    let run = || stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]);
-    let first: Value = run().expect_code(0).json();
+    let first: Value = reproduce(&plan).done();
     typed("--seed 9 corpus --clips 30 --out {}", &[&more]).expect_code(0);
     stance(&["ingest", arg(&corpus), arg(&more), "--out", arg(&dataset)]).expect_code(0);
     stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
-    let second: Value = run().expect_code(0).json();
+    let second: Value = reproduce(&plan).done();
     assert_ne!(first["tables"], second["tables"]);
-    for folder in ["runs", "edits"] {
-        let made = fs::read_dir(bench.workshop.path("made").join(folder)).expect("a folder");
-        assert_eq!(made.count(), 2, "{folder}");
-    }
+    assert_eq!((bench.made("runs"), bench.made("edits")), (2, 2));
 }
 
 #[test]
@@ -533,17 +500,13 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
          [[figure]]\nname = \"seed\"\nkey = \"train.seed\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
     let before = bench.workshop.root_hash();
-    let ran = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)]).expect_code(1);
+    let ran = reproduce(&plan).expect_code(1);
     ran.expect_said("train.window = 400");
     let made: Value = ran.json();
-    assert_eq!(
-        made["failed"].as_array().expect("a list").len(),
-        3,
-        "{made}"
-    );
+    assert_eq!(len_of(&made["failed"]), 3, "{made}");
     let scored = |figure: usize, point: usize| {
         let scores = &made["figures"][figure]["points"][point]["scores"];
-        scores.as_array().expect("rows").len()
+        len_of(scores)
     };
     assert!((0..2).all(|point| scored(1, point) > 0 && scored(2, point) > 0));
     assert_eq!(bench.workshop.root_hash(), before);
@@ -551,15 +514,14 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
     let mut seeds: Vec<u64> = fs::read_dir(out.join("runs"))
         .expect("runs")
         .map(|run| {
-            let text = fs::read(run.expect("a run").path().join("config.json")).expect("a record");
-            let record: Value = serde_json::from_slice(&text).expect("JSON");
+            let record: Value = json_of(run.expect("a run").path().join("config.json"));
             record["config"]["train"]["seed"].as_u64().expect("a seed")
         })
         .collect();
     seeds.sort_unstable();
     // The system, its window of 12 and its fixed pairs; the window of 16 is the preset's.
     assert_eq!(seeds, [1, 2, 4, 4, 4]);
-    let svg = fs::read_to_string(out.join("figures/pairs-fs.svg")).expect("drawn");
+    let svg = text_of(out.join("figures/pairs-fs.svg"));
     assert!(svg.contains(">true<") && svg.contains(">false<"), "{svg}");
 }
 
@@ -577,8 +539,7 @@ fn a_plan_trains_anew_when_its_text_vectors_change() {
     for (scale, runs) in [(1.0, 1), (1.0, 1), (2.0, 2)] {
         table.write("table.safetensors", scale).expect_code(0);
         stance(&["reproduce", "--weak-judge", arg(&plan)]).expect_code(0);
-        let made = fs::read_dir(workshop.path("made/runs")).expect("runs");
-        assert_eq!(made.count(), runs, "vectors times {scale}");
+        assert_eq!(bench.made("runs"), runs, "vectors times {scale}");
     }
 }
 
@@ -596,19 +557,12 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
             ),
         )
     };
-    let twice = stance(&["reproduce", arg(&plan("[6, 6]"))]).expect_code(1);
-    twice.expect_said("holds 6 twice");
-    let run = |seeds: &str| -> Value {
-        stance(&["--json", "reproduce", "--weak-judge", arg(&plan(seeds))])
-            .expect_code(0)
-            .json()
-    };
+    stance(&["reproduce", arg(&plan("[6, 6]"))]).expect_refused("holds 6 twice");
+    let run = |seeds: &str| -> Value { reproduce(&plan(seeds)).done() };
     let alone = [run("[6]"), run("[7]")];
-    let runs = bench.workshop.path("made/runs");
-    let count = || fs::read_dir(&runs).expect("runs").count();
-    assert_eq!(count(), 3);
+    assert_eq!(bench.made("runs"), 3);
     let both = run("[6, 7]");
-    assert_eq!(count(), 3);
+    assert_eq!(bench.made("runs"), 3);
     let mean = |rows: &Value, system: &str| {
         let rows = rows.as_array().expect("rows");
         let of = |row: &&Value| row["system"] == system && row["metric"] == "FS";
@@ -630,12 +584,12 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
     assert!((mean(&point["scores"], "ours") - expected).abs() < 1e-12);
     assert_eq!(mean(&point["trainings"][1], "ours"), seeds[1]);
     let tables = bench.workshop.path("made/tables");
-    let table = fs::read_to_string(tables.join("table-1.md")).expect("a table");
-    assert!(
-        table.contains("Means over 2 trainings of each system, fewer for once"),
-        "{table}"
+    let table = text_of(tables.join("table-1.md"));
+    assert_has(
+        &table,
+        &["Means over 2 trainings of each system, fewer for once"],
     );
-    let figure = fs::read_to_string(tables.join("pairs.md")).expect("a table");
+    let figure = text_of(tables.join("pairs.md"));
     // Six items have too few targets for an interval, whatever their trainings add.
     let cell = format!("| false | {expected:.3} |");
     assert!(figure.contains(&cell), "{cell} {figure}");
@@ -649,13 +603,9 @@ fn items_that_are_short_for_one_window_count_at_none() {
         "[[system]]\nname = \"ours\"\n\
          [[figure]]\nname = \"window\"\nkey = \"train.window\"\nvalues = [12, 24]\nmetrics = [\"FS\"]\n",
     );
-    let made: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)])
-        .expect_code(0)
-        .json();
+    let made: Value = reproduce(&plan).done();
     let figure = &made["figures"][0];
-    let counts: Vec<&Value> = [0, 1]
-        .map(|point| &figure["points"][point]["scores"][0]["n"])
-        .into();
+    let counts = [0, 1].map(|point| &figure["points"][point]["scores"][0]["n"]);
     assert_eq!(counts[0], counts[1]);
     let items = Dataset::open(&bench.workshop.path("made/items")).expect("items");
     let rows = items.items().expect("rows");
@@ -675,25 +625,17 @@ fn convergence_scores_the_kept_checkpoints_of_one_training() {
          train = { keep_epochs = 1, length = { epochs = 2, steps = 500 } }\n\
          [[figure]]\nname = \"convergence\"\nkey = \"epoch\"\nvalues = [1, 2]\nmetrics = [\"FS\"]\n",
     );
-    let made: Value = stance(&["--json", "reproduce", "--weak-judge", arg(&plan)])
-        .expect_code(0)
-        .json();
+    let made: Value = reproduce(&plan).done();
     let points = made["figures"][0]["points"].as_array().expect("points");
-    let names: Vec<&str> = points
-        .iter()
-        .map(|point| point["point"].as_str().expect("a name"))
-        .collect();
+    let names: Vec<&str> = points.iter().map(name_in("point")).collect();
     assert_eq!(names, ["epoch = 1", "epoch = 2"]);
     assert_ne!(points[0]["scores"], points[1]["scores"]);
-    let runs = bench.workshop.path("made/runs");
-    assert_eq!(fs::read_dir(runs).expect("runs").count(), 1);
+    assert_eq!(bench.made("runs"), 1);
 }
 
 #[test]
 fn plans_of_the_program_can_be_followed() {
-    let listed: Vec<String> = stance(&["--json", "reproduce", "--list"])
-        .expect_code(0)
-        .json();
+    let listed: Vec<String> = stance(&["--json", "reproduce", "--list"]).done();
     assert_eq!(listed.len(), 22);
     for name in listed {
         let ran = stance(&["reproduce", &name, "--dry-run"]).expect_code(0);
@@ -733,7 +675,7 @@ fn tall_body(path: &Path) -> Skeleton {
             bytes.extend(value.to_le_bytes());
         }
     }
-    fs::write(path, bytes).expect("writes");
+    put(path, bytes);
     formats::source::body_model::read_skeleton(path).expect("a body")
 }
 
@@ -753,16 +695,11 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     let encoder_settings = workshop.path("encoder.toml");
     for (model, settings) in [("motionrefit", &settings), ("tmr", &encoder_settings)] {
         let out = workshop.path(&format!("tall-{model}"));
-        let train = [
-            "train",
-            model,
-            arg(&root),
-            "--out",
-            arg(&out),
-            "--steps",
-            "2",
-        ];
-        stance(&[&train[..], &["--config", arg(settings)]].concat()).expect_code(0);
+        typed(
+            "train {} {} --out {} --steps 2 --config {}",
+            &[&model, &root, &out, &settings],
+        )
+        .expect_code(0);
     }
     workshop.train("coordinator", "guide", "2").expect_code(0);
     workshop
@@ -771,7 +708,7 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
 
     let hashes = [Skeleton::smplx_neutral().hash(), tall.hash()];
     let refused = |ran: Ran| {
-        let said = ran.expect_code(1).stderr;
+        let said = ran.refusal();
         for hash in &hashes {
             assert!(said.contains(&hash[..12]), "{said}");
         }
@@ -779,8 +716,7 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     let out = workshop.path("answers");
     let (own, foreign) = (workshop.path("tall-motionrefit"), workshop.path("editor"));
     let edit = |run: &Path, more: &[&str]| {
-        let args = ["edit", arg(run), "--items", arg(&items), "--out", arg(&out)];
-        stance(&[&args[..], more].concat())
+        typed_with("edit {} --items {} --out {}", &[&run, &items, &out], more)
     };
     refused(edit(&foreign, &[]));
     refused(edit(&own, &["--coordinator", arg(&workshop.path("guide"))]));
@@ -790,16 +726,13 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     refused(bench.eval(&[&out], &[]));
     let scores = workshop.path("tall-scores");
     let encoder = workshop.path("tall-tmr");
-    let eval = [
-        "eval",
-        "--encoder",
-        arg(&encoder),
-        "--weak-judge",
-        "--repeats",
-        "2",
-    ];
     let rest = ["--out", arg(&scores), arg(&out)];
-    stance(&[&eval[..], &rest[..]].concat()).expect_code(0);
+    typed_with(
+        "eval --encoder {} --weak-judge --repeats 2",
+        &[&encoder],
+        &rest,
+    )
+    .expect_code(0);
 
     let clip = rows_of::<MotionRow>(&root)
         .into_iter()
@@ -814,10 +747,7 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
         "--out",
         arg(&one),
     ];
-    let edit_one = |run: &Path| {
-        let from = ["edit", arg(run), "--dataset", arg(&root)];
-        stance(&[&from[..], &args].concat())
-    };
+    let edit_one = |run: &Path| typed_with("edit {} --dataset {}", &[&run, &root], &args);
     refused(edit_one(&foreign));
     edit_one(&own).expect_code(0);
     for made in [&out, &scores, &one] {
@@ -838,9 +768,8 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
         "--json report {} --encoder {} --weak-judge --items 3 --out {}",
         &[&first, &bench.encoder, &page],
     )
-    .expect_code(0)
-    .json();
-    let html = fs::read_to_string(&page).expect("written");
+    .done();
+    let html = text_of(&page);
     assert_eq!(made["bytes"], html.len());
     let items_of = |viewer: &str| -> Vec<Value> {
         let data = html
@@ -853,35 +782,26 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
     };
     let opening = items_of("opening-viewer");
     assert_eq!(opening.len(), 1);
-    let labels: Vec<&Value> = opening[0]["motions"]
-        .as_array()
-        .expect("motions")
-        .iter()
-        .map(|motion| &motion["label"])
-        .collect();
-    let edited = labels[1].as_str().expect("a label");
+    let labels_of = |item: &Value| -> Vec<String> {
+        let motions = item["motions"].as_array().expect("motions").iter();
+        motions.map(name_in("label")).map(str::to_owned).collect()
+    };
+    let labels = labels_of(&opening[0]);
     assert_eq!(
-        (labels.len(), labels[0], labels[2]),
-        (3, &"source".into(), &"target".into())
+        (labels.len(), &*labels[0], &*labels[2]),
+        (3, "source", "target")
     );
-    assert!(edited.starts_with("edited by "), "{edited}");
+    assert!(labels[1].starts_with("edited by "), "{labels:?}");
     // The editor has hardly been trained.
     assert!(html.contains("No best case: none of the edits"));
     let items = items_of("viewer");
     assert_eq!(items.len(), 3);
     for item in &items {
-        let labels: Vec<&str> = item["motions"]
-            .as_array()
-            .expect("motions")
-            .iter()
-            .map(|motion| motion["label"].as_str().expect("a label"))
-            .collect();
-        assert_eq!(labels[0], "source");
-        assert_eq!(labels[2], "target");
+        let labels = labels_of(item);
+        assert_eq!([&labels[0], &labels[2]], ["source", "target"]);
     }
     assert!(html.contains("script-src 'sha256-") && !html.contains("https://"));
-    let refused = stance(&["report", arg(&bench.encoder), "--out", arg(&page)]).expect_code(1);
-    refused.expect_said("encoder");
+    stance(&["report", arg(&bench.encoder), "--out", arg(&page)]).expect_refused("encoder");
 }
 
 #[test]
@@ -892,17 +812,16 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     let train =
         |out: &Path| typed("train tmr {} --out {} --steps 1", &[&dataset, &out]).expect_code(0);
     let said = train(&weak).stdout;
-    for words in [
-        "text to motion: R@1",
-        "motion to text: R@1",
-        "chance",
-        "ranks nothing",
-    ] {
-        assert!(said.contains(words), "{words}: {said}");
-    }
-    let report: Value =
-        serde_json::from_slice(&fs::read(weak.join("report.json")).expect("a report"))
-            .expect("JSON");
+    assert_has(
+        &said,
+        &[
+            "text to motion: R@1",
+            "motion to text: R@1",
+            "chance",
+            "ranks nothing",
+        ],
+    );
+    let report: Value = json_of(weak.join("report.json"));
     let folder = Dataset::open(&dataset).expect("a dataset");
     assert_eq!(report["dataset_hash"], folder.manifest().root_hash);
     let clips: Vec<MotionRow> = folder.read(Some(Split::Val)).expect("rows");
@@ -918,15 +837,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     let edits = bench.edits("first", &[]);
     let sentence = "This table ranks nothing.";
     let eval = |more: &[&str], code: i32| {
-        let args = [
-            "eval",
-            arg(&edits),
-            "--encoder",
-            arg(&weak),
-            "--repeats",
-            "2",
-        ];
-        stance(&[&args, more].concat()).expect_code(code)
+        typed_with("eval {} --encoder {} --repeats 2", &[&edits, &weak], more).expect_code(code)
     };
     let ran = eval(&[], 1);
     assert!(ran.stdout.starts_with(sentence), "{}", ran.stdout);
@@ -949,38 +860,28 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     assert!(compared[0]["unranked"].is_string(), "{compared}");
 
     let ranks_nothing = |page: &Path| {
-        let html = fs::read_to_string(page).expect("a page");
+        let html = text_of(page);
         assert!(html.contains(sentence) && !html.contains("class=\"best\""));
     };
     let page = bench.workshop.path("page.html");
-    let write = [
-        "report",
-        arg(&edits),
-        "--encoder",
-        arg(&weak),
-        "--out",
-        arg(&page),
-    ];
-    stance(&write).expect_code(1);
+    typed("report {} --encoder {} --out {}", &[&edits, &weak, &page]).expect_code(1);
     ranks_nothing(&page);
     fs::rename(&weak, bench.workshop.path("encoder-of-one-step")).expect("renamed");
     let plan = write_plan(
         &bench,
         "[[system]]\nname = \"ours\"\n[[table]]\npaper = \"1\"\n",
     );
-    let text = fs::read_to_string(&plan).expect("a plan");
+    let text = text_of(&plan);
     let text = text.replace("encoder = \"encoder\"", "encoder = \"encoder-of-one-step\"");
-    fs::write(&plan, text).expect("writes");
+    put(&plan, text);
     stance(&["reproduce", arg(&plan)]).expect_code(1);
     let made = bench.workshop.path("made");
     ranks_nothing(&made.join("index.html"));
-    let table = fs::read_to_string(made.join("tables/table-1.txt")).expect("a table");
+    let table = text_of(made.join("tables/table-1.txt"));
     assert!(table.starts_with(sentence), "{table}");
 
     // The same edits are ranked by the encoder of the program; a folder without a report is not believed.
-    let ranked = typed("eval {} --encoder builtin --repeats 2", &[&edits])
-        .expect_code(0)
-        .stdout;
+    let ranked = typed("eval {} --encoder builtin --repeats 2", &[&edits]).printed();
     // Novelties of few items have tables of their own below, which need not rank.
     let first = ranked.lines().next().expect("a table");
     assert!(
@@ -989,8 +890,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     );
     let weak = bench.workshop.path("encoder-of-one-step");
     fs::remove_file(weak.join("report.json")).expect("removed");
-    let args = ["eval", arg(&edits), "--encoder", arg(&weak)];
-    let ran = stance(&args).expect_code(1);
+    let ran = typed("eval {} --encoder {}", &[&edits, &weak]).expect_code(1);
     ran.expect_printed("holds no report.json");
     train(&weak);
     assert!(
@@ -1018,11 +918,10 @@ fn items_do_not_change_with_the_seed_of_sampling() {
         bench.edits("one", &["--seed", "1"]),
     );
     let files = |folder: &Path| {
-        let mut files: Vec<Vec<u8>> =
-            crate::util::files_with_extension(&folder.join("data/items"), "parquet")
-                .iter()
-                .map(|path| fs::read(path).expect("a shard"))
-                .collect();
+        let mut files: Vec<Vec<u8>> = files_with_extension(&folder.join("data/items"), "parquet")
+            .iter()
+            .map(|path| fs::read(path).expect("a shard"))
+            .collect();
         files.sort();
         files
     };
@@ -1042,7 +941,7 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     }
     // Two takes of one system: the value of each repeat is that of one of them.
     let error = |edits: &[&Path]| {
-        let scores: Value = bench.eval(edits, &["--json"]).expect_code(0).json();
+        let scores: Value = bench.eval(edits, &["--json"]).done();
         let rows = of_system(&scores, "MotionReFit");
         let found = rows
             .iter()
@@ -1055,15 +954,12 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     bench.items("others", &["--count", "8", "--seed", "5"]);
     let others = bench.answers("editor", "others", "elsewhere", &[]);
     let refused = bench.eval(&[&zero, &others], &[]).expect_code(1);
-    for text in ["different items", "zero", "elsewhere"] {
-        refused.expect_said(text);
-    }
+    assert_has(&refused.stderr, &["different items", "zero", "elsewhere"]);
     // Many takes can be made at once, and are the same takes.
     let takes = bench.edits("takes", &["--takes", "2"]);
-    let (_, together) = read(&takes);
+    let (_, mut together) = read(&takes);
     let mut apart = [first, second].concat();
     apart.sort_by(|a, b| (a.seed, &a.id).cmp(&(b.seed, &b.id)));
-    let mut together = together;
     together.sort_by(|a, b| (a.seed, &a.id).cmp(&(b.seed, &b.id)));
     assert_eq!(together, apart);
 }
@@ -1074,7 +970,7 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     let workshop = &bench.workshop;
     workshop.train("coordinator", "guide", "4").expect_code(0);
     let fixed = workshop.path("fixed.toml");
-    fs::write(&fixed, "fixed_pairs = true\n").expect("writes");
+    put(&fixed, "fixed_pairs = true\n");
     typed(
         "train motionrefit {} --out {} --config {} --compose {} --steps 4",
         &[
@@ -1089,10 +985,7 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     let base = bench.edits("base", &[]);
     let full = bench.edits("full", &["--coordinator", arg(&guide)]);
     let without = bench.answers("fixed", "items", "without", &[]);
-    let scores: Value = bench
-        .eval(&[&full, &base, &without], &["--json"])
-        .expect_code(0)
-        .json();
+    let scores: Value = bench.eval(&[&full, &base, &without], &["--json"]).done();
     for system in [
         "Real Data",
         "Identity",
@@ -1110,9 +1003,10 @@ fn every_system_has_a_row_and_two_under_one_name_are_refused() {
     };
     let ours = named("editor", "ours", &[]);
     let refused = |other: &Path, what: &str| {
-        let ran = bench.eval(&[&ours, other], &[]).expect_code(1);
-        ran.expect_said(what);
-        ran.expect_said("--name");
+        bench
+            .eval(&[&ours, other], &[])
+            .expect_refused(what)
+            .expect_said("--name");
     };
     refused(&named("fixed", "other-weights", &[]), "two checkpoints");
     refused(
@@ -1138,9 +1032,10 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
         "test",
     )
     .expect("writes");
-    let ran = bench.eval(&[&forged], &[]).expect_code(1);
-    ran.expect_said(&rows[3].id);
-    ran.expect_said("stance items");
+    bench
+        .eval(&[&forged], &[])
+        .expect_refused(&rows[3].id)
+        .expect_said("stance items");
     let verified = stance(&["verify", arg(&forged)]).expect_code(1);
     assert!(
         [verified.stdout, verified.stderr]
@@ -1153,7 +1048,6 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
         "--json eval --items {} --encoder {} --weak-judge",
         &[&items, &bench.encoder],
     )
-    .expect_code(0)
-    .json();
+    .done();
     assert!(!of_system(&scores, "Identity").is_empty());
 }

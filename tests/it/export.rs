@@ -7,7 +7,7 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Motion, Skeleton};
 use serde::Deserialize;
 
-use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
+use crate::util::{arg, corpus, files_with_extension, motions_of, put, stance, typed};
 
 const CLIPS: usize = 8;
 
@@ -18,10 +18,7 @@ fn ingested(dir: &Path, source: &str, out: &str) -> BTreeMap<String, MotionRow> 
 fn ingested_at(dir: &Path, source: &str, out: &str, fps: &str) -> BTreeMap<String, MotionRow> {
     let (source, out) = (dir.join(source), dir.join(out));
     stance(&["ingest", arg(&source), "--out", arg(&out), "--fps", fps]).expect_code(0);
-    let rows: Vec<MotionRow> = rows_of(&out);
-    rows.into_iter()
-        .map(|row| (row.id.as_str().to_owned(), row))
-        .collect()
+    motions_of(&out)
 }
 
 fn exported(dir: &Path, layout: &str) {
@@ -166,7 +163,7 @@ fn triplets_and_items_become_dumps_of_motionfix() {
         let (made, out) = (at(verb), at(&format!("{verb}-motionfix")));
         stance(&[verb, arg(&dataset), "--count", "6", "--out", arg(&made)]).expect_code(0);
         let export = |out: &Path| typed("--json export {} --to motionfix --out {}", &[&made, &out]);
-        let said: serde_json::Value = export(&out).expect_code(0).json();
+        let said: serde_json::Value = export(&out).done();
         let count = usize::try_from(said["clips"].as_u64().expect("a count")).expect("few");
         assert!((1..=6).contains(&count), "{verb}: {count}");
         let splits = std::fs::read(out.join("splits.json")).expect("written");
@@ -217,8 +214,7 @@ fn an_export_appears_whole_or_not_at_all() {
     let dir = corpus(4);
     ingested(dir.path(), "corpus", "dataset");
     let (dataset, taken) = (dir.path().join("dataset"), dir.path().join("taken"));
-    std::fs::create_dir(&taken).expect("made");
-    std::fs::write(taken.join("mine.txt"), "mine").expect("written");
+    put(taken.join("mine.txt"), "mine");
     for layout in ["webdataset", "lerobot"] {
         exported(dir.path(), layout);
         let refused =
@@ -252,9 +248,7 @@ fn verify_passes_what_ingest_wrote_and_fails_what_was_altered() {
     let dir = corpus(6);
     ingested(dir.path(), "corpus", "dataset");
     let dataset = dir.path().join("dataset");
-    let verified: Verified = stance(&["--json", "verify", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let verified: Verified = stance(&["--json", "verify", arg(&dataset)]).done();
     let manifest = Dataset::open(&dataset)
         .expect("a dataset")
         .manifest()
@@ -265,7 +259,7 @@ fn verify_passes_what_ingest_wrote_and_fails_what_was_altered() {
     let mut bytes = std::fs::read(shard).expect("a shard");
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
-    std::fs::write(shard, bytes).expect("written");
+    put(shard, bytes);
     let ran = stance(&["verify", arg(&dataset)]).expect_code(1);
     ran.expect_printed("1 wrong");
 }

@@ -11,7 +11,10 @@ use datasets_spec::record::MotionRow;
 use pickle::npz::Archive;
 use serde_json::Value;
 
-use crate::util::{arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed};
+use crate::util::{
+    arg, command, corpus, files_with_extension, motions_of, name_of, put, real_data, rows_of,
+    stance, text_of, typed,
+};
 
 const LAYOUTS: [&str; 11] = [
     "amass",
@@ -32,9 +35,8 @@ fn dataset(dir: &Path, more: &[&str]) -> (PathBuf, BTreeMap<String, MotionRow>) 
     let (source, out) = (dir.join("corpus"), dir.join("dataset"));
     let args = [&["ingest", arg(&source), "--out", arg(&out)], more].concat();
     stance(&args).expect_code(0);
-    let rows: Vec<MotionRow> = rows_of(&out);
-    let rows = rows.into_iter().map(|row| (row.id.to_string(), row));
-    (out, rows.collect())
+    let rows = motions_of(&out);
+    (out, rows)
 }
 
 #[test]
@@ -56,10 +58,9 @@ fn a_condition_chooses_the_clips_of_every_layout() {
             let to = ["--json", "export", arg(&dataset), "--to", layout];
             stance(&[&to[..], &["--where", condition, "--out", arg(out)]].concat())
         };
-        let said: Value = export(&condition, &out).expect_code(0).json();
+        let said: Value = export(&condition, &out).done();
         assert_eq!(said["clips"], expected, "{layout}");
-        let none = export("style = 'nobody walks so'", &dir.path().join("none")).expect_code(1);
-        none.expect_said("no clip of");
+        export("style = 'nobody walks so'", &dir.path().join("none")).expect_refused("no clip of");
     }
     let files = files_with_extension(&dir.path().join("bvh"), "bvh");
     assert_eq!(files.len(), expected);
@@ -126,7 +127,7 @@ fn licences_and_captions_travel() {
     }
     let out = dir.path().join("humanml3d");
     typed("export {} --to humanml3d --out {}", &[&dataset, &out]).expect_code(0);
-    let ids = std::fs::read_to_string(out.join("ids.csv")).expect("written");
+    let ids = text_of(out.join("ids.csv"));
     assert_eq!(ids.matches(&license).count(), rows.len(), "{ids}");
     assert_eq!(
         files_with_extension(&out.join("texts"), "txt").len(),
@@ -150,11 +151,7 @@ fn names_do_not_repeat_their_extension() {
     let files = files_with_extension(&out, "bvh");
     assert_eq!(files.len(), 2);
     for file in files {
-        let name = file
-            .file_name()
-            .expect("a name")
-            .to_string_lossy()
-            .into_owned();
+        let name = name_of(&file);
         assert_eq!(name.matches(".bvh").count(), 1, "{name}");
     }
 }
@@ -198,7 +195,7 @@ fn damaged_motions_do_not_matter_to_metadata() {
     // Nearly all of a shard is poses.
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
-    std::fs::write(shard, bytes).expect("written");
+    put(shard, bytes);
 
     stance(&["verify", arg(&dataset)]).expect_code(1);
     assert_eq!(stats(0), before);
@@ -233,10 +230,9 @@ fn a_motion_of_a_file_is_drawn_by_its_name() {
         stance(&["render", &motion, "--out", arg(&picture)])
     };
     draw("motion").expect_code(0);
-    let svg = std::fs::read_to_string(&picture).expect("written");
+    let svg = text_of(&picture);
     assert!(svg.contains("#motion"), "{svg:.300}");
-    let refused = draw("dance").expect_code(1);
-    refused.expect_said("no motion \"dance\"; its motions are motion");
+    draw("dance").expect_refused("no motion \"dance\"; its motions are motion");
 }
 
 #[test]
@@ -254,11 +250,9 @@ fn stats_count_masks_of_a_clip_and_pairs_of_a_style() {
         "{},{},old,walk as an old person\n",
         styled[0].0, styled[1].0
     );
-    std::fs::write(&list, line).expect("written");
+    put(&list, line);
     stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
-    let said: Value = stance(&["--json", "stats", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let said: Value = stance(&["--json", "stats", arg(&dataset)]).done();
     let masks: Vec<datasets_spec::record::MaskRow> = rows_of(&dataset);
     let clips: std::collections::BTreeSet<_> = masks.iter().map(|mask| &mask.motion_id).collect();
     assert!(clips.len() > 1 && masks.len() > clips.len());
@@ -267,7 +261,7 @@ fn stats_count_masks_of_a_clip_and_pairs_of_a_style() {
     assert!((said["masks_per_clip"].as_f64().expect("a number") - average).abs() < 1e-9);
     assert_eq!(said["pairs"]["style"], 1);
     assert_eq!(said["pair_styles"]["old"], 1);
-    let text = stance(&["stats", arg(&dataset)]).expect_code(0).stdout;
+    let text = stance(&["stats", arg(&dataset)]).printed();
     assert!(text.contains(&format!("{average:.1} on average")), "{text}");
     assert!(text.contains("style of edit"), "{text}");
 }
@@ -295,14 +289,8 @@ fn again(dir: &Path, sources: &[&Path], name: &str) -> (PathBuf, BTreeMap<String
     let out = dir.join(name);
     let sources: Vec<&str> = sources.iter().map(|path| arg(path)).collect();
     stance(&[&["ingest"], &sources[..], &["--out", arg(&out)]].concat()).expect_code(0);
-    let dataset = Dataset::open(&out).expect("a dataset");
-    let rows: Vec<MotionRow> = dataset.read(None).expect("rows");
-    (
-        out,
-        rows.into_iter()
-            .map(|row| (row.id.to_string(), row))
-            .collect(),
-    )
+    let rows = motions_of(&out);
+    (out, rows)
 }
 
 #[test]
@@ -320,7 +308,7 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
         let (styled, original) = (&train[0].id, &original.id);
         format!("{styled},{original},old,walk as an old person\n")
     };
-    std::fs::write(&list, line(train[1]) + &line(train[2])).expect("written");
+    put(&list, line(train[1]) + &line(train[2]));
     stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
     // As the annotation tool exports them.
     let stored = Dataset::open(&dataset).expect("a dataset");
@@ -376,7 +364,7 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
     let shards = files_with_extension(&dataset.join("data/motions"), "parquet");
     let mut bytes = std::fs::read(&shards[0]).expect("a shard");
     bytes.push(0);
-    std::fs::write(&shards[0], bytes).expect("written");
+    put(&shards[0], bytes);
     let damaged = dir.path().join("damaged");
     let ran = stance(&["--json", "ingest", arg(&dataset), "--out", arg(&damaged)]).expect_code(3);
     assert_eq!(
@@ -471,9 +459,8 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     let said = format!("{untagged} captions have no tokens with part-of-speech tags");
     // The folder cannot be made, and yet it is said.
     let file = dir.path().join("file");
-    std::fs::write(&file, "").expect("written");
-    let refused = export("humanml3d", &file.join("out")).expect_code(1);
-    refused.expect_said(&said);
+    put(&file, "");
+    export("humanml3d", &file.join("out")).expect_refused(&said);
     // So it is where any number of processes will write them.
     let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
     let planned = typed(
@@ -525,7 +512,7 @@ fn what_a_killed_export_left_is_removed_by_the_next_one() {
     // Items and edits are written the same way.
     let dead = home.join(".stance.0-0.partial");
     std::fs::create_dir_all(dead.join("new")).expect("made");
-    std::fs::write(dead.join("LOCK"), "").expect("written");
+    put(dead.join("LOCK"), "");
     let items = dir.path().join("items");
     typed(
         "items {} --split train --count 4 --out {}",

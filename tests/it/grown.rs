@@ -8,36 +8,39 @@ use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use crate::util::{arg, corpus, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_counted, corpus, name_of, put, rows_of, stance, stem_of, text_of, typed,
+};
+
+/// Runs `ingest --json` with these sources.
+fn ran(sources: &[&Path], out: &Path, more: &[&str]) -> Ran {
+    let sources: Vec<&str> = sources.iter().map(|source| arg(source)).collect();
+    stance(
+        &[
+            &["--json", "ingest"],
+            &sources[..],
+            &["--out", arg(out)],
+            more,
+        ]
+        .concat(),
+    )
+}
 
 /// Ingests, and holds the counts of the document against each other and against the tables.
 pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
-    let mut args = vec!["--json", "ingest"];
-    args.extend(sources.iter().map(|source| arg(source)));
-    args.extend(["--out", arg(out)]);
-    args.extend(more);
-    let done: Value = stance(&args).expect_code(code).json();
-    let count = |name: &str| done[name].as_u64().expect("a count");
-    assert_eq!(
-        count("sources"),
-        count("ingested") + count("quarantined") + count("skipped")
-    );
+    let done: Value = ran(sources, out, more).expect_code(code).json();
+    assert_counted(&done);
     let dataset = Dataset::open(out).expect("a dataset");
-    assert_eq!(
-        dataset.manifest().rows("quarantine", None),
-        count("quarantined")
-    );
-    assert_eq!(dataset.manifest().rows("skipped", None), count("skipped"));
+    for table in ["quarantine", "skipped"] {
+        let count = &done[table.replace("quarantine", "quarantined")];
+        assert_eq!(*count, dataset.manifest().rows(table, None), "{table}");
+    }
     done
 }
 
 /// What an ingestion says that fails.
 pub(crate) fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
-    let mut args = vec!["ingest"];
-    args.extend(sources.iter().map(|source| arg(source)));
-    args.extend(["--out", arg(out)]);
-    args.extend(more);
-    stance(&args).expect_code(1).stderr
+    ran(sources, out, more).refusal()
 }
 
 /// All clips.
@@ -85,19 +88,11 @@ pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
 pub(crate) fn move_files(files: &[PathBuf], to: &Path) {
     fs::create_dir_all(to).expect("made");
     for file in files {
-        let stem = file
-            .file_stem()
-            .expect("a name")
-            .to_string_lossy()
-            .into_owned();
+        let stem = stem_of(file);
         let folder = file.parent().expect("a folder");
         for entry in fs::read_dir(folder).expect("listed") {
             let path = entry.expect("an entry").path();
-            let name = path
-                .file_name()
-                .expect("a name")
-                .to_string_lossy()
-                .into_owned();
+            let name = name_of(&path);
             if name.starts_with(&format!("{stem}.")) {
                 fs::rename(&path, to.join(name)).expect("moved");
             }
@@ -115,13 +110,29 @@ pub(crate) fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
     (dir, first, second)
 }
 
+/// A corpus of so many clips, and a dataset of it.
+pub(crate) fn begun(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
+    let dir = corpus(clips);
+    let [source, dataset] = ["corpus", "dataset"].map(|name| dir.path().join(name));
+    ingest(&[&source], &dataset, &[], 0);
+    (dir, source, dataset)
+}
+
+/// The [`halves`] of a corpus, and a dataset of the first.
+pub(crate) fn begun_with_half(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf, PathBuf) {
+    let (dir, source, more) = halves(clips);
+    let dataset = dir.path().join("dataset");
+    ingest(&[&source], &dataset, &[], 0);
+    (dir, source, more, dataset)
+}
+
 /// Accepts every automatic mask in the name of a person.
 pub(crate) fn judge(dataset: &Path, dir: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset)]).expect_code(0);
     let file = dir.join("judged.jsonl");
     stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
-    let lines = fs::read_to_string(&file).expect("drafts");
-    fs::write(&file, lines.replace("\"todo\"", "\"accept\"")).expect("written");
+    let lines = text_of(&file);
+    put(&file, lines.replace("\"todo\"", "\"accept\""));
     typed("masks {} --accept {} --author ann", &[&dataset, &file]).expect_code(0);
     let masks = masks(dataset);
     assert!(!masks.is_empty() && masks.values().all(|mask| mask.text_origin == "human"));

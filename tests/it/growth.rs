@@ -9,9 +9,10 @@ use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
 use crate::grown::{
-    clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
+    begun, begun_with_half, clips, files, halves, ingest, judge, masks, motions, move_files,
+    refused, verified,
 };
-use crate::util::{arg, corpus, rows_of, stance, typed};
+use crate::util::{arg, assert_has, corpus, len_of, put, rows_of, stance, stem_of, text_of, typed};
 
 /// Checks that equal motions share a split. Returns how many motions outside of `train` have an equal one:
 /// a rule that does nothing would part some of them.
@@ -32,9 +33,7 @@ fn equal_motions_share_a_split(dataset: &Path) -> usize {
 
 #[test]
 fn judged_masks_survive_a_file_that_is_added() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, more, dataset) = begun_with_half(12);
     let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
     move_files(&files(&more)[..1], &source);
     let grown = ingest(&[&source], &dataset, &[], 0);
@@ -67,9 +66,7 @@ fn judged_masks_survive_a_file_that_is_added() {
 
 #[test]
 fn a_source_that_is_added_changes_no_id_and_no_split() {
-    let (dir, source, more) = halves(24);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, more, dataset) = begun_with_half(24);
     let before = clips(&dataset);
     let grown = ingest(&[&source, &more], &dataset, &[], 0);
     assert_eq!(grown["growth"]["kept"], before.len());
@@ -99,9 +96,7 @@ fn a_source_that_is_added_changes_no_id_and_no_split() {
 
 #[test]
 fn a_folder_may_be_given_alone_and_the_others_stay() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (_dir, source, more, dataset) = begun_with_half(12);
     let before = clips(&dataset);
     let grown = ingest(&[&more], &dataset, &[], 0);
     assert_eq!(grown["growth"]["missing"], serde_json::json!([]));
@@ -209,9 +204,7 @@ fn signs_in_names_do_not_collapse_splits() {
 
 #[test]
 fn labels_of_clips_that_change_are_not_lost_unasked() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, more, dataset) = begun_with_half(12);
     let judged = judge(&dataset, dir.path());
     let root_hash = Dataset::open(&dataset)
         .expect("a dataset")
@@ -244,7 +237,7 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
         root_hash
     );
     // The file is back: nothing happened.
-    fs::write(&file, &kept).expect("written");
+    put(&file, &kept);
     assert_eq!(
         ingest(&[&source], &dataset, &[], 0)["already_complete"],
         true
@@ -252,7 +245,7 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
     // With the flag, the labels of this clip are listed and lost, and those of others stay.
     fs::copy(other, &file).expect("copied");
     let grown = ingest(&[&source], &dataset, &["--drop-labels"], 0);
-    let lost = grown["growth"]["lost"].as_array().expect("a list").len();
+    let lost = len_of(&grown["growth"]["lost"]);
     let expected = judged
         .values()
         .filter(|mask| mask.motion_id == row.id)
@@ -271,60 +264,39 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
 
 #[test]
 fn a_file_that_moves_keeps_its_clip_and_so_does_one_that_goes() {
-    let dir = corpus(12);
-    let source = dir.path().join("corpus");
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, dataset) = begun(12);
     let before = clips(&dataset);
     let judged = judge(&dataset, dir.path());
     let all = files(&source);
     move_files(&all[..1], &source.join("sorted/later"));
     let grown = ingest(&[&source], &dataset, &[], 0);
-    assert_eq!(
-        grown["growth"]["moved"].as_array().expect("a list").len(),
-        1
-    );
+    assert_eq!(len_of(&grown["growth"]["moved"]), 1);
     assert_eq!(grown["growth"]["new"], 0);
     assert_eq!(clips(&dataset), before);
     assert_eq!(masks(&dataset), judged);
     // A file goes. Its clip stays until pruning is asked for, with its labels until that is said too.
     fs::remove_file(&all[3]).expect("removed");
     let kept = ingest(&[&source], &dataset, &[], 0);
-    assert_eq!(
-        kept["growth"]["missing"].as_array().expect("a list").len(),
-        1
-    );
+    assert_eq!(len_of(&kept["growth"]["missing"]), 1);
     assert_eq!(clips(&dataset), before);
     refused(&[&source], &dataset, &["--prune"]);
     let more = ["--prune", "--drop-labels"];
     let grown = ingest(&[&source], &dataset, &more, 0);
-    assert_eq!(
-        grown["growth"]["pruned"].as_array().expect("a list").len(),
-        1
-    );
+    assert_eq!(len_of(&grown["growth"]["pruned"]), 1);
     assert_eq!(clips(&dataset).len(), before.len() - 1);
     verified(&dataset);
 }
 
 #[test]
 fn captions_that_change_are_read_again_and_masks_stay() {
-    let dir = corpus(8);
-    let source = dir.path().join("corpus");
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, dataset) = begun(8);
     let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
     let file = &files(&source)[0];
     let text =
         r#"{"captions": [{"text": "a person is new", "tokens": "", "from_s": 0, "to_s": 0}]}"#;
-    fs::write(file.with_extension("stance.json"), text).expect("written");
+    put(file.with_extension("stance.json"), text);
     let grown = ingest(&[&source], &dataset, &[], 0);
-    assert_eq!(
-        grown["growth"]["read_again"]
-            .as_array()
-            .expect("a list")
-            .len(),
-        1
-    );
+    assert_eq!(len_of(&grown["growth"]["read_again"]), 1);
     assert_eq!(grown["growth"]["kept"], before.len() - 1);
     assert_eq!(clips(&dataset), before);
     assert_eq!(masks(&dataset), judged);
@@ -338,21 +310,20 @@ fn captions_that_change_are_read_again_and_masks_stay() {
 
 #[test]
 fn other_settings_are_named_and_keep_ids_splits_and_labels() {
-    let dir = corpus(8);
-    let source = dir.path().join("corpus");
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, dataset) = begun(8);
     let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
     let message = refused(
         &[&source],
         &dataset,
         &["--fps", "30", "--license", "CC0-1.0"],
     );
-    assert!(
-        message.contains("fps was 20 and is now 30")
-            && message.contains("license was none and is now CC0-1.0")
-            && message.contains("--new-version"),
-        "{message}"
+    assert_has(
+        &message,
+        &[
+            "fps was 20 and is now 30",
+            "license was none and is now CC0-1.0",
+            "--new-version",
+        ],
     );
     ingest(&[&source], &dataset, &["--fps", "30", "--new-version"], 0);
     let after = clips(&dataset);
@@ -425,15 +396,13 @@ fn equal_motions_of_other_bytes_share_a_split() {
     let dir = corpus(48);
     let source = dir.path().join("corpus");
     let copies = dir.path().join("copies");
-    fs::create_dir(&copies).expect("made");
     let is_bvh = |file: &PathBuf| file.extension().is_some_and(|end| end == "bvh");
     for (number, file) in files(&source).into_iter().filter(is_bvh).enumerate() {
-        let text = fs::read_to_string(&file).expect("text");
-        fs::write(
+        let text = text_of(&file);
+        put(
             copies.join(format!("copy{number}.bvh")),
             format!("{text}\n"),
-        )
-        .expect("written");
+        );
     }
     let one_split_each = |dataset: &Path| {
         assert!(equal_motions_share_a_split(dataset) > 0);
@@ -458,15 +427,11 @@ fn equal_motions_in_two_splits_fail_verification() {
         .find(|file| file.extension().is_some_and(|end| end == "bvh"));
     let bvh = bvh.expect("a BVH");
     // The same motion in other bytes, and a list that wants it in another split.
-    let text = fs::read_to_string(&bvh).expect("text");
-    fs::write(source.join("copy.bvh"), format!("{text}\n")).expect("written");
-    let stem = bvh
-        .file_stem()
-        .expect("a name")
-        .to_string_lossy()
-        .into_owned();
+    let text = text_of(&bvh);
+    put(source.join("copy.bvh"), format!("{text}\n"));
+    let stem = stem_of(&bvh);
     let list = dir.path().join("splits.csv");
-    fs::write(&list, format!("clip,split\n*{stem},train\ncopy,test\n")).expect("written");
+    put(&list, format!("clip,split\n*{stem},train\ncopy,test\n"));
     let dataset = dir.path().join("dataset");
     ingest(&[&source], &dataset, &["--splits", arg(&list)], 0);
     let ran = stance(&["verify", arg(&dataset)]).expect_code(1);
@@ -478,7 +443,7 @@ fn equal_motions_in_two_splits_fail_verification() {
 fn what_was_skipped_is_listed_the_same_on_every_run() {
     let dir = corpus(4);
     let source = dir.path().join("corpus");
-    fs::write(source.join("notes.txt"), "no motion").expect("written");
+    put(source.join("notes.txt"), "no motion");
     let dataset = dir.path().join("dataset");
     let first = ingest(&[&source], &dataset, &[], 0);
     let again = ingest(&[&source], &dataset, &[], 0);
@@ -519,9 +484,7 @@ fn two_datasets_merge_and_lose_no_label() {
     ingest(&[&more], &b, &["--seed", "5"], 0);
     let judged_too = judge(&b, dir.path());
     let out = dir.path().join("both");
-    let merged: Value = typed("--json dataset merge {} {} --out {}", &[&a, &b, &out])
-        .expect_code(0)
-        .json();
+    let merged: Value = typed("--json dataset merge {} {} --out {}", &[&a, &b, &out]).done();
     verified(&out);
     let (before, after) = (clips(&a), clips(&out));
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
@@ -544,9 +507,7 @@ fn two_datasets_merge_and_lose_no_label() {
 
 #[test]
 fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (_dir, source, more, dataset) = begun_with_half(12);
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let derived = masks(&dataset);
     // Their texts are those of captions, and a stage cut them out.
@@ -571,9 +532,7 @@ fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
 
 #[test]
 fn old_versions_go_only_when_asked() {
-    let (dir, source, more) = halves(8);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, more, dataset) = begun_with_half(8);
     judge(&dataset, dir.path());
     ingest(&[&source, &more], &dataset, &[], 0);
     let root_hash = Dataset::open(&dataset)
@@ -582,10 +541,8 @@ fn old_versions_go_only_when_asked() {
         .root_hash
         .clone();
     let prune = ["--json", "dataset", "prune", arg(&dataset)];
-    let asked: Value = stance(&[&prune[..], &["--dry-run"]].concat())
-        .expect_code(0)
-        .json();
-    let done: Value = stance(&prune).expect_code(0).json();
+    let asked: Value = stance(&[&prune[..], &["--dry-run"]].concat()).done();
+    let done: Value = stance(&prune).done();
     assert_eq!(asked["files"], done["files"]);
     assert_eq!(done["versions"], serde_json::json!([1, 2, 3]));
     assert!(done["files"].as_u64() > Some(0));
@@ -597,6 +554,6 @@ fn old_versions_go_only_when_asked() {
         root_hash
     );
     verified(&dataset);
-    let again: Value = stance(&prune).expect_code(0).json();
+    let again: Value = stance(&prune).done();
     assert_eq!(again["versions"], serde_json::json!([]));
 }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::util::{arg, stance};
+use crate::util::{arg, assert_has, put, stance, text_of};
 
 /// The verbs of this version; scripts rely on them.
 const VERBS: [&str; 31] = [
@@ -42,13 +42,14 @@ const VERBS: [&str; 31] = [
 
 #[test]
 fn every_verb_explains_itself_and_its_options() {
-    let help = stance(&["--help"]).expect_code(0).stdout;
+    let help = stance(&["--help"]).printed();
     for verb in VERBS {
         assert!(help.contains(&format!("\n  {verb}")), "{verb} is listed");
-        let help = stance(&[verb, "--help"]).expect_code(0).stdout;
-        for option in ["--threads", "--seed", "--json", "--quiet", "--no-progress"] {
-            assert!(help.contains(option), "{verb} lacks {option}");
-        }
+        let help = stance(&[verb, "--help"]).printed();
+        assert_has(
+            &help,
+            &["--threads", "--seed", "--json", "--quiet", "--no-progress"],
+        );
     }
 }
 
@@ -83,10 +84,10 @@ const INNER: [&[&str]; 15] = [
 #[test]
 fn help_texts_are_those_of_the_snapshot() {
     let verbs = VERBS.iter().map(std::slice::from_ref);
-    let mut found = stance(&["--help"]).expect_code(0).stdout;
+    let mut found = stance(&["--help"]).printed();
     for verb in verbs.chain(INNER) {
         let args = [verb, &["--help"]].concat();
-        let help = stance(&args).expect_code(0).stdout;
+        let help = stance(&args).printed();
         found += &format!("\n==== stance {}\n\n{help}", verb.join(" "));
     }
     let lines: Vec<&str> = found.lines().map(str::trim_end).collect();
@@ -95,7 +96,7 @@ fn help_texts_are_those_of_the_snapshot() {
     let expected = fs::read_to_string(&snapshot).unwrap_or_default();
     if found != expected {
         let now = Path::new(env!("CARGO_TARGET_TMPDIR")).join("help.txt");
-        fs::write(&now, &found).expect("writes");
+        put(&now, &found);
         let differing = found.lines().zip(expected.lines()).find(|(a, b)| a != b);
         panic!(
             "help texts changed, first {differing:?}; if that is meant: cp {} {}",
@@ -108,7 +109,7 @@ fn help_texts_are_those_of_the_snapshot() {
 #[test]
 fn options_of_models_stand_where_a_model_runs() {
     for verb in VERBS {
-        let help = stance(&[verb, "--help"]).expect_code(0).stdout;
+        let help = stance(&[verb, "--help"]).printed();
         let (device, devices) = (help.contains("--device "), help.contains("--devices "));
         let runs = [
             "demo",
@@ -132,7 +133,7 @@ fn options_of_models_stand_where_a_model_runs() {
 #[test]
 fn shells_and_man_know_every_verb() {
     for shell in ["bash", "zsh", "fish"] {
-        let script = stance(&["completions", shell]).expect_code(0).stdout;
+        let script = stance(&["completions", shell]).printed();
         for verb in VERBS {
             assert!(script.contains(verb), "{shell} lacks {verb}");
         }
@@ -184,7 +185,7 @@ fn links_between_documents_lead_to_files_and_headings() {
     }
     let mut links = 0;
     for document in &documents {
-        let text = fs::read_to_string(document).expect("text");
+        let text = text_of(document);
         for link in text.split("](").skip(1) {
             let link = link.split([')', ' ']).next().unwrap_or("");
             if link.contains("://") {
@@ -197,7 +198,7 @@ fn links_between_documents_lead_to_files_and_headings() {
             };
             assert!(path.exists(), "{}: {target}", document.display());
             if !wanted.is_empty() {
-                let text = fs::read_to_string(&path).expect("text");
+                let text = text_of(&path);
                 let mut headings = text.lines().filter(|line| line.starts_with('#'));
                 let is_there = headings.any(|heading| anchor(heading) == wanted);
                 assert!(is_there, "{}: no heading for {link}", document.display());
@@ -212,7 +213,7 @@ fn links_between_documents_lead_to_files_and_headings() {
 #[test]
 fn every_word_has_the_type_that_it_names() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("datasets-spec");
-    let document = fs::read_to_string(folder.join("README.md")).expect("a file");
+    let document = text_of(folder.join("README.md"));
     let (_, section) = document.split_once("## Words\n").expect("a section");
     let section = section.split("\n## ").next().expect("a section");
     let mut seen: Vec<(&str, &str)> = Vec::new();

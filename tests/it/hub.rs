@@ -14,14 +14,16 @@ use serde_json::{Value, json};
 
 use self::server::{Hub, TOKEN};
 use crate::archives::files_below;
-use crate::util::{Ran, arg, corpus, files_with_extension, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of, typed,
+};
 
 const CLIPS: &str = "lab/clips";
 
 impl Hub {
     /// Publishes a folder and returns the `--json` document.
     fn push(&self, folder: &Path, repo: &str, more: &[&str]) -> Value {
-        self.try_push(folder, repo, more).expect_code(0).json()
+        self.try_push(folder, repo, more).done()
     }
 
     fn try_push(&self, folder: &Path, repo: &str, more: &[&str]) -> Ran {
@@ -54,7 +56,6 @@ fn dataset() -> (tempfile::TempDir, PathBuf) {
 /// A run folder as training leaves one, with weights of four kinds.
 fn run_folder(folder: &Path, dataset_hash: &str) {
     let best = folder.join("checkpoint/best");
-    fs::create_dir_all(&best).expect("made");
     let record = json!({
         "format": 1,
         "kind": "motionrefit",
@@ -63,15 +64,15 @@ fn run_folder(folder: &Path, dataset_hash: &str) {
         "skeleton": "smplx-neutral",
         "config": { "train": { "seed": 7 } },
     });
-    fs::write(folder.join("config.json"), record.to_string()).expect("written");
-    fs::write(folder.join("metrics.jsonl"), "").expect("written");
+    put(folder.join("config.json"), record.to_string());
+    put(folder.join("metrics.jsonl"), "");
     fs::create_dir_all(folder.join("checkpoint/.last.new")).expect("made");
-    fs::write(folder.join("checkpoint/.last.new/half"), "half").expect("written");
+    put(folder.join("checkpoint/.last.new/half"), "half");
     for (number, size) in [100, 20_000, 20_001, 90_000].into_iter().enumerate() {
         let bytes: Vec<u8> = (0..size)
             .map(|at| (at * (number + 3) % 251) as u8)
             .collect();
-        fs::write(best.join(format!("{number}.safetensors")), bytes).expect("written");
+        put(best.join(format!("{number}.safetensors")), bytes);
     }
 }
 
@@ -100,7 +101,7 @@ fn a_dataset_comes_back_byte_for_byte_and_is_sent_once() {
     let expected = published(&dataset);
     // Without a token, and without anything written.
     let args = ["--json", "hub", "push", arg(&dataset), CLIPS, "--dry-run"];
-    let preview: Value = hub.run(None, &args).expect_code(0).json();
+    let preview: Value = hub.run(None, &args).done();
     let names: BTreeSet<&str> = expected.iter().map(String::as_str).collect();
     assert_eq!(words(&preview["changed"]), names);
     assert_eq!(preview["commit"], Value::Null);
@@ -126,18 +127,16 @@ fn a_dataset_comes_back_byte_for_byte_and_is_sent_once() {
     let distinct: BTreeSet<String> = shards.map(|shard| shard.sha256).collect();
     assert_eq!(first["sent"], distinct.len());
     let card = hub.card("datasets/lab/clips");
-    for part in [
-        "license:\n- cc0-1.0\n",
-        "config_name: motions\n  default: true\n",
-    ] {
-        assert!(card.contains(part), "{card}");
-    }
+    assert_has(
+        &card,
+        &[
+            "license:\n- cc0-1.0\n",
+            "config_name: motions\n  default: true\n",
+        ],
+    );
 
     let out = dir.path().join("pulled");
-    let pulled: Value = hub
-        .pull(Some(TOKEN), CLIPS, &out, &[])
-        .expect_code(0)
-        .json();
+    let pulled: Value = hub.pull(Some(TOKEN), CLIPS, &out, &[]).done();
     assert_eq!(pulled["commit"], first["commit"]);
     let found = files_below(&out);
     assert_eq!(found.keys().cloned().collect::<BTreeSet<_>>(), expected);
@@ -193,7 +192,7 @@ fn only_what_changed_is_committed_and_nothing_is_deleted_silently() {
 
     // Of versions, the newest is pulled.
     let out = dir.path().join("second");
-    let pulled: Value = hub.pull(None, CLIPS, &out, &[]).expect_code(0).json();
+    let pulled: Value = hub.pull(None, CLIPS, &out, &[]).done();
     assert_eq!(
         words(&pulled["passed_over"]),
         BTreeSet::from(["meta/manifest-1.json"])
@@ -203,10 +202,8 @@ fn only_what_changed_is_committed_and_nothing_is_deleted_silently() {
     // What somebody else committed stays until it is named.
     hub.state()
         .write("datasets/lab/clips", "notes/NOTES.md", b"of others");
-    let refused = hub
-        .try_push(&dataset, CLIPS, &["--delete", "README.md"])
-        .expect_code(1);
-    refused.expect_said("it is published");
+    hub.try_push(&dataset, CLIPS, &["--delete", "README.md"])
+        .expect_refused("it is published");
     hub.try_push(&dataset, CLIPS, &["--delete", "other"])
         .expect_code(1);
     let third = hub.push(
@@ -232,10 +229,8 @@ fn only_what_changed_is_committed_and_nothing_is_deleted_silently() {
     let row = quarantined();
     let skeleton = Skeleton::smplx_neutral();
     commit_rows(&older, &[row], None, &skeleton, "plan", "test").expect("committed");
-    let refused = hub
-        .try_push(&older, CLIPS, &["--license", "MIT"])
-        .expect_code(1);
-    refused.expect_said("--delete meta/manifest-2.json");
+    hub.try_push(&older, CLIPS, &["--license", "MIT"])
+        .expect_refused("--delete meta/manifest-2.json");
 }
 
 fn quarantined() -> QuarantineRow {
@@ -296,8 +291,7 @@ fn tokens_and_names_are_checked() {
         refused.expect_said("OWNER/NAME");
     }
     let args = ["hub", "push", arg(&run), "lab/editor", "--license", "MIT"];
-    let missing = hub.run(None, &args).expect_code(1);
-    missing.expect_said("HF_TOKEN");
+    hub.run(None, &args).expect_refused("HF_TOKEN");
     assert!(hub.state().calls.is_empty());
 
     let wrong = hub.run(Some("hf_secret_but_wrong"), &args).expect_code(1);
@@ -306,15 +300,14 @@ fn tokens_and_names_are_checked() {
     assert!(hub.state().paths("models/lab/editor").is_empty());
 
     // The token of `hf auth login`, and a repo that needs one.
-    fs::write(hub.token_file(), format!("{TOKEN}\n")).expect("written");
+    put(hub.token_file(), format!("{TOKEN}\n"));
     let args = [&args[..], &["--private"]].concat();
     hub.run(None, &args).expect_code(0);
     let out = dir.path().join("pulled");
     hub.pull(None, "lab/editor", &out, &[]).expect_code(0);
     fs::remove_file(hub.token_file()).expect("removed");
     let hidden = hub.pull(None, "lab/editor", &dir.path().join("other"), &[]);
-    let hidden = hidden.expect_code(1);
-    hidden.expect_said("the hub has no");
+    hidden.expect_refused("the hub has no");
 }
 
 #[test]
@@ -326,35 +319,31 @@ fn wrong_bytes_are_refused_and_cut_downloads_go_on() {
     hub.push(&run, "lab/editor", &["--license", "MIT"]);
     hub.state().is_tampered = true;
     let out = dir.path().join("pulled");
-    let refused = hub.pull(None, "lab/editor", &out, &[]).expect_code(1);
-    refused.expect_said("is damaged");
+    hub.pull(None, "lab/editor", &out, &[])
+        .expect_refused("is damaged");
     assert!(!out.exists());
 
     hub.state().is_tampered = false;
     hub.state().cut = Some(30_000);
-    let other = hub
-        .pull(None, "lab/editor", &out, &["--revision", "v9"])
-        .expect_code(1);
-    other.expect_said("v9");
-    let pulled: Value = hub
-        .pull(None, "lab/editor", &out, &[])
-        .expect_code(0)
-        .json();
+    hub.pull(None, "lab/editor", &out, &["--revision", "v9"])
+        .expect_refused("v9");
+    let pulled: Value = hub.pull(None, "lab/editor", &out, &[]).done();
     assert_eq!(
         (&pulled["type"], &pulled["what"]),
         (&json!("model"), &json!("run"))
     );
     let mut found = files_below(&out);
     let card = String::from_utf8(found.remove("README.md").expect("a card")).expect("text");
-    for part in [
-        "license: mit\n",
-        "| tables trained on | `abc` |",
-        "| seed | 7 |",
-        "stance hub pull lab/editor --out RUN",
-        "Dynamic Motion Blending",
-    ] {
-        assert!(card.contains(part), "{part}: {card}");
-    }
+    assert_has(
+        &card,
+        &[
+            "license: mit\n",
+            "| tables trained on | `abc` |",
+            "| seed | 7 |",
+            "stance hub pull lab/editor --out RUN",
+            "Dynamic Motion Blending",
+        ],
+    );
     let mut expected = files_below(&run);
     expected.retain(|path, _| !path.contains("/."));
     assert_eq!(found, expected);
@@ -369,8 +358,8 @@ fn what_may_not_be_passed_on_is_refused() {
     let skeleton = Skeleton::smplx_neutral();
     let unstated = dir.path().join("unstated");
     commit_rows(&unstated, &[quarantined()], None, &skeleton, "plan", "test").expect("committed");
-    let refused = hub.try_push(&unstated, CLIPS, &[]).expect_code(1);
-    refused.expect_said("--license");
+    hub.try_push(&unstated, CLIPS, &[])
+        .expect_refused("--license");
     hub.push(&unstated, CLIPS, &["--license", "CC-BY-4.0"]);
     let card = hub.card("datasets/lab/clips");
     assert!(card.contains("license:\n- cc-by-4.0\n"), "{card}");
@@ -381,9 +370,9 @@ fn what_may_not_be_passed_on_is_refused() {
     let clips = sources.path().join("corpus");
     // Sidecars state a licence of their own.
     for sidecar in files_with_extension(&clips, "json") {
-        let text = fs::read_to_string(&sidecar).expect("text");
+        let text = text_of(&sidecar);
         let text = text.replace("CC0-1.0", "LicenseRef-AMASS-NonCommercial");
-        fs::write(&sidecar, text).expect("written");
+        put(&sidecar, text);
     }
     let tag = "LicenseRef-AMASS-NonCommercial";
     typed(
@@ -391,22 +380,21 @@ fn what_may_not_be_passed_on_is_refused() {
         &[&clips, &restricted, &tag],
     )
     .expect_code(0);
-    let refused = hub.try_push(&restricted, "lab/other", &[]).expect_code(1);
-    refused.expect_said(tag);
+    hub.try_push(&restricted, "lab/other", &[])
+        .expect_refused(tag);
     hub.push(&restricted, "lab/other", &["--license", tag]);
 
     // A run is under what its data is under.
     let run = dir.path().join("run");
     let data = Dataset::open(&restricted).expect("a dataset");
     run_folder(&run, &data.content_hash(&[MotionRow::TABLE]));
-    let refused = hub.try_push(&run, "lab/editor", &[]).expect_code(1);
-    refused.expect_said("--dataset");
+    hub.try_push(&run, "lab/editor", &[])
+        .expect_refused("--dataset");
     let of = |dataset: &Path| {
         let args = ["--dataset", arg(dataset), "--license", tag];
         hub.try_push(&run, "lab/editor", &args)
     };
-    let refused = of(&unstated).expect_code(1);
-    refused.expect_said("other tables");
+    of(&unstated).expect_refused("other tables");
     of(&restricted).expect_code(0);
     let card = hub.card("models/lab/editor");
     assert!(
@@ -448,12 +436,9 @@ fn edits_are_published_as_a_dataset() {
         (&json!("dataset"), &json!("edits"))
     );
     let card = hub.card("datasets/lab/edits");
-    assert!(
-        card.contains("config_name: edits\n  default: true\n"),
-        "{card}"
-    );
+    assert_has(&card, &["config_name: edits\n  default: true\n"]);
     let out = dir.path().join("pulled");
-    let pulled: Value = hub.pull(None, "lab/edits", &out, &[]).expect_code(0).json();
+    let pulled: Value = hub.pull(None, "lab/edits", &out, &[]).done();
     assert_eq!(pulled["what"], "edits");
     let rows: Vec<EditRow> = rows_of(&out);
     assert_eq!(rows.len(), 1);
@@ -465,23 +450,23 @@ fn folders_and_repos_of_others_are_refused() {
     let hub = Hub::open();
     let nothing = dir.path().join("nothing");
     fs::create_dir(&nothing).expect("made");
-    let refused = hub.try_push(&nothing, "lab/nothing", &[]).expect_code(1);
-    refused.expect_said("expected a dataset, edits, or a run");
+    hub.try_push(&nothing, "lab/nothing", &[])
+        .expect_refused("expected a dataset, edits, or a run");
     // Repos of other programs, and names that lead out of the folder.
     hub.state().write("models/lab/foreign", "weights.bin", b"1");
     let out = dir.path().join("foreign");
-    let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
-    refused.expect_said("config.json");
+    hub.pull(None, "lab/foreign", &out, &[])
+        .expect_refused("config.json");
     hub.state()
         .write("models/lab/foreign", "config.json", b"{}");
-    let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
-    refused.expect_said("another program");
+    hub.pull(None, "lab/foreign", &out, &[])
+        .expect_refused("another program");
     hub.state().write("models/lab/foreign", "a/../../b", b"1");
-    let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
-    refused.expect_said("cannot be written here");
+    hub.pull(None, "lab/foreign", &out, &[])
+        .expect_refused("cannot be written here");
     assert!(!out.exists());
     // One name of two kinds.
     hub.state().write("datasets/lab/foreign", "a", b"1");
-    let refused = hub.pull(None, "lab/foreign", &out, &[]).expect_code(1);
-    refused.expect_said("--type");
+    hub.pull(None, "lab/foreign", &out, &[])
+        .expect_refused("--type");
 }

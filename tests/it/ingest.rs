@@ -11,7 +11,10 @@ use eval::metric::foot_score::{FOOT_JOINTS, foot_score};
 use eval::protocol::Floor;
 use serde::Deserialize;
 
-use crate::util::{arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, command, corpus, files_with_extension, put, real_data, rows_of, stance,
+    text_of, typed, typed_with,
+};
 
 /// The document of `ingest --json`, as a script relies on it.
 #[derive(Debug, Deserialize)]
@@ -53,9 +56,8 @@ impl Ingested {
 }
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Ingested {
-    let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
-    args.extend(more);
-    stance(&args).expect_code(code).json()
+    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+    ran.expect_code(code).json()
 }
 
 #[test]
@@ -87,18 +89,15 @@ fn a_finished_run_repeated_changes_nothing_and_another_plan_is_refused() {
     let again = ingest(&source, &out, &[], 0);
     assert!(again.already_complete);
     assert_eq!(again.root_hash, first.root_hash);
-    let other = stance(&["ingest", arg(&source), "--out", arg(&out), "--fps", "30"]).expect_code(1);
-    other.expect_said("fps was 20 and is now 30");
+    stance(&["ingest", arg(&source), "--out", arg(&out), "--fps", "30"])
+        .expect_refused("fps was 20 and is now 30");
 }
 
 /// Bytes of one good AMASS archive and one good BVH of the corpus.
 fn good_files(dir: &Path) -> (Vec<u8>, String) {
     let npz = files_with_extension(dir, "npz").remove(0);
     let bvh = files_with_extension(dir, "bvh").remove(0);
-    (
-        fs::read(npz).expect("an archive"),
-        fs::read_to_string(bvh).expect("a BVH file"),
-    )
+    (fs::read(npz).expect("an archive"), text_of(bvh))
 }
 
 /// The archive with one number of its poses replaced by NaN, written anew.
@@ -129,23 +128,21 @@ fn bad_files_are_quarantined_with_a_reason_and_the_rest_goes_on() {
     let dir = corpus(8);
     let source = dir.path().join("corpus");
     let (npz, bvh) = good_files(&source);
-    fs::write(source.join("truncated.npz"), &npz[..npz.len() / 2]).expect("writes");
-    fs::write(source.join("nan.npz"), with_nan(&npz)).expect("writes");
+    put(source.join("truncated.npz"), &npz[..npz.len() / 2]);
+    put(source.join("nan.npz"), with_nan(&npz));
     let extra_row = bvh.trim_end().lines().last().expect("a row").to_owned();
-    fs::write(
+    put(
         source.join("extra_row.bvh"),
         format!("{}\n{extra_row}\n", bvh.trim_end()),
-    )
-    .expect("writes");
-    fs::write(source.join("notes.md"), "not a motion").expect("writes");
+    );
+    put(source.join("notes.md"), "not a motion");
 
     let out = dir.path().join("dataset");
     let done = ingest(&source, &out, &[], 3);
     assert_eq!((done.ingested, done.quarantined), (8, 3), "{done:?}");
     assert!(done.balances() && done.resumed_shards == 0, "{done:?}");
     assert_eq!((done.files, done.dropped_pairs), (8 + 8 + 4, 0));
-    let dataset = Dataset::open(&out).expect("a dataset");
-    let rows: Vec<QuarantineRow> = dataset.read(None).expect("rows");
+    let rows: Vec<QuarantineRow> = rows_of(&out);
     let found: Vec<(&str, &str)> = rows
         .iter()
         .map(|r| (r.path.as_str(), r.code.as_str()))
@@ -159,11 +156,7 @@ fn bad_files_are_quarantined_with_a_reason_and_the_rest_goes_on() {
         ]
     );
     assert!(rows[0].byte_offset.is_some());
-    assert!(
-        rows[1].reason.contains("10"),
-        "the frame is named: {}",
-        rows[1].reason
-    );
+    assert_has(&rows[1].reason, &["10"]);
     assert!(
         rows.iter()
             .all(|row| row.source_hash.len() == 64 && !row.reason.is_empty())
@@ -181,10 +174,8 @@ fn nothing_to_read_is_an_error_that_says_so() {
     let (empty, missing) = (dir.path().join("empty"), dir.path().join("missing"));
     fs::create_dir(&empty).expect("a folder");
     let out = dir.path().join("dataset");
-    let ran = stance(&["ingest", arg(&empty), "--out", arg(&out)]).expect_code(1);
-    ran.expect_said("no files under");
-    let ran = stance(&["ingest", arg(&missing), "--out", arg(&out)]).expect_code(1);
-    ran.expect_said("no such file or folder");
+    stance(&["ingest", arg(&empty), "--out", arg(&out)]).expect_refused("no files under");
+    stance(&["ingest", arg(&missing), "--out", arg(&out)]).expect_refused("no such file or folder");
     assert!(!out.exists(), "a refused run leaves nothing");
 }
 
@@ -200,13 +191,12 @@ fn a_write_that_fails_leaves_no_dataset_and_the_next_run_completes_it() {
     let binary = env!("CARGO_BIN_EXE_stance");
     // The ignored signal is inherited, so the write fails with an error instead of a kill.
     let script = r#"trap '' XFSZ; ulimit -f 64; exec "$0" ingest "$1" --out "$2""#;
-    let ran: crate::util::Ran = std::process::Command::new("bash")
+    let ran: Ran = std::process::Command::new("bash")
         .args(["-c", script, binary, arg(&source), arg(&out)])
         .output()
         .expect("bash starts")
         .into();
-    let ran = ran.expect_code(1);
-    ran.expect_said("cannot write");
+    ran.expect_refused("cannot write");
     assert!(Dataset::open(&out).is_err(), "nothing was committed");
 
     let done = ingest(&source, &out, &[], 0);
@@ -260,9 +250,7 @@ fn inspect_counts_what_ingest_wrote() {
     let dir = corpus(6);
     let out = dir.path().join("dataset");
     let done = ingest(&dir.path().join("corpus"), &out, &[], 0);
-    let inspected: Inspected = stance(&["--json", "inspect", arg(&out)])
-        .expect_code(0)
-        .json();
+    let inspected: Inspected = stance(&["--json", "inspect", arg(&out)]).done();
     assert_eq!(inspected.root_hash, done.root_hash);
     assert_eq!(
         inspected.schema_version,
@@ -274,9 +262,8 @@ fn inspect_counts_what_ingest_wrote() {
     let mut bytes = fs::read(shard).expect("a shard");
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
-    fs::write(shard, bytes).expect("writes");
-    let ran = stance(&["masks", arg(&out)]).expect_code(1);
-    ran.expect_said("does not match its manifest");
+    put(shard, bytes);
+    stance(&["masks", arg(&out)]).expect_refused("does not match its manifest");
 }
 
 #[test]

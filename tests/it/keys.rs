@@ -11,20 +11,15 @@ use serde_json::{Value, json};
 
 use crate::formats::{put, seed_walk};
 use crate::pairs::motionfix_motion;
-use crate::util::{arg, corpus, rows_of, stance, typed};
+use crate::util::{arg, assert_counted, corpus, rows_of, stance, typed};
 
 fn ingest(sources: &[&Path], out: &Path) -> Value {
     let mut args = vec!["--json", "ingest"];
     args.extend(sources.iter().map(|source| arg(source)));
     args.extend(["--out", arg(out), "--fps", "native"]);
-    let done: Value = stance(&args).expect_code(0).json();
-    let count = |name: &str| done[name].as_u64().expect("a count");
-    assert_eq!(
-        count("sources"),
-        count("ingested") + count("quarantined") + count("skipped"),
-        "{done}"
-    );
-    assert_eq!(count("quarantined"), 0, "{done}");
+    let done: Value = stance(&args).done();
+    assert_counted(&done);
+    assert_eq!(done["quarantined"], 0, "{done}");
     done
 }
 

@@ -1,7 +1,5 @@
 //! MDM through the command line: trained on captions, it edits body parts and stands in a table.
 
-use std::fs;
-
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{Dataset, Skeleton};
 use kinematics::skeleton::NUM_BODY_JOINTS;
@@ -9,7 +7,7 @@ use serde_json::Value;
 
 use crate::evaluate::Bench;
 use crate::results::score;
-use crate::util::arg;
+use crate::util::{arg, put};
 
 /// Settings of a network that is trained in a second.
 const SMALL: &str = "
@@ -28,13 +26,9 @@ const SMALL: &str = "
 fn mdm_edits_body_parts_and_stands_in_the_table() {
     let bench = Bench::open();
     let settings = bench.workshop.path("mdm.toml");
-    fs::write(&settings, SMALL).expect("writes");
+    put(&settings, SMALL);
     let small = ["--config", arg(&settings), "--steps", "3"];
-    let done: Value = bench
-        .workshop
-        .train_with("mdm", "mdm", &small)
-        .expect_code(0)
-        .json();
+    let done: Value = bench.workshop.train_with("mdm", "mdm", &small).done();
     assert_eq!(
         (&done["steps"], &done["is_complete"]),
         (&3.into(), &true.into())
@@ -91,10 +85,7 @@ fn mdm_edits_body_parts_and_stands_in_the_table() {
     }
 
     let ours = bench.edits("ours", &[]);
-    let scores: Value = bench
-        .eval(&[&ours, &out], &["--json"])
-        .expect_code(0)
-        .json();
+    let scores: Value = bench.eval(&[&ours, &out], &["--json"]).done();
     for system in ["MDM-BP (guidance 2)", "Identity", "MotionReFit"] {
         assert!(
             score(&scores, system, "E2T AvgR")["mean"]

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::grown::{clips, files, ingest, motions, move_files};
-use crate::util::{arg, corpus, stance};
+use crate::util::{arg, assert_has, corpus, put, stance};
 
 fn names(dataset: &Path) -> BTreeSet<String> {
     let rows = motions(dataset).into_iter();
@@ -15,7 +15,7 @@ fn names(dataset: &Path) -> BTreeSet<String> {
 /// Writes a configuration of `run` or `build` whose sources are these.
 fn configure(file: &Path, sources: &str, out: &str, more: &str) {
     let text = format!("sources = {sources}\nout = \"{out}\"\ntriplets = 4\n{more}");
-    fs::write(file, text).expect("written");
+    put(file, text);
 }
 
 /// Two folders of one name, `anna/takes` and `ben/takes`.
@@ -38,10 +38,7 @@ fn a_configuration_of_build_names_its_sources() {
     let folders = r#"["anna/takes", "ben/takes"]"#;
     configure(&config, folders, "built", "");
     let said = build(2).stdout;
-    assert!(
-        said.contains("E-SOURCE-NAME") && said.contains("ben-takes="),
-        "{said}"
-    );
+    assert_has(&said, &["E-SOURCE-NAME", "ben-takes="]);
     assert!(!dir.path().join("built/dataset").exists());
     let named = r#"["anna=anna/takes", "ben=ben/takes"]"#;
     configure(&config, named, "built", "");
@@ -67,10 +64,7 @@ fn a_configuration_of_build_names_its_sources() {
     // A name that cannot be one is told with its line.
     configure(&config, r#"["an#na=anna/takes"]"#, "other", "");
     let said = build(1).stdout;
-    assert!(
-        said.contains("an#na") && said.contains("stance.toml:1"),
-        "{said}"
-    );
+    assert_has(&said, &["an#na", "stance.toml:1"]);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use datasets_spec::Split;
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
 use serde_json::Value;
 
-use crate::util::{arg, rows_of, stance, typed};
+use crate::util::{arg, assert_has, rows_of, stance, typed};
 
 /// Makes the dataset of the built-in test set from a corpus of so many clips.
 fn dataset(dir: &Path, clips: &str) -> std::path::PathBuf {
@@ -127,8 +127,7 @@ fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
         "--json items {} --set builtin-1 --out {}",
         &[&dataset, &items],
     )
-    .expect_code(0)
-    .json();
+    .done();
     assert_eq!(done["items"], 300, "{done}");
     for value in ["retake", "combination", "action"] {
         assert_eq!(done["novelty"][value], 100, "{done}");
@@ -171,13 +170,8 @@ fn a_dataset_that_is_not_that_of_a_test_set_is_refused() {
     let dir = tempfile::tempdir().expect("a folder");
     let dataset = dataset(dir.path(), "330");
     let items = dir.path().join("items");
-    let said = typed("items {} --set builtin-1 --out {}", &[&dataset, &items])
-        .expect_code(1)
-        .stderr;
-    assert!(
-        said.contains("--clips 780 --adjusted 2 --held-out"),
-        "{said}"
-    );
+    let said = typed("items {} --set builtin-1 --out {}", &[&dataset, &items]).refusal();
+    assert_has(&said, &["--clips 780 --adjusted 2 --held-out"]);
     assert!(!items.exists());
     assert!(
         typed("items {} --set builtin-2 --out {}", &[&dataset, &items])
@@ -199,9 +193,7 @@ fn clips_without_labels_have_no_novelty() {
     )
     .expect_code(0);
     let items = dir.path().join("items");
-    let done: Value = typed("--json items {} --count 12 --out {}", &[&alone, &items])
-        .expect_code(0)
-        .json();
+    let done: Value = typed("--json items {} --count 12 --out {}", &[&alone, &items]).done();
     assert_eq!(done["novelty"]["not known"], 12, "{done}");
 }
 

@@ -14,12 +14,14 @@ use serde_json::Value as Json;
 
 use crate::tables::tables;
 use crate::train::Workshop;
-use crate::util::{arg, corpus, files_with_extension, real_data, rows_of, stance, typed};
+use crate::util::{
+    arg, assert_has, corpus, files_with_extension, name_of, put, real_data, rows_of, stance,
+    text_of, typed, typed_with,
+};
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Json {
-    let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
-    args.extend(more);
-    stance(&args).expect_code(code).json()
+    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+    ran.expect_code(code).json()
 }
 
 fn splits(dataset: &Path) -> BTreeMap<MotionId, Split> {
@@ -47,9 +49,7 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
         let dir = corpus(clips);
         let dataset = dir.path().join("dataset");
         ingest(&dir.path().join("corpus"), &dataset, &[], 0);
-        let made: Json = stance(&["--json", "pairs", arg(&dataset)])
-            .expect_code(0)
-            .json();
+        let made: Json = stance(&["--json", "pairs", arg(&dataset)]).done();
         assert_eq!(made["alone"], 0, "{made}");
         for split in ["train", "val", "test"] {
             let count = made["splits"][split].as_u64().expect("a number");
@@ -81,8 +81,8 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
             dir.path().join("train.toml"),
             dir.path().join("compose.toml"),
         );
-        fs::write(&config, "batch_size = 8\nval_windows = 8\n").expect("writes");
-        fs::write(&compose, "kinds = [\"style\"]\n").expect("writes");
+        put(&config, "batch_size = 8\nval_windows = 8\n");
+        put(&compose, "kinds = [\"style\"]\n");
         let run = dir.path().join("run");
         typed(
             "train motionrefit {} --out {} --steps 2 --config {} --compose {}",
@@ -100,11 +100,7 @@ fn a_dataset_that_grows_keeps_the_splits_and_the_seed_it_was_made_with() {
     for action in ["walk", "run", "wave"] {
         for extension in ["npz", "bvh"] {
             for file in files_with_extension(&part, extension) {
-                let name = file
-                    .file_name()
-                    .expect("a name")
-                    .to_string_lossy()
-                    .into_owned();
+                let name = name_of(&file);
                 if name.starts_with(action) {
                     fs::remove_file(file).expect("removed");
                 }
@@ -121,10 +117,7 @@ fn a_dataset_that_grows_keeps_the_splits_and_the_seed_it_was_made_with() {
     assert_eq!(again["already_complete"], true);
     assert_eq!(again["root_hash"], made["root_hash"]);
     let remark = again["remarks"][0].as_str().expect("a remark");
-    assert!(
-        remark.contains("seed 6") && remark.contains("seed 9"),
-        "{remark}"
-    );
+    assert_has(remark, &["seed 6", "seed 9"]);
 
     copy_tree(&whole, &part);
     let grown = ingest(&part, &dataset, &["--seed", "9"], 0);
@@ -163,9 +156,7 @@ fn real_style_captures_share_the_split_of_their_take() {
         of_take.values().all(|splits| splits.len() == 1),
         "{of_take:?}"
     );
-    let made: Json = stance(&["--json", "pairs", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let made: Json = stance(&["--json", "pairs", arg(&dataset)]).done();
     for split in ["train", "val", "test"] {
         assert!(made["splits"][split].as_u64() > Some(0), "{made}");
     }
@@ -188,7 +179,7 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
         "styled,original,style,text\n{},{},old,\"Move, as if old\"\n{},{},proud\nnobody,{},old,x\none,two\n",
         same[1], same[0], same[2], same[0], same[0]
     );
-    fs::write(&list, lines).expect("writes");
+    put(&list, lines);
     let add = ["pairs", arg(&dataset), "--csv", arg(&list)];
     let ran = stance(&[&["--json"], &add[..]].concat()).expect_code(3);
     let added: Json = ran.json();
@@ -200,10 +191,7 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
         .map(|line| line["line"].as_u64().expect("a number"))
         .collect();
     assert_eq!(refused, [4, 5]);
-    assert!(
-        ran.stderr
-            .contains("line 4: no motion of the dataset has the id \"nobody\"")
-    );
+    ran.expect_said("line 4: no motion of the dataset has the id \"nobody\"");
     ran.expect_said("line 5: it has 2 fields");
     let rows = rows_of::<PairRow>(&dataset);
     let texts: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
@@ -216,9 +204,7 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
         .expect_code(3)
         .json();
     assert_eq!(again["root_hash"], added["root_hash"]);
-    let both: Json = stance(&["--json", "pairs", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let both: Json = stance(&["--json", "pairs", arg(&dataset)]).done();
     assert_eq!(both["pairs"], 2 + 10, "{both}");
     stance(&["verify", arg(&dataset)]).expect_code(0);
 }
@@ -239,9 +225,7 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
     assert_eq!(made["ingested"], CLIPS_PER_TAKE + 52);
     assert_eq!(made["tables"]["pairs"], 52);
     // Pairs from labels stand beside those of the list, and an adjusted clip is no style.
-    let both: Json = stance(&["--json", "pairs", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let both: Json = stance(&["--json", "pairs", arg(&dataset)]).done();
     assert_eq!(
         (&both["pairs"], &both["alone"]),
         (&(52 + 130).into(), &0.into())
@@ -289,7 +273,7 @@ fn recaptured_clips_follow_the_published_split_of_their_original() {
     let args: Vec<&str> = export.iter().map(String::as_str).collect();
     stance(&[&args[..], &[arg(&release)]].concat()).expect_code(0);
     let ids = |list: &str| -> Vec<String> {
-        let text = fs::read_to_string(release.join(list)).expect("a list");
+        let text = text_of(release.join(list));
         text.lines().map(str::to_owned).collect()
     };
     let originals = [&ids("train.txt")[..6], &ids("test.txt")[..4]].concat();
@@ -302,18 +286,16 @@ fn recaptured_clips_follow_the_published_split_of_their_original() {
         list += &format!("captures/re{number},{original},old,Move like an old person.\n");
     }
     list += "captures/re0,nowhere,old,x\n";
-    fs::write(at("pairs.csv"), list).expect("writes");
+    put(at("pairs.csv"), list);
     let run = |out: &str, more: &[&str], code: i32| -> Json {
         let (release, captures, out) = (at("release"), at("captures"), at(out));
-        let args = [
-            "--json",
-            "ingest",
-            arg(&release),
-            arg(&captures),
-            "--out",
-            arg(&out),
-        ];
-        stance(&[&args[..], more].concat()).expect_code(code).json()
+        typed_with(
+            "--json ingest {} {} --out {}",
+            &[&release, &captures, &out],
+            more,
+        )
+        .expect_code(code)
+        .json()
     };
     let file = at("pairs.csv");
     let done = run("dataset", &["--pairs", arg(&file)], 3);
@@ -388,7 +370,7 @@ fn put_motionfix(folder: &Path, file: &str, count: usize) {
     });
     let dump = pickle::encode(&Value::Dict(pairs.collect()));
     fs::create_dir_all(folder).expect("made");
-    fs::write(folder.join(file), dump).expect("writes");
+    put(folder.join(file), dump);
 }
 
 #[test]
@@ -411,11 +393,10 @@ fn motionfix_without_its_split_list_is_warned_of_and_recorded() {
     let clip = clip.expect_code(0);
     clip.expect_printed("by the name of its dump");
 
-    fs::write(
+    put(
         source.join("splits.json"),
         r#"{"test": ["000000", "000001", "000002", 3]}"#,
-    )
-    .expect("writes");
+    );
     let said = stance(&["doctor", arg(&source)]).expect_code(0);
     assert!(
         !said.stdout.contains("without splits.json"),
@@ -435,24 +416,19 @@ fn a_motionfix_folder_goes_to_table_2_with_a_row_for_the_identity_editor() {
     let settings = workshop.path("encoder.toml");
     let small = "batch_size = 8\nval_every = 3\nlog_every = 3\nnum_steps = 3\nword_width = 16\n\
                  [model]\nwidth = 32\nnum_layers = 1\nnum_heads = 4\nfeed_forward = 64\n";
-    fs::write(&settings, small).expect("writes");
+    put(&settings, small);
     let corpus = workshop.dataset();
-    let train = [
-        "train",
-        "tmr",
-        arg(&corpus),
-        "--out",
-        arg(&encoder),
-        "--config",
-        arg(&settings),
-    ];
-    stance(&train).expect_code(0);
+    typed(
+        "train tmr {} --out {} --config {}",
+        &[&corpus, &encoder, &settings],
+    )
+    .expect_code(0);
 
     let (source, dataset) = (workshop.path("motionfix"), workshop.path("fixed"));
     put_motionfix(&source, "motionfix.pth.tar", 40);
     let test: Vec<String> = (0..36).map(|number| format!("{number:06}")).collect();
     let lists = serde_json::json!({ "train": ["000036", "000037"], "val": ["000038", "000039"], "test": test });
-    fs::write(source.join("splits.json"), lists.to_string()).expect("writes");
+    put(source.join("splits.json"), lists.to_string());
     let done = ingest(&source, &dataset, &[], 0);
     assert_eq!(
         (&done["ingested"], &done["tables"]["pairs"]),
@@ -460,19 +436,11 @@ fn a_motionfix_folder_goes_to_table_2_with_a_row_for_the_identity_editor() {
     );
 
     let items = workshop.path("fixed-items");
-    let draw = [
-        "--json",
-        "items",
-        arg(&dataset),
-        "--split",
-        "test",
-        "--count",
-        "all",
-        "--out",
-    ];
-    let drawn: Json = stance(&[&draw[..], &[arg(&items)]].concat())
-        .expect_code(0)
-        .json();
+    let drawn: Json = typed(
+        "--json items {} --split test --count all --out {}",
+        &[&dataset, &items],
+    )
+    .done();
     assert_eq!(
         (&drawn["items"], &drawn["targets"]),
         (&36.into(), &36.into())
@@ -523,7 +491,7 @@ fn the_motion_base_can_be_limited_to_kinds_of_source() {
         .collect();
     let compose = dir.path().join("compose.toml");
     let record = |base: &str, out: &str, code: i32| {
-        fs::write(&compose, format!("base = {{ sources = [{base}] }}\n")).expect("writes");
+        put(&compose, format!("base = {{ sources = [{base}] }}\n"));
         let out = dir.path().join(out);
         let args = [
             "--count",
@@ -590,16 +558,15 @@ fn a_coordinator_without_two_clips_to_compose_says_what_is_missing() {
     ingest(&source, &dataset, &[], 0);
     stance(&["pairs", arg(&dataset)]).expect_code(0);
     let [config, compose] = ["small.toml", "compose.toml"].map(|name| dir.path().join(name));
-    fs::write(&config, "batch_size = 8\nval_windows = 8\n").expect("writes");
-    fs::write(&compose, "base = { sources = [\"bvh\"] }\n").expect("writes");
+    put(&config, "batch_size = 8\nval_windows = 8\n");
+    put(&compose, "base = { sources = [\"bvh\"] }\n");
     let run = dir.path().join("run");
-    let refused = typed(
+    typed(
         "train coordinator {} --out {} --steps 2 --config {} --compose {}",
         &[&dataset, &run, &config, &compose],
     )
-    .expect_code(1);
-    refused.expect_said("two different clips");
-    refused.expect_said("base.sources");
+    .expect_refused("two different clips")
+    .expect_said("base.sources");
 }
 
 #[test]
@@ -700,11 +667,7 @@ fn folders_of_something_else_say_what_they_are_and_who_takes_them() {
     .expect_code(0);
     for verb in ["stats", "masks", "pairs"] {
         let refused = stance(&[verb, arg(&items)]).expect_code(1);
-        assert!(
-            refused.stderr.contains("a folder of items") && refused.stderr.contains("stance edit"),
-            "{verb}: {}",
-            refused.stderr
-        );
+        assert_has(&refused.stderr, &["a folder of items", "stance edit"]);
     }
     let said = stance(&["doctor", arg(&items)]).expect_code(0);
     said.expect_printed("a folder of items");
@@ -739,12 +702,6 @@ fn a_dataset_without_masks_and_pairs_says_which_verbs_make_them() {
         ],
     ] {
         let refused = stance(&args).expect_code(1);
-        for verb in ["stance masks", "stance pairs"] {
-            assert!(
-                refused.stderr.contains(verb),
-                "{args:?}: {}",
-                refused.stderr
-            );
-        }
+        assert_has(&refused.stderr, &["stance masks", "stance pairs"]);
     }
 }

@@ -11,7 +11,7 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use serde_json::{Value, json};
 use tables::{Condition, Tables};
 
-use crate::util::{arg, corpus, stance, typed};
+use crate::util::{arg, corpus, put, stance, typed};
 
 /// A dataset of the corpus with masks and pairs, and its clips.
 fn made(dir: &Path) -> (PathBuf, Vec<MotionRow>) {
@@ -280,7 +280,7 @@ fn hostile_queries_end_with_an_error_and_read_nothing_else() {
     let dir = corpus(4);
     let (dataset, _) = made(dir.path());
     let secret = dir.path().join("secret.csv");
-    std::fs::write(&secret, "a\nsecret\n").expect("written");
+    put(&secret, "a\nsecret\n");
     let deep = format!("SELECT {}1{}", "(".repeat(100_000), ")".repeat(100_000));
     let long = format!(
         "SELECT id FROM motions WHERE {}",
@@ -334,9 +334,7 @@ fn a_query_answers_as_a_table_json_csv_and_parquet() {
     let (dataset, clips) = made(dir.path());
     let folder = arg(&dataset);
     let query = "SELECT split, count(*) AS clips, sum(seconds)/3600 AS hours FROM motions GROUP BY split ORDER BY split";
-    let counted: Vec<Value> = stance(&["--json", "query", folder, query])
-        .expect_code(0)
-        .json();
+    let counted: Vec<Value> = stance(&["--json", "query", folder, query]).done();
     let total: u64 = counted.iter().filter_map(|row| row["clips"].as_u64()).sum();
     assert_eq!(total, clips.len() as u64);
     let hours: f64 = counted.iter().filter_map(|row| row["hours"].as_f64()).sum();
@@ -346,9 +344,7 @@ fn a_query_answers_as_a_table_json_csv_and_parquet() {
     // Joins, columns of frames, lists and structs.
     let joined = "SELECT m.id, masks.text, m.quality, m.captions, m.transl FROM motions m \
                   JOIN masks ON masks.motion_id = m.id ORDER BY m.id, masks.id LIMIT 3";
-    let rows: Vec<Value> = stance(&["--json", "query", folder, joined])
-        .expect_code(0)
-        .json();
+    let rows: Vec<Value> = stance(&["--json", "query", folder, joined]).done();
     assert_eq!(rows.len(), 3);
     let clip = clips.iter().find(|clip| clip.id.as_str() == rows[0]["id"]);
     let clip = clip.expect("a clip of the dataset");
@@ -362,13 +358,11 @@ fn a_query_answers_as_a_table_json_csv_and_parquet() {
     assert_eq!(rows[0]["quality"]["flags"], json!(clip.quality.flags));
 
     let names = "SELECT id, action, 'a, \"b\"' AS said, array_length(texts) AS n FROM motions ORDER BY id LIMIT 2";
-    let csv = stance(&["query", folder, names, "--csv"])
-        .expect_code(0)
-        .stdout;
+    let csv = stance(&["query", folder, names, "--csv"]).printed();
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(lines[0], "id,action,said,n");
     assert!(lines[1].contains(",\"a, \"\"b\"\"\","), "{csv}");
-    let table = stance(&["query", folder, names]).expect_code(0).stdout;
+    let table = stance(&["query", folder, names]).printed();
     assert!(
         table.starts_with("id ") && table.lines().count() == 3,
         "{table}"
@@ -406,21 +400,17 @@ fn several_datasets_are_asked_by_their_names() {
     );
     let query =
         "SELECT whole.motions.id FROM whole.motions WHERE id NOT IN (SELECT id FROM some.motions)";
-    let left: Vec<Value> = stance(&["--json", "query", &all, &some, query])
-        .expect_code(0)
-        .json();
+    let left: Vec<Value> = stance(&["--json", "query", &all, &some, query]).done();
     let expected = clips
         .iter()
         .filter(|row| row.split.as_str() != "train")
         .count();
     assert_eq!(left.len(), expected);
     let query = "SELECT count(*) FROM motions";
-    let unnamed = stance(&["query", arg(&dataset), arg(&part), query]).expect_code(1);
-    unnamed.expect_said("each of several datasets needs a name");
-    let twice = stance(&["query", &all, &all, query]).expect_code(1);
-    twice.expect_said("two datasets are named whole");
-    let unknown = stance(&["query", &all, &some, query]).expect_code(1);
-    unknown.expect_said("whole.motions");
+    stance(&["query", arg(&dataset), arg(&part), query])
+        .expect_refused("each of several datasets needs a name");
+    stance(&["query", &all, &all, query]).expect_refused("two datasets are named whole");
+    stance(&["query", &all, &some, query]).expect_refused("whole.motions");
 }
 
 #[test]
@@ -430,9 +420,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
     let folder = arg(&dataset);
     let at = |name: &str| dir.path().join(name);
     let count = |query: &str| -> u64 {
-        let rows: Vec<Value> = stance(&["--json", "query", folder, query])
-            .expect_code(0)
-            .json();
+        let rows: Vec<Value> = stance(&["--json", "query", folder, query]).done();
         rows[0]["n"].as_u64().expect("a number")
     };
     // Masks: those of other clips stay.
@@ -456,9 +444,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
         "the others stay"
     );
 
-    let stats: Value = stance(&["--json", "stats", folder, "--where", "action = 'walk'"])
-        .expect_code(0)
-        .json();
+    let stats: Value = stance(&["--json", "stats", folder, "--where", "action = 'walk'"]).done();
     let walks = clips.iter().filter(|row| action(row) == "walk").count();
     assert_eq!(stats["total"]["clips"], json!(walks));
     assert_eq!(
@@ -493,8 +479,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
             &query,
         ],
     )
-    .expect_code(0)
-    .json();
+    .done();
     assert_eq!(others[0]["n"], json!(0));
     let items = at("items");
     typed(
@@ -506,8 +491,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
         "--json query {} {}",
         &[&items, &"SELECT source_id, target_id FROM items"],
     )
-    .expect_code(0)
-    .json();
+    .done();
     let fulfils = |id: &Value| {
         let clip = clips
             .iter()
@@ -534,8 +518,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
     train("n_frames > 20", arg(&run)).expect_code(0);
     let other = train("n_frames > 30", arg(&run));
     assert_ne!(other.code, 0, "another choice is another dataset");
-    let none = train("n_frames > 100000", arg(&at("none"))).expect_code(1);
-    none.expect_said("no clip of");
+    train("n_frames > 100000", arg(&at("none"))).expect_refused("no clip of");
 
     let strips = at("strips.svg");
     let chosen = "action = 'wave-right' AND split = 'test'";
@@ -543,8 +526,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
         "--json render --dataset {} --where {} --out {}",
         &[&folder, &chosen, &strips],
     )
-    .expect_code(0)
-    .json();
+    .done();
     assert_eq!(
         drawn["clips"].as_u64(),
         Some(count(&format!(
@@ -555,9 +537,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
     // Annotation: tasks of the chosen clips, also by a later import.
     let import = |more: &[&str]| {
         let args = ["--json", "annotate", folder];
-        let taken: Value = stance(&[&args[..], more, &["import"]].concat())
-            .expect_code(0)
-            .json();
+        let taken: Value = stance(&[&args[..], more, &["import"]].concat()).done();
         taken["counts"]["new_tasks"].as_u64().unwrap_or(0)
     };
     let first = import(&["--where", "action = 'walk'"]);

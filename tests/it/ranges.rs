@@ -1,13 +1,12 @@
 //! A mask that holds for some frames: from lines that people edit to items, edits and exports.
 
-use std::fs;
 use std::path::Path;
 
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MaskRow};
 use serde_json::Value;
 
-use crate::util::{arg, stance};
+use crate::util::{arg, put, stance, text_of, typed};
 
 #[test]
 fn the_range_of_a_mask_reaches_items_edits_and_exports() {
@@ -25,7 +24,7 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
         .and_then(|dataset| dataset.read(Some(datasets_spec::Split::Test)))
         .expect("masks");
     assert!(!tested.is_empty());
-    let drafts = fs::read_to_string(&lines).expect("lines");
+    let drafts = text_of(&lines);
     let edited: Vec<String> = drafts
         .lines()
         .map(|line| {
@@ -38,7 +37,7 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
         })
         .collect();
     let short = edited.join("\n").replace("\"end\":45", "\"end\":30");
-    fs::write(&lines, short).expect("writes");
+    put(&lines, short);
     let accept = [
         "masks",
         arg(&dataset),
@@ -47,33 +46,16 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
         "--author",
         "ann",
     ];
-    let refused = stance(&accept).expect_code(1);
-    assert!(refused.stderr.contains("31 at least"), "{}", refused.stderr);
-    fs::write(&lines, edited.join("\n")).expect("writes");
+    stance(&accept).expect_refused("31 at least");
+    put(&lines, edited.join("\n"));
     stance(&accept).expect_code(0);
     stance(&["verify", arg(&dataset)]).expect_code(0);
 
     let items = at("items");
-    stance(&[
-        "items",
-        arg(&dataset),
-        "--count",
-        "all",
-        "--out",
-        arg(&items),
-    ])
-    .expect_code(0);
+    typed("items {} --count all --out {}", &[&dataset, &items]).expect_code(0);
     let (run, edits) = (at("nearest"), at("edits"));
     stance(&["train", "nearest", arg(&dataset), "--out", arg(&run)]).expect_code(0);
-    stance(&[
-        "edit",
-        arg(&run),
-        "--items",
-        arg(&items),
-        "--out",
-        arg(&edits),
-    ])
-    .expect_code(0);
+    typed("edit {} --items {} --out {}", &[&run, &items, &edits]).expect_code(0);
     let answered = Dataset::open(&edits).expect("edits");
     let asked: Vec<ItemRow> = answered.items().expect("items");
     let made: Vec<EditRow> = answered.read(None).expect("edits");
@@ -96,15 +78,7 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
 
     // The layout of the release has a file for what it has no place for.
     let (exported, again) = (at("exported"), at("again"));
-    stance(&[
-        "export",
-        arg(&dataset),
-        "--to",
-        "stance",
-        "--out",
-        arg(&exported),
-    ])
-    .expect_code(0);
+    typed("export {} --to stance --out {}", &[&dataset, &exported]).expect_code(0);
     stance(&["ingest", arg(&exported), "--out", arg(&again)]).expect_code(0);
     let masks = |folder: &Path| {
         let mut rows: Vec<MaskRow> = Dataset::open(folder)
@@ -117,15 +91,7 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
 
     // At another rate a range has other frames: 5 and 45 of 20 fps are 7.5 and 67.5 of 30 fps.
     let faster = at("faster");
-    stance(&[
-        "ingest",
-        arg(&dataset),
-        "--fps",
-        "30",
-        "--out",
-        arg(&faster),
-    ])
-    .expect_code(0);
+    typed("ingest {} --fps 30 --out {}", &[&dataset, &faster]).expect_code(0);
     let ranged = |folder: &Path| {
         let masks = masks(folder).into_iter();
         let ranges = masks.filter_map(|mask| mask.start.zip(mask.end));
@@ -135,10 +101,10 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
 
     // A range that its clip does not have is left out by name, and the rest is taken.
     let file = exported.join("masks.jsonl");
-    let lines = fs::read_to_string(&file).expect("masks");
+    let lines = text_of(&file);
     let wrong = lines.replacen("\"end\":45", "\"end\":4500", 1);
     assert_ne!(wrong, lines);
-    fs::write(&file, wrong).expect("writes");
+    put(&file, wrong);
     let rest = at("rest");
     let told = stance(&["--json", "ingest", arg(&exported), "--out", arg(&rest)]);
     let told = format!("{}{}", told.stdout, told.stderr);

@@ -8,18 +8,15 @@ use std::path::{Path, PathBuf};
 use datasets_spec::record::{MaskRow, MotionRow, QuarantineRow, SkippedRow};
 use serde_json::Value;
 
-use crate::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
+use crate::util::{
+    arg, assert_counted, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of,
+    typed, typed_with,
+};
 
 fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
-    let mut args = vec!["--json", "ingest", arg(source), "--out", arg(out)];
-    args.extend(more);
-    let done: Value = stance(&args).expect_code(code).json();
-    let count = |name: &str| done[name].as_u64().expect("a count");
-    assert_eq!(
-        count("sources"),
-        count("ingested") + count("quarantined") + count("skipped"),
-        "{done}"
-    );
+    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+    let done = ran.expect_code(code).json();
+    assert_counted(&done);
     done
 }
 
@@ -45,18 +42,19 @@ fn motions(dir: &Path, names: &[&str]) -> PathBuf {
 fn a_quote_that_is_not_closed_is_named_by_its_line() {
     let dir = corpus(8);
     let source = motions(dir.path(), &["walk", "run", "jump", "sit"]);
-    fs::write(
+    put(
         source.join("captions.csv"),
         "clip,text\nwalk,a person walks\nrun,\"a person runs\njump,a person jumps\nsit,a person sits\n",
-    )
-    .expect("written");
+    );
     let out = dir.path().join("dataset");
     let done = ingest(&source, &out, &[], 0);
     let problems = done["label_problems"].to_string();
-    assert!(
-        problems.contains("line 3: a quote in it is not closed")
-            && problems.contains("the 2 lines behind it"),
-        "{problems}"
+    assert_has(
+        &problems,
+        &[
+            "line 3: a quote in it is not closed",
+            "the 2 lines behind it",
+        ],
     );
     let rows: Vec<MotionRow> = rows_of(&out);
     for row in rows {
@@ -73,14 +71,11 @@ fn a_quote_that_is_not_closed_is_named_by_its_line() {
     }
     // Lists of splits and pairs are read by the same rules.
     let list = dir.path().join("splits.csv");
-    fs::write(&list, "clip,split\nwalk,test\n\"run,val\njump,val\n").expect("written");
+    put(&list, "clip,split\nwalk,test\n\"run,val\njump,val\n");
     let out = dir.path().join("split");
     let done = ingest(&source, &out, &["--splits", arg(&list)], 3);
     let refused = done["refused_splits"].to_string();
-    assert!(
-        refused.contains("\"line\":3") && refused.contains("not closed"),
-        "{refused}"
-    );
+    assert_has(&refused, &["\"line\":3", "not closed"]);
 }
 
 #[test]
@@ -88,11 +83,10 @@ fn ids_choose_the_clips_that_are_read() {
     let dir = corpus(12);
     let source = motions(dir.path(), &["walk_1", "walk_2", "run_1", "run_2", "sit"]);
     let list = dir.path().join("ids.txt");
-    fs::write(
+    put(
         &list,
         "# chosen by hand\nwalk_*   # both\nsit\n\ngone\nnobody_*\n",
-    )
-    .expect("written");
+    );
     let out = dir.path().join("dataset");
     let done = ingest(&source, &out, &["--ids", arg(&list)], 0);
     assert_eq!(
@@ -114,10 +108,10 @@ fn ids_choose_the_clips_that_are_read() {
     // The dataset knows its choice.
     let again = ingest(&source, &out, &["--ids", arg(&list)], 0);
     assert_eq!(again["already_complete"], true, "{again}");
-    let other = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(1);
-    other.expect_said("ids was a file and is not given now");
+    stance(&["ingest", arg(&source), "--out", arg(&out)])
+        .expect_refused("ids was a file and is not given now");
     // With another choice the clips that are there and are not chosen stay.
-    fs::write(&list, "run_1\n").expect("written");
+    put(&list, "run_1\n");
     let done = ingest(&source, &out, &["--ids", arg(&list), "--new-version"], 0);
     assert_eq!(done["growth"]["new"], 1, "{done}");
     assert!(
@@ -129,9 +123,9 @@ fn ids_choose_the_clips_that_are_read() {
     let all: BTreeSet<String> = chosen.into_iter().chain(["run_1".to_owned()]).collect();
     assert_eq!(ids(&out), all);
     stance(&["verify", arg(&out)]).expect_code(0);
-    fs::write(&list, "# nothing\n").expect("written");
-    let empty = typed("ingest {} --out {} --ids {}", &[&source, &out, &list]).expect_code(1);
-    empty.expect_said("it names no clip");
+    put(&list, "# nothing\n");
+    typed("ingest {} --out {} --ids {}", &[&source, &out, &list])
+        .expect_refused("it names no clip");
 }
 
 #[test]
@@ -139,9 +133,9 @@ fn another_list_of_splits_is_told_by_the_ids_that_it_moves() {
     let dir = corpus(8);
     let source = motions(dir.path(), &["walk", "run", "jump"]);
     let (out, list) = (dir.path().join("dataset"), dir.path().join("splits.csv"));
-    fs::write(&list, "walk,train\nrun,train\njump,train\n").expect("written");
+    put(&list, "walk,train\nrun,train\njump,train\n");
     ingest(&source, &out, &["--splits", arg(&list)], 0);
-    fs::write(&list, "walk,train\nrun,test\njump,train\n").expect("written");
+    put(&list, "walk,train\nrun,test\njump,train\n");
     let ran = typed("ingest {} --out {} --splits {}", &[&source, &out, &list]).expect_code(1);
     ran.expect_said("splits moves run (train, now test)");
     assert!(!ran.stderr.contains("walk"), "{}", ran.stderr);
@@ -235,12 +229,12 @@ fn ten_hours_are_refused_by_the_header() {
         (row.path.as_str(), row.code.as_str()),
         ("day_poses.npz", "E-NPZ-LIMIT")
     );
-    assert!(
-        row.reason
-            .contains("4320000 frames at 120 fps are 10.0 hours")
-            && row.reason.contains("cut the recording"),
-        "{}",
-        row.reason
+    assert_has(
+        &row.reason,
+        &[
+            "4320000 frames at 120 fps are 10.0 hours",
+            "cut the recording",
+        ],
     );
     assert_eq!(ids(&out), ["good".to_owned()].into());
 }
@@ -264,9 +258,7 @@ fn a_name_of_254_bytes_is_shortened_and_said() {
         "lerobot",
     ] {
         let to = dir.path().join(layout);
-        let done: Value = typed("--json export {} --to {} --out {}", &[&out, &layout, &to])
-            .expect_code(0)
-            .json();
+        let done: Value = typed("--json export {} --to {} --out {}", &[&out, &layout, &to]).done();
         assert_eq!(done["clips"], 4, "{layout}");
         let is_said = done["remarks"].to_string().contains("3 names are too long");
         let has_names = ["amass", "bvh", "gltf", "motionmillion"].contains(&layout);
@@ -315,8 +307,7 @@ fn edited_texts_without_a_verdict_are_kept() {
     ingest(&dir.path().join("corpus"), &out, &[], 0);
     stance(&["masks", arg(&out)]).expect_code(0);
     stance(&["masks", arg(&out), "--drafts", arg(&file)]).expect_code(0);
-    let mut lines: Vec<Value> = fs::read_to_string(&file)
-        .expect("drafts")
+    let mut lines: Vec<Value> = text_of(&file)
         .lines()
         .map(|line| serde_json::from_str(line).expect("a line"))
         .collect();
@@ -324,7 +315,7 @@ fn edited_texts_without_a_verdict_are_kept() {
     lines[1]["verdict"] = "accept".into();
     let edited = lines[0]["mask"].as_str().expect("an id").to_owned();
     let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
-    fs::write(&file, text).expect("written");
+    put(&file, text);
     let ran = typed("masks {} --accept {} --author ann", &[&out, &file]).expect_code(0);
     ran.expect_said("1 edited lines have no verdict yet");
     let masks: Vec<MaskRow> = rows_of(&out);
@@ -337,7 +328,7 @@ fn edited_texts_without_a_verdict_are_kept() {
     );
     // It is open still, and no run of the stage discards it.
     stance(&["masks", arg(&out), "--drafts", arg(&file)]).expect_code(0);
-    let lines = fs::read_to_string(&file).expect("drafts");
+    let lines = text_of(&file);
     let line = lines
         .lines()
         .find(|line| line.contains("thinking about it"))
@@ -352,8 +343,8 @@ fn listed_ids_without_a_motion_are_a_remark() {
     ingest(&dir.path().join("corpus"), &dataset, &[], 0);
     typed("export {} --to humanml3d --out {}", &[&dataset, &release]).expect_code(0);
     let list = release.join("test.txt");
-    let listed = fs::read_to_string(&list).expect("a list");
-    fs::write(&list, listed + "014000\n014001\n").expect("written");
+    let listed = text_of(&list);
+    put(&list, listed + "014000\n014001\n");
     let said = "2 ids of test.txt have no motion (such as 014000, 014001)";
     let out = dir.path().join("again");
     let done = ingest(&release, &out, &[], 0);
@@ -366,7 +357,7 @@ fn listed_ids_without_a_motion_are_a_remark() {
     let list = release.join("split/base_motion/test.txt");
     let listed = fs::read_to_string(&list).unwrap_or_default();
     fs::create_dir_all(list.parent().expect("a folder")).expect("made");
-    fs::write(&list, listed + "014000\n").expect("written");
+    put(&list, listed + "014000\n");
     let done = ingest(&release, &dir.path().join("stance-again"), &[], 0);
     assert!(
         done["remarks"]

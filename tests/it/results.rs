@@ -1,7 +1,6 @@
 //! What tables and pages say about their numbers.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Dataset;
@@ -12,7 +11,7 @@ use serde_json::Value;
 
 use crate::evaluate::Bench;
 use crate::tables::{printed, tables};
-use crate::util::{arg, stance, typed};
+use crate::util::{arg, assert_has, stance, text_of, typed, typed_with};
 
 /// The items the bench answers.
 fn items_of(bench: &Bench) -> Vec<ItemRow> {
@@ -66,8 +65,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     let committed = bench.workshop.path("scores");
     let scores: Value = bench
         .eval(&[&edits], &["--json", "--out", arg(&committed)])
-        .expect_code(0)
-        .json();
+        .done();
     assert!(targets >= 10, "{targets} targets make no interval");
     let row = score(&scores, "MotionReFit", "Position error (cm)");
     let digest = row["items_digest"].as_str().expect("a digest").to_owned();
@@ -117,8 +115,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     assert_eq!(half_width(&scores, "Real Data", "E2T R@1"), None);
     let over_repeats: Value = bench
         .eval(&[&edits], &["--json", "--interval", "repeats"])
-        .expect_code(0)
-        .json();
+        .done();
     assert_eq!(
         half_width(&over_repeats, "MotionReFit", "Position error (cm)"),
         None
@@ -136,7 +133,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     let table = |more: &[&str]| {
         let args = [&["--format", "markdown"], more].concat();
         // One task; tables of novelties follow.
-        tables(&bench.eval(&[&edits], &args).expect_code(0).stdout).remove(0)
+        tables(&bench.eval(&[&edits], &args).printed()).remove(0)
     };
     let conditions = |intervals: &str| {
         format!(
@@ -208,15 +205,7 @@ fn a_system_behind_the_identity_editor_is_never_best() {
     )
     .expect("writes");
     let eval = |more: &[&str]| {
-        let args = [
-            "eval",
-            "--encoder",
-            "builtin",
-            "--repeats",
-            "2",
-            arg(&edits),
-        ];
-        stance(&[&args, more].concat()).expect_code(0)
+        typed_with("eval --encoder builtin --repeats 2 {}", &[&edits], more).expect_code(0)
     };
     let scores: Value = eval(&["--json"]).json();
     let [own, identity] =
@@ -294,16 +283,13 @@ fn a_random_part_of_the_items_can_be_scored() {
     let edits = bench.edits("first", &[]);
     let part = |seed: &str| -> Value {
         let limit = ["--json", "--items-limit", "5", "--items-seed", seed];
-        bench.eval(&[&edits], &limit).expect_code(0).json()
+        bench.eval(&[&edits], &limit).done()
     };
     let digest = |scores: &Value| {
         let row = score(scores, "MotionReFit", "FS");
         assert_eq!(row["n"], 5);
         let protocol = row["protocol"].as_str().expect("words");
-        assert!(
-            protocol.contains("a random 5 of the items (seed"),
-            "{protocol}"
-        );
+        assert_has(protocol, &["a random 5 of the items (seed"]);
         row["items_digest"].clone()
     };
     assert_eq!(digest(&part("1")), digest(&part("1")));
@@ -331,9 +317,10 @@ fn what_cannot_stand_in_one_table_is_refused() {
     let report = |other: &Path| stance(&["report", arg(&first), arg(other), "--out", arg(&page)]);
     for ran in [bench.eval(&[&first, &again], &[]), report(&again)] {
         let ran = ran.expect_code(1);
-        for text in ["two motions of item", "sampled with seed 0", "--seed"] {
-            ran.expect_said(text);
-        }
+        assert_has(
+            &ran.stderr,
+            &["two motions of item", "sampled with seed 0", "--seed"],
+        );
     }
     // Half of the items are the same, and still these are two test sets.
     bench.items("few", &["--count", "4"]);
@@ -344,15 +331,16 @@ fn what_cannot_stand_in_one_table_is_refused() {
     );
     for ran in [bench.eval(&[&first, &few], &[]), report(&few), compared] {
         let ran = ran.expect_code(1);
-        for text in [
-            "different items",
-            arg(&first),
-            arg(&few),
-            "4 of 8 are in ",
-            "0 of 4 in ",
-        ] {
-            assert!(ran.stderr.contains(text), "{text}: {}", ran.stderr);
-        }
+        assert_has(
+            &ran.stderr,
+            &[
+                "different items",
+                arg(&first),
+                arg(&few),
+                "4 of 8 are in ",
+                "0 of 4 in ",
+            ],
+        );
     }
     assert!(!page.exists());
 }
@@ -363,16 +351,12 @@ fn a_comparison_names_its_fid_and_draws_targets() {
     let first = bench.edits("first", &[]);
     let second = bench.edits("second", &["--guidance", "2", "--name", "strong"]);
     let compare = |more: &[&str]| {
-        let mut args = vec!["eval", "compare", arg(&first), arg(&second)];
-        args.extend([
-            "--encoder",
-            arg(&bench.encoder),
-            "--weak-judge",
-            "--repeats",
-            "2",
-        ]);
-        args.extend(more);
-        stance(&args).expect_code(0)
+        typed_with(
+            "eval compare {} {} --encoder {} --weak-judge --repeats 2",
+            &[&first, &second, &bench.encoder],
+            more,
+        )
+        .expect_code(0)
     };
     let document: Value = compare(&["--json"]).json();
     let task = &document[0];
@@ -439,10 +423,7 @@ fn pairs_of_motionfix_fill_its_tables() {
         let format = ["--table", table, "--published", "--format", "markdown"];
         let ran = bench.eval(&[&edits], &format).expect_code(0);
         assert!(!ran.stderr.contains("there are none"), "{}", ran.stderr);
-        let scores: Value = bench
-            .eval(&[&edits], &["--table", table, "--json"])
-            .expect_code(0)
-            .json();
+        let scores: Value = bench.eval(&[&edits], &["--table", table, "--json"]).done();
         // Tables of novelties follow.
         let laid_out = &tables(&ran.stdout)[0];
         assert_eq!(laid_out.heading, "motionfix");
@@ -475,8 +456,7 @@ fn pairs_of_motionfix_fill_its_tables() {
     let error = |keypoints: &str| {
         let scores: Value = bench
             .eval(&[&edits], &["--json", "--keypoints", keypoints])
-            .expect_code(0)
-            .json();
+            .done();
         let row = score(&scores, "MotionReFit", "Position error (cm)").clone();
         let protocol = row["protocol"].as_str().expect("words").to_owned();
         assert_eq!(
@@ -498,7 +478,7 @@ fn pairs_of_motionfix_fill_its_tables() {
     // Nothing was blended, and the part is marked all the same.
     let page = bench.workshop.path("page.html");
     stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
-    let html = fs::read_to_string(&page).expect("written");
+    let html = text_of(&page);
     assert!(html.contains("#1BAA78"), "no joint is marked");
 }
 
@@ -509,7 +489,7 @@ fn many_takes_tell_how_motions_of_one_item_differ() {
     let ran = bench
         .eval(&[&edits], &["--further", "--format", "markdown"])
         .expect_code(0);
-    let scores: Value = bench.eval(&[&edits], &["--json"]).expect_code(0).json();
+    let scores: Value = bench.eval(&[&edits], &["--json"]).done();
     for table in tables(&ran.stdout) {
         table.check_measured(&["Real Data", "Identity", "MotionReFit"], &scores);
         let items = table.conditions.split("; ").nth(1).expect("the items");
@@ -555,8 +535,7 @@ fn latencies_stand_apart_from_times_that_windows_share() {
     assert_eq!(throughput.names(), ["16-frame, together"]);
     let times: Value = bench
         .eval(&[&together, &alone], &["--table", "a4", "--json"])
-        .expect_code(0)
-        .json();
+        .done();
     assert_eq!([&times[0]["latency"], &times[1]["latency"]], [false, true]);
     assert_eq!(times[1]["batch"], 1.0);
     assert!(times[0]["batch"].as_f64().expect("recorded") > 1.0);
@@ -581,7 +560,7 @@ fn a_page_shows_settings_as_a_table() {
     let second = bench.edits("second", &["--guidance", "2", "--name", "strong"]);
     let page = bench.workshop.path("page.html");
     stance(&["report", arg(&first), arg(&second), "--out", arg(&page)]).expect_code(0);
-    let html = fs::read_to_string(&page).expect("written");
+    let html = text_of(&page);
     let settings = html
         .split_once("<table class=\"settings\">")
         .and_then(|(_, rest)| rest.split_once("</table>"))
@@ -604,8 +583,8 @@ fn how_motions_move_stands_beside_real_data() {
     let bench = Bench::open();
     let edits = bench.edits("first", &[]);
     let further = ["--further", "--format", "markdown"];
-    let text = bench.eval(&[&edits], &further).expect_code(0).stdout;
-    let scores: Value = bench.eval(&[&edits], &["--json"]).expect_code(0).json();
+    let text = bench.eval(&[&edits], &further).printed();
+    let scores: Value = bench.eval(&[&edits], &["--json"]).done();
     let metrics = of_part(Part::Quality);
     for metric in &metrics {
         for system in ["Real Data", "Identity", "MotionReFit"] {
@@ -632,6 +611,6 @@ fn how_motions_move_stands_beside_real_data() {
         arg(&page),
     ];
     stance(&[&["report", arg(&edits)], &out[..]].concat()).expect_code(0);
-    let html = fs::read_to_string(&page).expect("written");
+    let html = text_of(&page);
     assert!(html.contains("Foot slide (m/s)") && html.contains("Jerk (m/s³)"));
 }

@@ -16,7 +16,7 @@ use datasets_spec::{Dataset, MotionId, Split};
 use serde_json::Value;
 
 use crate::annotate::{accept, settings};
-use crate::util::{arg, stance, typed};
+use crate::util::{arg, assert_has, put, stance, typed, typed_with};
 
 /// Rejected pairs among the answers.
 const REJECTED: usize = 5;
@@ -36,15 +36,11 @@ impl Labelled {
         let (source, dataset) = (made.path("corpus"), made.path("dataset"));
         typed("corpus --clips 36 --adjusted 1 --out {}", &[&source]).expect_code(0);
         let pairs = source.join("pairs.csv");
-        let ingest = [
-            "ingest",
-            arg(&source),
-            "--out",
-            arg(&dataset),
-            "--pairs",
-            arg(&pairs),
-        ];
-        stance(&ingest).expect_code(0);
+        typed(
+            "ingest {} --out {} --pairs {}",
+            &[&source, &dataset, &pairs],
+        )
+        .expect_code(0);
         stance(&["pairs", arg(&dataset)]).expect_code(0);
         stance(&["masks", arg(&dataset)]).expect_code(0);
         let store = open_sqlite(&made.path("store.sqlite")).expect("a store");
@@ -80,9 +76,8 @@ impl Labelled {
 
     fn annotate_of(&self, dataset: &str, store: &str, words: &[&str]) -> Value {
         let (dataset, store) = (self.path(dataset), self.path(store));
-        let options = ["annotate", arg(&dataset), "--store", arg(&store), "--json"];
-        let ran = stance(&[&options[..], words].concat());
-        ran.expect_code(0).json()
+        let ran = typed_with("annotate {} --store {} --json", &[&dataset, &store], words);
+        ran.done()
     }
 
     fn annotate(&self, store: &str, words: &[&str]) -> Value {
@@ -99,22 +94,16 @@ impl Labelled {
 
     fn export(&self, layout: &str) -> Value {
         let (dataset, out) = (self.path("dataset"), self.path(layout));
-        let export = [
-            "--json",
-            "export",
-            arg(&dataset),
-            "--to",
-            layout,
-            "--out",
-            arg(&out),
-        ];
-        stance(&export).expect_code(0).json()
+        typed(
+            "--json export {} --to {} --out {}",
+            &[&dataset, &layout, &out],
+        )
+        .done()
     }
 
     fn ingest(&self, source: &str, out: &str, more: &[&str], code: i32) -> Value {
         let (source, out) = (self.path(source), self.path(out));
-        let ingest = ["--json", "ingest", arg(&source), "--out", arg(&out)];
-        stance(&[&ingest[..], more].concat())
+        typed_with("--json ingest {} --out {}", &[&source, &out], more)
             .expect_code(code)
             .json()
     }
@@ -419,12 +408,11 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
     .expect_code(0);
     made.ingest("other", "other-dataset", &[], 0);
     let (dataset, store) = (made.path("other-dataset"), made.path("other.sqlite"));
-    let refused = typed(
+    typed(
         "annotate {} --store {} import {}",
         &[&dataset, &store, &folder],
     )
-    .expect_code(1);
-    refused.expect_said("its content is");
+    .expect_refused("its content is");
 }
 
 #[test]
@@ -444,7 +432,7 @@ fn pairs_whose_motions_are_in_two_splits_are_left_out_of_a_project_and_counted()
         format!("{},{split}\n", row.id)
     });
     let list = made.path("splits.csv");
-    fs::write(&list, format!("clip,split\n{}", lines.collect::<String>())).expect("written");
+    put(&list, format!("clip,split\n{}", lines.collect::<String>()));
     made.ingest("corpus", "parted", &["--splits", arg(&list)], 0);
     let splits: BTreeMap<String, Split> = made
         .rows::<MotionRow>("parted")
@@ -459,9 +447,9 @@ fn pairs_whose_motions_are_in_two_splits_are_left_out_of_a_project_and_counted()
     let filled = made.annotate_of("parted", "parted.sqlite", &["import", arg(&folder)]);
     assert_eq!(filled["counts"]["pairs_across_splits"], across, "{filled}");
     let said = filled["messages"].to_string();
-    assert!(
-        said.contains(&format!("{across} pairs have their motions in two splits")),
-        "{said}"
+    assert_has(
+        &said,
+        &[&format!("{across} pairs have their motions in two splits")],
     );
     // No answer of the project is about one of them.
     let answers = made.answers("parted", "parted.sqlite").into_iter();
@@ -495,16 +483,12 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     });
     let [first, second] = [(); 2].map(|()| alone.next().expect("two motions"));
     std::fs::copy(&first.1, &second.1).expect("copied");
-    std::fs::write(folder.join("regen/mask_all.json"), "{}").expect("written");
+    put(folder.join("regen/mask_all.json"), "{}");
     let report = made.ingest("stance", "again", &[], 3);
     assert_eq!(report["codes"]["E-STANCE-ORIGIN"], 2, "{report}");
     let again = made.path("again");
-    let listed = stance(&["inspect", arg(&again), "--list", "quarantine"])
-        .expect_code(0)
-        .stdout;
-    for id in [first.0, second.0] {
-        assert!(listed.contains(id), "{listed}");
-    }
+    let listed = stance(&["inspect", arg(&again), "--list", "quarantine"]).printed();
+    assert_has(&listed, &[first.0, second.0]);
     assert!(listed.contains("masks.jsonl holds the masks"), "{listed}");
     // The other motions are as they were.
     let motions: Vec<MotionRow> = made.rows("again");
@@ -543,7 +527,7 @@ fn every_answer_of_a_project_comes_back_by_way_of_the_stance_layout() {
     assert_eq!(answers.iter().filter(|row| row.extent.is_some()).count(), 6);
     assert_eq!(made.answers("dataset", "fresh.sqlite"), answers);
     // Lists that say something else than the table are not passed over in silence.
-    std::fs::write(to.join("mask_all.json"), "{}").expect("written");
+    put(to.join("mask_all.json"), "{}");
     let (dataset, store) = (made.path("dataset"), made.path("third.sqlite"));
     let refused =
         typed("annotate {} --store {} import {}", &[&dataset, &store, &to]).expect_code(1);
@@ -601,17 +585,13 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
     // Never over a file, and never over a project.
     let (dataset, fresh) = (made.path("dataset"), made.path("fresh.sqlite"));
     let of = |dataset: &Path, store: &Path, words: &[&str]| {
-        let options = ["annotate", arg(dataset), "--store", arg(store), "--json"];
-        stance(&[&options[..], words].concat())
+        typed_with("annotate {} --store {} --json", &[&dataset, &store], words)
     };
     of(&dataset, &store, &["pack", arg(&file)]).expect_code(1);
-    let refused = of(&dataset, &store, &["unpack", arg(&file)]).expect_code(1);
-    refused.expect_said("stays");
+    of(&dataset, &store, &["unpack", arg(&file)]).expect_refused("stays");
 
     // The same dataset: nothing is asked again, and nobody can log in with an old token.
-    let moved: Value = of(&dataset, &fresh, &["unpack", arg(&file)])
-        .expect_code(0)
-        .json();
+    let moved: Value = of(&dataset, &fresh, &["unpack", arg(&file)]).done();
     assert_eq!(
         (&moved["people"], &moved["changed"]),
         (&2.into(), &0.into())
@@ -626,26 +606,23 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
 
     // Other content: each task with an answer is flagged.
     let source = made.path("corpus");
-    let ingest = ["ingest", arg(&source), "--out", arg(&other), "--fps", "30"];
-    stance(&ingest).expect_code(0);
+    typed("ingest {} --out {} --fps 30", &[&source, &other]).expect_code(0);
     let none = made.path("none.sqlite");
-    let moved: Value = of(&other, &none, &["unpack", arg(&file)])
-        .expect_code(0)
-        .json();
-    let listed: Value = of(&other, &none, &["changed"]).expect_code(0).json();
+    let moved: Value = of(&other, &none, &["unpack", arg(&file)]).done();
+    let listed: Value = of(&other, &none, &["changed"]).done();
     assert!(moved["changed"].as_u64() > Some(20), "{moved}");
     assert_eq!(
         listed.as_array().map(Vec::len),
         moved["changed"].as_u64().map(|count| count as usize)
     );
     assert_eq!(
-        of(&other, &none, &["check"]).expect_code(0).json::<Value>()["findings"],
+        of(&other, &none, &["check"]).done::<Value>()["findings"],
         serde_json::json!([])
     );
 
     // Not a project: nothing is left.
     let nothing = made.path("nothing.sqlite");
-    fs::write(made.path("text"), "no project").expect("written");
+    put(made.path("text"), "no project");
     of(&dataset, &nothing, &["unpack", arg(&made.path("text"))]).expect_code(1);
     assert!(!nothing.exists());
 }
@@ -784,16 +761,12 @@ fn features_and_chosen_clips_are_counted_too() {
     let rows = made.rows::<HumanMl3dRow>("features").len();
     let export = |dataset: &Path, layout: &str, out: &str, more: &[&str]| -> Value {
         let out = made.path(out);
-        let export = [
-            "--json",
-            "export",
-            arg(dataset),
-            "--to",
-            layout,
-            "--out",
-            arg(&out),
-        ];
-        stance(&[&export[..], more].concat()).expect_code(0).json()
+        typed_with(
+            "--json export {} --to {} --out {}",
+            &[&dataset, &layout, &out],
+            more,
+        )
+        .done()
     };
     let said = export(&dataset, "stance", "a", &[]);
     assert_eq!(said["left_out"]["humanml3d_features"], rows, "{said}");
@@ -814,9 +787,7 @@ fn features_and_chosen_clips_are_counted_too() {
     )
     .expect_code(0);
     stance(&["stage", "work", arg(&plan)]).expect_code(0);
-    let done: Value = stance(&["--json", "stage", "commit", arg(&plan)])
-        .expect_code(0)
-        .json();
+    let done: Value = stance(&["--json", "stage", "commit", arg(&plan)]).done();
     let masks = made.rows::<MaskRow>("dataset").len();
     assert_eq!(done["notes"]["left_out"]["masks"], masks, "{done}");
 }

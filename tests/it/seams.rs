@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::evaluate::Bench;
 use crate::results::score;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, rows_of, stance, typed};
+use crate::util::{Ran, arg, json_of, put, rows_of, stance, text_of, typed, typed_with};
 
 /// Trains an editor or a coordinator on windows composed with the given settings.
 fn train_composed(
@@ -22,30 +22,18 @@ fn train_composed(
     more: &[&str],
 ) -> Ran {
     let toml = workshop.path(&format!("{out}.compose.toml"));
-    fs::write(&toml, compose).expect("writes");
+    put(&toml, compose);
     let (dataset, run) = (workshop.dataset(), workshop.path(out));
     let small = workshop.path("small.toml");
-    let mut args = vec![
-        "--json",
-        "train",
-        model,
-        arg(&dataset),
-        "--out",
-        arg(&run),
-        "--config",
-        arg(&small),
-        "--compose",
-        arg(&toml),
-        "--steps",
-        "4",
-    ];
-    args.extend(more);
-    stance(&args)
+    typed_with(
+        "--json train {} {} --out {} --config {} --compose {} --steps 4",
+        &[&model, &dataset, &run, &small, &toml],
+        more,
+    )
 }
 
 fn record(run: &Path) -> Value {
-    let text = fs::read_to_string(run.join("config.json")).expect("a record");
-    serde_json::from_str(&text).expect("JSON")
+    json_of(run.join("config.json"))
 }
 
 /// A copy of a run whose record says something else.
@@ -58,7 +46,7 @@ fn copy_with(run: &Path, copy: &Path, change: impl FnOnce(&mut Value)) {
     }
     let mut record = record(run);
     change(&mut record);
-    fs::write(copy.join("config.json"), record.to_string()).expect("writes");
+    put(copy.join("config.json"), record.to_string());
 }
 
 fn row(folder: &Path) -> EditRow {
@@ -147,8 +135,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         args.extend(["--out", arg(&out)]);
         stance(&args)
     };
-    let refused = ask(&broken, &[]).expect_code(1);
-    refused.expect_said("mcm_ratio");
+    ask(&broken, &[]).expect_refused("mcm_ratio");
 
     // Coordinators that were shown other windows do not fit.
     for (name, compose, reason) in [
@@ -157,8 +144,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
     ] {
         train_composed(&workshop, "coordinator", name, compose, &[]).expect_code(0);
         let guide = workshop.path(name);
-        let refused = ask(&editor, &["--coordinator", arg(&guide)]).expect_code(1);
-        refused.expect_said(reason);
+        ask(&editor, &["--coordinator", arg(&guide)]).expect_refused(reason);
     }
     let compose = "anchor = \"translation\"\nfps = 5.0\n";
     train_composed(&workshop, "coordinator", "guide", compose, &[]).expect_code(0);
@@ -174,12 +160,12 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
 fn the_released_preset_composes_as_the_release_does() {
     let workshop = Workshop::open();
     let toml = workshop.path("official.toml");
-    let small = fs::read_to_string(workshop.path("small.toml")).expect("settings");
-    fs::write(&toml, format!("{small}[text]\nencoder = \"learned\"\n")).expect("writes");
+    let small = text_of(workshop.path("small.toml"));
+    put(&toml, format!("{small}[text]\nencoder = \"learned\"\n"));
     let with = |name: &str, compose: &str| {
         let (dataset, run) = (workshop.dataset(), workshop.path(name));
         let composed = workshop.path(&format!("{name}.toml"));
-        fs::write(&composed, compose).expect("writes");
+        put(&composed, compose);
         typed(
             "train motionrefit {} --out {} --preset official --config {} --compose {} --steps 2",
             &[&dataset, &run, &toml, &composed],
@@ -224,7 +210,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
             })
             .collect()
     };
-    let said: Value = answer(&editor, "edits").expect_code(0).json();
+    let said: Value = answer(&editor, "edits").done();
     assert_eq!(said["num_short"], 0);
     // Splits keep the takes of an action together, so that some actions of the test are new.
     let asked: Vec<ItemRow> = rows_of(&items);
@@ -246,17 +232,16 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
         .max_by_key(|word| word.len())
         .expect("a word");
     let written = json!({ "num_short": 0, "unknown_words": [word] });
-    fs::write(&remarks, written.to_string()).expect("writes");
+    put(&remarks, written.to_string());
     stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
-    let html = fs::read_to_string(&page).expect("a page");
+    let html = text_of(&page);
     assert!(html.contains(&format!("never seen in training: {word}")));
-    fs::write(
+    put(
         &remarks,
         json!({ "num_short": 0, "unknown_words": [] }).to_string(),
-    )
-    .expect("writes");
+    );
     stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
-    let html = fs::read_to_string(&page).expect("a page");
+    let html = text_of(&page);
     assert!(!html.contains("never seen in training"));
     let found = lengths("edits");
     assert_eq!(found.len(), 8);
@@ -272,11 +257,11 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
 
     // A model of longer windows edits what is shorter than one, and says how many those are.
     let toml = workshop.path("long.toml");
-    let small = fs::read_to_string(workshop.path("small.toml")).expect("settings");
-    fs::write(&toml, format!("window = 28\n{small}")).expect("writes");
+    let small = text_of(workshop.path("small.toml"));
+    put(&toml, format!("window = 28\n{small}"));
     let more = ["--config", arg(&toml)];
     let compose = workshop.path("slow.compose.toml");
-    fs::write(&compose, "fps = 5.0\n").expect("writes");
+    put(&compose, "fps = 5.0\n");
     let long = workshop.path("long");
     let mut args = vec!["train", "motionrefit", arg(&dataset), "--out", arg(&long)];
     args.extend(more);
@@ -311,7 +296,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     ran.expect_said("never seen levitate, ultrasonically");
 
     // The published fit needs its network, and its rows say that it was used.
-    let refused = |args: &[&str]| stance(args).expect_code(1).stderr;
+    let refused = |args: &[&str]| stance(args).refusal();
     let published = [
         "edit",
         arg(&editor),
@@ -363,7 +348,7 @@ impl Quality {
 fn windows_of_a_trained_editor_join() {
     let bench = Bench::open();
     bench.items("asked", &["--count", "24"]);
-    let small = fs::read_to_string(bench.workshop.path("small.toml")).expect("settings");
+    let small = text_of(bench.workshop.path("small.toml"));
     // The steps and the noise of the predictions that are compared; those of the preset belong to another one.
     let plain = "[diffusion]\nnoise = \"white\"\nschedule = \"rescaled\"\nnum_steps = 50\ntemperature = 1.0\nbone_weight = 0.0\ntell_frames = false\n";
     for (run, diffusion) in [
@@ -377,7 +362,7 @@ fn windows_of_a_trained_editor_join() {
         ),
     ] {
         let settings = bench.workshop.path(&format!("{run}.toml"));
-        fs::write(&settings, format!("{small}{plain}{diffusion}")).expect("writes");
+        put(&settings, format!("{small}{plain}{diffusion}"));
         let more = ["--config", arg(&settings), "--steps", "400"];
         bench
             .workshop
@@ -389,10 +374,7 @@ fn windows_of_a_trained_editor_join() {
         bench.answers(run, "asked", &out, &["--name", run])
     });
     let edits: Vec<&Path> = edits.iter().map(PathBuf::as_path).collect();
-    let scores: Value = bench
-        .eval(&edits, &["--further", "--json"])
-        .expect_code(0)
-        .json();
+    let scores: Value = bench.eval(&edits, &["--further", "--json"]).done();
     let [real, joined, apart] =
         ["Real Data", "joined", "apart"].map(|system| Quality::of(&scores, system));
     let ratio = |quality: &Quality| quality.seam / quality.inside;

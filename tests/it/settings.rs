@@ -1,9 +1,7 @@
 //! Errors in files of settings are said once, with file, line and column; log lines say whose they are.
 
-use std::fs;
-
 use crate::train::Workshop;
-use crate::util::{arg, stance};
+use crate::util::{arg, put, stance};
 
 #[test]
 fn a_wrong_setting_is_named_once_by_file_line_and_column() {
@@ -11,7 +9,7 @@ fn a_wrong_setting_is_named_once_by_file_line_and_column() {
     let dataset = workshop.dataset();
     let (file, out) = (workshop.path("own.toml"), workshop.path("none"));
     let refused = |text: &str, args: &[&str], place: &str, problem: &str| {
-        fs::write(&file, text).expect("writes");
+        put(&file, text);
         let ran = stance(args).expect_code(1);
         let expected = format!("{}:{place}: ", file.display());
         assert!(ran.stderr.contains(&expected), "{expected}\n{}", ran.stderr);
@@ -88,7 +86,7 @@ fn a_split_without_pairs_is_said() {
     let workshop = Workshop::open();
     let (sources, list) = (workshop.path("corpus"), workshop.path("splits.csv"));
     let pairs = |lines: &str, name: &str| -> String {
-        fs::write(&list, lines).expect("writes");
+        put(&list, lines);
         let dataset = workshop.path(name);
         let args = ["ingest", arg(&sources), "--out", arg(&dataset)];
         stance(&[&args[..], &["--splits", arg(&list)]].concat()).expect_code(0);

@@ -7,8 +7,10 @@ use std::path::{Path, PathBuf};
 use datasets_spec::record::{MotionRow, SkippedRow};
 use serde_json::{Value, json};
 
-use crate::grown::{clips, files, halves, ingest, judge, masks, motions, move_files, verified};
-use crate::util::{arg, command, corpus, rows_of, stance};
+use crate::grown::{
+    begun_with_half, clips, files, halves, ingest, judge, masks, motions, move_files, verified,
+};
+use crate::util::{arg, assert_has, command, corpus, put, rows_of, stance, text_of};
 
 /// Runs `ingest` with sources as a user writes them, and returns its document.
 fn grow(sources: &[String], out: &Path, more: &[&str], code: i32) -> Value {
@@ -83,7 +85,7 @@ pub(crate) fn everything(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 fn folders_that_share_a_file_are_two_sources() {
     let (dir, a, b) = halves(12);
     for folder in [&a, &b] {
-        fs::write(folder.join("LICENSE"), "MIT License\n").expect("written");
+        put(folder.join("LICENSE"), "MIT License\n");
     }
     let dataset = dir.path().join("dataset");
     ingest(&[&a], &dataset, &[], 0);
@@ -244,13 +246,8 @@ fn nothing_leaves_unless_it_is_asked_for() {
     let missing = &kept["growth"]["missing"];
     assert_eq!(list(missing).into_iter().collect::<BTreeSet<_>>(), gone);
     assert_eq!(clips(&dataset), before);
-    let text = stance(&["ingest", arg(&source), "--out", arg(&dataset)])
-        .expect_code(0)
-        .stdout;
-    assert!(
-        text.contains("2 missing, kept; --prune removes them"),
-        "{text}"
-    );
+    let text = stance(&["ingest", arg(&source), "--out", arg(&dataset)]).printed();
+    assert_has(&text, &["2 missing, kept; --prune removes them"]);
     // Labels that people made hold a clip back.
     let refused = grow(&[bare(&source)], &dataset, &["--prune"], 1);
     assert!(
@@ -283,7 +280,7 @@ fn a_clip_whose_file_is_damaged_stays_as_it_was() {
     let (before, judged) = (clips(&dataset), judge(&dataset, dir.path()));
     let file = files(&source)[0].clone();
     let kept = fs::read(&file).expect("read");
-    fs::write(&file, &kept[..kept.len() / 2]).expect("written");
+    put(&file, &kept[..kept.len() / 2]);
     let row = motions(&dataset)
         .into_iter()
         .find(|row| source.join(&row.source_path) == file);
@@ -298,10 +295,10 @@ fn a_clip_whose_file_is_damaged_stays_as_it_was() {
         verified(&dataset);
     }
     // It is whole again, and then pruned while it is not.
-    fs::write(&file, &kept).expect("written");
+    put(&file, &kept);
     ingest(&[&source], &dataset, &[], 0);
     assert_eq!(clips(&dataset), before);
-    fs::write(&file, &kept[..kept.len() / 2]).expect("written");
+    put(&file, &kept[..kept.len() / 2]);
     let pruned = ingest(&[&source], &dataset, &["--prune", "--drop-labels"], 3);
     assert_eq!(pruned["growth"]["pruned"], json!([id]));
     assert_eq!(clips(&dataset).len(), before.len() - 1);
@@ -415,11 +412,7 @@ fn a_dry_run_tells_what_happens_and_writes_nothing() {
             .contains("fps was 20 and is now 30")
     );
     let text = stance(&["ingest", arg(&source), "--out", arg(&dataset), "--dry-run"]);
-    assert!(
-        text.expect_code(0)
-            .stdout
-            .starts_with("nothing was written")
-    );
+    assert!(text.printed().starts_with("nothing was written"));
 }
 
 /// Checks that a dry run told what a run did.
@@ -540,17 +533,14 @@ fn a_dataset_of_an_earlier_build_asks_for_names_and_deletes_nothing() {
             true => fs::create_dir_all(&to).expect("made"),
             false => {
                 fs::create_dir_all(to.parent().expect("a folder")).expect("made");
-                fs::write(&to, bytes).expect("written");
+                put(&to, bytes);
             }
         }
     }
     let before = clips(&dataset);
     // It has two sources whose folders are called data, and their files are not here.
     let said = asked(&[bare(&source)], &dataset);
-    assert!(
-        said.contains("one-data (2 clips), two-data (2 clips)"),
-        "{said}"
-    );
+    assert_has(&said, &["one-data (2 clips), two-data (2 clips)"]);
     assert!(
         said.contains(&named("one-data", &source)) && said.contains(&named("corpus", &source)),
         "{said}"
@@ -558,8 +548,7 @@ fn a_dataset_of_an_earlier_build_asks_for_names_and_deletes_nothing() {
     let grown = grow(&[named("corpus", &source)], &dataset, &[], 0);
     assert_eq!(grown["growth"]["new"], 4);
     let empty = dir.path().join("empty");
-    fs::create_dir(&empty).expect("made");
-    fs::write(empty.join("notes.txt"), "no motion").expect("written");
+    put(empty.join("notes.txt"), "no motion");
     let grown = grow(&[named("one-data", &empty)], &dataset, &[], 0);
     assert_eq!(list(&grown["growth"]["missing"]).len(), 2, "{grown}");
     let after = clips(&dataset);
@@ -569,7 +558,7 @@ fn a_dataset_of_an_earlier_build_asks_for_names_and_deletes_nothing() {
 #[test]
 fn no_path_of_this_machine_is_published() {
     let (dir, source, more) = halves(12);
-    fs::write(source.join("broken.bvh"), "HIERARCHY\nROOT").expect("written");
+    put(source.join("broken.bvh"), "HIERARCHY\nROOT");
     let dataset = dir.path().join("dataset");
     ingest(&[&source], &dataset, &[], 3);
     ingest(&[&more], &dataset, &[], 3);
@@ -590,10 +579,7 @@ fn no_path_of_this_machine_is_published() {
     };
     assert_eq!(holds(&dataset), Vec::<PathBuf>::new());
     assert!(dataset.join(".stance/sources.json").exists());
-    assert_eq!(
-        fs::read_to_string(dataset.join(".stance/.gitignore")).expect("read"),
-        "*\n"
-    );
+    assert_eq!(text_of(dataset.join(".stance/.gitignore")), "*\n");
     for layout in ["bvh", "webdataset", "stance"] {
         let out = dir.path().join(layout);
         stance(&["export", arg(&dataset), "--to", layout, "--out", arg(&out)]).expect_code(0);
@@ -622,9 +608,7 @@ fn many_processes_grow_a_dataset_alike() {
     .concat();
     stance(&job).expect_code(0);
     stance(&["stage", "work", arg(&plan)]).expect_code(0);
-    let made: Value = stance(&["--json", "stage", "commit", arg(&plan)])
-        .expect_code(0)
-        .json();
+    let made: Value = stance(&["--json", "stage", "commit", arg(&plan)]).done();
     assert_eq!(made["root_hash"], done["root_hash"]);
     // The places are recorded by either way.
     let again = grow(&[bare(&ben)], &many, &[], 0);
@@ -633,9 +617,7 @@ fn many_processes_grow_a_dataset_alike() {
 
 #[test]
 fn a_folder_named_like_another_source_is_asked_about() {
-    let (dir, source, more) = halves(12);
-    let dataset = dir.path().join("dataset");
-    ingest(&[&source], &dataset, &[], 0);
+    let (dir, source, more, dataset) = begun_with_half(12);
     ingest(&[&more], &dataset, &[], 0);
     let before = clips(&dataset);
     move_files(&files(&source)[..1], &source.join("more"));

@@ -1,7 +1,6 @@
 //! Drawn splits that keep together all clips of a subject or of an action.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Split;
@@ -9,7 +8,7 @@ use datasets_spec::record::MotionRow;
 use serde_json::{Value, json};
 
 use crate::grown::{files, ingest, motions, move_files};
-use crate::util::{arg, corpus, files_with_extension, stance, typed};
+use crate::util::{arg, corpus, files_with_extension, json_of, put, stance, text_of, typed};
 
 /// The splits of all clips with one label.
 fn splits(
@@ -41,14 +40,13 @@ fn with_subjects(corpus: &Path) -> usize {
     let sidecars = files_with_extension(corpus, "json");
     let mut without = 0;
     for (number, path) in sidecars.iter().enumerate() {
-        let text = fs::read(path).expect("a sidecar");
-        let mut sidecar: Value = serde_json::from_slice(&text).expect("a document");
+        let mut sidecar: Value = json_of(path);
         sidecar["subject"] = match number % 3 {
             0 => Value::Null,
             _ => json!(format!("s{}", number % 10)),
         };
         without += usize::from(number % 3 == 0);
-        fs::write(path, sidecar.to_string()).expect("written");
+        put(path, sidecar.to_string());
     }
     without
 }
@@ -92,7 +90,7 @@ fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
         .filter(|row| row.subject.is_none())
         .count();
     assert_eq!(lacking, without);
-    let card = fs::read_to_string(dataset.join("README.md")).expect("a card");
+    let card = text_of(dataset.join("README.md"));
     assert!(card.contains("drawn by subject"), "{card}");
     // What the dataset was made with holds.
     let other = ingest(&[&source], &dataset, &["--split-by", "action"], 0);

@@ -15,7 +15,8 @@ use work::{Outcome, Piece, Record};
 use crate::archives::files_below;
 use crate::train::Workshop;
 use crate::util::{
-    Ran, arg, command, corpus, files_with_extension, real_data, rows_of, stance, typed,
+    Ran, arg, command, corpus, files_with_extension, json_of, put, real_data, rows_of, stance,
+    text_of, typed, typed_with,
 };
 use crate::variants::{ANY as ANY_PAIR, SMALL as SMALL_GENERATOR};
 
@@ -94,7 +95,7 @@ fn root_hash(verb: &[&str], out: &Path) -> String {
     let mut args = vec!["--json"];
     args.extend(verb);
     args.extend(["--out", arg(out)]);
-    let done: serde_json::Value = stance(&args).expect_code(0).json();
+    let done: serde_json::Value = stance(&args).done();
     done["root_hash"].as_str().expect("a hash").to_owned()
 }
 
@@ -103,7 +104,7 @@ fn planned(job: &[&str], into: &Path, plan: &Path) -> Planned {
     let mut args = vec!["--json", "stage", "plan"];
     args.extend(job);
     args.extend(["--into", arg(into), "--out", arg(plan)]);
-    stance(&args).expect_code(0).json()
+    stance(&args).done()
 }
 
 fn records(ran: &Ran) -> Vec<Record> {
@@ -114,9 +115,7 @@ fn records(ran: &Ran) -> Vec<Record> {
 }
 
 fn work(plan: &Path, more: &[&str], code: i32) -> Vec<Record> {
-    let mut args = vec!["--json", "stage", "work", arg(plan)];
-    args.extend(more);
-    records(&stance(&args).expect_code(code))
+    records(&typed_with("--json stage work {}", &[&plan], more).expect_code(code))
 }
 
 fn commit(plan: &Path, more: &[&str], code: i32) -> Committed {
@@ -126,8 +125,7 @@ fn commit(plan: &Path, more: &[&str], code: i32) -> Committed {
 }
 
 fn status(plan: &Path) -> Status {
-    let args = ["--json", "stage", "status", arg(plan)];
-    stance(&args).expect_code(0).json()
+    typed("--json stage status {}", &[&plan]).done()
 }
 
 fn pieces(plan: &Path) -> Vec<Piece> {
@@ -205,8 +203,7 @@ fn root_hash_in_pieces(job: &[&str], into: &Path, plan: &Path) -> String {
 }
 
 fn plan_hash(plan: &Path) -> String {
-    let text = fs::read(plan.join("plan.json")).expect("a plan");
-    let plan: serde_json::Value = serde_json::from_slice(&text).expect("JSON");
+    let plan: serde_json::Value = json_of(plan.join("plan.json"));
     plan["plan_hash"].as_str().expect("a hash").to_owned()
 }
 
@@ -244,7 +241,7 @@ impl Place {
 fn an_ingestion_in_pieces_is_that_of_one_process() {
     let place = Place::new(CLIPS);
     let source = place.at("corpus");
-    fs::write(source.join("broken.bvh"), "HIERARCHY\n").expect("written");
+    put(source.join("broken.bvh"), "HIERARCHY\n");
     let clean = place.at("clean");
     let ran = stance(&["--json", "ingest", arg(&source), "--out", arg(&clean)]).expect_code(3);
     let clean: serde_json::Value = ran.json();
@@ -285,10 +282,10 @@ fn a_dataset_that_grows_in_pieces_is_that_of_one_process() {
     }
     // One clip changes, one goes and one is new, so that shards are written again.
     let files = files_with_extension(&source, "bvh");
-    let text = fs::read_to_string(&files[0]).expect("a file");
-    fs::write(&files[1], &text).expect("written");
+    let text = text_of(&files[0]);
+    put(&files[1], &text);
     fs::remove_file(&files[2]).expect("removed");
-    fs::write(source.join("new.bvh"), &text).expect("written");
+    put(source.join("new.bvh"), &text);
     let verb = ["ingest", arg(&source), "--prune", "--drop-labels"];
     let clean = root_hash(&verb, &first);
     let plan = place.at("plan");
@@ -379,8 +376,7 @@ fn a_plan_is_refused_once_its_destination_has_another_version() {
     for record in work(&plan, &[], 3) {
         assert_eq!(record.code.as_deref(), Some("E-PLAN-STALE"));
     }
-    let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-    ran.expect_said("plan again");
+    stance(&["stage", "commit", arg(&plan)]).expect_refused("plan again");
     assert_eq!(
         Dataset::open(&into).expect("opens").manifest().root_hash,
         before
@@ -413,7 +409,7 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
         "{reasons:?}"
     );
     fs::remove_file(bvh).expect("removed");
-    fs::write(bvh, &changed).expect("written");
+    put(bvh, &changed);
     let made = work(&plan, &[], 3);
     let failed: Vec<&Record> = made.iter().filter(|record| !record.is_done()).collect();
     let [failed] = failed[..] else {
@@ -426,8 +422,7 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
         "{reason}"
     );
     assert_eq!(status(&plan).failed.len(), 1);
-    let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-    ran.expect_said("--quarantine-failed");
+    stance(&["stage", "commit", arg(&plan)]).expect_refused("--quarantine-failed");
 
     let items = pieces(&plan)
         .into_iter()
@@ -479,7 +474,7 @@ fn a_label_file_that_is_added_after_planning_fails_the_pieces_that_it_speaks_of(
             all..=all,
         ),
     ] {
-        fs::write(&added, bytes).expect("written");
+        put(&added, bytes);
         let made = work(&plan, &[], 3);
         let failed: Vec<&Record> = made.iter().filter(|record| !record.is_done()).collect();
         assert!(num_failed.contains(&failed.len()), "{made:?}");
@@ -496,7 +491,7 @@ fn a_label_file_that_is_added_after_planning_fails_the_pieces_that_it_speaks_of(
         fs::remove_dir_all(staged).expect("removed");
     }
     // What says nothing of a motion stops nothing.
-    fs::write(source.join("job-17.out"), "made\n").expect("written");
+    put(source.join("job-17.out"), "made\n");
     by_four(&plan);
     assert_eq!(commit(&plan, &[], 0).root_hash, clean);
 }
@@ -505,7 +500,7 @@ fn a_label_file_that_is_added_after_planning_fails_the_pieces_that_it_speaks_of(
 fn a_dry_run_counts_a_file_of_many_pieces_once() {
     let place = Place::new(CLIPS);
     let [source, into, plan] = ["corpus", "dataset", "plan"].map(|name| place.at(name));
-    fs::write(source.join("stance.toml"), "license = \"CC0-1.0\"\n").expect("written");
+    put(source.join("stance.toml"), "license = \"CC0-1.0\"\n");
     let made = planned(&["ingest", arg(&source)], &into, &plan);
     assert!(made.pieces > 1);
     let sizes = files_below(&source)
@@ -522,8 +517,7 @@ fn a_dry_run_counts_and_writes_nothing() {
         "--json stage plan ingest {} --into {} --dry-run",
         &[&source, &into],
     )
-    .expect_code(0)
-    .json();
+    .done();
     assert_eq!(planned.items, 12);
     assert!(planned.pieces > 0 && planned.bytes > 0);
     let sample = planned.sample.expect("a sample");
@@ -555,7 +549,7 @@ fn a_piece_whose_process_is_killed_fails_alone() {
             .any(|word| word == largest.id.as_bytes())
     };
     let child = loop {
-        let children = fs::read_to_string(&children).expect("the worker waits for this piece");
+        let children = text_of(&children);
         let mut children = children.split_whitespace();
         if let Some(child) = children.find(|child| is_of_piece(child)) {
             break child.to_owned();
@@ -688,11 +682,11 @@ fn edits_in_pieces_are_those_of_one_process() {
 fn variants_in_pieces_are_those_of_one_process() {
     let workshop = Workshop::open();
     let (settings, texts) = (workshop.path("mld.toml"), workshop.path("texts"));
-    fs::write(&settings, SMALL_GENERATOR).expect("writes");
+    put(&settings, SMALL_GENERATOR);
     let lines: String = (0..40)
         .map(|number| format!("a person walks {number} steps\n"))
         .collect();
-    fs::write(&texts, lines).expect("writes");
+    put(&texts, lines);
     let small = ["--config", arg(&settings), "--steps", "3"];
     workshop.train_with("mld", "mld", &small).expect_code(0);
     let (dataset, run) = (workshop.dataset(), workshop.path("mld"));
@@ -808,10 +802,8 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
     killed.kill().expect("a child");
     killed.wait().expect("a child");
     if !into.exists() {
-        fs::create_dir_all(&into).expect("a folder");
-        fs::write(into.join("notes.txt"), "mine").expect("written");
-        let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-        ran.expect_said(arg(&into));
+        put(into.join("notes.txt"), "mine");
+        stance(&["stage", "commit", arg(&plan)]).expect_refused(arg(&into));
         fs::remove_dir_all(&into).expect("removed");
     }
     let done = commit(&plan, &[], 0);
@@ -839,8 +831,7 @@ fn a_dry_run_of_an_export_makes_a_few_clips() {
             "--json stage plan export {} --to {} --into {} --dry-run",
             &[&dataset, &layout, &into],
         )
-        .expect_code(0)
-        .json();
+        .done();
         let sample = planned.sample.expect("a sample");
         assert_eq!((planned.items, sample.items), (40, 16), "{layout}");
         assert!(planned.bytes > 0 && !into.exists(), "{layout}");
@@ -873,17 +864,15 @@ fn an_export_of_chosen_clips_in_pieces_is_that_of_one_process() {
     let mut damaged = whole.clone();
     let middle = damaged.len() / 2;
     damaged[middle] ^= 1;
-    fs::write(shard, damaged).expect("written");
+    put(shard, damaged);
     let made = work(&plan, &[], 3);
     assert_eq!(
         made[0].code.as_deref(),
         Some("E-SOURCE-CHANGED"),
         "{made:?}"
     );
-    let args = ["stage", "commit", arg(&plan), "--quarantine-failed"];
-    let ran = stance(&args).expect_code(1);
-    ran.expect_said("whole or not at all");
-    fs::write(shard, whole).expect("written");
+    typed("stage commit {} --quarantine-failed", &[&plan]).expect_refused("whole or not at all");
+    put(shard, whole);
     work(&plan, &[], 0);
     commit(&plan, &[], 0);
     assert!(files_below(&into) == files_below(&clean));

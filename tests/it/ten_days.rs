@@ -16,7 +16,7 @@ use crate::grown::{
     clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
 };
 use crate::sources::{everything, predicted};
-use crate::util::{arg, corpus, files_with_extension, stance};
+use crate::util::{arg, corpus, files_with_extension, len_of, rows_of, stance, typed};
 
 /// Copies motions to a folder under the names of others of the same kind.
 fn copy_twins(names: &[PathBuf], motions: &[PathBuf], from: &Path, to: &Path) {
@@ -77,13 +77,13 @@ impl Days {
         args.extend(sources.iter().map(|source| arg(source)));
         args.extend(more);
         let before = everything(&self.dataset);
-        let told: Value = stance(&args).expect_code(0).json();
+        let told: Value = stance(&args).done();
         assert_eq!(everything(&self.dataset), before);
         let total = clips(&self.dataset).len();
         let done = ingest(sources, &self.dataset, more, 0);
         predicted(&told, &done);
         let growth = &done["growth"];
-        let pruned = growth["pruned"].as_array().expect("a list").len();
+        let pruned = len_of(&growth["pruned"]);
         let new = usize::try_from(growth["new"].as_u64().expect("a count")).expect("few");
         assert_eq!(clips(&self.dataset).len(), total + new - pruned);
         done
@@ -211,9 +211,7 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     let same = days.grow(&[Path::new(&named), &more], &[]);
     assert_eq!(same["growth"]["new"], 0);
     days.check("grown after a restore");
-    let compacted: Value = stance(&["--json", "dataset", "compact", arg(&dataset)])
-        .expect_code(0)
-        .json();
+    let compacted: Value = stance(&["--json", "dataset", "compact", arg(&dataset)]).done();
     assert!(compacted["after"]["files"].as_u64() < compacted["before"]["files"].as_u64());
     assert_eq!(clips(&dataset), before.0);
     days.check("compacted");
@@ -232,12 +230,10 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     merged.check("merged");
     // 10 export and prune.
     let export = dir.path().join("export");
-    let args = ["export", arg(&dataset), "--to", "bvh"];
-    stance(&[&args[..], &["--out", arg(&export)]].concat()).expect_code(0);
+    typed("export {} --to bvh --out {}", &[&dataset, &export]).expect_code(0);
     stance(&["dataset", "prune", arg(&dataset)]).expect_code(0);
     days.check("old versions are gone");
-    let opened = Dataset::open(&dataset).expect("a dataset");
-    let pairs: Vec<PairRow> = opened.read(None).expect("rows");
+    let pairs: Vec<PairRow> = rows_of(&dataset);
     let ids: BTreeSet<String> = clips(&dataset).into_keys().collect();
     assert!(
         pairs

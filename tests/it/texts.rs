@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use crate::baselines::SMALL_TMED;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, stance, typed};
+use crate::util::{Ran, arg, put, stance, text_of, typed};
 
 const WIDTH: usize = 26;
 
@@ -37,7 +37,7 @@ impl<'a> TextTable<'a> {
         let Listed { mut texts } = listed.json();
         texts.extend(more.iter().map(|text| (*text).to_owned()));
         let list = serde_json::json!({ "texts": texts }).to_string();
-        fs::write(workshop.path("texts.json"), list).expect("writes");
+        put(workshop.path("texts.json"), list);
         let count = |text: &String, letter: u8| {
             let letters = text.bytes().map(|byte| byte.to_ascii_lowercase());
             letters.filter(|&byte| byte == letter).count() as f32
@@ -77,7 +77,7 @@ fn write_npy(path: &Path, values: &[f32]) {
     bytes.extend((header.len() as u16).to_le_bytes());
     bytes.extend(header.as_bytes());
     bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
-    fs::write(path, bytes).expect("writes");
+    put(path, bytes);
 }
 
 #[test]
@@ -89,27 +89,24 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     assert_eq!(lines.stdout.lines().collect::<Vec<_>>(), vectors.texts);
     vectors.write("letters.safetensors", 1.0).expect_code(0);
     let short = vectors.make("short.safetensors", &vectors.values[WIDTH..]);
-    let said = short.expect_code(1).stderr;
-    assert!(said.contains("no row for each"), "{said}");
+    short.expect_refused("no row for each");
 
-    let small = fs::read_to_string(workshop.path("small.toml")).expect("settings");
+    let small = text_of(workshop.path("small.toml"));
     let settings = workshop.path("table.toml");
-    fs::write(&settings, format!("text.encoder = \"table\"\n{small}")).expect("writes");
+    put(&settings, format!("text.encoder = \"table\"\n{small}"));
     let table = workshop.path("letters.safetensors");
     let train = |model: &str, more: &[&str]| {
         let settings = ["--config", arg(&settings), "--steps", "4"];
         workshop.train_with(model, "editor", &[&settings, more].concat())
     };
-    let unnamed = train("motionrefit", &[]).expect_code(1);
-    unnamed.expect_said("--text-encoder");
+    train("motionrefit", &[]).expect_refused("--text-encoder");
     train("motionrefit", &["--text-encoder", arg(&table)]).expect_code(0);
     let alone = workshop.path("tmed.toml");
-    fs::write(&alone, "text.encoder = \"table\"\n").expect("writes");
+    put(&alone, "text.encoder = \"table\"\n");
     let told = ["--config", arg(&alone), "--text-encoder", arg(&table)];
     let tokens = workshop.train_with("tmed", "tmed", &told);
-    let said = tokens.expect_code(1).stderr;
-    assert!(said.contains("TMED reads tokens"), "{said}");
-    let record = fs::read_to_string(workshop.path("editor/config.json")).expect("a record");
+    tokens.expect_refused("TMED reads tokens");
+    let record = text_of(workshop.path("editor/config.json"));
     let record: Value = serde_json::from_str(&record).expect("JSON");
     let frozen = &record["config"]["text"]["frozen"];
     assert_eq!(frozen["encoder_hash"], "letters");
@@ -131,7 +128,7 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
         stance(&args)
     };
     let refused = |what: &[&str], table: &str, why: &str| {
-        let said = edit("refused", what, Some(table)).expect_code(1).stderr;
+        let said = edit("refused", what, Some(table)).refusal();
         assert!(said.contains(why), "{said}");
     };
     edit("edits", &items, None).expect_code(0);
@@ -193,13 +190,13 @@ fn write_distilbert(folder: &Path, phase: f32) {
     });
     let weights = safetensors::serialize(views, None).expect("serialises");
     fs::create_dir_all(folder).expect("made");
-    fs::write(folder.join("model.safetensors"), weights).expect("writes");
-    fs::write(folder.join("vocab.txt"), vocabulary.join("\n")).expect("writes");
+    put(folder.join("model.safetensors"), weights);
+    put(folder.join("vocab.txt"), vocabulary.join("\n"));
     let config = json!({
         "model_type": "distilbert", "vocab_size": vocabulary.len(), "max_position_embeddings": 32,
         "dim": WIDTH, "n_layers": 1, "n_heads": 2, "hidden_dim": WIDTH, "activation": "gelu",
     });
-    fs::write(folder.join("config.json"), config.to_string()).expect("writes");
+    put(folder.join("config.json"), config.to_string());
 }
 
 #[test]
@@ -210,10 +207,10 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     let (package, encoder) = (path("package"), path("encoder"));
     typed("model encoder --package {} --out {}", &[&package, &encoder]).expect_code(0);
 
-    let small = fs::read_to_string(path("small.toml")).expect("settings");
+    let small = text_of(path("small.toml"));
     let train_into = |run: &str, model: &str, settings: &str, told: &[&str]| {
         let config = path(&format!("{run}.toml"));
-        fs::write(&config, settings).expect("writes");
+        put(&config, settings);
         let settings = ["--config", arg(&config), "--steps", "4"];
         workshop.train_with(model, run, &[&settings, told].concat())
     };
@@ -221,17 +218,15 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
         |model: &str, settings: &str, told: &[&str]| train_into(model, model, settings, told);
     let told = ["--text-encoder", arg(&encoder)];
     let editor = format!("text.encoder = \"bert\"\n{small}");
-    let unnamed = train("motionrefit", &editor, &[]).expect_code(1).stderr;
-    assert!(unnamed.contains("--text-encoder"), "{unnamed}");
+    train("motionrefit", &editor, &[]).expect_refused("--text-encoder");
     let states = format!("text.vectors = \"states\"\n{editor}");
-    let refused = train("motionrefit", &states, &told).expect_code(1).stderr;
-    assert!(refused.contains("one vector for each token"), "{refused}");
+    train("motionrefit", &states, &told).expect_refused("one vector for each token");
     train("motionrefit", &editor, &told).expect_code(0);
     let tokens = format!("text.encoder = \"bert\"\n{SMALL_TMED}");
     train("tmed", &tokens, &told).expect_code(0);
 
     let hash = |run: &str| {
-        let record = fs::read_to_string(path(run).join("config.json")).expect("a record");
+        let record = text_of(path(run).join("config.json"));
         let record: Value = serde_json::from_str(&record).expect("JSON");
         let hash = &record["config"]["text"]["frozen"]["encoder_hash"];
         hash.as_str().expect("a hash").to_owned()
@@ -263,7 +258,6 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
         let args = [&["edit", arg(&run), "--out", arg(&out)][..], &spin, told].concat();
         stance(&args)
     };
-    let unnamed = edit("never", &[]).expect_code(1).stderr;
-    assert!(unnamed.contains("--text-encoder"), "{unnamed}");
+    edit("never", &[]).expect_refused("--text-encoder");
     edit("spun", &told).expect_code(0);
 }

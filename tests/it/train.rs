@@ -10,7 +10,10 @@ use datasets_spec::record::{EditRow, ItemRow, MotionRow};
 use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
-use crate::util::{Ran, arg, command, corpus, rows_of, stance, typed};
+use crate::util::{
+    Ran, arg, assert_has, command, corpus, files_with_extension, json_of, len_of, put, rows_of,
+    stance, text_of, typed,
+};
 
 /// Clips of the corpus: six styles of twenty actions.
 const CLIPS: usize = 120;
@@ -42,8 +45,8 @@ impl Workshop {
         let dataset = workshop.dataset();
         stance(&["ingest", arg(&sources), "--out", arg(&dataset)]).expect_code(0);
         stance(&["masks", arg(&dataset)]).expect_code(0);
-        fs::write(workshop.path("small.toml"), SMALL).expect("writes");
-        fs::write(workshop.path("encoder.toml"), SMALL_ENCODER).expect("writes");
+        put(workshop.path("small.toml"), SMALL);
+        put(workshop.path("encoder.toml"), SMALL_ENCODER);
         workshop
     }
 
@@ -85,8 +88,7 @@ impl Workshop {
 
     /// A document of a run folder.
     fn record(&self, run: &str) -> Value {
-        let text = fs::read_to_string(self.path(run).join("config.json")).expect("a record");
-        serde_json::from_str(&text).expect("JSON")
+        json_of(self.path(run).join("config.json"))
     }
 
     pub(crate) fn root_hash(&self) -> String {
@@ -96,7 +98,7 @@ impl Workshop {
 
     /// A clip of the corpus as a file.
     pub(crate) fn clip(&self) -> PathBuf {
-        crate::util::files_with_extension(&self.path("corpus"), "bvh")
+        files_with_extension(&self.path("corpus"), "bvh")
             .into_iter()
             .next()
             .expect("the corpus has BVH files")
@@ -107,10 +109,7 @@ impl Workshop {
 fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
     let workshop = Workshop::open();
     let steps = "300";
-    let whole: Value = workshop
-        .train("motionrefit", "whole", steps)
-        .expect_code(0)
-        .json();
+    let whole: Value = workshop.train("motionrefit", "whole", steps).done();
     assert_eq!(whole["is_complete"], true);
 
     let run = workshop.path("parts");
@@ -147,10 +146,7 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
     let stopped: Value = stopped.json();
     assert_eq!(stopped["is_complete"], false);
 
-    let done: Value = workshop
-        .train("motionrefit", "parts", steps)
-        .expect_code(0)
-        .json();
+    let done: Value = workshop.train("motionrefit", "parts", steps).done();
     for figure in ["steps", "last_loss", "best_val_loss", "best_step"] {
         assert_eq!(done[figure], whole[figure], "{figure}");
     }
@@ -165,7 +161,7 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
     let plot = workshop.path("losses.svg");
     let (whole, parts) = (workshop.path("whole"), workshop.path("parts"));
     typed("train plot {} {} --out {}", &[&whole, &parts, &plot]).expect_code(0);
-    let svg = fs::read_to_string(&plot).expect("a picture");
+    let svg = text_of(&plot);
     assert!(svg.contains("whole validation") && svg.contains("parts training"));
 }
 
@@ -177,7 +173,7 @@ fn the_released_pose_network_begins_as_pytorchs_layers_do() {
         .train_with("j2s", "poses", &settings)
         .expect_code(0);
     let run = workshop.path("poses");
-    let metrics = fs::read_to_string(run.join("metrics.jsonl")).expect("metrics");
+    let metrics = text_of(run.join("metrics.jsonl"));
     let losses: Vec<Value> = metrics
         .lines()
         .map(|line| serde_json::from_str::<Value>(line).expect("JSON"))
@@ -208,13 +204,12 @@ fn training_leaves_the_dataset_as_it_was_and_every_run_goes_on() {
     workshop.train("tmr", "encoder", "2").expect_code(0);
     workshop.train("motionrefit", "editor", "2").expect_code(0);
     let compose = workshop.path("compose.toml");
-    fs::write(
+    put(
         &compose,
         "fps = 5.0\nanchor = \"translation\"\nwindow = 10\n",
-    )
-    .expect("writes");
+    );
     let settings = workshop.path("other.toml");
-    fs::write(&settings, format!("window = 10\n{SMALL}")).expect("writes");
+    put(&settings, format!("window = 10\n{SMALL}"));
     let other = [
         "--config",
         arg(&settings),
@@ -228,7 +223,7 @@ fn training_leaves_the_dataset_as_it_was_and_every_run_goes_on() {
         .expect_code(0);
     assert_eq!(workshop.root_hash(), before);
     for (model, run) in [("tmr", "encoder"), ("motionrefit", "editor")] {
-        let again: Value = workshop.train(model, run, "2").expect_code(0).json();
+        let again: Value = workshop.train(model, run, "2").done();
         assert_eq!(again["steps"], 2, "{run}");
     }
     let range = |run: &str| workshop.record(run)["config"]["normalizer"].clone();
@@ -245,22 +240,18 @@ fn fixed_pairs_are_validated_on_what_everything_else_is() {
     // Weights that do not move tell the windows they are validated on. A residual would not: its units
     // are fitted to the training windows, which differ.
     let settings = workshop.path("still.toml");
-    fs::write(
+    put(
         &settings,
         format!(
             "{SMALL}\n[optimizer]\nlearning_rate = 0.0\n\n[diffusion]\nnoise = \"white\"\nprediction = \"change\"\n"
         ),
-    )
-    .expect("writes");
+    );
     let fixed = workshop.path("fixed.toml");
-    fs::write(&fixed, "fixed_pairs = true\n").expect("writes");
+    put(&fixed, "fixed_pairs = true\n");
     let still = ["--config", arg(&settings), "--steps", "1"];
     let loss = |run: &str, more: &[&str]| -> Value {
         let args = [&still[..], more].concat();
-        let done: Value = workshop
-            .train_with("motionrefit", run, &args)
-            .expect_code(0)
-            .json();
+        let done: Value = workshop.train_with("motionrefit", run, &args).done();
         done["best_val_loss"].clone()
     };
     let full = loss("full", &[]);
@@ -272,7 +263,7 @@ fn fixed_pairs_are_validated_on_what_everything_else_is() {
 fn a_seed_in_a_file_counts_unless_one_is_given() {
     let workshop = Workshop::open();
     let settings = workshop.path("seeded.toml");
-    fs::write(&settings, format!("seed = 5\n{SMALL}")).expect("writes");
+    put(&settings, format!("seed = 5\n{SMALL}"));
     for (run, more, expected) in [("own", &[][..], 5), ("given", &["--seed", "7"][..], 7)] {
         for model in ["motionrefit", "coordinator"] {
             let run = format!("{run}-{model}");
@@ -292,15 +283,11 @@ fn every_kind_of_run_is_extended_and_begins_with_anothers_weights() {
     let workshop = Workshop::open();
     for model in ["motionrefit", "coordinator", "tmr"] {
         workshop.train(model, model, "4").expect_code(0);
-        let refused = workshop.train(model, model, "6").expect_code(1);
-        refused.expect_said("--extend");
+        workshop.train(model, model, "6").expect_refused("--extend");
         let settings = workshop.settings(model);
         let longer = ["--config", arg(&settings), "--steps", "6"];
         let extend = [&longer[..], &["--extend"]].concat();
-        let done: Value = workshop
-            .train_with(model, model, &extend)
-            .expect_code(0)
-            .json();
+        let done: Value = workshop.train_with(model, model, &extend).done();
         assert_eq!(done["steps"], 6, "{model}");
         let lineage = workshop.record(model)["lineage"].clone();
         assert_eq!(
@@ -363,7 +350,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
     for out in &outs {
         args.extend(["--out", arg(out)]);
     }
-    let made: Value = stance(&args).expect_code(0).json();
+    let made: Value = stance(&args).done();
     assert!(made["times"]["coordinator_secs"].as_f64().expect("secs") > 0.0);
     assert!(made["times"]["diffusion_secs"].as_f64().expect("secs") > 0.0);
     let magic: [&[u8]; 6] = [b"PK", b"HIERARCHY", b"glTF", b"<svg", b"\x89PNG", b"GIF8"];
@@ -406,7 +393,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
     assert!(!out.exists());
     // A coordinator of another diffusion does not fit.
     let other = workshop.path("other.toml");
-    fs::write(&other, format!("diffusion_steps = 60\n{SMALL}")).expect("writes");
+    put(&other, format!("diffusion_steps = 60\n{SMALL}"));
     let misfit = workshop.path("misfit");
     typed(
         "train coordinator {} --out {} --config {} --steps 2",
@@ -429,7 +416,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
 fn an_editor_of_the_body_joints_alone_trains_and_edits() {
     let workshop = Workshop::open();
     let settings = workshop.path("joints.toml");
-    fs::write(&settings, format!("keypoints = 22\n{SMALL}")).expect("writes");
+    put(&settings, format!("keypoints = 22\n{SMALL}"));
     let args = ["--config", arg(&settings), "--steps", "6"];
     workshop
         .train_with("motionrefit", "editor", &args)
@@ -472,18 +459,16 @@ fn an_editor_of_the_body_joints_alone_trains_and_edits() {
             ],
         )
     };
-    let refused = edit("whole").expect_code(1);
-    refused.expect_said("other keypoints");
-    let made: Value = edit("guide").expect_code(0).json();
+    edit("whole").expect_refused("other keypoints");
+    let made: Value = edit("guide").done();
     assert!(made["fit_error_m"].as_f64().expect("metres").is_finite());
     assert!(fs::read(&out).expect("written").starts_with(b"PK"));
     let odd = workshop.path("odd.toml");
-    fs::write(&odd, format!("keypoints = 24\n{SMALL}")).expect("writes");
+    put(&odd, format!("keypoints = 24\n{SMALL}"));
     let odd = ["--config", arg(&odd), "--steps", "1"];
-    let refused = workshop
+    workshop
         .train_with("motionrefit", "odd", &odd)
-        .expect_code(1);
-    refused.expect_said("keypoints");
+        .expect_refused("keypoints");
 }
 
 #[test]
@@ -508,14 +493,14 @@ fn a_history_goes_on_and_back() {
         child.wait_with_output().expect("ends").into()
     };
     let counts = |ran: Ran| -> (usize, u64) {
-        let document: Value = ran.expect_code(0).json();
-        let edits = document["edits"].as_array().expect("edits").len();
+        let document: Value = ran.done();
+        let edits = len_of(&document["edits"]);
         (edits, document["undone"].as_u64().expect("a count"))
     };
-    assert!(edit(&[], "").expect_code(1).stderr.contains("--motion"));
+    assert!(edit(&[], "").refusal().contains("--motion"));
     let begin = ["--motion", arg(&clip), "--text", "The person is waving."];
     assert_eq!(counts(edit(&begin, "")), (1, 0));
-    assert!(edit(&begin, "").expect_code(1).stderr.contains("exists"));
+    assert!(edit(&begin, "").refusal().contains("exists"));
     assert_eq!(
         counts(edit(&["--text", "The person is nodding."], "")),
         (2, 0)
@@ -534,8 +519,7 @@ fn a_history_goes_on_and_back() {
     assert_eq!(counts(edit(&["--undo"], "")), (2, 1));
     assert_eq!(counts(edit(&["--redo"], "")), (3, 0));
     assert!(before == fs::read(&history).expect("a history"));
-    let unknown = edit(&[], ":sing\n").expect_code(1);
-    unknown.expect_said(":undo");
+    edit(&[], ":sing\n").expect_refused(":undo");
 }
 
 /// The tensors of a safetensors file by name.
@@ -554,12 +538,11 @@ fn tensors(path: &Path) -> Vec<(String, Vec<u8>)> {
 #[test]
 fn networks_go_out_under_the_released_names_and_come_back() {
     let workshop = Workshop::open();
-    fs::write(
+    put(
         workshop.path("small.toml"),
         // The sizes of the preset, which are what an import expects.
         "val_every = 2\nval_windows = 8\nlog_every = 2\nbatch_size = 8\n",
-    )
-    .expect("writes");
+    );
     workshop.train("coordinator", "guide", "2").expect_code(0);
     let (guide, out) = (workshop.path("guide"), workshop.path("out"));
     stance(&["model", "export", arg(&guide), "--out", arg(&out)]).expect_code(0);
@@ -584,15 +567,13 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     let weights = |run: &Path| tensors(&run.join("checkpoint/best/coordinator.safetensors"));
     assert!(weights(&guide) == weights(&back));
     let broken = workshop.path("broken.pth");
-    fs::write(&broken, b"PK\x03\x04 no archive").expect("writes");
-    let refused = import(&broken).expect_code(1);
-    refused.expect_said("broken.pth");
+    put(&broken, b"PK\x03\x04 no archive");
+    import(&broken).expect_refused("broken.pth");
 }
 
 /// Losses of a run, as its metrics file has them.
 fn losses(run: &Path) -> Vec<f64> {
-    fs::read_to_string(run.join("metrics.jsonl"))
-        .expect("metrics")
+    text_of(run.join("metrics.jsonl"))
         .lines()
         .map(|line| serde_json::from_str::<Value>(line).expect("JSON"))
         .filter_map(|line| line["loss"].as_f64().or(line["val_loss"].as_f64()))
@@ -636,11 +617,8 @@ fn devices_are_listed_on_any_command_line_and_others_are_refused() {
         &["train", "--device", "list"][..],
         &["edit", "--device=list", "--json"],
     ] {
-        let listed = stance(args).expect_code(0).stdout;
-        assert!(
-            listed.contains("cpu") && listed.contains("threads"),
-            "{listed}"
-        );
+        let listed = stance(args).printed();
+        assert_has(&listed, &["cpu", "threads"]);
     }
     let listed: Value =
         serde_json::from_str(&stance(&["train", "--device=list", "--json"]).stdout).expect("JSON");
@@ -661,18 +639,12 @@ fn devices_are_listed_on_any_command_line_and_others_are_refused() {
 
 #[test]
 fn a_device_is_tested_and_measured_without_a_dataset() {
-    let asked = ["--json", "device", "--secs", "0", "--windows", "2"];
-    let said: Value = stance(&asked).expect_code(0).json();
+    let said: Value = typed("--json device --secs 0 --windows 2", &[]).done();
     assert_eq!(said["device"], "cpu");
     assert_eq!(said["products"], "single precision");
     assert_eq!((&said["steps"], &said["windows"]), (&1.into(), &2.into()));
     assert!(said["windows_per_sec"].as_f64() > Some(0.0), "{said}");
     // Another processor backend is named by what it is.
-    let text = typed("device --device ndarray --secs 0 --windows 1", &[])
-        .expect_code(0)
-        .stdout;
-    assert!(
-        text.contains("burn-ndarray") && text.contains("passed"),
-        "{text}"
-    );
+    let text = typed("device --device ndarray --secs 0 --windows 1", &[]).printed();
+    assert_has(&text, &["burn-ndarray", "passed"]);
 }

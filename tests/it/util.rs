@@ -1,13 +1,16 @@
 //! A temporary folder and the `stance` command.
 
+use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use datasets_spec::Dataset;
+use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 /// What a command printed and how it ended.
 pub(crate) struct Ran {
@@ -23,12 +26,20 @@ impl Ran {
         self
     }
 
+    /// Panics with everything the command said unless it ended with 1 and this is on stderr.
+    pub(crate) fn expect_refused(self, text: &str) -> Self {
+        let refused = self.expect_code(1);
+        refused.expect_said(text);
+        refused
+    }
+
     /// Panics with everything the command said unless this is on stderr.
-    pub(crate) fn expect_said(&self, text: &str) {
+    pub(crate) fn expect_said(&self, text: &str) -> &Self {
         assert!(
             self.stderr.contains(text),
             "{text:?} is not on stderr: {self}"
         );
+        self
     }
 
     /// Panics with everything the command said unless this is on stdout.
@@ -37,6 +48,21 @@ impl Ran {
             self.stdout.contains(text),
             "{text:?} is not on stdout: {self}"
         );
+    }
+
+    /// What a command printed that ended well.
+    pub(crate) fn printed(self) -> String {
+        self.expect_code(0).stdout
+    }
+
+    /// What a command said on stderr that ended with 1.
+    pub(crate) fn refusal(self) -> String {
+        self.expect_code(1).stderr
+    }
+
+    /// The JSON document of a command that ended well.
+    pub(crate) fn done<T: DeserializeOwned>(self) -> T {
+        self.expect_code(0).json()
     }
 
     /// Reads stdout as one JSON document.
@@ -81,14 +107,62 @@ pub(crate) fn stance(args: &[&str]) -> Ran {
 
 /// Runs a command as it is typed: words between spaces, each `{}` in place of the next of the values.
 pub(crate) fn typed(line: &str, values: &[&dyn AsRef<OsStr>]) -> Ran {
+    typed_with(line, values, &[])
+}
+
+/// Runs a command as it is typed, with further arguments behind it.
+pub(crate) fn typed_with(line: &str, values: &[&dyn AsRef<OsStr>], more: &[&str]) -> Ran {
     let mut values = values.iter();
     let words = line.split_whitespace().map(|word| match word {
         "{}" => values.next().expect("a value for each place").as_ref(),
         word => OsStr::new(word),
     });
-    let ran = command(&[]).args(words).output().expect("stance starts");
+    let mut command = command(&[]);
+    let ran = command.args(words).args(more).output();
     assert!(values.next().is_none(), "a place for each value: {line}");
-    ran.into()
+    ran.expect("stance starts").into()
+}
+
+/// Panics with the whole text unless all of these are in it.
+#[track_caller]
+pub(crate) fn assert_has(text: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(text.contains(part), "{part:?} is not in: {text}");
+    }
+}
+
+/// The number of elements of a list.
+#[track_caller]
+pub(crate) fn len_of(list: &Value) -> usize {
+    list.as_array().expect("a list").len()
+}
+
+/// The name of a file.
+pub(crate) fn name_of(path: &Path) -> String {
+    let name = path.file_name().expect("a name");
+    name.to_string_lossy().into_owned()
+}
+
+/// The name of a file without its extension.
+pub(crate) fn stem_of(path: &Path) -> String {
+    name_of(&path.with_extension(""))
+}
+
+/// Writes a file, and the folders that it lies in.
+pub(crate) fn put(path: impl AsRef<Path>, bytes: impl AsRef<[u8]>) {
+    let path = path.as_ref();
+    std::fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+    std::fs::write(path, bytes).expect("written");
+}
+
+/// The text of a file.
+pub(crate) fn text_of(path: impl AsRef<Path>) -> String {
+    std::fs::read_to_string(path).expect("text")
+}
+
+/// A file of one JSON document.
+pub(crate) fn json_of<T: DeserializeOwned>(path: impl AsRef<Path>) -> T {
+    serde_json::from_str(&text_of(path)).expect("JSON")
 }
 
 /// A path as an argument.
@@ -122,6 +196,20 @@ pub(crate) fn real_data(test: &str) -> Option<PathBuf> {
 pub(crate) fn rows_of<R: Row>(dataset: &Path) -> Vec<R> {
     let dataset = Dataset::open(dataset).expect("a dataset");
     dataset.read(None).expect("rows")
+}
+
+/// The clips of a dataset by their ids.
+pub(crate) fn motions_of(dataset: &Path) -> BTreeMap<String, MotionRow> {
+    let rows = rows_of::<MotionRow>(dataset).into_iter();
+    rows.map(|row| (row.id.to_string(), row)).collect()
+}
+
+/// Checks that the counts of an ingestion's document add up.
+#[track_caller]
+pub(crate) fn assert_counted(done: &Value) {
+    let count = |name: &str| done[name].as_u64().expect("a count");
+    let counted = count("ingested") + count("quarantined") + count("skipped");
+    assert_eq!(count("sources"), counted, "{done}");
 }
 
 /// All files with an extension under a folder, sorted.

@@ -1,7 +1,5 @@
 //! Candidates of fine-grained pairs: made by a generator or elsewhere, and shown to annotators.
 
-use std::fs;
-
 use annotate::store::{Claimed, NewTask, open_sqlite};
 use annotate::wire::{Answer, TaskKind, Verdict};
 use datasets_spec::Dataset;
@@ -10,7 +8,7 @@ use serde_json::Value;
 
 use crate::annotate::bare_task;
 use crate::train::Workshop;
-use crate::util::{arg, rows_of, stance, typed};
+use crate::util::{arg, put, rows_of, stance, typed};
 
 /// Settings of a generator that is trained in a second.
 pub(crate) const SMALL: &str = "
@@ -49,7 +47,7 @@ pub(crate) const ANY: [&str; 8] = [
 fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let workshop = Workshop::open();
     let settings = workshop.path("mld.toml");
-    fs::write(&settings, SMALL).expect("writes");
+    put(&settings, SMALL);
     let small = ["--config", arg(&settings), "--steps", "3"];
     workshop.train_with("mld", "mld", &small).expect_code(0);
 
@@ -69,9 +67,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
             "--out",
             arg(out),
         ];
-        stance(&[&args[..], &ANY, more].concat())
-            .expect_code(0)
-            .json()
+        stance(&[&args[..], &ANY, more].concat()).done()
     };
     let first = made(&out, &[]);
     let count = |of: &Value, name: &str| of["counts"][name].as_u64().expect("a count");
@@ -112,16 +108,12 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let repeated = made(&out, &[]);
     assert!(repeated["counts"].is_null() && repeated["root_hash"] == first["root_hash"]);
     assert_eq!(made(&again, &[])["root_hash"], first["root_hash"]);
-    let args = ["variants", arg(&out), "--out", arg(&again)];
-    let refused = stance(&args).expect_code(1);
-    refused.expect_said("another dataset");
+    typed("variants {} --out {}", &[&out, &again]).expect_refused("another dataset");
 
     // Variants that were made elsewhere are motions named base/variant.
     let paired = workshop.path("paired");
     let elsewhere = ["--json", "variants", arg(&out), "--out", arg(&paired)];
-    let elsewhere: Value = stance(&[&elsewhere[..], &ANY].concat())
-        .expect_code(0)
-        .json();
+    let elsewhere: Value = stance(&[&elsewhere[..], &ANY].concat()).done();
     assert_eq!(count(&elsewhere, "variants"), 2 * kept);
     assert_eq!(elsewhere["pairs"], kept);
 
@@ -146,9 +138,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     // Nor are they once all their pairs were judged unusable and left the dataset.
     let import = |store: &str| -> Value {
         let store = workshop.path(store);
-        typed("--json annotate {} --store {} import", &[&paired, &store])
-            .expect_code(0)
-            .json()
+        typed("--json annotate {} --store {} import", &[&paired, &store]).done()
     };
     assert_eq!(count(&import("first.sqlite"), "new_tasks"), kept);
     let file = workshop.path("first.sqlite");

@@ -8,13 +8,15 @@ use datasets_spec::record::{MaskRow, MotionRow, PairRow, SkippedRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
-use super::grown::{clips, masks};
-use super::util::{arg, corpus, files_with_extension, rows_of, stance, typed};
+use super::grown::{clips, masks, move_files};
+use super::util::{
+    arg, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of, typed,
+};
 
 /// Runs a command that is to succeed, and returns its document.
 fn json(args: &[&str]) -> Value {
     let args = [&["--json"], args].concat();
-    stance(&args).expect_code(0).json()
+    stance(&args).done()
 }
 
 fn ingest(source: &Path, dataset: &Path, more: &[&str]) -> Value {
@@ -31,8 +33,8 @@ fn judge(dataset: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset), "--add"]).expect_code(0);
     let file = dataset.with_extension("jsonl");
     stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
-    let lines = fs::read_to_string(&file).expect("drafts");
-    fs::write(&file, lines.replace("\"todo\"", "\"accept\"")).expect("written");
+    let lines = text_of(&file);
+    put(&file, lines.replace("\"todo\"", "\"accept\""));
     typed("masks {} --accept {} --author ann", &[&dataset, &file]).expect_code(0);
     masks(dataset)
 }
@@ -76,25 +78,9 @@ impl Days {
 /// Moves a file with the files of its name beside it, and returns where it lies then.
 fn moved(file: &Path, from: &Path, to: &Path) -> PathBuf {
     let below = file.strip_prefix(from).expect("below");
-    let folder = to.join(below).parent().expect("a folder").to_owned();
-    fs::create_dir_all(&folder).expect("made");
-    let stem = file
-        .file_stem()
-        .expect("a name")
-        .to_string_lossy()
-        .into_owned();
-    for entry in fs::read_dir(file.parent().expect("a folder")).expect("listed") {
-        let path = entry.expect("an entry").path();
-        let name = path
-            .file_name()
-            .expect("a name")
-            .to_string_lossy()
-            .into_owned();
-        if name.starts_with(&format!("{stem}.")) {
-            fs::rename(&path, folder.join(name)).expect("moved");
-        }
-    }
-    to.join(below)
+    let place = to.join(below);
+    move_files(&[file.to_owned()], place.parent().expect("a folder"));
+    place
 }
 
 /// The Parquet files of a folder are those that the newest manifest names.
@@ -134,15 +120,11 @@ fn a_search_for_parquet_files_finds_current_rows_alone_whatever_was_done() {
     check("compact");
     let id = clips(&dataset).into_keys().next().expect("a clip");
     let condition = format!("id = '{id}'");
-    let remove = [
-        "dataset",
-        "remove",
-        arg(&dataset),
-        "--where",
-        &condition,
-        "--drop-labels",
-    ];
-    stance(&remove).expect_code(0);
+    typed(
+        "dataset remove {} --where {} --drop-labels",
+        &[&dataset, &condition],
+    )
+    .expect_code(0);
     check("remove");
     stance(&["dataset", "prune", arg(&dataset)]).expect_code(0);
     check("prune");
@@ -262,15 +244,10 @@ fn versions_are_listed_with_what_each_changed() {
         list[2]["root_hash"],
         opened(&dataset).manifest().root_hash.as_str()
     );
-    let text = stance(&["dataset", "versions", arg(&dataset)])
-        .expect_code(0)
-        .stdout;
-    assert!(
-        text.contains("* 3") && text.contains("motions 5 to 7"),
-        "{text}"
-    );
-    let missing = stance(&["dataset", "restore", arg(&dataset), "--to", "9"]).expect_code(1);
-    missing.expect_said("no version 9; there are 1, 2, 3");
+    let text = stance(&["dataset", "versions", arg(&dataset)]).printed();
+    assert_has(&text, &["* 3", "motions 5 to 7"]);
+    stance(&["dataset", "restore", arg(&dataset), "--to", "9"])
+        .expect_refused("no version 9; there are 1, 2, 3");
 }
 
 #[test]
@@ -290,7 +267,7 @@ fn going_back_keeps_what_people_made_since_and_lists_what_has_no_clip() {
         "both kinds are judged"
     );
     let restore = ["dataset", "restore", arg(&dataset), "--to", "1"];
-    let refused = stance(&restore).expect_code(1).stderr;
+    let refused = stance(&restore).refusal();
     assert!(
         refused.contains("--drop-labels") && refused.contains(leaving[0].motion_id.as_str()),
         "{refused}"
@@ -434,9 +411,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
         ];
         stance(&[&["--json"], &args[..]].concat())
     };
-    let done: Value = select("split = 'train' and n_frames > 1", &part)
-        .expect_code(0)
-        .json();
+    let done: Value = select("split = 'train' and n_frames > 1", &part).done();
     let expected: BTreeMap<_, _> = clips(&dataset)
         .into_iter()
         .filter(|(_, (split, _))| *split == Split::Train)
@@ -478,17 +453,14 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     // One side of a pair alone: the pair is listed.
     if let Some(pair) = pairs.first() {
         let one = days.dir.path().join("one");
-        let done: Value = select(&format!("id = '{}'", pair.source_id), &one)
-            .expect_code(0)
-            .json();
+        let done: Value = select(&format!("id = '{}'", pair.source_id), &one).done();
         let parted = done["parted_pairs"].as_array().expect("a list");
         assert!(parted.contains(&Value::from(pair.id.as_str())), "{done}");
     }
     let none = select("n_frames > 1000000", &days.dir.path().join("none")).expect_code(1);
     none.expect_said("no clip of");
     assert!(!days.dir.path().join("none").exists());
-    let taken = select("n_frames > 1", &part).expect_code(1);
-    taken.expect_said("is a dataset already");
+    select("n_frames > 1", &part).expect_refused("is a dataset already");
 }
 
 #[test]
@@ -506,9 +478,9 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
         .motion_id
         .to_string();
     let list = days.dir.path().join("ids.txt");
-    fs::write(&list, format!("{labelled}\n\n")).expect("written");
+    put(&list, format!("{labelled}\n\n"));
     let remove = ["dataset", "remove", arg(&dataset), "--ids", arg(&list)];
-    let refused = stance(&remove).expect_code(1).stderr;
+    let refused = stance(&remove).refusal();
     assert!(
         refused.contains("--drop-labels") && refused.contains(&labelled),
         "{refused}"
@@ -551,16 +523,13 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     assert_eq!(clips(&dataset), before);
     assert_eq!(masks(&dataset), judged);
     // Mistakes are named.
-    fs::write(&list, "nobody\n").expect("written");
-    let unknown = stance(&remove).expect_code(1).stderr;
-    assert!(unknown.contains("nobody"), "{unknown}");
-    let refused = typed(
+    put(&list, "nobody\n");
+    stance(&remove).expect_refused("nobody");
+    typed(
         "dataset remove {} --where {} --drop-labels",
         &[&dataset, &"n_frames > 0"],
     )
-    .expect_code(1)
-    .stderr;
-    assert!(refused.contains("every clip"), "{refused}");
+    .expect_refused("every clip");
     stance(&["dataset", "remove", arg(&dataset)]).expect_code(2);
 }
 
@@ -571,12 +540,8 @@ fn datasets_of_two_rates_cannot_be_merged_and_a_mixture_does_not_pass() {
     ingest(&days.source, &a, &[]);
     ingest(&days.source, &b, &["--fps", "30"]);
     let out = days.dir.path().join("both");
-    let merge = ["dataset", "merge", arg(&a), arg(&b), "--out", arg(&out)];
-    let refused = stance(&merge).expect_code(1).stderr;
-    assert!(
-        refused.contains("fps is 20 in") && refused.contains("and 30 in"),
-        "{refused}"
-    );
+    let refused = typed("dataset merge {} {} --out {}", &[&a, &b, &out]).refusal();
+    assert_has(&refused, &["fps is 20 in", "and 30 in"]);
     assert!(!out.exists());
     // A dataset that an earlier build merged of two rates.
     let others: Vec<MotionRow> = rows_of(&b);
@@ -588,10 +553,7 @@ fn datasets_of_two_rates_cannot_be_merged_and_a_mixture_does_not_pass() {
         }
     });
     let found = stance(&["verify", arg(&a)]).expect_code(1).stdout;
-    assert!(
-        found.contains("is stored at 30 fps, and the dataset at 20"),
-        "{found}"
-    );
+    assert_has(&found, &["is stored at 30 fps, and the dataset at 20"]);
 }
 
 /// Changes the motions of a dataset, as another version of the reader would.

@@ -87,9 +87,7 @@ pub fn heat_map(map: &HeatMap) -> String {
     open(&mut svg, SIZE.x, SIZE.y, &map.title);
     heading(&mut svg, &map.title);
     let Some((low, high)) = extent(map.values.iter().copied().filter(|v| v.is_finite())) else {
-        text(&mut svg, SIZE / 2.0, "middle", 13.0, FAINT, "no values yet");
-        svg.push_str("</svg>");
-        return svg;
+        return without_values(svg);
     };
     let (start, end) = (MARGIN_START, SIZE - MARGIN_END);
     let cell = (end - start) / DVec2::new(columns.len() as f64, rows.len() as f64);
@@ -126,14 +124,9 @@ pub fn heat_map(map: &HeatMap) -> String {
         text(&mut svg, at, "middle", 11.0, FAINT, label);
     }
     axis_label(&mut svg, SIZE, &map.x.0);
-    let middle = f64::midpoint(start.y, end.y);
-    let turned = format!(r#"{FAINT} transform="rotate(-90 14 {middle:.1})""#);
-    text(
+    side_label(
         &mut svg,
-        DVec2::new(14.0, middle),
-        "middle",
-        12.0,
-        &turned,
+        DVec2::new(14.0, f64::midpoint(start.y, end.y)),
         &map.y.0,
     );
     svg.push_str("</svg>");
@@ -179,9 +172,7 @@ pub fn plot(plot: &Plot) -> String {
     open(&mut svg, SIZE.x, SIZE.y, &title);
     heading(&mut svg, &plot.title);
     let Some(axes) = Axes::around(plot) else {
-        text(&mut svg, SIZE / 2.0, "middle", 13.0, FAINT, "no values yet");
-        svg.push_str("</svg>");
-        return svg;
+        return without_values(svg);
     };
     axes.draw(&mut svg, plot);
     for (index, curve) in plot.curves.iter().enumerate() {
@@ -212,9 +203,7 @@ pub fn bar_chart(chart: &Bars) -> String {
     if highest == 0.0 {
         open(&mut svg, SIZE.x, SIZE.y, &chart.title);
         heading(&mut svg, &chart.title);
-        text(&mut svg, SIZE / 2.0, "middle", 13.0, FAINT, "no values yet");
-        svg.push_str("</svg>");
-        return svg;
+        return without_values(svg);
     }
     let longest = bars.iter().map(|(label, _)| label.chars().count()).max();
     let label_width = LEGEND_CHAR * longest.unwrap_or(0) as f64;
@@ -295,12 +284,11 @@ fn lying_bars(svg: &mut String, chart: &Bars, highest: f64, label_width: f64) {
         let at = DVec2::new(start.x - 8.0, top + 0.75 * BAR_ROW);
         text(svg, at, "end", 11.0, FAINT, label);
     }
-    let turned = format!(
-        r#"{FAINT} transform="rotate(-90 12 {:.1})""#,
-        f64::midpoint(start.y, end.y)
+    side_label(
+        svg,
+        DVec2::new(12.0, f64::midpoint(start.y, end.y)),
+        &chart.x_label,
     );
-    let at = DVec2::new(12.0, f64::midpoint(start.y, end.y));
-    text(svg, at, "middle", 12.0, &turned, &chart.x_label);
 }
 
 /// A histogram with bins of equal, round width, labelled by their lower ends; values that are not
@@ -343,6 +331,21 @@ fn heading(svg: &mut String, title: &str) {
 fn axis_label(svg: &mut String, size: DVec2, label: &str) {
     let at = DVec2::new((MARGIN_START.x + size.x - MARGIN_END.x) / 2.0, size.y - 8.0);
     text(svg, at, "middle", 12.0, FAINT, label);
+}
+
+/// A label that is read from below to above, around its middle.
+fn side_label(svg: &mut String, middle: DVec2, label: &str) {
+    let turned = format!(
+        r#"{FAINT} transform="rotate(-90 {} {:.1})""#,
+        middle.x, middle.y
+    );
+    text(svg, middle, "middle", 12.0, &turned, label);
+}
+
+/// Ends a drawing without values.
+fn without_values(mut svg: String) -> String {
+    text(&mut svg, SIZE / 2.0, "middle", 13.0, FAINT, "no values yet");
+    svg + "</svg>"
 }
 
 /// A horizontal line of the grid with its value.
@@ -460,14 +463,9 @@ impl Axes {
             text(svg, at, "middle", 11.0, FAINT, &label);
         }
         axis_label(svg, SIZE, &plot.x_label);
-        let middle = f64::midpoint(start.y, end.y);
-        let turned = format!(r#"{FAINT} transform="rotate(-90 14 {middle:.1})""#);
-        text(
+        side_label(
             svg,
-            DVec2::new(14.0, middle),
-            "middle",
-            12.0,
-            &turned,
+            DVec2::new(14.0, f64::midpoint(start.y, end.y)),
             &plot.y_label,
         );
     }

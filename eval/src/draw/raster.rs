@@ -8,7 +8,7 @@ use gif::{Encoder, Frame, Repeat};
 use resvg::tiny_skia::{Color, Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
 
-use super::strip::{Row, Style, moment};
+use super::strip::{Row, moment};
 
 /// Frame rate of a GIF. Delays are stored in hundredths of a second, and many viewers slow down
 /// delays shorter than two of them.
@@ -95,7 +95,7 @@ pub fn png(svg: &str, zoom: f32) -> Result<Vec<u8>, RasterError> {
 ///
 /// # Errors
 /// There is no clip, or the picture is too large.
-pub fn gif(rows: &[Row], style: &Style, zoom: f32) -> Result<Vec<u8>, RasterError> {
+pub fn gif(rows: &[Row], zoom: f32) -> Result<Vec<u8>, RasterError> {
     let longest = rows.iter().map(Row::secs).fold(0.0, f64::max);
     let count = ((longest * GIF_FPS).floor() as usize + 1).min(MAX_FRAMES);
     let options = options();
@@ -103,7 +103,7 @@ pub fn gif(rows: &[Row], style: &Style, zoom: f32) -> Result<Vec<u8>, RasterErro
     let mut encoder: Option<Encoder<&mut Vec<u8>>> = None;
     let mut target = Some(&mut out);
     for index in 0..count {
-        let svg = moment(rows, index as f64 / GIF_FPS, style);
+        let svg = moment(rows, index as f64 / GIF_FPS);
         let mut pixmap = pixels(&svg, &options, zoom)?;
         let (width, height) = (pixmap.width(), pixmap.height());
         let size = RasterError::Size { width, height };
@@ -127,12 +127,11 @@ pub fn gif(rows: &[Row], style: &Style, zoom: f32) -> Result<Vec<u8>, RasterErro
 
 #[cfg(test)]
 mod tests {
-    use datasets_spec::{Fps, JointSet, Motion, Pose, Skeleton};
+    use datasets_spec::{Fps, Motion, Pose, Skeleton};
 
     use super::*;
 
     fn rows() -> Vec<Row> {
-        let skeleton = Skeleton::smplx_neutral();
         let poses: Vec<Pose> = (0..11)
             .map(|frame| {
                 let mut pose = Pose::REST;
@@ -142,16 +141,12 @@ mod tests {
             })
             .collect();
         let motion = Motion::from_poses(Fps::STORE, &poses).expect("valid");
-        vec![Row {
-            label: "waving".to_owned(),
-            keypoints: skeleton.motion_keypoints(&motion),
-            highlighted: JointSet::EMPTY,
-        }]
+        vec![Row::new("waving", &motion, &Skeleton::smplx_neutral())]
     }
 
     #[test]
     fn a_png_is_as_large_as_asked_and_not_blank() {
-        let svg = moment(&rows(), 0.0, &Style::default());
+        let svg = moment(&rows(), 0.0);
         let small = pixels(&svg, &options(), 1.0).expect("drawn");
         let large = pixels(&svg, &options(), 2.0).expect("drawn");
         assert_eq!(
@@ -165,7 +160,7 @@ mod tests {
 
     #[test]
     fn a_gif_has_a_picture_for_each_moment_and_they_differ() {
-        let bytes = gif(&rows(), &Style::default(), 0.5).expect("encoded");
+        let bytes = gif(&rows(), 0.5).expect("encoded");
         let mut decoder = gif::DecodeOptions::new()
             .read_info(bytes.as_slice())
             .expect("a GIF");

@@ -24,32 +24,18 @@ impl Row {
         self.keypoints.fps.secs_at(last)
     }
 
+    /// Height of the lowest keypoint of all frames.
+    fn floor(&self) -> f64 {
+        let points = self.keypoints.points.iter().flatten();
+        points.fold(f64::INFINITY, |low, point| low.min(point.y))
+    }
+
     /// A row of a motion without highlighted joints.
     pub fn new(label: impl Into<String>, motion: &Motion, skeleton: &Skeleton) -> Self {
         Self {
             label: label.into(),
             keypoints: skeleton.motion_keypoints(motion),
             highlighted: JointSet::EMPTY,
-        }
-    }
-}
-
-/// Direction of the camera, relative to the heading of the first clip at its start. In both views the
-/// figure faces right, the direction of time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum View {
-    /// From the front right and slightly above.
-    ThreeQuarter,
-    /// From the right side, at eye level.
-    Side,
-}
-
-impl View {
-    /// Angle in radians from the figure's front towards its right, and angle above the horizon.
-    fn angles(self) -> (f64, f64) {
-        match self {
-            Self::ThreeQuarter => (40f64.to_radians(), 12f64.to_radians()),
-            Self::Side => (90f64.to_radians(), 0.0),
         }
     }
 }
@@ -61,8 +47,6 @@ pub struct Style {
     pub width: f64,
     /// Figures in each row; a shorter clip has as many as it has frames.
     pub num_figures: usize,
-    /// Direction of the camera.
-    pub view: View,
 }
 
 impl Default for Style {
@@ -70,11 +54,14 @@ impl Default for Style {
         Self {
             width: 960.0,
             num_figures: 10,
-            view: View::ThreeQuarter,
         }
     }
 }
 
+/// Where the camera stands, in degrees from the front of the first clip at its start towards its right, so that the
+/// figure faces right, the direction of time; and in degrees above the horizon.
+const TO_THE_RIGHT: f64 = 40.0;
+const ELEVATION: f64 = 12.0;
 /// Colour of the first figure.
 const START: Rgb = Rgb([232.0, 131.0, 58.0]);
 /// Colour of the middle: orange and blue mixed would be grey.
@@ -166,7 +153,7 @@ const LIMBS: [Limb; 5] = [
 /// end. The right limbs are in full colour, the left ones pale. All rows share one camera, so a clip
 /// that faces another way is seen from another side.
 pub fn strip(rows: &[Row], style: &Style) -> String {
-    let camera = Camera::facing(rows, style.view);
+    let camera = Camera::facing(rows);
     let num_figures = style.num_figures.max(1);
     let slot = (style.width - LABEL_WIDTH - 2.0 * MARGIN) / num_figures as f64;
     let scale = PIXELS_PER_M.min(slot / MIN_SLOT_M);
@@ -205,7 +192,6 @@ pub fn strip(rows: &[Row], style: &Style) -> String {
                     origin: DVec2::new(middle, ground),
                     scale,
                     colour: colour_at(share).hex(),
-                    elevation: style.view.angles().1,
                 },
                 drawn.row.highlighted,
             );
@@ -288,8 +274,8 @@ const PANEL_PIXELS_PER_M: f64 = 92.0;
 
 /// Draws the poses of several clips at one time side by side, as one frame of an animation. The colour
 /// follows the time within the longest clip; a clip that has ended keeps its last pose.
-pub fn moment(rows: &[Row], secs: f64, style: &Style) -> String {
-    let camera = Camera::facing(rows, style.view);
+pub fn moment(rows: &[Row], secs: f64) -> String {
+    let camera = Camera::facing(rows);
     let longest = rows.iter().map(Row::secs).fold(0.0, f64::max);
     let share = if longest > 0.0 { secs / longest } else { 0.0 };
     let mut svg = String::new();
@@ -308,13 +294,7 @@ pub fn moment(rows: &[Row], secs: f64, style: &Style) -> String {
             continue;
         };
         let frame = ((secs * row.keypoints.fps.get()).round() as usize).min(last);
-        let floor = row
-            .keypoints
-            .points
-            .iter()
-            .flatten()
-            .fold(f64::INFINITY, |low, point| low.min(point.y));
-        let figure = Figure::new(&row.keypoints.points[frame], floor, secs, &camera);
+        let figure = Figure::new(&row.keypoints.points[frame], row.floor(), secs, &camera);
         let left = PANEL.x * place as f64;
         let ground = PANEL.y - TIME_HEIGHT;
         line(
@@ -328,7 +308,6 @@ pub fn moment(rows: &[Row], secs: f64, style: &Style) -> String {
                 origin: DVec2::new(left + PANEL.x / 2.0, ground),
                 scale: PANEL_PIXELS_PER_M,
                 colour: colour_at(share).hex(),
-                elevation: style.view.angles().1,
             },
             row.highlighted,
         );
@@ -359,7 +338,7 @@ struct Camera {
 }
 
 impl Camera {
-    fn facing(rows: &[Row], view: View) -> Self {
+    fn facing(rows: &[Row]) -> Self {
         let left = rows
             .iter()
             .find_map(|row| row.keypoints.points.first())
@@ -370,7 +349,7 @@ impl Camera {
             .and_then(DVec3::try_normalize)
             .unwrap_or(DVec3::X);
         let forward = left.cross(DVec3::Y);
-        let (to_the_right, above) = view.angles();
+        let [to_the_right, above] = [TO_THE_RIGHT, ELEVATION].map(f64::to_radians);
         let level = to_the_right.cos() * forward - to_the_right.sin() * left;
         let towards = above.cos() * level + above.sin() * DVec3::Y;
         let right = DVec3::Y.cross(level);
@@ -410,11 +389,7 @@ struct Figure {
 impl<'a> Drawn<'a> {
     fn new(row: &'a Row, num_figures: usize, camera: &Camera) -> Self {
         let frames = &row.keypoints.points;
-        let floor = frames
-            .iter()
-            .flatten()
-            .map(|point| point.y)
-            .fold(f64::INFINITY, f64::min);
+        let floor = row.floor();
         let count = num_figures.min(frames.len());
         let figures: Vec<Figure> = (0..count)
             .map(|place| {
@@ -457,11 +432,7 @@ impl<'a> Drawn<'a> {
                 step.x.hypot(step.z)
             })
             .sum();
-        let secs = self
-            .row
-            .keypoints
-            .fps
-            .secs_at(frames.len().saturating_sub(1));
+        let secs = self.row.secs();
         let mut base = middle - self.label_height() / 2.0 + LABEL_LINE - 3.0;
         let mut write = |size: f64, attributes: &str, content: &str| {
             let at = DVec2::new(MARGIN, base);
@@ -511,8 +482,6 @@ struct Pen {
     /// Pixels to a metre.
     scale: f64,
     colour: String,
-    /// Angle of the camera above the horizon in radians.
-    elevation: f64,
 }
 
 impl Pen {
@@ -569,7 +538,7 @@ impl Figure {
             r#"<ellipse cx="{:.1}" cy="{:.1}" rx="{shadow:.1}" ry="{:.1}" opacity="0.1"/>"#,
             pen.origin.x,
             pen.origin.y,
-            (shadow * pen.elevation.sin()).max(1.0),
+            (shadow * ELEVATION.to_radians().sin()).max(1.0),
         ));
         svg.push_str(&format!(
             r#"<g fill="none" stroke="{colour}" stroke-linecap="round" stroke-linejoin="round">"#
@@ -703,7 +672,7 @@ mod tests {
         check_nesting(&svg);
         assert!(letters(&words(&svg)).contains(&letters(&wanted)), "{svg}");
         assert!(!svg.contains('…'));
-        let svg = moment(&rows, 0.1, &Style::default());
+        let svg = moment(&rows, 0.1);
         check_nesting(&svg);
         assert!(letters(&words(&svg)).contains(&letters(&wanted)), "{svg}");
         let panels = [(LONG.to_owned(), strip(&rows[1..], &Style::default()))];
@@ -731,17 +700,15 @@ mod tests {
 
     #[test]
     fn the_first_clip_faces_right_whatever_its_heading() {
-        for view in [View::ThreeQuarter, View::Side] {
-            for turn in [0.0, 1.0, 3.0, -2.0] {
-                let row = row("a", 1, turn);
-                let camera = Camera::facing(std::slice::from_ref(&row), view);
-                let drawn = Drawn::new(&row, 1, &camera);
-                let figure = &drawn.figures[0];
-                assert!(figure.nose.x > figure.head.x + 0.05, "{view:?} {turn}");
-                assert!(figure.points[15].y > figure.points[0].y);
-                // The toes of both feet are near the ground, the camera being slightly above.
-                assert!(figure.points[10].y.abs() < 0.1 && figure.points[11].y.abs() < 0.1);
-            }
+        for turn in [0.0, 1.0, 3.0, -2.0] {
+            let row = row("a", 1, turn);
+            let camera = Camera::facing(std::slice::from_ref(&row));
+            let drawn = Drawn::new(&row, 1, &camera);
+            let figure = &drawn.figures[0];
+            assert!(figure.nose.x > figure.head.x + 0.05, "{turn}");
+            assert!(figure.points[15].y > figure.points[0].y);
+            // The toes of both feet are near the ground, the camera being slightly above.
+            assert!(figure.points[10].y.abs() < 0.1 && figure.points[11].y.abs() < 0.1);
         }
     }
 

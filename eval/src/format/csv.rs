@@ -36,11 +36,11 @@ pub fn render(scores: &[ScoreRow], judges: &Judges) -> String {
             items_digest,
         } = row;
         let fields = [
-            quoted(system),
-            quoted(task),
-            quoted(metric),
-            quoted(protocol),
-            quoted(encoder_hash),
+            system.clone(),
+            task.clone(),
+            metric.clone(),
+            protocol.clone(),
+            encoder_hash.clone(),
             n.to_string(),
             repeats.to_string(),
             mean.to_string(),
@@ -53,19 +53,24 @@ pub fn render(scores: &[ScoreRow], judges: &Judges) -> String {
             ranked.to_string(),
             fid_items.to_string(),
             latent_width.to_string(),
-            quoted(novelty),
-            quoted(items_digest),
+            novelty.clone(),
+            items_digest.clone(),
             standing.ranks_systems.to_string(),
             standing.behind_identity.to_string(),
             standing.best.to_string(),
         ];
-        text.push_str(&fields.join(","));
-        text.push('\n');
+        text += &line(&fields);
     }
     text
 }
 
-pub(super) fn quoted(text: &str) -> String {
+/// A line of cells, those with separators in quotation marks.
+pub fn line(cells: &[String]) -> String {
+    let cells: Vec<String> = cells.iter().map(|cell| quoted(cell)).collect();
+    cells.join(",") + "\n"
+}
+
+fn quoted(text: &str) -> String {
     if text.contains([',', '"', '\n', '\r']) {
         format!("\"{}\"", text.replace('"', "\"\""))
     } else {

@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use super::csv::line;
+
 /// A table of text cells.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Grid {
@@ -82,12 +84,8 @@ impl Grid {
 
     /// For a spreadsheet.
     pub fn csv(&self) -> String {
-        let line = |cells: &[String]| {
-            let cells: Vec<String> = cells.iter().map(|cell| super::csv::quoted(cell)).collect();
-            format!("{}\n", cells.join(","))
-        };
         let rows: String = self.rows.iter().map(|row| line(row)).collect();
-        format!("{}{rows}", line(&self.head))
+        line(&self.head) + &rows
     }
 }
 

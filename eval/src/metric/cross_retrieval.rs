@@ -1,6 +1,6 @@
 //! Whether an encoder's texts find their motions, and its motions their texts.
 
-use super::retrieval::{Retrieval, ranks_among_equivalents};
+use super::retrieval::{Retrieval, check_galleries, ranks_among_equivalents};
 use crate::Error;
 use crate::linalg::Matrix;
 
@@ -56,13 +56,7 @@ pub fn cross_ranks(
     galleries: &[Vec<usize>],
     same_text: impl Fn(usize, usize) -> bool,
 ) -> Result<CrossRanks, Error> {
-    if galleries.is_empty() || galleries.iter().any(Vec::is_empty) {
-        return Err(Error::TooFewRows {
-            metric: "text-to-motion retrieval",
-            needed: 1,
-            found: 0,
-        });
-    }
+    check_galleries("text-to-motion retrieval", galleries)?;
     let mut found = CrossRanks {
         text_to_motion: Vec::with_capacity(galleries.len()),
         motion_to_text: Vec::with_capacity(galleries.len()),

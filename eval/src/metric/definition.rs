@@ -248,6 +248,18 @@ pub(super) fn check_finite(metric: &'static str, rows: &Matrix) -> Result<(), Er
     }
 }
 
+/// Refuses fewer rows than a metric is defined for.
+pub(super) fn check_count(metric: &'static str, found: usize, needed: usize) -> Result<(), Error> {
+    match found < needed {
+        true => Err(Error::TooFewRows {
+            metric,
+            needed,
+            found,
+        }),
+        false => Ok(()),
+    }
+}
+
 /// Refuses two sizes that ought to be equal.
 pub(super) fn check_size(
     metric: &'static str,

@@ -3,7 +3,8 @@
 use datasets_spec::Rng;
 
 use super::definition::{
-    Better, Draws, Measure, Metric, Part, SetSample, check_finite, check_size, distance,
+    Better, Draws, Measure, Metric, Part, SetSample, check_count, check_finite, check_size,
+    distance,
 };
 use crate::Error;
 use crate::linalg::Matrix;
@@ -65,13 +66,7 @@ fn draw_pairs(num_rows: usize, num_pairs: usize, rng: &mut Rng) -> [Vec<usize>; 
 /// T2M evaluation with 300 pairs. There the set must hold more than 300 rows; the paper reports
 /// the metric for smaller sets too without saying how.
 pub fn diversity(latents: &Matrix, num_pairs: usize, rng: &mut Rng) -> Result<f64, Error> {
-    if latents.num_rows() < MIN_ROWS {
-        return Err(Error::TooFewRows {
-            metric: METRIC,
-            needed: MIN_ROWS,
-            found: latents.num_rows(),
-        });
-    }
+    check_count(METRIC, latents.num_rows(), MIN_ROWS)?;
     let [first, second] = draw_pairs(latents.num_rows(), num_pairs, rng);
     diversity_of_pairs(latents, &first, &second)
 }
@@ -89,13 +84,7 @@ pub fn diversity_of_pairs(
     second: &[usize],
 ) -> Result<f64, Error> {
     check_size(METRIC, "second index list", second.len(), first.len())?;
-    if first.is_empty() {
-        return Err(Error::TooFewRows {
-            metric: METRIC,
-            needed: 1,
-            found: 0,
-        });
-    }
+    check_count(METRIC, first.len(), 1)?;
     check_finite(METRIC, latents)?;
     Ok(mean_distance(latents, first, second))
 }

@@ -1,7 +1,7 @@
 //! Fréchet distance between two sets of latents.
 
 use super::definition::{Better, Draws, Latents, Measure, Metric, Part, SetSample};
-use super::definition::{check_finite, check_size};
+use super::definition::{check_count, check_finite, check_size};
 use crate::Error;
 use crate::linalg::{Matrix, mean_and_covariance, symmetric_eigen, symmetric_eigenvalues};
 
@@ -102,13 +102,7 @@ impl Gaussian {
     /// # Errors
     /// There are fewer than [`MIN_ROWS`] latents, or one is not finite.
     pub fn of_latents(latents: &Matrix) -> Result<Self, Error> {
-        if latents.num_rows() < MIN_ROWS {
-            return Err(Error::TooFewRows {
-                metric: METRIC,
-                needed: MIN_ROWS,
-                found: latents.num_rows(),
-            });
-        }
+        check_count(METRIC, latents.num_rows(), MIN_ROWS)?;
         let (mean, covariance) = mean_and_covariance(latents);
         // A number that is not finite spreads to the mean of its column, so the latents are searched
         // only to name its row.
@@ -251,13 +245,7 @@ struct Centred {
 impl Centred {
     fn of(latents: &Matrix) -> Result<Self, Error> {
         let count = latents.num_rows();
-        if count < MIN_ROWS {
-            return Err(Error::TooFewRows {
-                metric: METRIC,
-                needed: MIN_ROWS,
-                found: count,
-            });
-        }
+        check_count(METRIC, count, MIN_ROWS)?;
         let mut mean = vec![0.0; latents.num_cols()];
         for row in latents.rows() {
             for (mean, value) in mean.iter_mut().zip(row) {

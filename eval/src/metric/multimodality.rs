@@ -2,7 +2,9 @@
 
 use datasets_spec::Rng;
 
-use super::definition::{Better, Measure, Metric, Part, TakesSample, check_finite, check_size};
+use super::definition::{
+    Better, Measure, Metric, Part, TakesSample, check_count, check_finite, check_size,
+};
 use super::diversity::diversity_of_pairs;
 use crate::Error;
 use crate::linalg::Matrix;
@@ -60,13 +62,7 @@ pub fn pairs(
     num_pairs: usize,
     rng: &mut Rng,
 ) -> Result<[Vec<usize>; 2], Error> {
-    if num_repeats <= num_pairs {
-        return Err(Error::TooFewRows {
-            metric: METRIC,
-            needed: num_pairs + 1,
-            found: num_repeats,
-        });
-    }
+    check_count(METRIC, num_repeats, num_pairs + 1)?;
     // Pairs are neighbours in a random circular order, so that no take is paired with itself and
     // every other take is an equally likely partner.
     let round = draw_without_replacement(num_repeats, num_repeats, rng);
@@ -87,13 +83,8 @@ pub fn multimodality_of_pairs(
     first: &[usize],
     second: &[usize],
 ) -> Result<f64, Error> {
-    let Some(example) = conditions.first() else {
-        return Err(Error::TooFewRows {
-            metric: METRIC,
-            needed: 1,
-            found: 0,
-        });
-    };
+    check_count(METRIC, conditions.len(), 1)?;
+    let example = &conditions[0];
     let mut total = 0.0;
     for latents in conditions {
         check_size(

@@ -5,9 +5,9 @@ use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
 use rayon::prelude::*;
 
-use super::definition::{
-    Better, Counterpart, Measure, Metric, Part, RankSummary, check_finite, check_size,
-};
+use super::definition::Counterpart::{self, Source, Target};
+use super::definition::RankSummary::{self, Average, Median, Recall};
+use super::definition::{Better, Measure, Metric, Part, check_count, check_finite, check_size};
 use crate::Error;
 use crate::linalg::Matrix;
 
@@ -21,64 +21,43 @@ pub const RECALL_AT: [usize; 3] = [1, 2, 3];
 const QUERIES_PER_BLOCK: usize = 256;
 
 /// Edits retrieved by their originals: share ranked first, in percent.
-pub static E2S_RECALL_1: Metric = recall("E2S R@1", Counterpart::Source, 1);
+pub static E2S_RECALL_1: Metric = ranked("E2S R@1", Source, Recall(1));
 /// Edits retrieved by their originals: share among the first 2, in percent.
-pub static E2S_RECALL_2: Metric = recall("E2S R@2", Counterpart::Source, 2);
+pub static E2S_RECALL_2: Metric = ranked("E2S R@2", Source, Recall(2));
 /// Edits retrieved by their originals: share among the first 3, in percent.
-pub static E2S_RECALL_3: Metric = recall("E2S R@3", Counterpart::Source, 3);
+pub static E2S_RECALL_3: Metric = ranked("E2S R@3", Source, Recall(3));
 /// Edits retrieved by their targets: share ranked first, in percent.
-pub static E2T_RECALL_1: Metric = recall("E2T R@1", Counterpart::Target, 1);
+pub static E2T_RECALL_1: Metric = ranked("E2T R@1", Target, Recall(1));
 /// Edits retrieved by their targets: share among the first 2, in percent.
-pub static E2T_RECALL_2: Metric = recall("E2T R@2", Counterpart::Target, 2);
+pub static E2T_RECALL_2: Metric = ranked("E2T R@2", Target, Recall(2));
 /// Edits retrieved by their targets: share among the first 3, in percent.
-pub static E2T_RECALL_3: Metric = recall("E2T R@3", Counterpart::Target, 3);
+pub static E2T_RECALL_3: Metric = ranked("E2T R@3", Target, Recall(3));
 
 /// Edits retrieved by their originals: mean rank.
-pub static E2S_AVERAGE_RANK: Metric = Metric {
-    name: "E2S AvgR",
-    part: Part::Paper,
-    better: source_rank,
-    decimals: 2,
-    measure: Measure::Rank(Counterpart::Source, RankSummary::Average),
-};
-
+pub static E2S_AVERAGE_RANK: Metric = ranked("E2S AvgR", Source, Average);
 /// Edits retrieved by their targets: mean rank.
-pub static E2T_AVERAGE_RANK: Metric = Metric {
-    name: "E2T AvgR",
-    part: Part::Paper,
-    better: |_| Better::Lower,
-    decimals: 2,
-    measure: Measure::Rank(Counterpart::Target, RankSummary::Average),
-};
-
+pub static E2T_AVERAGE_RANK: Metric = ranked("E2T AvgR", Target, Average);
 /// Edits retrieved by their originals: median rank.
-pub static E2S_MEDIAN_RANK: Metric = Metric {
-    name: "E2S MedR",
-    part: Part::Further,
-    better: source_rank,
-    decimals: 2,
-    measure: Measure::Rank(Counterpart::Source, RankSummary::Median),
-};
-
+pub static E2S_MEDIAN_RANK: Metric = ranked("E2S MedR", Source, Median);
 /// Edits retrieved by their targets: median rank.
-pub static E2T_MEDIAN_RANK: Metric = Metric {
-    name: "E2T MedR",
-    part: Part::Further,
-    better: |_| Better::Lower,
-    decimals: 2,
-    measure: Measure::Rank(Counterpart::Target, RankSummary::Median),
-};
+pub static E2T_MEDIAN_RANK: Metric = ranked("E2T MedR", Target, Median);
 
-const fn recall(name: &'static str, counterpart: Counterpart, k: usize) -> Metric {
+/// A metric of ranks. The paper has no column of medians.
+const fn ranked(name: &'static str, counterpart: Counterpart, summary: RankSummary) -> Metric {
     Metric {
         name,
-        part: Part::Paper,
-        better: match counterpart {
-            Counterpart::Source => source_recall,
-            Counterpart::Target => target_recall,
+        part: match summary {
+            Recall(_) | Average => Part::Paper,
+            Median => Part::Further,
+        },
+        better: match (counterpart, summary) {
+            (Source, Recall(_)) => source_recall,
+            (Source, Average | Median) => source_rank,
+            (Target, Recall(_)) => |_| Better::Higher,
+            (Target, Average | Median) => |_| Better::Lower,
         },
         decimals: 2,
-        measure: Measure::Rank(counterpart, RankSummary::Recall(k)),
+        measure: Measure::Rank(counterpart, summary),
     }
 }
 
@@ -94,10 +73,6 @@ fn source_recall(task: &str) -> Better {
     } else {
         Better::NearReal
     }
-}
-
-fn target_recall(_task: &str) -> Better {
-    Better::Higher
 }
 
 fn source_rank(task: &str) -> Better {
@@ -154,9 +129,9 @@ impl Retrieval {
     /// If a recall is at a cut-off that [`RECALL_AT`] lacks.
     pub fn value(&self, summary: RankSummary) -> f64 {
         match summary {
-            RankSummary::Recall(k) => self.recall[k - RECALL_AT[0]],
-            RankSummary::Average => self.average_rank,
-            RankSummary::Median => self.median_rank,
+            Recall(k) => self.recall[k - RECALL_AT[0]],
+            Average => self.average_rank,
+            Median => self.median_rank,
         }
     }
 }
@@ -324,6 +299,12 @@ fn single(rows: &Matrix, indices: &[usize]) -> Result<Vec<f32>, Error> {
     }
 }
 
+/// Refuses that there is no gallery or an empty one.
+pub(super) fn check_galleries(metric: &'static str, galleries: &[Vec<usize>]) -> Result<(), Error> {
+    let least = galleries.iter().map(Vec::len).min();
+    check_count(metric, least.unwrap_or(0), 1)
+}
+
 /// The [`ranks`] within each gallery.
 ///
 /// # Errors
@@ -340,13 +321,7 @@ pub fn gallery_ranks(
     gallery: &Matrix,
     galleries: &[Vec<usize>],
 ) -> Result<Vec<Vec<f64>>, Error> {
-    if galleries.is_empty() || galleries.iter().any(Vec::is_empty) {
-        return Err(Error::TooFewRows {
-            metric: METRIC,
-            needed: 1,
-            found: 0,
-        });
-    }
+    check_galleries(METRIC, galleries)?;
     galleries
         .par_iter()
         .map(|indices| ranks(queries, gallery, indices))

@@ -130,11 +130,8 @@ fn a_weak_encoder_and_items_without_difference_rank_nothing() {
             .any(|note| note.contains("Behind the identity"));
         assert_eq!(compares, ranks);
         let standings = standings(&scores, &judges);
-        assert!(
-            standings
-                .iter()
-                .all(|standing| standing.ranks_systems == ranks)
-        );
+        let mut ranked = standings.iter().map(|standing| standing.ranks_systems);
+        assert!(ranked.all(|ranked| ranked == ranks));
         let behind = standings.iter().any(|standing| standing.behind_identity);
         assert_eq!(behind, ranks);
         if !ranks {
@@ -142,22 +139,24 @@ fn a_weak_encoder_and_items_without_difference_rank_nothing() {
             let sentence = "This table ranks nothing.";
             assert!(crate::format::text::render(&tables).starts_with(sentence));
             let markdown = crate::format::markdown::render(&tables);
-            assert!(
-                markdown
-                    .lines()
-                    .nth(2)
-                    .is_some_and(|line| line.starts_with(sentence))
-            );
+            let line = markdown.lines().nth(2).expect("a line");
+            assert!(line.starts_with(sentence));
             let latex = crate::format::latex::render(&tables);
             assert!(latex.starts_with(&format!("% {sentence}")));
         }
     }
 }
 
+/// The only table of rows by encoders that nothing is known of.
+fn table(scores: &[ScoreRow], columns: &[&'static Metric]) -> Table {
+    let mut tables = Table::from_scores(scores, &BTreeMap::new(), columns);
+    assert_eq!(tables.len(), 1);
+    tables.remove(0)
+}
+
 fn best<'a>(table: &'a Table, metric: &Metric) -> Vec<&'a str> {
-    let index = table
-        .columns
-        .iter()
+    let mut columns = table.columns.iter();
+    let index = columns
         .position(|column| column.metric == metric)
         .expect("a column");
     table
@@ -195,28 +194,22 @@ fn no_system_is_best_where_returning_the_original_is_better() {
         score_row("style", "a", recall, 93.0),
         score_row("style", "b", recall, 3.0),
     ];
-    let table = &Table::from_scores(&rows, &BTreeMap::new(), &[error, recall])[0];
+    let shown = &table(&rows, &[error, recall]);
     // 40.001 prints as the identity's 40.00: it is not behind it, and no better.
-    assert!(best(table, error).is_empty());
-    assert_eq!(best(table, recall), ["a"]);
+    assert!(best(shown, error).is_empty());
+    assert_eq!(best(shown, recall), ["a"]);
     let behind = "Behind the identity editor, which returns the original unchanged: \
                   a in Position error (cm); b in E2S R@1.";
-    assert_eq!(table.notes, [behind]);
+    assert_eq!(shown.notes, [behind]);
     let standings = standings(&rows, &BTreeMap::new());
-    let behind: Vec<bool> = standings
-        .iter()
-        .map(|found| found.behind_identity)
-        .collect();
-    assert_eq!(
-        behind,
-        [false, false, true, false, false, false, false, true]
-    );
-    let best_of: Vec<bool> = standings.iter().map(|found| found.best).collect();
-    assert_eq!(
-        best_of,
-        [false, false, false, false, false, false, true, false]
-    );
-    let alone = &Table::from_scores(&rows[..3], &BTreeMap::new(), &[error])[0];
+    let places = |is: fn(&Standing) -> bool| -> Vec<usize> {
+        (0..rows.len())
+            .filter(|&place| is(&standings[place]))
+            .collect()
+    };
+    assert_eq!(places(|found| found.behind_identity), [2, 7]);
+    assert_eq!(places(|found| found.best), [6]);
+    let alone = &table(&rows[..3], &[error]);
     assert!(best(alone, error).is_empty());
     assert!(alone.notes[0].contains(": a in every column."));
 }
@@ -233,12 +226,12 @@ fn a_row_that_does_nothing_is_never_best() {
         score_row("style", "editor", fit, 1.0),
     ];
     let columns = [error, fit];
-    let table = &Table::from_scores(&rows, &BTreeMap::new(), &columns)[0];
-    assert!(best(table, error).is_empty());
+    let shown = table(&rows, &columns);
+    assert!(best(&shown, error).is_empty());
     // The identity editor has no fit, but what does nothing has the best one without merit.
-    assert_eq!(best(table, fit), ["editor"]);
+    assert_eq!(best(&shown, fit), ["editor"]);
     assert_eq!(
-        table.notes[0],
+        shown.notes[0],
         "Never marked as best, as all values are those of the identity editor: imported sources."
     );
     let marks = standings(&rows, &BTreeMap::new());
@@ -246,21 +239,18 @@ fn a_row_that_does_nothing_is_never_best() {
     assert_eq!(best_rows, [5]);
     // In a table of its own it is not marked either.
     rows.truncate(4);
-    let table = &Table::from_scores(&rows, &BTreeMap::new(), &columns)[0];
-    assert!(best(table, error).is_empty() && best(table, fit).is_empty());
+    let shown = table(&rows, &columns);
+    assert!(best(&shown, error).is_empty() && best(&shown, fit).is_empty());
     // A value of its own is enough to be a system.
     rows[2].mean = 39.0;
-    let table = &Table::from_scores(&rows, &BTreeMap::new(), &columns)[0];
-    assert_eq!(best(table, error), ["imported sources"]);
-    assert!(table.notes.is_empty(), "{:?}", table.notes);
+    let shown = table(&rows, &columns);
+    assert_eq!(best(&shown, error), ["imported sources"]);
+    assert!(shown.notes.is_empty(), "{:?}", shown.notes);
 }
 
 #[test]
 fn what_is_left_out_for_want_of_items_is_explained() {
-    let notes = |row: ScoreRow, columns: &[&'static Metric]| {
-        let table = Table::from_scores(&[row], &BTreeMap::new(), columns).remove(0);
-        table.notes
-    };
+    let notes = |row: ScoreRow, columns: &[&'static Metric]| table(&[row], columns).notes;
     let row = |n: u32, fid_items: u32, targets: u32| ScoreRow {
         n,
         fid_items,
@@ -334,20 +324,17 @@ fn closeness_to_real_data_beats_size() {
             score_row(task, "edits too", metric, 53.001),
         ]
     };
-    let recipes = BTreeMap::new();
-    let table = &Table::from_scores(&rows("style"), &recipes, &[metric])[0];
+    let best_of = |task| best(&table(&rows(task), &[metric]), metric).join(", ");
     // 53.001 prints as 53.00, so both are one away from the real data.
-    assert_eq!(best(table, metric), ["edits", "edits too"]);
-    let table = &Table::from_scores(&rows("fine-grained"), &recipes, &[metric])[0];
-    assert_eq!(best(table, metric), ["copies"]);
+    assert_eq!(best_of("style"), "edits, edits too");
+    assert_eq!(best_of("fine-grained"), "copies");
 }
 
 #[test]
 fn without_real_data_nothing_is_closest_to_them() {
     let metric = &DIVERSITY;
     let scores = [score_row("style", "ours", metric, 30.0)];
-    let table = &Table::from_scores(&scores, &BTreeMap::new(), &[metric])[0];
-    assert!(best(table, metric).is_empty());
+    assert!(best(&table(&scores, &[metric]), metric).is_empty());
 }
 
 #[test]
@@ -385,7 +372,7 @@ fn missing_values_leave_a_gap_and_missing_metrics_no_column() {
         score_row("style", "a", &FOOT_SCORE, 0.9),
         score_row("style", "b", &fid::FID, 0.2),
     ];
-    let table = &Table::from_scores(&scores, &BTreeMap::new(), &paper_columns())[0];
+    let table = table(&scores, &paper_columns());
     assert_eq!(table.columns.len(), 2);
     assert_eq!(table.rows[0].cells[0], None);
     assert!(table.rows[0].cells[1].is_some());

@@ -5,7 +5,6 @@ mod thing;
 use std::path::PathBuf;
 
 use anyhow::bail;
-use clap::ValueEnum;
 use remote_store::hub::{
     Hub, Push, PushOptions, Pushed, Repo, RepoKind, RepoName, kind_of, pull, token_from_variables,
 };
@@ -14,7 +13,7 @@ use serde::Serialize;
 use self::thing::Thing;
 use crate::cmd::edits::parse_license;
 use crate::exit::Exit;
-use crate::global::Global;
+use crate::global::{Global, Names, one_of};
 use crate::report;
 
 /// Publish datasets, trained models and edits on the Hugging Face hub, and pull them.
@@ -75,18 +74,17 @@ struct PullArgs {
     #[arg(long, default_value = "main")]
     revision: String,
     /// What the repo holds [default: what the hub has by this name]
-    #[arg(long = "type", value_name = "TYPE", value_enum)]
-    kind: Option<KindArg>,
+    #[arg(long = "type", value_name = "TYPE", value_parser = one_of(KINDS))]
+    kind: Option<RepoKind>,
     /// Folder to write
     #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum KindArg {
-    Dataset,
-    Model,
-}
+const KINDS: Names<RepoKind> = &[
+    ("dataset", RepoKind::Dataset, ""),
+    ("model", RepoKind::Model, ""),
+];
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     match &args.action {
@@ -199,8 +197,7 @@ fn pushed_text(document: &PushDocument<'_>) -> String {
 fn pull_repo(args: &PullArgs, global: &Global) -> anyhow::Result<Exit> {
     let hub = connect()?;
     let kind = match args.kind {
-        Some(KindArg::Dataset) => RepoKind::Dataset,
-        Some(KindArg::Model) => RepoKind::Model,
+        Some(kind) => kind,
         None => kind_of(&hub, &args.repo, &args.revision)?,
     };
     let name = args.repo.clone();

@@ -1,7 +1,6 @@
 //! What a folder holds, and which files of it are published.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, bail};
@@ -18,6 +17,8 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use train::card::{self, About, Score};
 use train::checkpoint::{CONFIG, RunRecord, read_any};
+
+use crate::local;
 
 /// Scores of a model, which `stance eval --json` printed into its run folder.
 const SCORES: &str = "scores.json";
@@ -151,8 +152,7 @@ fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<Option<T>> {
     if !path.is_file() {
         return Ok(None);
     }
-    let text = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let parsed = serde_json::from_slice(&text);
+    let parsed = serde_json::from_slice(&local::read(path)?);
     parsed
         .map(Some)
         .with_context(|| format!("{} is not what stance writes there", path.display()))

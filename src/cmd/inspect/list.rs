@@ -8,6 +8,7 @@ use tables::Tables;
 
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::report::columns;
 
 /// The rows to list.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -102,19 +103,5 @@ fn print<T: Serialize>(
     cells: impl Fn(&T) -> Vec<String>,
 ) -> anyhow::Result<Exit> {
     let lines: Vec<Vec<String>> = rows.iter().map(cells).collect();
-    let num_columns = lines.first().map_or(0, Vec::len);
-    let widths: Vec<usize> = (0..num_columns)
-        .map(|column| lines.iter().map(|row| row[column].chars().count()).max())
-        .map(Option::unwrap_or_default)
-        .collect();
-    let mut text = String::new();
-    for row in &lines {
-        let mut line = String::new();
-        for (cell, width) in row.iter().zip(&widths) {
-            line += &format!("{cell:<width$}  ");
-        }
-        text += line.trim_end();
-        text.push('\n');
-    }
-    global.say(&rows, &text)
+    global.say(&rows, &columns(&lines, |_| false))
 }

@@ -30,6 +30,7 @@ use super::pictures::Picture;
 use crate::cmd::eval::TableArg;
 use crate::global::Global;
 use crate::judge::is_builtin;
+use crate::local;
 use crate::seeds::Seeds;
 use crate::settings;
 
@@ -540,9 +541,8 @@ impl Plan {
         let asked = own.pointer("/text/encoder").and_then(Value::as_str);
         match (asked, &self.text_encoder) {
             (Some("table"), Some(path)) if path.is_file() => {
-                let bytes = std::fs::read(path)
-                    .with_context(|| format!("cannot read {}", path.display()))?;
-                Ok(Some(blake3::hash(&bytes).to_hex().to_string()))
+                let hash = blake3::hash(&local::read(path)?);
+                Ok(Some(hash.to_hex().to_string()))
             }
             (Some("bert"), Some(folder)) if folder.is_dir() => {
                 Ok(Some(BertFiles::in_folder(folder)?.hash()?))

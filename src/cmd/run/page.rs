@@ -8,7 +8,7 @@ use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, Split};
 use eval::answers::{Answered, Scores};
-use eval::draw::plot::{Bars, Curve, Plot, Scale};
+use eval::draw::plot::{Bars, Plot, Scale};
 use eval::format;
 use eval::report::{Card, Chart, Details, Report, Strip};
 use pipeline::ingest::IngestReport;
@@ -18,6 +18,7 @@ use train::fit::TrainReport;
 use super::plan::{Places, Plan};
 use crate::cmd::eval::tables;
 use crate::cmd::page::{opening, strip_of, with_edits};
+use crate::cmd::train::loss_curves;
 use crate::global::Global;
 use crate::judge::BUILTIN;
 use crate::report;
@@ -220,24 +221,12 @@ fn details(done: &Done) -> anyhow::Result<Vec<Details>> {
 }
 
 fn curves(run: &Path, title: &str, y_scale: Scale) -> anyhow::Result<Plot> {
-    let metrics = train::metrics::read(run)?;
     Ok(Plot {
         title: title.to_owned(),
         x_label: "step".to_owned(),
         y_label: "loss".to_owned(),
         y_scale,
-        curves: vec![
-            Curve {
-                name: "training".to_owned(),
-                points: metrics.loss,
-                ..Curve::default()
-            },
-            Curve {
-                name: "validation".to_owned(),
-                points: metrics.val_loss,
-                ..Curve::default()
-            },
-        ],
+        curves: loss_curves(run, "")?.into(),
         ..Plot::default()
     })
 }

@@ -116,25 +116,12 @@ fn default_triplets() -> u64 {
 impl RunConfig {
     /// The default settings for these sources.
     pub(crate) fn new(sources: Vec<SourceArg>, out: PathBuf) -> Self {
+        let required = serde_json::json!({ "sources": [], "out": "" });
+        let config = serde_json::from_value(required).expect("all else has a default");
         Self {
             sources,
             out,
-            preset: default_preset(),
-            text_encoder: None,
-            triplets: default_triplets(),
-            ingest: IngestConfig::default(),
-            masks: MaskConfig::default(),
-            stages: Stages::default(),
-            pairs: PairConfig::default(),
-            compose: Map::new(),
-            train: Map::new(),
-            coordinator: Map::new(),
-            poses: Map::new(),
-            encoder: EncoderConfig::default(),
-            seeds: Seeds::default(),
-            items: ItemConfig::default(),
-            edit: EditConfig::default(),
-            eval: Protocol::default(),
+            ..config
         }
     }
 }

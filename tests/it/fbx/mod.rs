@@ -4,13 +4,13 @@ mod file;
 
 use std::collections::BTreeMap;
 
-use datasets_spec::record::{MotionRow, QuarantineRow, SkippedRow};
-use datasets_spec::{Dataset, Joint, Pose, Skeleton};
+use datasets_spec::record::{QuarantineRow, SkippedRow};
+use datasets_spec::{Joint, Pose, Skeleton};
 use glam::{DQuat, DVec3, EulerRot};
 
 use self::file::{Record, Value, ascii, binary, property, record, text, vector};
-use crate::formats::{all_in_train, ingested, inspected, put, walk};
-use crate::util::{arg, stance};
+use crate::formats::{all_in_train, assert_shows, ingested, inspected, put, walk};
+use crate::util::{arg, assert_counted, assert_has, motions_of, stance, typed};
 
 /// Ticks of a second.
 const TICKS: i64 = 46_186_158_000;
@@ -375,33 +375,6 @@ impl Scene {
     }
 }
 
-fn rows(dataset: &Dataset) -> BTreeMap<String, MotionRow> {
-    let rows: Vec<MotionRow> = dataset.read(None).expect("rows");
-    rows.into_iter()
-        .map(|row| (row.id.to_string(), row))
-        .collect()
-}
-
-/// Checks the joints of a stored motion at the rate of the file against those of its poses.
-fn assert_shows(row: &MotionRow, poses: &[Pose]) {
-    let skeleton = Skeleton::smplx_neutral();
-    let motion = row.motion().expect("valid");
-    let points = skeleton.motion_keypoints(&motion).points;
-    assert_eq!(points.len(), poses.len(), "{}", row.id);
-    let lift = points[0][0].y - skeleton.keypoints(&poses[0])[0].y;
-    for (found, pose) in points.iter().zip(poses) {
-        let expected = skeleton.keypoints(pose);
-        for joint in 0..22 {
-            let apart = found[joint].distance(expected[joint] + DVec3::Y * lift);
-            assert!(
-                apart < 2e-3,
-                "{}: joint {joint} is off by {apart} m",
-                row.id
-            );
-        }
-    }
-}
-
 #[test]
 fn fbx_files_are_the_motions_they_show_in_any_unit_and_axes() {
     let dir = tempfile::tempdir().expect("a temporary folder");
@@ -472,7 +445,7 @@ fn fbx_files_are_the_motions_they_show_in_any_unit_and_axes() {
     let (done, dataset, out) = ingested(&source, &more, 0);
     assert_eq!(done.ingested, 2 * scenes.len() as u64, "{done:?}");
     // One take has the id of its file, whatever its name.
-    let rows = rows(&dataset);
+    let rows = motions_of(dataset.root());
     for (name, _) in &scenes {
         for id in [(*name).to_owned(), format!("text/{name}")] {
             let row = rows.get(&id).unwrap_or_else(|| panic!("{id}"));
@@ -480,7 +453,7 @@ fn fbx_files_are_the_motions_they_show_in_any_unit_and_axes() {
                 (row.source.as_str(), row.fps, row.fps_source),
                 ("fbx", 30.0, 30.0)
             );
-            assert_shows(row, &poses);
+            assert_shows(row, &poses, 1);
         }
     }
     for (id, words) in [
@@ -514,16 +487,13 @@ fn every_take_is_a_clip_of_one_split() {
     put(&source, "nothing.fbx", binary(&scene.records(&[])));
     let (done, dataset, out) = ingested(&source, &["--fps", "native"], 0);
     assert_eq!((done.ingested, done.skipped), (3, 2), "{done:?}");
-    let rows = rows(&dataset);
-    assert_shows(&rows["all#Walk"], &walks);
-    assert_shows(&rows["all#Run"], &runs);
-    assert_shows(&rows["mixamo"], &jogs);
+    let rows = motions_of(dataset.root());
+    assert_shows(&rows["all#Walk"], &walks, 1);
+    assert_shows(&rows["all#Run"], &runs, 1);
+    assert_shows(&rows["mixamo"], &jogs, 1);
     assert_eq!(rows["all#Walk"].split, rows["all#Run"].split);
     let said = inspected(&out, "mixamo").to_string();
-    assert!(
-        said.contains("takes that move no skeleton: Take 001"),
-        "{said}"
-    );
+    assert_has(&said, &["takes that move no skeleton: Take 001"]);
     let skipped: Vec<SkippedRow> = dataset.read(None).expect("rows");
     let reasons = skipped
         .iter()
@@ -531,11 +501,10 @@ fn every_take_is_a_clip_of_one_split() {
     let reasons: BTreeMap<&str, &str> = reasons.collect();
     assert_eq!(reasons["still.fbx"], "no take moves a skeleton");
     assert_eq!(reasons["nothing.fbx"], "no take in the file");
-    let ran = stance(&["doctor", arg(&source)]).expect_code(0).stdout;
+    let ran = stance(&["doctor", arg(&source)]).printed();
     assert!(ran.contains("fbx") && !ran.contains("Blender"), "{ran}");
-    let only = ["ingest", arg(&source), "--format", "bvh", "--out"];
     let made = dir.path().join("none");
-    stance(&[&only[..], &[arg(&made)]].concat()).expect_code(1);
+    typed("ingest {} --format bvh --out {}", &[&source, &made]).expect_code(1);
 }
 
 #[test]
@@ -557,7 +526,7 @@ fn a_rig_with_its_own_names_is_read_by_a_joint_map() {
     let map = dir.path().join("map.json");
     let more = ["--fps", "native", "--joint-map", arg(&map)];
     let (_, dataset, out) = ingested(&source, &more, 0);
-    assert_shows(&rows(&dataset)["own"], &poses);
+    assert_shows(&motions_of(dataset.root())["own"], &poses, 1);
     assert!(
         inspected(&out, "own")
             .to_string()
@@ -669,7 +638,5 @@ fn damaged_fbx_files_never_end_a_run() {
     let done: serde_json::Value = ran.json();
     assert_eq!(done["files"], FILES, "{done}");
     assert!(done["codes"].get("E-INTERNAL").is_none(), "{done}");
-    let count = |name: &str| done[name].as_u64().expect("a count");
-    let counted = count("ingested") + count("quarantined") + count("skipped");
-    assert_eq!(count("sources"), counted);
+    assert_counted(&done);
 }
