@@ -1,7 +1,7 @@
 //! `stance masks`
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use datasets_spec::dataset::commit_rows;
@@ -96,7 +96,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     print(&dataset, global)
 }
 
-fn accept(args: &Args, file: &PathBuf, global: &Global) -> anyhow::Result<Dataset> {
+fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> {
     const SHOWN: usize = 20;
     let author = args.author.as_deref().unwrap_or_default().trim();
     if author.is_empty() {

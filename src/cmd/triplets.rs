@@ -157,7 +157,6 @@ fn sheet(stream: &Stream, skeleton: &Skeleton) -> anyhow::Result<String> {
     let style = Style {
         width: 900.0,
         num_figures: 7,
-        ..Style::default()
     };
     let mut panels = Vec::new();
     for triplet in stream.sample_for_sheet(TRIPLETS)? {

@@ -167,7 +167,7 @@ impl Place {
     fn put(&self, name: &str, bytes: impl AsRef<[u8]>) {
         let path = self.path(name);
         fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-        put(path, bytes);
+        fs::write(path, bytes).expect("written");
     }
 
     /// Runs the command. Nothing it unpacks stays.

@@ -96,7 +96,7 @@ fn a_source_that_is_added_changes_no_id_and_no_split() {
 
 #[test]
 fn a_folder_may_be_given_alone_and_the_others_stay() {
-    let (_dir, source, more, dataset) = begun_with_half(12);
+    let (_dir, _source, more, dataset) = begun_with_half(12);
     let before = clips(&dataset);
     let grown = ingest(&[&more], &dataset, &[], 0);
     assert_eq!(grown["growth"]["missing"], serde_json::json!([]));

@@ -1,7 +1,6 @@
 //! What leaves a dataset or a project comes back, and what cannot is counted.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use annotate::store::{Store, open_sqlite};

@@ -5,7 +5,6 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::db::{Result, Row, unreadable};
 use super::records::{Credit, Millis};
-use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
 use crate::wire::{
     Answer, EditType, PlannedCapture, Role, Settings, SkipReason, SuggestionUse, TaskKind,

@@ -24,8 +24,16 @@ pub enum Part {
     RightLeg,
 }
 
-/// Every part with its name, its joints, how many markers it needs, and joints of which one must carry a marker.
-const PARTS: [(Part, &str, &[usize], usize, &[usize]); 7] = [
+/// A part with its name, its joints, how many markers it needs, and joints of which one must carry a marker.
+type Needs = (
+    Part,
+    &'static str,
+    &'static [usize],
+    usize,
+    &'static [usize],
+);
+
+const PARTS: [Needs; 7] = [
     (Part::Pelvis, "the pelvis", &[0], 2, &[0]),
     (
         Part::Trunk,
