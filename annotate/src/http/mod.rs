@@ -270,8 +270,11 @@ async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Respon
         }
         problem_response(&problem)
     });
-    app.metrics
-        .count(route, response.status().as_u16(), begun.elapsed());
+    app.metrics.count(
+        (route.method, route.path),
+        response.status().as_u16(),
+        begun.elapsed(),
+    );
     response
 }
 

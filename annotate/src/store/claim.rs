@@ -4,8 +4,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::db::{Result, Row, Tx, Value, params};
+use super::draw::percent;
 use super::entry::Place;
-use super::import::{GOLD_KEY, percent};
+use super::import::GOLD_KEY;
 use super::leases::{
     MINUTE, PLACED, expire, lease_end, prolong, prolong_bundle, reserved_after, take,
 };

@@ -1,7 +1,6 @@
 //! Filters of tasks, as conditions in SQL.
 
 use super::db::{Result, Value};
-use super::read;
 use super::settings::{has_up_to, require};
 use crate::Error;
 use crate::wire::{SkipFilter, TaskFilter, TaskKind, TaskState};
@@ -101,7 +100,7 @@ fn skipped(by: SkipFilter) -> String {
 
 /// The condition of a task with a text in its answers, its clips or its own words.
 fn contains(text: &str, values: &mut Values) -> String {
-    let like = values.put(read::like(text));
+    let like = values.put(like(text));
     let fits = |column: &str| format!("{column} LIKE {like} ESCAPE '\\'");
     let clip = |hash: &str| {
         format!(
@@ -147,4 +146,14 @@ pub(super) fn check(filter: &TaskFilter) -> Result<()> {
         require(is_share, field, "a distance is 0 to 1")?;
     }
     Ok(())
+}
+
+/// The pattern of a text anywhere in a lower-case column.
+pub(super) fn like(text: &str) -> String {
+    let escaped = text
+        .to_lowercase()
+        .replace('\\', "\\\\")
+        .replace('%', "\\%")
+        .replace('_', "\\_");
+    format!("%{escaped}%")
 }
