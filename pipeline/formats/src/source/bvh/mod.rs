@@ -23,8 +23,8 @@ use std::path::Path;
 pub use file::BvhFile;
 pub use joint::{Axis, BvhJoint, Channel};
 
-use super::files::UTF8_BOM;
 use super::format::{Format, Recognised, SourceFormat};
+use super::head::UTF8_BOM;
 use super::options::ReadOptions;
 use crate::retarget;
 use clip::check::FLAG_ROW_COUNT;

@@ -7,7 +7,7 @@ use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use pickle::npy::{self, Array};
 
-use crate::source::files::refuse_pointer;
+use crate::source::head::refuse_pointer;
 use clip::{Rejected, RotationSource, SourceClip, rejected};
 
 /// Rate of the published clips.

@@ -11,8 +11,9 @@ use datasets_spec::{BodyPart, Fps, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde_json::Value as Json;
 
-use super::files::{Files, LFS_POINTER, refuse_pointer};
+use super::files::Files;
 use super::format::{Contents, Entry, Format, Release, SourceFormat};
+use super::head::{LFS_POINTER, refuse_pointer};
 use super::names::file_name;
 use super::options::ReadOptions;
 use super::smpl::{Parameters, column, y_up_from_z_up};
