@@ -10,9 +10,9 @@ use datasets_spec::{Motion, Skeleton, Split};
 use features::{Statistics, hy_motion, representation_272};
 use pickle::npy;
 
+use super::by_clip::{ByClip, Note, labels, sorted_lines};
 use super::clips::stems;
 use super::document::{Lines, file, read_features};
-use super::form::{ByClip, Note, labels, sorted_lines};
 use super::humanml3d::{caption_line, names};
 use super::paths::{safe_stem, unique};
 use crate::Error;

@@ -125,3 +125,7 @@ pub(crate) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> 
         shown: shown.join(", "),
     })
 }
+
+pub(crate) fn json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).expect("texts and counts serialise")
+}
