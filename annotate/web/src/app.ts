@@ -85,11 +85,11 @@ export class App {
   private status: OutboxStatus = { phase: "idle", waiting: 0, stuck: 0, trouble: null };
   private readonly main = h("main", { id: "main" });
   private readonly nav = h("nav", { attrs: { "aria-label": "Screens" } });
-  private readonly chip = h("output", { class: "chip", attrs: { "aria-live": "polite", "aria-label": "State of saving" } });
-  private readonly stuck = h("button", { class: "stuck", attrs: HIDDEN, on: { click: () => void showUnsent(this.outbox, this.parts) } });
-  private readonly banner = h("div", { class: "banner", attrs: { role: "alert", ...HIDDEN } });
+  private readonly chip = h("output", { class: "chip tint", attrs: { "aria-live": "polite", "aria-label": "State of saving" } });
+  private readonly stuck = h("button", { class: "stuck danger", attrs: HIDDEN, on: { click: () => void showUnsent(this.outbox, this.parts) } });
+  private readonly banner = h("div", { class: "banner warn tint", attrs: { role: "alert", ...HIDDEN } });
   /** Says that the session has ended, without taking the focus from a text. */
-  private readonly ended = h("div", { class: "banner", attrs: { role: "alert", ...HIDDEN }, data: { region: "session" } });
+  private readonly ended = h("div", { class: "banner warn tint", attrs: { role: "alert", ...HIDDEN }, data: { region: "session" } });
   private readonly disk = new DiskWatch({
     ask: async () => (await this.api.attempt<Me>("GET", "me")).read_only,
     show: (why) => this.showReadOnly(why),
@@ -204,7 +204,7 @@ export class App {
 
   /** A button that opens the guide beside the work and leaves the focus in the text. */
   guideButton(): HTMLButtonElement {
-    const button = keyButton("Guide", this.keys.hint("guide_beside"), () => void this.toggleGuide(), "guide-button");
+    const button = keyButton("Guide", this.keys.hint("guide_beside"), () => void this.toggleGuide(), "guide-button small");
     button.addEventListener("mousedown", (event) => event.preventDefault());
     return button;
   }

@@ -7,7 +7,7 @@ import type { Estimate } from "./wire";
 
 /** Messages at the lower edge, announced by screen readers. */
 export class Toasts {
-  readonly element = h("div", { class: "toasts", attrs: { role: "status", "aria-live": "polite" } });
+  readonly element = h("div", { class: "toasts col", attrs: { role: "status", "aria-live": "polite" } });
   private readonly shown = new Map<string, () => void>();
 
   /** Shows a message; it replaces an earlier one of the same `id`. */
@@ -19,7 +19,7 @@ export class Toasts {
     this.shown.get(id)?.();
     const { action } = options;
     const button = action && h("button", { class: "toast-action", on: { click: () => (close(), action.run()) } }, action.label);
-    const toast = h("div", { class: `toast ${options.kind ?? "info"}` }, h("span", {}, message), button);
+    const toast = h("div", { class: `toast row ${options.kind ?? "info"}` }, h("span", {}, message), button);
     const timer = window.setTimeout(() => close(), options.ms ?? 5000);
     const close = (): void => {
       window.clearTimeout(timer);
@@ -80,7 +80,7 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
       h("button", { class: kind, data: { choice: label }, on: { click: () => finish(value) } }, hint !== "" && h("kbd", {}, hint), label);
     const buttons = choices.map(({ label, value, hint, kind }) => button(label, value, hint, kind));
     const closes = choices[0]?.label === "Close" || choices[0]?.label === "Done";
-    const foot = h("div", { class: "dialog-buttons" }, ...buttons, !closes && button("Cancel", null, "Esc"));
+    const foot = h("div", { class: "dialog-buttons row" }, ...buttons, !closes && button("Cancel", null, "Esc"));
     const dialog = openDialog(title, () => finish(null), h("div", { class: "dialog-body" }, ...body), foot);
     dialog.addEventListener("keydown", (event) => {
       event.stopPropagation();
@@ -186,7 +186,7 @@ export async function inSteps(title: string, total: number, step: (done: (count:
     words.textContent = "Stopping…";
   };
   const stop = h("button", { data: { choice: "Stop" }, on: { click: halt } }, h("kbd", {}, "Esc"), "Stop");
-  const dialog = openDialog(title, halt, words, bar, h("div", { class: "dialog-buttons" }, stop));
+  const dialog = openDialog(title, halt, words, bar, h("div", { class: "dialog-buttons row" }, stop));
   try {
     const show = (count: number): void => {
       setAttr(bar, "value", Math.min(count, total));

@@ -37,7 +37,7 @@ export class Viewer {
   private readonly range: HTMLInputElement;
   private readonly readout = h("output", { class: "readout", attrs: { "aria-live": "off" } });
   private readonly speed = h("output", { class: "speed" });
-  private readonly loopText = h("output", { class: "loop" });
+  private readonly loopText = h("output", { class: "loop note" });
   private readonly followButton: HTMLButtonElement;
 
   constructor(
@@ -64,14 +64,14 @@ export class Viewer {
     });
     this.followButton = button("camera_follow", "Follow");
     this.transport = element(html`<div class="transport" role="group" aria-label="Playback">
-      <div class="transport-row">${this.playButton}${this.range}${this.readout}</div>
-      <div class="transport-row small">
+      <div class="row">${this.playButton}${this.range}${this.readout}</div>
+      <div class="row small">
         ${button("step_back", "Back")}${button("step_forward", "Forward")}
-        <span class="group">${button("slower", "Slower")}${this.speed}${button("faster", "Faster")}</span>
-        <span class="group">${button("loop_in", "In")}${button("loop_out", "Out")}${button("loop_clear", "Clear")}${this.loopText}</span>
+        <span class="inline tight">${button("slower", "Slower")}${this.speed}${button("faster", "Faster")}</span>
+        <span class="inline tight">${button("loop_in", "In")}${button("loop_out", "Out")}${button("loop_clear", "Clear")}${this.loopText}</span>
       </div>
     </div>`);
-    const cameras = element(html`<div class="cameras" role="group" aria-label="Camera">
+    const cameras = element(html`<div class="cameras inline tight small" role="group" aria-label="Camera">
       ${button("camera_front", "Front")}${button("camera_side", "Side")}${button("camera_top", "Top")}${this.followButton}
     </div>`);
     this.element = h("div", { class: "viewer", data: { region: "stage" } }, h("div", { class: "stage-area" }, this.stageRow, cameras), this.transport, this.stripColumn);

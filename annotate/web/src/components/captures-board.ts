@@ -62,7 +62,7 @@ function matrix(cells: readonly CaptureCell[]): TemplateResult {
     const count = `${cell.arrived} / ${cell.takes}`;
     return cell.missing > 0 ? count : html`<span class="full">${count} ✓</span>`;
   };
-  return html`<div class="matrix">
+  return html`<div class="matrix tall">
     ${figureTable(
       "Takes that are here, of those wanted",
       ["Motion", ...styles],

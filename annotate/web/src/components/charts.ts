@@ -30,12 +30,12 @@ function chart(name: string, caption: unknown, body: unknown): TemplateResult {
 /** The middle of each of so many columns. */
 const middles = (count: number): number[] => Array.from({ length: count }, (_, index) => LEFT + ((WIDTH - LEFT) / count) * (index + 0.5));
 
-const below = (x: number, text: string): TemplateResult => svg`<text class="chart-text" x=${x} y=${HEIGHT - 8} text-anchor="middle">${text}</text>`;
+const below = (x: number, text: string): TemplateResult => svg`<text x=${x} y=${HEIGHT - 8} text-anchor="middle">${text}</text>`;
 
 function axis(end: number, digits: number): TemplateResult {
   return svg`${[0, 0.5, 1].map(
-    (share) => svg`<line class="chart-grid" x1=${LEFT} x2=${WIDTH} y1=${y(share)} y2=${y(share)}></line>
-      <text class="chart-text" x=${LEFT - 6} y=${y(share) + 4} text-anchor="end">${(share * end).toFixed(digits)}</text>`,
+    (share) => svg`<line class="scale" x1=${LEFT} x2=${WIDTH} y1=${y(share)} y2=${y(share)}></line>
+      <text x=${LEFT - 6} y=${y(share) + 4} text-anchor="end">${(share * end).toFixed(digits)}</text>`,
   )}`;
 }
 
@@ -53,7 +53,7 @@ export function throughput(weeks: readonly Week[], zone: string): TemplateResult
   const columns = middles(weeks.length).map((x, index) => {
     const week = weeks[index] as Week;
     const bars = series.map(
-      ([name], at) => svg`<rect class=${`chart-${name}`} x=${x + (at - 1.5) * bar} width=${bar * 0.9}
+      ([name], at) => svg`<rect class=${`value ${name}`} x=${x + (at - 1.5) * bar} width=${bar * 0.9}
         y=${y(week[name] / end)} height=${y(0) - y(week[name] / end)}><title>${week[name]}</title></rect>`,
     );
     return [bars, below(x, shortDate(dateOf(week.start, zone)))];
@@ -69,8 +69,8 @@ export function agreementChart(rows: readonly PartAgreement[]): TemplateResult |
   const at = (value: number): number => y(Math.min(1, Math.max(0, value)));
   const columns = known.map(({ part, value, low, high }, index) => {
     const x = places[index] ?? 0;
-    return svg`<line class="chart-interval" x1=${x} x2=${x} y1=${at(low)} y2=${at(high)}></line>
-      <circle class="chart-value" cx=${x} cy=${at(value)} r="5"><title>${value.toFixed(2)}</title></circle>
+    return svg`<line class="line" x1=${x} x2=${x} y1=${at(low)} y2=${at(high)}></line>
+      <circle class="value" cx=${x} cy=${at(value)} r="5"><title>${value.toFixed(2)}</title></circle>
       ${below(x, part.replaceAll("_", " ").toLowerCase())}`;
   });
   return chart("Agreement by decision", "Agreement (Gwet AC1) with 95 % intervals", [axis(1, 1), columns]);
@@ -88,10 +88,10 @@ export function agreementByWeek(weeks: readonly Week[], zone: string): TemplateR
     const label = below(x, shortDate(dateOf(week.start, zone)));
     if (at === null || week.agreement === null) return label;
     // The figure stands below the point where there is no room above it.
-    return svg`<circle class="chart-value" cx=${x} cy=${at} r="5"></circle>
-      <text class="chart-text" x=${x} y=${at < TOP + 20 ? at + 20 : at - 10} text-anchor="middle">${week.agreement.toFixed(2)}</text>${label}`;
+    return svg`<circle class="value" cx=${x} cy=${at} r="5"></circle>
+      <text x=${x} y=${at < TOP + 20 ? at + 20 : at - 10} text-anchor="middle">${week.agreement.toFixed(2)}</text>${label}`;
   });
-  const path = svg`<path class="chart-line" d=${line}></path>`;
+  const path = svg`<path class="line" d=${line}></path>`;
   return chart("Agreement by week", "Agreement by week of the last answer", [axis(1, 1), path, columns]);
 }
 
@@ -131,8 +131,8 @@ export function stateBar(title: string, counts: Funnel["counts"][TaskKind]): Tem
         x += width;
         const long = `${group.label} ${Math.round(group.share * 100)} %`;
         const text = [long, group.label].find((own) => own.length * LETTER < width - 8) ?? "";
-        return svg`<rect class=${`state-${group.name}`} x=${at + 0.5} y="0.5" width=${Math.max(0, width - 1)} height="23"></rect>
-          <text class=${`state-text ${group.name}`} x=${at + 6} y="16">${text}</text>`;
+        return svg`<rect class=${`state ${group.name}`} x=${at + 0.5} y="0.5" width=${Math.max(0, width - 1)} height="23"></rect>
+          <text x=${at + 6} y="16">${text}</text>`;
       })}
     </svg>
   </figure>`;
@@ -146,12 +146,12 @@ export function dayBars(days: readonly Work[], value: (work: Work) => number, mo
   const step = SPARK_WIDTH / Math.max(1, days.length);
   const gap = step > 4 ? 1.5 : 0;
   return html`<svg class="spark" viewBox=${`0 0 ${SPARK_WIDTH} ${SPARK_HEIGHT}`} preserveAspectRatio="none" role="img" aria-label=${words}>
-    <line class="chart-grid" x1="0" x2=${SPARK_WIDTH} y1=${SPARK_HEIGHT - 0.5} y2=${SPARK_HEIGHT - 0.5}></line>
+    <line class="scale" x1="0" x2=${SPARK_WIDTH} y1=${SPARK_HEIGHT - 0.5} y2=${SPARK_HEIGHT - 0.5}></line>
     ${days.map((day, index) => {
       const height = most > 0 ? (value(day) / most) * (SPARK_HEIGHT - 2) : 0;
       return height === 0
         ? nothing
-        : svg`<rect class="chart-submitted" x=${index * step + gap / 2} y=${SPARK_HEIGHT - height} width=${step - gap} height=${height}></rect>`;
+        : svg`<rect class="value" x=${index * step + gap / 2} y=${SPARK_HEIGHT - height} width=${step - gap} height=${height}></rect>`;
     })}
   </svg>`;
 }

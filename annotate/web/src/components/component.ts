@@ -91,8 +91,8 @@ export function choice(
 export function lintList(lints: readonly Lint[]): TemplateResult {
   // An empty text is no fault before the answer is handed in.
   const shown = lints.filter((lint) => lint.code !== "empty");
-  return html`<ul class="lints" aria-live="polite">
-    ${shown.map((lint) => html`<li data-lint=${lint.code}>${lint.message}</li>`)}
+  return html`<ul class="lints plain col tight" aria-live="polite">
+    ${shown.map((lint) => html`<li class=${`tint ${lint.code === "side" ? "severe" : "warn"}`} data-lint=${lint.code}>${lint.message}</li>`)}
   </ul>`;
 }
 
@@ -125,7 +125,7 @@ export function switcher<T extends string | number>(
   chosen: T,
   choose: (value: T) => void,
 ): TemplateResult {
-  return html`<div class="row switcher" role="group" aria-label=${label}>
+  return html`<div class="row tight small" role="group" aria-label=${label}>
     ${options.map(([value, words]) => html`<button type="button" aria-pressed=${String(value === chosen)} @click=${() => choose(value)}>${words}</button>`)}
   </div>`;
 }

@@ -52,7 +52,7 @@ export class DecisionList extends Component {
   protected override render(): TemplateResult {
     const mine = this.whose === "mine";
     return html`
-      <div class="row spread">
+      <div class="row between">
         ${switcher("Whose decisions", WHOSE, this.whose, (whose) => this.reload({ whose }))}
         ${switcher("Kind of decision", KINDS, this.kind, (kind) => this.reload({ kind }))}
       </div>

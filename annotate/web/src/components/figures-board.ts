@@ -57,7 +57,7 @@ export class FiguresBoard extends Component {
     super();
     const kept = Number(localStorage.getItem(app.keep("period")));
     this.days = PERIODS.some(([days]) => days === kept) ? kept : 28;
-    this.classList.add("dashboard");
+    this.classList.add("dashboard", "grid");
   }
 
   async load(): Promise<void> {
@@ -151,7 +151,7 @@ export class FiguresBoard extends Component {
     const full = (end: number): string => (measure === "hours" ? hours(end) : `${end} answers`);
     const scale = most > 0 ? ` A full bar is ${full(most)} in a day, in the last row ${full(totals)}.` : "";
     return html`
-      <div class="row spread">
+      <div class="row between">
         <h2>Hours and answers of each person</h2>
         ${switcher("Period", PERIODS, this.days, (days) => this.show(days))}
         ${switcher("What the bars show", MEASURES, measure, (chosen) => {
@@ -278,7 +278,7 @@ function agreementFacts(agreement: Agreement): TemplateResult {
     ["Distance from the draft", percent(agreement.draft_distance)],
     ["Seconds with and without draft", `${seconds(withDraft)} / ${seconds(without)}`],
   ];
-  return html`<dl class="figures">
+  return html`<dl class="figures row">
     ${facts.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}
   </dl>`;
 }

@@ -371,7 +371,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     return html`
       ${this.suggestionRow()}
       ${this.previewBox()}
-      <div class="mask-cards">${this.answer.masks.map((mask, index) => this.cardOf(mask, index))}</div>
+      <div class="col">${this.answer.masks.map((mask, index) => this.cardOf(mask, index))}</div>
       <div class="row">
         ${action("New mask", this.app.keys.hint("mask_new"), () => this.perform("mask_new"))}
         <p class="note count-note">${this.answer.masks.length} of ${min_masks}–${max_masks}</p>
@@ -385,10 +385,10 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     if (open.length === 0) return nothing;
     const next = this.nextOffer;
     const hint = (offer: Offer): string => (next && keyOf(next.parts) === keyOf(offer.parts) ? app.keys.hint("accept_heat") : "");
-    return html`<div class="suggestions">
+    return html`<div class="row tight">
       <span class="note">Suggested, not chosen:</span>
       ${open.map(
-        (offer) => action(app.parts.phrases(offer.parts), hint(offer), () => this.take(offer.parts), "suggestion", offer.why),
+        (offer) => action(app.parts.phrases(offer.parts), hint(offer), () => this.take(offer.parts), "suggestion small", offer.why),
       )}
     </div>`;
   }
@@ -398,7 +398,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     if (!preview) return nothing;
     const { keys } = this.app;
     const partner = preview.partners[preview.index];
-    return html`<div class="preview-box">
+    return html`<div class="warn edged">
       <strong>Blend preview</strong>
       <p class="note">This mask on ${shortName(partner?.id ?? "")}. If the blend looks wrong, the mask is wrong.</p>
       <label class="inline">
@@ -425,17 +425,17 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     const { app } = this;
     const selected = index === this.selected;
     const same = mask.joints ? null : app.parts.sameAs(mask.parts);
-    return html`<section class=${`mask-card${selected ? " selected" : ""}`} aria-label=${`Mask ${index + 1}`}>
-      <div class="card-head">
+    return html`<section class=${`mask-card box${selected ? " selected" : ""}`} aria-label=${`Mask ${index + 1}`}>
+      <div class="row between">
         <button type="button" class="card-title" aria-expanded=${String(selected)} @click=${() => this.select(index)}>
           <span class=${`card-number${mask.range ? ` ${toneClass(index)}` : ""}`}>${index + 1}</span>
           <span>${app.parts.phrases(mask.parts)}</span>
           ${same ? html`<span class="note">= ${app.parts.phrase(same)}</span>` : nothing}
           ${mask.range ? html`<span class="note" data-range>${rangeWords(mask.range, this.stage.motion.fps)}</span>` : nothing}
         </button>
-        ${selected ? action("Delete", app.keys.hint("mask_delete"), () => this.removeMask(index)) : nothing}
+        ${selected ? action("Delete", app.keys.hint("mask_delete"), () => this.removeMask(index), "small") : nothing}
       </div>
-      ${selected ? this.cardBody(mask, index) : html`<p class="card-text">${mask.text || "no description yet"}</p>`}
+      ${selected ? this.cardBody(mask, index) : html`<p class="card-text note">${mask.text || "no description yet"}</p>`}
     </section>`;
   }
 
@@ -468,9 +468,9 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
         >${choice(name, phrase, app.partHint(name), mask.parts.includes(name), () => this.togglePart(name))}</span
       >`;
     };
-    return html`<div class="part-picker" role="group" aria-label="Body parts">
+    return html`<div class="col tight" role="group" aria-label="Body parts">
       ${this.partRows(button)}
-      <div class="part-row minor">
+      <div class="row tight small">
         ${choice("soft", "soft ring", app.keys.hint("soft_ring"), mask.soft, () => this.perform("soft_ring"))}
         ${choice("blend", "blend preview", app.keys.hint("preview"), this.preview !== null, () => this.perform("preview"))}
       </div>
@@ -480,13 +480,13 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
   private rangeRow(mask: MaskAnswer, index: number): TemplateResult {
     const { keys } = this.app;
     const problem = this.problemOf(mask);
-    return html`<div class="row range-row">
+    return html`<div class="row small">
         ${action("From In to Out", keys.hint("range_set"), () => this.perform("range_set"))}
         ${mask.range
           ? action("Whole clip", keys.hint("range_clear"), () => this.perform("range_clear"))
           : html`<span class="note">Holds for the whole clip.</span>`}
       </div>
-      ${problem === null ? nothing : html`<p class="mask-problem" role="alert">Mask ${index + 1} ${problem}.</p>`}`;
+      ${problem === null ? nothing : html`<p class="mask-problem severe tint" role="alert">Mask ${index + 1} ${problem}.</p>`}`;
   }
 
   /** The joints of the body, each with how the mask takes it: a click takes it the next way. */
@@ -497,13 +497,13 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
       const weight = parts.weightOf(mask, at);
       const chosen = mask.joints?.some((own) => own.joint === name) ?? false;
       const next = (): void => this.edit({ joints: parts.nextChoices(mask, at) });
-      return html`<button type="button" class=${`joint ${weight}${chosen ? " chosen" : ""}`} data-joint=${name} data-weight=${weight} @click=${next}>
+      return html`<button type="button" class=${`joint small ${weight}${chosen ? " chosen" : ""}`} data-joint=${name} data-weight=${weight} @click=${next}>
         ${jointPhrase(name)} <span class="note">${weight}</span>
       </button>`;
     };
     return html`<details class="joints">
       <summary>Joints: ${count === 0 ? "as the parts say" : `${count} ${count === 1 ? "differs" : "differ"} from the parts`}</summary>
-      <div class="joint-list" role="group" aria-label="How the mask takes each joint">${parts.bodyJoints.map(joint)}</div>
+      <div class="halves" role="group" aria-label="How the mask takes each joint">${parts.bodyJoints.map(joint)}</div>
       ${count === 0 ? nothing : action("As the parts say", "", () => this.edit({ joints: [] }))}
     </details>`;
   }

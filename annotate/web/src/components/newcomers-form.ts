@@ -52,7 +52,7 @@ export class NewcomersForm extends Component {
       </div>
       ${found.length === 0
         ? nothing
-        : html`<div class="preview-lines" aria-live="polite">
+        : html`<div class="tall" aria-live="polite">
             ${figureTable(
               problems === 0 ? "All lines can be added" : `${problems} of ${found.length} lines cannot be added; nobody is added before they are mended`,
               ["Line", "Name", "Role", "Problem"],
@@ -99,7 +99,7 @@ export class NewcomersForm extends Component {
     const select = (event: Event): void => (event.target as HTMLInputElement).select();
     const copyOne = (own: NewUserLink): void => void this.copy(linkOf(own, origin), `The link of ${own.user.name} is copied.`);
     return html`
-      <div class="returned-note" data-links tabindex="-1">
+      <div class="returned-note warn edged" data-links tabindex="-1">
         <strong>These links are shown only now.</strong> Each logs one person in until ${when(ends)}. Pass them on in private; a lost
         one is replaced by a new token in the table above.
       </div>

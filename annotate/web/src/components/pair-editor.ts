@@ -167,7 +167,7 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
       <div class="verdicts" role="group" aria-label="Reject and go on">
         ${REJECTS.map(([verdict, label]) => action(label, keys.hint(verdict), () => this.host.reject(verdict), `verdict ${verdict}`))}
       </div>
-      <div class="choices">${this.choices()}</div>
+      <div class="col">${this.choices()}</div>
       ${this.guidelines()}
       ${text.trim() === "" ? this.draftBox(this.drafts[0] ?? null, true) : nothing}
       ${this.textField("Instruction", "Instruction", "The instruction that turns the first motion into the second", text, lintText(text, parts), (typed) =>
@@ -181,14 +181,14 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     const { app, answer } = this;
     const { keys } = app;
     const group = (label: string, hint: string, rows: TemplateResult): TemplateResult =>
-      html`<div class="choice-group" role="group" aria-label=${label}>
-        <div class="text-label">${keyHint(hint)}${label}</div>
+      html`<div class="col tight" role="group" aria-label=${label}>
+        <div class="note row tight">${keyHint(hint)}${label}</div>
         ${rows}
       </div>`;
     const part = ({ name, phrase }: PartInfo): TemplateResult =>
       choice(name, phrase, app.partHint(name), answer.parts.includes(name), () => this.togglePart(name));
     const options = <T extends string>(kind: string, all: readonly T[], chosen: string | null, take: (value: T) => void): TemplateResult =>
-      html`<div class="part-row">${all.map((value) => choice(`${kind}-${value}`, value, "", value === chosen, () => take(value)))}</div>`;
+      html`<div class="row tight">${all.map((value) => choice(`${kind}-${value}`, value, "", value === chosen, () => take(value)))}</div>`;
     const parts = this.partRows(part);
     if (answer.kind === "style") {
       return html`
@@ -213,7 +213,7 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
       choice(`style-${name}`, name, "", name === chosen, () => this.edit({ style: name }), swatch(colour));
     const typed = (event: Event): void => this.edit({ style: (event.target as HTMLInputElement).value || null }, "style");
     return html`
-      <div class="part-row">${shown.map(button)}</div>
+      <div class="row tight">${shown.map(button)}</div>
       <input
         class="other-style"
         type="text"

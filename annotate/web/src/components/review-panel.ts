@@ -238,13 +238,13 @@ export class ReviewPanel extends Component {
     return html`
       <div class="panel-scroll">
         ${this.head}
-        <p class="rule">${KIND_WORDS[task.kind]}, task ${task.id}. ${apart}</p>
+        <p class="rule edged">${KIND_WORDS[task.kind]}, task ${task.id}. ${apart}</p>
         ${captions.map((caption) => html`<p class="note">Caption: ${caption}</p>`)}
         ${facts.length === 0 ? nothing : html`<ul class="facts">${facts.map((fact) => html`<li>${fact}</li>`)}</ul>`}
         ${this.offered()}
-        ${comments.map((comment) => html`<div class="returned-note">Earlier comment: ${comment}</div>`)}
+        ${comments.map((comment) => html`<div class="returned-note warn edged">Earlier comment: ${comment}</div>`)}
         ${this.review.clip_changed
-          ? html`<div class="returned-note"><strong>The clip has changed:</strong> it was ingested anew, with other content, after these answers. Do they still hold?</div>`
+          ? html`<div class="returned-note warn edged"><strong>The clip has changed:</strong> it was ingested anew, with other content, after these answers. Do they still hold?</div>`
           : nothing}
         ${this.merging
           ? this.mergeBox(this.merging)
@@ -273,7 +273,7 @@ export class ReviewPanel extends Component {
     const lines = others.flatMap(({ revision, author_name }) => describe(this.app.parts, revision.answer).map((line) => html`<li>${author_name}: ${line}</li>`));
     return html`<div class="merge-box">
       <h2>Merge and edit</h2>
-      <ul class="others">${lines}</ul>
+      <ul class="note">${lines}</ul>
       ${editor}
       <div class="row">
         ${action("Accept this", this.app.keys.hint("submit"), () => void this.commitMerge(), "primary")}
@@ -284,7 +284,7 @@ export class ReviewPanel extends Component {
 
   private buttons(): TemplateResult {
     const { keys } = this.app;
-    return html`<div class="panel-foot">
+    return html`<div class="panel-foot row">
       ${action("Accept", keys.hint("review_accept"), () => this.accept(), "primary")}
       ${action("Return", keys.hint("review_return"), () => void this.withComment("return"))}
       ${action("Merge", keys.hint("review_merge"), () => this.merge())}

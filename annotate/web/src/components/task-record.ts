@@ -85,13 +85,13 @@ export class TaskRecord extends Component {
     const offerWords = (parts: readonly string[], text: string): string => `${this.app.parts.phrases(parts)}${text ? `: ${text}` : ""}`;
     return html`
       <div class="panel-scroll">
-        <nav class="tabs" aria-label="The list">
-          ${pageLink(this.app, this.near.list, "Back to the list", "tab")}
-          ${this.near.previous === null ? nothing : pageLink(this.app, `task/${this.near.previous}`, `Previous (${keys.hint("bundle_previous")})`, "tab")}
-          ${this.near.next === null ? nothing : pageLink(this.app, `task/${this.near.next}`, `Next (${keys.hint("bundle_next")})`, "tab")}
+        <nav class="row tight" aria-label="The list">
+          ${pageLink(this.app, this.near.list, "Back to the list", "button small tab")}
+          ${this.near.previous === null ? nothing : pageLink(this.app, `task/${this.near.previous}`, `Previous (${keys.hint("bundle_previous")})`, "button small tab")}
+          ${this.near.next === null ? nothing : pageLink(this.app, `task/${this.near.next}`, `Next (${keys.hint("bundle_next")})`, "button small tab")}
         </nav>
         <h1>Task ${task.id}: ${KIND_NAMES[task.kind]}</h1>
-        <p class="rule">${this.standing()}</p>
+        <p class="rule edged">${this.standing()}</p>
         ${this.holders()}
         <ul class="facts">
           ${facts.map((fact) => html`<li>${fact}</li>`)} ${captions.map((caption) => html`<li>caption: ${caption}</li>`)}
@@ -105,12 +105,12 @@ export class TaskRecord extends Component {
         ${section("Decisions", decisions.map((decision) => line(decisionWords(decision), when(decision.at))))}
         ${section("Skipped by", row.skips.map((skip) => line(skipWords(skip), when(skip.at))))}
         ${section("Suggestions that annotators were offered", suggestions.map(({ parts, text, model }) => line(offerWords(parts, text), model || "the source")))}
-        <details class="history">
+        <details>
           <summary>History: ${this.history.length} entries of the log</summary>
           <ol>${storyOf(this.history).map(({ at, who, what }) => line(`${who}: ${what}`, when(at)))}</ol>
         </details>
       </div>
-      <div class="panel-foot">${this.buttons()}</div>
+      <div class="panel-foot row">${this.buttons()}</div>
     `;
   }
 
@@ -133,9 +133,9 @@ export class TaskRecord extends Component {
   private holders(): TemplateResult | typeof nothing {
     const { holders } = this.file.row;
     if (holders.length === 0) return nothing;
-    return html`<ul class="holders">
+    return html`<ul class="holders plain col tight">
       ${holders.map(
-        (holder) => html`<li>
+        (holder) => html`<li class="row between warn edged">
           <span><strong>${holder.name}</strong> ${PURPOSE_WORDS[holder.purpose] ?? holder.purpose}, ends ${until(holder.until)}</span>
           ${this.button("Release", () => this.actions.release(holder.lease), "", `Release the task of ${holder.name}`)}
         </li>`,
@@ -165,7 +165,7 @@ export class TaskRecord extends Component {
 }
 
 function section(title: string, lines: readonly TemplateResult[]): TemplateResult | typeof nothing {
-  return lines.length === 0 ? nothing : html`<h2>${title}</h2><ul class="record-lines">${lines}</ul>`;
+  return lines.length === 0 ? nothing : html`<h2>${title}</h2><ul>${lines}</ul>`;
 }
 
 function line(words: string, note: string): TemplateResult {

@@ -25,9 +25,9 @@ import { widePage } from "./frame";
 const POLL_MS = 500;
 
 export async function openAdmin(app: App): Promise<Screen> {
-  const people = h("div", { class: "stack" }, await peopleSection(app), modelSection(app), capturesSection(app));
+  const people = h("div", { class: "col" }, await peopleSection(app), modelSection(app), capturesSection(app));
   const sections = [exportsSection(app), people, await settingsSection(app), auditSection(app)];
-  return widePage("Administration", null, h("div", { class: "dashboard" }, ...sections));
+  return widePage("Administration", null, h("div", { class: "dashboard grid" }, ...sections));
 }
 
 function exportsSection(app: App): HTMLElement {
@@ -69,12 +69,10 @@ function exportsSection(app: App): HTMLElement {
   };
   return element(html`<section class="card wide">
     <h2>Export and import</h2>
-    <div class="forms">
-      <div class="row">
-        ${field("Layout", format)}<label class="inline">${events}with the whole log</label>${button("Export", exportNow, app, "primary")}
-      </div>
-      <div class="row">${field("File", file)}${field("Layout of the file", importFormat)}${button("Import", importNow, app)}</div>
+    <div class="row">
+      ${field("Layout", format)}<label class="inline">${events}with the whole log</label>${button("Export", exportNow, app, "primary")}
     </div>
+    <div class="row">${field("File", file)}${field("Layout of the file", importFormat)}${button("Import", importNow, app)}</div>
     ${jobs}
   </section>`);
 }
@@ -243,8 +241,8 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   return element(html`<section class="card">
     <h2>Settings</h2>
     ${field("Project", name)}
-    <div class="numbers">${NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))}</div>
-    <div class="numbers">${types.map(([type, own]) => field(`Pairs wanted of edit type “${type}” (0: any)`, own))}</div>
+    <div class="numbers grid">${NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))}</div>
+    <div class="numbers grid">${types.map(([type, own]) => field(`Pairs wanted of edit type “${type}” (0: any)`, own))}</div>
     ${field("Time zone in which days begin, such as Europe/Berlin", zone)} ${styles.element}
     ${PHRASES.map(([key, label]) => field(label, phrases.get(key) as HTMLTextAreaElement))}
     ${button("Save settings", save, app, "primary")}

@@ -17,8 +17,8 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
   const all = h("section", { class: "card", data: { guide: "all" } });
   let guide = await app.api.get<Guide>("guide");
 
-  const edit = (run: () => void): Child => app.may("admin") && plainButton("Edit", run);
-  const head = (title: string, button: Child): HTMLElement => h("div", { class: "card-head" }, h("h2", {}, title), button);
+  const edit = (run: () => void): Child => app.may("admin") && plainButton("Edit", run, "small");
+  const head = (title: string, button: Child): HTMLElement => h("div", { class: "row between" }, h("h2", {}, title), button);
   const draw = (): void => {
     fill(own, head(KIND_WORDS[kind], edit(() => editKind())), ...kindGuide(guide, kind, app.me.project.styles));
     fill(all, head("For all tasks", edit(() => editAll())), ...formatGuide(guide.text));
@@ -50,8 +50,8 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
 class GuideEditor {
   readonly element: HTMLElement;
   private readonly text = h("textarea", { attrs: { rows: 14 } });
-  private readonly rows = h("ul", { class: "picture-rows" });
-  private readonly preview = h("div", { class: "guide-preview" });
+  private readonly rows = h("ul", { class: "picture-rows plain" });
+  private readonly preview = h("div", { class: "guide-preview box" });
   private pictures: GuidePicture[];
   private readonly kept: string;
   /** Pictures that were in the text or uploaded: those no guide shows in the end are deleted. */
@@ -82,7 +82,7 @@ class GuideEditor {
     const buttons = [plainButton("Save", () => this.try(this.commit()), "primary"), plainButton("Cancel", () => this.try(this.cancel()))];
     this.element = element(html`<div class="guide-editor">
       <h2>Edit: ${title}</h2>
-      <div class="guide-columns">
+      <div class="halves">
         <div>${field("Text", this.text, how)}${more}</div>
         <div><h3>Preview</h3>${this.preview}</div>
       </div>
@@ -111,7 +111,7 @@ class GuideEditor {
 
   private drawPreview(): void {
     const { text, pictures } = this.current;
-    fill(this.preview, ...formatGuide(text), pictures.length > 0 && h("div", { class: "examples" }, ...pictures.map(pictureFigure)));
+    fill(this.preview, ...formatGuide(text), pictures.length > 0 && h("div", { class: "examples grid" }, ...pictures.map(pictureFigure)));
   }
 
   private drawRows(): void {

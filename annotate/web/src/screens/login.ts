@@ -35,7 +35,7 @@ export function showLogin(app: App, opening: Opening): Promise<Me | null> {
     const how = over
       ? "Log in again to continue. Your text is stored in this browser and is sent after login."
       : "Paste your token. The operator of this server creates one with “stance annotate DATASET user add NAME”.";
-    const form = html`<form class="login-form" @submit=${submit}>
+    const form = html`<form class="col" @submit=${submit}>
       <h1 id="login-title">${over ? "Your session has ended" : "Log in"}</h1>
       <p>${how}</p>
       <label for="token">Token</label>

@@ -36,7 +36,7 @@ const NEW_RULE: Rule = {
 const plural = (count: number, word: string): string => `${count} ${word}${count === 1 ? "" : "s"}`;
 
 export async function openRules(app: App): Promise<Screen> {
-  const box = h("div", { class: "dashboard rules" });
+  const box = h("div", { class: "dashboard grid" });
   const isAdmin = app.may("admin");
   let people: readonly Person[] = [];
 
@@ -231,7 +231,7 @@ function ruleForm(old: Rule, isNew: boolean, people: readonly Person[]): { body:
       group("Kinds (none chosen: all)", kinds.row),
       h(
         "div",
-        { class: "numbers" },
+        { class: "numbers grid" },
         field("Fewest answers of a task", answers),
         field("Answers apart by at most, %", apart),
         field("Left to reviewers, % of those that fit", share),

@@ -148,7 +148,7 @@ export class PairView {
       keyButton(label, withKeys ? this.app.keys.hint(action) : "", () => this.perform(action, false));
     const buttons = h(
       "div",
-      { class: "view-buttons", attrs: { role: "group", "aria-label": "Views" } },
+      { class: "row small", attrs: { role: "group", "aria-label": "Views" } },
       one("Ghost", "side_by_side"),
       one("Roots together", "align_roots"),
       one("Swap", "swap"),
