@@ -3,7 +3,7 @@
 import { reason } from "./api";
 import { action, element, figureTable } from "./components/component";
 import { h, setAttr, type Child } from "./dom";
-import type { Estimate } from "./wire";
+import { MAX_TEXT_CHARS, type Estimate } from "./wire";
 
 /** Messages at the lower edge, announced by screen readers. */
 export class Toasts {
@@ -122,6 +122,19 @@ export async function tell(title: string, body: Child[]): Promise<void> {
 /** What is missing or wrong in a dialog that opens again. */
 export function alertLine(trouble: string | false): Child {
   return trouble !== "" && trouble !== false && h("p", { class: "trouble", attrs: { role: "alert" } }, trouble);
+}
+
+/** A field for a comment. */
+export function commentField(): HTMLTextAreaElement {
+  return h("textarea", { attrs: { rows: 3, maxlength: MAX_TEXT_CHARS } });
+}
+
+/** Asks for a comment with a choice, and again while the comment is empty; `null` if the user cancels. */
+export async function askComment<T>(title: string, label: string, text: HTMLTextAreaElement, choices: readonly Choice<T>[], missing: string): Promise<T | null> {
+  for (let again = false; ; again = true) {
+    const choice = await ask(title, [alertLine(again && missing), field(label, text)], choices, text);
+    if (choice === null || text.value.trim() !== "") return choice;
+  }
 }
 
 /** Asks for one of several reasons, by digit. Reason `other` needs a note, and is asked for again without one. */

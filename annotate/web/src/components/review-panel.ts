@@ -3,22 +3,11 @@
 import { html, nothing, type TemplateResult } from "lit";
 import { ApiError, newReview, randomName } from "../api";
 import type { App } from "../app";
-import { h } from "../dom";
 import { kept } from "../history";
 import { perform, type ActionId, type Deeds, type Scope } from "../keys";
 import { describe, differing } from "../merge";
-import { ask, field } from "../ui";
-import {
-  MAX_TEXT_CHARS,
-  type Answer,
-  type Candidate,
-  type Decision,
-  type Lease,
-  type NewReview,
-  type ReviewDone,
-  type ReviewView,
-  type Verdict,
-} from "../wire";
+import { askComment, commentField } from "../ui";
+import type { Answer, Candidate, Decision, Lease, NewReview, ReviewDone, ReviewView, Verdict } from "../wire";
 import { KIND_WORDS, apartWords, factsOf } from "../words";
 import { WorkClock } from "../work";
 import { answerCards } from "./answer-cards";
@@ -42,7 +31,8 @@ export class ReviewPanel extends Component {
   private selected = 0;
   private merging: MaskEditor | PairEditor | null = null;
   private busy = false;
-  private comment = "";
+  /** Keeps the comment until it is sent, also after a refusal. */
+  private readonly comment = commentField();
   private lease: Lease;
   private heartbeat: number | null = null;
   private readonly work = new WorkClock();
@@ -164,29 +154,15 @@ export class ReviewPanel extends Component {
   }
 
   private async withComment(decision: "return" | "drop"): Promise<void> {
-    const text = h("textarea", { attrs: { rows: 4, maxlength: MAX_TEXT_CHARS } });
-    text.value = this.comment;
-    const back = decision === "return";
-    const choice = await ask(
-      back ? "Return with a comment" : "Drop this task: why?",
-      [field(back ? "What should be different?" : "Reason", text)],
-      back
-        ? [
-            { label: `Return to ${this.candidate?.author_name ?? "its author"}`, value: "one" as const, kind: "primary" },
-            { label: "Return to all", value: "all" as const },
-          ]
-        : [{ label: "Drop", value: "all" as const, kind: "danger" }],
-      text,
-    );
-    // Keep the comment until it is sent, also after a refusal.
-    this.comment = text.value;
+    const missing = "Write what is wrong; the author sees nothing else.";
+    const one = { label: `Return to ${this.candidate?.author_name ?? "its author"}`, value: "one", kind: "primary" as const };
+    const choice =
+      decision === "return"
+        ? await askComment("Return with a comment", "What should be different?", this.comment, [one, { label: "Return to all", value: "all" }], missing)
+        : await askComment("Drop this task: why?", "Reason", this.comment, [{ label: "Drop", value: "all", kind: "danger" }], missing);
     if (choice === null) return this.app.focusStage();
-    if (this.comment.trim() === "") {
-      this.app.toasts.show("Write what is wrong; the author sees nothing else.", { id: "comment", kind: "error" });
-      return this.withComment(decision);
-    }
     const author = choice === "one" ? (this.candidate?.revision.author ?? null) : null;
-    await this.decide(decision, { comment: this.comment.trim(), author });
+    await this.decide(decision, { comment: this.comment.value.trim(), author });
   }
 
   private merge(): void {

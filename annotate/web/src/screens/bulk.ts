@@ -4,8 +4,8 @@ import { reason } from "../api";
 import type { App } from "../app";
 import { h, type Child } from "../dom";
 import type { Chosen } from "../filter";
-import { alertLine, ask, field, inSteps, select, tell } from "../ui";
-import { BULK_ACTIONS, MAX_TEXT_CHARS, type BulkAction, type BulkDone, type BulkRequest, type Person, type TaskFilter } from "../wire";
+import { alertLine, ask, commentField, field, inSteps, select, tell } from "../ui";
+import { BULK_ACTIONS, type BulkAction, type BulkDone, type BulkRequest, type Person, type TaskFilter } from "../wire";
 import { KIND_WORDS, STATE_WORDS } from "../words";
 import { listOf } from "./frame";
 
@@ -99,7 +99,7 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
 /** Asks for the action with its comment or person; `null` if the user cancels. */
 async function askRequest(app: App, filter: TaskFilter, people: readonly Person[]): Promise<BulkRequest | null> {
   const action = select(BULK_ACTIONS.map((own) => [own, WORDS[own][0]] as const));
-  const comment = h("textarea", { attrs: { rows: 3, maxlength: MAX_TEXT_CHARS } });
+  const comment = commentField();
   const person = personSelect(people);
   const fields = { comment: field("Comment, for the authors and the log", comment), person: field("Person", person) };
   const means = h("p", { class: "note", attrs: { "aria-live": "polite" } });
