@@ -5,8 +5,8 @@ import { pictureName } from "../src/guide";
 import { Parts } from "../src/parts";
 import { practiceWords, standingWords } from "../src/standing";
 import type { Answer, MyAnswer, Practice } from "../src/wire";
+import { part } from "./support";
 
-const part = (name: string, hard: number[]) => ({ name, phrase: name.toLowerCase().replace("_", " "), release: true, hard, soft: [] });
 const parts = new Parts({
   joints: [],
   parts: [part("LEFT_ARM", [1, 2]), part("RIGHT_ARM", [3, 4]), part("BOTH_ARMS", [1, 2, 3, 4]), part("HEAD", [5])],
@@ -53,10 +53,7 @@ test("left with right arm equals both arms", () => {
   const mine = masks([["LEFT_ARM", "RIGHT_ARM"], "waving"], [["HEAD"], "nodding"]);
   const known = masks([["HEAD"], "nodding twice"], [["BOTH_ARMS"], "waving"]);
   const rows = compare(parts, mine, known);
-  assert.deepEqual(
-    rows.map((row) => row.mark),
-    ["same", "same"],
-  );
+  assert.deepEqual(rows.map((row) => row.mark), ["same", "same"]);
   assert.ok(rows[0]?.mine.includes("nodding") && rows[0].known.includes("nodding twice"));
   assert.equal(differingJoints(parts, mine, known), 0);
 });

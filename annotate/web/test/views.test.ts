@@ -6,16 +6,9 @@ import { Parts } from "../src/parts";
 import { OrbitCamera } from "../src/stage/camera";
 import { LIMBS, PARENTS, PLAIN, aligned, bits, colourOf, headingAt, pointAt, toneOf, type Track } from "../src/stage/body";
 import { heatColour, spans } from "../src/strips";
-import type { Candidate, PartInfo, Task, TaskState } from "../src/wire";
-import { apartWords, becameOf, factsOf, paragraphs, type MaskTextAnswer } from "../src/words";
-
-const part = (name: string, hard: number[], soft: number[], release = true): PartInfo => ({
-  name,
-  phrase: name.toLowerCase().replace("_", " "),
-  release,
-  hard,
-  soft,
-});
+import type { Candidate, Task, TaskState } from "../src/wire";
+import { apartWords, becameOf, factsOf, paragraphs } from "../src/words";
+import { answer, part } from "./support";
 
 const parts = new Parts({
   joints: [],
@@ -95,12 +88,6 @@ test("heat is darker for more, and bears what is no number", () => {
 });
 
 test("keeping both versions keeps every mask once", () => {
-  const answer = (...texts: string[]): MaskTextAnswer => ({
-    kind: "mask_text",
-    masks: texts.map((text) => ({ parts: ["LEFT_ARM"], soft: true, text, suggestion: null })),
-    count_reason: null,
-    note: "",
-  });
   const merged = both(answer("a", "b"), answer("b ", "c"));
   assert.deepEqual(merged.masks.map((mask) => mask.text), ["a", "b", "c"]);
 });
