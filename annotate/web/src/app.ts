@@ -409,7 +409,7 @@ export class App {
       this.stuck,
       this.chip,
       keys,
-      h("span", { class: "who" }, `${this.me.user.name} · ${this.me.user.role}`),
+      h("span", { class: "who note" }, `${this.me.user.name} · ${this.me.user.role}`),
       plainButton("Log out", () => void this.logOut()),
     );
     this.header.hidden = false;

@@ -122,7 +122,7 @@ export function stateBar(title: string, counts: Funnel["counts"][TaskKind]): Tem
   const groups = shares(counts).filter((group) => group.tasks > 0);
   const words = groups.map((group) => `${group.tasks} ${group.label}`).join(", ") || "no tasks";
   let x = 0;
-  return html`<figure class="chart bar">
+  return html`<figure class="chart">
     <figcaption>${title} <span class="note">${words}</span></figcaption>
     <svg viewBox=${`0 0 ${BAR_WIDTH} 24`} role="img" aria-label=${`${title}: ${words}`}>
       ${groups.map((group) => {

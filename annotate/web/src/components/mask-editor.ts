@@ -5,7 +5,7 @@ import { live } from "lit/directives/live.js";
 import type { App } from "../app";
 import { h } from "../dom";
 import { perform, type ActionId, type Deeds } from "../keys";
-import { toneClass, type RangeLanes } from "../lanes";
+import { toneOfMask, type RangeLanes } from "../lanes";
 import { lintCards } from "../lints";
 import { jointPhrase, rangeProblem, rangeWords } from "../masks";
 import { shortName, trackOf } from "../motions";
@@ -14,7 +14,7 @@ import { askReason } from "../ui";
 import type { Clip, Viewer } from "../viewer";
 import { MAX_MASKS, type CountReason, type MaskAnswer, type MotionInfo, type PartInfo, type Suggestion } from "../wire";
 import { COUNT_CHOICES, type MaskTextAnswer } from "../words";
-import { action, choice, define } from "./component";
+import { action, choice, define, swatch } from "./component";
 import { Editor, type EditorHost } from "./editor";
 
 export interface MaskStage {
@@ -428,14 +428,14 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     return html`<section class=${`mask-card box${selected ? " selected" : ""}`} aria-label=${`Mask ${index + 1}`}>
       <div class="row between">
         <button type="button" class="card-title" aria-expanded=${String(selected)} @click=${() => this.select(index)}>
-          <span class=${`card-number${mask.range ? ` ${toneClass(index)}` : ""}`}>${index + 1}</span>
+          <span class="card-number">${index + 1}</span>${swatch(mask.range ? toneOfMask(index) : null)}
           <span>${app.parts.phrases(mask.parts)}</span>
           ${same ? html`<span class="note">= ${app.parts.phrase(same)}</span>` : nothing}
           ${mask.range ? html`<span class="note" data-range>${rangeWords(mask.range, this.stage.motion.fps)}</span>` : nothing}
         </button>
         ${selected ? action("Delete", app.keys.hint("mask_delete"), () => this.removeMask(index), "small") : nothing}
       </div>
-      ${selected ? this.cardBody(mask, index) : html`<p class="card-text note">${mask.text || "no description yet"}</p>`}
+      ${selected ? this.cardBody(mask, index) : html`<p class="note">${mask.text || "no description yet"}</p>`}
     </section>`;
   }
 

@@ -164,7 +164,7 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     const { keys } = this.app;
     const { parts, text } = this.answer;
     return html`
-      <div class="verdicts" role="group" aria-label="Reject and go on">
+      <div class="verdicts grid" role="group" aria-label="Reject and go on">
         ${REJECTS.map(([verdict, label]) => action(label, keys.hint(verdict), () => this.host.reject(verdict), `verdict ${verdict}`))}
       </div>
       <div class="col">${this.choices()}</div>

@@ -257,9 +257,9 @@ function capturesSection(app: App): HTMLElement {
       Which motions are captured in which styles is planned in a CSV file with lines motion,style,takes.
       ${app.link("dashboard", "The dashboard")} shows what is still to capture.
     </p>
-    <pre><code>stance annotate DATASET captures plan.csv</code></pre>
+    <pre class="box"><code>stance annotate DATASET captures plan.csv</code></pre>
     <p>A page for performers, with the guideline of each style and what is still to capture in it:</p>
-    <pre><code>stance annotate DATASET captures --sheet sheet.html</code></pre>
+    <pre class="box"><code>stance annotate DATASET captures --sheet sheet.html</code></pre>
   </section>`);
 }
 
@@ -270,7 +270,7 @@ function modelSection(app: App): HTMLElement {
     <h2>Language model</h2>
     <p>${app.me.model ? `Drafts come from ${app.me.model}.` : none}</p>
     <p>Drafts for all tasks before people start, again after new clips:</p>
-    <pre><code>stance annotate DATASET drafts</code></pre>
+    <pre class="box"><code>stance annotate DATASET drafts</code></pre>
   </section>`);
 }
 

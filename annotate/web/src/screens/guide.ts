@@ -127,7 +127,7 @@ class GuideEditor {
     caption.addEventListener("input", () => set({ caption: caption.value }));
     const right = select([["right", "right"], ["wrong", "wrong"]], picture.right ? "right" : "wrong");
     right.addEventListener("change", () => set({ right: right.value === "right" }));
-    const thumbnail = h("img", { class: "thumbnail", attrs: { alt: "" } });
+    const thumbnail = h("img", { attrs: { alt: "", height: 48 } });
     thumbnail.src = pictureUrl(picture.name);
     const remove = (): void => {
       this.pictures = this.pictures.filter((_, at) => at !== index);

@@ -41,7 +41,7 @@ export async function openHome(app: App): Promise<Screen> {
       <h2>${KIND_WORDS[kind]}</h2>
       <p>${WHAT[kind]}</p>
       ${note}${meter}${figures} ${queue.held > 0 ? html`<p class="note">${inWork(queue)}</p>` : nothing}
-      ${queue.open > 0 ? start : html`<p class="note">Nothing for you at present.</p>`}
+      ${queue.open > 0 ? html`<div>${start}</div>` : html`<p class="note">Nothing for you at present.</p>`}
     </section>`);
   };
   const returned = home.returned.map(
