@@ -93,7 +93,7 @@ export class App {
   private readonly disk = new DiskWatch({
     ask: async () => (await this.api.attempt<Me>("GET", "me")).read_only,
     show: (why) => this.showReadOnly(why),
-    after: (ms, run) => window.setTimeout(run, ms),
+    sleep,
   });
   private readonly header = h("header", { class: "top", attrs: HIDDEN });
   private tab = "";
@@ -132,7 +132,7 @@ export class App {
     this.outbox = new Outbox(this.store, journal, this.me.user.id, {
       send: (task, events) => this.sendEvents(task, events),
       login: () => this.requireLogin(),
-      sleep: (ms) => new Promise((resolve) => window.setTimeout(resolve, ms)),
+      sleep,
       alone: async (action) => (navigator.locks ? navigator.locks.request(`annotate-outbox-${this.me.store}`, action) : action()),
       status: (status) => {
         this.status = status;
@@ -547,6 +547,8 @@ export class App {
     this.focusStage();
   }
 }
+
+const sleep = (ms: number): Promise<void> => new Promise((resolve) => window.setTimeout(resolve, ms));
 
 function firstFocusable(region: HTMLElement): HTMLElement | null {
   return region.querySelector<HTMLElement>("[tabindex='0'], button:not([disabled]), input, select, textarea, a[href]");

@@ -14,9 +14,10 @@ test("the banner of a full disk goes when the disk has room, also if nothing is 
       return next ?? null;
     },
     show: (why) => shown.push(why),
-    after: (_, run) => {
-      due = run;
-    },
+    sleep: () =>
+      new Promise((resolve) => {
+        due = resolve;
+      }),
   });
   watch.set("the disk is full");
   for (let round = 0; round < 3; round += 1) {
