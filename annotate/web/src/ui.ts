@@ -1,7 +1,7 @@
 /** User interface elements: toasts, dialogs, labelled buttons, formatted figures. */
 
 import { reason } from "./api";
-import { action, element, figureTable } from "./components/component";
+import { action, element } from "./components/component";
 import { h, setAttr, type Child } from "./dom";
 import { MAX_TEXT_CHARS, type Estimate } from "./wire";
 
@@ -217,11 +217,6 @@ export function field(label: string, control: HTMLElement, note = ""): HTMLEleme
   const id = control.id || `field-${Math.random().toString(36).slice(2)}`;
   control.id = id;
   return h("div", { class: "field" }, h("label", { attrs: { for: id } }, label), control, note ? h("p", { class: "note" }, note) : null);
-}
-
-/** A table from rows of cells, which are not drawn again. */
-export function table(caption: string, head: readonly string[], rows: readonly (readonly Child[])[]): HTMLElement {
-  return element(figureTable(caption, head, rows));
 }
 
 export function percent(share: number | null): string {

@@ -55,8 +55,13 @@ export class NewcomersForm extends Component {
         : html`<div class="tall" aria-live="polite">
             ${figureTable(
               problems === 0 ? "All lines can be added" : `${problems} of ${found.length} lines cannot be added; nobody is added before they are mended`,
-              ["Line", "Name", "Role", "Problem"],
-              found.map((own) => [own.line, own.name, own.role, own.problem === "" ? "" : html`<span class="trouble">${own.problem}</span>`]),
+              found,
+              [
+                ["Line", (own) => own.line],
+                ["Name", (own) => own.name],
+                ["Role", (own) => own.role],
+                ["Problem", (own) => (own.problem === "" ? "" : html`<span class="trouble">${own.problem}</span>`)],
+              ],
             )}
           </div>`}
       <div class="row">
@@ -111,16 +116,12 @@ export class NewcomersForm extends Component {
           this.requestUpdate();
         })}
       </div>
-      ${figureTable(
-        "Links to log in",
-        ["Name", "Role", "Link", ""],
-        this.added.map((own) => [
-          own.user.name,
-          own.user.role,
-          html`<input type="text" readonly class="link" aria-label=${`Link of ${own.user.name}`} .value=${linkOf(own, origin)} @focus=${select} />`,
-          html`<button type="button" aria-label=${`Copy the link of ${own.user.name}`} @click=${() => copyOne(own)}>copy</button>`,
-        ]),
-      )}
+      ${figureTable("Links to log in", this.added, [
+        ["Name", ({ user }) => user.name],
+        ["Role", ({ user }) => user.role],
+        ["Link", (own) => html`<input type="text" readonly class="link" aria-label=${`Link of ${own.user.name}`} .value=${linkOf(own, origin)} @focus=${select} />`],
+        ["", (own) => html`<button type="button" aria-label=${`Copy the link of ${own.user.name}`} @click=${() => copyOne(own)}>copy</button>`],
+      ])}
     `;
   }
 

@@ -4,7 +4,7 @@ import { html, nothing, type TemplateResult } from "lit";
 import type { App, Screen } from "../app";
 import { CapturesBoard } from "../components/captures-board";
 import { agreementByWeek, agreementChart, dayBars, daySpan, mostOf, stateBar, throughput } from "../components/charts";
-import { Component, define, figureTable, pageLink, switcher } from "../components/component";
+import { Component, define, figureTable, pageLink, switcher, type Column } from "../components/component";
 import { PERIODS, dateOf, hours, outlookWords, periodStart, shortDate, summarise, workedWeeks, type Period, type PersonWork } from "../figures";
 import { estimate, percent, seconds, until, when } from "../ui";
 import {
@@ -14,6 +14,7 @@ import {
   type Agreement,
   type Captures,
   type DayWork,
+  type EditType,
   type EditTypeCount,
   type Funnel,
   type HeldLease,
@@ -21,6 +22,8 @@ import {
   type PartAgreement,
   type Person,
   type QuotaRow,
+  type TaskKind,
+  type TaskState,
   type Week,
 } from "../wire";
 import { KIND_NAMES, KIND_WORDS, PURPOSE_WORDS, SHORT_KIND } from "../words";
@@ -122,19 +125,15 @@ class FiguresBoard extends Component {
   private outlook(outlooks: Outlook[]): TemplateResult {
     return html`<h2>Time left</h2>
       ${outlooks.map((outlook) => html`<p>${outlookWords(outlook, this.zone)}</p>`)}
-      ${figureTable(
-        "At the pace of the last seven days",
-        ["Kind", "Answers left", "Answers a day", "Reviews left", "Reviews a day", "Time of one", "Work left"],
-        outlooks.map((own) => [
-          SHORT_KIND[own.kind],
-          own.answers_left,
-          own.answers_per_day.toFixed(1),
-          own.reviews_left,
-          own.reviews_per_day.toFixed(1),
-          seconds(own.secs_per_answer),
-          own.hours_left === null ? "n/a" : hours(own.hours_left * 3600),
-        ]),
-      )}
+      ${figureTable("At the pace of the last seven days", outlooks, [
+        ["Kind", (own) => SHORT_KIND[own.kind]],
+        ["Answers left", (own) => own.answers_left],
+        ["Answers a day", (own) => own.answers_per_day.toFixed(1)],
+        ["Reviews left", (own) => own.reviews_left],
+        ["Reviews a day", (own) => own.reviews_per_day.toFixed(1)],
+        ["Time of one", (own) => seconds(own.secs_per_answer)],
+        ["Work left", (own) => (own.hours_left === null ? "n/a" : hours(own.hours_left * 3600))],
+      ])}
       <p class="note">
         Answers left: what undecided tasks still want. Pace: the answers of the last seven days, divided by seven, or by the days since
         the first of them. The end is answers left divided by the pace, from now on; reviews, skips and answers that are sent back
@@ -149,15 +148,7 @@ class FiguresBoard extends Component {
     const most = mostOf(period, value);
     const bars = (person: PersonWork, end: number): TemplateResult =>
       dayBars(person.days, value, end, `${measure === "hours" ? "Hours" : "Answers"} of ${person.name} by day; the table below has the figures`);
-    const row = (person: PersonWork, end: number): unknown[] => [
-      person.name,
-      bars(person, end),
-      hours(person.all.secs),
-      person.all.answers,
-      person.all.answers > 0 && person.all.reviews === 0 ? seconds(person.all.secs / person.all.answers) : "",
-      person.all.skips,
-      person.all.reviews,
-    ];
+    const timeOfOne = ({ all }: PersonWork): string => (all.answers > 0 && all.reviews === 0 ? seconds(all.secs / all.answers) : "");
     const totals = Math.max(0, ...period.all.days.map(value));
     const full = (end: number): string => (measure === "hours" ? hours(end) : `${end} answers`);
     const scale = most > 0 ? ` A full bar is ${full(most)} in a day, in the last row ${full(totals)}.` : "";
@@ -172,8 +163,16 @@ class FiguresBoard extends Component {
       </div>
       ${figureTable(
         `${daySpan(period)}; days begin in ${this.zone}.${scale}`,
-        ["Who", "By day", "Hours", "Answers", "Time of one", "Skips", "Reviews"],
-        period.people.length === 0 ? [] : [...period.people.map((person) => row(person, most)), row(period.all, totals)],
+        period.people.length === 0 ? [] : [...period.people, period.all],
+        [
+          ["Who", (person) => person.name],
+          ["By day", (person) => bars(person, person === period.all ? totals : most)],
+          ["Hours", ({ all }) => hours(all.secs)],
+          ["Answers", ({ all }) => all.answers],
+          ["Time of one", timeOfOne],
+          ["Skips", ({ all }) => all.skips],
+          ["Reviews", ({ all }) => all.reviews],
+        ],
         "Nobody worked in this period.",
       )}
       <details>
@@ -190,16 +189,18 @@ class FiguresBoard extends Component {
   }
 
   private leases(leases: HeldLease[]): TemplateResult {
+    const release = (held: HeldLease): TemplateResult =>
+      html`<button type="button" aria-label=${`Release task ${held.lease.task} of ${held.user_name}`} @click=${() => void this.release(held)}>release</button>`;
     return figureTable(
       "Tasks that are held",
-      ["Who", "Task", "What for", "Until", ""],
-      leases.map((held) => [
-        held.user_name,
-        pageLink(this.app, `task/${held.lease.task}`, `${held.lease.task} (${KIND_NAMES[held.kind]})`),
-        PURPOSE_WORDS[held.purpose] ?? held.purpose,
-        until(held.lease.expires),
-        html`<button type="button" aria-label=${`Release task ${held.lease.task} of ${held.user_name}`} @click=${() => void this.release(held)}>release</button>`,
-      ]),
+      leases,
+      [
+        ["Who", (held) => held.user_name],
+        ["Task", ({ lease, kind }) => pageLink(this.app, `task/${lease.task}`, `${lease.task} (${KIND_NAMES[kind]})`)],
+        ["What for", ({ purpose }) => PURPOSE_WORDS[purpose] ?? purpose],
+        ["Until", ({ lease }) => until(lease.expires)],
+        ["", release],
+      ],
       "Nobody holds a task now.",
     );
   }
@@ -215,16 +216,14 @@ class FiguresBoard extends Component {
 }
 
 function funnel(figures: Funnel): TemplateResult {
+  const count = (kind: TaskKind, state: TaskState): number => figures.counts[kind]?.[state] ?? 0;
   return html`<h2>Tasks</h2>
     ${TASK_KINDS.map((kind) => stateBar(KIND_WORDS[kind], figures.counts[kind]))}
-    ${figureTable(
-      "By kind and state",
-      ["Kind", ...TASK_STATES.map((state) => state.replace("_", " ")), "all"],
-      TASK_KINDS.map((kind) => {
-        const counts = TASK_STATES.map((state) => figures.counts[kind]?.[state] ?? 0);
-        return [SHORT_KIND[kind], ...counts, counts.reduce((a, b) => a + b, 0)];
-      }),
-    )}`;
+    ${figureTable("By kind and state", TASK_KINDS, [
+      ["Kind", (kind) => SHORT_KIND[kind]],
+      ...TASK_STATES.map((state): Column<TaskKind> => [state.replace("_", " "), (kind) => count(kind, state)]),
+      ["all", (kind) => TASK_STATES.reduce((sum, state) => sum + count(kind, state), 0)],
+    ])}`;
 }
 
 /** Days with work, newest first; a column for each person. */
@@ -234,50 +233,38 @@ function dayTable(period: Period): TemplateResult {
     const done = [work.answers > 0 && `${work.answers} answers`, work.skips > 0 && `${work.skips} skips`, work.reviews > 0 && `${work.reviews} reviews`];
     return [hours(work.secs), ...done.filter((part) => part !== false)].join(", ");
   };
-  const rows = period.dates
-    .map((date, index) => ({ date, cells: [period.all, ...period.people].map((person) => cell(person.days[index])) }))
-    .filter(({ cells }) => cells.some((text) => text !== ""))
-    .reverse();
-  return figureTable(
-    "By day, newest first",
-    ["Day", "all", ...period.people.map((person) => person.name)],
-    rows.map(({ date, cells }) => [shortDate(date), ...cells]),
-  );
+  const days = period.dates.map((_, day) => day).filter((day) => cell(period.all.days[day]) !== "");
+  return figureTable("By day, newest first", days.reverse(), [
+    ["Day", (day) => shortDate(period.dates[day] ?? "")],
+    ...[period.all, ...period.people].map((person): Column<number> => [person.name, (day) => cell(person.days[day])]),
+  ]);
 }
 
 function weekTable(weeks: readonly Week[], zone: string): TemplateResult {
-  return figureTable(
-    "By week, from Monday",
-    ["Week of", "Handed in", "Accepted", "Returned", "Median time", "Agreement", "Shared tasks"],
-    weeks.map((week) => [
-      shortDate(dateOf(week.start, zone)),
-      week.submitted,
-      week.accepted,
-      week.returned,
-      seconds(week.median_secs),
-      week.agreement === null ? "n/a" : week.agreement.toFixed(2),
-      week.shared_items,
-    ]),
-  );
+  return figureTable("By week, from Monday", weeks, [
+    ["Week of", (week) => shortDate(dateOf(week.start, zone))],
+    ["Handed in", (week) => week.submitted],
+    ["Accepted", (week) => week.accepted],
+    ["Returned", (week) => week.returned],
+    ["Median time", (week) => seconds(week.median_secs)],
+    ["Agreement", (week) => week.agreement?.toFixed(2) ?? "n/a"],
+    ["Shared tasks", (week) => week.shared_items],
+  ]);
 }
 
 function peopleTable(people: Person[]): TemplateResult {
-  return figureTable(
-    "By person, since the beginning",
-    ["Who", "Done", "Median", "Accepted", "Returned", "Draft unchanged", "From draft", "Gold", "Agreement (Jaccard)", "Last seen"],
-    people.map((person) => [
-      `${person.user.name}${person.user.active ? "" : " (closed)"}`,
-      person.done,
-      seconds(person.median_secs),
-      person.accepted,
-      person.returned,
-      percent(person.draft_unchanged),
-      percent(person.draft_distance),
-      person.gold_items > 0 ? `${percent(person.gold_score)} of ${person.gold_items}` : "n/a",
-      estimate(person.agreement),
-      when(person.last_seen),
-    ]),
-  );
+  return figureTable("By person, since the beginning", people, [
+    ["Who", ({ user }) => `${user.name}${user.active ? "" : " (closed)"}`],
+    ["Done", (person) => person.done],
+    ["Median", (person) => seconds(person.median_secs)],
+    ["Accepted", (person) => person.accepted],
+    ["Returned", (person) => person.returned],
+    ["Draft unchanged", (person) => percent(person.draft_unchanged)],
+    ["From draft", (person) => percent(person.draft_distance)],
+    ["Gold", (person) => (person.gold_items > 0 ? `${percent(person.gold_score)} of ${person.gold_items}` : "n/a")],
+    ["Agreement (Jaccard)", (person) => estimate(person.agreement)],
+    ["Last seen", (person) => when(person.last_seen)],
+  ]);
 }
 
 function agreementFacts(agreement: Agreement): HTMLElement {
@@ -292,11 +279,11 @@ function agreementFacts(agreement: Agreement): HTMLElement {
 }
 
 function agreementTable(rows: readonly PartAgreement[]): TemplateResult {
-  return figureTable(
-    "Agreement, with 95 % intervals; n/a below 30 shared items",
-    ["Decision", "Items", "Gwet AC1"],
-    rows.map((row) => [row.part.replaceAll("_", " ").toLowerCase(), row.items, estimate(row.gwet_ac1)]),
-  );
+  return figureTable("Agreement, with 95 % intervals; n/a below 30 shared items", rows, [
+    ["Decision", (row) => row.part.replaceAll("_", " ").toLowerCase()],
+    ["Items", (row) => row.items],
+    ["Gwet AC1", (row) => estimate(row.gwet_ac1)],
+  ]);
 }
 
 /** How much of a quota there is; 0 is no quota. */
@@ -308,30 +295,28 @@ function quotaCell(kept: number, wanted: number): unknown {
 /** The quotas of edit types, of all categories together. */
 function typeTable(types: readonly EditTypeCount[]): TemplateResult | typeof nothing {
   if (types.length === 0) return nothing;
-  return figureTable(
-    "Pairs kept, of those wanted, by edit type",
-    ["Edit type", "Kept", "Missing", "Beyond the quota"],
-    types.map(({ edit_type, kept, wanted }) => [edit_type, quotaCell(kept, wanted), Math.max(0, wanted - kept), Math.max(0, kept - wanted)]),
-  );
+  return figureTable("Pairs kept, of those wanted, by edit type", types, [
+    ["Edit type", (type) => type.edit_type],
+    ["Kept", ({ kept, wanted }) => quotaCell(kept, wanted)],
+    ["Missing", ({ kept, wanted }) => Math.max(0, wanted - kept)],
+    ["Beyond the quota", ({ kept, wanted }) => Math.max(0, kept - wanted)],
+  ]);
 }
 
 function quotaTable(rows: QuotaRow[]): TemplateResult {
-  const categories = [...new Set(rows.map((row) => row.category))].sort();
+  const categories = [...new Set(rows.map((row) => row.category))].sort().map((name) => rows.filter((row) => row.category === name));
+  const ofType = (own: QuotaRow[], type: EditType): unknown => {
+    const row = own.find((other) => other.edit_type === type);
+    return quotaCell(row?.kept ?? 0, row?.wanted ?? own[0]?.wanted ?? 0);
+  };
   return figureTable(
     "Pairs kept, of those wanted, by category and edit type",
-    ["Category", ...EDIT_TYPES, "all"],
-    categories.map((category) => {
-      const own = rows.filter((row) => row.category === category);
-      const all = own.reduce((sum, row) => sum + row.kept, 0);
-      return [
-        category || "none given",
-        ...EDIT_TYPES.map((type) => {
-          const row = own.find((other) => other.edit_type === type);
-          return quotaCell(row?.kept ?? 0, row?.wanted ?? own[0]?.wanted ?? 0);
-        }),
-        quotaCell(all, own[0]?.category_wanted ?? 0),
-      ];
-    }),
+    categories,
+    [
+      ["Category", ([first]) => first?.category || "none given"],
+      ...EDIT_TYPES.map((type): Column<QuotaRow[]> => [type, (own) => ofType(own, type)]),
+      ["all", (own) => quotaCell(own.reduce((sum, row) => sum + row.kept, 0), own[0]?.category_wanted ?? 0)],
+    ],
     "No pair is kept yet.",
   );
 }
