@@ -34,6 +34,12 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
     return this.answer;
   }
 
+  /** Sets the answer after undo or a merge. */
+  setAnswer(answer: A): void {
+    this.answer = answer;
+    this.requestUpdate();
+  }
+
   abstract focusText(): void;
   protected abstract togglePart(name: string): void;
   protected abstract useDraft(): Promise<void>;

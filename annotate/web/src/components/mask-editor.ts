@@ -59,11 +59,9 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     this.answer = this.filled(answer);
   }
 
-  /** Sets the answer after undo or a merge. */
-  setAnswer(answer: MaskTextAnswer): void {
-    this.answer = this.filled(answer);
+  override setAnswer(answer: MaskTextAnswer): void {
+    super.setAnswer(this.filled(answer));
     this.selected = Math.min(this.selected, this.answer.masks.length - 1);
-    this.requestUpdate();
   }
 
   perform(id: ActionId): boolean {
@@ -497,7 +495,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
       const weight = parts.weightOf(mask, at);
       const chosen = mask.joints?.some((own) => own.joint === name) ?? false;
       const next = (): void => this.edit({ joints: parts.nextChoices(mask, at) });
-      return html`<button type="button" class=${`joint small ${weight}${chosen ? " chosen" : ""}`} data-joint=${name} data-weight=${weight} @click=${next}>
+      return html`<button type="button" class=${`joint small between ${weight}${chosen ? " chosen" : ""}`} data-joint=${name} data-weight=${weight} @click=${next}>
         ${jointPhrase(name)} <span class="note">${weight}</span>
       </button>`;
     };

@@ -35,6 +35,7 @@ export class NewcomersForm extends Component {
     const problems = found.filter((own) => own.problem !== "").length;
     const label = found.length === 0 ? "Add all" : found.length === 1 ? "Add 1 person" : `Add ${found.length} people`;
     return html`
+      <hr>
       <div class="field">
         <label for="newcomers">Several people: a line <code>NAME</code> or <code>NAME,ROLE</code> each</label>
         <textarea

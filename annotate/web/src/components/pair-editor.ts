@@ -63,11 +63,6 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     this.classList.add("pair-editor");
   }
 
-  setAnswer(answer: TwoAnswer): void {
-    this.answer = answer;
-    this.requestUpdate();
-  }
-
   perform(id: ActionId): boolean {
     const { answer } = this;
     const rejects = Object.fromEntries(REJECTS.map(([verdict]) => [verdict, () => this.host.reject(verdict)]));
@@ -237,7 +232,6 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     const names = [...new Set([this.host.sourceStyle, chosen])];
     return names.flatMap((name) => this.styles.filter((style) => style.name === name)).map(guidelinePanel);
   }
-
 }
 
 /** What the project says of the chosen style, or that it is new. */
