@@ -140,10 +140,7 @@ test("charts draw what there is, and nothing of nothing", () => {
 
 test("the bar of a kind shows every task once", () => {
   const groups = shares({ open: 5, leased: 1, submitted: 2, in_review: 1, returned: 1, accepted: 8, dropped: 2 });
-  assert.deepEqual(
-    groups.map((group) => [group.label, group.tasks]),
-    [["accepted", 8], ["waiting for review", 3], ["in work", 2], ["open", 5], ["dropped", 2]],
-  );
+  assert.equal(groups.map(({ tasks, label }) => `${tasks} ${label}`).join(", "), "8 accepted, 3 waiting for review, 2 in work, 5 open, 2 dropped");
   assert.ok(Math.abs(groups.reduce((sum, group) => sum + group.share, 0) - 1) < 1e-9);
   assert.ok(shares({}).every((group) => group.share === 0));
 });
