@@ -3,11 +3,12 @@
 import { html } from "lit";
 import { clipFrame, Clock, type ClockState } from "./clock";
 import { element } from "./components/component";
-import { h } from "./dom";
+import { h, setAttr } from "./dom";
 import { perform, type ActionId, type Deeds, type KeyMap } from "./keys";
 import { PLAIN, aligned, type Paint, type Track } from "./stage/body";
 import { Stage, type MakeRenderer } from "./stage/stage";
 import type { Strip } from "./strips";
+import { keyButton } from "./ui";
 import type { Prefs } from "./wire";
 
 export interface Clip {
@@ -50,16 +51,12 @@ export class Viewer {
     prefs: Prefs,
     private readonly save: (change: Partial<Prefs>) => void,
   ) {
-    const button = (action: ActionId, label: string, className = ""): HTMLButtonElement =>
-      element(html`<button
-        type="button"
-        class=${className}
-        title=${`${label} (${keys.hint(action)})`}
-        aria-keyshortcuts=${keys.chord(action)}
-        @click=${() => this.perform(action, false)}
-      >
-        <kbd>${keys.hint(action)}</kbd><span class="button-label">${label}</span>
-      </button>`);
+    const button = (action: ActionId, label: string, className = ""): HTMLButtonElement => {
+      const own = keyButton(label, keys.hint(action), () => this.perform(action, false), className);
+      own.title = `${label} (${keys.hint(action)})`;
+      setAttr(own, "aria-keyshortcuts", keys.chord(action));
+      return own;
+    };
     this.playButton = button("play_pause", "Play", "play");
     this.range = h("input", {
       class: "scrub",
