@@ -83,7 +83,7 @@ export class App {
   private makeWebgl: MakeRenderer = () => new CanvasRenderer();
   private login: Promise<void> | null = null;
   private status: OutboxStatus = { phase: "idle", waiting: 0, stuck: 0, trouble: null };
-  private readonly main = h("main", { id: "main" });
+  private readonly main = h("main", { attrs: { id: "main" } });
   private readonly nav = h("nav", { attrs: { "aria-label": "Screens" } });
   private readonly chip = h("output", { class: "chip tint", attrs: { "aria-live": "polite", "aria-label": "State of saving" } });
   private readonly stuck = h("button", { class: "stuck danger", attrs: HIDDEN, on: { click: () => void showUnsent(this.outbox, this.parts) } });

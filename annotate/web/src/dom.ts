@@ -4,7 +4,6 @@ export type Child = Node | string | number | null | undefined | false;
 
 export interface Props {
   class?: string | undefined;
-  id?: string;
   /** Attributes by name; `true` sets an empty attribute, `false` and `null` omit it. */
   attrs?: Record<string, string | number | boolean | null | undefined>;
   data?: Record<string, string>;
@@ -23,7 +22,6 @@ export function h<K extends keyof HTMLElementTagNameMap>(
   // Without it a button would send the form around it.
   if (tag === "button") element.setAttribute("type", "button");
   if (props.class) element.className = props.class;
-  if (props.id) element.id = props.id;
   for (const [name, value] of Object.entries(props.attrs ?? {})) {
     setAttr(element, name, value);
   }

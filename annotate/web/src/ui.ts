@@ -103,8 +103,8 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
 }
 
 /** A modal dialog with a title. Escape calls `cancel`, which closes it or not. */
-function openDialog(title: string, cancel: () => void, ...body: Child[]): HTMLDialogElement {
-  const dialog = h("dialog", { class: "dialog", attrs: { "aria-labelledby": "dialog-title" } }, h("h2", { id: "dialog-title" }, title), ...body);
+export function openDialog(title: string, cancel: () => void, ...body: Child[]): HTMLDialogElement {
+  const dialog = h("dialog", { class: "dialog", attrs: { "aria-label": title, tabindex: -1 } }, h("h2", {}, title), ...body);
   dialog.addEventListener("cancel", (event) => {
     event.preventDefault();
     cancel();
