@@ -4,7 +4,7 @@ import { html, nothing, type TemplateResult } from "lit";
 import type { App } from "../app";
 import { describe } from "../merge";
 import { percent } from "../ui";
-import type { Candidate } from "../wire";
+import type { Candidate, Suggestion } from "../wire";
 import { keyHint } from "./component";
 
 /** Cards of answers, one of them selected. Lines that no other answer has are marked. */
@@ -33,4 +33,10 @@ export function answerCards(
   return html`<div class="candidates grid">
     ${candidates.map((candidate, index) => card(candidate, index, more.note?.(candidate) ?? ""))}
   </div>`;
+}
+
+/** What annotators were offered, as an item of a list. */
+export function offered({ parts }: App, suggestion: Suggestion): TemplateResult {
+  const text = suggestion.text && `: “${suggestion.text}”`;
+  return html`<li>${parts.phrases(suggestion.parts)}${text} <span class="note">${suggestion.model || "the source"}</span></li>`;
 }

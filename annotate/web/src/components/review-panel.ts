@@ -8,9 +8,9 @@ import { perform, type ActionId, type Deeds, type Scope } from "../keys";
 import { describe, differing } from "../merge";
 import { askComment, commentField } from "../ui";
 import type { Answer, Candidate, Decision, Lease, NewReview, ReviewDone, ReviewView, Verdict } from "../wire";
-import { KIND_WORDS, apartWords, factsOf } from "../words";
+import { KIND_WORDS, apartWords, factsOf, plural } from "../words";
 import { WorkClock } from "../work";
-import { answerCards } from "./answer-cards";
+import { answerCards, offered } from "./answer-cards";
 import { Component, action, define } from "./component";
 import { MaskEditor, type MaskStage } from "./mask-editor";
 import { PairEditor } from "./pair-editor";
@@ -235,12 +235,9 @@ export class ReviewPanel extends Component {
   private offered(): TemplateResult | typeof nothing {
     const { suggestions } = this.review;
     if (suggestions.length === 0) return nothing;
-    const words = (parts: readonly string[], text: string): string =>
-      [parts.map((part) => this.app.parts.phrase(part)).join(", "), text && `“${text}”`].filter((own) => own !== "").join(": ");
-    const lines = suggestions.map(({ text, parts, model }) => html`<li>${words(parts, text)} <span class="note">${model}</span></li>`);
     return html`<details class="offered">
-      <summary>What annotators were offered: ${suggestions.length === 1 ? "1 suggestion" : `${suggestions.length} suggestions`}</summary>
-      <ul>${lines}</ul>
+      <summary>What annotators were offered: ${plural(suggestions.length, "suggestion")}</summary>
+      <ul>${suggestions.map((own) => offered(this.app, own))}</ul>
     </details>`;
   }
 

@@ -3,7 +3,7 @@
 import { html, nothing, type TemplateResult } from "lit";
 import { newReview } from "../api";
 import type { App, Screen } from "../app";
-import { answerCards } from "../components/answer-cards";
+import { answerCards, offered } from "../components/answer-cards";
 import { Component, define, pageLink } from "../components/component";
 import type { ReviewStage } from "../components/review-panel";
 import { everything } from "../filter";
@@ -118,7 +118,6 @@ class TaskRecord extends Component {
     const { keys } = this.app;
     const facts = [`key: ${row.key}`, `split: ${row.split}`, ...factsOf(task)];
     const captions = task.motions.flatMap((motion) => motion.captions);
-    const offerWords = (parts: readonly string[], text: string): string => `${this.app.parts.phrases(parts)}${text ? `: ${text}` : ""}`;
     return html`
       <div class="panel-scroll">
         <nav class="row tight" aria-label="The list">
@@ -140,7 +139,7 @@ class TaskRecord extends Component {
             })}
         ${section("Decisions", decisions.map((decision) => line(decisionWords(decision), when(decision.at))))}
         ${section("Skipped by", row.skips.map((skip) => line(skipWords(skip), when(skip.at))))}
-        ${section("Suggestions that annotators were offered", suggestions.map(({ parts, text, model }) => line(offerWords(parts, text), model || "the source")))}
+        ${section("Suggestions that annotators were offered", suggestions.map((own) => offered(this.app, own)))}
         <details>
           <summary>History: ${this.history.length} entries of the log</summary>
           <ol>${storyOf(this.history).map(({ at, who, what }) => line(`${who}: ${what}`, when(at)))}</ol>

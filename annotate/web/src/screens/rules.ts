@@ -18,7 +18,7 @@ import {
   type Settings,
   type TaskPage,
 } from "../wire";
-import { KIND_WORDS, RULE_WORDS } from "../words";
+import { KIND_WORDS, RULE_WORDS, plural } from "../words";
 import { listOf, widePage } from "./frame";
 import { taskTabs } from "./tasks";
 
@@ -32,8 +32,6 @@ const NEW_RULE: Rule = {
   max_distance: 0,
   review_percent: 20,
 };
-
-const plural = (count: number, word: string): string => `${count} ${word}${count === 1 ? "" : "s"}`;
 
 export async function openRules(app: App): Promise<Screen> {
   const box = h("div", { class: "dashboard grid" });
