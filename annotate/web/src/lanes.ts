@@ -63,12 +63,8 @@ export class RangeLanes {
   }
 
   private putHandles(row: HTMLElement, [start, end]: Span, index: number): void {
-    const shown = [
-      { now: start + 1, least: 1, most: end },
-      { now: end, least: start + 1, most: this.frames },
-    ];
     this.handles.forEach((handle, edge) => {
-      const { now, least, most } = shown[edge] as { now: number; least: number; most: number };
+      const [now, least, most] = edge === 0 ? [start + 1, 1, end] : [end, start + 1, this.frames];
       setAttr(handle, "aria-label", `${EDGES[edge]} of mask ${index + 1}`);
       setAttr(handle, "aria-valuemin", least);
       setAttr(handle, "aria-valuemax", most);

@@ -160,8 +160,7 @@ class MyAnswersScreen implements Screen {
       h(
         "div",
         { class: "row" },
-        standing === "returned" && plainButton("Fix it", () => app.go(route), "primary"),
-        standing === "draft" && plainButton("Go on with it", () => app.go(route), "primary"),
+        holds && plainButton(standing === "draft" ? "Go on with it" : "Fix it", () => app.go(route), "primary"),
         item.feedback && plainButton("See the known answer", () => app.go(`feedback/${task.id}`)),
         item.can_take_back && !item.feedback && plainButton("Take back and change", () => this.try(takeBack())),
         !item.can_take_back && !holds && h("span", { class: "note" }, "It can no longer be taken back."),

@@ -119,12 +119,8 @@ class BodyMesh {
   }
 
   dispose(): void {
-    this.spheres.geometry.dispose();
-    this.tubes.geometry.dispose();
-    this.spheres.dispose();
-    this.tubes.dispose();
-    this.material.dispose();
-    this.shadowMaterial.dispose();
+    const { spheres, tubes, material, shadowMaterial } = this;
+    for (const own of [spheres.geometry, tubes.geometry, spheres, tubes, material, shadowMaterial]) own.dispose();
   }
 
   private ball(index: number, at: Vec3, radius: number, colour: Rgb, hatched: Rgb | null): void {
