@@ -67,8 +67,9 @@ function matrix(cells: readonly CaptureCell[]): TemplateResult {
     const count = `${cell.arrived} / ${cell.takes}`;
     return cell.missing > 0 ? count : html`<span class="full">${count} ✓</span>`;
   };
+  const byStyle = styles.map((style, at): Column<(typeof rows)[number]> => [style, ({ cells: own }) => shown(own[at])]);
   return html`<div class="matrix tall">
-    ${figureTable("Takes that are here, of those wanted", rows, [["Motion", (row) => row.motion], ...styles.map((style, at): Column<typeof rows[number]> => [style, ({ cells }) => shown(cells[at])])])}
+    ${figureTable("Takes that are here, of those wanted", rows, [["Motion", (row) => row.motion], ...byStyle])}
   </div>`;
 }
 
