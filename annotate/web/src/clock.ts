@@ -18,15 +18,7 @@ export interface ClockState {
 
 export class Clock {
   private position = 0;
-  private state: ClockState = {
-    frame: 0,
-    frames: 1,
-    fps: 20,
-    playing: false,
-    speed: 1,
-    loopIn: 0,
-    loopOut: 0,
-  };
+  private state: ClockState = { frame: 0, frames: 1, fps: 20, playing: false, speed: 1, loopIn: 0, loopOut: 0 };
   private readonly listeners = new Set<(state: Readonly<ClockState>) => void>();
   private lastTick: number | null = null;
 
@@ -43,21 +35,16 @@ export class Clock {
 
   /** Loads a motion: first frame, loop over the whole motion, same speed. */
   load(frames: number, fps: number): void {
-    const last = Math.max(0, frames - 1);
     this.position = 0;
-    this.set({ frame: 0, frames: Math.max(1, frames), fps, loopIn: 0, loopOut: last });
+    this.set({ fps });
+    this.resize(frames);
   }
 
   /** Changes the length, for example when two clips are aligned; resets the loop. */
   resize(frames: number): void {
     const last = Math.max(0, frames - 1);
     this.position = Math.min(this.position, last);
-    this.set({
-      frames: Math.max(1, frames),
-      frame: Math.min(this.state.frame, last),
-      loopIn: 0,
-      loopOut: last,
-    });
+    this.set({ frames: last + 1, frame: Math.floor(this.position), loopIn: 0, loopOut: last });
   }
 
   toggle(): void {
@@ -106,7 +93,7 @@ export class Clock {
   }
 
   clearLoop(): void {
-    this.set({ loopIn: 0, loopOut: this.state.frames - 1 });
+    this.setLoop(0, Infinity);
   }
 
   /** The next slower (-1) or faster (1) of [`SPEEDS`]. */

@@ -80,10 +80,7 @@ export function summarise(rows: readonly DayWork[], count: number, now: number, 
     people.set(row.user, person);
     for (const sum of [person.days[day], person.all, all.days[day], all.all]) {
       if (!sum) continue;
-      sum.secs += row.secs;
-      sum.answers += row.answers;
-      sum.skips += row.skips;
-      sum.reviews += row.reviews;
+      for (const name of ["secs", "answers", "skips", "reviews"] as const) sum[name] += row[name];
     }
   }
   return { dates, people: [...people.values()].sort((a, b) => b.all.secs - a.all.secs || a.name.localeCompare(b.name)), all };

@@ -86,7 +86,7 @@ export class ConflictBox extends Component {
 
   protected override render(): TemplateResult {
     const column = (title: string, lines: readonly string[]): TemplateResult =>
-      html`<section class="merge-column">
+      html`<section class="box">
         <h3>${title}</h3>
         <ul>${lines.map((line) => html`<li>${line}</li>`)}</ul>
       </section>`;
@@ -98,8 +98,8 @@ export class ConflictBox extends Component {
     return html`
       <h2>This task was changed in another window</h2>
       <p>Both versions are kept in the log. Go on typing, or choose here; <kbd>F6</kbd> moves here.</p>
-      <div class="merge">${column("In this window, now", this.mine())}${column("In the other window", this.theirs)}</div>
-      <div class="dialog-buttons">${CHOICES.map(button)}</div>
+      <div class="merge halves">${column("In this window, now", this.mine())}${column("In the other window", this.theirs)}</div>
+      <div class="dialog-buttons row">${CHOICES.map(button)}</div>
     `;
   }
 }

@@ -46,7 +46,7 @@ export class Stage {
       this.renderer.canvas,
       this.overlay,
       this.caption,
-      h("div", { class: "stage-sides", attrs: { "aria-hidden": "true" } },
+      h("div", { class: "stage-sides note", attrs: { "aria-hidden": "true" } },
         h("span", { class: "side-left" }, "L left"),
         h("span", { class: "side-right" }, "R right"),
         h("span", {}, "sides are the character's own"),
