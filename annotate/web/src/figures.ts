@@ -86,8 +86,10 @@ export function summarise(rows: readonly DayWork[], count: number, now: number, 
   return { dates, people: [...people.values()].sort((a, b) => b.all.secs - a.all.secs || a.name.localeCompare(b.name)), all };
 }
 
+/** Time of work: hours, or minutes or seconds where a tenth of an hour would say nothing. */
 export function hours(secs: number): string {
-  return `${(secs / 3600).toFixed(1)} h`;
+  if (secs === 0 || secs >= 360) return `${(secs / 3600).toFixed(secs === 0 ? 0 : 1)} h`;
+  return secs >= 60 ? `${Math.round(secs / 60)} min` : `${Math.ceil(secs)} s`;
 }
 
 /** The weeks from the first one with any work on, at least four. */
