@@ -164,7 +164,11 @@ pub(super) fn parse_query<T: DeserializeOwned>(query: &str) -> Result<T, Error> 
     if !query.split('%').skip(1).all(is_escape) {
         return Err(refused(&"a percent escape is malformed"));
     }
-    let given = query.split('&').filter(|pair| !pair.ends_with('='));
+    let has_value = |pair: &&str| {
+        pair.split_once('=')
+            .is_none_or(|(_, value)| !value.is_empty())
+    };
+    let given = query.split('&').filter(has_value);
     serde_urlencoded::from_str(&given.collect::<Vec<_>>().join("&"))
         .map_err(|error| refused(&error))
 }

@@ -16,7 +16,7 @@ impl Values {
         format!("?{}", self.0.len())
     }
 
-    /// The further condition that a column has a value, if one is asked for.
+    /// ` AND column = value` for a `WHERE`; empty without a value.
     pub(super) fn equal(&mut self, column: &str, value: Option<impl Into<Value>>) -> String {
         value.map_or(String::new(), |value| {
             format!(" AND {column} = {}", self.put(value))

@@ -134,7 +134,7 @@ impl<const WIDTH: usize> ByClip for FeatureFolder<WIDTH> {
                 .map(|caption| caption.text.replace(['\r', '\n'], " ") + "\n")
                 .collect(),
         };
-        // Loaders open the file of every clip; a clip whose file is empty is passed over.
+        // A loader opens the text of every clip, and passes a clip over whose text is empty.
         file(folder, &format!("texts/{name}.txt"), lines.as_bytes())?;
         Ok(None)
     }
