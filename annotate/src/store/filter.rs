@@ -148,9 +148,10 @@ pub(super) fn check(filter: &TaskFilter) -> Result<()> {
     Ok(())
 }
 
-/// The pattern of a text anywhere in a lower-case column.
+/// The pattern of a text anywhere in a lower-case column. Spaces around the text do not count; a blank text fits all.
 pub(super) fn like(text: &str) -> String {
     let escaped = text
+        .trim()
         .to_lowercase()
         .replace('\\', "\\\\")
         .replace('%', "\\%")
