@@ -158,3 +158,19 @@ pub(super) fn like(text: &str) -> String {
         .replace('_', "\\_");
     format!("%{escaped}%")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::like;
+
+    #[test]
+    fn a_search_is_for_the_text_as_it_stands_without_the_spaces_around_it() {
+        for (text, pattern) in [
+            (" Wave twice ", "%wave twice%"),
+            (" ", "%%"),
+            (r"50%_\", r"%50\%\_\\%"),
+        ] {
+            assert_eq!(like(text), pattern);
+        }
+    }
+}
