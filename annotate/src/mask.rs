@@ -96,7 +96,8 @@ pub(crate) fn check_names(choices: &[JointChoice]) -> Result<(), String> {
     Ok(())
 }
 
-/// Checks that each choice changes the mask of the parts, and that a hard joint is left. The error is as of [`check_names`].
+/// Checks that each choice changes the mask of the parts, and that a hard joint is left. The error says what is wrong,
+/// and what to do.
 pub(crate) fn check_choices(
     parts: &[String],
     soft: bool,
@@ -116,8 +117,8 @@ pub(crate) fn check_choices(
     Ok(())
 }
 
-/// Checks that a range lies in a clip with `frames` frames and is as long as a training window. The error has the words
-/// after the name of the mask.
+/// Checks that a range lies in a clip with `frames` frames and is at least as long as a training window. The error says
+/// what is wrong and what to do, as the words that follow the name of the mask.
 pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), String> {
     const WHOLE: &str = "or let it hold for the whole clip";
     let length = i64::from(end) - i64::from(start);

@@ -1,5 +1,4 @@
-//! Claims: which task a person gets next. Real work of a kind is open to new annotators after practice: tasks with
-//! known answers.
+//! Claims: which task a person gets next. New annotators first get practice tasks of a kind, whose answers are known.
 
 use std::collections::{BTreeMap, BTreeSet};
 

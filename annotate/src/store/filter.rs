@@ -148,12 +148,29 @@ pub(super) fn check(filter: &TaskFilter) -> Result<()> {
     Ok(())
 }
 
-/// The pattern of a text anywhere in a lower-case column.
+/// The pattern of a text anywhere in a lower-case column. Spaces around the text do not count; a blank text fits all.
 pub(super) fn like(text: &str) -> String {
     let escaped = text
+        .trim()
         .to_lowercase()
         .replace('\\', "\\\\")
         .replace('%', "\\%")
         .replace('_', "\\_");
     format!("%{escaped}%")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::like;
+
+    #[test]
+    fn a_search_is_for_the_text_as_it_stands_without_the_spaces_around_it() {
+        for (text, pattern) in [
+            (" Wave twice ", "%wave twice%"),
+            (" ", "%%"),
+            (r"50%_\", r"%50\%\_\\%"),
+        ] {
+            assert_eq!(like(text), pattern);
+        }
+    }
 }

@@ -171,7 +171,7 @@ impl Store {
     }
 
     /// Up to `limit` other motions of the same split, for previews: the next ones in cyclic order of hashes. They are
-    /// thus pseudo-random, and the same on every call.
+    /// thus pseudo-random, and the same on every call. Refused with `not_found`.
     pub fn partners(&self, hash: &str, limit: usize) -> Result<Vec<MotionRecord>> {
         self.read(|tx| {
             let Some(motion) = motions_where(tx, "hash = ?1", params![hash])?.pop() else {
