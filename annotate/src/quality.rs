@@ -199,7 +199,7 @@ impl Counted {
         }
     }
 
-    /// Adds a task with several answers. They agree as far as each does with the others, in the mean.
+    /// Adds a task with several answers. Its agreement is the mean of how far each answer agrees with the others.
     fn add_shared(&mut self, task: &OfTask) {
         let mut each = Vec::new();
         for (index, said) in task.said.iter().enumerate() {
