@@ -303,10 +303,10 @@ mod tests {
         for (range, problem) in [
             ([-1, 30], "a first frame from 0 on"),
             ([20, 20], "a later end"),
-            ([20, 41], "up to frame 41 of a clip of 40 frames"),
+            ([20, 41], "holds up to frame 41 of a clip of 40 frames"),
             (
                 [4, 3 + least],
-                "for 30 frames, but a range needs 31 at least",
+                "holds for 30 frames, but a range needs 31 at least",
             ),
         ] {
             let found = check_range(range, 40).expect_err("a problem");

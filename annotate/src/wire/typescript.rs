@@ -28,7 +28,7 @@ fn declaration<T: TS>(config: &Config) -> (String, String) {
     )
 }
 
-/// The text of a declaration with a comment of one line, and fields indented, whose comments are in the Rust source.
+/// The text of a declaration: its comment on one line, its fields indented. The Rust source has the comments of fields.
 fn laid_out(text: &str) -> String {
     let text = text.replace("\n */", " */").replace("/**\n *", "/**");
     let mut indent = "";

@@ -1,4 +1,7 @@
-/** Storage in the browser: one database a project. Edits are removed only after the server has acknowledged them. */
+/**
+ * Storage in the browser (IndexedDB): a database for each project, because another project may be served at the same
+ * address later. Edits are stored here before they are sent, and removed once the server has acknowledged them.
+ */
 
 const VERSION = 1;
 const STORES = ["outbox", "chains"] as const;

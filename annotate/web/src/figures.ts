@@ -86,7 +86,7 @@ export function summarise(rows: readonly DayWork[], count: number, now: number, 
   return { dates, people: [...people.values()].sort((a, b) => b.all.secs - a.all.secs || a.name.localeCompare(b.name)), all };
 }
 
-/** Time of work: hours, or minutes or seconds where a tenth of an hour would say nothing. */
+/** Time of work in hours; below a tenth of an hour in minutes, below a minute in seconds. */
 export function hours(secs: number): string {
   if (secs === 0 || secs >= 360) return `${(secs / 3600).toFixed(secs === 0 ? 0 : 1)} h`;
   return secs >= 60 ? `${Math.round(secs / 60)} min` : `${Math.ceil(secs)} s`;

@@ -33,7 +33,7 @@ export class History<T> {
     return { past: this.past, present: this.current, future: this.future };
   }
 
-  /** Adds a state. Consecutive edits of a `kind`, as the letters of a text, are one step; without a kind each is. */
+  /** Adds a state. Edits of the same `kind` in a row, such as letters of a text, are one step; others are one each. */
   push(state: T, kind: string | null = null): void {
     if (same(state, this.current)) return;
     if (kind === null || kind !== this.kind) {

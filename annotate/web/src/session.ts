@@ -49,7 +49,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     app.sessions.add(this);
   }
 
-  /** Opens a task with this tab's last state if nobody wrote since; else with the server's, its own an undo away. */
+  /** Opens a task with this tab's last state; with the server's, and its own one undo away, if somebody wrote since. */
   static async open<A extends Answer>(
     app: App,
     view: TaskView,

@@ -164,6 +164,7 @@ export function plainButton(label: string, run: () => void, className = ""): HTM
   return h("button", { class: className, on: { click: run } }, label);
 }
 
+/** A button that cannot be pressed again until its work is done, and shows why it failed. */
 export function button(label: string, run: () => Promise<void>, app: { readonly toasts: Toasts }, className = ""): HTMLButtonElement {
   const own = plainButton(label, () => {
     own.disabled = true;

@@ -135,7 +135,9 @@ export class Viewer {
       this.clock.resize(this.length());
       if (playing) this.clock.play(true);
     }
-    this.arrange();
+    // Where the ghost stands moves no camera.
+    if (change.together === undefined) this.arrange();
+    else this.update(this.clock.now);
   }
 
   setFollow(follow: boolean): void {

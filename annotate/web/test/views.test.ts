@@ -1,6 +1,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import type { App } from "../src/app";
 import { both, differing } from "../src/merge";
+import { offered } from "../src/components/answer-cards";
 import { agreementByWeek, agreementChart, roundUp, shares, throughput } from "../src/components/charts";
 import { Parts } from "../src/parts";
 import { OrbitCamera } from "../src/stage/camera";
@@ -129,6 +131,11 @@ test("a strip is told in words", () => {
   assert.equal(spans(values, 0.4, 10), "0.1 to 0.3 s, 0.7 to 0.9 s");
   assert.equal(spans([0.5, 0.1, 0.5], 0.4, 20), "0.0 to 0.1 s", "a gap of a frame does not end a span");
   assert.equal(spans([0, 0], 0.4, 10), "");
+});
+
+test("a suggestion without parts shows its text alone", () => {
+  const shown = (own: string[], text: string): unknown => offered({ parts } as App, { id: 1, source: "import", parts: own, text, model: "" }).values[0];
+  assert.deepEqual([shown([], "waving"), shown(["LEFT_ARM"], "waving"), shown(["LEFT_ARM"], "")], ["“waving”", "left arm: “waving”", "left arm"]);
 });
 
 test("charts draw what there is, and nothing of nothing", () => {

@@ -36,7 +36,7 @@ export function answerCards(
 }
 
 /** What annotators were offered, as an item of a list. */
-export function offered({ parts }: App, suggestion: Suggestion): TemplateResult {
-  const text = suggestion.text && `: “${suggestion.text}”`;
-  return html`<li>${parts.phrases(suggestion.parts)}${text} <span class="note">${suggestion.model || "the source"}</span></li>`;
+export function offered(app: App, { parts, text, model }: Suggestion): TemplateResult {
+  const words = [parts.length > 0 && app.parts.phrases(parts), text && `“${text}”`].filter((own) => own);
+  return html`<li>${words.join(": ")} <span class="note">${model || "the source"}</span></li>`;
 }

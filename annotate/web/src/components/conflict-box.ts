@@ -1,4 +1,7 @@
-/** Two versions of an answer to choose from. It opens while somebody types, so it takes no focus or keys at first. */
+/**
+ * Two versions of an answer to choose from. The box opens while somebody types, so it takes no focus, and its keys work
+ * only once the user has moved into it.
+ */
 
 import { html, type TemplateResult } from "lit";
 import { Component, define } from "./component";

@@ -246,7 +246,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
       });
   }
 
-  /** What the key takes: after a suggestion that it filled in, or on an empty card, the next one; else the first. */
+  /** The suggestion that the key takes: the next one on a card that is empty or that it filled; else the first. */
   private get nextOffer(): Offer | null {
     const offers = this.offers(this.selected);
     const at = offers.findIndex((offer) => keyOf(offer.parts) === keyOf(this.card.parts));

@@ -20,6 +20,7 @@ export function widePage(title: string, above: Child, ...body: Child[]): Screen 
 export function workScreen(viewer: Viewer, panel: HTMLElement, className: string, task: number | null, rest: Omit<Screen, "element" | "focusTarget" | "draw">): Screen {
   const { leave } = rest;
   const data: Record<string, string> = task === null ? {} : { task: String(task) };
+  // `rest` itself: a copy would hold what its getters return now.
   return Object.assign(rest, {
     element: h("div", { class: `work ${className}`, data }, viewer.element, panel),
     focusTarget: viewer.focusTarget,
@@ -41,7 +42,7 @@ export function panelOf(label: string, body: readonly Child[], foot: readonly Ch
   );
 }
 
-/** Links to pages side by side; `mark` says what the current one is marked as. */
+/** Links to pages side by side; `mark` is the value of `aria-current` at the current one. */
 export function tabs(app: App, label: string, pages: readonly (readonly [string, string])[], current: string, mark = "page"): HTMLElement {
   const links = pages.map(([path, words]) => {
     const link = app.link(path, words, "button small tab");
