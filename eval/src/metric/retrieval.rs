@@ -299,7 +299,7 @@ fn single(rows: &Matrix, indices: &[usize]) -> Result<Vec<f32>, Error> {
     }
 }
 
-/// Refuses that there is no gallery or an empty one.
+/// Refuses an empty gallery, and an empty list of galleries.
 pub(super) fn check_galleries(metric: &'static str, galleries: &[Vec<usize>]) -> Result<(), Error> {
     let least = galleries.iter().map(Vec::len).min();
     check_count(metric, least.unwrap_or(0), 1)
