@@ -68,7 +68,10 @@ impl Action {
         let mut all = [Action::Walk; NAMES.len()];
         let mut place = 0;
         while place < all.len() {
-            assert!(NAMES[place].0 as usize == place, "in declared order");
+            assert!(
+                NAMES[place].0 as usize == place,
+                "NAMES is in the order of the enum"
+            );
             all[place] = NAMES[place].0;
             place += 1;
         }
