@@ -31,7 +31,7 @@ use clip::check::FLAG_ROW_COUNT;
 use clip::{Outcome, Rejected, SourceClip};
 
 /// Biovision hierarchy: a skeleton and Euler angles, as text.
-// Measured on 318 captured clips.
+// Bytes per second: measured on 318 captured clips.
 pub const FORMAT: Format = Format::new("bvh", 40_000.0, &Bvh);
 
 struct Bvh;

@@ -44,6 +44,7 @@ const STATISTICS: &str = "mean_std";
 const HEAD_BYTES: u64 = 256;
 
 /// The 272 features of MotionStreamer and MotionMillion.
+// Bytes per second: the features in f4 at 30 fps.
 pub const FORMAT: Format = Format::new(
     "272",
     (size_of::<Features>() * 30) as f64,
