@@ -174,7 +174,8 @@ fn data_reaches_the_page_only_as_text() {
         let text = fs::read_to_string(web.join(&path))
             .expect("a source is text")
             .replace(" href=${`/app/", "")
-            .replace(" href=${`/api/v1/", "");
+            .replace(" href=${`/api/v1/", "")
+            .replace(" src=${`/api/v1/", "");
         for word in forbidden {
             // The element builder's list of refused attributes contains one of them.
             let allowed = path == "src/dom.ts" && word == "srcdoc";

@@ -40,11 +40,9 @@ export function formatGuide(text: string): HTMLElement[] {
   return blocks.length > 0 ? blocks : [h("p", { class: "note" }, "Nothing has been written yet.")];
 }
 
-/** The image of a picture of the guide. */
-export function pictureImage(name: string, attrs: { alt: string; loading?: string; height?: number }): HTMLImageElement {
-  const image = h("img", { attrs });
-  image.src = `/api/v1/guide/pictures/${encodeURIComponent(name)}`;
-  return image;
+/** The path of a picture below that of the API. */
+export function picturePath(name: string): string {
+  return `guide/pictures/${encodeURIComponent(name)}`;
 }
 
 /** A name for an uploaded picture that the server takes and no other picture has. */
@@ -60,7 +58,8 @@ export function pictureName(file: string, taken: ReadonlySet<string>): string {
 
 /** A picture of a right or a wrong answer. */
 export function pictureFigure(picture: GuidePicture): HTMLElement {
-  const image = pictureImage(picture.name, { alt: picture.caption || picture.name, loading: "lazy" });
+  const image = h("img", { attrs: { alt: picture.caption || picture.name, loading: "lazy" } });
+  image.src = `/api/v1/${picturePath(picture.name)}`;
   const caption = h("figcaption", {}, h("strong", {}, picture.right ? "✓ Right: " : "✗ Wrong: "), picture.caption);
   return h("figure", { class: `example box edged ${picture.right ? "right" : "wrong"}` }, image, caption);
 }

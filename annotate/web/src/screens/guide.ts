@@ -5,7 +5,7 @@ import { live } from "lit/directives/live.js";
 import type { App, Screen } from "../app";
 import { Component, action, define } from "../components/component";
 import { fill, h, type Child } from "../dom";
-import { formatGuide, kindGuide, pictureFigure, pictureImage, pictureName } from "../guide";
+import { formatGuide, kindGuide, pictureFigure, pictureName, picturePath } from "../guide";
 import { kept } from "../history";
 import { plainButton } from "../ui";
 import { TASK_KINDS, type Guide, type GuidePicture, type KindGuide, type PictureInfo, type Settings, type TaskKind } from "../wire";
@@ -110,7 +110,7 @@ class GuideEditor extends Component {
     const { name, caption, right } = picture;
     const put = (...changed: GuidePicture[]): void => this.change({ pictures: this.guide.pictures.flatMap((own) => (own === picture ? changed : [own])) });
     return html`<li class="row">
-      ${pictureImage(name, { alt: "", height: 48 })}
+      <img alt="" height="48" src=${`/api/v1/${picturePath(name)}`} />
       <label class="field">Caption of ${name}
         <input type="text" maxlength="300" .value=${live(caption)} @input=${(event: Event) => put({ ...picture, caption: valueOf(event) })} /></label>
       <label class="field">It shows what is
