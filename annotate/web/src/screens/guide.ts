@@ -125,7 +125,7 @@ class GuideEditor extends Component {
   private async upload(file: File): Promise<void> {
     const stored = await this.app.api.get<PictureInfo[]>("guide/pictures");
     const name = pictureName(file.name, new Set(stored.map((picture) => picture.name)));
-    await this.app.api.json<PictureInfo>("PUT", `guide/pictures/${encodeURIComponent(name)}`, file);
+    await this.app.api.json<PictureInfo>("PUT", picturePath(name), file);
     this.touched.add(name);
     this.change({ pictures: [...this.guide.pictures, { name, caption: "", right: true }] });
     this.focusOn("li:last-child input");
@@ -151,7 +151,7 @@ class GuideEditor extends Component {
     const guide = await this.app.api.get<Guide>("guide");
     const used = new Set(Object.values(guide.kinds).flatMap((own) => own.pictures.map((picture) => picture.name)));
     for (const name of this.touched) {
-      if (!used.has(name)) await this.app.api.json<void>("DELETE", `guide/pictures/${encodeURIComponent(name)}`);
+      if (!used.has(name)) await this.app.api.json<void>("DELETE", picturePath(name));
     }
   }
 }
