@@ -166,7 +166,7 @@ fn every_public_type_is_given_to_the_page() {
     assert_eq!(
         listed,
         public_names(),
-        "list the type in annotate/src/wire/typescript.rs, and derive ts_rs::TS for it"
+        "list the type in annotate/src/wire/typescript.rs, and declare it with `messages!` or `names!`"
     );
 }
 

@@ -243,23 +243,9 @@ export type Answer = { "kind": "mask_text",
   note: string, };
 
 /** An answer in short. */
-export type AnswerBrief = {
-  /** Id of its author. */
-  author: number,
-  /** Name of its author. */
-  name: string,
-  /** State. */
-  state: RevisionState,
+export type AnswerBrief = { author: number, name: string, state: RevisionState,
   /** Its texts, joined. */
-  text: string,
-  /** Parts that it names. */
-  parts: Array<string>,
-  /** Verdict. */
-  verdict: Verdict | null,
-  /** Edit type. */
-  edit_type: EditType | null,
-  /** When it was last written. */
-  at: number, };
+  text: string, parts: Array<string>, verdict: Verdict | null, edit_type: EditType | null, at: number, };
 
 /** `POST rules/apply`: applies the enabled rules to the tasks that wait for review. */
 export type ApplyRules = {
@@ -267,37 +253,23 @@ export type ApplyRules = {
   after: number | null, };
 
 /** `GET audit`: newest first. */
-export type Audit = {
-  /** Entries. */
-  entries: Array<AuditEntry>,
+export type Audit = { entries: Array<AuditEntry>,
   /** Value of `before` for the next page. */
   next: number | null, };
 
 /** An entry of the log, for `GET audit` and `GET tasks/{id}/history`. */
 export type AuditEntry = {
   /** Sequence number in the log. */
-  seq: number,
-  /** When. */
-  at: number,
+  seq: number, at: number,
   /** User; `null` for the program itself. */
-  actor: number | null,
-  /** Their name. */
-  actor_name: string | null,
-  /** Kind of entry. */
-  kind: string,
-  /** Task. */
-  task: number | null,
-  /** Body of the entry. */
-  body: unknown, };
+  actor: number | null, actor_name: string | null, kind: string, task: number | null, body: unknown, };
 
 /** `POST blend`. */
 export type BlendRequest = {
   /** Hash of the edited motion. */
   src: string,
   /** Hash of the motion the masked parts come from. */
-  tgt: string,
-  /** Names of the parts. */
-  parts: Array<string>,
+  tgt: string, parts: Array<string>,
   /** Whether the soft ring is blended. */
   soft: boolean,
   /** Joints whose weight differs from the one that the parts and `soft` give them. */
@@ -317,11 +289,7 @@ export type BulkDone = {
   next: number | null, };
 
 /** `POST bulk` and `POST bulk/preview`: one action on all tasks of a filter. */
-export type BulkRequest = {
-  /** Which tasks. */
-  filter: TaskFilter,
-  /** What to do with each. */
-  action: BulkAction,
+export type BulkRequest = { filter: TaskFilter, action: BulkAction,
   /** Required for `return`, `drop` and `reopen`; a preview needs none. */
   comment: string,
   /** The person, for `assign`. */
@@ -330,16 +298,10 @@ export type BulkRequest = {
   after: number | null, };
 
 /** Pairs that are leased together and submitted one by one. */
-export type Bundle = {
-  /** Id. */
-  id: number,
-  /** Its tasks, in order. */
-  tasks: Array<BundleItem>, };
+export type Bundle = { id: number, tasks: Array<BundleItem>, };
 
 /** A task of a bundle. */
-export type BundleItem = {
-  /** Task. */
-  task: number,
+export type BundleItem = { task: number,
   /** My answer's state, if there is one. */
   mine: RevisionState | null,
   /** My verdict, if it is submitted. */
@@ -348,11 +310,7 @@ export type BundleItem = {
   leased: boolean, };
 
 /** An answer to review. */
-export type Candidate = {
-  /** The answer. */
-  revision: Revision,
-  /** Name of its author. */
-  author_name: string,
+export type Candidate = { revision: Revision, author_name: string,
   /** Body joints of its masks, hard or soft, for the viewer. */
   joints: Array<number>,
   /** Edit distance of its texts from their drafts, 0 to 1. */
@@ -361,11 +319,7 @@ export type Candidate = {
 /** A cell of the plan with what has arrived. */
 export type CaptureCell = {
   /** Id of the source motion. */
-  motion: string,
-  /** Name of the style. */
-  style: string,
-  /** Takes that are wanted. */
-  takes: number,
+  motion: string, style: string, takes: number,
   /** Takes that arrived and are not rejected. */
   arrived: number,
   /** Takes that were judged unusable or dropped. */
@@ -390,28 +344,14 @@ export type Captures = {
 /** An entry of `GET stream` (event `change`). */
 export type Change = {
   /** Sequence number in the log. */
-  seq: number,
-  /** What happened. */
-  kind: string,
-  /** Task. */
-  task: number | null,
+  seq: number, kind: string, task: number | null,
   /** Whether the task is one of mine. */
   mine: boolean, };
 
 /** `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day of `from` is counted whole. */
 export type DayWork = {
   /** First millisecond of the day in the project's time zone, in Unix time. */
-  start: number,
-  /** Id of the person. */
-  user: number,
-  /** Name of the person. */
-  name: string,
-  /** Kind of task. */
-  kind: TaskKind,
-  /** Seconds of work. */
-  secs: number,
-  /** Answers handed in. */
-  answers: number,
+  start: number, user: number, name: string, kind: TaskKind, secs: number, answers: number,
   /** Tasks skipped or postponed. */
   skips: number,
   /** Decisions as a reviewer. Bulk actions are not counted. */
@@ -420,11 +360,7 @@ export type DayWork = {
 /** A decision on a task. */
 export type DecisionRow = {
   /** Its sequence number in the log. */
-  seq: number,
-  /** Task. */
-  task: number,
-  /** Key of the task. */
-  key: string,
+  seq: number, task: number, key: string,
   /** `accepted`, `merged`, `returned`, `dropped` or `reopened`. */
   decision: string,
   /** Id of the reviewer; 0 for a rule. */
@@ -436,59 +372,35 @@ export type DecisionRow = {
   /** Names of the authors it concerns. */
   authors: Array<string>,
   /** The rule that accepted the task, or whose acceptance was taken back. */
-  rule: string | null,
-  /** Comment. */
-  comment: string,
-  /** When. */
-  at: number,
+  rule: string | null, comment: string, at: number,
   /** State of the task now. */
   state: TaskState, };
 
 /** `GET reviews`: decisions, newest first. */
-export type Decisions = {
-  /** The decisions. */
-  items: Array<DecisionRow>,
+export type Decisions = { items: Array<DecisionRow>,
   /** Value of `before` for the next page. */
   next: number | null, };
 
 /** `GET stats/edit-types`: one for each edit type that the project has a quota of. */
-export type EditTypeCount = {
-  /** Edit type. */
-  edit_type: EditType,
+export type EditTypeCount = { edit_type: EditType,
   /** Pairs kept: answered `keep` and not sent back. */
-  kept: number,
-  /** Pairs wanted. */
-  wanted: number, };
+  kept: number, wanted: number, };
 
 /** Why a queue is empty. Counts are tasks of the kind. */
-export type Empty = {
-  /** All tasks. */
-  total: number,
+export type Empty = { total: number,
   /** With all wanted answers. */
   done: number,
   /** Answered by me, waiting for others. */
-  waiting_for_others: number,
-  /** Held by others. */
-  leased_by_others: number,
+  waiting_for_others: number, leased_by_others: number,
   /** When the first of those leases expires. */
-  soonest_expiry: number | null,
-  /** Skipped by me. */
-  skipped_by_me: number,
-  /** Dropped by reviewers. */
-  dropped: number,
+  soonest_expiry: number | null, skipped_by_me: number, dropped: number,
   /** Pairs that are not given out because their category has as many as the project wants. */
   quota_full: number, };
 
 /** A figure with its interval. */
-export type Estimate = {
-  /** The value. */
-  value: number,
+export type Estimate = { value: number,
   /** Lower end of the 95 % bootstrap interval. */
-  low: number,
-  /** Upper end. */
-  high: number,
-  /** Number of items. */
-  items: number, };
+  low: number, high: number, items: number, };
 
 /** `POST tasks/{id}/events`. */
 export type EventBatch = {
@@ -496,9 +408,7 @@ export type EventBatch = {
   events: Array<NewEvent>, };
 
 /** Result of an event. */
-export type EventResult = {
-  /** Key of the event. */
-  idem_key: string,
+export type EventResult = { idem_key: string,
   /** 200 once it is durable, or the status of the problem. */
   status: number,
   /** Its sequence number in the log; `null` if nothing was logged. */
@@ -520,9 +430,7 @@ export type EventResults = {
   results: Array<EventResult>, };
 
 /** `POST exports`. */
-export type ExportRequest = {
-  /** Layout. */
-  format: ExportFormat,
+export type ExportRequest = { format: ExportFormat,
   /** Splits to export; all if empty. */
   splits: Array<string>,
   /** Also write the log (format `parquet` only). */
@@ -531,9 +439,7 @@ export type ExportRequest = {
 /** What a practice task teaches. */
 export type Feedback = {
   /** Score of the answer: 1 minus its distance from the known one. */
-  score: number,
-  /** The known answer. */
-  known: Answer, };
+  score: number, known: Answer, };
 
 /** `GET stats/funnel`. */
 export type Funnel = {
@@ -545,51 +451,33 @@ export type Funnel = {
 /** `GET guide`. */
 export type Guide = {
   /** What holds for all kinds, plain text. */
-  text: string,
-  /** Guidelines of each kind. */
-  kinds: { [key in TaskKind]?: KindGuide },
+  text: string, kinds: { [key in TaskKind]?: KindGuide },
   /** What the texts of each kind are. */
   forms: { [key in TaskKind]?: TextForm }, };
 
 /** A picture of a right or a wrong answer. */
 export type GuidePicture = {
   /** Name, at `guide/pictures/{name}`. */
-  name: string,
-  /** What it shows. */
-  caption: string,
+  name: string, caption: string,
   /** Whether the answer it shows is right. */
   right: boolean, };
 
 /** A held lease, as the dashboard lists it. */
-export type HeldLease = {
-  /** The lease. */
-  lease: Lease,
-  /** Name of its holder. */
-  user_name: string,
-  /** Kind of its task. */
-  kind: TaskKind,
+export type HeldLease = { lease: Lease, user_name: string, kind: TaskKind,
   /** `annotate`, `review`, or `returned` (reserved for the author). */
   purpose: string, };
 
 /** Who holds a task. */
 export type Holder = {
   /** Id of the lease or the reservation. */
-  lease: number,
-  /** Id. */
-  user: number,
-  /** Name. */
-  name: string,
+  lease: number, user: number, name: string,
   /** `annotate`, `review`, `returned` (waits for the author it was sent back to) or `assigned`. */
   purpose: string,
   /** When the lease or the reservation ends. */
   until: number, };
 
 /** `GET home`. */
-export type Home = {
-  /** One queue for each kind. */
-  queues: Array<QueueInfo>,
-  /** Tasks returned to me. */
-  returned: Array<ReturnedTask>,
+export type Home = { queues: Array<QueueInfo>, returned: Array<ReturnedTask>,
   /** Tasks I hold leases on, the one last renewed first. */
   held: Array<Lease>,
   /** Answers I submitted today, which begins at midnight in the project's time zone. Practice is left out. */
@@ -604,17 +492,11 @@ export type Home = {
   today_all: number, };
 
 /** `GET jobs/{id}`. */
-export type Job = {
-  /** Id. */
-  id: number,
+export type Job = { id: number,
   /** `import` or `export`. */
-  kind: string,
-  /** Layout. */
-  format: string,
+  kind: string, format: string,
   /** `running`, `done` or `failed`. */
-  state: string,
-  /** Items done. */
-  done: number,
+  state: string, done: number,
   /** Items in all, once known. */
   total: number | null,
   /** Counts of imported, written and omitted items. */
@@ -622,45 +504,29 @@ export type Job = {
   /** Messages about errors and omitted items. */
   messages: Array<string>,
   /** Files to download, at `jobs/{id}/files/{name}`. */
-  files: Array<string>,
-  /** When it began. */
-  started: number,
-  /** When it ended. */
-  finished: number | null,
+  files: Array<string>, started: number, finished: number | null,
   /** When its server last reported on it. */
   heartbeat: number, };
 
 /** The weight that a person chose for a joint of a mask. */
 export type JointChoice = {
   /** Name of one of the 22 body joints. */
-  joint: string,
-  /** Its weight. */
-  weight: JointWeight, };
+  joint: string, weight: JointWeight, };
 
 /** Guidelines of a kind of task. `GET`/`PUT guide/{kind}`. */
 export type KindGuide = {
   /** Plain text. */
-  text: string,
-  /** Examples. */
-  pictures: Array<GuidePicture>, };
+  text: string, pictures: Array<GuidePicture>, };
 
 /** A lease: the right to work on a task for a limited time. */
-export type Lease = {
-  /** Id. */
-  id: number,
-  /** Task. */
-  task: number,
-  /** Holder. */
-  user: number,
+export type Lease = { id: number, task: number, user: number,
   /** Fencing number, sent with every event. */
   epoch: number,
   /** When it ends unless renewed. */
   expires: number, };
 
 /** How long a lease lasts. */
-export type Limits = {
-  /** Seconds a lease lasts. */
-  lease_secs: number,
+export type Limits = { lease_secs: number,
   /** Seconds between renewals. */
   heartbeat_secs: number, };
 
@@ -685,11 +551,7 @@ export type MaskAnswer = {
   suggestion: number | null, };
 
 /** `GET me`, and the answer to `POST session`. */
-export type Me = {
-  /** Who is logged in. */
-  user: User,
-  /** How long a lease lasts. */
-  limits: Limits,
+export type Me = { user: User, limits: Limits,
   /** What the project asks for. */
   project: Project,
   /** Keys and display, as they were saved. */
@@ -708,26 +570,16 @@ export type MotionInfo = {
   /** Content hash; identifies the motion in URLs. */
   hash: string,
   /** Id in the dataset. */
-  id: string,
-  /** Number of frames. */
-  frames: number,
-  /** Frames per second. */
-  fps: number,
+  id: string, frames: number, fps: number,
   /** train, val or test. */
-  split: string,
-  /** Captions of the source. */
-  captions: Array<string>,
+  split: string, captions: Array<string>,
   /** Style label of the source. */
   style: string | null, };
 
 /** An answer of mine. */
-export type MyAnswer = {
-  /** The task. */
-  task: Task,
+export type MyAnswer = { task: Task,
   /** The answer as I last wrote it. */
-  mine: Revision,
-  /** Where it stands. */
-  standing: Standing,
+  mine: Revision, standing: Standing,
   /** Answers that the task still waits for. */
   missing: number,
   /** The comment it was sent back with, or the task was dropped with. */
@@ -744,18 +596,14 @@ export type MyAnswer = {
   feedback: Feedback | null, };
 
 /** `GET answers?standing=&kind=&task=&before=&limit=`: my answers, newest first. */
-export type MyAnswers = {
-  /** The answers. */
-  items: Array<MyAnswer>,
+export type MyAnswers = { items: Array<MyAnswer>,
   /** Value of `before` for the next page. */
   next: string | null, };
 
 /** An event of a task in the browser. */
 export type NewEvent = {
   /** Unique key made by the browser: 8 to 64 letters, digits and dashes. */
-  idem_key: string,
-  /** Kind of event. */
-  kind: EventKind,
+  idem_key: string, kind: EventKind,
   /** Fencing number of the lease; ignored for `undo`. */
   lease_epoch: number,
   /** Revision this one is based on; 0 for none. */
@@ -767,22 +615,16 @@ export type NewEvent = {
   /** More about the reason. */
   note: string,
   /** The suggestion, for `suggestion_used`. */
-  suggestion: number | null,
-  /** Use of the suggestion. */
-  used: SuggestionUse | null,
+  suggestion: number | null, used: SuggestionUse | null,
   /** Seconds of work since the previous event. */
   secs: number, };
 
 /** `POST reviews`. */
 export type NewReview = {
   /** Unique key made by the browser. */
-  idem_key: string,
-  /** Task. */
-  task: number,
+  idem_key: string, task: number,
   /** Fencing number of the lease; ignored for `reopen` and `drop`. */
-  lease_epoch: number,
-  /** Decision. */
-  decision: Decision,
+  lease_epoch: number, decision: Decision,
   /** Author of the answer that is accepted or returned; all authors if missing. */
   author: number | null,
   /** The answer, for `merge`. */
@@ -800,18 +642,12 @@ export type NewToken = {
 /** `POST users`. */
 export type NewUser = {
   /** Name, unique: 1 to 64 characters. */
-  name: string,
-  /** What they may do. */
-  role: Role, };
+  name: string, role: Role, };
 
 /** Answer to `POST users/bulk`: a new user with a link to log in. */
-export type NewUserLink = {
-  /** The user. */
-  user: User,
+export type NewUserLink = { user: User,
   /** What follows the address of the server: it logs the user in until the token ends. Shown this once. */
-  path: string,
-  /** When the token ends. */
-  expires: number, };
+  path: string, expires: number, };
 
 /** `POST users/bulk`: many users at once, all or none. */
 export type NewUsers = {
@@ -823,42 +659,26 @@ export type NewUsers = {
 /** Answer to `POST queue/next`: a task, or why there is none. */
 export type Next = {
   /** The task and the lease on it. */
-  task: TaskView | null,
-  /** Why there is none. */
-  empty: Empty | null,
+  task: TaskView | null, empty: Empty | null,
   /** Hashes of the motions of the following tasks, for prefetching. */
   prefetch: Array<string>, };
 
 /** `POST queue/next`. */
-export type NextRequest = {
-  /** Kind of task. */
-  kind: TaskKind, };
+export type NextRequest = { kind: TaskKind, };
 
 /** `GET stats/outlook`: what is left of a kind, at the pace of the last seven days. */
-export type Outlook = {
-  /** Kind. */
-  kind: TaskKind,
+export type Outlook = { kind: TaskKind,
   /** Answers that tasks still want. */
   answers_left: number,
   /** Tasks that wait for a reviewer. */
-  reviews_left: number,
-  /** Answers in a day. */
-  answers_per_day: number,
-  /** Decisions of reviewers in a day. */
-  reviews_per_day: number,
+  reviews_left: number, answers_per_day: number, reviews_per_day: number,
   /** Mean seconds of an answer. */
   secs_per_answer: number | null,
   /** Hours of work left: the median seconds of an answer for each. */
-  hours_left: number | null,
-  /** Days left. */
-  days_left: number | null,
-  /** When it ends. */
-  ends: number | null, };
+  hours_left: number | null, days_left: number | null, ends: number | null, };
 
 /** Agreement on one decision. */
-export type PartAgreement = {
-  /** Name of the part. */
-  part: string,
+export type PartAgreement = { part: string,
   /** Items with two answers or more. */
   items: number,
   /** Gwet's AC1: the agreement beyond chance. */
@@ -878,23 +698,13 @@ export type PartInfo = {
   soft: Array<number>, };
 
 /** `GET stats/people`: one for each person. */
-export type Person = {
-  /** Who. */
-  user: User,
+export type Person = { user: User,
   /** Answers handed in. */
-  done: number,
-  /** Median seconds of an answer. */
-  median_secs: number | null,
-  /** Answers accepted. */
-  accepted: number,
-  /** Answers sent back. */
-  returned: number,
+  done: number, median_secs: number | null, accepted: number, returned: number,
   /** Share of unchanged texts among those that started from a draft. */
   draft_unchanged: number | null,
   /** Mean edit distance from the draft, 0 to 1. */
-  draft_distance: number | null,
-  /** Gold tasks answered. */
-  gold_items: number,
+  draft_distance: number | null, gold_items: number,
   /** Mean score on gold tasks, 0 to 1. */
   gold_score: number | null,
   /** Agreement with others (mean Jaccard index of the joints and frames of masks). */
@@ -905,25 +715,17 @@ export type Person = {
 /** `GET guide/pictures`: a stored picture. */
 export type PictureInfo = {
   /** Name: up to 60 letters, digits, dashes, dots and underscores. */
-  name: string,
-  /** Type of its content. */
-  mime: string,
-  /** Size in bytes. */
-  bytes: number, };
+  name: string, mime: string, bytes: number, };
 
 /** A cell of the plan. */
 export type PlannedCapture = {
   /** Id of the source motion; the project need not know it yet. */
-  motion: string,
-  /** Name of the style. */
-  style: string,
+  motion: string, style: string,
   /** Takes that are wanted, 1 to 1,000. */
   takes: number, };
 
 /** `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives practice tasks before. */
-export type Practice = {
-  /** Kind. */
-  kind: TaskKind,
+export type Practice = { kind: TaskKind,
   /** Practice tasks to do; 0 if the kind needs no practice. */
   needed: number,
   /** Practice tasks done, up to `needed`. */
@@ -953,11 +755,7 @@ export type Problem = {
   /** `/problems/` and the code. */
   type: string,
   /** Meaning of the code. */
-  title: string,
-  /** HTTP status. */
-  status: number,
-  /** Stable code. */
-  code: Code,
+  title: string, status: number, code: Code,
   /** What happened, and what to do. */
   detail: string,
   /** The invalid field. */
@@ -968,15 +766,11 @@ export type Problem = {
   theirs?: Revision | null, };
 
 /** The part of the settings that annotators see. */
-export type Project = {
-  /** Name of the project. */
-  name: string,
+export type Project = { name: string,
   /** Fewest masks of an answer without a reason. */
   min_masks: number,
   /** Most masks of an answer without a reason. */
-  max_masks: number,
-  /** Styles to choose from. */
-  styles: Array<Style>,
+  max_masks: number, styles: Array<Style>,
   /** Phrases to complete the instruction of a fine-grained pair with. */
   templates: Array<string>,
   /** Phrases to complete the instruction of a style pair with; `{style}` is the chosen style. */
@@ -987,11 +781,7 @@ export type Project = {
   time_zone: string, };
 
 /** A queue as I see it. */
-export type QueueInfo = {
-  /** Kind. */
-  kind: TaskKind,
-  /** Tasks in all. */
-  total: number,
+export type QueueInfo = { kind: TaskKind, total: number,
   /** Tasks with all wanted answers. */
   done: number,
   /** Tasks I answered, hold, or was sent back. Practice is left out. */
@@ -1006,9 +796,7 @@ export type QueueInfo = {
 /** `GET stats/quota`: one for each category and edit type. */
 export type QuotaRow = {
   /** Category; empty where the source gives none. */
-  category: string,
-  /** Edit type. */
-  edit_type: EditType,
+  category: string, edit_type: EditType,
   /** Pairs kept: answered `keep` and not sent back. */
   kept: number,
   /** Pairs wanted; 0 for no bound. */
@@ -1017,13 +805,7 @@ export type QuotaRow = {
   category_wanted: number, };
 
 /** A returned task. */
-export type ReturnedTask = {
-  /** Task. */
-  task: number,
-  /** Kind. */
-  kind: TaskKind,
-  /** The reviewer's comment. */
-  comment: string,
+export type ReturnedTask = { task: number, kind: TaskKind, comment: string,
   /** When others can claim it. */
   until: number, };
 
@@ -1044,29 +826,17 @@ export type ReviewEmpty = {
   in_review: number, };
 
 /** Answer to `POST review/next`. */
-export type ReviewNext = {
-  /** The task and its answers. */
-  review: ReviewView | null,
-  /** Why there is none. */
-  empty: ReviewEmpty | null, };
+export type ReviewNext = { review: ReviewView | null, empty: ReviewEmpty | null, };
 
 /** `POST review/next`. */
-export type ReviewRequest = {
-  /** Queue. */
-  queue: ReviewQueue,
+export type ReviewRequest = { queue: ReviewQueue,
   /** Only this kind. */
   kind: TaskKind | null,
   /** This task, whatever its queue and kind. */
   task: number | null, };
 
 /** A task to review. */
-export type ReviewView = {
-  /** The task. */
-  task: Task,
-  /** My lease. */
-  lease: Lease,
-  /** The submitted answers. */
-  candidates: Array<Candidate>,
+export type ReviewView = { task: Task, lease: Lease, candidates: Array<Candidate>,
   /** Largest distance of the answers, 0 to 1; `null` for a single answer. */
   distance: number | null,
   /** Comments of earlier rounds, oldest first. */
@@ -1077,36 +847,18 @@ export type ReviewView = {
   clip_changed: boolean, };
 
 /** The current answer of a user to a task. */
-export type Revision = {
-  /** Task. */
-  task: number,
-  /** Author. */
-  author: number,
+export type Revision = { task: number, author: number,
   /** Revision number: counts drafts and submissions from 1. */
-  rev: number,
-  /** State. */
-  state: RevisionState,
-  /** The answer. */
-  answer: Answer,
-  /** When it was last written. */
-  at: number,
-  /** Seconds of work. */
-  secs: number, };
+  rev: number, state: RevisionState, answer: Answer, at: number, secs: number, };
 
 /** A rule of acceptance. It looks at tasks that have all their answers and wait for review; the first enabled rule that fits accepts the task at once. A rule never touches a task that a reviewer returned or reopened, nor a gold task. */
 export type Rule = {
   /** Name, unique in the project: 1 to 40 letters, digits and dashes. Every acceptance records it. */
-  name: string,
-  /** Whether it is applied. */
-  enabled: boolean,
-  /** What it looks at. */
-  accepts: RuleKind,
+  name: string, enabled: boolean, accepts: RuleKind,
   /** Kinds of task; all if empty. */
   kinds: Array<TaskKind>,
   /** Ids of the trusted people, for `trusted`. The answer of the first of them is accepted; for the other rules it is the answer handed in first. */
-  people: Array<number>,
-  /** Fewest answers of a task. */
-  min_answers: number,
+  people: Array<number>, min_answers: number,
   /** Largest distance of the answers of a task, 0 to 1: 0 asks for equal parts and labels. Rejects of different verdicts have distance 1. */
   max_distance: number,
   /** Share of the fitting tasks that is left to reviewers, 0 to 100. The draw depends on the task and the project's seed alone. */
@@ -1133,18 +885,14 @@ export type RuleUndone = {
   left: number, };
 
 /** Answer to `POST rules/apply`. One request looks at up to 2,000 tasks. */
-export type RulesApplied = {
-  /** Waiting tasks looked at. */
-  looked_at: number,
+export type RulesApplied = { looked_at: number,
   /** Tasks accepted, by the name of the rule. */
   accepted: { [key in string]: number },
   /** Value of `after` for the next request; `null` once all are done. */
   next: number | null, };
 
 /** `GET`/`PUT settings`. */
-export type Settings = {
-  /** Name of the project. */
-  name: string,
+export type Settings = { name: string,
   /** People a task wants, for the share `overlap_percent` of tasks. A change applies to tasks that still want answers. */
   answers_per_task: number,
   /** Share of tasks that want more than one person. */
@@ -1154,9 +902,7 @@ export type Settings = {
   /** Share of tasks shown without any draft. */
   blind_percent: number,
   /** Share of the review queue `sample` among submitted tasks. */
-  review_percent: number,
-  /** Minutes a lease lasts. */
-  lease_minutes: number,
+  review_percent: number, lease_minutes: number,
   /** Days a returned task waits for its author. */
   returned_days: number,
   /** Fewest masks of an answer without a reason. */
@@ -1180,9 +926,7 @@ export type Settings = {
   /** The guide, plain text. */
   guide: string,
   /** Name of the time zone in which days begin, such as `Europe/Berlin`. */
-  time_zone: string,
-  /** Guidelines of each kind. */
-  guides: { [key in TaskKind]?: KindGuide },
+  time_zone: string, guides: { [key in TaskKind]?: KindGuide },
   /** Rules that accept answers without a reviewer, tried in this order. */
   rules: Array<Rule>,
   /** Minutes in which an author may take back an answer that a rule accepted. */
@@ -1204,13 +948,7 @@ export type Shelf = {
   next: number | null, };
 
 /** An accepted answer. */
-export type ShelfItem = {
-  /** Its task. */
-  task: Task,
-  /** The answer. */
-  answer: Answer,
-  /** When it was accepted. */
-  at: number, };
+export type ShelfItem = { task: Task, answer: Answer, at: number, };
 
 /** `GET skeleton`. */
 export type SkeletonInfo = {
@@ -1224,19 +962,11 @@ export type SkeletonInfo = {
   parts: Array<PartInfo>, };
 
 /** A skip. */
-export type SkipBrief = {
-  /** Id. */
-  user: number,
-  /** Name. */
-  name: string,
+export type SkipBrief = { user: number, name: string,
   /** Whether it was only postponed. */
   postponed: boolean,
   /** Why; `null` for a postponed task. */
-  reason: SkipReason | null,
-  /** More about it. */
-  note: string,
-  /** When. */
-  at: number, };
+  reason: SkipReason | null, note: string, at: number, };
 
 /** A style of the project. */
 export type Style = {
@@ -1255,26 +985,14 @@ export type SuggestRequest = {
   parts: Array<string>, };
 
 /** A proposal by a program or the source; never an answer. */
-export type Suggestion = {
-  /** Id. */
-  id: number,
-  /** Origin. */
-  source: SuggestionSource,
-  /** Parts that it describes. */
-  parts: Array<string>,
+export type Suggestion = { id: number, source: SuggestionSource, parts: Array<string>,
   /** Text; empty for parts alone. */
   text: string,
   /** Name of the model or program. */
   model: string, };
 
 /** A task. */
-export type Task = {
-  /** Id. */
-  id: number,
-  /** Kind of task. */
-  kind: TaskKind,
-  /** State. */
-  state: TaskState,
+export type Task = { id: number, kind: TaskKind, state: TaskState,
   /** One motion, or the one before and the one after the edit. */
   motions: Array<MotionInfo>,
   /** Action category, for the quota. */
@@ -1293,26 +1011,16 @@ export type Task = {
   practice: boolean, };
 
 /** `GET tasks/{id}/record`: everything about a task, for reviewers. */
-export type TaskFile = {
-  /** The task. */
-  task: Task,
-  /** Its row in the browser. */
-  row: TaskRow,
+export type TaskFile = { task: Task, row: TaskRow,
   /** All answers that were handed in, with their authors. */
-  answers: Array<Candidate>,
-  /** The accepted answer. */
-  accepted: Answer | null,
+  answers: Array<Candidate>, accepted: Answer | null,
   /** Decisions, oldest first. */
   decisions: Array<DecisionRow>,
   /** Suggestions the annotators were offered. */
   suggestions: Array<Suggestion>, };
 
 /** Which tasks: those that fit every given field. Gold and practice tasks are left out. */
-export type TaskFilter = {
-  /** Kind. */
-  kind: TaskKind | null,
-  /** State. */
-  state: TaskState | null,
+export type TaskFilter = { kind: TaskKind | null, state: TaskState | null,
   /** Words of an answer, a caption, the id of a motion, the category, the hint or the style. Case is ignored; names of fields and parts are not searched. */
   q: string | null,
   /** A person who answered, skipped or holds it. */
@@ -1322,51 +1030,33 @@ export type TaskFilter = {
   /** An edit type that an answer names. */
   edit_type: EditType | null,
   /** A verdict that an answer gives. */
-  verdict: Verdict | null,
-  /** Category. */
-  category: string | null,
+  verdict: Verdict | null, category: string | null,
   /** train, val or test. */
   split: string | null,
   /** Least distance of its answers, 0 to 1: it has two or more. */
   min_distance: number | null,
   /** Largest distance of its answers, 0 to 1: it has two or more. */
-  max_distance: number | null,
-  /** Skipped tasks. */
-  skipped: SkipFilter | null,
+  max_distance: number | null, skipped: SkipFilter | null,
   /** Accepted by the rule of this name. */
-  rule: string | null,
-  /** The task with this id. */
-  task: number | null, };
+  rule: string | null, task: number | null, };
 
 /** `GET tasks`: a page of tasks. The query has the fields of [`TaskFilter`], `sort`, `reverse` (0 or 1), `after` and `limit` (up to 200). */
-export type TaskPage = {
-  /** The rows, in order. */
-  rows: Array<TaskRow>,
+export type TaskPage = { rows: Array<TaskRow>,
   /** Value of `after` for the next page. */
   next: string | null,
   /** Number of tasks that fit; given for the first page alone. */
-  total: number | null,
-  /** Order of the rows. */
-  sort: TaskSort, };
+  total: number | null, sort: TaskSort, };
 
 /** A task in the browser. */
-export type TaskRow = {
-  /** Id. */
-  id: number,
+export type TaskRow = { id: number,
   /** Key: the same in every store and export of the dataset. */
-  key: string,
-  /** Kind. */
-  kind: TaskKind,
-  /** State. */
-  state: TaskState,
+  key: string, kind: TaskKind, state: TaskState,
   /** Id of its motion, or of the one before the edit. */
   source_id: string,
   /** Id of the motion after the edit. */
   target_id: string | null,
   /** train, val or test. */
-  split: string,
-  /** Category. */
-  category: string | null,
+  split: string, category: string | null,
   /** Edit that the pair was made for. */
   hint: string | null,
   /** Style label of the source. */
@@ -1382,16 +1072,12 @@ export type TaskRow = {
   /** Answers in short, in the order they were handed in. Drafts are left out. */
   answers: Array<AnswerBrief>,
   /** Who holds it, and until when. */
-  holders: Array<Holder>,
-  /** Who skipped it, and why. */
-  skips: Array<SkipBrief>,
+  holders: Array<Holder>, skips: Array<SkipBrief>,
   /** How it was accepted: `review`, `own` (by its author), `rule:NAME` or `import`. */
   accepted_by: string | null, };
 
 /** `GET tasks/{id}`. */
-export type TaskView = {
-  /** The task. */
-  task: Task,
+export type TaskView = { task: Task,
   /** My lease, if I hold one. */
   lease: Lease | null,
   /** My answer, if I started one. */
@@ -1406,61 +1092,29 @@ export type TaskView = {
   clip_changed: boolean, };
 
 /** A token, without its secret. */
-export type TokenInfo = {
-  /** Id. */
-  id: number,
-  /** Whose it is. */
-  user: number,
-  /** When it was made. */
-  created: number,
-  /** When it ends. */
-  expires: number,
-  /** When it was last used. */
-  last_used: number | null,
-  /** Whether it was revoked. */
-  revoked: boolean, };
+export type TokenInfo = { id: number, user: number, created: number, expires: number, last_used: number | null, revoked: boolean, };
 
 /** Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once. */
-export type TokenShown = {
-  /** Whose it is. */
-  user: User,
+export type TokenShown = { user: User,
   /** Id of the token, to revoke it. */
-  id: number,
-  /** The token. */
-  token: string,
-  /** When it ends. */
-  expires: number, };
+  id: number, token: string, expires: number, };
 
 /** A user. */
-export type User = {
-  /** Id. */
-  id: number,
+export type User = { id: number,
   /** Name, unique. */
-  name: string,
-  /** What they may do. */
-  role: Role,
+  name: string, role: Role,
   /** Whether the user may log in. */
   active: boolean, };
 
 /** `PATCH users/{id}`. */
-export type UserChange = {
-  /** New role. */
-  role: Role | null,
+export type UserChange = { role: Role | null,
   /** Whether the user may log in. */
   active: boolean | null, };
 
 /** A week of work. */
 export type Week = {
   /** Midnight of its Monday in the project's time zone. */
-  start: number,
-  /** Answers handed in. */
-  submitted: number,
-  /** Answers accepted. */
-  accepted: number,
-  /** Answers returned. */
-  returned: number,
-  /** Median seconds of an answer. */
-  median_secs: number | null,
+  start: number, submitted: number, accepted: number, returned: number, median_secs: number | null,
   /** Mean agreement on the tasks whose last answer came in this week: 1 for equal verdicts or joint sets. */
   agreement: number | null,
   /** Number of those tasks. */
