@@ -16,23 +16,18 @@ names! {
         ClipKept = "clip_kept",
         /// A lease was taken, to answer or to review.
         Claimed = "claimed",
-        /// A lease was renewed.
         Renewed = "renewed",
         /// A lease ended without an answer: given back, expired, or revoked.
         Released = "released",
-        /// A draft was saved.
         DraftSaved = "draft_saved",
-        /// An answer was submitted.
         Submitted = "submitted",
         /// A user skipped or postponed a task.
         Skipped = "skipped",
         /// Answers were sent back with a comment.
         Returned = "returned",
-        /// An answer was accepted.
         Accepted = "accepted",
         /// An answer merged by the reviewer was accepted.
         Merged = "merged",
-        /// A task was dropped.
         Dropped = "dropped",
         /// A decision was undone.
         Reopened = "reopened",
@@ -40,19 +35,15 @@ names! {
         Undone = "undone",
         /// A suggestion was used, edited or discarded.
         SuggestionUsed = "suggestion_used",
-        /// An answer to a gold task was scored.
         GoldScored = "gold_scored",
         /// A user was added, or their role or access changed.
         RoleChanged = "role_changed",
-        /// Settings were changed.
         SettingsChanged = "settings_changed",
-        /// Accepted answers were exported.
         Exported = "exported",
         /// A task was reserved for a person.
         Assigned = "assigned",
         /// The number of answers that a task wants was changed.
         Retargeted = "retargeted",
-        /// The capture plan was changed.
         CapturesPlanned = "captures_planned",
         /// A picture of the guide was stored or deleted.
         GuidePicture = "guide_picture",
