@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::exporter::{Exporter, TextFile};
+use super::exporter::Exporter;
 use crate::Error;
 
 const HEAD: &str = "task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,accepted_by,answer\r\n";
@@ -10,8 +10,7 @@ const HEAD: &str = "task,kind,motion_id,target_id,split,author,state,secs,draft_
 impl Exporter<'_> {
     pub(super) fn csv(&mut self, folder: &Path) -> Result<(), Error> {
         let mut count = 0;
-        let mut file = TextFile::begin(folder, "labels.csv")?;
-        file.put(HEAD)?;
+        let mut text = HEAD.to_owned();
         self.labels(&mut |row| {
             count += 1;
             let distance = row.draft_distance.map(|distance| distance.to_string());
@@ -30,11 +29,11 @@ impl Exporter<'_> {
                 row.answer,
             ];
             let cells = cells.map(|cell| csv_cell(&cell));
-            file.put(&format!("{}\r\n", cells.join(",")))
+            text += &format!("{}\r\n", cells.join(","));
+            Ok(())
         })?;
-        file.finish()?;
+        self.write(folder, "labels.csv", &text)?;
         self.done.count("labels", count);
-        self.done.files.push("labels.csv".to_owned());
         let mut others = 0;
         self.each_accepted(|_, accepted| {
             others += usize::from(accepted.merged || accepted.author == 0);

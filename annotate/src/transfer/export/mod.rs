@@ -51,6 +51,7 @@ pub fn export(
     }
     let now = store.snapshot()?;
     let mut exporter = Exporter::new(&now, &selection.splits)?;
+    std::fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;
     // Files without a stamp are those of an export that did not end.
     let path = folder.join(STAMP);
     if let Err(error) = std::fs::remove_file(&path)

@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use datasets_spec::MASK_DEF_VERSION;
+use datasets_spec::store::{Disk, Store as _};
 use datasets_spec::table::{Row, RowWriter};
 use serde_json::Value;
 
-use super::exporter::{BATCH, Exporter, new_file};
+use super::exporter::{BATCH, Exporter};
 use crate::Error;
 use crate::mask::mask_of;
 use crate::quality::{Figures, draft_distance};
@@ -42,7 +43,9 @@ impl Exporter<'_> {
             ("mask_def_version", MASK_DEF_VERSION.to_string()),
         ];
         let mut count = 0;
-        let (path, file) = new_file(folder, &name)?;
+        let path = folder.join(&name);
+        let file = Disk.create(&path);
+        let file = file.map_err(datasets_spec::Error::io("create", &path))?;
         let mut writer = RowWriter::new(file, &path, &facts)?;
         fill(self, &mut |row| {
             count += 1;
