@@ -13,7 +13,7 @@ use crate::mask::mask_of;
 use crate::quality::{Figures, draft_distance};
 use crate::store::{AcceptedAnswer, KeyRange, Reject, TaskRecord};
 use crate::transfer::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
-use crate::wire::{Agreement, Answer, Estimate, TaskKind};
+use crate::wire::{Agreement, Estimate, TaskKind};
 
 /// Receives the next row of a table.
 type Put<'a, R> = &'a mut dyn FnMut(R) -> Result<(), Error>;
@@ -62,6 +62,7 @@ impl Exporter<'_> {
         self.each_accepted(|exporter, accepted| exporter.annotation(accepted, put))
     }
 
+    /// Writes an answer as one row, or as a row for each of its masks.
     fn annotation(
         &mut self,
         accepted: AcceptedAnswer,
@@ -69,8 +70,9 @@ impl Exporter<'_> {
     ) -> Result<(), Error> {
         let (motion_id, target_id) = self.ids(&accepted.task)?;
         let author = self.author(&accepted);
-        let task = &accepted.task;
-        let empty = AnnotationRow {
+        let (task, said) = (&accepted.task, accepted.answer.fields());
+        let joints = mask_of(said.parts, true, &[]);
+        let row = AnnotationRow {
             task: task.key.clone(),
             kind: task.kind.to_string(),
             motion_id,
@@ -80,26 +82,45 @@ impl Exporter<'_> {
             hint: task.hint.clone(),
             source_style: task.style.clone(),
             number: 0,
-            count: 1,
-            verdict: None,
-            parts: Vec::new(),
-            hard_joints: Vec::new(),
-            soft_joints: Vec::new(),
+            count: match task.kind {
+                TaskKind::MaskText => said.masks.len() as u32,
+                TaskKind::Pair | TaskKind::Style => 1,
+            },
+            verdict: said.verdict.map(|verdict| verdict.to_string()),
+            parts: said.parts.to_vec(),
+            hard_joints: joints.hard().names(),
+            soft_joints: joints.soft().names(),
             start: None,
             end: None,
             mask_def_version: MASK_DEF_VERSION,
-            text: String::new(),
-            edit_type: None,
-            style: None,
-            extent: None,
-            count_reason: None,
-            note: String::new(),
+            text: said.text.to_owned(),
+            edit_type: said.edit_type.map(|kind| kind.to_string()),
+            style: said.style.map(str::to_owned),
+            extent: said.extent.map(|extent| extent.to_string()),
+            count_reason: said.count_reason.map(|reason| reason.to_string()),
+            note: said.note.to_owned(),
             author,
             merged: u32::from(accepted.merged),
             extra: task.extra.as_ref().map(ToString::to_string),
-            accepted_by: Some(accepted.accepted_by),
+            accepted_by: Some(accepted.accepted_by.clone()),
         };
-        put_answer(&accepted.answer, empty, put)
+        if said.masks.is_empty() {
+            return put(row);
+        }
+        for (number, mask) in said.masks.iter().enumerate() {
+            let joints = mask.mask();
+            put(AnnotationRow {
+                number: number as u32,
+                parts: mask.parts.clone(),
+                hard_joints: joints.hard().names(),
+                soft_joints: joints.soft().names(),
+                start: mask.range.map(|[start, _]| start),
+                end: mask.range.map(|[_, end]| end),
+                text: mask.text.clone(),
+                ..row.clone()
+            })?;
+        }
+        Ok(())
     }
 
     pub(super) fn labels(&mut self, put: Put<'_, LabelRow>) -> Result<(), Error> {
@@ -214,58 +235,7 @@ impl Exporter<'_> {
             }
         }
     }
-}
 
-/// Writes an answer as one row, or as a row for each of its masks, from the row of its task.
-fn put_answer(
-    answer: &Answer,
-    empty: AnnotationRow,
-    put: Put<'_, AnnotationRow>,
-) -> Result<(), Error> {
-    let said = answer.fields();
-    let base = AnnotationRow {
-        count_reason: said.count_reason.map(|reason| reason.to_string()),
-        note: said.note.to_owned(),
-        ..empty
-    };
-    if answer.kind() != TaskKind::MaskText {
-        let joints = mask_of(said.parts, true, &[]);
-        return put(AnnotationRow {
-            verdict: said.verdict.map(|verdict| verdict.to_string()),
-            parts: said.parts.to_vec(),
-            hard_joints: joints.hard().names(),
-            soft_joints: joints.soft().names(),
-            text: said.text.to_owned(),
-            edit_type: said.edit_type.map(|kind| kind.to_string()),
-            style: said.style.map(str::to_owned),
-            extent: said.extent.map(|extent| extent.to_string()),
-            ..base
-        });
-    }
-    let base = AnnotationRow {
-        count: said.masks.len() as u32,
-        ..base
-    };
-    if said.masks.is_empty() {
-        put(base.clone())?;
-    }
-    for (number, mask) in said.masks.iter().enumerate() {
-        let joints = mask.mask();
-        put(AnnotationRow {
-            number: number as u32,
-            parts: mask.parts.clone(),
-            hard_joints: joints.hard().names(),
-            soft_joints: joints.soft().names(),
-            start: mask.range.map(|[start, _]| start),
-            end: mask.range.map(|[_, end]| end),
-            text: mask.text.clone(),
-            ..base.clone()
-        })?;
-    }
-    Ok(())
-}
-
-impl Exporter<'_> {
     /// The body of a log entry with pseudonyms instead of the ids and names of people.
     fn without_people(&self, body: Value) -> Value {
         let Value::Object(fields) = body else {
