@@ -6,8 +6,7 @@
 use std::time::Duration;
 
 use datasets_spec::BodyPart;
-use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
 use crate::Error;
@@ -33,20 +32,6 @@ pub struct Model {
     name: String,
     key: Option<String>,
     agent: ureq::Agent,
-}
-
-#[derive(Serialize)]
-struct Request<'a> {
-    model: &'a str,
-    messages: [Message<'a>; 2],
-    temperature: f64,
-    max_tokens: u32,
-}
-
-#[derive(Serialize)]
-struct Message<'a> {
-    role: &'a str,
-    content: &'a str,
 }
 
 const SYSTEM: &str =
@@ -121,19 +106,18 @@ impl Model {
         let motions = store.motions(hashes.collect())?;
         let captions = motions.iter().flat_map(|motion| &motion.captions);
         let question = question(task, captions, parts);
-        let request = Request {
-            model: &self.name,
-            messages: [("system", SYSTEM), ("user", question.as_str())]
-                .map(|(role, content)| Message { role, content }),
-            temperature: 0.2,
-            max_tokens: 80,
-        };
-        let body = serde_json::to_vec(&request).map_err(|_| failed("cannot be asked"))?;
-        let prompt_hash = sha(&[self.url.as_bytes(), b"\n", &body].concat());
+        let messages = [("system", SYSTEM), ("user", question.as_str())]
+            .map(|(role, content)| json!({ "role": role, "content": content }));
+        let mut request = json!({ "temperature": 0.2, "max_tokens": 80 });
+        let params = request.to_string();
+        request["model"] = json!(self.name);
+        request["messages"] = json!(messages);
+        let body = request.to_string();
+        let prompt_hash = sha(format!("{}\n{body}", self.url).as_bytes());
         if let Some(known) = store.cached_suggestion(&prompt_hash)? {
             return Ok(known);
         }
-        let response = self.ask(&body)?;
+        let response = self.ask(body.as_bytes())?;
         let unexpected = || failed("sent an unexpected response");
         let answer: Value = serde_json::from_slice(&response).map_err(|_| unexpected())?;
         let content = &answer["choices"][0]["message"]["content"];
@@ -147,10 +131,7 @@ impl Model {
             text,
             model: self.name.clone(),
             prompt_hash,
-            params: format!(
-                "{{\"temperature\":{},\"max_tokens\":{}}}",
-                request.temperature, request.max_tokens
-            ),
+            params,
             tokens: answer["usage"]["total_tokens"].as_i64(),
             response_hash: sha(&response),
         })
