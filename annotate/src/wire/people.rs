@@ -10,7 +10,6 @@ messages! {
     /// `POST session`.
     #[serde(deny_unknown_fields)]
     pub struct Login {
-        /// The token as it was printed.
         pub token: String,
     }
 
@@ -28,9 +27,7 @@ messages! {
     pub struct Me {
         pub user: User,
         pub limits: Limits,
-        /// What the project asks for.
         pub project: Project,
-        /// Keys and display, as they were saved.
         pub prefs: Prefs,
         /// Name of the language model, if there is one.
         pub model: Option<String>,
@@ -49,21 +46,15 @@ messages! {
         pub heartbeat_secs: i64,
     }
 
-    /// The part of the settings that annotators see.
+    /// The part of the settings that annotators see, as it is there.
     pub struct Project {
         pub name: String,
-        /// Fewest masks of an answer without a reason.
         pub min_masks: usize,
-        /// Most masks of an answer without a reason.
         pub max_masks: usize,
         pub styles: Vec<Style>,
-        /// Phrases to complete the instruction of a fine-grained pair with.
         pub templates: Vec<String>,
-        /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
         pub style_templates: Vec<String>,
-        /// Phrases to start the description of a mask with: they complete "The person is …".
         pub mask_templates: Vec<String>,
-        /// Name of the time zone in which days and weeks begin.
         pub time_zone: String,
     }
 
@@ -161,7 +152,6 @@ messages! {
         pub keys: BTreeMap<Action, Vec<String>>,
         /// Playback speed, 0.1 to 2.
         pub speed: Option<f64>,
-        /// Whether the camera follows the root.
         pub follow_root: Option<bool>,
         /// Whether a pair is shown as ghosts.
         pub ghost: Option<bool>,
@@ -200,7 +190,6 @@ messages! {
     #[serde(deny_unknown_fields)]
     pub struct UserChange {
         pub role: Option<Role>,
-        /// Whether the user may log in.
         pub active: Option<bool>,
     }
 

@@ -103,9 +103,7 @@ messages! {
         pub person: Option<i64>,
         /// A part that an answer names.
         pub part: Option<String>,
-        /// An edit type that an answer names.
         pub edit_type: Option<EditType>,
-        /// A verdict that an answer gives.
         pub verdict: Option<Verdict>,
         pub category: Option<String>,
         /// train, val or test.
@@ -145,13 +143,9 @@ messages! {
         /// train, val or test.
         pub split: String,
         pub category: Option<String>,
-        /// Edit that the pair was made for.
         pub hint: Option<String>,
-        /// Style label of the source.
         pub style: Option<String>,
-        /// Answers wanted.
         pub wanted: u32,
-        /// Answers handed in.
         pub submitted: u32,
         /// Largest distance of its answers, 0 to 1; `null` below two answers.
         pub distance: Option<f64>,
@@ -187,7 +181,6 @@ messages! {
         pub name: String,
         /// `annotate`, `review`, `returned` (waits for the author it was sent back to) or `assigned`.
         pub purpose: String,
-        /// When the lease or the reservation ends.
         pub until: i64,
     }
 
@@ -310,7 +303,6 @@ messages! {
         pub rule: Rule,
         /// Whether the settings have it.
         pub known: bool,
-        /// Tasks that are accepted by it.
         pub accepted: i64,
         /// Waiting tasks that it would accept now, whether or not it is enabled.
         pub would_accept: i64,

@@ -50,7 +50,6 @@ messages! {
         /// Mean edit distance from the draft, 0 to 1.
         pub draft_distance: Option<f64>,
         pub gold_items: i64,
-        /// Mean score on gold tasks, 0 to 1.
         pub gold_score: Option<f64>,
         /// Agreement with others (mean Jaccard index of the joints and frames of masks).
         pub agreement: Option<Estimate>,
@@ -64,7 +63,6 @@ messages! {
         pub parts: Vec<PartAgreement>,
         /// Mean Jaccard index of the joints and frames of masks.
         pub jaccard: Option<Estimate>,
-        /// Agreement on the verdicts about pairs.
         pub verdicts: Option<PartAgreement>,
         /// Tasks with two answers or more.
         pub shared_items: usize,
@@ -101,7 +99,6 @@ messages! {
     /// `GET stats/edit-types`: one for each edit type that the project has a quota of.
     pub struct EditTypeCount {
         pub edit_type: EditType,
-        /// Pairs kept: answered `keep` and not sent back.
         pub kept: i64,
         pub wanted: i64,
     }
@@ -166,7 +163,6 @@ messages! {
         pub seq: i64,
         pub kind: String,
         pub task: Option<i64>,
-        /// Whether the task is one of mine.
         pub mine: bool,
     }
 
@@ -236,7 +232,6 @@ messages! {
 
     /// A cell of the plan with what has arrived.
     pub struct CaptureCell {
-        /// Id of the source motion.
         pub motion: String,
         pub style: String,
         pub takes: u32,
@@ -244,7 +239,6 @@ messages! {
         pub arrived: u32,
         /// Takes that were judged unusable or dropped.
         pub rejected: u32,
-        /// Takes that are still to capture.
         pub missing: u32,
         /// Whether the project has a motion of this id.
         pub known: bool,

@@ -137,7 +137,6 @@ messages! {
         pub mine: Option<RevisionState>,
         /// My verdict, if it is submitted.
         pub verdict: Option<Verdict>,
-        /// Whether I hold a lease on it.
         pub leased: bool,
     }
 
@@ -164,9 +163,7 @@ messages! {
     /// `GET tasks/{id}`.
     pub struct TaskView {
         pub task: Task,
-        /// My lease, if I hold one.
         pub lease: Option<Lease>,
-        /// My answer, if I started one.
         pub mine: Option<Revision>,
         /// The reviewer's comment, if the task was returned.
         pub comment: Option<String>,
@@ -186,7 +183,6 @@ messages! {
 
     /// Answer to `POST queue/next`: a task, or why there is none.
     pub struct Next {
-        /// The task and the lease on it.
         pub task: Option<TaskView>,
         pub empty: Option<Empty>,
         /// Hashes of the motions of the following tasks, for prefetching.
@@ -262,9 +258,7 @@ messages! {
         pub rev: i64,
         /// State of the task after it.
         pub state: Option<TaskState>,
-        /// My lease after it.
         pub lease: Option<Lease>,
-        /// The problem, if it failed.
         pub problem: Option<Problem>,
         /// The known answer, after an answer to a practice task.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -294,7 +288,7 @@ messages! {
         pub passed: bool,
     }
 
-    /// `POST blend`.
+    /// `POST blend`: `soft` and `joints` as in a mask of an answer.
     #[serde(deny_unknown_fields)]
     pub struct BlendRequest {
         /// Hash of the edited motion.
@@ -302,10 +296,8 @@ messages! {
         /// Hash of the motion the masked parts come from.
         pub tgt: String,
         pub parts: Vec<String>,
-        /// Whether the soft ring is blended.
         #[serde(default = "yes")]
         pub soft: bool,
-        /// Joints whose weight differs from the one that the parts and `soft` give them.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         pub joints: Vec<JointChoice>,
         /// Weight of `tgt` on the soft ring, 0 to 1.

@@ -195,9 +195,7 @@ export type Agreement = {
   /** One for each of the release's parts, and `overall` of their decisions together. */
   parts: Array<PartAgreement>,
   /** Mean Jaccard index of the joints and frames of masks. */
-  jaccard: Estimate | null,
-  /** Agreement on the verdicts about pairs. */
-  verdicts: PartAgreement | null,
+  jaccard: Estimate | null, verdicts: PartAgreement | null,
   /** Tasks with two answers or more. */
   shared_items: number,
   /** Share of answers that reviewers accepted unchanged. */
@@ -264,16 +262,12 @@ export type AuditEntry = {
   /** User; `null` for the program itself. */
   actor: number | null, actor_name: string | null, kind: string, task: number | null, body: unknown, };
 
-/** `POST blend`. */
+/** `POST blend`: `soft` and `joints` as in a mask of an answer. */
 export type BlendRequest = {
   /** Hash of the edited motion. */
   src: string,
   /** Hash of the motion the masked parts come from. */
-  tgt: string, parts: Array<string>,
-  /** Whether the soft ring is blended. */
-  soft: boolean,
-  /** Joints whose weight differs from the one that the parts and `soft` give them. */
-  joints?: Array<JointChoice>,
+  tgt: string, parts: Array<string>, soft: boolean, joints?: Array<JointChoice>,
   /** Weight of `tgt` on the soft ring, 0 to 1. */
   alpha: number, };
 
@@ -305,9 +299,7 @@ export type BundleItem = { task: number,
   /** My answer's state, if there is one. */
   mine: RevisionState | null,
   /** My verdict, if it is submitted. */
-  verdict: Verdict | null,
-  /** Whether I hold a lease on it. */
-  leased: boolean, };
+  verdict: Verdict | null, leased: boolean, };
 
 /** An answer to review. */
 export type Candidate = { revision: Revision, author_name: string,
@@ -317,15 +309,11 @@ export type Candidate = { revision: Revision, author_name: string,
   draft_distance: number | null, };
 
 /** A cell of the plan with what has arrived. */
-export type CaptureCell = {
-  /** Id of the source motion. */
-  motion: string, style: string, takes: number,
+export type CaptureCell = { motion: string, style: string, takes: number,
   /** Takes that arrived and are not rejected. */
   arrived: number,
   /** Takes that were judged unusable or dropped. */
-  rejected: number,
-  /** Takes that are still to capture. */
-  missing: number,
+  rejected: number, missing: number,
   /** Whether the project has a motion of this id. */
   known: boolean, };
 
@@ -344,9 +332,7 @@ export type Captures = {
 /** An entry of `GET stream` (event `change`). */
 export type Change = {
   /** Sequence number in the log. */
-  seq: number, kind: string, task: number | null,
-  /** Whether the task is one of mine. */
-  mine: boolean, };
+  seq: number, kind: string, task: number | null, mine: boolean, };
 
 /** `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day of `from` is counted whole. */
 export type DayWork = {
@@ -382,9 +368,7 @@ export type Decisions = { items: Array<DecisionRow>,
   next: number | null, };
 
 /** `GET stats/edit-types`: one for each edit type that the project has a quota of. */
-export type EditTypeCount = { edit_type: EditType,
-  /** Pairs kept: answered `keep` and not sent back. */
-  kept: number, wanted: number, };
+export type EditTypeCount = { edit_type: EditType, kept: number, wanted: number, };
 
 /** Why a queue is empty. Counts are tasks of the kind. */
 export type Empty = { total: number,
@@ -416,11 +400,7 @@ export type EventResult = { idem_key: string,
   /** My revision after it. */
   rev: number,
   /** State of the task after it. */
-  state: TaskState | null,
-  /** My lease after it. */
-  lease: Lease | null,
-  /** The problem, if it failed. */
-  problem: Problem | null,
+  state: TaskState | null, lease: Lease | null, problem: Problem | null,
   /** The known answer, after an answer to a practice task. */
   feedback?: Feedback | null, };
 
@@ -472,9 +452,7 @@ export type Holder = {
   /** Id of the lease or the reservation. */
   lease: number, user: number, name: string,
   /** `annotate`, `review`, `returned` (waits for the author it was sent back to) or `assigned`. */
-  purpose: string,
-  /** When the lease or the reservation ends. */
-  until: number, };
+  purpose: string, until: number, };
 
 /** `GET home`. */
 export type Home = { queues: Array<QueueInfo>, returned: Array<ReturnedTask>,
@@ -531,9 +509,7 @@ export type Limits = { lease_secs: number,
   heartbeat_secs: number, };
 
 /** `POST session`. */
-export type Login = {
-  /** The token as it was printed. */
-  token: string, };
+export type Login = { token: string, };
 
 /** One mask of an answer. */
 export type MaskAnswer = {
@@ -551,11 +527,7 @@ export type MaskAnswer = {
   suggestion: number | null, };
 
 /** `GET me`, and the answer to `POST session`. */
-export type Me = { user: User, limits: Limits,
-  /** What the project asks for. */
-  project: Project,
-  /** Keys and display, as they were saved. */
-  prefs: Prefs,
+export type Me = { user: User, limits: Limits, project: Project, prefs: Prefs,
   /** Name of the language model, if there is one. */
   model: string | null,
   /** Why nothing can be saved at present, if so. */
@@ -657,9 +629,7 @@ export type NewUsers = {
   days: number, };
 
 /** Answer to `POST queue/next`: a task, or why there is none. */
-export type Next = {
-  /** The task and the lease on it. */
-  task: TaskView | null, empty: Empty | null,
+export type Next = { task: TaskView | null, empty: Empty | null,
   /** Hashes of the motions of the following tasks, for prefetching. */
   prefetch: Array<string>, };
 
@@ -704,9 +674,7 @@ export type Person = { user: User,
   /** Share of unchanged texts among those that started from a draft. */
   draft_unchanged: number | null,
   /** Mean edit distance from the draft, 0 to 1. */
-  draft_distance: number | null, gold_items: number,
-  /** Mean score on gold tasks, 0 to 1. */
-  gold_score: number | null,
+  draft_distance: number | null, gold_items: number, gold_score: number | null,
   /** Agreement with others (mean Jaccard index of the joints and frames of masks). */
   agreement: Estimate | null,
   /** Time of the last log entry. */
@@ -742,9 +710,7 @@ export type Prefs = {
   /** Keys that differ from the defaults. */
   keys: { [key in Action]?: Array<string> },
   /** Playback speed, 0.1 to 2. */
-  speed: number | null,
-  /** Whether the camera follows the root. */
-  follow_root: boolean | null,
+  speed: number | null, follow_root: boolean | null,
   /** Whether a pair is shown as ghosts. */
   ghost: boolean | null,
   /** Whether the soft ring is on for a new mask. */
@@ -765,20 +731,8 @@ export type Problem = {
   /** The current revision of the store, if the request is based on another one. */
   theirs?: Revision | null, };
 
-/** The part of the settings that annotators see. */
-export type Project = { name: string,
-  /** Fewest masks of an answer without a reason. */
-  min_masks: number,
-  /** Most masks of an answer without a reason. */
-  max_masks: number, styles: Array<Style>,
-  /** Phrases to complete the instruction of a fine-grained pair with. */
-  templates: Array<string>,
-  /** Phrases to complete the instruction of a style pair with; `{style}` is the chosen style. */
-  style_templates: Array<string>,
-  /** Phrases to start the description of a mask with: they complete "The person is …". */
-  mask_templates: Array<string>,
-  /** Name of the time zone in which days and weeks begin. */
-  time_zone: string, };
+/** The part of the settings that annotators see, as it is there. */
+export type Project = { name: string, min_masks: number, max_masks: number, styles: Array<Style>, templates: Array<string>, style_templates: Array<string>, mask_templates: Array<string>, time_zone: string, };
 
 /** A queue as I see it. */
 export type QueueInfo = { kind: TaskKind, total: number,
@@ -869,9 +823,7 @@ export type RuleState = {
   /** The rule. A rule that was removed is listed while acceptances of it stand. */
   rule: Rule,
   /** Whether the settings have it. */
-  known: boolean,
-  /** Tasks that are accepted by it. */
-  accepted: number,
+  known: boolean, accepted: number,
   /** Waiting tasks that it would accept now, whether or not it is enabled. */
   would_accept: number,
   /** Waiting tasks that fit it and are left to reviewers. */
@@ -1026,11 +978,7 @@ export type TaskFilter = { kind: TaskKind | null, state: TaskState | null,
   /** A person who answered, skipped or holds it. */
   person: number | null,
   /** A part that an answer names. */
-  part: string | null,
-  /** An edit type that an answer names. */
-  edit_type: EditType | null,
-  /** A verdict that an answer gives. */
-  verdict: Verdict | null, category: string | null,
+  part: string | null, edit_type: EditType | null, verdict: Verdict | null, category: string | null,
   /** train, val or test. */
   split: string | null,
   /** Least distance of its answers, 0 to 1: it has two or more. */
@@ -1056,15 +1004,7 @@ export type TaskRow = { id: number,
   /** Id of the motion after the edit. */
   target_id: string | null,
   /** train, val or test. */
-  split: string, category: string | null,
-  /** Edit that the pair was made for. */
-  hint: string | null,
-  /** Style label of the source. */
-  style: string | null,
-  /** Answers wanted. */
-  wanted: number,
-  /** Answers handed in. */
-  submitted: number,
+  split: string, category: string | null, hint: string | null, style: string | null, wanted: number, submitted: number,
   /** Largest distance of its answers, 0 to 1; `null` below two answers. */
   distance: number | null,
   /** When it last got an answer, a skip or a decision; 0 before. */
@@ -1077,11 +1017,7 @@ export type TaskRow = { id: number,
   accepted_by: string | null, };
 
 /** `GET tasks/{id}`. */
-export type TaskView = { task: Task,
-  /** My lease, if I hold one. */
-  lease: Lease | null,
-  /** My answer, if I started one. */
-  mine: Revision | null,
+export type TaskView = { task: Task, lease: Lease | null, mine: Revision | null,
   /** The reviewer's comment, if the task was returned. */
   comment: string | null,
   /** Suggestions; empty if the task is blind. */
@@ -1107,9 +1043,7 @@ export type User = { id: number,
   active: boolean, };
 
 /** `PATCH users/{id}`. */
-export type UserChange = { role: Role | null,
-  /** Whether the user may log in. */
-  active: boolean | null, };
+export type UserChange = { role: Role | null, active: boolean | null, };
 
 /** A week of work. */
 export type Week = {
