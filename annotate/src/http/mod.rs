@@ -23,7 +23,7 @@ use axum::http::uri::Authority;
 use axum::http::{Method, StatusCode};
 use axum::middleware::map_response;
 use axum::response::Response;
-use axum::routing::{MethodFilter, on};
+use axum::routing::on;
 use futures_util::StreamExt as _;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::net::TcpListener;
@@ -214,18 +214,11 @@ fn router(app: &Arc<App>, routes: &'static [Route]) -> axum::Router {
     let mut router = axum::Router::new();
     for route in routes {
         let app = Arc::clone(app);
-        let filter = match route.method {
-            "GET" => MethodFilter::GET,
-            "PUT" => MethodFilter::PUT,
-            "PATCH" => MethodFilter::PATCH,
-            "DELETE" => MethodFilter::DELETE,
-            _ => MethodFilter::POST,
-        };
         let handler = move |request: Request| {
             let app = Arc::clone(&app);
             async move { serve(app, route, request).await }
         };
-        router = router.route(route.path, on(filter, handler));
+        router = router.route(route.path, on(route.filter, handler));
     }
     let lost = |code: Code| {
         move |request: Request| async move {

@@ -206,10 +206,9 @@ pub fn from_dataset(
         .iter()
         .map(|clip| (clip.record.id.as_str(), *clip))
         .collect();
-    replace_changed(store, &clips, actor, now, &mut taken)?;
+    compare_with_known(store, &all, &clips, actor, now, &mut taken)?;
     store.put_motions(clips.iter().map(|clip| clip.record.clone()).collect())?;
     taken.count("motions", clips.len() as i64);
-    note_gone(store, &all, &mut taken)?;
 
     let chosen: Vec<&Clip> = clips
         .iter()
@@ -252,22 +251,6 @@ fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
         what: dataset.root().display().to_string(),
         problem: error.to_string(),
     })
-}
-
-/// Says how many clips the project knows that are not in the dataset.
-fn note_gone(store: &Store, clips: &[Clip], taken: &mut Taken) -> Result<(), Error> {
-    let here: BTreeSet<&str> = clips.iter().map(|clip| clip.record.id.as_str()).collect();
-    let known = store.all_motions()?;
-    let is_gone = |motion: &&MotionRecord| !here.contains(motion.id.as_str());
-    let gone: Vec<&MotionRecord> = known.iter().filter(is_gone).collect();
-    taken.report("clips_gone", gone.len(), || {
-        format!(
-            "{} clips of the project are not in this dataset, for example {}; their tasks and answers stay",
-            gone.len(),
-            gone[0].id
-        )
-    });
-    Ok(())
 }
 
 /// The clips without those that repeat the motion of one before them.
@@ -465,42 +448,51 @@ pub fn from_labels(
     Ok(taken)
 }
 
-/// Gives clips that were ingested anew, under the same id, their new content.
-fn replace_changed(
+/// Gives clips that were ingested anew, under the same id, their new content, and says how many clips the project knows
+/// that are not in the dataset. `all` are those of the dataset, `clips` those without copies.
+fn compare_with_known(
     store: &Store,
+    all: &[Clip],
     clips: &[&Clip],
     actor: Option<i64>,
     now: Millis,
     taken: &mut Taken,
 ) -> Result<(), Error> {
     let known = store.all_motions()?;
-    let known: BTreeMap<&str, &str> = known
+    let hashes = known
         .iter()
-        .map(|motion| (motion.id.as_str(), motion.hash.as_str()))
-        .collect();
-    let changed: Vec<MotionRecord> = clips
-        .iter()
-        .map(|clip| &clip.record)
-        .filter(|clip| {
-            known
-                .get(clip.id.as_str())
-                .is_some_and(|hash| *hash != clip.hash)
+        .map(|motion| (motion.id.as_str(), &motion.hash));
+    let hashes: BTreeMap<&str, &String> = hashes.collect();
+    let motions = clips.iter().map(|clip| &clip.record);
+    let changed: Vec<MotionRecord> = motions
+        .filter(|motion| {
+            hashes
+                .get(motion.id.as_str())
+                .is_some_and(|hash| **hash != motion.hash)
         })
         .cloned()
         .collect();
-    if changed.is_empty() {
-        return Ok(());
+    if !changed.is_empty() {
+        taken.count("changed_motions", changed.len() as i64);
+        let tasks = store.replace_motions(actor, changed, now)?;
+        taken.count("changed_tasks", tasks);
+        let asked = store.changed_tasks()?.len();
+        if asked > 0 {
+            taken.messages.push(format!(
+                "{asked} tasks have answers about clips that were ingested anew, with other content; `stance annotate \
+                 DATASET changed` lists them and takes the decision"
+            ));
+        }
     }
-    taken.count("changed_motions", changed.len() as i64);
-    let tasks = store.replace_motions(actor, changed, now)?;
-    taken.count("changed_tasks", tasks);
-    let asked = store.changed_tasks()?.len();
-    if asked > 0 {
-        taken.messages.push(format!(
-            "{asked} tasks have answers about clips that were ingested anew, with other content; `stance annotate \
-             DATASET changed` lists them and takes the decision"
-        ));
-    }
+    let here: BTreeSet<&str> = all.iter().map(|clip| clip.record.id.as_str()).collect();
+    let gone: Vec<&str> = hashes.into_keys().filter(|id| !here.contains(id)).collect();
+    taken.report("clips_gone", gone.len(), || {
+        format!(
+            "{} clips of the project are not in this dataset, for example {}; their tasks and answers stay",
+            gone.len(),
+            gone[0]
+        )
+    });
     Ok(())
 }
 

@@ -34,11 +34,7 @@ pub fn from_release(
         what: "the annotations of a STANCE release".to_owned(),
         problem,
     })?;
-    let mut taken = Taken::default();
-    for (shape, count) in parsed.shapes {
-        taken.count(&format!("shape: {shape}"), count);
-    }
-    taken.messages = parsed.messages;
+    let mut taken = parsed.taken;
     let mut tasks = Vec::new();
     for (id, said) in parsed.motions {
         let Some(motion) = motions.get(&id) else {
@@ -123,8 +119,8 @@ struct Said {
 struct Release {
     motions: BTreeMap<String, Said>,
     pairs: Vec<SaidPair>,
-    shapes: BTreeMap<String, i64>,
-    messages: Vec<String>,
+    /// Counts of the shapes of values, and what is wrong with them.
+    taken: Taken,
 }
 
 /// A usable pair of `pairs.json`.
@@ -232,7 +228,7 @@ fn parse(document: &Value) -> Result<Release, String> {
         release.pairs.push(pair);
     }
     if !nameless.is_empty() {
-        release.messages.push(format!(
+        release.taken.messages.push(format!(
             "{} pairs have no id, as in exports of earlier versions, and are left out",
             nameless.len()
         ));
@@ -245,7 +241,7 @@ fn parse(document: &Value) -> Result<Release, String> {
         (only(&said, &masks), "ids have texts but no masks"),
     ] {
         if count > 0 {
-            release.messages.push(format!("{count} {what}"));
+            release.taken.messages.push(format!("{count} {what}"));
         }
     }
     let ids: BTreeSet<&String> = masks.keys().chain(said.keys()).collect();
@@ -253,10 +249,8 @@ fn parse(document: &Value) -> Result<Release, String> {
         let (mask, text) = (masks.get(id), said.get(id));
         for (value, file) in [(mask, "mask_all"), (text, "part_annotations")] {
             if let Some(value) = value {
-                *release
-                    .shapes
-                    .entry(format!("{file} {}", shape(value)))
-                    .or_default() += 1;
+                let shape = format!("shape: {file} {}", shape(value));
+                release.taken.count(&shape, 1);
             }
         }
         let read = motion(mask.unwrap_or(&Value::Null), text.unwrap_or(&Value::Null));
@@ -266,8 +260,8 @@ fn parse(document: &Value) -> Result<Release, String> {
             .and_then(Value::as_str)
             .map(str::to_owned);
         for problem in problems {
-            if release.messages.len() < 50 {
-                release.messages.push(format!("{id}: {problem}"));
+            if release.taken.messages.len() < 50 {
+                release.taken.messages.push(format!("{id}: {problem}"));
             }
         }
         release.motions.insert(id.clone(), said);
@@ -387,14 +381,14 @@ mod tests {
         let kept = &release.motions["c"];
         assert_eq!(kept.masks.len(), 2);
         for problem in ["TAIL", "1 ids have masks but no texts"] {
-            let mut messages = release.messages.iter();
+            let mut messages = release.taken.messages.iter();
             assert!(messages.any(|message| message.contains(problem)));
         }
         let (_, texts) = entries(&kept.masks, kept.extra.as_ref());
         assert_eq!(texts, json!([1, 2, 3]));
         let older = json!({ "mask_all": {}, "pairs": [{ "kind": "style" }] });
         let release = parse(&older).expect("an object");
-        assert!(release.pairs.is_empty() && release.messages[0].contains("have no id"));
+        assert!(release.pairs.is_empty() && release.taken.messages[0].contains("have no id"));
         for refused in [json!([]), json!({"other": 1}), json!({"mask_all": 7})] {
             assert!(parse(&refused).is_err());
         }
