@@ -3,16 +3,16 @@
 mod args;
 mod captures;
 mod drafts;
-mod pack;
-mod rules;
 mod serve;
-mod shared;
 mod sheet;
 mod store;
 mod styles;
 mod tasks;
 mod transfer;
 mod users;
+
+use std::collections::BTreeMap;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use annotate::wire::{ExportFormat, ExportRequest, TaskKind};
 use anyhow::Context;
@@ -21,9 +21,8 @@ use datasets_spec::Dataset;
 use self::args::Action;
 pub(crate) use self::args::Args;
 use self::drafts::ask_drafts;
-use self::pack::{pack, unpack};
-use self::store::{back_up, check, open, rebuild};
-use self::tasks::{changed_clips, run_bulk};
+use self::store::{back_up, check, open, pack, rebuild, unpack};
+use self::tasks::{changed_clips, rules, run_bulk};
 use self::transfer::{export, import};
 use self::users::{find, token, user};
 use crate::exit::Exit;
@@ -60,7 +59,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             };
             export(args, store, &selection, to.as_deref(), global)
         }
-        Action::Rules { action } => rules::rules(store, action.as_ref(), global),
+        Action::Rules { action } => rules(store, action.as_ref(), global),
         Action::Styles { file } => styles::styles(store, file.as_deref(), global),
         Action::Captures {
             file,
@@ -79,4 +78,22 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Action::Rebuild => rebuild(store, global),
         Action::Check => check(store, global),
     }
+}
+
+/// A day in milliseconds.
+const DAY: i64 = 24 * 60 * 60_000;
+
+/// Milliseconds since 1970.
+fn now() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |since| {
+        i64::try_from(since.as_millis()).unwrap_or(i64::MAX)
+    })
+}
+
+/// A line for each count, and the messages.
+fn lines_of(counts: &BTreeMap<String, i64>, messages: &[String]) -> Vec<String> {
+    let counts = counts.iter();
+    let lines = counts.map(|(what, count)| format!("  {what:<24} {count:>8}"));
+    lines.chain(messages.iter().cloned()).collect()
 }

@@ -12,7 +12,7 @@ use datasets_spec::{Dataset, Progress as _};
 use formats::source::stance::exported_labels;
 
 use super::args::Args;
-use super::shared::{lines_of, now};
+use super::{lines_of, now};
 use crate::exit::Exit;
 use crate::global::Global;
 

@@ -8,7 +8,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::args::UserAction;
-use super::shared::{DAY, now};
+use super::{DAY, now};
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
