@@ -11,7 +11,7 @@ use datasets_spec::Error as Spec;
 use crate::Error;
 use crate::http::App;
 use crate::store::{Millis, MotionRecord, Store};
-use crate::transfer::{self, Exported};
+use crate::transfer::{self, Exported, RELEASE};
 use crate::wire::{Code, ExportFormat, ExportRequest, ImportFormat, Job};
 
 /// Folder of a job's files.
@@ -110,10 +110,8 @@ pub(crate) fn start_import(
                 transfer::from_dataset(store, &app.config.dataset, actor, now, &mut progress)?
             }
             ImportFormat::Stance => {
-                let document = serde_json::from_slice(&body).map_err(|error| Error::Import {
-                    what: "the annotations of a STANCE release".to_owned(),
-                    problem: error.to_string(),
-                })?;
+                let refused = |error: serde_json::Error| Error::import(RELEASE, error.to_string());
+                let document = serde_json::from_slice(&body).map_err(refused)?;
                 transfer::from_release(store, &known_motions(store)?, &document, actor, now)?
             }
             ImportFormat::Annotations => {

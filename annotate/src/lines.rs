@@ -157,17 +157,14 @@ pub fn accept(
         }
         let problem = match judge(line, author, &drafts, motions) {
             Ok(None) => continue,
-            Ok(Some((id, _))) if judged.contains(&id) => {
-                format!("mask {id} is judged twice; keep one of the lines")
-            }
-            Ok(Some((id, row))) => {
+            Ok(Some((id, row))) if judged.insert(id.clone()) => {
                 let before = drafts.get(id.as_str()).copied();
                 let is_open = row.as_ref().is_some_and(|row| row.text_origin == DRAFT);
                 open_edits += usize::from(is_open && before != row.as_ref());
-                judged.insert(id);
                 rows.extend(row);
                 continue;
             }
+            Ok(Some((id, _))) => format!("mask {id} is judged twice; keep one of the lines"),
             Err(problem) => problem,
         };
         let line = index + 1;

@@ -58,10 +58,7 @@ impl Model {
     /// # Errors
     /// The address is not HTTP, or contains a user or a password.
     pub fn new(url: &str, name: &str, key: Option<String>) -> Result<Self, Error> {
-        let refuse = |problem: &str| Error::Import {
-            what: "the address of the language model".to_owned(),
-            problem: problem.to_owned(),
-        };
+        let refuse = |problem: &str| Error::import("the address of the language model", problem);
         let rest = url
             .strip_prefix("https://")
             .or_else(|| url.strip_prefix("http://"))

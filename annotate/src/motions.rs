@@ -56,11 +56,8 @@ impl MotionLibrary {
             places.extend(rows.map(|(row, hash)| (hash, (shard, row))));
         }
         if places.is_empty() {
-            return Err(Error::Import {
-                what: root.display().to_string(),
-                problem: "it holds no motions; run `stance ingest SOURCE --out DATASET` first"
-                    .to_owned(),
-            });
+            let problem = "it holds no motions; run `stance ingest SOURCE --out DATASET` first";
+            return Err(Error::import(root.display().to_string(), problem));
         }
         let mut library = Self {
             skeleton: dataset.skeleton()?,

@@ -29,12 +29,9 @@ pub fn from_annotations(
     let mut taken = Taken::default();
     let mut tasks = Vec::new();
     for group in rows.chunk_by(|a, b| a.task == b.task) {
-        tasks.push(
-            annotation_task(group, motions).map_err(|problem| Error::Import {
-                what: format!("task {:?} of {}", group[0].task, path.display()),
-                problem,
-            })?,
-        );
+        let what = || format!("task {:?} of {}", group[0].task, path.display());
+        let task = annotation_task(group, motions);
+        tasks.push(task.map_err(|problem| Error::import(what(), problem))?);
     }
     taken.take(store.import(actor, tasks, now)?);
     Ok(taken)

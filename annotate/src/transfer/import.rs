@@ -247,10 +247,8 @@ fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
     let chosen = text
         .parse::<Condition>()
         .and_then(|condition| condition.of(dataset));
-    chosen.map_err(|error| Error::Import {
-        what: dataset.root().display().to_string(),
-        problem: error.to_string(),
-    })
+    let what = || dataset.root().display().to_string();
+    chosen.map_err(|error| Error::import(what(), error.to_string()))
 }
 
 /// The clips without those that repeat the motion of one before them.
@@ -399,14 +397,15 @@ pub fn from_labels(
         let exported = labels.motions.get(id);
         if let Some(exported) = exported.filter(|hashes| !hashes.contains(hash)) {
             let exported: Vec<&str> = exported.iter().map(String::as_str).collect();
-            return Err(Error::Import {
-                what: format!("the labels of motion {id:?}"),
-                problem: format!(
-                    "its content is {hash} in this dataset and {} in the export; import them into the dataset that was \
-                     exported, or ingest the export",
-                    exported.join(" or ")
-                ),
-            });
+            let problem = format!(
+                "its content is {hash} in this dataset and {} in the export; import them into the dataset that was \
+                 exported, or ingest the export",
+                exported.join(" or ")
+            );
+            return Err(Error::import(
+                format!("the labels of motion {id:?}"),
+                problem,
+            ));
         }
         if by_hash.insert(hash) {
             by_id.insert(id, clip);

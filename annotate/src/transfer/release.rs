@@ -17,6 +17,9 @@ use crate::answer::{Fields, check_draft};
 use crate::store::{Millis, MotionRecord, NewTask, Store};
 use crate::wire::{Answer, EditType, MaskAnswer, TaskKind, Verdict};
 
+/// What errors call a release.
+pub(crate) const RELEASE: &str = "the annotations of a STANCE release";
+
 /// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, and `accepted_by.json` and `pairs.json` of an
 /// export, given as one object with the names of the files. The annotations become accepted answers of tasks that nobody
 /// has worked on; unknown fields are kept for export. Those of tasks with another answer are left out and reported.
@@ -30,10 +33,7 @@ pub fn from_release(
     actor: Option<i64>,
     now: Millis,
 ) -> Result<Taken, Error> {
-    let parsed = parse(document).map_err(|problem| Error::Import {
-        what: "the annotations of a STANCE release".to_owned(),
-        problem,
-    })?;
+    let parsed = parse(document).map_err(|problem| Error::import(RELEASE, problem))?;
     let mut taken = parsed.taken;
     let mut tasks = Vec::new();
     for (id, said) in parsed.motions {
@@ -61,12 +61,9 @@ pub fn from_release(
             taken.count("unknown_ids", 1);
             continue;
         };
-        tasks.push(
-            released_pair(&pair, source, target).map_err(|problem| Error::Import {
-                what: format!("pair {:?} of a STANCE release", pair.id),
-                problem,
-            })?,
-        );
+        let task = released_pair(&pair, source, target);
+        let what = || format!("pair {:?} of a STANCE release", pair.id);
+        tasks.push(task.map_err(|problem| Error::import(what(), problem))?);
     }
     taken.take(store.import(actor, tasks, now)?);
     Ok(taken)

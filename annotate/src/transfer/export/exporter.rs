@@ -125,13 +125,12 @@ impl<'a> Exporter<'a> {
             .get(hash)
             .ok_or_else(|| Error::not_found("motion"))?;
         if motion.split != split {
-            return Err(Error::Import {
-                what: format!("motion {} into split {split}", motion.id),
-                problem: format!(
-                    "its split is {}; correct the pair in the dataset",
-                    motion.split
-                ),
-            });
+            let what = format!("motion {} into split {split}", motion.id);
+            let problem = format!(
+                "its split is {}; correct the pair in the dataset",
+                motion.split
+            );
+            return Err(Error::import(what, problem));
         }
         Ok(motion)
     }

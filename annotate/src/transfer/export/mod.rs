@@ -102,10 +102,8 @@ pub fn check_files(folder: &Path) -> Result<(), Error> {
         return Ok(());
     }
     let bytes = std::fs::read(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let refused = |problem: String| Error::Import {
-        what: format!("the export in {}", folder.display()),
-        problem,
-    };
+    let what = format!("the export in {}", folder.display());
+    let refused = |problem: String| Error::import(&what, problem);
     let stamp: Value =
         serde_json::from_slice(&bytes).map_err(|error| refused(format!("{STAMP}: {error}")))?;
     let written = stamp["blake3"].as_object().into_iter().flatten();
