@@ -30,7 +30,14 @@ macro_rules! messages {
             $(#[cfg_attr(test, ts($($type_form)+))])?
             pub $field: $type,
         )+ }
-    )+ };
+    )+
+
+        /// The messages by name, in TypeScript.
+        #[cfg(test)]
+        pub(super) fn declared(config: &ts_rs::Config) -> Vec<(String, String)> {
+            vec![$( crate::wire::typescript::declaration::<$name>(config), )+]
+        }
+    };
 }
 
 mod names;
