@@ -134,25 +134,25 @@ pub fn targets(from: TaskState, event: LogKind) -> &'static [TaskState] {
     }
 }
 
-/// The table as Markdown, for `docs/data-model.md`.
-pub fn markdown() -> String {
-    let names = |states: &[TaskState]| match states {
-        [] => "the same".to_owned(),
-        _ if states == TaskState::ALL => "any".to_owned(),
-        _ => Vec::from_iter(states.iter().map(|state| state.as_str())).join(", "),
-    };
-    let mut text = "| event | from | to |\n|---|---|---|\n".to_owned();
-    for (event, before, to) in MOVES {
-        text += &format!("| {event} | {} | {} |\n", names(before), names(to));
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
 
     use super::*;
+
+    /// The table as Markdown, for `docs/data-model.md`.
+    fn markdown() -> String {
+        let names = |states: &[TaskState]| match states {
+            [] => "the same".to_owned(),
+            _ if states == TaskState::ALL => "any".to_owned(),
+            _ => Vec::from_iter(states.iter().map(|state| state.as_str())).join(", "),
+        };
+        let mut text = "| event | from | to |\n|---|---|---|\n".to_owned();
+        for (event, before, to) in MOVES {
+            text += &format!("| {event} | {} | {} |\n", names(before), names(to));
+        }
+        text
+    }
 
     #[test]
     fn every_move_is_listed_once_and_every_state_is_reached_and_left() {
