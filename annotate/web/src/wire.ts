@@ -48,7 +48,7 @@ export const BULK_ACTIONS: readonly BulkAction[] = [
   "accept", "return", "drop", "reopen", "assign",
 ];
 
-/** The code of a problem. Codes are stable; texts are not. */
+/** The code of a problem, with a meaning and a status. Codes are stable; texts are not. */
 export type Code = "unauthenticated" | "forbidden" | "csrf" | "wrong_origin" | "wrong_host" | "own_work" | "not_found" | "method_not_allowed" | "bad_request" | "too_large" | "invalid" | "mask_count" | "stale_revision" | "lease_lost" | "task_full" | "wrong_state" | "key_reused" | "rate_limited" | "no_model" | "model_failed" | "timeout" | "read_only" | "internal";
 export const CODES: readonly Code[] = [
   "unauthenticated", "forbidden", "csrf", "wrong_origin", "wrong_host", "own_work", "not_found",
