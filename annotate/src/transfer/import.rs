@@ -99,6 +99,12 @@ pub(super) fn task(key: String, kind: TaskKind, motion: &MotionRecord) -> NewTas
     }
 }
 
+/// All motions of a store by their ids.
+pub(super) fn known_motions(store: &Store) -> Result<BTreeMap<String, MotionRecord>, Error> {
+    let motions = store.all_motions()?.into_iter();
+    Ok(motions.map(|motion| (motion.id.clone(), motion)).collect())
+}
+
 pub(super) fn mask_key(motion: &str) -> String {
     format!("mask:{motion}")
 }

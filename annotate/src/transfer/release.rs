@@ -11,7 +11,7 @@ use datasets_spec::BodyPart;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
-use super::import::{Taken, credit, key_of_pair, mask_key, task};
+use super::import::{Taken, credit, key_of_pair, known_motions, mask_key, task};
 use crate::Error;
 use crate::answer::{Fields, check_draft};
 use crate::store::{Millis, MotionRecord, NewTask, Store};
@@ -28,12 +28,12 @@ pub(crate) const RELEASE: &str = "the annotations of a STANCE release";
 /// It is not such an object, or the store fails.
 pub fn from_release(
     store: &Store,
-    motions: &BTreeMap<String, MotionRecord>,
     document: &Value,
     actor: Option<i64>,
     now: Millis,
 ) -> Result<Taken, Error> {
     let parsed = parse(document).map_err(|problem| Error::import(RELEASE, problem))?;
+    let motions = known_motions(store)?;
     let mut taken = parsed.taken;
     let mut tasks = Vec::new();
     for (id, said) in parsed.motions {

@@ -111,15 +111,11 @@ fn write(site: &Site, store: &Store, folder: &str, format: ExportFormat) -> std:
 }
 
 /// A store with motions but no tasks.
-fn empty_store(site: &Site, name: &str) -> (Arc<Store>, BTreeMap<String, MotionRecord>) {
+fn empty_store(site: &Site, name: &str) -> Arc<Store> {
     let store = open_sqlite(&site.folder.path().join(name)).expect("a store");
     let motions = site.store.all_motions().expect("motions");
-    store.put_motions(motions.clone()).expect("motions");
-    let by_id = motions
-        .into_iter()
-        .map(|motion| (motion.id.clone(), motion))
-        .collect();
-    (store, by_id)
+    store.put_motions(motions).expect("motions");
+    store
 }
 
 fn answers(store: &Store) -> BTreeMap<String, Answer> {
@@ -130,11 +126,11 @@ fn answers(store: &Store) -> BTreeMap<String, Answer> {
 }
 
 /// A store with the tasks of the site's dataset and nobody's answers.
-fn fresh_store(site: &Site, name: &str) -> (Arc<Store>, BTreeMap<String, MotionRecord>) {
-    let (store, motions) = empty_store(site, name);
+fn fresh_store(site: &Site, name: &str) -> Arc<Store> {
+    let store = empty_store(site, name);
     plain_settings(store.as_ref());
     take_dataset(site, store.as_ref());
-    (store, motions)
+    store
 }
 
 fn take_dataset(site: &Site, store: &Store) -> Taken {
@@ -232,10 +228,9 @@ fn parquet_comes_back_as_it_went() {
         ["unnatural"]
     );
 
-    let (store, motions) = empty_store(&site, "other.sqlite");
+    let store = empty_store(&site, "other.sqlite");
     let taken = from_annotations(
         store.as_ref(),
-        &motions,
         &first.join("annotations.parquet"),
         None,
         START,
@@ -294,9 +289,9 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
     assert!(!done.counts.contains_key("masks_without_ring"));
     for folder in [&first, &lists] {
         let name = folder.file_name().expect("a name").to_string_lossy();
-        let (store, motions) = empty_store(&site, &format!("{name}.sqlite"));
+        let store = empty_store(&site, &format!("{name}.sqlite"));
         let table = folder.join("annotations.parquet");
-        from_annotations(store.as_ref(), &motions, &table, None, START).expect("takes");
+        from_annotations(store.as_ref(), &table, None, START).expect("takes");
         assert_eq!(answers(store.as_ref()), said);
         assert!(store.verify().expect("checks").is_empty());
     }
@@ -316,7 +311,7 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
         ranges,
         [(None, None), (Some(0), Some(31)), (Some(9), Some(40))]
     );
-    let (store, _) = fresh_store(&site, "of-dataset.sqlite");
+    let store = fresh_store(&site, "of-dataset.sqlite");
     assert_eq!(answers(store.as_ref()), said);
 }
 
@@ -362,9 +357,9 @@ fn the_release_layout_comes_back_as_it_went() {
     assert_eq!(masks["clip00"], json!(["LEFT_ARM", "LOWER_BODY"]));
     assert_eq!(texts["clip00"], json!(["waving", "waving, walking"]));
     assert_eq!(pairs.as_array().map(Vec::len), Some(2));
-    let (store, motions) = empty_store(&site, "other.sqlite");
+    let store = empty_store(&site, "other.sqlite");
     let document = json!({ "mask_all": masks, "part_annotations": texts });
-    from_release(store.as_ref(), &motions, &document, None, START).expect("takes");
+    from_release(store.as_ref(), &document, None, START).expect("takes");
     let second = write(&site, store.as_ref(), "second", ExportFormat::Stance);
     same_files(&first, &second, &["mask_all.json", "part_annotations.json"]);
 }
@@ -500,11 +495,11 @@ fn splits_are_kept_apart() {
 fn an_export_and_a_release_fill_tasks_that_exist() {
     let site = annotated();
     let first = write(&site, site.store.as_ref(), "first", ExportFormat::Parquet);
-    let (store, motions) = fresh_store(&site, "other.sqlite");
+    let store = fresh_store(&site, "other.sqlite");
     let before = store.funnel().expect("counts");
     let import = || {
         let path = first.join("annotations.parquet");
-        from_annotations(store.as_ref(), &motions, &path, None, START)
+        from_annotations(store.as_ref(), &path, None, START)
             .expect("takes")
             .counts
     };
@@ -543,8 +538,8 @@ fn an_export_and_a_release_fill_tasks_that_exist() {
         serde_json::from_slice(&std::fs::read(release.join(name)).expect("a file")).expect("JSON")
     };
     let document = json!({ "mask_all": read("mask_all.json"), "part_annotations": read("part_annotations.json") });
-    let (store, motions) = fresh_store(&site, "third.sqlite");
-    let taken = from_release(store.as_ref(), &motions, &document, None, START).expect("takes");
+    let store = fresh_store(&site, "third.sqlite");
+    let taken = from_release(store.as_ref(), &document, None, START).expect("takes");
     assert_eq!(
         (taken.counts["filled_tasks"], taken.counts["new_tasks"]),
         (3, 0)
@@ -561,7 +556,7 @@ fn an_export_and_a_release_fill_tasks_that_exist() {
 fn an_import_never_touches_an_answer_of_a_person_and_reports_the_conflict() {
     let site = annotated();
     let first = write(&site, site.store.as_ref(), "first", ExportFormat::Parquet);
-    let (store, motions) = fresh_store(&site, "other.sqlite");
+    let store = fresh_store(&site, "other.sqlite");
     let bob = store
         .add_user(None, "bob", Role::Annotator, START)
         .expect("a user")
@@ -590,7 +585,7 @@ fn an_import_never_touches_an_answer_of_a_person_and_reports_the_conflict() {
     let keys = [accepted, same, draft].map(|task| store.task_record(task).expect("a task").key);
     assert_eq!(keys, ["mask:clip00", "mask:clip01", "mask:clip02"]);
     let path = first.join("annotations.parquet");
-    let taken = from_annotations(store.as_ref(), &motions, &path, None, START).expect("takes");
+    let taken = from_annotations(store.as_ref(), &path, None, START).expect("takes");
     assert_eq!(
         (taken.counts["filled_tasks"], taken.counts["known_tasks"]),
         (3, 1)
@@ -624,7 +619,7 @@ fn an_import_never_touches_an_answer_of_a_person_and_reports_the_conflict() {
         secs: 0.0,
     };
     store.review(eve, reopen, START).expect("reopens");
-    let taken = from_annotations(store.as_ref(), &motions, &path, None, START).expect("takes");
+    let taken = from_annotations(store.as_ref(), &path, None, START).expect("takes");
     assert_eq!(taken.counts["conflicts"], 3);
     assert_eq!(
         store.task_record(reopened).expect("a task").state,
@@ -689,7 +684,7 @@ fn variants_of_a_motion_are_no_mask_tasks() {
         "test",
     )
     .expect("pairs");
-    let (store, _) = empty_store(&site, "other.sqlite");
+    let store = empty_store(&site, "other.sqlite");
     let taken = take_dataset(&site, store.as_ref());
     assert_eq!(taken.counts["variants"], 2, "clip03 and clip04");
     let funnel = store.funnel().expect("counts");
@@ -724,7 +719,7 @@ fn a_candidate_keeps_its_key_and_leaves_the_pairs_when_it_is_judged_unusable() {
     // The store takes the dataset again, as a server does at its start.
     assert_eq!(take_dataset(&site, store).counts["new_tasks"], 0);
     // A new store has the same key, with the whole answer.
-    let (other, _) = fresh_store(&site, "other.sqlite");
+    let other = fresh_store(&site, "other.sqlite");
     assert_eq!(
         answers(other.as_ref()),
         BTreeMap::from([(id.to_owned(), pair(Verdict::Keep))])
