@@ -1,6 +1,5 @@
 //! Export of answers into files and into the dataset, a file for each layout.
 
-mod csv;
 mod dataset;
 mod exporter;
 mod release;

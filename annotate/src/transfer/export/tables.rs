@@ -1,4 +1,4 @@
-//! Layout `parquet`: one table each of annotations, labels, rejects, agreement and events.
+//! Layout `parquet`: one table each of annotations, labels, rejects, agreement and events. And layout `csv`, of labels.
 
 use std::path::Path;
 
@@ -14,6 +14,9 @@ use crate::quality::{Figures, draft_distance};
 use crate::store::{AcceptedAnswer, KeyRange, Reject, TaskRecord};
 use crate::transfer::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
 use crate::wire::{Agreement, Estimate, TaskKind};
+
+/// The first line of layout `csv`.
+const HEAD: &str = "task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,accepted_by,answer\r\n";
 
 /// Receives the next row of a table.
 type Put<'a, R> = &'a mut dyn FnMut(R) -> Result<(), Error>;
@@ -156,6 +159,48 @@ impl Exporter<'_> {
         })
     }
 
+    /// Layout `csv`: all labels for spreadsheets.
+    pub(super) fn csv(&mut self, folder: &Path) -> Result<(), Error> {
+        let mut count = 0;
+        let mut text = HEAD.to_owned();
+        self.labels(&mut |row| {
+            count += 1;
+            let distance = row.draft_distance.map(|distance| distance.to_string());
+            let cells = [
+                row.task,
+                row.kind,
+                row.motion_id,
+                row.target_id.unwrap_or_default(),
+                row.split,
+                row.author,
+                row.state,
+                row.secs.to_string(),
+                distance.unwrap_or_default(),
+                row.at.to_string(),
+                row.accepted_by.unwrap_or_default(),
+                row.answer,
+            ];
+            let cells = cells.map(|cell| csv_cell(&cell));
+            text += &format!("{}\r\n", cells.join(","));
+            Ok(())
+        })?;
+        self.write(folder, "labels.csv", &text)?;
+        self.done.count("labels", count);
+        let mut others = 0;
+        self.each_accepted(|_, accepted| {
+            others += usize::from(accepted.merged || accepted.author == 0);
+            Ok(())
+        })?;
+        if others > 0 {
+            self.done.count("merged_or_imported", others);
+            self.done.messages.push(format!(
+                "{others} accepted answers were merged by a reviewer or imported: they are no label of a person, and \
+                 layout parquet alone has them"
+            ));
+        }
+        Ok(())
+    }
+
     fn rejects(&mut self, put: Put<'_, RejectRow>) -> Result<(), Error> {
         self.each_range(|exporter, keys| {
             let mut rows = exporter.rejects_of(keys)?;
@@ -275,4 +320,35 @@ fn agreement_rows(agreement: &Agreement) -> Vec<AgreementRow> {
         .map(|part| row(&part.part, "gwet_ac1", part.gwet_ac1, part.items))
         .chain([row("masks", "jaccard", jaccard, items)])
         .collect()
+}
+
+/// Escapes a CSV cell, so that no spreadsheet interprets it as a formula.
+fn csv_cell(text: &str) -> String {
+    let formula =
+        text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err();
+    let guard = if formula { "'" } else { "" };
+    match text.contains(['"', ',', '\n', '\r']) {
+        true => format!("\"{guard}{}\"", text.replace('"', "\"\"")),
+        false => format!("{guard}{text}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::csv_cell;
+
+    #[test]
+    fn cells_are_no_formulas() {
+        for (text, cell) in [
+            ("=1+1", "'=1+1"),
+            ("@x", "'@x"),
+            ("-0.5", "-0.5"),
+            ("-x", "'-x"),
+            ("a,b", "\"a,b\""),
+            ("=\"a\"", "\"'=\"\"a\"\"\""),
+            ("plain", "plain"),
+        ] {
+            assert_eq!(csv_cell(text), cell);
+        }
+    }
 }
