@@ -126,7 +126,7 @@ impl Exporter<'_> {
         Ok(())
     }
 
-    pub(super) fn labels(&mut self, put: Put<'_, LabelRow>) -> Result<(), Error> {
+    fn labels(&mut self, put: Put<'_, LabelRow>) -> Result<(), Error> {
         self.each_range(|exporter, keys| {
             let mut rows = Vec::new();
             let labels = exporter.store.labels_of(keys)?;
