@@ -18,6 +18,8 @@ mod bulk;
 mod captures;
 mod claim;
 pub(crate) mod db;
+mod derived;
+mod draw;
 mod entry;
 mod filter;
 mod group;
@@ -50,6 +52,7 @@ mod sqlite;
     reason = "the type the module is named after"
 )]
 mod store;
+mod tokens;
 mod work;
 
 use std::path::Path;
@@ -59,14 +62,13 @@ use db::Result;
 
 pub use backup::{back_up, backup_is_due};
 pub use browse::{DecisionQuery, PageQuery};
-pub use migrate::Upgrade;
 pub use records::{
     AcceptedAnswer, AuditFilter, BundleEntry, Claimed, Credit, Imported, IssuedToken, KeyRange,
     Label, Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts,
     Picture, Reject, ReviewClaimed, ReviewDetail, ShelfFilter, TaskDetail, TaskRecord, TokenUse,
     WeekCounts, Who,
 };
-pub use store::Store;
+pub use store::{Store, Upgrade};
 
 /// Opens the store of a file, creating it if needed. A store of an older version is upgraded after a copy of it was
 /// made ([`Store::upgrade`]).

@@ -1,7 +1,5 @@
 //! Users, tokens and sessions. Tokens are stored as hashes.
 
-use std::collections::HashMap;
-
 use sha2::{Digest, Sha256};
 
 use super::db::{Result, Row, Tx, params};
@@ -9,6 +7,7 @@ use super::entry::Body;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
 use super::settings::{has_up_to, require};
 use super::store::Store;
+use super::tokens::Found;
 use super::{leases, log, rows};
 use crate::Error;
 use crate::lock::lock;
@@ -148,7 +147,8 @@ impl Store {
         Ok(self.read(|tx| find(tx, &hash, purposes, now))?.who)
     }
 
-    /// Begins a session by a token, until a time or the end of the token. Refused with `unauthenticated`.
+    /// Begins a session by a token, until a time or the end of the token, whichever is earlier. The end of a one-time
+    /// token does not shorten its session. Refused with `unauthenticated`.
     pub fn log_in(&self, token: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
         let hash = hash(token);
         self.write_people(move |tx| {
@@ -341,55 +341,6 @@ fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
         format!("write 1 to {MAX_LINES} lines, each a name or NAME,ROLE"),
     )?;
     Ok(users)
-}
-
-/// Owner of a token.
-#[derive(Clone)]
-struct Found {
-    who: Who,
-    purpose: TokenUse,
-    expires: Millis,
-    token: i64,
-    /// Whether to update its last use.
-    needs_note: bool,
-}
-
-/// Lifetime of a cached token. A token revoked through another server stays valid here for at most this long.
-const KNOWN_FOR: Millis = 1000;
-/// Maximum number of cached tokens.
-const MOST_KNOWN: usize = 4096;
-
-/// Cache of recently used tokens. Every change of users or tokens clears it.
-#[derive(Default)]
-pub(super) struct Known {
-    by_hash: HashMap<String, (Millis, Found)>,
-    /// Number of clears. A lookup that began before a clear must not be stored after it.
-    changes: u64,
-}
-
-impl Known {
-    /// Clears the cache.
-    fn clear(&mut self) {
-        self.by_hash.clear();
-        self.changes += 1;
-    }
-
-    fn find(&self, hash: &str, purposes: &[TokenUse], now: Millis) -> Option<Who> {
-        let (at, found) = self.by_hash.get(hash)?;
-        let is_fresh = (0..KNOWN_FOR).contains(&(now - at)) && now < found.expires;
-        let fits = purposes.contains(&found.purpose);
-        (is_fresh && fits).then(|| found.who.clone())
-    }
-
-    fn put(&mut self, hash: String, found: Found, changes: u64, now: Millis) {
-        if found.needs_note || changes != self.changes {
-            return;
-        }
-        if self.by_hash.len() >= MOST_KNOWN {
-            self.by_hash.clear();
-        }
-        self.by_hash.insert(hash, (now, found));
-    }
 }
 
 fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Found> {

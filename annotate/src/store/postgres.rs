@@ -13,10 +13,11 @@ use postgres::{Client, Statement};
 
 use super::db::{Content, Database, Result, Row, Tx, Value, Work, not_opened, params, read_only};
 use super::group::{Writer, WriterThread, caught};
-use super::migrate::{self, Plan, Upgrade};
+use super::migrate::{self, Plan};
 use super::postgres_address;
 use super::readers::{Readers, Snapshot};
 use super::records::Millis;
+use super::store::Upgrade;
 use crate::Error;
 
 /// Key of the advisory lock that serialises writers: the letters of "annotate".

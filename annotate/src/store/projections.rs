@@ -38,12 +38,16 @@ pub(super) struct Acceptance<'a> {
     pub(super) reviewer: i64,
     pub(super) answer: &'a Answer,
     pub(super) merged: bool,
+    /// Who wrote it elsewhere, if it is imported.
     pub(super) credit: Option<&'a str>,
+    /// Whether it keeps a pair.
     pub(super) keeps: bool,
+    /// How it was accepted: column `accepted.basis`.
     pub(super) basis: String,
 }
 
 impl Acceptance<'_> {
+    /// Stores it as the accepted answer to a task.
     pub(super) fn put(&self, tx: &mut dyn Tx, seq: i64, task: i64, at: Millis) -> Result<()> {
         tx.run(
             "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, edit_type, at, seq, basis,

@@ -10,8 +10,9 @@ use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, TransactionBehavior, par
 
 use super::db::{Content, Database, Result, Row, Tx, Value, Work, not_opened, read_only};
 use super::group::{Writer, WriterThread, caught};
-use super::migrate::{self, Plan, Upgrade};
+use super::migrate::{self, Plan};
 use super::readers::{Readers, Snapshot};
+use super::store::Upgrade;
 use crate::Error;
 
 /// Prepared statements cached per connection.

@@ -25,7 +25,6 @@ macro_rules! messages {
         $(#[serde($($strictness)+)])?
         pub struct $name { $(
             $(#[doc = $said])*
-            #[cfg_attr(not(test), doc = concat!("Named `", stringify!($field), "`."))]
             $(#[serde($($form)+)])?
             $(#[cfg_attr(test, ts($($type_form)+))])?
             pub $field: $type,

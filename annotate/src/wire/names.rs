@@ -147,9 +147,11 @@ names! {
 
     /// Reason for fewer or more masks than the project wants.
     pub enum CountReason {
+        /// Only one part acts.
         SingleAction = "single_action",
         /// More parts act independently.
         ManyActions = "many_actions",
+        /// The clip is too short for more.
         TooShort = "too_short",
         /// Stated in the note.
         Other = "other",
@@ -239,7 +241,9 @@ names! {
         StepForward = "step_forward",
         GoStart = "go_start",
         GoEnd = "go_end",
+        /// Loop from here.
         LoopIn = "loop_in",
+        /// Loop to here.
         LoopOut = "loop_out",
         LoopClear = "loop_clear",
         Slower = "slower",
@@ -411,28 +415,39 @@ names! {
 
     /// The code of a problem, with a meaning and a status. Codes are stable; texts are not.
     pub enum Code {
+        /// 401: no valid session or token.
         Unauthenticated = "unauthenticated",
+        /// 403: the role does not allow it.
         Forbidden = "forbidden",
         Csrf = "csrf",
+        /// 403: a request with a cookie comes from another origin.
         WrongOrigin = "wrong_origin",
         WrongHost = "wrong_host",
+        /// 403: reviewers do not review their own work.
         OwnWork = "own_work",
         NotFound = "not_found",
+        /// 405: the route has no such method.
         MethodNotAllowed = "method_not_allowed",
         BadRequest = "bad_request",
+        /// 413: the body is too large.
         TooLarge = "too_large",
         Invalid = "invalid",
         MaskCount = "mask_count",
         StaleRevision = "stale_revision",
         LeaseLost = "lease_lost",
+        /// 409: the task has enough annotators.
         TaskFull = "task_full",
+        /// 409: the task's state does not allow it.
         WrongState = "wrong_state",
         KeyReused = "key_reused",
         RateLimited = "rate_limited",
+        /// 503: no language model is configured.
         NoModel = "no_model",
+        /// 502: the language model failed or took too long.
         ModelFailed = "model_failed",
         Timeout = "timeout",
         ReadOnly = "read_only",
+        /// 500: internal error; the server log has the details.
         Internal = "internal",
     }
 }

@@ -1,5 +1,10 @@
 //! People and what the project asks of them: logging in, preferences, settings, the guide, users and tokens.
 
+#![expect(
+    missing_docs,
+    reason = "a field whose name says what it is needs no words"
+)]
+
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Deserializer};

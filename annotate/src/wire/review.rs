@@ -1,5 +1,10 @@
 //! What reviewers see and send: reviews, the task browser, bulk actions, and rules of acceptance.
 
+#![expect(
+    missing_docs,
+    reason = "a field whose name says what it is needs no words"
+)]
+
 use std::collections::BTreeMap;
 
 use super::{

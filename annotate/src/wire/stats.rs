@@ -1,5 +1,10 @@
 //! What the project has done: figures of the dashboard, the log, jobs, and the capture plan.
 
+#![expect(
+    missing_docs,
+    reason = "a field whose name says what it is needs no words"
+)]
+
 use std::collections::BTreeMap;
 
 use super::{EditType, ExportFormat, TaskKind, TaskState, User};
@@ -226,7 +231,7 @@ messages! {
     pub struct Captures {
         /// The cells in the order of the plan.
         pub cells: Vec<CaptureCell>,
-        /// Style pairs of no planned cell, without rejected ones.
+        /// Number of style pairs that belong to no cell of the plan. Rejected pairs are not counted.
         pub unplanned: u32,
     }
 

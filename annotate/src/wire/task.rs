@@ -1,5 +1,10 @@
 //! What annotators see and send: tasks, answers, events, the home page, their own answers, and practice.
 
+#![expect(
+    missing_docs,
+    reason = "a field whose name says what it is needs no words"
+)]
+
 use serde::{Deserialize, Serialize};
 
 use super::{

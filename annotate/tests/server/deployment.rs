@@ -288,6 +288,9 @@ fn responses_are_compressed_for_those_who_accept_it() {
         );
         assert_eq!((again.status, again.body.len()), (304, 0), "{name}");
         assert_eq!(header(&again, "content-encoding"), None, "{name}");
+        for (field, value) in [("cache-control", "no-cache"), ("vary", "accept-encoding")] {
+            assert_eq!(header(&again, field).as_deref(), Some(value), "{name}");
+        }
     }
     let admin = site.person("adm", Role::Admin);
     let bearer = format!("Bearer {}", admin.token);

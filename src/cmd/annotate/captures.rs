@@ -9,7 +9,7 @@ use anyhow::{Context, bail};
 use formats::csv_lines;
 use serde_json::json;
 
-use super::now;
+use super::shared::now;
 use super::sheet::{notes, write_sheet};
 use super::users::operator;
 use crate::exit::Exit;

@@ -9,7 +9,7 @@ use anyhow::{Context, bail};
 use datasets_spec::Progress as _;
 
 use super::args::Args;
-use super::now;
+use super::shared::now;
 use crate::exit::Exit;
 use crate::global::Global;
 

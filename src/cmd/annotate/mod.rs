@@ -4,15 +4,13 @@ mod args;
 mod captures;
 mod drafts;
 mod serve;
+mod shared;
 mod sheet;
 mod store;
 mod styles;
 mod tasks;
 mod transfer;
 mod users;
-
-use std::collections::BTreeMap;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use annotate::wire::{ExportFormat, ExportRequest, TaskKind};
 use anyhow::Context;
@@ -78,22 +76,4 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Action::Rebuild => rebuild(store, global),
         Action::Check => check(store, global),
     }
-}
-
-/// A day in milliseconds.
-const DAY: i64 = 24 * 60 * 60_000;
-
-/// Milliseconds since 1970.
-fn now() -> i64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.map_or(0, |since| {
-        i64::try_from(since.as_millis()).unwrap_or(i64::MAX)
-    })
-}
-
-/// A line for each count, and the messages.
-fn lines_of(counts: &BTreeMap<String, i64>, messages: &[String]) -> Vec<String> {
-    let counts = counts.iter();
-    let lines = counts.map(|(what, count)| format!("  {what:<24} {count:>8}"));
-    lines.chain(messages.iter().cloned()).collect()
 }

@@ -17,7 +17,7 @@ use signal_hook::flag;
 
 use super::args::Args;
 use super::drafts::model;
-use super::now;
+use super::shared::now;
 use super::transfer::{IMPORTED, import_dataset};
 use super::users::admin;
 use crate::exit::Exit;
@@ -131,7 +131,10 @@ fn announce(
         .operators()
         .map(|address| format!("http://{address}/metrics"));
     if global.json {
-        let document = json!({ "url": url, "token": token, "metrics": metrics });
+        let mut document = json!({ "url": url, "token": token });
+        if let Some(metrics) = metrics {
+            document["metrics"] = json!(metrics);
+        }
         report::text(&document.to_string());
     } else {
         if let Some(metrics) = metrics {

@@ -10,7 +10,7 @@ use anyhow::{Context, bail};
 use serde_json::json;
 
 use super::args::{Args, STORE};
-use super::now;
+use super::shared::now;
 use super::transfer::import_dataset;
 use crate::exit::Exit;
 use crate::global::Global;

@@ -6,7 +6,7 @@ use annotate::store::Store;
 use annotate::wire::Style;
 use serde::{Deserialize, Serialize};
 
-use super::now;
+use super::shared::now;
 use super::users::operator;
 use crate::exit::Exit;
 use crate::global::Global;

@@ -8,7 +8,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::args::{BulkArgs, RulesAction};
-use super::now;
+use super::shared::now;
 use super::users::{find, operator};
 use crate::exit::Exit;
 use crate::global::Global;

@@ -10,7 +10,7 @@ use datasets_spec::{Dataset, Progress as _};
 use formats::source::stance::exported_labels;
 
 use super::args::Args;
-use super::{lines_of, now};
+use super::shared::{lines_of, now};
 use crate::exit::Exit;
 use crate::global::Global;
 

@@ -35,6 +35,7 @@ macro_rules! routes {
             filter: MethodFilter::$method,
             path: $path,
             role: $role,
+            // The given limit stands before the usual one.
             max_body: [$($max,)? MAX_BODY_BYTES][0],
             handler: $handler,
         },)*]
