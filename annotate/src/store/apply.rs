@@ -557,7 +557,7 @@ impl Change<'_> {
                 secs,
                 blind,
                 answer.verdict().map(Verdict::as_str),
-                answer.edit_type().map(EditType::as_str),
+                answer.fields().edit_type.map(EditType::as_str),
                 words(answer),
                 part_list(answer)
             ],

@@ -244,7 +244,7 @@ fn answers(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<AnswerBrief>> {
                 .map(str::to_owned)
                 .collect(),
             verdict: own.answer.verdict(),
-            edit_type: own.answer.edit_type(),
+            edit_type: own.answer.fields().edit_type,
             at: own.at,
         })
     })
