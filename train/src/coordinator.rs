@@ -24,10 +24,11 @@ use crate::config::{
     share,
 };
 use crate::model::coordinator::Coordinator;
+use crate::model::pass::{Arithmetic, Pass};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
-use crate::transfer::{read, weighted_mean};
+use crate::transfer::read;
 use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "coordinator";
@@ -387,7 +388,13 @@ impl Task for CoordinatorTask<'_> {
         run.batches(step, |first, count| self.sampler.draw(first, count))
     }
 
-    fn loss(&self, model: &Coordinator, batch: &SegmentBatch, device: &Device) -> Tensor<1> {
+    fn loss(
+        &self,
+        model: &Coordinator,
+        batch: &SegmentBatch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
         let rows = batch.timesteps.len();
         let (window, width) = (self.config.window, 3 * self.config.keypoints);
         let x = Tensor::<3>::from_data(
@@ -396,15 +403,13 @@ impl Task for CoordinatorTask<'_> {
         );
         let composed =
             Tensor::<2>::from_data(TensorData::new(batch.composed.clone(), [rows, 1]), device);
-        binary_cross_entropy(model.logits(x, &batch.timesteps), composed)
+        binary_cross_entropy(model.logits(x, &batch.timesteps, pass), composed)
     }
 
-    fn validate(&self, model: &Coordinator, device: &Device) -> f32 {
-        weighted_mean(
-            self.val_batches
-                .iter()
-                .map(|batch| (batch.timesteps.len(), self.loss(model, batch, device))),
-        )
+    fn validation(&self) -> impl Iterator<Item = (usize, &SegmentBatch)> {
+        self.val_batches
+            .iter()
+            .map(|batch| (batch.timesteps.len(), batch))
     }
 
     fn save(&self, model: &Coordinator, run_dir: &Path) -> Result<Files, Error> {
@@ -436,6 +441,7 @@ pub struct TrainedCoordinator {
     record: RunRecord<CoordinatorRecord>,
     hash: String,
     device: Device,
+    arithmetic: Arithmetic,
 }
 
 impl TrainedCoordinator {
@@ -458,7 +464,15 @@ impl TrainedCoordinator {
             record,
             hash,
             device: device.clone(),
+            arithmetic: Arithmetic::default(),
         })
+    }
+
+    /// The same coordinator by other operations, where it judges by itself.
+    #[must_use]
+    pub fn with_arithmetic(mut self, arithmetic: Arithmetic) -> Self {
+        self.arithmetic = arithmetic;
+        self
     }
 
     /// The settings the coordinator was trained with.
@@ -529,7 +543,8 @@ impl TrainedCoordinator {
             TensorData::new(seen, [rows, window, 3 * keypoints]),
             &self.device,
         );
-        read(self.model.probability(x, &vec![0; rows]))
+        let pass = Pass::new(self.arithmetic);
+        read(self.model.probability(x, &vec![0; rows], &pass))
     }
 }
 

@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::config::NetworkConfig;
+use crate::model::pass::Pass;
 use crate::model::transformer::{EncoderLayer, Padding};
 use crate::model::weights::draw;
 use crate::transfer::read;
@@ -337,7 +338,7 @@ fn layer(device: &Device) -> Result<Vec<(&'static str, Vec<f32>)>, String> {
         .map_err(|error| format!("its weights cannot be drawn: {error}"))?;
     let x = waves(&[5 * 11, 32], 0.37, &device).reshape([5, 11, 32]);
     let padding = Padding::after(&[11, 4, 7, 9, 11], 11);
-    let out = layer.forward(x, Some(&padding));
+    let out = layer.forward(x, Some(&padding), &Pass::default());
     let wave = waves(&[5 * 11, 32], 0.19, &device).reshape([5, 11, 32]);
     let grads = (out.clone() * wave).sum().backward();
     let mut found = vec![("a layer of a transformer", read(out.inner()))];

@@ -12,6 +12,7 @@ use crate::config::{DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction};
 use crate::data::NoisyBatch;
 use crate::extrapolation::{Basis, Extrapolation};
 use crate::model::denoiser::Denoiser;
+use crate::model::pass::Pass;
 use crate::schedule::Schedule;
 
 /// Gates of a keypoint: of the original's bone, of the extrapolated change, of what the network makes and, with
@@ -167,7 +168,13 @@ impl Objective<'_> {
     /// # Source
     /// Paper Eq. 2; released `train_losses` for [`Prediction::Noise`], [`FixedFrames::Scaled`] and
     /// [`Loss::SmoothL1`].
-    pub fn loss(&self, denoiser: &Denoiser, batch: &NoisyBatch, text: Tensor<2>) -> Tensor<1> {
+    pub fn loss(
+        &self,
+        denoiser: &Denoiser,
+        batch: &NoisyBatch,
+        text: Tensor<2>,
+        pass: &Pass,
+    ) -> Tensor<1> {
         let Self {
             schedule, config, ..
         } = *self;
@@ -200,6 +207,7 @@ impl Objective<'_> {
             text,
             &batch.progress,
             basis.seen(original.clone()),
+            pass,
         );
         let needs_clean = config.prediction == Prediction::Gated
             || config.contact_weight > 0.0

@@ -14,11 +14,11 @@ use crate::data::{NoisyBatch, TextVectors, Texts, Timesteps, WindowSampler, Wind
 use crate::diffusion::Objective;
 use crate::extrapolation::Extrapolation;
 use crate::model::motionrefit::{MotionRefit, TextSource};
+use crate::model::pass::Pass;
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
 pub use crate::trainer::TrainReport;
 use crate::trainer::{Task, TrainerConfig, train};
-use crate::transfer::weighted_mean;
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
 
@@ -374,7 +374,13 @@ impl Task for EditorTask<'_> {
         run.batches(step, |first, count| self.sampler.draw(first, count))
     }
 
-    fn loss(&self, model: &MotionRefit, batch: &NoisyBatch, device: &Device) -> Tensor<1> {
+    fn loss(
+        &self,
+        model: &MotionRefit,
+        batch: &NoisyBatch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
         let objective = Objective {
             schedule: &self.schedule,
             extrapolation: self.record.extrapolation.as_ref(),
@@ -382,15 +388,11 @@ impl Task for EditorTask<'_> {
             normalizer: &self.record.normalizer,
             fps: self.record.compose.config.fps,
         };
-        model.loss(&objective, batch, device)
+        model.loss(&objective, batch, device, pass)
     }
 
-    fn validate(&self, model: &MotionRefit, device: &Device) -> f32 {
-        weighted_mean(
-            self.val_batches
-                .iter()
-                .map(|batch| (batch.len(), self.loss(model, batch, device))),
-        )
+    fn validation(&self) -> impl Iterator<Item = (usize, &NoisyBatch)> {
+        self.val_batches.iter().map(|batch| (batch.len(), batch))
     }
 
     fn save(&self, model: &MotionRefit, run_dir: &Path) -> Result<Files, Error> {

@@ -20,13 +20,14 @@ use crate::checkpoint::{
     self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
 };
 use crate::config::{Decay, OptimizerConfig, Preset, RunLength, RunSettings};
+use crate::model::pass::Pass;
 use crate::model::pose_net::{
     OFFICIAL_INPUT, OFFICIAL_NAMES, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_NAMES,
     PAPER_OUTPUT, PaperPoseNet,
 };
 use crate::model::weights::{draw, from_safetensors, from_safetensors_named, to_safetensors};
 use crate::trainer::{self, Task, TrainerConfig};
-use crate::transfer::{read, weighted_mean};
+use crate::transfer::read;
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -314,15 +315,21 @@ impl<M: Module + ModuleSnapshot + Sync> Task for PoseTask<'_, M> {
         )])
     }
 
-    fn loss(&self, net: &M, (points, wanted): &Self::Batch, device: &Device) -> Tensor<1> {
+    fn loss(
+        &self,
+        net: &M,
+        (points, wanted): &Self::Batch,
+        device: &Device,
+        _pass: &Pass,
+    ) -> Tensor<1> {
         let rows = points.len() / self.config.preset.input();
         let points = tensor(points.clone(), rows, device);
         let away = (self.forward)(net, points) - tensor(wanted.clone(), rows, device);
         away.square().mean()
     }
 
-    fn validate(&self, net: &M, device: &Device) -> f32 {
-        weighted_mean([(1, self.loss(net, &self.val, device))])
+    fn validation(&self) -> impl Iterator<Item = (usize, &Self::Batch)> {
+        std::iter::once((1, &self.val))
     }
 
     fn save(&self, net: &M, run_dir: &Path) -> Result<Files, Error> {

@@ -21,11 +21,11 @@ use crate::features::FeatureStats;
 use crate::fit::TextRecord;
 use crate::model::conditioned::Conditioned;
 use crate::model::mdm::Mdm;
+use crate::model::pass::Pass;
 use crate::model::weights::draw;
 use crate::schedule::Schedule;
 use crate::text::clip::ClipModel;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
-use crate::transfer::weighted_mean;
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -350,7 +350,13 @@ impl Task for MdmTask<'_> {
     ///
     /// # Source
     /// Tevet et al. 2023, Eq. 2; the weights of the geometric losses are 0 in the released settings.
-    fn loss(&self, model: &Conditioned<Mdm>, batch: &MdmBatch, device: &Device) -> Tensor<1> {
+    fn loss(
+        &self,
+        model: &Conditioned<Mdm>,
+        batch: &MdmBatch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
         let rows = batch.lengths.len();
         let motions = |values: &[f32]| -> Tensor<3> {
             let width = self.record.features.recipe.width();
@@ -363,16 +369,16 @@ impl Task for MdmTask<'_> {
             model.text_vectors(&batch.texts, rows, device) * Tensor::<2>::from_data(kept, device);
         let x_t = self.schedule.q_sample(x0.clone(), &batch.timesteps, noise);
         let lengths = self.record.train.mask_frames.then_some(&*batch.lengths);
-        let predicted = model.network.forward(x_t, &batch.timesteps, text, lengths);
+        let predicted = model
+            .network
+            .forward(x_t, &batch.timesteps, text, lengths, pass);
         masked_l2(predicted, x0, &batch.lengths).mean()
     }
 
-    fn validate(&self, model: &Conditioned<Mdm>, device: &Device) -> f32 {
-        weighted_mean(
-            self.val_batches
-                .iter()
-                .map(|batch| (batch.lengths.len(), self.loss(model, batch, device))),
-        )
+    fn validation(&self) -> impl Iterator<Item = (usize, &MdmBatch)> {
+        self.val_batches
+            .iter()
+            .map(|batch| (batch.lengths.len(), batch))
     }
 
     fn save(&self, model: &Conditioned<Mdm>, run_dir: &Path) -> Result<Files, Error> {

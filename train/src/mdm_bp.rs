@@ -16,7 +16,8 @@ use crate::fit::TEXT;
 use crate::humanml3d::{SourceFeatures, feature_mask};
 use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord, WEIGHTS};
 use crate::model::conditioned::Conditioned;
-use crate::model::mdm::{Mdm, PreparedMdm};
+use crate::model::mdm::Mdm;
+use crate::model::transformer::PreparedWeights;
 use crate::sample::noise::Noise;
 use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
@@ -33,7 +34,6 @@ const PUBLISHED_RELEASE: [usize; 2] = [20, 1_000];
 /// A trained MDM that edits parts of motions.
 struct MdmBpSystem {
     model: Conditioned<Mdm>,
-    prepared: PreparedMdm,
     record: MdmRecord,
     inpainting: PartInpainting,
     guidance: f64,
@@ -80,7 +80,6 @@ pub(crate) fn open(
         "fps": Fps::STORE,
     });
     Ok(Box::new(MdmBpSystem {
-        prepared: model.network.prepare(),
         model,
         record,
         inpainting,
@@ -303,6 +302,7 @@ impl MdmBpSystem {
     fn generate(
         &self,
         items: &mut [&mut Item<'_>],
+        weights: &PreparedWeights,
         session: &Session<'_>,
     ) -> Result<Vec<Vec<Features>>, Error> {
         let (rows, frames) = (items.len(), items[0].seen_frames);
@@ -339,7 +339,7 @@ impl MdmBpSystem {
             let network = |x: Tensor<3>, timesteps: &[usize]| {
                 self.model
                     .network
-                    .infer(&self.prepared, x, timesteps, text.clone())
+                    .infer(weights, x, timesteps, text.clone())
             };
             if !is_guided {
                 return Ok(network(x.clone(), &vec![timestep; rows]));
@@ -423,6 +423,7 @@ impl EditSystem for MdmBpSystem {
             ..EditTimes::default()
         };
         let begun = session.secs();
+        let weights = self.model.network.prepare(session.arithmetic);
         let progress = session.progress;
         progress.begin("edit", Some(items.len() as u64));
         // A row never sees padding that depends on the other rows.
@@ -435,7 +436,7 @@ impl EditSystem for MdmBpSystem {
                     .iter_mut()
                     .map(|(index, item)| (*index, &mut **item))
                     .unzip();
-                let made = self.generate(&mut items, session)?;
+                let made = self.generate(&mut items, &weights, session)?;
                 for (index, features) in indices.iter().zip(made) {
                     generated[*index] = features;
                 }

@@ -14,9 +14,9 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::{self, EMA_PREFIX, Files, Run, STATE, Slot, take};
 use crate::config::RunSettings;
 use crate::data::prefetch;
-use crate::model::dropout::seeded;
+use crate::model::pass::{Arithmetic, Pass};
 use crate::optimizer::adamw;
-use crate::transfer::read_all;
+use crate::transfer::{read_all, weighted_mean};
 use crate::{Error, Session};
 
 const OPTIMIZER: &str = "optimizer.bpk";
@@ -36,10 +36,17 @@ pub trait Task: Sync {
     fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error>;
 
     /// The mean loss of a micro-batch.
-    fn loss(&self, model: &Self::Model, batch: &Self::Batch, device: &Device) -> Tensor<1>;
+    fn loss(
+        &self,
+        model: &Self::Model,
+        batch: &Self::Batch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1>;
 
-    /// Mean loss over the validation data, which are the same at every validation.
-    fn validate(&self, model: &Self::Model, device: &Device) -> f32;
+    /// The validation data, which are the same at every validation: micro-batches, and the number of samples that
+    /// each counts for.
+    fn validation(&self) -> impl Iterator<Item = (usize, &Self::Batch)>;
 
     /// The networks as files of a checkpoint.
     ///
@@ -211,7 +218,7 @@ pub fn train<T: Task>(
     let run_dir = run.dir();
     let device = session.device.clone().autodiff();
     let (settings, num_steps) = (&config.run, config.num_steps());
-    let mut optimizer = adamw(settings.optimizer.weight_decay);
+    let mut optimizer = adamw(settings.optimizer.weight_decay, session.arithmetic);
     let mut state = TrainState::default();
     let mut ema = None;
     if let Some(mut files) = checkpoint::read(run_dir, Slot::Last)? {
@@ -258,8 +265,15 @@ pub fn train<T: Task>(
 
             let masks = Seed(settings.seed).derive(&["dropout", &state.step.to_string()]);
             let rate = settings.optimizer.rate_at(state.step, num_steps);
-            let (loss, mut gradients) =
-                gradients_of(task, &model, &parts, &device, masks, &mut others);
+            let (loss, mut gradients) = gradients_of(
+                task,
+                &model,
+                &parts,
+                &device,
+                masks,
+                &mut others,
+                session.arithmetic,
+            );
             unread.losses.push(loss);
             unread.norm = settings
                 .optimizer
@@ -308,7 +322,7 @@ pub fn train<T: Task>(
             let is_kept = keep_every > 0 && state.step.is_multiple_of(keep_every);
             if is_validated {
                 let used = used(&model, ema.as_ref());
-                let val_loss = task.validate(&used, session.device);
+                let val_loss = validate(task, &used, session);
                 if !val_loss.is_finite() {
                     return Err(Error::Diverged {
                         what: "validation",
@@ -553,6 +567,7 @@ fn gradients_of<T: Task>(
     device: &Device,
     masks: Seed,
     others: &mut Others<T::Model>,
+    arithmetic: Arithmetic,
 ) -> (Tensor<1>, GradientsParams) {
     let one = |model: &T::Model, index: usize, device: &Device| {
         let (share, batch) = &parts[index];
@@ -560,7 +575,8 @@ fn gradients_of<T: Task>(
         // draws its own masks.
         let seed = masks.draw_u64(&[&index.to_string()]);
         device.seed(seed);
-        let loss = seeded(seed, || task.loss(model, batch, device)).mul_scalar(*share);
+        let pass = Pass::seeded(arithmetic, seed);
+        let loss = task.loss(model, batch, device, &pass).mul_scalar(*share);
         let value = loss.clone().inner();
         (value, GradientsParams::from_grads(loss.backward(), model))
     };
@@ -625,6 +641,16 @@ fn gradients_of<T: Task>(
         .reduce(|total, loss| total + loss)
         .expect("a step has a micro-batch");
     (total, gradients)
+}
+
+/// Mean loss over the validation data.
+fn validate<T: Task>(task: &T, model: &T::Model, session: &Session<'_>) -> f32 {
+    let pass = Pass::new(session.arithmetic);
+    let loss = |batch: &T::Batch| task.loss(model, batch, session.device, &pass);
+    weighted_mean(
+        task.validation()
+            .map(|(samples, batch)| (samples, loss(batch))),
+    )
 }
 
 /// The model for validation and inference: with EMA weights if the settings ask for them.

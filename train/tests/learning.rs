@@ -37,6 +37,7 @@ use train::exchange::export;
 use train::features::FeatureRecipe;
 use train::fit::{Corpus, EditorRecord, TextRecord, TrainReport, train_motionrefit};
 use train::model::motionrefit::{MotionRefit, TextSource};
+use train::model::pass::{Arithmetic, Pass};
 use train::model::weights::draw;
 use train::sample::{EditItem, EditSettings, EditTimes, Editor, FitMethod, TimedInstruction};
 use train::schedule::Schedule;
@@ -222,6 +223,7 @@ fn train_until<'a>(
         &Session {
             device: &Device::flex(),
             more_devices: &[],
+            arithmetic: Arithmetic::default(),
             progress,
             stop,
             clock: &|| begun.elapsed(),
@@ -344,9 +346,11 @@ fn one_batch_is_overfitted() {
     .expect("known layers");
     const STEPS: u32 = 800;
     let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
+    let pass = Pass::default();
     let mut losses = Vec::new();
     for step in 0..STEPS {
-        let loss = model.loss(&objective(&schedule, &diffusion), &batch, &device);
+        let objective = objective(&schedule, &diffusion);
+        let loss = model.loss(&objective, &batch, &device, &pass);
         losses.push(loss.clone().into_scalar::<f32>());
         let gradients = GradientsParams::from_grads(loss.backward(), &model);
         let rate = 3e-3 * (1.0 - f64::from(step) / f64::from(STEPS));
@@ -400,8 +404,9 @@ fn a_dropped_instruction_leaves_no_trace() {
         };
         let objective = objective(&schedule, &config.diffusion);
         let nothing = Tensor::zeros([1, config.model.width], &device);
-        let of_zeros = objective.loss(&model.denoiser, &batch, nothing);
-        let loss = model.loss(&objective, &batch, &device);
+        let pass = Pass::default();
+        let of_zeros = objective.loss(&model.denoiser, &batch, nothing, &pass);
+        let loss = model.loss(&objective, &batch, &device, &pass);
         (loss.into_scalar::<f32>(), of_zeros.into_scalar::<f32>())
     };
     let (raised, without) = loss("raise it", 1.0);
@@ -1025,6 +1030,7 @@ fn quietly<T>(act: impl FnOnce(&Session<'_>) -> T) -> T {
     act(&Session {
         device: &Device::flex(),
         more_devices: &[],
+        arithmetic: Arithmetic::default(),
         progress: &NoProgress,
         stop: &AtomicBool::new(false),
         clock: &|| begun.elapsed(),
@@ -1363,6 +1369,7 @@ fn check_encoder(
         &Session {
             device: &Device::flex(),
             more_devices: &[],
+            arithmetic: Arithmetic::default(),
             progress: &NoProgress,
             stop: &stop,
             clock: &|| Duration::ZERO,

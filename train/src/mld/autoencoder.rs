@@ -17,9 +17,9 @@ use crate::checkpoint::{
 use crate::config::Loss;
 use crate::features::FeatureStats;
 use crate::model::mld::{MAX_POSITIONS, MotionVae};
+use crate::model::pass::Pass;
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
-use crate::transfer::weighted_mean;
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -121,14 +121,20 @@ impl<'a> Task for AutoencoderTask<'a> {
     /// # Source
     /// Chen et al. 2023, Eq. 2 with the released weights; joints past the end of a motion are left out
     /// here.
-    fn loss(&self, model: &MotionVae, batch: &Self::Batch, device: &Device) -> Tensor<1> {
+    fn loss(
+        &self,
+        model: &MotionVae,
+        batch: &Self::Batch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
         let (crops, noise) = batch;
         let AutoencoderRecord {
             train: config,
             features: stats,
         } = self.record;
         let features = crops.tensor(device);
-        let encoded = model.encode(features.clone(), &crops.lengths);
+        let encoded = model.encode(features.clone(), &crops.lengths, pass);
         let latent = match noise {
             Some(noise) => {
                 let shape = encoded.mu.dims();
@@ -137,7 +143,7 @@ impl<'a> Task for AutoencoderTask<'a> {
             }
             None => encoded.mu.clone(),
         };
-        let decoded = model.decode(latent, &crops.lengths, crops.frames);
+        let decoded = model.decode(latent, &crops.lengths, crops.frames, pass);
         let kl = encoded.kl(&encoded.standard());
         let mut loss = Loss::SmoothL1.mean(decoded.clone(), features.clone())
             + kl.mul_scalar(config.kl_weight);
@@ -157,12 +163,8 @@ impl<'a> Task for AutoencoderTask<'a> {
         loss
     }
 
-    fn validate(&self, model: &MotionVae, device: &Device) -> f32 {
-        weighted_mean(
-            self.val
-                .iter()
-                .map(|batch| (batch.0.lengths.len(), self.loss(model, batch, device))),
-        )
+    fn validation(&self) -> impl Iterator<Item = (usize, &Self::Batch)> {
+        self.val.iter().map(|batch| (batch.0.lengths.len(), batch))
     }
 
     fn save(&self, model: &MotionVae, run_dir: &Path) -> Result<Files, Error> {
@@ -223,9 +225,17 @@ impl Autoencoder {
     /// The latent vectors of crops: samples of their distributions, by the noise that is given.
     ///
     /// # Shapes
-    /// `noise` `[B, d]`, row by row; the result `[B, d]` on the autoencoder's device.
-    pub(super) fn latents(&self, crops: &Crops<'_>, noise: &[f32], device: &Device) -> Tensor<2> {
-        let encoded = self.network.encode(crops.tensor(device), &crops.lengths);
+    /// `noise` `[B, d]`, row by row; the result `[B, d]` on the device of the session.
+    pub(super) fn latents(
+        &self,
+        crops: &Crops<'_>,
+        noise: &[f32],
+        session: &Session<'_>,
+    ) -> Tensor<2> {
+        let device = session.device;
+        let pass = Pass::new(session.arithmetic);
+        let motions = crops.tensor(device);
+        let encoded = self.network.encode(motions, &crops.lengths, &pass);
         let noise = TensorData::new(noise.to_vec(), encoded.mu.dims());
         encoded.sample(Tensor::from_data(noise, device))
     }

@@ -17,10 +17,11 @@ use crate::data::{TextBatch, Texts};
 use crate::fit::TextRecord;
 use crate::model::conditioned::Conditioned;
 use crate::model::mld::{LatentDenoiser, MAX_POSITIONS};
+use crate::model::pass::Pass;
 use crate::model::weights::draw;
 use crate::schedule::Schedule;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
-use crate::transfer::{read, weighted_mean};
+use crate::transfer::read;
 use crate::{Error, Session};
 
 pub(super) const WEIGHTS: &str = "denoiser.safetensors";
@@ -102,12 +103,7 @@ pub fn train_mld<'a>(
             corpus.vectors,
         )?,
         autoencoder: autoencoder.hash.clone(),
-        latent_std: latent_std(
-            &autoencoder,
-            &sampler(&train, "std"),
-            config,
-            session.device,
-        ),
+        latent_std: latent_std(&autoencoder, &sampler(&train, "std"), config, session),
     };
     let run = Run::open(
         start,
@@ -118,7 +114,7 @@ pub fn train_mld<'a>(
     let mut task = DiffusionTask {
         record: &record,
         autoencoder: &autoencoder,
-        device: session.device,
+        session,
         schedule: Schedule::scaled_linear(config.diffusion_steps)?,
         sampler: sampler(&train, "train"),
         texts: record.text.texts(corpus.vectors)?,
@@ -140,14 +136,14 @@ fn latent_std(
     autoencoder: &Autoencoder,
     sampler: &CropSampler<'_>,
     config: &MldConfig,
-    device: &Device,
+    session: &Session<'_>,
 ) -> f32 {
     let width = config.model.width;
     let (mut count, mut sums, mut squares) = (0.0, vec![0.0f64; width], vec![0.0f64; width]);
     for crops in sampler.whole(config.run.micro_batch()) {
         let rows = crops.lengths.len();
         let noise = latent_noise(sampler.seed, count as u64, rows, width);
-        let latents = autoencoder.latents(&crops, &noise, device);
+        let latents = autoencoder.latents(&crops, &noise, session);
         for row in read(latents).chunks_exact(width) {
             for ((sum, square), &value) in sums.iter_mut().zip(&mut squares).zip(row) {
                 *sum += f64::from(value);
@@ -177,8 +173,8 @@ struct LatentBatch {
 struct DiffusionTask<'a> {
     record: &'a MldRecord,
     autoencoder: &'a Autoencoder,
-    /// Where the autoencoder computes.
-    device: &'a Device,
+    /// Where and how the autoencoder computes.
+    session: &'a Session<'a>,
     schedule: Schedule,
     sampler: CropSampler<'a>,
     texts: Texts<'a>,
@@ -197,7 +193,7 @@ impl DiffusionTask<'_> {
     ) -> Result<LatentBatch, Error> {
         let (count, width) = (crops.lengths.len(), self.record.train.model.width);
         let spread = latent_noise(seed, first, count, width);
-        let latents = self.autoencoder.latents(crops, &spread, self.device);
+        let latents = self.autoencoder.latents(crops, &spread, self.session);
         let mut noise = Vec::with_capacity(count * width);
         let (mut timesteps, mut captions) = (Vec::new(), Vec::new());
         for (index, &caption) in crops.captions.iter().enumerate() {
@@ -254,7 +250,13 @@ impl Task for DiffusionTask<'_> {
     ///
     /// # Source
     /// Chen et al. 2023, Eq. 4.
-    fn loss(&self, model: &Self::Model, batch: &LatentBatch, device: &Device) -> Tensor<1> {
+    fn loss(
+        &self,
+        model: &Self::Model,
+        batch: &LatentBatch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
         let rows = batch.timesteps.len();
         let latents = |values: &[f32]| -> Tensor<3> {
             let shape = [rows, 1, values.len() / rows];
@@ -266,16 +268,14 @@ impl Task for DiffusionTask<'_> {
             .q_sample(latents(&batch.latents), &batch.timesteps, noise.clone());
         let text = model.text_vectors(&batch.texts, rows, device);
         let flat = |x: Tensor<3>| x.squeeze_dim::<2>(1);
-        let predicted = model.network.forward(flat(z_t), &batch.timesteps, text);
+        let predicted = model
+            .network
+            .forward(flat(z_t), &batch.timesteps, text, pass);
         (predicted - flat(noise)).square().mean()
     }
 
-    fn validate(&self, model: &Self::Model, device: &Device) -> f32 {
-        weighted_mean(
-            self.val
-                .iter()
-                .map(|batch| (batch.timesteps.len(), self.loss(model, batch, device))),
-        )
+    fn validation(&self) -> impl Iterator<Item = (usize, &LatentBatch)> {
+        self.val.iter().map(|batch| (batch.timesteps.len(), batch))
     }
 
     fn save(&self, model: &Self::Model, run_dir: &Path) -> Result<Files, Error> {

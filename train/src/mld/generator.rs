@@ -19,6 +19,7 @@ use crate::diffusion::guide;
 use crate::fit::TEXT;
 use crate::model::conditioned::Conditioned;
 use crate::model::mld::LatentDenoiser;
+use crate::model::pass::Pass;
 use crate::schedule::Schedule;
 use crate::text::source::TextEncoderSource;
 use crate::transfer::read;
@@ -175,7 +176,7 @@ impl Generator {
                             .collect::<Vec<f32>>()
                     })
                     .collect();
-                Ok(self.decoded(values, count, base.frames))
+                Ok(self.decoded(values, count, base.frames, session))
             })
             .collect()
     }
@@ -203,6 +204,7 @@ impl Generator {
         let none = std::iter::repeat_n("", rows);
         let texts = texts.batch(bases.iter().map(|base| base.text.as_str()).chain(none))?;
         let text = self.model.text_vectors(&texts, 2 * rows, &self.device);
+        let pass = Pass::new(session.arithmetic);
         let latents = self.ddim.sample(
             start,
             |z, timestep| {
@@ -211,7 +213,8 @@ impl Generator {
                 }
                 let both = Tensor::cat(vec![z.clone(), z.clone()], 0);
                 let timesteps = vec![timestep; 2 * rows];
-                let both = self.model.network.forward(both, &timesteps, text.clone());
+                let network = &self.model.network;
+                let both = network.forward(both, &timesteps, text.clone(), &pass);
                 let half = |index: usize| both.clone().narrow(0, index * rows, rows);
                 Ok(guide(half(0), half(1), self.record.train.guidance))
             },
@@ -221,11 +224,18 @@ impl Generator {
     }
 
     /// The motions of latent vectors, all as long as one another.
-    fn decoded(&self, latents: Vec<f32>, rows: usize, frames: usize) -> Vec<Vec<Features>> {
+    fn decoded(
+        &self,
+        latents: Vec<f32>,
+        rows: usize,
+        frames: usize,
+        session: &Session<'_>,
+    ) -> Vec<Vec<Features>> {
         let data = TensorData::new(latents, [rows, self.record.train.model.width]);
         let latents = Tensor::<2>::from_data(data, &self.device);
         let network = &self.autoencoder.network;
-        let values = read(network.decode(latents, &vec![frames; rows], frames));
+        let pass = Pass::new(session.arithmetic);
+        let values = read(network.decode(latents, &vec![frames; rows], frames, &pass));
         let restored = self.autoencoder.stats.restored(&values);
         let (features, _) = restored.as_chunks();
         features.chunks_exact(frames).map(<[_]>::to_vec).collect()

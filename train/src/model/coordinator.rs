@@ -7,7 +7,7 @@ use burn::tensor::{Device, Tensor};
 use kinematics::normalise::FRAME_WIDTH;
 
 use super::denoiser::IndexEmbedding;
-use super::dropout::drop_out;
+use super::pass::Pass;
 use super::position::positions;
 use super::transformer::Encoder;
 use crate::config::NetworkConfig;
@@ -66,7 +66,7 @@ impl Coordinator {
     ///
     /// # Shapes
     /// `x` `[B, W, 84]`, `timesteps` `[B]`; the result `[B, 1]`.
-    pub fn logits(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<2> {
+    pub fn logits(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<2> {
         let [_, window, _] = x.dims();
         let device = x.device();
         let frames = self.embedding_input.forward(x);
@@ -77,7 +77,7 @@ impl Coordinator {
         let tokens = tokens + positions(1 + window, width, &device);
         let tokens = self
             .transformer
-            .forward(drop_out(&self.dropout, tokens), None);
+            .forward(pass.drop_out(&self.dropout, tokens), None, pass);
         let frames = self.out.forward(tokens.narrow(1, 1, window));
         let mean = frames.mean_dim(1).squeeze_dim::<2>(1);
         self.pred
@@ -89,8 +89,8 @@ impl Coordinator {
     ///
     /// # Shapes
     /// As [`Coordinator::logits`].
-    pub fn probability(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<2> {
-        sigmoid(self.logits(x, timesteps))
+    pub fn probability(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<2> {
+        sigmoid(self.logits(x, timesteps, pass))
     }
 
     /// The gradient of the probability of each window with respect to that window.
@@ -98,13 +98,13 @@ impl Coordinator {
     /// # Shapes
     /// `x` and the result `[B, W, 84]`, on a device without automatic differentiation; `timesteps`
     /// `[B]`.
-    pub fn gradient(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<3> {
+    pub fn gradient(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<3> {
         let device = x.device();
         let x = Tensor::<3>::from_inner(x).require_grad();
         // On a device with gradients dropout would be at work.
         let settled = self.valid();
         // A row never sees another, so that the gradient of the sum holds the gradient of each.
-        let sum = settled.probability(x.clone(), timesteps).sum();
+        let sum = settled.probability(x.clone(), timesteps, pass).sum();
         let gradients = sum.backward();
         x.grad(&gradients)
             .unwrap_or_else(|| Tensor::zeros(x.dims(), &device))

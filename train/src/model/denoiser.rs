@@ -7,10 +7,9 @@ use burn::tensor::{Device, Tensor};
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::FRAME_WIDTH;
 
-use super::dropout::drop_out;
-use super::fused::PreparedEncoder;
+use super::pass::{Arithmetic, Pass};
 use super::position::{positions, sinusoid};
-use super::transformer::Encoder;
+use super::transformer::{Encoder, PreparedWeights};
 use crate::config::{NetworkConfig, PreviousFrames};
 
 /// What the text feature is divided by before it joins the condition token (released code).
@@ -192,6 +191,7 @@ impl Denoiser {
         text: Tensor<2>,
         progress: &[f32],
         original: Tensor<3>,
+        pass: &Pass,
     ) -> Tensor<3> {
         let [_, window, _] = x.dims();
         let device = x.device();
@@ -211,7 +211,7 @@ impl Denoiser {
         let tokens = tokens + positions(1 + window, width, &device);
         let tokens = self
             .transformer
-            .forward(drop_out(&self.dropout, tokens), None);
+            .forward(pass.drop_out(&self.dropout, tokens), None, pass);
         self.read(tokens.narrow(1, 1, window))
     }
 }
@@ -238,8 +238,8 @@ impl Denoiser {
     }
 
     /// Lays out the weights as they are multiplied while sampling.
-    pub fn prepared_weights(&self) -> PreparedWeights {
-        PreparedWeights(self.transformer.prepare())
+    pub fn prepared_weights(&self, arithmetic: Arithmetic) -> PreparedWeights {
+        self.transformer.prepare(arithmetic)
     }
 
     /// Computes once what does not change from step to step of sampling: the embeddings of all
@@ -263,7 +263,7 @@ impl Denoiser {
         let steps: Vec<usize> = (0..num_steps).collect();
         PreparedDenoiser {
             denoiser: self,
-            encoder: weights.0.as_ref(),
+            weights,
             steps: self.embed_timestep.forward(&steps),
             condition: text.div_scalar(TEXT_DIVISOR)
                 + self.embed_prog_ind.forward(&progress_indices(progress)),
@@ -273,17 +273,12 @@ impl Denoiser {
     }
 }
 
-/// The weights of a denoiser, prepared for many passes where they lie on a processor. They are those it
-/// had when they were prepared.
-#[derive(Debug)]
-pub struct PreparedWeights(Option<PreparedEncoder>);
-
 /// A denoiser together with what it is conditioned on, for the steps of sampling. No gradients flow
 /// through it on a processor.
 #[derive(Debug)]
 pub struct PreparedDenoiser<'a> {
     denoiser: &'a Denoiser,
-    encoder: Option<&'a PreparedEncoder>,
+    weights: &'a PreparedWeights,
     /// `[S, d]`
     steps: Tensor<2>,
     /// `[B, d]`
@@ -309,10 +304,7 @@ impl PreparedDenoiser<'_> {
         let condition = condition.mul_scalar(scale).unsqueeze_dim::<3>(1);
         let frames = self.denoiser.told(frames, &condition);
         let tokens = Tensor::cat(vec![condition, frames], 1) + self.positions.clone();
-        let encoded = self
-            .encoder
-            .and_then(|encoder| encoder.forward(tokens.clone()))
-            .unwrap_or_else(|| self.denoiser.transformer.forward(tokens, None));
+        let encoded = self.denoiser.transformer.infer(self.weights, tokens);
         self.denoiser.read(encoded.narrow(1, 1, window))
     }
 }
@@ -362,7 +354,7 @@ mod tests {
             let (x, original) = (normal([3, 16, FRAME_WIDTH]), normal([3, 16, FRAME_WIDTH]));
             let text = normal([3, 1, text_width]).squeeze_dim::<2>(1);
             let progress = [0.0, 0.4, 1.0];
-            let weights = denoiser.prepared_weights();
+            let weights = denoiser.prepared_weights(Arithmetic::default());
             let prepared =
                 denoiser.prepare(&weights, 10, text.clone(), &progress, original.clone());
             for timestep in [0, 7] {
@@ -373,6 +365,7 @@ mod tests {
                     text.clone(),
                     &progress,
                     original.clone(),
+                    &Pass::default(),
                 );
                 let difference: f32 = (found - expected).abs().max().into_scalar();
                 assert!(difference < 1e-5, "{difference}");

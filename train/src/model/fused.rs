@@ -5,7 +5,6 @@
 //! of them only to copy, mask or sum. Here every array is read and written once. Tests compare the layer
 //! with the composed one, also on another backend.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
@@ -14,7 +13,7 @@ use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Flex};
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Tensor, TensorData};
 use kernels::attention::{self, Heads};
 use kernels::on_workers;
 use kernels::product::{Matrix, Write, multiply};
@@ -23,26 +22,10 @@ use kernels::rows::{
     residual_norm_backward, times_derivatives,
 };
 
-use super::precision::is_bf16;
-
 /// Numbers of a tensor of the processor's backend.
 type Buffer = FloatTensor<Flex>;
 /// The same with a place in the graph of gradients.
 type Tracked = FloatTensor<Autodiff<Flex>>;
-
-static ENABLED: AtomicBool = AtomicBool::new(true);
-
-/// Switches the fused operations of this process on or off. Without them every model is composed of
-/// burn's own operations; results are equal up to rounding.
-pub fn set_enabled(is_enabled: bool) {
-    ENABLED.store(is_enabled, Ordering::Relaxed);
-}
-
-/// Whether the fused operations are used on a device: only in the memory of the processor.
-pub(crate) fn is_used(device: &Device) -> bool {
-    // The kernels compute in single precision.
-    ENABLED.load(Ordering::Relaxed) && !is_bf16() && device.clone().inner() == Device::flex()
-}
 
 /// The factors of a dropout: 0 with probability `prob`, otherwise `1 / (1 - prob)`.
 pub(crate) fn dropout_factors(prob: f64, key: u64, count: usize) -> Vec<f32> {
@@ -82,9 +65,6 @@ impl PreparedLayer {
 
     /// Prepares a layer for inference; none where its tensors lie elsewhere.
     pub(crate) fn for_inference(tensors: LayerTensors, num_heads: usize) -> Option<Self> {
-        if !is_used(&tensors.weights[0].device()) {
-            return None;
-        }
         let weights = all(tensors.weights.map(plain))?;
         let vectors = all(tensors.vectors.map(plain))?;
         Some(Self::new(weights, vectors, num_heads))
@@ -450,9 +430,6 @@ pub(crate) fn encoder_layer(
     prob: f64,
     draw_key: impl FnOnce() -> u64,
 ) -> Option<Tensor<3>> {
-    if !is_used(&x.device()) {
-        return None;
-    }
     let [_, length, _] = x.dims();
     if !x.device().is_autodiff() {
         let weights = all(tensors.weights.map(plain))?;

@@ -6,6 +6,7 @@ use burn::nn::{Linear, LinearConfig};
 use burn::tensor::activation::{relu, silu};
 use burn::tensor::{Device, Tensor};
 
+use super::pass::Pass;
 use super::position::Tables;
 use super::skip::{SkipDecoder, SkipEncoder};
 use super::tmr::Distribution;
@@ -77,7 +78,7 @@ impl MotionVae {
     ///
     /// # Shapes
     /// `x` `[B, T, F]`; `lengths` `[B]`, the frames of each row that are not padding.
-    pub fn encode(&self, x: Tensor<3>, lengths: &[usize]) -> Distribution {
+    pub fn encode(&self, x: Tensor<3>, lengths: &[usize], pass: &Pass) -> Distribution {
         let [batch, frames, _] = x.dims();
         let x = self.skel_embedding.forward(x);
         let [_, _, width] = x.dims();
@@ -90,7 +91,7 @@ impl MotionVae {
         let x = Tensor::cat(vec![tokens, x], 1) + self.query_pos_encoder.rows(length);
         let lengths: Vec<usize> = lengths.iter().map(|frames| NUM_TOKENS + frames).collect();
         let padding = Padding::after(&lengths, length);
-        let x = self.encoder.encode(x, Some(&padding));
+        let x = self.encoder.encode(x, Some(&padding), pass);
         let token = |index: usize| x.clone().narrow(1, index, 1).squeeze_dim::<2>(1);
         Distribution {
             mu: token(0),
@@ -102,7 +103,13 @@ impl MotionVae {
     ///
     /// # Shapes
     /// `latent` `[B, d]`; `lengths` `[B]`; the result `[B, frames, F]`.
-    pub fn decode(&self, latent: Tensor<2>, lengths: &[usize], frames: usize) -> Tensor<3> {
+    pub fn decode(
+        &self,
+        latent: Tensor<2>,
+        lengths: &[usize],
+        frames: usize,
+        pass: &Pass,
+    ) -> Tensor<3> {
         let [batch, width] = latent.dims();
         let device = latent.device();
         let queries = self
@@ -112,7 +119,7 @@ impl MotionVae {
         let padding = Padding::after(lengths, frames);
         let x = self
             .decoder
-            .decode(queries, &latent.unsqueeze_dim(1), Some(&padding));
+            .decode(queries, &latent.unsqueeze_dim(1), Some(&padding), pass);
         let x = self.final_layer.forward(x);
         let [_, _, num_features] = x.dims();
         let padding =
@@ -169,7 +176,13 @@ impl LatentDenoiser {
     ///
     /// # Shapes
     /// `z` and the result `[B, d]`; `timesteps` `[B]`; `text` `[B, text_width]`.
-    pub fn forward(&self, z: Tensor<2>, timesteps: &[usize], text: Tensor<2>) -> Tensor<2> {
+    pub fn forward(
+        &self,
+        z: Tensor<2>,
+        timesteps: &[usize],
+        text: Tensor<2>,
+        pass: &Pass,
+    ) -> Tensor<2> {
         let [_, text_width] = text.dims();
         let time = step_sinusoid(timesteps, text_width, &z.device());
         let embedding = &self.time_embedding;
@@ -180,7 +193,7 @@ impl LatentDenoiser {
         let tokens = Tensor::stack::<3>(vec![z, time, text], 1);
         let [_, length, _] = tokens.dims();
         let tokens = tokens + self.query_pos.rows(length);
-        let encoded = self.encoder.encode(tokens, None);
+        let encoded = self.encoder.encode(tokens, None, pass);
         encoded.narrow(1, 0, 1).squeeze_dim(1)
     }
 }

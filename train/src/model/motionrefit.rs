@@ -5,6 +5,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use kinematics::normalise::FRAME_WIDTH;
 
 use super::denoiser::Denoiser;
+use super::pass::Pass;
 use super::text::{LearnedText, text_vectors};
 use crate::config::{DiffusionConfig, NetworkConfig, Prediction};
 use crate::data::{NoisyBatch, TextBatch};
@@ -93,12 +94,13 @@ impl MotionRefit {
         objective: &Objective<'_>,
         batch: &NoisyBatch,
         device: &Device,
+        pass: &Pass,
     ) -> Tensor<1> {
         let text = self.text_vectors(&batch.texts, batch.len(), device);
         let kept = Tensor::<2>::from_data(
             TensorData::new(batch.text_kept.clone(), [batch.len(), 1]),
             device,
         );
-        objective.loss(&self.denoiser, batch, text * kept)
+        objective.loss(&self.denoiser, batch, text * kept, pass)
     }
 }

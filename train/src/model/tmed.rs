@@ -5,8 +5,8 @@ use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, Linea
 use burn::tensor::{Device, Tensor};
 
 use super::denoiser::IndexEmbedding;
-use super::dropout::drop_out;
 use super::motionrefit::TextSource;
+use super::pass::Pass;
 use super::position::sinusoid;
 use super::transformer::{Encoder, Padding, padding_of};
 use crate::config::NetworkConfig;
@@ -101,6 +101,7 @@ impl Tmed {
         lengths: &[usize],
         timesteps: &[usize],
         condition: &Condition,
+        pass: &Pass,
     ) -> Tensor<3> {
         let [batch, frames, num_features] = x.dims();
         let device = x.device();
@@ -124,9 +125,8 @@ impl Tmed {
             })
             .collect();
         let padding = padding(&visible, parts);
-        let tokens = self
-            .encoder
-            .forward(drop_out(&self.dropout, tokens), padding.as_ref());
+        let tokens = pass.drop_out(&self.dropout, tokens);
+        let tokens = self.encoder.forward(tokens, padding.as_ref(), pass);
         let [_, length, _] = tokens.dims();
         let out = self
             .pose_proj_out

@@ -5,7 +5,7 @@ use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, Linea
 use burn::tensor::activation::log_softmax;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 
-use super::dropout::drop_out;
+use super::pass::Pass;
 use super::position::positions;
 use super::text::token_tensor;
 use super::transformer::{Decoder, Encoder, Padding};
@@ -83,7 +83,7 @@ impl SequenceEncoder {
     ///
     /// # Shapes
     /// `x` `[B, T, F]`; `lengths` `[B]`, the steps of each row that are not padding.
-    pub fn forward(&self, x: Tensor<3>, lengths: &[usize]) -> Distribution {
+    pub fn forward(&self, x: Tensor<3>, lengths: &[usize], pass: &Pass) -> Distribution {
         let [batch, steps, _] = x.dims();
         let device = x.device();
         let x = self.projection.forward(x);
@@ -97,9 +97,8 @@ impl SequenceEncoder {
         let x = x + positions(NUM_TOKENS + steps, width, &device);
         let with_tokens: Vec<usize> = lengths.iter().map(|length| NUM_TOKENS + length).collect();
         let padding = padding(&with_tokens, NUM_TOKENS + steps);
-        let x = self
-            .sequence_encoder
-            .forward(drop_out(&self.dropout, x), padding.as_ref());
+        let x = pass.drop_out(&self.dropout, x);
+        let x = self.sequence_encoder.forward(x, padding.as_ref(), pass);
         let token = |index: usize| x.clone().narrow(1, index, 1).squeeze_dim::<2>(1);
         Distribution {
             mu: token(0),
@@ -130,15 +129,22 @@ impl SequenceDecoder {
     ///
     /// # Shapes
     /// `latent` `[B, d]`; the result `[B, steps, F]`.
-    pub fn forward(&self, latent: Tensor<2>, lengths: &[usize], steps: usize) -> Tensor<3> {
+    pub fn forward(
+        &self,
+        latent: Tensor<2>,
+        lengths: &[usize],
+        steps: usize,
+        pass: &Pass,
+    ) -> Tensor<3> {
         let [batch, width] = latent.dims();
         let device = latent.device();
         let queries = positions(steps, width, &device).expand([batch, steps, width]);
         let padding = padding(lengths, steps);
         let x = self.sequence_decoder.forward(
-            drop_out(&self.dropout, queries),
+            pass.drop_out(&self.dropout, queries),
             latent.unsqueeze_dim(1),
             padding.as_ref(),
+            pass,
         );
         let x = self.final_layer.forward(x);
         match padding {
@@ -210,14 +216,15 @@ impl Tmr {
     ///
     /// # Shapes
     /// `B` rows of tokens give distributions over `[B, d]`.
-    pub fn encode_text(&self, tokens: &TokenBatch) -> Distribution {
+    pub fn encode_text(&self, tokens: &TokenBatch, pass: &Pass) -> Distribution {
         let lengths: Vec<usize> = tokens
             .ids
             .chunks_exact(tokens.width)
             .map(|row| row.iter().filter(|&&id| id != PADDING).count().max(1))
             .collect();
         let ids = token_tensor(tokens, &self.words.weight.val().device());
-        self.text_encoder.forward(self.words.forward(ids), &lengths)
+        self.text_encoder
+            .forward(self.words.forward(ids), &lengths, pass)
     }
 }
 

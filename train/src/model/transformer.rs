@@ -10,9 +10,8 @@ use burn::tensor::module::attention;
 use burn::tensor::ops::AttentionModuleOptions;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 
-use super::dropout::{draw_key, drop_out, probability};
 use super::fused::{LayerTensors, PreparedEncoder, PreparedLayer, encoder_layer};
-use super::precision::{forward, product};
+use super::pass::{Arithmetic, Pass, probability};
 use crate::config::NetworkConfig;
 
 /// Which tokens of a batch of sequences are padding. The program knows it, so that nothing is read from a
@@ -76,7 +75,7 @@ impl SelfAttention {
     ///
     /// # Shapes
     /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
-    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
+    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
         let [batch, length, width] = x.dims();
         let head = width / self.num_heads;
         let weight = self.in_proj.weight.val();
@@ -86,7 +85,7 @@ impl SelfAttention {
         let [q, k, v] = [0, 1, 2].map(|part| {
             let weight = weight.clone().narrow(1, part * width, width);
             let bias = bias.clone().map(|bias| bias.narrow(0, part * width, width));
-            product(x.clone(), weight, bias)
+            pass.product(x.clone(), weight, bias)
                 .reshape([batch, length, self.num_heads, head])
                 .swap_dims(1, 2)
         });
@@ -103,12 +102,12 @@ impl SelfAttention {
             if let Some(mask) = mask {
                 scores = scores.mask_fill(mask, f32::NEG_INFINITY);
             }
-            drop_out(&self.dropout, softmax(scores, 3)).matmul(v)
+            pass.drop_out(&self.dropout, softmax(scores, 3)).matmul(v)
         } else {
             attention(q, k, v, mask, None, AttentionModuleOptions::default())
         };
         let attended = attended.swap_dims(1, 2).reshape([batch, length, width]);
-        forward(&self.out_proj, attended)
+        pass.linear(&self.out_proj, attended)
     }
 }
 
@@ -137,7 +136,7 @@ impl SingleMemoryAttention {
     ///
     /// # Shapes
     /// `[B, 1, d]` to `[B, 1, d]`
-    pub fn forward(&self, memory: Tensor<3>) -> Tensor<3> {
+    pub fn forward(&self, memory: Tensor<3>, pass: &Pass) -> Tensor<3> {
         let [_, _, width] = memory.dims();
         let weight = self.in_proj.weight.val().narrow(1, 2 * width, width);
         let bias = self
@@ -145,7 +144,7 @@ impl SingleMemoryAttention {
             .bias
             .as_ref()
             .map(|bias| bias.val().narrow(0, 2 * width, width));
-        forward(&self.out_proj, product(memory, weight, bias))
+        pass.linear(&self.out_proj, pass.product(memory, weight, bias))
     }
 }
 
@@ -173,24 +172,25 @@ impl EncoderLayer {
         }
     }
 
-    /// Applies the layer: as one operation where its tensors lie on a processor, and composed
-    /// elsewhere.
+    /// Applies the layer: as one operation where kernels are used and its tensors lie on a processor,
+    /// and composed elsewhere.
     ///
     /// # Shapes
     /// As [`SelfAttention::forward`].
-    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        let fused = self.tensors().and_then(|tensors| {
-            let device = x.device();
+    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
+        let device = x.device();
+        let tensors = pass.uses_kernels(&device).then(|| self.tensors()).flatten();
+        let fused = tensors.and_then(|tensors| {
             encoder_layer(
                 &x,
                 tensors,
                 self.self_attn.num_heads,
                 padding.map(|padding| Arc::clone(&padding.values)),
                 probability(&self.dropout, &device),
-                draw_key,
+                || pass.draw_key(),
             )
         });
-        fused.unwrap_or_else(|| self.forward_composed(x, padding))
+        fused.unwrap_or_else(|| self.forward_composed(x, padding, pass))
     }
 
     /// The weights of its products.
@@ -229,12 +229,13 @@ impl EncoderLayer {
         })
     }
 
-    fn forward_composed(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        let attended = self.self_attn.forward(x.clone(), padding);
-        let x = self.norm1.forward(x + drop_out(&self.dropout, attended));
-        let hidden = drop_out(&self.dropout, gelu(forward(&self.linear1, x.clone())));
-        let hidden = forward(&self.linear2, hidden);
-        self.norm2.forward(x + drop_out(&self.dropout, hidden))
+    fn forward_composed(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
+        let drop_out = |x: Tensor<3>| pass.drop_out(&self.dropout, x);
+        let attended = self.self_attn.forward(x.clone(), padding, pass);
+        let x = self.norm1.forward(x + drop_out(attended));
+        let hidden = drop_out(gelu(pass.linear(&self.linear1, x.clone())));
+        let hidden = pass.linear(&self.linear2, hidden);
+        self.norm2.forward(x + drop_out(hidden))
     }
 }
 
@@ -254,24 +255,54 @@ impl Encoder {
         }
     }
 
-    /// The layers prepared for many passes, where they lie on a processor and are
-    /// not trained.
-    pub(crate) fn prepare(&self) -> Option<PreparedEncoder> {
-        PreparedEncoder::new(
-            self.layers.iter().map(|layer| {
-                PreparedLayer::for_inference(layer.tensors()?, layer.self_attn.num_heads)
-            }),
-        )
+    /// Lays out the weights as they are multiplied in many passes without gradients.
+    pub(crate) fn prepare(&self, arithmetic: Arithmetic) -> PreparedWeights {
+        let layers = self.layers.iter().map(|layer| {
+            let tensors = layer.tensors()?;
+            arithmetic
+                .uses_kernels(&tensors.weights[0].device())
+                .then(|| PreparedLayer::for_inference(tensors, layer.self_attn.num_heads))?
+        });
+        PreparedWeights {
+            encoder: PreparedEncoder::new(layers),
+            arithmetic,
+        }
+    }
+
+    /// Applies all layers without gradients, all tokens of all rows taking part.
+    ///
+    /// # Shapes
+    /// `[B, T, d]` to `[B, T, d]`
+    pub(crate) fn infer(&self, weights: &PreparedWeights, x: Tensor<3>) -> Tensor<3> {
+        let prepared = weights.encoder.as_ref();
+        prepared
+            .and_then(|encoder| encoder.forward(x.clone()))
+            .unwrap_or_else(|| self.forward(x, None, &Pass::new(weights.arithmetic)))
     }
 
     /// Applies all layers.
     ///
     /// # Shapes
     /// As [`SelfAttention::forward`].
-    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
+    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
         self.layers
             .iter()
-            .fold(x, |x, layer| layer.forward(x, padding))
+            .fold(x, |x, layer| layer.forward(x, padding, pass))
+    }
+}
+
+/// The weights of an encoder, prepared for many passes where kernels are used. They are those it had when
+/// they were prepared.
+#[derive(Debug)]
+pub struct PreparedWeights {
+    encoder: Option<PreparedEncoder>,
+    arithmetic: Arithmetic,
+}
+
+impl PreparedWeights {
+    /// The operations of the passes.
+    pub(crate) fn arithmetic(&self) -> Arithmetic {
+        self.arithmetic
     }
 }
 
@@ -307,14 +338,21 @@ impl DecoderLayer {
     ///
     /// # Shapes
     /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` as in [`SelfAttention::forward`].
-    pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        let attended = self.self_attn.forward(x.clone(), padding);
-        let x = self.norm1.forward(x + drop_out(&self.dropout, attended));
-        let remembered = self.multihead_attn.forward(memory);
-        let x = self.norm2.forward(x + drop_out(&self.dropout, remembered));
-        let hidden = drop_out(&self.dropout, gelu(forward(&self.linear1, x.clone())));
-        let hidden = forward(&self.linear2, hidden);
-        self.norm3.forward(x + drop_out(&self.dropout, hidden))
+    pub fn forward(
+        &self,
+        x: Tensor<3>,
+        memory: Tensor<3>,
+        padding: Option<&Padding>,
+        pass: &Pass,
+    ) -> Tensor<3> {
+        let drop_out = |x: Tensor<3>| pass.drop_out(&self.dropout, x);
+        let attended = self.self_attn.forward(x.clone(), padding, pass);
+        let x = self.norm1.forward(x + drop_out(attended));
+        let remembered = self.multihead_attn.forward(memory, pass);
+        let x = self.norm2.forward(x + drop_out(remembered));
+        let hidden = drop_out(gelu(pass.linear(&self.linear1, x.clone())));
+        let hidden = pass.linear(&self.linear2, hidden);
+        self.norm3.forward(x + drop_out(hidden))
     }
 }
 
@@ -338,10 +376,16 @@ impl Decoder {
     ///
     /// # Shapes
     /// As [`DecoderLayer::forward`].
-    pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        self.layers
-            .iter()
-            .fold(x, |x, layer| layer.forward(x, memory.clone(), padding))
+    pub fn forward(
+        &self,
+        x: Tensor<3>,
+        memory: Tensor<3>,
+        padding: Option<&Padding>,
+        pass: &Pass,
+    ) -> Tensor<3> {
+        self.layers.iter().fold(x, |x, layer| {
+            layer.forward(x, memory.clone(), padding, pass)
+        })
     }
 }
 
@@ -421,15 +465,18 @@ mod tests {
         let x = Tensor::random([batch, length, 24], Distribution::Normal(0.0, 1.0), &device);
         let lengths: Vec<usize> = (0..batch).map(|row| 3 + row).collect();
         let padding = Padding::after(&lengths, length);
+        let pass = Pass::default();
         for padding in [None, Some(&padding)] {
-            let fused = run(&layer, &x, |layer, x| layer.forward(x, padding));
-            let composed = run(&layer, &x, |layer, x| layer.forward_composed(x, padding));
+            let fused = run(&layer, &x, |layer, x| layer.forward(x, padding, &pass));
+            let composed = run(&layer, &x, |layer, x| {
+                layer.forward_composed(x, padding, &pass)
+            });
             for (fused, composed) in fused.iter().zip(&composed) {
                 check_equal(fused, composed, 3e-5);
             }
             let plain = layer.valid();
             let padding = padding.map(|_| Padding::after(&lengths, length));
-            let inferred = plain.forward(x.clone().inner(), padding.as_ref());
+            let inferred = plain.forward(x.clone().inner(), padding.as_ref(), &pass);
             check_equal(&values(inferred), &fused[0], 1e-5);
         }
     }
@@ -449,7 +496,9 @@ mod tests {
             let data = TensorData::new(numbers.clone(), [batch, length, 24]);
             let x = Tensor::<3>::from_data(data, &device);
             let padding = Padding::after(&lengths, length);
-            run(&layer, &x, |layer, x| layer.forward(x, Some(&padding)))
+            run(&layer, &x, |layer, x| {
+                layer.forward(x, Some(&padding), &Pass::default())
+            })
         });
         // The backend's derivative of GELU is that of its approximation by tanh, which differs from the exact
         // one by up to 1e-3: burn-backend's `gelu_backward`. Only the result, and the gradients of what lies

@@ -22,8 +22,8 @@ use crate::data::TextVectors;
 use crate::extrapolation::Extrapolation;
 use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
 use crate::j2s::PoseNet;
-use crate::model::denoiser::PreparedWeights;
 use crate::model::motionrefit::MotionRefit;
+use crate::model::transformer::PreparedWeights;
 use crate::schedule::Schedule;
 use crate::transfer::read;
 use crate::{Error, Session};
@@ -32,8 +32,6 @@ use crate::{Error, Session};
 #[derive(Debug)]
 pub struct Editor {
     model: MotionRefit,
-    /// Packed weights of the model's denoiser.
-    weights: PreparedWeights,
     schedule: Schedule,
     record: RunRecord<EditorRecord>,
     hash: String,
@@ -67,7 +65,6 @@ impl Editor {
         );
         load_weights(&mut model, &mut files, run_dir)?;
         Ok(Self {
-            weights: model.denoiser.prepared_weights(),
             model,
             schedule: Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?,
             hash,
@@ -198,6 +195,7 @@ impl Editor {
         times.window = self.record.config.train.window;
         let mut generator = Generator {
             editor: self,
+            weights: self.model.denoiser.prepared_weights(session.arithmetic),
             settings,
             session,
             times,
@@ -216,6 +214,8 @@ impl Editor {
 /// The editor's network at work.
 struct Generator<'a> {
     editor: &'a Editor,
+    /// Packed weights of the editor's denoiser.
+    weights: PreparedWeights,
     settings: &'a EditSettings,
     session: &'a Session<'a>,
     times: &'a mut EditTimes,
@@ -225,6 +225,7 @@ impl WindowModel for Generator<'_> {
     fn generate(&mut self, requests: &mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error> {
         let Self {
             editor,
+            weights,
             settings,
             session,
             ..
@@ -273,7 +274,7 @@ impl WindowModel for Generator<'_> {
         });
         let sampler = Sampler {
             denoiser: &editor.model.denoiser,
-            weights: &editor.weights,
+            weights,
             schedule: &editor.schedule,
             prediction: diffusion.prediction,
             extrapolation: config.extrapolation.as_ref(),

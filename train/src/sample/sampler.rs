@@ -8,7 +8,9 @@ use crate::config::{GuidanceConfig, GuidanceTarget, Prediction};
 use crate::diffusion::{guide, put_fixed};
 use crate::extrapolation::{Basis, Extrapolation};
 use crate::model::coordinator::Coordinator;
-use crate::model::denoiser::{Denoiser, PreparedWeights};
+use crate::model::denoiser::Denoiser;
+use crate::model::pass::Pass;
+use crate::model::transformer::PreparedWeights;
 use crate::schedule::Schedule;
 
 /// What a batch of windows is generated from.
@@ -40,7 +42,13 @@ pub struct Guide<'a> {
 impl Guide<'_> {
     /// How far `x` is moved at a step, if this is what the guide moves and the step is among the
     /// guided ones.
-    fn push(&self, target: GuidanceTarget, x: &Tensor<3>, timestep: usize) -> Option<Tensor<3>> {
+    fn push(
+        &self,
+        target: GuidanceTarget,
+        x: &Tensor<3>,
+        timestep: usize,
+        pass: &Pass,
+    ) -> Option<Tensor<3>> {
         let is_guided = target == self.config.target && timestep < self.config.num_steps;
         if !is_guided || self.config.strength == 0.0 {
             return None;
@@ -53,7 +61,7 @@ impl Guide<'_> {
         };
         let gradient = self
             .network
-            .gradient(x.clone(), &vec![seen_as; x.dims()[0]])
+            .gradient(x.clone(), &vec![seen_as; x.dims()[0]], pass)
             .mul_scalar(self.config.strength);
         self.secs.set(self.secs.get() + (self.clock)() - begun);
         Some(gradient)
@@ -65,7 +73,7 @@ impl Guide<'_> {
 pub struct Sampler<'a> {
     /// The network.
     pub denoiser: &'a Denoiser,
-    /// Its weights.
+    /// Its weights, and the operations that it and the coordinator are computed by.
     pub weights: &'a PreparedWeights,
     /// The schedule it was trained with.
     pub schedule: &'a Schedule,
@@ -122,9 +130,10 @@ impl Sampler<'_> {
             &progress,
             basis.seen(original),
         );
+        let pass = Pass::new(self.weights.arithmetic());
         let push = |target, x: &Tensor<3>, timestep| {
             self.coordinator
-                .and_then(|guide| guide.push(target, x, timestep))
+                .and_then(|guide| guide.push(target, x, timestep, &pass))
         };
         let estimate = |x: &Tensor<3>, timestep: usize| {
             let input = if is_guided { twice(x) } else { x.clone() };

@@ -17,6 +17,7 @@ use crate::checkpoint::{self, RunRecord, Slot, check_skeleton, read_for_use, wei
 use crate::config::Preset;
 use crate::fit::TextRecord;
 use crate::gaussian::SampleSteps;
+use crate::model::pass::Pass;
 use crate::model::tmed::{Condition, TmedModel};
 use crate::sample::EditTimes;
 use crate::sample::noise::Noise;
@@ -244,6 +245,7 @@ impl TmedSystem {
         &self,
         questions: &[&Question<'_>],
         seed: Seed,
+        session: &Session<'_>,
     ) -> Result<Vec<FeatureFrame>, Error> {
         let (settings, device) = (&self.settings, &self.device);
         let batch = questions.len();
@@ -276,9 +278,15 @@ impl TmedSystem {
             }
         };
         let denoiser = &self.model.denoiser;
+        let pass = Pass::new(session.arithmetic);
         let clean = settings.steps.sample(
             start,
-            |x, step| guided(denoiser, &branches, &condition, x, &lengths, step.timestep),
+            |x, step| {
+                let timestep = step.timestep;
+                guided(
+                    denoiser, &branches, &condition, x, &lengths, timestep, &pass,
+                )
+            },
             |_| noise.step(),
             |_, _| {},
         );
@@ -403,7 +411,7 @@ impl EditSystem for TmedSystem {
                 }
                 let asked: Vec<&Question<'_>> =
                     chunk.iter().map(|&index| &questions[index]).collect();
-                let features = self.generate(&asked, seed)?;
+                let features = self.generate(&asked, seed, session)?;
                 for (&index, frames) in chunk.iter().zip(features.chunks_exact(key[1])) {
                     let motion = questions[index].motion(&self.record, frames.to_vec())?;
                     motions[index] = Some((motion, Misfit::default()));

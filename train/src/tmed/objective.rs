@@ -5,6 +5,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use super::clips::{ClipBatch, TextTokens};
 use super::config::{TargetPlaces, TmedConfig};
 use super::features::{GROUPS, NUM_FEATURES};
+use crate::model::pass::Pass;
 use crate::model::text::token_tensor;
 use crate::model::tmed::{Condition, Places, TmedModel};
 use crate::schedule::Schedule;
@@ -95,6 +96,7 @@ pub fn loss(
     config: &TmedConfig,
     schedule: &Schedule,
     device: &Device,
+    pass: &Pass,
 ) -> Tensor<1> {
     let rows = batch.len();
     let motions = |values: &[f32]| -> Tensor<3> {
@@ -115,9 +117,12 @@ pub fn loss(
     };
     let target = motions(&batch.target);
     let noisy = schedule.q_sample(target.clone(), &batch.timesteps, motions(&batch.noise));
-    let predicted =
-        model
-            .denoiser
-            .forward(noisy, &batch.target_frames, &batch.timesteps, &condition);
+    let predicted = model.denoiser.forward(
+        noisy,
+        &batch.target_frames,
+        &batch.timesteps,
+        &condition,
+        pass,
+    );
     group_loss(predicted, target, &batch.target_frames).0
 }

@@ -14,11 +14,11 @@ use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::compose::ComposeRecord;
 use crate::data::{TextVectors, Timesteps};
 use crate::fit::TextRecord;
+use crate::model::pass::Pass;
 use crate::model::tmed::TmedModel;
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
-use crate::transfer::weighted_mean;
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -184,16 +184,18 @@ impl Task for TmedTask<'_> {
         run.batches(step, |first, count| self.sampler.draw(first, count))
     }
 
-    fn loss(&self, model: &TmedModel, batch: &ClipBatch, device: &Device) -> Tensor<1> {
-        objective::loss(model, batch, self.config, &self.schedule, device)
+    fn loss(
+        &self,
+        model: &TmedModel,
+        batch: &ClipBatch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
+        objective::loss(model, batch, self.config, &self.schedule, device, pass)
     }
 
-    fn validate(&self, model: &TmedModel, device: &Device) -> f32 {
-        weighted_mean(
-            self.val_batches
-                .iter()
-                .map(|batch| (batch.len(), self.loss(model, batch, device))),
-        )
+    fn validation(&self) -> impl Iterator<Item = (usize, &ClipBatch)> {
+        self.val_batches.iter().map(|batch| (batch.len(), batch))
     }
 
     fn save(&self, model: &TmedModel, run_dir: &Path) -> Result<Files, Error> {

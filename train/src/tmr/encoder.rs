@@ -16,6 +16,7 @@ use crate::checkpoint::{
 };
 use crate::config::{BertVectors, NetworkConfig};
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
+use crate::model::pass::{Arithmetic, Pass};
 use crate::model::tmr::{SequenceEncoder, Tmr};
 use crate::model::weights::from_safetensors;
 use crate::text::bert::{BertEncoder, BertFiles};
@@ -79,6 +80,7 @@ pub struct TmrEncoder {
     dataset_hash: String,
     hash: String,
     device: Device,
+    arithmetic: Arithmetic,
 }
 
 impl TmrEncoder {
@@ -135,6 +137,7 @@ impl TmrEncoder {
             dataset_hash: record.dataset_hash,
             hash,
             device: device.clone(),
+            arithmetic: Arithmetic::default(),
         })
     }
 
@@ -175,7 +178,15 @@ impl TmrEncoder {
             dataset_hash: record.dataset_hash,
             hash,
             device: device.clone(),
+            arithmetic: Arithmetic::default(),
         })
+    }
+
+    /// The same encoder by other operations.
+    #[must_use]
+    pub fn with_arithmetic(mut self, arithmetic: Arithmetic) -> Self {
+        self.arithmetic = arithmetic;
+        self
     }
 
     /// What it sees and was trained on, in words.
@@ -248,7 +259,8 @@ impl TmrEncoder {
     ) -> Vec<Vec<f32>> {
         let shape = [lengths.len(), steps, self.features.recipe.width()];
         let features = Tensor::<3>::from_data(TensorData::new(features, shape), &self.device);
-        rows(self.motion_encoder.forward(features, lengths).mu)
+        let pass = Pass::new(self.arithmetic);
+        rows(self.motion_encoder.forward(features, lengths, &pass).mu)
     }
 
     /// The mean latent vector of each text, `[d]`.
@@ -264,18 +276,21 @@ impl TmrEncoder {
                         .to_owned(),
             });
         };
+        let pass = Pass::new(self.arithmetic);
         let mut codes = Vec::with_capacity(texts.len());
         for chunk in texts.chunks(ENCODE_BATCH) {
             let latent = match encoding {
                 TextEncoding::Words(words) => {
                     let (model, vocabulary) = &**words;
-                    model.encode_text(&vocabulary.encode_batch(chunk.iter().copied()))
+                    let tokens = vocabulary.encode_batch(chunk.iter().copied());
+                    model.encode_text(&tokens, &pass)
                 }
                 TextEncoding::States(states) => {
                     let (network, encoder) = &**states;
                     let states = encoder.encode(chunk, BertVectors::States)?;
                     let (values, lengths) = padded(&states, encoder.width());
-                    network.forward(Tensor::from_data(values, &self.device), &lengths)
+                    let states = Tensor::from_data(values, &self.device);
+                    network.forward(states, &lengths, &pass)
                 }
             };
             codes.extend(rows(latent.mu));

@@ -11,10 +11,10 @@ use super::config::TmrConfig;
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::config::{Loss, WordsConfig};
 use crate::features::FeatureStats;
+use crate::model::pass::Pass;
 use crate::model::tmr::{Tmr, info_nce};
 use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
-use crate::transfer::weighted_mean;
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
 
@@ -167,12 +167,13 @@ impl Task for TmrTask<'_> {
         Ok(vec![(1.0, self.sampler.draw(step))])
     }
 
-    fn loss(&self, model: &Tmr, batch: &ClipBatch, device: &Device) -> Tensor<1> {
-        batch_loss(model, batch, self.config, device)
+    fn loss(&self, model: &Tmr, batch: &ClipBatch, device: &Device, pass: &Pass) -> Tensor<1> {
+        batch_loss(model, batch, self.config, device, pass)
     }
 
-    fn validate(&self, model: &Tmr, device: &Device) -> f32 {
-        validate(model, &self.val_batches, self.config, device)
+    fn validation(&self) -> impl Iterator<Item = (usize, &ClipBatch)> {
+        let batches = self.val_batches.iter();
+        batches.map(|batch| (batch.lengths.len(), batch))
     }
 
     fn save(&self, model: &Tmr, run_dir: &Path) -> Result<Files, Error> {
@@ -188,7 +189,13 @@ impl Task for TmrTask<'_> {
 ///
 /// # Source
 /// Petrovich et al. 2023, Eq. 4 (`algorithms` section 15).
-fn batch_loss(model: &Tmr, batch: &ClipBatch, config: &TmrConfig, device: &Device) -> Tensor<1> {
+fn batch_loss(
+    model: &Tmr,
+    batch: &ClipBatch,
+    config: &TmrConfig,
+    device: &Device,
+    pass: &Pass,
+) -> Tensor<1> {
     let num_clips = batch.lengths.len();
     let features = Tensor::<3>::from_data(
         TensorData::new(
@@ -203,18 +210,19 @@ fn batch_loss(model: &Tmr, batch: &ClipBatch, config: &TmrConfig, device: &Devic
     );
     let noise = |side: usize| noise.clone().narrow(0, side, 1).squeeze_dim::<2>(0);
 
-    let text = model.encode_text(&batch.tokens);
+    let text = model.encode_text(&batch.tokens, pass);
     let motion = model
         .motion_encoder
-        .forward(features.clone(), &batch.lengths);
+        .forward(features.clone(), &batch.lengths, pass);
     let text_latent = text.sample(noise(0));
     let motion_latent = motion.sample(noise(1));
 
     // Both latents are decoded in one batch.
     let latents = Tensor::cat(vec![text_latent.clone(), motion_latent.clone()], 0);
-    let decoded = model
-        .motion_decoder
-        .forward(latents, &batch.lengths.repeat(2), batch.steps);
+    let decoded =
+        model
+            .motion_decoder
+            .forward(latents, &batch.lengths.repeat(2), batch.steps, pass);
     let reconstruction = Loss::SmoothL1
         .mean(decoded, Tensor::cat(vec![features.clone(), features], 0))
         .mul_scalar(2.0);
@@ -235,13 +243,6 @@ fn batch_loss(model: &Tmr, batch: &ClipBatch, config: &TmrConfig, device: &Devic
         + kl.mul_scalar(weights.kl)
         + latent.mul_scalar(weights.latent)
         + contrastive.mul_scalar(weights.contrastive)
-}
-
-fn validate(model: &Tmr, batches: &[ClipBatch], config: &TmrConfig, device: &Device) -> f32 {
-    weighted_mean(batches.iter().map(|batch| {
-        let loss = batch_loss(model, batch, config, device);
-        (batch.lengths.len(), loss)
-    }))
 }
 
 pub(super) fn load(model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error> {

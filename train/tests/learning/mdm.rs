@@ -75,6 +75,7 @@ fn trained(
     let session = Session {
         device: &Device::flex(),
         more_devices: &[],
+        arithmetic: Arithmetic::default(),
         progress,
         stop,
         clock: &|| Duration::ZERO,
@@ -147,12 +148,13 @@ fn one_batch_of_mdm_is_overfitted() {
     let (x0, noise) = (normal(), normal());
     let x_t = schedule.q_sample(x0.clone(), &timesteps, noise);
     let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
+    let pass = Pass::default();
     let mut losses = Vec::new();
     for step in 0..300 {
         let text = model.text_vectors(&texts, 2, &device);
         let x = model
             .network
-            .forward(x_t.clone(), &timesteps, text, Some(&lengths));
+            .forward(x_t.clone(), &timesteps, text, Some(&lengths), &pass);
         let loss = masked_l2(x, x0.clone(), &lengths).mean();
         losses.push(loss.clone().into_scalar::<f32>());
         let gradients = GradientsParams::from_grads(loss.backward(), &model);

@@ -53,6 +53,7 @@ fn trained(
     let session = Session {
         device: &Device::flex(),
         more_devices: &[],
+        arithmetic: Arithmetic::default(),
         progress,
         stop,
         clock: &|| Duration::ZERO,
@@ -149,9 +150,10 @@ fn one_batch_of_mld_is_overfitted() {
     };
     let motions = normal([2, 6, 12]);
     let vae = draw(MotionVae::new(&network, 12, 16, &device), Seed(5)).expect("known layers");
+    let pass = Pass::default();
     let [first, last] = overfitted(vae, 200, |vae| {
-        let latent = vae.encode(motions.clone(), &[6, 6]).mu;
-        let decoded = vae.decode(latent, &[6, 6], 6);
+        let latent = vae.encode(motions.clone(), &[6, 6], &pass).mu;
+        let decoded = vae.decode(latent, &[6, 6], 6, &pass);
         (decoded - motions.clone()).square().mean()
     });
     assert!(last < 0.01 * first, "autoencoder: {first} fell to {last}");
@@ -162,7 +164,7 @@ fn one_batch_of_mld_is_overfitted() {
     let denoiser = LatentDenoiser::new(&network, 16, 8, &device);
     let denoiser = draw(denoiser, Seed(6)).expect("known layers");
     let [first, last] = overfitted(denoiser, 200, |denoiser| {
-        let predicted = denoiser.forward(z.clone(), &[1, 20, 30], text.clone());
+        let predicted = denoiser.forward(z.clone(), &[1, 20, 30], text.clone(), &pass);
         (predicted - noise.clone()).square().mean()
     });
     assert!(last < 0.01 * first, "denoiser: {first} fell to {last}");

@@ -100,6 +100,7 @@ fn train(run: &Path, config: &TmedConfig, progress: &dyn Progress, stop: &Atomic
     let session = Session {
         device: &Device::flex(),
         more_devices: &[],
+        arithmetic: Arithmetic::default(),
         progress,
         stop,
         clock: &|| begun.elapsed(),
