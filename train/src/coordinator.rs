@@ -25,7 +25,7 @@ use crate::config::{
 };
 use crate::model::coordinator::Coordinator;
 use crate::model::pass::{Arithmetic, Pass};
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::model::weights::{from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
 use crate::transfer::read;
@@ -296,11 +296,6 @@ pub fn train_coordinator<'a>(
         .step_by(part)
         .map(|first| val_sampler.draw(first as u64, part.min(config.val_windows - first)))
         .collect::<Result<_, Error>>()?;
-    let device = session.device.clone().autodiff();
-    let model = draw(
-        Coordinator::of_frames(&config.model, 3 * config.keypoints, &device),
-        seed.derive(&["weights"]),
-    )?;
     let trainer = TrainerConfig {
         kind: KIND,
         samples: "windows",
@@ -312,7 +307,9 @@ pub fn train_coordinator<'a>(
         sampler,
         val_batches,
     };
-    let (_, report) = train(&task, model, &trainer, &run, session)?;
+    let network =
+        |device: &Device| Coordinator::of_frames(&config.model, 3 * config.keypoints, device);
+    let (_, report) = train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
 

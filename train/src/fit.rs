@@ -15,7 +15,7 @@ use crate::diffusion::Objective;
 use crate::extrapolation::Extrapolation;
 use crate::model::motionrefit::{MotionRefit, TextSource};
 use crate::model::pass::Pass;
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::model::weights::{from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
 pub use crate::trainer::TrainReport;
 use crate::trainer::{Task, TrainerConfig, train};
@@ -289,8 +289,6 @@ pub fn train_motionrefit<'a>(
     )?;
     let val_batches = val_batches(config, &val_sampler)?;
 
-    let device = session.device.clone().autodiff();
-    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
     let trainer = TrainerConfig {
         kind: KIND,
         samples: "windows",
@@ -303,7 +301,8 @@ pub fn train_motionrefit<'a>(
         sampler,
         val_batches,
     };
-    let (_, report) = train(&task, model, &trainer, &run, session)?;
+    let network = |device: &Device| record.network(device);
+    let (_, report) = train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
 

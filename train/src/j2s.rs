@@ -25,7 +25,7 @@ use crate::model::pose_net::{
     OFFICIAL_INPUT, OFFICIAL_NAMES, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_NAMES,
     PAPER_OUTPUT, PaperPoseNet,
 };
-use crate::model::weights::{draw, from_safetensors, from_safetensors_named, to_safetensors};
+use crate::model::weights::{from_safetensors, from_safetensors_named, to_safetensors};
 use crate::trainer::{self, Task, TrainerConfig};
 use crate::transfer::read;
 use crate::{Error, Session};
@@ -208,20 +208,16 @@ pub fn train_j2s<'a>(
         &RunRecord::new(KIND, dataset_hash, skeleton, config.clone()),
     )?;
     let run_dir = run.dir();
-    let seed = Seed(config.run.seed);
-    let device = session.device.clone().autodiff();
     let (network, done) = match config.preset {
         J2sPreset::Paper => {
-            let net = PaperPoseNet::new(config.width, &device);
+            let net = |device: &Device| PaperPoseNet::new(config.width, device);
             let task = PoseTask::new(PaperPoseNet::forward, config, motions, skeleton);
-            let net = draw(net, seed.derive(&["weights"]))?;
             let (net, done) = trainer::train(&task, net, &task.trainer(), &run, session)?;
             (Network::Paper(Box::new(net)), done)
         }
         J2sPreset::Official => {
-            let net = OfficialPoseNet::new(config.width, &device);
+            let net = |device: &Device| OfficialPoseNet::new(config.width, device);
             let task = PoseTask::new(OfficialPoseNet::forward, config, motions, skeleton);
-            let net = draw(net, seed.derive(&["weights"]))?;
             let (net, done) = trainer::train(&task, net, &task.trainer(), &run, session)?;
             (Network::Official(Box::new(net)), done)
         }
@@ -661,6 +657,7 @@ mod tests {
     use kinematics::rotation::angle_between;
 
     use super::*;
+    use crate::model::weights::draw;
 
     /// A body that lunges, turned about the vertical.
     fn turned(degrees: f64) -> Pose {

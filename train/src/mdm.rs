@@ -22,7 +22,6 @@ use crate::fit::TextRecord;
 use crate::model::conditioned::Conditioned;
 use crate::model::mdm::Mdm;
 use crate::model::pass::Pass;
-use crate::model::weights::draw;
 use crate::schedule::Schedule;
 use crate::text::clip::ClipModel;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
@@ -230,9 +229,6 @@ pub fn train_mdm<'a>(
         start,
         &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
     )?;
-    let device = session.device.clone().autodiff();
-    let seed = Seed(config.run.seed);
-    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
     let task = MdmTask::new(&record, [&train, &val], record.text.texts(corpus.vectors)?)?;
     let trainer = TrainerConfig {
         kind: KIND,
@@ -240,7 +236,8 @@ pub fn train_mdm<'a>(
         run: config.run,
         epoch_len: train.len() as u64,
     };
-    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
+    let network = |device: &Device| record.network(device);
+    let (_, report) = trainer::train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
 

@@ -18,7 +18,7 @@ use crate::config::Loss;
 use crate::features::FeatureStats;
 use crate::model::mld::{MAX_POSITIONS, MotionVae};
 use crate::model::pass::Pass;
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::model::weights::{from_safetensors, to_safetensors};
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
 use crate::{Error, Session};
 
@@ -67,9 +67,7 @@ pub(super) fn train(
         &folder(run),
         &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
     )?;
-    let device = session.device.clone().autodiff();
     let seed = Seed(config.run.seed);
-    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
     let sampler = |clips, name| CropSampler {
         clips,
         stats: &record.features,
@@ -90,7 +88,8 @@ pub(super) fn train(
         run: config.run,
         epoch_len: clips.len() as u64,
     };
-    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
+    let network = |device: &Device| record.network(device);
+    let (_, report) = trainer::train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
 

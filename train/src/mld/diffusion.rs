@@ -18,7 +18,6 @@ use crate::fit::TextRecord;
 use crate::model::conditioned::Conditioned;
 use crate::model::mld::{LatentDenoiser, MAX_POSITIONS};
 use crate::model::pass::Pass;
-use crate::model::weights::draw;
 use crate::schedule::Schedule;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
 use crate::transfer::read;
@@ -109,8 +108,6 @@ pub fn train_mld<'a>(
         start,
         &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
     )?;
-    let device = session.device.clone().autodiff();
-    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
     let mut task = DiffusionTask {
         record: &record,
         autoencoder: &autoencoder,
@@ -127,7 +124,8 @@ pub fn train_mld<'a>(
         run: config.run,
         epoch_len: train.len() as u64,
     };
-    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
+    let network = |device: &Device| record.network(device);
+    let (_, report) = trainer::train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
 

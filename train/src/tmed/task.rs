@@ -16,7 +16,7 @@ use crate::data::{TextVectors, Timesteps};
 use crate::fit::TextRecord;
 use crate::model::pass::Pass;
 use crate::model::tmed::TmedModel;
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::model::weights::{from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
 use crate::{Error, Session};
@@ -140,8 +140,6 @@ pub fn train_tmed<'a>(
         .step_by(part)
         .map(|first| val_sampler.draw(first as u64, part.min(config.val_clips - first)))
         .collect::<Result<Vec<_>, _>>()?;
-    let device = session.device.clone().autodiff();
-    let model = draw(record.model(&device), seed.derive(&["weights"]))?;
     let trainer = TrainerConfig {
         kind: KIND,
         samples: "clips",
@@ -154,7 +152,8 @@ pub fn train_tmed<'a>(
         sampler,
         val_batches,
     };
-    let (_, report) = train(&task, model, &trainer, &run, session)?;
+    let network = |device: &Device| record.model(device);
+    let (_, report) = train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
 

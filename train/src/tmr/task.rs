@@ -13,7 +13,7 @@ use crate::config::{Loss, WordsConfig};
 use crate::features::FeatureStats;
 use crate::model::pass::Pass;
 use crate::model::tmr::{Tmr, info_nce};
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::model::weights::{from_safetensors, to_safetensors};
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
@@ -89,9 +89,6 @@ pub fn train_tmr<'a>(
     )?;
 
     let seed = Seed(config.run.seed);
-    let device = session.device.clone().autodiff();
-    let sizes = config.sizes(&record.vocabulary);
-    let model = draw(Tmr::new(&sizes, &device), seed.derive(&["weights"]))?;
     let sampler = ClipSampler {
         clips: &train,
         features: &record.features,
@@ -115,7 +112,9 @@ pub fn train_tmr<'a>(
         sampler,
         val_batches,
     };
-    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
+    let sizes = config.sizes(&record.vocabulary);
+    let network = |device: &Device| Tmr::new(&sizes, device);
+    let (_, report) = trainer::train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
 
