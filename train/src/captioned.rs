@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::data::TextVectors;
+use crate::error::motion_error;
 use crate::features::{FeatureRecipe, FeatureStats};
 use crate::tmr::CaptionedMotion;
 
@@ -50,25 +51,18 @@ pub(crate) fn captioned_rows(
         .par_iter()
         .map(|clip| {
             if clip.captions.is_empty() {
-                return Err(Error::Item {
-                    id: clip.id.to_owned(),
-                    problem: "has no caption".to_owned(),
-                });
+                return Err(Error::item(clip.id, "has no caption"));
             }
             let motion = Resample::Exact
                 .apply(clip.motion, Fps::STORE)
-                .map_err(|source| Error::Motion {
-                    id: clip.id.to_owned(),
-                    source: source.into(),
-                })?;
+                .map_err(motion_error(clip.id))?;
             // Velocities need the next frame.
             if motion.len() <= min_frames {
                 return Ok(None);
             }
             let rows = features_of_joints(&joints_of_motion(&motion, &body));
-            let rows = rows.map_err(|error| Error::Item {
-                id: clip.id.to_owned(),
-                problem: format!("has no HumanML3D features: {error}"),
+            let rows = rows.map_err(|error| {
+                Error::item(clip.id, format!("has no HumanML3D features: {error}"))
             })?;
             Ok(Some(CaptionedRows {
                 rows,

@@ -26,6 +26,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::Error;
+use crate::error::json_error;
 
 use self::events::EVENTS;
 pub use self::record::{
@@ -139,8 +140,7 @@ impl Start<'_> {
                 Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => continue,
                 Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
             };
-            let record: Record =
-                serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
+            let record: Record = serde_json::from_str(&text).map_err(json_error(&path))?;
             return Ok(record.config.normalizer);
         }
         Ok(None)
@@ -206,10 +206,7 @@ impl Run {
         let path = start.run.join(CONFIG);
         fs::create_dir_all(start.run).map_err(datasets_spec::Error::io("create", start.run))?;
         // Both documents are parsed from text, so that numbers compare as written.
-        let asked = to_value(record).map_err(|source| Error::Json {
-            path: path.clone(),
-            source,
-        })?;
+        let asked = to_value(record).map_err(json_error(&path))?;
         match fs::read_to_string(&path) {
             Ok(recorded) => Self::open_again(start, record, asked, &recorded),
             Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
@@ -253,10 +250,8 @@ impl Run {
         recorded: &str,
     ) -> Result<Self, Error> {
         let dir = start.run;
-        let json = |source| Error::Json {
-            path: dir.join(CONFIG),
-            source,
-        };
+        let path = dir.join(CONFIG);
+        let json = json_error(&path);
         let kind: Value = serde_json::from_str(recorded).map_err(json)?;
         if kind["kind"] != asked["kind"] {
             let reason = format!("it is a run of {}", kind["kind"]);
@@ -345,10 +340,7 @@ impl Run {
                 .collect(),
         };
         let path = new.join(MANIFEST);
-        let text = serde_json::to_vec_pretty(&manifest).map_err(|source| Error::Json {
-            path: path.clone(),
-            source,
-        })?;
+        let text = serde_json::to_vec_pretty(&manifest).map_err(json_error(&path))?;
         write_synced(&path, &text)?;
         sync_dir(&new)?;
         // A folder cannot be renamed onto a full one. Between the two renames the old checkpoint
@@ -365,10 +357,7 @@ impl Run {
     /// Appends a line to the metrics file.
     pub(crate) fn log(&self, line: &impl Serialize) -> Result<(), Error> {
         let path = self.dir.join(METRICS);
-        let not_json = |source| Error::Json {
-            path: path.clone(),
-            source,
-        };
+        let not_json = json_error(&path);
         let mut text = serde_json::to_string(line).map_err(not_json)?;
         text.push('\n');
         append(&path, text.as_bytes())?;
@@ -434,8 +423,7 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     };
     let path = place.join(MANIFEST);
     let text = fs::read(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let manifest: Manifest =
-        serde_json::from_slice(&text).map_err(|source| Error::Json { path, source })?;
+    let manifest: Manifest = serde_json::from_slice(&text).map_err(json_error(&path))?;
     let mut files = Files::new();
     for (name, entry) in manifest.files {
         let path = place.join(&name);
@@ -580,10 +568,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
         return Err(not_a_run(from, &record.kind, reason));
     }
     let path = from.join(CONFIG);
-    let json = |source| Error::Json {
-        path: path.clone(),
-        source,
-    };
+    let json = json_error(&path);
     let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
     let before: RunRecord<C> = parse_record(&text).map_err(json)?;
     let files = read(from, Slot::Best)?
@@ -600,10 +585,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
 }
 
 fn write_record(path: &Path, record: &Value, lineage: &[Ancestor]) -> Result<(), Error> {
-    let json = |source| Error::Json {
-        path: path.to_owned(),
-        source,
-    };
+    let json = json_error(path);
     let mut record = record.clone();
     if !lineage.is_empty() {
         record["lineage"] = serde_json::to_value(lineage).map_err(json)?;

@@ -23,6 +23,7 @@ use crate::config::{
     TrainConfig, all_keypoints, check_keypoints, is_all_keypoints, is_zero, narrowed, positive,
     share,
 };
+use crate::error::motion_error;
 use crate::model::coordinator::Coordinator;
 use crate::model::pass::{Arithmetic, Pass};
 use crate::model::weights::{from_safetensors, to_safetensors};
@@ -126,13 +127,13 @@ impl CoordinatorConfig {
         share("mirrored_ratio", self.mirrored_ratio)?;
         positive("noise_steps", self.noise_steps as u64)?;
         if self.noise_steps > self.diffusion_steps {
-            return Err(Error::Config {
-                field: "noise_steps",
-                problem: format!(
+            return Err(Error::config(
+                "noise_steps",
+                format!(
                     "it is {}, more than the {} diffusion steps",
                     self.noise_steps, self.diffusion_steps
                 ),
-            });
+            ));
         }
         Schedule::new(self.schedule, self.diffusion_steps).map(|_| ())
     }
@@ -253,14 +254,14 @@ pub fn train_coordinator<'a>(
     for source in [segments.train, segments.val] {
         source.check()?;
         if source.window_len() != config.window * FRAME_WIDTH {
-            return Err(Error::Config {
-                field: "window",
-                problem: format!(
+            return Err(Error::config(
+                "window",
+                format!(
                     "it is {} frames, and the windows to train on have {}",
                     config.window,
                     source.window_len() / FRAME_WIDTH
                 ),
-            });
+            ));
         }
         if source.epoch_len() == 0 {
             return Err(Error::Empty {
@@ -488,10 +489,7 @@ impl TrainedCoordinator {
     /// # Errors
     /// The motion is shorter than a window.
     pub fn composed_share(&self, motion: &Motion, skeleton: &Skeleton) -> Result<f64, Error> {
-        let no_motion = |source: kinematics::Error| Error::Motion {
-            id: "a motion to judge".to_owned(),
-            source: source.into(),
-        };
+        let no_motion = motion_error::<kinematics::Error>("a motion to judge");
         let window = self.record.config.train.window;
         let compose = &self.record.config.compose.config;
         let poses = Resample::Exact

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use crate::checkpoint::{Slot, check_skeleton};
 use crate::config::{GuidanceConfig, Preset, TrainConfig};
 use crate::coordinator::TrainedCoordinator;
+use crate::error::motion_error;
 use crate::j2s::{J2sPreset, PoseNet, Refinement, solve};
 use crate::sample::{
     EditItem, EditSettings, EditTimes, Editor, FitMethod, keypoint_parent, model_frames,
@@ -349,13 +350,11 @@ impl<'a> Fit<'a> {
     /// It asks for a pose network that the editor has not.
     fn of(editor: &'a Editor, settings: &EditSettings) -> Result<Self, Error> {
         if settings.fit == FitMethod::Paper && editor.poses().is_none() {
-            return Err(Error::Misfit {
-                what: "the published fit",
-                problem:
-                    "it starts from a pose network; train one (stance train j2s) and give its \
-                          run with --poses"
-                        .to_owned(),
-            });
+            return Err(Error::misfit(
+                "the published fit",
+                "it starts from a pose network; train one (stance train j2s) and give its \
+                          run with --poses",
+            ));
         }
         Ok(Self {
             method: settings.fit,
@@ -439,11 +438,4 @@ fn complete(
         }
     }
     Ok(())
-}
-
-fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error {
-    move |source| Error::Motion {
-        id: id.to_owned(),
-        source: source.into(),
-    }
 }

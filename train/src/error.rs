@@ -361,11 +361,48 @@ impl Error {
         }
     }
 
+    pub(crate) fn config(field: &'static str, problem: impl Into<String>) -> Self {
+        Self::Config {
+            field,
+            problem: problem.into(),
+        }
+    }
+
+    pub(crate) fn item(id: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::Item {
+            id: id.into(),
+            problem: problem.into(),
+        }
+    }
+
+    pub(crate) fn misfit(what: &'static str, problem: impl Into<String>) -> Self {
+        Self::Misfit {
+            what,
+            problem: problem.into(),
+        }
+    }
+
     pub(crate) fn weights(path: &Path, detail: impl std::fmt::Display) -> Self {
         Self::Weights {
             path: path.to_owned(),
             detail: detail.to_string(),
         }
+    }
+}
+
+/// What becomes of an error of a motion.
+pub(crate) fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error + Copy {
+    move |source| Error::Motion {
+        id: id.to_owned(),
+        source: source.into(),
+    }
+}
+
+/// What becomes of a document that is no JSON, or not of the form that is read.
+pub(crate) fn json_error(path: &Path) -> impl Fn(serde_json::Error) -> Error + Copy {
+    move |source| Error::Json {
+        path: path.to_owned(),
+        source,
     }
 }
 

@@ -58,10 +58,10 @@ pub fn import_editor(
 ) -> Result<(), Error> {
     record.check()?;
     let fit::TextRecord::Frozen { width, .. } = &record.text else {
-        return Err(Error::Config {
-            field: "text.encoder",
-            problem: "a model trained elsewhere listens to a frozen encoder".to_owned(),
-        });
+        return Err(Error::config(
+            "text.encoder",
+            "a model trained elsewhere listens to a frozen encoder",
+        ));
     };
     let config = &record.train;
     let mut network = Denoiser::of_frames(
@@ -430,10 +430,10 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
 
 /// A model that the released program could load only in part.
 fn foreign(found: &str, instead: &str) -> Error {
-    Error::Misfit {
-        what: "the model",
-        problem: format!("{found}, which the released network lacks; train one with {instead}"),
-    }
+    Error::misfit(
+        "the model",
+        format!("{found}, which the released network lacks; train one with {instead}"),
+    )
 }
 
 /// Adds the position tables to a safetensors file.

@@ -12,6 +12,7 @@ use kinematics::rotation;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::error::motion_error;
 
 /// Numbers of a frame: 3 of translation, 21 joints and the root with 6 each.
 pub const FEATURE_WIDTH: usize = 135;
@@ -127,16 +128,11 @@ impl Prepared {
     ) -> Result<Self, Error> {
         let motion = Resample::Exact
             .apply(motion, recipe.fps())
-            .map_err(|source| Error::Motion {
-                id: id.to_owned(),
-                source: source.into(),
-            })?;
+            .map_err(motion_error(id))?;
         if recipe == FeatureRecipe::HumanMl3d {
             let joints = joints_of_motion(&motion, &Skeleton::smplx_neutral());
-            let rows = features_of_joints(&joints).map_err(|error| Error::Item {
-                id: id.to_owned(),
-                problem: format!("has no HumanML3D features: {error}"),
-            })?;
+            let rows = features_of_joints(&joints)
+                .map_err(|error| Error::item(id, format!("has no HumanML3D features: {error}")))?;
             let rows = rows.into_iter().step_by(stride).flatten().collect();
             return Ok(Self::Rows(recipe, rows));
         }

@@ -81,21 +81,19 @@ impl EditorRecord {
         let wanted =
             (self.train.diffusion.prediction.is_extrapolated()).then_some(self.train.window);
         if self.extrapolation.as_ref().map(Extrapolation::window) != wanted {
-            return Err(Error::Config {
-                field: "extrapolation",
-                problem:
-                    "gated predictions are relative to one of the model's window, others to none"
-                        .to_owned(),
-            });
+            return Err(Error::config(
+                "extrapolation",
+                "gated predictions are relative to one of the model's window, others to none",
+            ));
         }
         let shape = self.extrapolation.as_ref().and_then(Extrapolation::shape);
         let is_shaped = self.train.diffusion.noise == NoiseKind::Shaped;
         if shape.is_some() != is_shaped || shape.is_some_and(|shape| !shape.fits(self.train.window))
         {
-            return Err(Error::Config {
-                field: "extrapolation.shape",
-                problem: "shaped noise has one of the model's window, white noise none".to_owned(),
-            });
+            return Err(Error::config(
+                "extrapolation.shape",
+                "shaped noise has one of the model's window, white noise none",
+            ));
         }
         Ok(())
     }
@@ -147,21 +145,21 @@ impl TextRecord {
                 TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table,
                 Some(text @ Self::Frozen { .. }),
             ) => Ok(text),
-            (_, Some(_)) => Err(Error::Config {
-                field: "text.encoder",
-                problem: "it is not that of the run whose weights are to be taken over".to_owned(),
-            }),
+            (_, Some(_)) => Err(Error::config(
+                "text.encoder",
+                "it is not that of the run whose weights are to be taken over",
+            )),
             (TextEncoder::Learned, None) => Ok(Self::Learned(Vocabulary::build(
                 texts,
                 config.words.num_buckets,
                 config.words.max_words,
             )?)),
             (TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table, None) => {
-                let vectors = vectors.ok_or_else(|| Error::Config {
-                    field: "text.encoder",
-                    problem:
-                        "it is a frozen one; name it with --text-encoder, or set it to learned"
-                            .to_owned(),
+                let vectors = vectors.ok_or_else(|| {
+                    Error::config(
+                        "text.encoder",
+                        "it is a frozen one; name it with --text-encoder, or set it to learned",
+                    )
                 })?;
                 Ok(Self::Frozen {
                     encoder_hash: vectors.encoder_hash().to_owned(),
@@ -206,19 +204,19 @@ impl TextRecord {
             return Ok(Texts::Words(vocabulary));
         };
         let Some(vectors) = vectors else {
-            return Err(Error::Misfit {
-                what: "no text encoder",
-                problem: "it uses a frozen one; name it with --text-encoder".to_owned(),
-            });
+            return Err(Error::misfit(
+                "no text encoder",
+                "it uses a frozen one; name it with --text-encoder",
+            ));
         };
         if vectors.encoder_hash() != encoder_hash || vectors.width() != *width {
-            return Err(Error::Misfit {
-                what: "the text encoder",
-                problem: format!(
+            return Err(Error::misfit(
+                "the text encoder",
+                format!(
                     "it is {:.12}, the model was trained with {encoder_hash:.12}",
                     vectors.encoder_hash()
                 ),
-            });
+            ));
         }
         Ok(Texts::Vectors(vectors))
     }
@@ -344,14 +342,14 @@ fn check_windows(config: &TrainConfig, corpus: &Corpus<'_>) -> Result<(), Error>
     let wanted = config.window * FRAME_WIDTH;
     for source in [corpus.train, corpus.val] {
         if source.window_len() != wanted {
-            return Err(Error::Config {
-                field: "window",
-                problem: format!(
+            return Err(Error::config(
+                "window",
+                format!(
                     "it is {} frames, and the windows to train on have {}",
                     config.window,
                     source.window_len() / FRAME_WIDTH
                 ),
-            });
+            ));
         }
     }
     Ok(())

@@ -154,13 +154,13 @@ impl MdmConfig {
         positive("diffusion_steps", self.diffusion_steps as u64)?;
         positive("min_frames", self.min_frames as u64)?;
         if self.max_frames < self.min_frames {
-            return Err(Error::Config {
-                field: "max_frames",
-                problem: format!(
+            return Err(Error::config(
+                "max_frames",
+                format!(
                     "it is {}, less than min_frames {}",
                     self.max_frames, self.min_frames
                 ),
-            });
+            ));
         }
         Ok(())
     }

@@ -151,13 +151,13 @@ impl PartInpainting {
         let [released, steps] = PUBLISHED_RELEASE;
         let start = start.unwrap_or(schedule.len() - 1);
         if start >= schedule.len() {
-            return Err(Error::Config {
-                field: "start",
-                problem: format!(
+            return Err(Error::config(
+                "start",
+                format!(
                     "it is step {start}, and the model has the steps 0 to {}",
                     schedule.len() - 1
                 ),
-            });
+            ));
         }
         Ok(Self {
             release: release.unwrap_or(schedule.len() * released / steps),
@@ -291,10 +291,7 @@ impl<'a> Item<'a> {
 }
 
 fn refused(request: &EditRequest<'_>, problem: impl std::fmt::Display) -> Error {
-    Error::Item {
-        id: request.id.to_owned(),
-        problem: format!("cannot be edited: {problem}"),
-    }
+    Error::item(request.id, format!("cannot be edited: {problem}"))
 }
 
 impl MdmBpSystem {

@@ -46,10 +46,10 @@ impl Schedule {
         };
         let [first, last] = LINEAR_VARIANCES.map(|variance| scale * variance);
         if num_steps < 2 || last >= 1.0 {
-            return Err(Error::Config {
-                field: "diffusion.num_steps",
-                problem: format!("{num_steps} steps are too few for the schedule"),
-            });
+            return Err(Error::config(
+                "diffusion.num_steps",
+                format!("{num_steps} steps are too few for the schedule"),
+            ));
         }
         let stride = (last - first) / (num_steps - 1) as f64;
         let betas = (0..num_steps).map(|step| first + step as f64 * stride);
@@ -67,10 +67,10 @@ impl Schedule {
         const OFFSET: f64 = 0.008;
         const MAX_BETA: f64 = 0.999;
         if num_steps == 0 {
-            return Err(Error::Config {
-                field: "diffusion.num_steps",
-                problem: "it must be at least 1".to_owned(),
-            });
+            return Err(Error::config(
+                "diffusion.num_steps",
+                "it must be at least 1",
+            ));
         }
         let signal = |step: usize| {
             let progress = step as f64 / num_steps as f64;
@@ -92,10 +92,10 @@ impl Schedule {
     pub fn scaled_linear(num_steps: usize) -> Result<Self, Error> {
         const VARIANCES: [f64; 2] = [0.00085, 0.012];
         if num_steps < 2 {
-            return Err(Error::Config {
-                field: "diffusion_steps",
-                problem: format!("it is {num_steps}, and must be at least 2"),
-            });
+            return Err(Error::config(
+                "diffusion_steps",
+                format!("it is {num_steps}, and must be at least 2"),
+            ));
         }
         let [first, last] = VARIANCES.map(f64::sqrt);
         let stride = (last - first) / (num_steps - 1) as f64;

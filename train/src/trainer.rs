@@ -25,6 +25,7 @@ pub use self::task::Task;
 use crate::checkpoint::{self, EMA_PREFIX, Files, Run, STATE, Slot, take};
 use crate::config::RunSettings;
 use crate::data::prefetch;
+use crate::error::json_error;
 use crate::model::pass::Pass;
 use crate::model::weights::draw;
 use crate::optimizer::adamw;
@@ -202,13 +203,13 @@ impl<'a, T: Task> Training<'a, T> {
         }
         let num_steps = config.num_steps();
         if state.step > num_steps {
-            return Err(Error::Config {
-                field: "length",
-                problem: format!(
+            return Err(Error::config(
+                "length",
+                format!(
                     "it is {num_steps} steps, and the run has made {} already",
                     state.step
                 ),
-            });
+            ));
         }
         run.settle()?;
         run.rewind_log(state.step)?;
@@ -377,10 +378,7 @@ impl<'a, T: Task> Training<'a, T> {
             .optimizer
             .into_bytes()
             .map_err(|problem| Error::weights(&run_dir.join(OPTIMIZER), problem))?;
-        let state = serde_json::to_vec(&self.state).map_err(|source| Error::Json {
-            path: run_dir.join(STATE),
-            source,
-        })?;
+        let state = serde_json::to_vec(&self.state).map_err(json_error(&run_dir.join(STATE)))?;
         let mut files = self.task.save(&model.valid(), run_dir)?;
         files.insert(OPTIMIZER.to_owned(), moments.to_vec());
         files.insert(STATE.to_owned(), state);
@@ -456,10 +454,7 @@ fn load_progress(
     let optimizer = optimizer
         .from_bytes(moments)
         .map_err(|problem| Error::weights(&run_dir.join(OPTIMIZER), problem))?;
-    let state =
-        serde_json::from_slice(&take(files, STATE, run_dir)?).map_err(|source| Error::Json {
-            path: run_dir.join(STATE),
-            source,
-        })?;
+    let state = serde_json::from_slice(&take(files, STATE, run_dir)?)
+        .map_err(json_error(&run_dir.join(STATE)))?;
     Ok((optimizer, state))
 }

@@ -46,10 +46,7 @@ impl Vocabulary {
             ("text.max_words", max_words),
         ] {
             if value == 0 {
-                return Err(Error::Config {
-                    field,
-                    problem: "it must be at least 1".to_owned(),
-                });
+                return Err(Error::config(field, "it must be at least 1"));
             }
         }
         let words: BTreeSet<String> = texts.into_iter().flat_map(words_of).collect();

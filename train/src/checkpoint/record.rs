@@ -11,6 +11,7 @@ use serde_json::Value;
 
 use crate::Error;
 use crate::config::rename_former;
+use crate::error::json_error;
 
 /// Version of the run folder.
 pub const FORMAT: u32 = 1;
@@ -125,10 +126,7 @@ pub fn check_skeleton_of(
         skeleton: String,
         skeleton_hash: Option<String>,
     }
-    let trained: Trained = serde_json::from_str(text).map_err(|source| Error::Json {
-        path: run_dir.join(CONFIG),
-        source,
-    })?;
+    let trained: Trained = serde_json::from_str(text).map_err(json_error(&run_dir.join(CONFIG)))?;
     if trained.kind == MOTION_KIND {
         return Ok(());
     }
@@ -157,7 +155,7 @@ pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
     }
     let path = run_dir.join(CONFIG);
     let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let found: Kind = serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
+    let found: Kind = serde_json::from_str(&text).map_err(json_error(&path))?;
     Ok(found.kind)
 }
 
@@ -207,10 +205,7 @@ pub(crate) fn record_of<C: DeserializeOwned>(
         kind: String,
     }
     let path = run_dir.join(CONFIG);
-    let json = |source| Error::Json {
-        path: path.clone(),
-        source,
-    };
+    let json = json_error(&path);
     let header: Header = serde_json::from_str(text).map_err(json)?;
     if header.kind != kind {
         let reason = format!("it is a run of {:?}", header.kind);

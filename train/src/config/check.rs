@@ -4,20 +4,17 @@ use crate::Error;
 
 pub(crate) fn positive(field: &'static str, value: u64) -> Result<(), Error> {
     if value == 0 {
-        return Err(Error::Config {
-            field,
-            problem: "it must be at least 1".to_owned(),
-        });
+        return Err(Error::config(field, "it must be at least 1"));
     }
     Ok(())
 }
 
 pub(crate) fn share(field: &'static str, value: f64) -> Result<(), Error> {
     if !(0.0..1.0).contains(&value) {
-        return Err(Error::Config {
+        return Err(Error::config(
             field,
-            problem: format!("it is {value}, and must lie in [0, 1)"),
-        });
+            format!("it is {value}, and must lie in [0, 1)"),
+        ));
     }
     Ok(())
 }

@@ -131,10 +131,10 @@ impl TextConfig {
     /// `vectors` is set for another encoder than `bert`.
     pub(crate) fn check(&self) -> Result<(), Error> {
         if self.vectors.is_some() && self.encoder != TextEncoder::Bert {
-            return Err(Error::Config {
-                field: "text.vectors",
-                problem: "it is for text.encoder = \"bert\" alone; leave it out".to_owned(),
-            });
+            return Err(Error::config(
+                "text.vectors",
+                "it is for text.encoder = \"bert\" alone; leave it out",
+            ));
         }
         Ok(())
     }
@@ -145,12 +145,11 @@ impl TextConfig {
     /// As [`Self::check`], or they ask for the vectors of tokens.
     pub(crate) fn check_pooled(&self) -> Result<(), Error> {
         if self.vectors == Some(BertVectors::States) {
-            return Err(Error::Config {
-                field: "text.vectors",
-                problem: "it is states, one vector for each token, and this model is given one for each text; set it to \
-                          pooled, or leave it out"
-                    .to_owned(),
-            });
+            return Err(Error::config(
+                "text.vectors",
+                "it is states, one vector for each token, and this model is given one for each text; set it to \
+                          pooled, or leave it out",
+            ));
         }
         self.check()
     }
@@ -422,28 +421,28 @@ impl TrainConfig {
         self.run.check()?;
         check_keypoints(self.keypoints)?;
         if self.window <= FIXED_FRAMES {
-            return Err(Error::Config {
-                field: "window",
-                problem: format!(
+            return Err(Error::config(
+                "window",
+                format!(
                     "it is {} frames, of which {FIXED_FRAMES} are fixed; at least one must be free",
                     self.window
                 ),
-            });
+            ));
         }
         if self.window <= FIXED_FRAMES + self.diffusion.overlap {
-            return Err(Error::Config {
-                field: "diffusion.overlap",
-                problem: format!(
+            return Err(Error::config(
+                "diffusion.overlap",
+                format!(
                     "windows of {} frames share {} and have {FIXED_FRAMES} fixed ones; each must add one",
                     self.window, self.diffusion.overlap
                 ),
-            });
+            ));
         }
         if !self.coordinator.strength.is_finite() {
-            return Err(Error::Config {
-                field: "coordinator.strength",
-                problem: format!("it is {}", self.coordinator.strength),
-            });
+            return Err(Error::config(
+                "coordinator.strength",
+                format!("it is {}", self.coordinator.strength),
+            ));
         }
         self.text.check_pooled()?;
         positive("val_windows", self.val_windows as u64)?;
@@ -470,12 +469,12 @@ pub(crate) fn check_keypoints(keypoints: usize) -> Result<(), Error> {
     if [NUM_BODY_JOINTS, NUM_KEYPOINTS].contains(&keypoints) {
         return Ok(());
     }
-    Err(Error::Config {
-        field: "keypoints",
-        problem: format!(
+    Err(Error::config(
+        "keypoints",
+        format!(
             "it is {keypoints}; known are {NUM_KEYPOINTS}, and the {NUM_BODY_JOINTS} body joints"
         ),
-    })
+    ))
 }
 
 /// The first keypoints of frames, which are laid out one after another.
@@ -504,13 +503,13 @@ impl NetworkConfig {
             || !self.width.is_multiple_of(2)
             || !self.width.is_multiple_of(self.num_heads)
         {
-            return Err(Error::Config {
-                field: "model.width",
-                problem: format!(
+            return Err(Error::config(
+                "model.width",
+                format!(
                     "it is {}, and must be even and a multiple of {} heads",
                     self.width, self.num_heads
                 ),
-            });
+            ));
         }
         Ok(())
     }

@@ -88,10 +88,10 @@ impl RunSettings {
         if self.micro_batch() == self.batch_size {
             return Ok(());
         }
-        Err(Error::Config {
-            field: "micro_batch_size",
-            problem: format!("a step of this model cannot be split: {why}; leave it out"),
-        })
+        Err(Error::config(
+            "micro_batch_size",
+            format!("a step of this model cannot be split: {why}; leave it out"),
+        ))
     }
 }
 
@@ -167,10 +167,10 @@ impl OptimizerConfig {
         if let Some(longest) = self.max_gradient_norm
             && !(longest.is_finite() && longest > 0.0)
         {
-            return Err(Error::Config {
-                field: "optimizer.max_gradient_norm",
-                problem: format!("it is {longest}, and must be positive"),
-            });
+            return Err(Error::config(
+                "optimizer.max_gradient_norm",
+                format!("it is {longest}, and must be positive"),
+            ));
         }
         share("optimizer.ema_decay", self.ema_decay.unwrap_or(0.0))?;
         for (field, value) in [
@@ -178,10 +178,10 @@ impl OptimizerConfig {
             ("optimizer.weight_decay", self.weight_decay),
         ] {
             if !value.is_finite() || value < 0.0 {
-                return Err(Error::Config {
+                return Err(Error::config(
                     field,
-                    problem: format!("it is {value}, and must be finite and not negative"),
-                });
+                    format!("it is {value}, and must be finite and not negative"),
+                ));
             }
         }
         Ok(())

@@ -161,13 +161,13 @@ impl MldConfig {
         self.text.check_pooled()?;
         share("text_dropout", self.text_dropout)?;
         if self.model.width != self.autoencoder.model.width {
-            return Err(Error::Config {
-                field: "model.width",
-                problem: format!(
+            return Err(Error::config(
+                "model.width",
+                format!(
                     "it is {}, and latent vectors have {} numbers",
                     self.model.width, self.autoencoder.model.width
                 ),
-            });
+            ));
         }
         Ok(())
     }
@@ -184,25 +184,25 @@ impl AutoencoderConfig {
         positive("autoencoder.min_frames", self.min_frames as u64)?;
         // Two learned tokens stand before the frames.
         if !(self.min_frames..=MAX_POSITIONS - 2).contains(&self.max_frames) {
-            return Err(Error::Config {
-                field: "autoencoder.max_frames",
-                problem: format!(
+            return Err(Error::config(
+                "autoencoder.max_frames",
+                format!(
                     "it is {}, and must be from min_frames {} to {}",
                     self.max_frames,
                     self.min_frames,
                     MAX_POSITIONS - 2
                 ),
-            });
+            ));
         }
         for (field, weight) in [
             ("autoencoder.joints_weight", self.joints_weight),
             ("autoencoder.kl_weight", self.kl_weight),
         ] {
             if !(weight.is_finite() && weight >= 0.0) {
-                return Err(Error::Config {
+                return Err(Error::config(
                     field,
-                    problem: format!("it is {weight}, and must be finite and not negative"),
-                });
+                    format!("it is {weight}, and must be finite and not negative"),
+                ));
             }
         }
         Ok(())
@@ -213,10 +213,10 @@ impl AutoencoderConfig {
 fn check_layers(field: &'static str, model: &NetworkConfig) -> Result<(), Error> {
     model.check()?;
     if model.num_layers.is_multiple_of(2) {
-        return Err(Error::Config {
+        return Err(Error::config(
             field,
-            problem: format!("it is {}, and must be odd", model.num_layers),
-        });
+            format!("it is {}, and must be odd", model.num_layers),
+        ));
     }
     Ok(())
 }

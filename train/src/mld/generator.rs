@@ -70,13 +70,11 @@ impl Generator {
         record.train.check()?;
         let autoencoder = Autoencoder::load(run, device)?;
         if autoencoder.hash != record.autoencoder {
-            return Err(Error::Misfit {
-                what: "the autoencoder",
-                problem:
-                    "it was trained again after the diffusion of its latent vectors; train MLD \
-                          into another folder"
-                        .to_owned(),
-            });
+            return Err(Error::misfit(
+                "the autoencoder",
+                "it was trained again after the diffusion of its latent vectors; train MLD \
+                          into another folder",
+            ));
         }
         let mut files = read_for_use(run, Slot::Best, KIND)?;
         let weights: Vec<&[u8]> = [WEIGHTS, TEXT]

@@ -145,10 +145,7 @@ impl Editor {
             self.coordinator = Some(coordinator);
             return Ok(self);
         };
-        Err(Error::Misfit {
-            what: "the coordinator",
-            problem: problem.to_owned(),
-        })
+        Err(Error::misfit("the coordinator", problem))
     }
 
     /// Whether the editor has a coordinator.

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::settings::FitMethod;
 use crate::Error;
+use crate::error::motion_error;
 use crate::fit::EditorRecord;
 
 /// An instruction for some frames of a motion.
@@ -131,18 +132,12 @@ impl EditItem {
         editor: &EditorRecord,
     ) -> Result<Self, Error> {
         let id = id.into();
-        let refused = |problem: String| Error::Item {
-            id: id.clone(),
-            problem,
-        };
+        let refused = |problem: String| Error::item(id.clone(), problem);
         check_ranges(motion, instructions).map_err(&refused)?;
         let (model_fps, anchor) = (editor.compose.config.fps, editor.compose.config.anchor);
         let original = Resample::Exact
             .apply(motion, fps)
-            .map_err(|source| Error::Motion {
-                id: id.clone(),
-                source: source.into(),
-            })?
+            .map_err(motion_error(&id))?
             .poses();
         let mut poses = covering(motion, model_fps);
         let num_frames = poses.len();

@@ -98,10 +98,7 @@ fn check_windows(items: &[EditItem], window_frames: usize) -> Result<(), Error> 
         } else {
             continue;
         };
-        return Err(Error::Item {
-            id: item.id.clone(),
-            problem,
-        });
+        return Err(Error::item(item.id.clone(), problem));
     }
     Ok(())
 }

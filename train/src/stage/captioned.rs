@@ -7,6 +7,7 @@ use super::encoder::{CaptionedClip, views};
 use super::{MOTIONS, create_dir};
 use crate::captioned::CaptionedCorpus;
 use crate::config::TextConfig;
+use crate::error::motion_error;
 use crate::kind::{TrainRequest, Trained};
 use crate::text::clip::ClipModel;
 use crate::text::source::EMBEDDINGS;
@@ -26,10 +27,7 @@ fn timed_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Er
     let rows: Vec<MotionRow> = dataset.read(Some(split))?;
     let mut clips = Vec::new();
     for row in rows.iter().filter(|row| !row.captions.is_empty()) {
-        push_clips(row, &mut clips).map_err(|source| Error::Motion {
-            id: row.id.to_string(),
-            source,
-        })?;
+        push_clips(row, &mut clips).map_err(motion_error(row.id.as_str()))?;
     }
     Ok(clips)
 }

@@ -5,6 +5,7 @@ use datasets_spec::{Dataset, Motion, Split};
 
 use super::MOTIONS;
 use crate::checkpoint::Start;
+use crate::error::motion_error;
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::tmr::{self, CaptionedMotion, TmrConfig, TmrCorpus, train_tmr};
 use crate::trainer::TrainReport;
@@ -40,10 +41,7 @@ pub fn captioned_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedC
     clips
         .map(|row| {
             let id = row.id.to_string();
-            let motion = row.motion().map_err(|source| Error::Motion {
-                id: id.clone(),
-                source,
-            })?;
+            let motion = row.motion().map_err(motion_error(&id))?;
             let captions = row.captions.into_iter().map(|caption| caption.text);
             Ok(CaptionedClip {
                 id,

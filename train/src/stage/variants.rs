@@ -398,10 +398,8 @@ fn group(
             let id = format!("{}/{number:02}", base.id);
             let joints = recover_joints(features);
             let posed = motion_of_joints(&joints, Fps::STORE, skeleton);
-            let (motion, fit_error_m) = posed.map_err(|error| Error::Item {
-                id: id.clone(),
-                problem: format!("cannot be posed: {error}"),
-            })?;
+            let (motion, fit_error_m) = posed
+                .map_err(|error| Error::item(id.clone(), format!("cannot be posed: {error}")))?;
             let by = ["mld", generator.hash()];
             let id = MotionId::parse(&id)?;
             let row = generated_row(id, split, &motion, &base.text, fit_error_m, by, skeleton);

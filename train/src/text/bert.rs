@@ -15,6 +15,7 @@ use super::files::{WEIGHTS, file_in, first, read_weights};
 use super::tokens::{PROBE, batch_of, vocabulary_of};
 use crate::Error;
 use crate::config::BertVectors;
+use crate::error::json_error;
 use crate::model::weights::to_safetensors;
 use crate::transfer::read;
 
@@ -111,10 +112,7 @@ impl BertFiles {
 }
 
 fn parse<T: DeserializeOwned>(document: &[u8], path: &Path) -> Result<T, Error> {
-    serde_json::from_slice(document).map_err(|source| Error::Json {
-        path: path.to_owned(),
-        source,
-    })
+    serde_json::from_slice(document).map_err(json_error(path))
 }
 
 /// A line of `modules.json`.

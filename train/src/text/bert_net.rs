@@ -12,6 +12,7 @@ use safetensors::SafeTensors;
 use serde::Deserialize;
 
 use crate::Error;
+use crate::error::json_error;
 use crate::model::text::token_tensor;
 use crate::model::torch::{StoredTensor, float_tensor, safetensors_of};
 use crate::model::transformer::padding_of;
@@ -123,10 +124,7 @@ impl BertConfig {
         struct Named {
             model_type: Option<String>,
         }
-        let json = |source| Error::Json {
-            path: path.to_owned(),
-            source,
-        };
+        let json = json_error(path);
         let refused = |detail: String| Error::TextModel {
             path: path.to_owned(),
             detail,

@@ -13,6 +13,7 @@ use super::config::TmedConfig;
 use super::features::{FeatureFrame, FeatureStatistics, Moments, NUM_FEATURES, features_of_motion};
 use crate::Error;
 use crate::data::{Texts, Timesteps};
+use crate::error::motion_error;
 use crate::vocabulary::{PADDING, TokenBatch};
 
 /// Clips of both splits that statistics are taken of; more hardly change them.
@@ -95,8 +96,7 @@ pub(crate) fn statistics(
                 let clip = source.clip(0, place * count / taken)?;
                 let of = |motion: &Motion| -> Result<Moments, Error> {
                     let features = features_of_motion(motion, fps, max_frames, skeleton);
-                    let features =
-                        features.map_err(|source| unusable(&clip.instruction, source))?;
+                    let features = features.map_err(motion_error(&clip.instruction))?;
                     Ok(Moments::of(&features))
                 };
                 Ok(of(&clip.source)?.merge(&of(&clip.target)?))
@@ -107,13 +107,6 @@ pub(crate) fn statistics(
     sum.statistics().ok_or(Error::Empty {
         what: "training split of TMED",
     })
-}
-
-fn unusable(instruction: &str, source: kinematics::Error) -> Error {
-    Error::Motion {
-        id: instruction.to_owned(),
-        source: source.into(),
-    }
 }
 
 /// Texts as the network is given them.
@@ -286,7 +279,7 @@ impl ClipSampler<'_> {
         let clip = self.source.clip(epoch, number)?;
         let features = |motion: &Motion| -> Result<Vec<FeatureFrame>, Error> {
             let features = features_of_motion(motion, config.fps, config.max_frames, skeleton);
-            let mut features = features.map_err(|source| unusable(&clip.instruction, source))?;
+            let mut features = features.map_err(motion_error(&clip.instruction))?;
             self.statistics.normalize(&mut features);
             Ok(features)
         };

@@ -245,11 +245,10 @@ impl TmedConfig {
         self.diffusion.check()?;
         self.text.check()?;
         if self.text.encoder == TextEncoder::Table {
-            return Err(Error::Config {
-                field: "text.encoder",
-                problem: "a table holds one vector for each text, and TMED reads tokens; set it to learned, clip or bert"
-                    .to_owned(),
-            });
+            return Err(Error::config(
+                "text.encoder",
+                "a table holds one vector for each text, and TMED reads tokens; set it to learned, clip or bert",
+            ));
         }
         positive("max_frames", self.max_frames as u64)?;
         positive("val_clips", self.val_clips as u64)?;
@@ -281,10 +280,7 @@ impl TmedDiffusion {
             ("diffusion.source_guidance", self.source_guidance),
         ] {
             if !value.is_finite() {
-                return Err(Error::Config {
-                    field,
-                    problem: format!("it is {value}"),
-                });
+                return Err(Error::config(field, format!("it is {value}")));
             }
         }
         self.steps(self.edit_steps).map(|_| ())

@@ -15,6 +15,7 @@ use super::objective::{places, text_tokens};
 use super::task::{DENOISER, KIND, TmedRecord, WORDS, load_weights};
 use crate::checkpoint::{self, RunRecord, Slot, check_skeleton, read_for_use, weights_hash};
 use crate::config::Preset;
+use crate::error::motion_error;
 use crate::fit::TextRecord;
 use crate::gaussian::SampleSteps;
 use crate::model::pass::Pass;
@@ -64,11 +65,10 @@ pub(crate) fn open(
         (&source.poses, "the pose network"),
     ] {
         if helper.is_some() {
-            return Err(Error::Misfit {
+            return Err(Error::misfit(
                 what,
-                problem: "TMED makes whole motions of rotations and uses no other network"
-                    .to_owned(),
-            });
+                "TMED makes whole motions of rotations and uses no other network",
+            ));
         }
     }
     let RunRecord { config: record, .. } =
@@ -431,12 +431,5 @@ impl EditSystem for TmedSystem {
             motions: motions.collect(),
             times,
         })
-    }
-}
-
-fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error {
-    move |source| Error::Motion {
-        id: id.to_owned(),
-        source: source.into(),
     }
 }

@@ -267,10 +267,10 @@ impl FeatureStatistics {
         if fits(&self.mean) && fits(&self.std) && self.std.iter().all(|&std| std >= 0.0) {
             return Ok(());
         }
-        Err(Error::Config {
-            field: "statistics",
-            problem: format!("they are not {NUM_FEATURES} finite means and standard deviations"),
-        })
+        Err(Error::config(
+            "statistics",
+            format!("they are not {NUM_FEATURES} finite means and standard deviations"),
+        ))
     }
 
     /// `(x - mean) / (2 (std + 1e-5))`, as released.

@@ -92,10 +92,10 @@ type Clips = (Box<dyn ClipSource>, Vec<String>);
 fn captured(dataset: &Dataset, split: Split) -> Result<Clips, Error> {
     let library = library(dataset, split)?;
     if library.num_pairs() == 0 {
-        return Err(Error::Config {
-            field: "data",
-            problem: format!("it is pairs, and the {split} split has none; set it to composed"),
-        });
+        return Err(Error::config(
+            "data",
+            format!("it is pairs, and the {split} split has none; set it to composed"),
+        ));
     }
     let texts = (0..library.num_pairs()).map(|pair| library.instruction_of_pair(pair).to_owned());
     let texts = texts.collect();

@@ -90,10 +90,10 @@ pub fn train_tmed<'a>(
 ) -> Result<TrainReport, Error> {
     config.check()?;
     if corpus.compose.is_some() != (config.data == ClipData::Composed) {
-        return Err(Error::Config {
-            field: "data",
-            problem: "composed clips come with the composer's settings, pairs with none".to_owned(),
-        });
+        return Err(Error::config(
+            "data",
+            "composed clips come with the composer's settings, pairs with none",
+        ));
     }
     let start = start.into();
     let fitted: Option<TmedRecord> = start.fitted(KIND)?;

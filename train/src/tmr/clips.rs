@@ -55,10 +55,7 @@ pub(super) fn clips(
         .par_iter()
         .map(|clip| {
             if clip.captions.is_empty() {
-                return Err(Error::Item {
-                    id: clip.id.to_owned(),
-                    problem: "has no caption".to_owned(),
-                });
+                return Err(Error::item(clip.id, "has no caption"));
             }
             Ok(Clip {
                 motion: Prepared::new(clip.motion, config.features, config.frame_stride, clip.id)?,

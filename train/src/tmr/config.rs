@@ -171,19 +171,19 @@ impl TmrConfig {
         positive("frame_stride", self.frame_stride as u64)?;
         positive("min_frames", self.min_frames as u64)?;
         if self.max_frames < self.min_frames {
-            return Err(Error::Config {
-                field: "max_frames",
-                problem: format!(
+            return Err(Error::config(
+                "max_frames",
+                format!(
                     "it is {}, less than min_frames {}",
                     self.max_frames, self.min_frames
                 ),
-            });
+            ));
         }
         if !(self.temperature.is_finite() && self.temperature > 0.0) {
-            return Err(Error::Config {
-                field: "temperature",
-                problem: format!("it is {}, and must be positive", self.temperature),
-            });
+            return Err(Error::config(
+                "temperature",
+                format!("it is {}, and must be positive", self.temperature),
+            ));
         }
         Ok(())
     }

@@ -129,14 +129,14 @@ fn taken_over(
         Some(fitted) if fitted.features.recipe == config.features => {
             Ok((fitted.vocabulary, Some(fitted.features)))
         }
-        Some(fitted) => Err(Error::Config {
-            field: "features",
-            problem: format!(
+        Some(fitted) => Err(Error::config(
+            "features",
+            format!(
                 "it is {}, and the run whose weights are to be taken over sees {}",
                 config.features.name(),
                 fitted.features.recipe.name()
             ),
-        }),
+        )),
         None => {
             let captions = corpus
                 .train

@@ -150,10 +150,10 @@ pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>,
 impl Editing {
     fn open(stored: &Stored, surroundings: Surroundings) -> Result<Self, Error> {
         let items = Dataset::open(&stored.items)?;
-        let slot: Slot = stored.checkpoint.parse().map_err(|problem| Error::Config {
-            field: "checkpoint",
-            problem,
-        })?;
+        let slot: Slot = stored
+            .checkpoint
+            .parse()
+            .map_err(|problem| Error::config("checkpoint", problem))?;
         let source = SystemSource {
             run: stored.run.clone(),
             slot,
