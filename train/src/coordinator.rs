@@ -17,11 +17,10 @@ use crate::checkpoint::{
     self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
 };
 use crate::compose::ComposeRecord;
-use crate::config::ScheduleName;
 use crate::config::{
-    Decay, DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings,
-    TrainConfig, all_keypoints, check_keypoints, is_all_keypoints, is_zero, narrowed, positive,
-    share,
+    DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, ScheduleName,
+    TrainConfig, all_keypoints, check_keypoints, check_windows, is_all_keypoints, is_zero,
+    narrowed, positive, share,
 };
 use crate::error::motion_error;
 use crate::model::coordinator::Coordinator;
@@ -97,14 +96,12 @@ impl CoordinatorConfig {
             mirrored_ratio: if is_tiny { 0.5 } else { 0.0 },
             val_windows: editor.val_windows,
             run: RunSettings {
-                optimizer: OptimizerConfig {
-                    decay: Decay::Linear,
-                    learning_rate: if is_tiny {
-                        3e-4
-                    } else {
-                        editor.run.optimizer.learning_rate
+                optimizer: match preset {
+                    Preset::Tiny => OptimizerConfig {
+                        learning_rate: 3e-4,
+                        ..editor.run.optimizer
                     },
-                    ..editor.run.optimizer
+                    Preset::Paper | Preset::Official => editor.run.optimizer,
                 },
                 // The paper does not say how long. The released coordinators stopped after 55,000 to 68,000 steps.
                 length: RunLength::of_steps(if is_tiny { 6_000 } else { 68_000 }),
@@ -127,13 +124,9 @@ impl CoordinatorConfig {
         share("mirrored_ratio", self.mirrored_ratio)?;
         positive("noise_steps", self.noise_steps as u64)?;
         if self.noise_steps > self.diffusion_steps {
-            return Err(Error::config(
-                "noise_steps",
-                format!(
-                    "it is {}, more than the {} diffusion steps",
-                    self.noise_steps, self.diffusion_steps
-                ),
-            ));
+            let (steps, all) = (self.noise_steps, self.diffusion_steps);
+            let problem = format!("it is {steps}, more than the {all} diffusion steps");
+            return Err(Error::config("noise_steps", problem));
         }
         Schedule::new(self.schedule, self.diffusion_steps).map(|_| ())
     }
@@ -253,16 +246,7 @@ pub fn train_coordinator<'a>(
     segments.compose.check(config.window)?;
     for source in [segments.train, segments.val] {
         source.check()?;
-        if source.window_len() != config.window * FRAME_WIDTH {
-            return Err(Error::config(
-                "window",
-                format!(
-                    "it is {} frames, and the windows to train on have {}",
-                    config.window,
-                    source.window_len() / FRAME_WIDTH
-                ),
-            ));
-        }
+        check_windows(config.window, source.window_len())?;
         if source.epoch_len() == 0 {
             return Err(Error::Empty {
                 what: "source of segments",
@@ -568,7 +552,7 @@ mod tests {
 
     #[test]
     fn presets_are_usable() {
-        for preset in [Preset::Paper, Preset::Official, Preset::Tiny] {
+        for preset in Preset::ALL {
             CoordinatorConfig::preset(preset).check().expect("usable");
         }
     }

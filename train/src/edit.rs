@@ -144,7 +144,7 @@ fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
 /// training.
 fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setting)> {
     let trained = &editor.record().config.train;
-    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+    let usual = Preset::ALL
         .map(TrainConfig::preset)
         .into_iter()
         .find(|preset| preset.model == trained.model);

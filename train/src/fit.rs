@@ -4,12 +4,12 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
 use datasets_spec::{Seed, Skeleton};
-use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+use kinematics::normalise::Normalizer;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::compose::ComposeRecord;
-use crate::config::{NoiseKind, TextConfig, TextEncoder, TrainConfig};
+use crate::config::{NoiseKind, TextConfig, TextEncoder, TrainConfig, check_windows};
 use crate::data::{NoisyBatch, TextVectors, Texts, Timesteps, WindowSampler, WindowSource};
 use crate::diffusion::Objective;
 use crate::extrapolation::Extrapolation;
@@ -238,7 +238,9 @@ pub fn train_motionrefit<'a>(
 ) -> Result<TrainReport, Error> {
     config.check()?;
     corpus.compose.check(config.window)?;
-    check_windows(config, &corpus)?;
+    for source in [corpus.train, corpus.val] {
+        check_windows(config.window, source.window_len())?;
+    }
     let start = start.into();
     let fitted: Option<EditorRecord> = start.fitted(KIND)?;
     let (known_text, known_extrapolation) = match fitted {
@@ -336,23 +338,6 @@ fn val_batches(
         .step_by(part)
         .map(|first| sampler.draw(first as u64, part.min(config.val_windows - first)))
         .collect()
-}
-
-fn check_windows(config: &TrainConfig, corpus: &Corpus<'_>) -> Result<(), Error> {
-    let wanted = config.window * FRAME_WIDTH;
-    for source in [corpus.train, corpus.val] {
-        if source.window_len() != wanted {
-            return Err(Error::config(
-                "window",
-                format!(
-                    "it is {} frames, and the windows to train on have {}",
-                    config.window,
-                    source.window_len() / FRAME_WIDTH
-                ),
-            ));
-        }
-    }
-    Ok(())
 }
 
 struct EditorTask<'a> {

@@ -93,12 +93,9 @@ impl J2sConfig {
             faces_forward: preset == J2sPreset::Paper,
             run: RunSettings {
                 optimizer: OptimizerConfig {
-                    learning_rate: 1e-3,
                     decay: Decay::Linear,
-                    warmup_steps: 0,
                     weight_decay: 0.0,
-                    max_gradient_norm: None,
-                    ema_decay: None,
+                    ..OptimizerConfig::of_rate(1e-3)
                 },
                 batch_size: 512,
                 micro_batch_size: None,

@@ -13,8 +13,8 @@ use crate::captioned::{
 };
 use crate::checkpoint::{Files, Run, RunRecord, Start};
 use crate::config::{
-    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
-    TrainConfig, WordsConfig, positive, share,
+    NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TrainConfig,
+    check_lengths, positive, share,
 };
 use crate::data::{TextBatch, Texts};
 use crate::features::FeatureStats;
@@ -91,14 +91,7 @@ impl MdmConfig {
                     feed_forward: 1024,
                     dropout: 0.1,
                 },
-                text: TextConfig {
-                    encoder: TextEncoder::Clip,
-                    vectors: None,
-                    words: WordsConfig {
-                        num_buckets: 64,
-                        max_words: 32,
-                    },
-                },
+                text: TextConfig::clip(),
                 diffusion_steps: 1_000,
                 mask_frames: false,
                 text_dropout: 0.1,
@@ -107,12 +100,8 @@ impl MdmConfig {
                 max_frames: 196,
                 run: RunSettings {
                     optimizer: OptimizerConfig {
-                        learning_rate: 1e-4,
-                        decay: Decay::Constant,
-                        warmup_steps: 0,
                         weight_decay: 0.0,
-                        max_gradient_norm: None,
-                        ema_decay: None,
+                        ..OptimizerConfig::of_rate(1e-4)
                     },
                     batch_size: 64,
                     micro_batch_size: None,
@@ -152,17 +141,7 @@ impl MdmConfig {
         self.text.check_pooled()?;
         share("text_dropout", self.text_dropout)?;
         positive("diffusion_steps", self.diffusion_steps as u64)?;
-        positive("min_frames", self.min_frames as u64)?;
-        if self.max_frames < self.min_frames {
-            return Err(Error::config(
-                "max_frames",
-                format!(
-                    "it is {}, less than min_frames {}",
-                    self.max_frames, self.min_frames
-                ),
-            ));
-        }
-        Ok(())
+        check_lengths(self.min_frames, self.max_frames)
     }
 }
 

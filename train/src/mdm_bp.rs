@@ -113,7 +113,7 @@ fn system_name(
         true => "MDM-BP tiny",
         false => "MDM-BP",
     };
-    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+    let usual = Preset::ALL
         .map(MdmConfig::preset)
         .into_iter()
         .find(|preset| preset.model == trained.model)

@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 use burn::tensor::{Tensor, TensorData};
 
 use crate::Error;
-use crate::config::ScheduleName;
+use crate::config::{ScheduleName, positive};
 
 /// First and last variance of the linear schedule over [`REFERENCE_STEPS`] steps (Ho et al. 2020).
 const LINEAR_VARIANCES: [f64; 2] = [1e-4, 0.02];
@@ -66,12 +66,7 @@ impl Schedule {
     pub fn cosine(num_steps: usize) -> Result<Self, Error> {
         const OFFSET: f64 = 0.008;
         const MAX_BETA: f64 = 0.999;
-        if num_steps == 0 {
-            return Err(Error::config(
-                "diffusion.num_steps",
-                "it must be at least 1",
-            ));
-        }
+        positive("diffusion.num_steps", num_steps as u64)?;
         let signal = |step: usize| {
             let progress = step as f64 / num_steps as f64;
             let angle = (progress + OFFSET) / (1.0 + OFFSET) * FRAC_PI_2;

@@ -6,6 +6,7 @@ use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::config::positive;
 
 /// Number of the token that fills a row up to the length of the longest one.
 pub const PADDING: i32 = 0;
@@ -41,14 +42,8 @@ impl Vocabulary {
         num_buckets: usize,
         max_words: usize,
     ) -> Result<Self, Error> {
-        for (field, value) in [
-            ("text.num_buckets", num_buckets),
-            ("text.max_words", max_words),
-        ] {
-            if value == 0 {
-                return Err(Error::config(field, "it must be at least 1"));
-            }
-        }
+        positive("text.num_buckets", num_buckets as u64)?;
+        positive("text.max_words", max_words as u64)?;
         let words: BTreeSet<String> = texts.into_iter().flat_map(words_of).collect();
         Ok(Self {
             words: words.into_iter().collect(),

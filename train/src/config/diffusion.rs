@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::share;
+use super::check::{finite, not_negative, share};
 use super::schedule::ScheduleName;
 use crate::Error;
 use crate::schedule::Schedule;
@@ -166,12 +166,7 @@ impl DiffusionConfig {
     pub(super) fn check(&self) -> Result<(), Error> {
         share("diffusion.text_dropout", self.text_dropout)?;
         share("diffusion.generated_starts", self.generated_starts)?;
-        if !self.guidance.is_finite() {
-            return Err(Error::config(
-                "diffusion.guidance",
-                format!("it is {}", self.guidance),
-            ));
-        }
+        finite("diffusion.guidance", self.guidance)?;
         for (field, value) in [
             ("diffusion.motion_weight", self.motion_weight),
             ("diffusion.contact_weight", self.contact_weight),
@@ -179,12 +174,7 @@ impl DiffusionConfig {
             ("diffusion.temperature", self.temperature),
             ("diffusion.fixed_noise", self.fixed_noise),
         ] {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(Error::config(
-                    field,
-                    format!("it is {value}, and must be finite and not negative"),
-                ));
-            }
+            not_negative(field, value)?;
         }
         if self.motion_weight > 0.0
             && !matches!(self.prediction, Prediction::Clean | Prediction::Change)

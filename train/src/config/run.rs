@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{positive, share};
+use super::check::{above_zero, not_negative, positive, share};
 use crate::Error;
 
 /// Settings that every training run has, whatever is trained. In files they stand beside the
@@ -163,28 +163,25 @@ impl RunLength {
 }
 
 impl OptimizerConfig {
+    /// A constant rate with PyTorch's weight decay, and nothing else.
+    pub(crate) fn of_rate(learning_rate: f64) -> Self {
+        Self {
+            learning_rate,
+            decay: Decay::Constant,
+            warmup_steps: 0,
+            weight_decay: 0.01,
+            max_gradient_norm: None,
+            ema_decay: None,
+        }
+    }
+
     pub(crate) fn check(&self) -> Result<(), Error> {
-        if let Some(longest) = self.max_gradient_norm
-            && !(longest.is_finite() && longest > 0.0)
-        {
-            return Err(Error::config(
-                "optimizer.max_gradient_norm",
-                format!("it is {longest}, and must be positive"),
-            ));
+        if let Some(longest) = self.max_gradient_norm {
+            above_zero("optimizer.max_gradient_norm", longest)?;
         }
         share("optimizer.ema_decay", self.ema_decay.unwrap_or(0.0))?;
-        for (field, value) in [
-            ("optimizer.learning_rate", self.learning_rate),
-            ("optimizer.weight_decay", self.weight_decay),
-        ] {
-            if !value.is_finite() || value < 0.0 {
-                return Err(Error::config(
-                    field,
-                    format!("it is {value}, and must be finite and not negative"),
-                ));
-            }
-        }
-        Ok(())
+        not_negative("optimizer.learning_rate", self.learning_rate)?;
+        not_negative("optimizer.weight_decay", self.weight_decay)
     }
 
     /// The learning rate of a step, counted from 0, of a run of `num_steps`.

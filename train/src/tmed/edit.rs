@@ -140,7 +140,7 @@ fn system_name(record: &TmedRecord, slot: Slot, settings: &TmedSettings) -> Resu
         name += " w/ MCM";
     }
     let trained = &record.train;
-    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+    let usual = Preset::ALL
         .map(TmedConfig::preset)
         .into_iter()
         .find(|preset| preset.model == trained.model);

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::config::{
-    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, WordsConfig, positive,
+    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, WordsConfig, above_zero,
+    check_lengths, positive,
 };
 use crate::features::FeatureRecipe;
 use crate::model::tmr::TmrSizes;
@@ -94,14 +95,7 @@ impl TmrConfig {
             },
             temperature: 0.1,
             run: RunSettings {
-                optimizer: OptimizerConfig {
-                    learning_rate: 1e-4,
-                    decay: Decay::Constant,
-                    warmup_steps: 0,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
-                    ema_decay: None,
-                },
+                optimizer: OptimizerConfig::of_rate(1e-4),
                 batch_size: 32,
                 micro_batch_size: None,
                 length: RunLength::of_steps(365_000),
@@ -114,6 +108,7 @@ impl TmrConfig {
     }
 
     fn tiny() -> Self {
+        let official = Self::official();
         Self {
             features: FeatureRecipe::Smpl135,
             model: NetworkConfig {
@@ -132,28 +127,20 @@ impl TmrConfig {
             min_frames: 16,
             max_frames: 100,
             weights: LossWeights {
-                reconstruction: 1.0,
-                kl: 1e-5,
-                latent: 1e-5,
                 contrastive: 1.0,
+                ..official.weights
             },
-            temperature: 0.1,
+            temperature: official.temperature,
             run: RunSettings {
                 optimizer: OptimizerConfig {
-                    learning_rate: 1e-3,
                     decay: Decay::Linear,
                     warmup_steps: 20,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
-                    ema_decay: None,
+                    ..OptimizerConfig::of_rate(1e-3)
                 },
-                batch_size: 32,
-                micro_batch_size: None,
                 length: RunLength::of_steps(300),
                 log_every: 10,
                 val_every: 50,
-                keep_epochs: 0,
-                seed: 0,
+                ..official.run
             },
         }
     }
@@ -169,23 +156,8 @@ impl TmrConfig {
             .check_whole("every pair of a batch is contrasted with every other")?;
         positive("word_width", self.word_width as u64)?;
         positive("frame_stride", self.frame_stride as u64)?;
-        positive("min_frames", self.min_frames as u64)?;
-        if self.max_frames < self.min_frames {
-            return Err(Error::config(
-                "max_frames",
-                format!(
-                    "it is {}, less than min_frames {}",
-                    self.max_frames, self.min_frames
-                ),
-            ));
-        }
-        if !(self.temperature.is_finite() && self.temperature > 0.0) {
-            return Err(Error::config(
-                "temperature",
-                format!("it is {}, and must be positive", self.temperature),
-            ));
-        }
-        Ok(())
+        check_lengths(self.min_frames, self.max_frames)?;
+        above_zero("temperature", self.temperature)
     }
 
     /// Sizes of the network for the words of a vocabulary.
