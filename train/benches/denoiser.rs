@@ -28,7 +28,7 @@ use train::optimizer::adamw;
 use train::sample::{Condition, Sampler};
 use train::schedule::Schedule;
 use train::tmed::features::NUM_FEATURES;
-use train::tmed::{ClipBatch, TextTokens, TmedConfig, loss};
+use train::tmed::{ClipBatch, TmedConfig, loss};
 
 /// Windows in a training step.
 const BATCH: usize = 64;
@@ -76,7 +76,10 @@ fn noisy_batch(device: &Device) -> NoisyBatch {
         timesteps: (0..BATCH).collect(),
         progress: vec![0.5; BATCH],
         // The text vectors are given to the loss.
-        texts: TextBatch::Vectors(Vec::new()),
+        texts: TextBatch::Vectors {
+            values: Vec::new(),
+            lengths: Vec::new(),
+        },
         text_kept: vec![1.0; BATCH],
         is_start: vec![false; BATCH],
     }
@@ -220,7 +223,7 @@ fn tmed_training_step(bencher: Bencher, dropout: f64) {
         target_frames: vec![CLIP_FRAMES; CLIPS],
         noise: motions(),
         timesteps: (0..CLIPS).collect(),
-        texts: TextTokens::Vectors {
+        texts: TextBatch::Vectors {
             values: numbers(CLIPS * TOKENS * 768),
             lengths: vec![TOKENS; CLIPS],
         },

@@ -9,9 +9,9 @@ use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::data::TextVectors;
 use crate::error::motion_error;
 use crate::features::{FeatureRecipe, FeatureStats};
+use crate::text::table::EmbeddingTable;
 use crate::tmr::CaptionedMotion;
 
 /// What a model of motions and captions learns from.
@@ -22,7 +22,7 @@ pub struct CaptionedCorpus<'a> {
     /// Validation clips.
     pub val: &'a [CaptionedMotion<'a>],
     /// Vectors of all captions and of the empty text, of a frozen encoder.
-    pub vectors: Option<&'a dyn TextVectors>,
+    pub vectors: Option<&'a EmbeddingTable>,
     /// The skeleton the motions drive.
     pub skeleton: &'a Skeleton,
     /// Hash of the table of motions.

@@ -14,8 +14,10 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::config::narrowed;
+pub use crate::model::text::TextBatch;
 use crate::noise_shape::NoiseShape;
-use crate::vocabulary::{TokenBatch, Vocabulary};
+use crate::text::table::EmbeddingTable;
+use crate::vocabulary::Vocabulary;
 
 /// Batches prepared ahead of the trainer: one being taken and one ready.
 const PREFETCHED_BATCHES: usize = 2;
@@ -84,34 +86,13 @@ impl WindowSource for WindowLoader {
     }
 }
 
-/// Vectors of texts that a frozen encoder has made before.
-pub trait TextVectors: Sync + std::fmt::Debug {
-    /// Numbers of a vector.
-    fn width(&self) -> usize;
-
-    /// The vector of a text, if it was made.
-    fn get(&self, text: &str) -> Option<&[f32]>;
-
-    /// What identifies the encoder.
-    fn encoder_hash(&self) -> &str;
-}
-
 /// How instructions become what a network is given.
 #[derive(Clone, Copy, Debug)]
 pub enum Texts<'a> {
     /// The numbers of their words.
     Words(&'a Vocabulary),
     /// The vectors of a frozen encoder.
-    Vectors(&'a dyn TextVectors),
-}
-
-/// Instructions as a network is given them.
-#[derive(Clone, Debug, PartialEq)]
-pub enum TextBatch {
-    /// The numbers of their words.
-    Words(TokenBatch),
-    /// The vectors of a frozen encoder, `[B, d]`.
-    Vectors(Vec<f32>),
+    Vectors(&'a EmbeddingTable),
 }
 
 impl Texts<'_> {
@@ -120,20 +101,31 @@ impl Texts<'_> {
     /// # Errors
     /// A text has no vector.
     pub fn batch<'a>(&self, texts: impl Iterator<Item = &'a str>) -> Result<TextBatch, Error> {
-        match self {
-            Self::Words(vocabulary) => Ok(TextBatch::Words(vocabulary.encode_batch(texts))),
-            Self::Vectors(vectors) => {
-                let mut values = Vec::new();
-                for text in texts {
-                    let vector = vectors.get(text).ok_or_else(|| Error::NotEmbedded {
-                        count: 1,
-                        examples: vec![text.to_owned()],
-                    })?;
-                    values.extend_from_slice(vector);
-                }
-                Ok(TextBatch::Vectors(values))
+        let table = match self {
+            Self::Words(vocabulary) => {
+                return Ok(TextBatch::Words(vocabulary.encode_batch(texts)));
             }
+            Self::Vectors(table) => table,
+        };
+        let vectors = texts.map(|text| {
+            table.get(text).ok_or_else(|| Error::NotEmbedded {
+                count: 1,
+                examples: vec![text.to_owned()],
+            })
+        });
+        let vectors: Vec<&[f32]> = vectors.collect::<Result<_, _>>()?;
+        let longest = vectors.iter().map(|vector| vector.len()).max().unwrap_or(0);
+        let mut values = Vec::with_capacity(vectors.len() * longest);
+        for vector in &vectors {
+            let end = values.len() + longest;
+            values.extend_from_slice(vector);
+            values.resize(end, 0.0);
         }
+        let tokens = vectors.iter().map(|vector| vector.len() / table.width());
+        Ok(TextBatch::Vectors {
+            lengths: tokens.collect(),
+            values,
+        })
     }
 }
 

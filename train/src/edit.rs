@@ -245,7 +245,7 @@ impl EditSystem for MotionRefitSystem {
         let table = source
             .text_encoder
             .embeddings(&source.run, texts, encoder, session)?;
-        self.editor.set_vectors(Box::new(table))
+        self.editor.set_vectors(table)
     }
 
     /// With one window at a time the fits take turns too, so that the times are those of a single window.

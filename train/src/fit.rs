@@ -10,13 +10,14 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::compose::ComposeRecord;
 use crate::config::{NoiseKind, TextConfig, TextEncoder, TrainConfig, check_windows};
-use crate::data::{NoisyBatch, TextVectors, Texts, Timesteps, WindowSampler, WindowSource};
+use crate::data::{NoisyBatch, Texts, Timesteps, WindowSampler, WindowSource};
 use crate::diffusion::Objective;
 use crate::extrapolation::Extrapolation;
 use crate::model::motionrefit::{MotionRefit, TextSource};
 use crate::model::pass::Pass;
 use crate::model::weights::{from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
+use crate::text::table::EmbeddingTable;
 pub use crate::trainer::TrainReport;
 use crate::trainer::{Task, TrainerConfig, train};
 use crate::vocabulary::Vocabulary;
@@ -42,7 +43,7 @@ pub struct Corpus<'a> {
     /// Instructions of the training split, whose words are the vocabulary of a learned encoder.
     pub instructions: &'a [String],
     /// Vectors of the instructions of both splits, of a frozen encoder.
-    pub vectors: Option<&'a dyn TextVectors>,
+    pub vectors: Option<&'a EmbeddingTable>,
     /// Range the windows were scaled by.
     pub normalizer: Normalizer,
     /// The skeleton the motions drive.
@@ -137,7 +138,7 @@ impl TextRecord {
         config: &TextConfig,
         known: Option<Self>,
         texts: impl IntoIterator<Item = &'a str>,
-        vectors: Option<&dyn TextVectors>,
+        vectors: Option<&EmbeddingTable>,
     ) -> Result<Self, Error> {
         match (config.encoder, known) {
             (TextEncoder::Learned, Some(text @ Self::Learned(_)))
@@ -162,7 +163,7 @@ impl TextRecord {
                     )
                 })?;
                 Ok(Self::Frozen {
-                    encoder_hash: vectors.encoder_hash().to_owned(),
+                    encoder_hash: vectors.encoder().to_owned(),
                     width: vectors.width(),
                 })
             }
@@ -191,17 +192,14 @@ impl TextRecord {
     /// The model listens to a frozen encoder, and none, or the vectors of another, are given.
     pub(crate) fn texts<'a>(
         &'a self,
-        vectors: Option<&'a dyn TextVectors>,
+        vectors: Option<&'a EmbeddingTable>,
     ) -> Result<Texts<'a>, Error> {
-        let Self::Frozen {
-            encoder_hash,
-            width,
-        } = self
-        else {
-            let Self::Learned(vocabulary) = self else {
-                unreachable!("there are two kinds")
-            };
-            return Ok(Texts::Words(vocabulary));
+        let (encoder_hash, width) = match self {
+            Self::Learned(vocabulary) => return Ok(Texts::Words(vocabulary)),
+            Self::Frozen {
+                encoder_hash,
+                width,
+            } => (encoder_hash, width),
         };
         let Some(vectors) = vectors else {
             return Err(Error::misfit(
@@ -209,12 +207,12 @@ impl TextRecord {
                 "it uses a frozen one; name it with --text-encoder",
             ));
         };
-        if vectors.encoder_hash() != encoder_hash || vectors.width() != *width {
+        if vectors.encoder() != encoder_hash || vectors.width() != *width {
             return Err(Error::misfit(
                 "the text encoder",
                 format!(
                     "it is {:.12}, the model was trained with {encoder_hash:.12}",
-                    vectors.encoder_hash()
+                    vectors.encoder()
                 ),
             ));
         }

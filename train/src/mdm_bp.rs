@@ -10,7 +10,6 @@ use rayon::prelude::*;
 
 use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash};
 use crate::config::Preset;
-use crate::data::TextVectors;
 use crate::diffusion::guide;
 use crate::fit::TEXT;
 use crate::humanml3d::{SourceFeatures, feature_mask};
@@ -25,6 +24,7 @@ use crate::system::{
     EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
     SystemSource, named_with,
 };
+use crate::text::table::EmbeddingTable;
 use crate::transfer::read;
 use crate::{Error, Session};
 
@@ -42,7 +42,7 @@ struct MdmBpSystem {
     identity: SystemIdentity,
     skeleton: Skeleton,
     source: SystemSource,
-    vectors: Option<Box<dyn TextVectors + Send>>,
+    vectors: Option<EmbeddingTable>,
     device: Device,
 }
 
@@ -318,8 +318,7 @@ impl MdmBpSystem {
         };
         let (source, kept) = (tensor(source, frames), tensor(kept, 1));
 
-        let vectors = self.vectors.as_deref().map(|vectors| vectors as _);
-        let texts = self.record.text.texts(vectors)?;
+        let texts = self.record.text.texts(self.vectors.as_ref())?;
         let texts = texts.batch(items.iter().map(|item| item.instruction))?;
         let text = self.model.text_vectors(&texts, rows, &self.device);
         // At weight 1 the prediction without text cancels out.
@@ -400,7 +399,7 @@ impl EditSystem for MdmBpSystem {
                 .text_encoder
                 .embeddings(&source.run, texts, encoder, session)?;
             self.record.text.texts(Some(&table))?;
-            self.vectors = Some(Box::new(table));
+            self.vectors = Some(table);
         }
         Ok(())
     }

@@ -129,7 +129,10 @@ fn batch(rows: usize) -> NoisyBatch {
         noise: values(),
         timesteps: (0..rows).map(|row| row % DIFFUSION_STEPS).collect(),
         progress: vec![0.5; rows],
-        texts: TextBatch::Vectors(Vec::new()),
+        texts: TextBatch::Vectors {
+            values: Vec::new(),
+            lengths: Vec::new(),
+        },
         text_kept: vec![1.0; rows],
         is_start: vec![false; rows],
     }

@@ -31,7 +31,7 @@ use train::config::{
 use train::coordinator::{
     CoordinatorConfig, SegmentSource, Segments, TrainedCoordinator, train_coordinator,
 };
-use train::data::{NoisyBatch, TextBatch, TextVectors, WindowBatch, WindowSource};
+use train::data::{NoisyBatch, TextBatch, WindowBatch, WindowSource};
 use train::diffusion::Objective;
 use train::exchange::export;
 use train::features::FeatureRecipe;
@@ -41,6 +41,7 @@ use train::model::pass::{Arithmetic, Pass};
 use train::model::weights::draw;
 use train::sample::{EditItem, EditSettings, EditTimes, Editor, FitMethod, TimedInstruction};
 use train::schedule::Schedule;
+use train::text::table::EmbeddingTable;
 use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};
@@ -622,22 +623,9 @@ fn epochs_are_counted_and_their_checkpoints_kept() {
 }
 
 /// Vectors of the two instructions, as a frozen encoder would give.
-#[derive(Debug)]
-struct TwoVectors([Vec<f32>; 2]);
-
-impl TextVectors for TwoVectors {
-    fn width(&self) -> usize {
-        self.0[0].len()
-    }
-
-    fn get(&self, text: &str) -> Option<&[f32]> {
-        let place = HEIGHTS.iter().position(|(known, _)| *known == text)?;
-        Some(&self.0[place])
-    }
-
-    fn encoder_hash(&self) -> &str {
-        "frozen"
-    }
+fn two_vectors(values: &[f32]) -> EmbeddingTable {
+    let texts = HEIGHTS.map(|(text, _)| text.to_owned());
+    EmbeddingTable::of_vectors("frozen", &texts, values).expect("a row for each text")
 }
 
 #[test]
@@ -647,9 +635,9 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     config.text.encoder = TextEncoder::Clip;
     config.run.optimizer.learning_rate = 3e-3;
     config.run.optimizer.decay = Decay::Constant;
-    let vectors = TwoVectors([vec![8.0, 0.0, 1.0], vec![0.0, -8.0, 1.0]]);
+    let vectors = two_vectors(&[8.0, 0.0, 1.0, 0.0, -8.0, 1.0]);
     let source = Waves { items: 20 };
-    let run = |vectors: Option<&dyn TextVectors>| {
+    let run = |vectors: Option<&EmbeddingTable>| {
         quietly(|session| {
             train_motionrefit(
                 dir.path(),
@@ -668,13 +656,13 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     assert!(best.expect("validated") < 0.5 * first.expect("a line"));
 
     let load = || Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
-    let other = TwoVectors([vec![1.0; 4], vec![2.0; 4]]);
+    let other = two_vectors(&[1.0; 8]);
     assert!(matches!(
-        load().set_vectors(Box::new(other)),
+        load().set_vectors(other),
         Err(Error::Misfit { .. })
     ));
     let mut editor = load();
-    editor.set_vectors(Box::new(vectors)).expect("its encoder");
+    editor.set_vectors(vectors).expect("its encoder");
     let record = &editor.record().config;
     let skeleton = Skeleton::smplx_neutral();
     let edit = |text: &str| {

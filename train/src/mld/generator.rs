@@ -13,7 +13,6 @@ use super::autoencoder::Autoencoder;
 use super::diffusion::{MldRecord, WEIGHTS};
 use super::{CLIP, KIND};
 use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash};
-use crate::data::TextVectors;
 use crate::ddim::Ddim;
 use crate::diffusion::guide;
 use crate::fit::TEXT;
@@ -22,6 +21,7 @@ use crate::model::mld::LatentDenoiser;
 use crate::model::pass::Pass;
 use crate::schedule::Schedule;
 use crate::text::source::TextEncoderSource;
+use crate::text::table::EmbeddingTable;
 use crate::transfer::read;
 use crate::{Error, Session};
 
@@ -54,7 +54,7 @@ pub struct Generator {
     autoencoder: Autoencoder,
     record: MldRecord,
     ddim: Ddim,
-    vectors: Option<Box<dyn TextVectors + Send>>,
+    vectors: Option<EmbeddingTable>,
     hash: String,
     device: Device,
 }
@@ -128,7 +128,7 @@ impl Generator {
             texts.push(String::new());
             let table = source.embeddings(run, &texts, encoder, session)?;
             self.record.text.texts(Some(&table))?;
-            self.vectors = Some(Box::new(table));
+            self.vectors = Some(table);
         }
         Ok(())
     }
@@ -197,8 +197,7 @@ impl Generator {
             })
             .collect();
         let start = Tensor::<2>::from_data(TensorData::new(start, [rows, width]), &self.device);
-        let vectors = self.vectors.as_deref().map(|vectors| vectors as _);
-        let texts = self.record.text.texts(vectors)?;
+        let texts = self.record.text.texts(self.vectors.as_ref())?;
         let none = std::iter::repeat_n("", rows);
         let texts = texts.batch(bases.iter().map(|base| base.text.as_str()).chain(none))?;
         let text = self.model.text_vectors(&texts, 2 * rows, &self.device);

@@ -8,11 +8,10 @@ use burn_store::ModuleSnapshot;
 
 use super::denoiser::TEXT_DIVISOR;
 use super::motionrefit::TextSource;
-use super::text::{LearnedText, text_vectors};
+use super::text::{LearnedText, TextBatch, text_vectors};
 use super::weights::{from_safetensors, to_safetensors};
 use crate::Error;
 use crate::checkpoint::{Files, take};
-use crate::data::TextBatch;
 use crate::fit::TEXT;
 
 /// A network and its text encoder.

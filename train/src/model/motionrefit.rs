@@ -6,9 +6,9 @@ use kinematics::normalise::FRAME_WIDTH;
 
 use super::denoiser::Denoiser;
 use super::pass::Pass;
-use super::text::{LearnedText, text_vectors};
+use super::text::{LearnedText, TextBatch, text_vectors};
 use crate::config::{DiffusionConfig, NetworkConfig, Prediction};
-use crate::data::{NoisyBatch, TextBatch};
+use crate::data::NoisyBatch;
 use crate::diffusion::{Objective, num_gates};
 
 /// MotionReFit.

@@ -7,7 +7,6 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use super::denoiser::TEXT_DIVISOR;
 use super::position::positions;
-use crate::data::TextBatch;
 use crate::vocabulary::{PADDING, TokenBatch};
 
 /// Words to one vector: each word, knowing its place, is weighed by a gate, and the weighed words
@@ -60,6 +59,34 @@ impl LearnedText {
     }
 }
 
+/// Texts as a network is given them.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TextBatch {
+    /// The numbers of their words.
+    Words(TokenBatch),
+    /// The vectors of a frozen encoder.
+    Vectors {
+        /// The vectors of the tokens of each text, `[B, N, d]`, zero past its end; N is 1 where a text has one vector.
+        values: Vec<f32>,
+        /// Tokens of each text, `[B]`.
+        lengths: Vec<usize>,
+    },
+}
+
+impl TextBatch {
+    /// Tokens of each text, `[B]`.
+    pub fn lengths(&self) -> Vec<usize> {
+        match self {
+            Self::Words(tokens) => tokens
+                .ids
+                .chunks_exact(tokens.width)
+                .map(|row| row.iter().filter(|&&id| id != PADDING).count())
+                .collect(),
+            Self::Vectors { lengths, .. } => lengths.clone(),
+        }
+    }
+}
+
 /// The vectors of texts: those of a frozen encoder as they are, and words by the encoder that is trained
 /// with the model.
 ///
@@ -78,7 +105,7 @@ pub(crate) fn text_vectors(
         TextBatch::Words(tokens) => learned
             .expect("words are given to a model that learns them")
             .forward(tokens),
-        TextBatch::Vectors(values) => Tensor::from_data(
+        TextBatch::Vectors { values, .. } => Tensor::from_data(
             TensorData::new(values.clone(), [rows, values.len() / rows.max(1)]),
             device,
         ),

@@ -18,13 +18,13 @@ use super::windows::{WindowModel, WindowRequest, edit_windows};
 use crate::checkpoint::{self, RunRecord, Slot, read_for_use, weights_hash};
 use crate::config::narrowed;
 use crate::coordinator::TrainedCoordinator;
-use crate::data::TextVectors;
 use crate::extrapolation::Extrapolation;
 use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
 use crate::j2s::PoseNet;
 use crate::model::motionrefit::MotionRefit;
 use crate::model::transformer::PreparedWeights;
 use crate::schedule::Schedule;
+use crate::text::table::EmbeddingTable;
 use crate::transfer::read;
 use crate::{Error, Session};
 
@@ -36,7 +36,7 @@ pub struct Editor {
     record: RunRecord<EditorRecord>,
     hash: String,
     device: Device,
-    vectors: Option<Box<dyn TextVectors + Send>>,
+    vectors: Option<EmbeddingTable>,
     coordinator: Option<TrainedCoordinator>,
     poses: Option<PoseNet>,
 }
@@ -111,8 +111,8 @@ impl Editor {
     ///
     /// # Errors
     /// They are of another encoder.
-    pub fn set_vectors(&mut self, vectors: Box<dyn TextVectors + Send>) -> Result<(), Error> {
-        self.record.config.text.texts(Some(&*vectors))?;
+    pub fn set_vectors(&mut self, vectors: EmbeddingTable) -> Result<(), Error> {
+        self.record.config.text.texts(Some(&vectors))?;
         self.vectors = Some(vectors);
         Ok(())
     }
@@ -243,8 +243,7 @@ impl WindowModel for Generator<'_> {
             .collect();
         let fixed: Option<Vec<[NormalizedFrame; FIXED_FRAMES]>> =
             requests.iter().map(|request| request.fixed).collect();
-        let vectors = editor.vectors.as_deref().map(|vectors| vectors as _);
-        let texts = config.text.texts(vectors)?.batch(
+        let texts = config.text.texts(editor.vectors.as_ref())?.batch(
             requests
                 .iter()
                 .map(|request| request.window.instruction.as_deref().unwrap_or_default()),

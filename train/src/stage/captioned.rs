@@ -77,7 +77,7 @@ pub(super) fn train_on_captions(
     let report = fit(CaptionedCorpus {
         train: &views(&train),
         val: &views(&val),
-        vectors: vectors.as_ref().map(|table| table as _),
+        vectors: vectors.as_ref(),
         skeleton: &dataset.skeleton()?,
         dataset_hash: &dataset.content_hash(&MOTIONS),
     })?;

@@ -92,7 +92,7 @@ pub fn train_editor<'a>(
         },
         val,
         instructions: &instructions,
-        vectors: vectors.as_ref().map(|table| table as _),
+        vectors: vectors.as_ref(),
         normalizer: *normalizer,
         skeleton: &dataset.skeleton()?,
         dataset_hash: &data_hash(dataset, inputs.windows)?,

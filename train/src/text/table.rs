@@ -12,7 +12,6 @@ use super::bert::BertEncoder;
 use super::clip::ClipEncoder;
 use crate::Error;
 use crate::config::BertVectors;
-use crate::data::TextVectors;
 use crate::model::torch::StoredTensor;
 
 /// Texts encoded at a time.
@@ -382,20 +381,6 @@ impl EmbeddingTable {
             return Err(malformed(path, "its rows and texts do not belong together"));
         }
         Ok(table)
-    }
-}
-
-impl TextVectors for EmbeddingTable {
-    fn width(&self) -> usize {
-        Self::width(self)
-    }
-
-    fn get(&self, text: &str) -> Option<&[f32]> {
-        Self::get(self, text)
-    }
-
-    fn encoder_hash(&self) -> &str {
-        self.encoder()
     }
 }
 

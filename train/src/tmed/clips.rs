@@ -12,9 +12,8 @@ use rayon::prelude::*;
 use super::config::TmedConfig;
 use super::features::{FeatureFrame, FeatureStatistics, Moments, NUM_FEATURES, features_of_motion};
 use crate::Error;
-use crate::data::{Texts, Timesteps};
+use crate::data::{TextBatch, Texts, Timesteps};
 use crate::error::motion_error;
-use crate::vocabulary::{PADDING, TokenBatch};
 
 /// Clips of both splits that statistics are taken of; more hardly change them.
 const STATISTICS_CLIPS: u64 = 4_096;
@@ -109,67 +108,6 @@ pub(crate) fn statistics(
     })
 }
 
-/// Texts as the network is given them.
-#[derive(Clone, Debug, PartialEq)]
-pub enum TextTokens {
-    /// Numbers of words.
-    Words(TokenBatch),
-    /// Vectors of tokens, `[B, N, d]`, zero past the end of a text, and their numbers `[B]`.
-    Vectors {
-        /// `[B, N, d]`
-        values: Vec<f32>,
-        /// Tokens of each text, `[B]`.
-        lengths: Vec<usize>,
-    },
-}
-
-impl TextTokens {
-    /// The tokens of texts.
-    ///
-    /// # Errors
-    /// A text has no vectors.
-    pub fn of(texts: &Texts<'_>, asked: &[&str]) -> Result<Self, Error> {
-        let vectors = match texts {
-            Texts::Words(vocabulary) => {
-                let tokens = vocabulary.encode_batch(asked.iter().copied());
-                return Ok(Self::Words(tokens));
-            }
-            Texts::Vectors(vectors) => vectors,
-        };
-        let width = vectors.width();
-        let rows: Vec<&[f32]> = asked
-            .iter()
-            .map(|text| {
-                vectors.get(text).ok_or_else(|| Error::NotEmbedded {
-                    count: 1,
-                    examples: vec![(*text).to_owned()],
-                })
-            })
-            .collect::<Result<_, _>>()?;
-        let lengths: Vec<usize> = rows.iter().map(|row| row.len() / width).collect();
-        let longest = lengths.iter().copied().max().unwrap_or(0) * width;
-        let mut values = Vec::with_capacity(rows.len() * longest);
-        for row in rows {
-            let filled = values.len() + longest;
-            values.extend_from_slice(row);
-            values.resize(filled, 0.0);
-        }
-        Ok(Self::Vectors { values, lengths })
-    }
-
-    /// Tokens of each text, `[B]`.
-    pub fn lengths(&self) -> Vec<usize> {
-        match self {
-            Self::Words(tokens) => tokens
-                .ids
-                .chunks_exact(tokens.width)
-                .map(|row| row.iter().filter(|&&id| id != PADDING).count())
-                .collect(),
-            Self::Vectors { lengths, .. } => lengths.clone(),
-        }
-    }
-}
-
 /// `B` clips with everything a training step draws.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClipBatch {
@@ -188,7 +126,7 @@ pub struct ClipBatch {
     /// Diffusion step of each clip, `[B]`.
     pub timesteps: Vec<usize>,
     /// Instructions; a hidden one is the empty text.
-    pub texts: TextTokens,
+    pub texts: TextBatch,
 }
 
 impl ClipBatch {
@@ -244,7 +182,7 @@ impl ClipSampler<'_> {
                 self.draw_one(place, epoch, order[(place % num_clips) as usize])
             })
             .collect::<Result<Vec<Drawn>, Error>>()?;
-        let texts: Vec<&str> = drawn.iter().map(|clip| clip.instruction.as_str()).collect();
+        let texts = drawn.iter().map(|clip| clip.instruction.as_str());
         let (source, source_frames) = padded(drawn.iter().map(|clip| clip.source.as_slice()));
         let (target, target_frames) = padded(drawn.iter().map(|clip| clip.target.as_slice()));
         let frames = target.len() / (count * NUM_FEATURES);
@@ -253,7 +191,7 @@ impl ClipSampler<'_> {
             row[..clip.noise.len()].copy_from_slice(&clip.noise);
         }
         Ok(ClipBatch {
-            texts: TextTokens::of(&self.texts, &texts)?,
+            texts: self.texts.batch(texts)?,
             source,
             source_frames,
             source_is_shown: drawn.iter().map(|clip| clip.source_is_shown).collect(),

@@ -7,7 +7,6 @@ use datasets_spec::{Fps, Motion, Pose, Rng, Seed, Skeleton};
 use kinematics::resample::{grid, interpolate_all};
 use rayon::prelude::*;
 
-use super::clips::TextTokens;
 use super::config::{ClipData, EditStart, NoSource, TmedConfig};
 use super::features::{FeatureFrame, NUM_FEATURES, features_of_motion, poses_from};
 use super::guidance::{Branch, branches, guided};
@@ -19,6 +18,7 @@ use crate::error::motion_error;
 use crate::fit::TextRecord;
 use crate::gaussian::SampleSteps;
 use crate::model::pass::Pass;
+use crate::model::text::TextBatch;
 use crate::model::tmed::{Condition, TmedModel};
 use crate::sample::EditTimes;
 use crate::sample::noise::Noise;
@@ -235,9 +235,9 @@ impl TmedSystem {
     }
 
     /// Tokens of texts.
-    fn tokens(&self, texts: &[&str]) -> Result<TextTokens, Error> {
-        let vectors = self.vectors.as_ref().map(|table| table as _);
-        TextTokens::of(&self.record.text.texts(vectors)?, texts)
+    fn tokens(&self, texts: &[&str]) -> Result<TextBatch, Error> {
+        let known = self.record.text.texts(self.vectors.as_ref())?;
+        known.batch(texts.iter().copied())
     }
 
     /// Generates the edits of questions whose sources, edits and texts have one length each.

@@ -13,7 +13,7 @@ mod objective;
 mod stage;
 mod task;
 
-pub use self::clips::{CapturedPairs, ClipBatch, ClipEdit, ClipSource, TextTokens};
+pub use self::clips::{CapturedPairs, ClipBatch, ClipEdit, ClipSource};
 pub use self::config::{
     ClipData, EditStart, NoSource, StatisticsSplits, TargetPlaces, TmedConfig, TmedDiffusion,
 };

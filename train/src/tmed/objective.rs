@@ -2,11 +2,11 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 
-use super::clips::{ClipBatch, TextTokens};
+use super::clips::ClipBatch;
 use super::config::{TargetPlaces, TmedConfig};
 use super::features::{GROUPS, NUM_FEATURES};
 use crate::model::pass::Pass;
-use crate::model::text::token_tensor;
+use crate::model::text::{TextBatch, token_tensor};
 use crate::model::tmed::{Condition, Places, TmedModel};
 use crate::schedule::Schedule;
 
@@ -59,14 +59,14 @@ pub fn group_loss(
 ///
 /// # Panics
 /// If words are given to a model without word vectors.
-pub(crate) fn text_tokens(model: &TmedModel, texts: &TextTokens, device: &Device) -> Tensor<3> {
+pub(crate) fn text_tokens(model: &TmedModel, texts: &TextBatch, device: &Device) -> Tensor<3> {
     match texts {
-        TextTokens::Words(tokens) => model
+        TextBatch::Words(tokens) => model
             .words
             .as_ref()
             .expect("words are given to a model that learns them")
             .forward(token_tensor(tokens, device)),
-        TextTokens::Vectors { values, lengths } => {
+        TextBatch::Vectors { values, lengths } => {
             let longest = lengths.iter().copied().max().unwrap_or(0);
             let width = values.len() / (lengths.len() * longest).max(1);
             let data = TensorData::new(values.clone(), [lengths.len(), longest, width]);

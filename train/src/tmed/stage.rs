@@ -77,7 +77,7 @@ pub fn train_on_dataset<'a>(
         train: &*train,
         val: &*val,
         instructions: &texts,
-        vectors: vectors.as_ref().map(|table| table as _),
+        vectors: vectors.as_ref(),
         skeleton: &skeleton,
         dataset_hash: &dataset_hash,
         compose: (config.data == ClipData::Composed).then_some(&record),

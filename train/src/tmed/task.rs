@@ -12,12 +12,13 @@ use super::features::{FeatureStatistics, NUM_FEATURES};
 use super::objective;
 use crate::checkpoint::{Files, Run, RunRecord, Start, take};
 use crate::compose::ComposeRecord;
-use crate::data::{TextVectors, Timesteps};
+use crate::data::Timesteps;
 use crate::fit::TextRecord;
 use crate::model::pass::Pass;
 use crate::model::tmed::TmedModel;
 use crate::model::weights::{from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
+use crate::text::table::EmbeddingTable;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
 use crate::{Error, Session};
 
@@ -37,7 +38,7 @@ pub struct TmedCorpus<'a> {
     /// Instructions of the training split, whose words are the vocabulary of learned word vectors.
     pub instructions: &'a [String],
     /// Token vectors of the instructions of both splits and of the empty text, of a frozen encoder.
-    pub vectors: Option<&'a dyn TextVectors>,
+    pub vectors: Option<&'a EmbeddingTable>,
     /// The skeleton the motions drive.
     pub skeleton: &'a Skeleton,
     /// Hash of the tables the clips are made of.

@@ -12,6 +12,7 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use train::Session;
 use train::config::{NetworkConfig, Preset, RunLength};
+use train::data::TextBatch;
 use train::model::motionrefit::TextSource;
 use train::model::tmed::TmedModel;
 use train::model::weights::draw;
@@ -21,7 +22,7 @@ use train::system::{EditConfig, EditRequest, EditSystem, SystemSource, whole};
 use train::text::source::TextEncoderSource;
 use train::tmed::features::NUM_FEATURES;
 use train::tmed::{
-    ClipBatch, ClipData, ClipEdit, ClipSource, TextTokens, TmedConfig, TmedCorpus, loss, train_tmed,
+    ClipBatch, ClipData, ClipEdit, ClipSource, TmedConfig, TmedCorpus, loss, train_tmed,
 };
 use train::vocabulary::Vocabulary;
 
@@ -123,7 +124,7 @@ fn batch(vocabulary: &Vocabulary, target: impl FnMut(usize) -> f32) -> ClipBatch
         target_frames: (0..ROWS).map(|row| FRAMES - row % 2).collect(),
         noise: normal(),
         timesteps: (0..ROWS).map(|row| 40 * row).collect(),
-        texts: TextTokens::Words(
+        texts: TextBatch::Words(
             vocabulary.encode_batch((0..ROWS).map(|row| INSTRUCTIONS[row % 2])),
         ),
     }
