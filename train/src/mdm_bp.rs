@@ -151,13 +151,9 @@ impl PartInpainting {
         let [released, steps] = PUBLISHED_RELEASE;
         let start = start.unwrap_or(schedule.len() - 1);
         if start >= schedule.len() {
-            return Err(Error::config(
-                "start",
-                format!(
-                    "it is step {start}, and the model has the steps 0 to {}",
-                    schedule.len() - 1
-                ),
-            ));
+            let last = schedule.len() - 1;
+            let problem = format!("it is step {start}, and the model has the steps 0 to {last}");
+            return Err(Error::config("start", problem));
         }
         Ok(Self {
             release: release.unwrap_or(schedule.len() * released / steps),
@@ -189,20 +185,17 @@ impl PartInpainting {
         mut noise: impl FnMut(Option<usize>) -> Tensor<3>,
         mut on_step: impl FnMut(usize, &Tensor<3>),
     ) -> Result<Tensor<3>, Error> {
-        let at = |timestep: usize| vec![timestep; source.dims()[0]];
-        let mut x = self
-            .schedule
-            .q_sample(source.clone(), &at(self.start), noise(None));
+        let starts = vec![self.start; source.dims()[0]];
+        let mut x = self.schedule.q_sample(source.clone(), &starts, noise(None));
         for timestep in (0..=self.start).rev() {
             let mut x0 = clean(&x, timestep)?;
             if timestep >= self.release {
                 x0 = keep_source(x0, source, kept);
             }
             on_step(timestep, &x0);
-            let mean = self.schedule.posterior_mean(x0, x, &at(timestep));
             x = self
                 .schedule
-                .add_noise(mean, timestep, noise(Some(timestep)));
+                .reverse_step(x, x0, timestep, noise(Some(timestep)));
         }
         Ok(x)
     }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::bones::{ROOT_NUMBERS, bone_number, parent_number};
 
 /// Lower bound of a spread in model units, as that of frames whose change is extrapolated.
-const LEAST_SPREAD: f64 = 2e-3;
+pub(crate) const LEAST_SPREAD: f64 = 2e-3;
 
 /// Lower bound of the standard deviation by which a bone is scaled for the network, in model units. Bones of the
 /// trunk hardly change; unbounded, their noise would be seen as large as a swinging leg.
