@@ -184,16 +184,6 @@ pub enum Error {
         /// What holds no item.
         what: &'static str,
     },
-    /// The source of training windows failed.
-    #[error("cannot compose training windows {first_item}.. of epoch {epoch}")]
-    Source {
-        /// Epoch asked for.
-        epoch: u64,
-        /// First item asked for.
-        first_item: u64,
-        /// The cause.
-        source: Box<dyn std::error::Error + Send + Sync>,
-    },
     /// The source of training windows returned arrays of the wrong length.
     #[error(
         "training windows {first_item}.. of epoch {epoch}: {field} holds {got} values, expected {expected}"

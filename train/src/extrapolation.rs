@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::bones::{bones, mapped};
 use crate::config::NoiseKind;
-use crate::noise_shape::NoiseShape;
+use crate::noise_shape::{LEAST_SPREAD, NoiseShape};
 
 /// The best linear guess of the change of a window from that of its fixed frames: one matrix for all
 /// numbers of a frame, fitted to training windows.
@@ -25,10 +25,6 @@ pub struct Extrapolation {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) shape: Option<NoiseShape>,
 }
-
-/// Lower bound of a frame's spread in model units. It is a few millimetres, the noise of motion
-/// capture.
-pub(crate) const LEAST_SPREAD: f64 = 2e-3;
 
 impl Extrapolation {
     /// Fits the guess to pairs of original and edited windows, `[N, W, 84]` each, for fixed frames that
