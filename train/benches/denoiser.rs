@@ -52,7 +52,7 @@ fn denoiser(dropout: f64, device: &Device) -> Denoiser {
     };
     let previous = config.diffusion.previous;
     draw(
-        Denoiser::new(&network, previous, network.width, device),
+        Denoiser::new(&network, previous, network.width, FRAME_WIDTH, device),
         Seed(1),
     )
     .expect("known layers")

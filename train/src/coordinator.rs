@@ -292,8 +292,7 @@ pub fn train_coordinator<'a>(
         sampler,
         val_batches,
     };
-    let network =
-        |device: &Device| Coordinator::of_frames(&config.model, 3 * config.keypoints, device);
+    let network = |device: &Device| Coordinator::new(&config.model, 3 * config.keypoints, device);
     let (_, report) = train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
@@ -438,7 +437,7 @@ impl TrainedCoordinator {
         let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
         let hash = weights_hash(&record.config, &[weights]);
         let train = &record.config.train;
-        let mut model = Coordinator::of_frames(&train.model, 3 * train.keypoints, device);
+        let mut model = Coordinator::new(&train.model, 3 * train.keypoints, device);
         let bytes = take(&mut files, WEIGHTS, run_dir)?;
         from_safetensors(&mut model, bytes, "", &run_dir.join(WEIGHTS))?;
         Ok(Self {

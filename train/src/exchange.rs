@@ -64,7 +64,7 @@ pub fn import_editor(
         ));
     };
     let config = &record.train;
-    let mut network = Denoiser::of_frames(
+    let mut network = Denoiser::new(
         &config.model,
         config.diffusion.previous,
         *width,
@@ -94,7 +94,7 @@ pub fn import_coordinator(
 ) -> Result<(), Error> {
     record.check()?;
     let config: &CoordinatorConfig = &record.train;
-    let mut network = Coordinator::of_frames(&config.model, 3 * config.keypoints, device);
+    let mut network = Coordinator::new(&config.model, 3 * config.keypoints, device);
     from_safetensors(&mut network, weights, "", path)?;
     let files = [(
         coordinator::WEIGHTS.to_owned(),

@@ -100,9 +100,9 @@ impl EditorRecord {
     }
 
     /// Builds the networks.
-    fn network(&self, device: &Device) -> MotionRefit {
+    pub(crate) fn network(&self, device: &Device) -> MotionRefit {
         let config = &self.train;
-        MotionRefit::of_frames(
+        MotionRefit::new(
             &config.model,
             &config.diffusion,
             self.text.source(),

@@ -44,8 +44,8 @@ impl Throughput {
 /// The network of the editor of a preset, with drawn weights.
 pub fn network(preset: Preset, device: &Device) -> Denoiser {
     let config = TrainConfig::preset(preset);
-    let width = config.model.width;
-    let network = Denoiser::new(&config.model, config.diffusion.previous, width, device);
+    let (model, previous) = (&config.model, config.diffusion.previous);
+    let network = Denoiser::new(model, previous, model.width, FRAME_WIDTH, device);
     draw(network, Seed(1)).expect("every layer has a rule")
 }
 

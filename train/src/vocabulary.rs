@@ -32,6 +32,14 @@ pub struct TokenBatch {
     pub width: usize,
 }
 
+impl TokenBatch {
+    /// Tokens of each row that are not padding, `[B]`.
+    pub fn lengths(&self) -> impl Iterator<Item = usize> {
+        let rows = self.ids.chunks_exact(self.width);
+        rows.map(|row| row.iter().filter(|&&id| id != PADDING).count())
+    }
+}
+
 impl Vocabulary {
     /// Collects the words of `texts`. Texts are later cut after `max_words` words.
     ///

@@ -21,7 +21,7 @@ use burn_store::ModuleSnapshot;
 use datasets_spec::{Fps, Motion, Pose, Seed};
 use glam::DVec3;
 use kinematics::canonical::FIXED_FRAMES;
-use kinematics::normalise::Normalizer;
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use kinematics::rotation;
 use safetensors::SafeTensors;
 use train::compose::ComposeRecord;
@@ -139,6 +139,7 @@ fn denoiser() -> Denoiser {
         &config,
         PreviousFrames::Inpainted,
         config.width,
+        FRAME_WIDTH,
         &Device::flex(),
     );
     golden.load(&mut network, "weights.");
@@ -202,7 +203,8 @@ fn golden_denoiser_trains_as_it_infers() {
         ..golden.network("dim_model", "dim_feedforward")
     };
     let device = Device::flex().autodiff();
-    let mut network = Denoiser::new(&config, PreviousFrames::Inpainted, config.width, &device);
+    let previous = PreviousFrames::Inpainted;
+    let mut network = Denoiser::new(&config, previous, config.width, FRAME_WIDTH, &device);
     golden.load(&mut network, "weights.");
     let on_device = |values: Tensor<3>| Tensor::<3>::from_data(values.into_data(), &device);
     let eps = network.forward(
@@ -444,7 +446,7 @@ fn coordinator(device: &Device) -> Coordinator {
         feed_forward,
         dropout: 0.1,
     };
-    let mut network = Coordinator::new(&config, device);
+    let mut network = Coordinator::new(&config, FRAME_WIDTH, device);
     golden.load(&mut network, "weights.");
     network
 }

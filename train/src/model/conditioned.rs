@@ -32,10 +32,7 @@ impl<N: Module + ModuleSnapshot> Conditioned<N> {
         device: &Device,
         network: impl FnOnce(usize) -> N,
     ) -> Self {
-        let (text_width, text) = match text {
-            TextSource::Learned(tokens) => (width, Some(LearnedText::new(tokens, width, device))),
-            TextSource::Frozen(width) => (width, None),
-        };
+        let (text_width, text) = text.encoder(width, device);
         Self {
             network: network(text_width),
             text,

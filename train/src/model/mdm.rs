@@ -4,7 +4,7 @@ use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
 use burn::tensor::{Device, Tensor};
 
-use super::denoiser::IndexEmbedding;
+use super::denoiser::TwoLayers;
 use super::pass::{Arithmetic, Pass};
 use super::position::positions;
 use super::transformer::{Encoder, Padding, PreparedWeights};
@@ -18,7 +18,7 @@ use crate::config::NetworkConfig;
 #[derive(Module, Debug)]
 pub struct Mdm {
     pose_embedding: Linear,
-    embed_timestep: IndexEmbedding,
+    embed_timestep: TwoLayers,
     embed_text: Linear,
     sequence_encoder: Encoder,
     pose_final: Linear,
@@ -36,7 +36,7 @@ impl Mdm {
         let linear = |from, to| LinearConfig::new(from, to).init(device);
         Self {
             pose_embedding: linear(num_features, config.width),
-            embed_timestep: IndexEmbedding::new(config.width, device),
+            embed_timestep: TwoLayers::new([config.width; 3], device),
             embed_text: linear(text_width, config.width),
             sequence_encoder: Encoder::new(config, device),
             pose_final: linear(config.width, num_features),
@@ -94,7 +94,7 @@ impl Mdm {
     /// The token of step and text, and those of the frames, with their positions: `[B, 1 + T, d]`.
     fn tokens(&self, x: Tensor<3>, timesteps: &[usize], text: Tensor<2>) -> Tensor<3> {
         let device = x.device();
-        let condition = self.embed_timestep.forward(timesteps) + self.embed_text.forward(text);
+        let condition = self.embed_timestep.embed(timesteps) + self.embed_text.forward(text);
         let tokens = Tensor::cat(
             vec![condition.unsqueeze_dim(1), self.pose_embedding.forward(x)],
             1,

@@ -9,12 +9,9 @@ use burn::tensor::{Device, Tensor};
 use super::pass::Pass;
 use super::position::Tables;
 use super::skip::{SkipDecoder, SkipEncoder};
-use super::tmr::Distribution;
+use super::tmr::{Distribution, NUM_TOKENS, with_tokens};
 use super::transformer::Padding;
 use crate::config::NetworkConfig;
-
-/// Learned tokens put before the frames: one becomes the mean, one the log variance.
-const NUM_TOKENS: usize = 2;
 
 /// Positions of the released tables.
 pub const MAX_POSITIONS: usize = 500;
@@ -79,24 +76,13 @@ impl MotionVae {
     /// # Shapes
     /// `x` `[B, T, F]`; `lengths` `[B]`, the frames of each row that are not padding.
     pub fn encode(&self, x: Tensor<3>, lengths: &[usize], pass: &Pass) -> Distribution {
-        let [batch, frames, _] = x.dims();
+        let [_, frames, _] = x.dims();
         let x = self.skel_embedding.forward(x);
-        let [_, _, width] = x.dims();
-        let tokens = self
-            .global_motion_token
-            .val()
-            .unsqueeze_dim::<3>(0)
-            .expand([batch, NUM_TOKENS, width]);
         let length = NUM_TOKENS + frames;
-        let x = Tensor::cat(vec![tokens, x], 1) + self.query_pos_encoder.rows(length);
+        let x = with_tokens(&self.global_motion_token, x) + self.query_pos_encoder.rows(length);
         let lengths: Vec<usize> = lengths.iter().map(|frames| NUM_TOKENS + frames).collect();
         let padding = Padding::after(&lengths, length);
-        let x = self.encoder.encode(x, Some(&padding), pass);
-        let token = |index: usize| x.clone().narrow(1, index, 1).squeeze_dim::<2>(1);
-        Distribution {
-            mu: token(0),
-            logvar: token(1),
-        }
+        Distribution::of_tokens(&self.encoder.encode(x, Some(&padding), pass))
     }
 
     /// Decodes latent vectors to motions of `frames`; frames past a row's length are zero.
@@ -111,7 +97,6 @@ impl MotionVae {
         pass: &Pass,
     ) -> Tensor<3> {
         let [batch, width] = latent.dims();
-        let device = latent.device();
         let queries = self
             .query_pos_decoder
             .rows(frames)
@@ -120,14 +105,7 @@ impl MotionVae {
         let x = self
             .decoder
             .decode(queries, &latent.unsqueeze_dim(1), Some(&padding), pass);
-        let x = self.final_layer.forward(x);
-        let [_, _, num_features] = x.dims();
-        let padding =
-            padding
-                .mask(&device)
-                .reshape([batch, frames, 1])
-                .expand([batch, frames, num_features]);
-        x.mask_fill(padding, 0.0)
+        padding.clear(self.final_layer.forward(x))
     }
 }
 

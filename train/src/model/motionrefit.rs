@@ -2,7 +2,6 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use kinematics::normalise::FRAME_WIDTH;
 
 use super::denoiser::Denoiser;
 use super::pass::Pass;
@@ -29,31 +28,27 @@ pub enum TextSource {
     Frozen(usize),
 }
 
-impl MotionRefit {
-    /// Builds the networks.
-    pub fn new(
-        config: &NetworkConfig,
-        diffusion: &DiffusionConfig,
-        text: TextSource,
-        device: &Device,
-    ) -> Self {
-        Self::of_frames(config, diffusion, text, FRAME_WIDTH, device)
+impl TextSource {
+    /// The width of the text vectors, and the encoder that is trained to make them, of vectors of `width`.
+    pub(super) fn encoder(self, width: usize, device: &Device) -> (usize, Option<LearnedText>) {
+        match self {
+            Self::Learned(tokens) => (width, Some(LearnedText::new(tokens, width, device))),
+            Self::Frozen(width) => (width, None),
+        }
     }
+}
 
-    /// Builds the networks for frames of other than 84 numbers.
-    pub fn of_frames(
+impl MotionRefit {
+    /// Builds the networks for frames of `frame_width` numbers, 84 of all keypoints.
+    pub fn new(
         config: &NetworkConfig,
         diffusion: &DiffusionConfig,
         text: TextSource,
         frame_width: usize,
         device: &Device,
     ) -> Self {
-        let text_width = match text {
-            TextSource::Learned(_) => config.width,
-            TextSource::Frozen(width) => width,
-        };
-        let denoiser =
-            Denoiser::of_frames(config, diffusion.previous, text_width, frame_width, device);
+        let (text_width, text) = text.encoder(config.width, device);
+        let denoiser = Denoiser::new(config, diffusion.previous, text_width, frame_width, device);
         let denoiser = match diffusion.prediction {
             Prediction::Gated => denoiser.gated(num_gates(diffusion.noise)),
             _ => denoiser,
@@ -63,15 +58,7 @@ impl MotionRefit {
         } else {
             denoiser
         };
-        Self {
-            denoiser,
-            text: match text {
-                TextSource::Learned(num_tokens) => {
-                    Some(LearnedText::new(num_tokens, config.width, device))
-                }
-                TextSource::Frozen(_) => None,
-            },
-        }
+        Self { denoiser, text }
     }
 
     /// The vectors of a batch of instructions.

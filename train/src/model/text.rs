@@ -77,11 +77,7 @@ impl TextBatch {
     /// Tokens of each text, `[B]`.
     pub fn lengths(&self) -> Vec<usize> {
         match self {
-            Self::Words(tokens) => tokens
-                .ids
-                .chunks_exact(tokens.width)
-                .map(|row| row.iter().filter(|&&id| id != PADDING).count())
-                .collect(),
+            Self::Words(tokens) => tokens.lengths().collect(),
             Self::Vectors { lengths, .. } => lengths.clone(),
         }
     }

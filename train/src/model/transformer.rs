@@ -36,7 +36,16 @@ impl Padding {
 
     /// The padding of rows that end before `width` tokens.
     pub fn after(lengths: &[usize], width: usize) -> Self {
-        Self::new(padded(lengths, width), lengths.len())
+        let padded = lengths
+            .iter()
+            .flat_map(|&length| (0..width).map(move |token| token >= length));
+        Self::new(padded.collect(), lengths.len())
+    }
+
+    /// As [`Padding::after`], or nothing if no row ends before `width` tokens.
+    pub(crate) fn where_shorter(lengths: &[usize], width: usize) -> Option<Self> {
+        let is_shorter = lengths.iter().any(|&length| length < width);
+        is_shorter.then(|| Self::after(lengths, width))
     }
 
     /// The mask on a device.
@@ -49,6 +58,44 @@ impl Padding {
             .get_or_init(|| Tensor::from_data(TensorData::new(self.values.to_vec(), shape), device))
             .clone()
     }
+
+    /// The mask of attention: the same for each head and each token that asks.
+    ///
+    /// # Shapes
+    /// `[B, H, T, T]`
+    pub(crate) fn of_attention(&self, num_heads: usize, device: &Device) -> Tensor<4, Bool> {
+        let mask = self.mask(device);
+        let [batch, _, _, length] = mask.dims();
+        mask.expand([batch, num_heads, length, length])
+    }
+
+    /// Puts zeros in place of padding.
+    ///
+    /// # Shapes
+    /// `[B, T, F]`
+    pub(crate) fn clear(&self, x: Tensor<3>) -> Tensor<3> {
+        let [batch, length, width] = x.dims();
+        let mask = self.mask(&x.device()).reshape([batch, length, 1]);
+        x.mask_fill(mask.expand([batch, length, width]), 0.0)
+    }
+}
+
+/// The heads of tokens.
+///
+/// # Shapes
+/// `[B, T, d]` gives `[B, H, T, d / H]`.
+pub(crate) fn split_heads(x: Tensor<3>, num_heads: usize) -> Tensor<4> {
+    let [batch, length, width] = x.dims();
+    x.reshape([batch, length, num_heads, width / num_heads])
+        .swap_dims(1, 2)
+}
+
+/// The inverse of [`split_heads`].
+pub(crate) fn join_heads(heads: Tensor<4>) -> Tensor<3> {
+    let [batch, num_heads, length, head] = heads.dims();
+    heads
+        .swap_dims(1, 2)
+        .reshape([batch, length, num_heads * head])
 }
 
 /// Multi-head self-attention with query, key and value in one projection.
@@ -76,8 +123,7 @@ impl SelfAttention {
     /// # Shapes
     /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
     pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
-        let [batch, length, width] = x.dims();
-        let head = width / self.num_heads;
+        let [_, _, width] = x.dims();
         let weight = self.in_proj.weight.val();
         let bias = self.in_proj.bias.as_ref().map(|bias| bias.val());
         // The weights are cut in three, not the result: the gradient of a cut fills the whole with
@@ -85,19 +131,13 @@ impl SelfAttention {
         let [q, k, v] = [0, 1, 2].map(|part| {
             let weight = weight.clone().narrow(1, part * width, width);
             let bias = bias.clone().map(|bias| bias.narrow(0, part * width, width));
-            pass.product(x.clone(), weight, bias)
-                .reshape([batch, length, self.num_heads, head])
-                .swap_dims(1, 2)
+            split_heads(pass.product(x.clone(), weight, bias), self.num_heads)
         });
-        let mask = padding.map(|padding| {
-            padding
-                .mask(&x.device())
-                .expand([batch, self.num_heads, length, length])
-        });
+        let mask = padding.map(|padding| padding.of_attention(self.num_heads, &x.device()));
         let attended = if q.device().is_autodiff() {
             // The fused product has no gradient of its own: its fallback would also carry
             // gradients through the row maximum, and it cannot drop attention weights.
-            let scale = (head as f64).sqrt().recip();
+            let scale = ((width / self.num_heads) as f64).sqrt().recip();
             let mut scores = q.mul_scalar(scale).matmul(k.swap_dims(2, 3));
             if let Some(mask) = mask {
                 scores = scores.mask_fill(mask, f32::NEG_INFINITY);
@@ -106,8 +146,7 @@ impl SelfAttention {
         } else {
             attention(q, k, v, mask, None, AttentionModuleOptions::default())
         };
-        let attended = attended.swap_dims(1, 2).reshape([batch, length, width]);
-        pass.linear(&self.out_proj, attended)
+        pass.linear(&self.out_proj, join_heads(attended))
     }
 }
 
@@ -193,26 +232,24 @@ impl EncoderLayer {
         fused.unwrap_or_else(|| self.forward_composed(x, padding, pass))
     }
 
-    /// The weights of its products.
-    pub(crate) fn weights(&self) -> [Tensor<2>; 4] {
-        let linears = [
+    fn linears(&self) -> [&Linear; 4] {
+        [
             &self.self_attn.in_proj,
             &self.self_attn.out_proj,
             &self.linear1,
             &self.linear2,
-        ];
-        linears.map(|linear| linear.weight.val())
+        ]
+    }
+
+    /// The weights of its products.
+    pub(crate) fn weights(&self) -> [Tensor<2>; 4] {
+        self.linears().map(|linear| linear.weight.val())
     }
 
     /// The trainable tensors, where the layer has all of them.
     fn tensors(&self) -> Option<LayerTensors> {
-        let linears = [
-            &self.self_attn.in_proj,
-            &self.self_attn.out_proj,
-            &self.linear1,
-            &self.linear2,
-        ];
-        let [b0, b1, b2, b3] = linears.map(|linear| linear.bias.as_ref().map(|bias| bias.val()));
+        let biases = self.linears().map(|linear| linear.bias.as_ref());
+        let [b0, b1, b2, b3] = biases.map(|bias| bias.map(|bias| bias.val()));
         let beta = |norm: &LayerNorm| norm.beta.as_ref().map(|beta| beta.val());
         Some(LayerTensors {
             weights: self.weights(),
@@ -387,23 +424,6 @@ impl Decoder {
             layer.forward(x, memory.clone(), padding, pass)
         })
     }
-}
-
-/// True from a row's length on, row by row.
-fn padded(lengths: &[usize], width: usize) -> Vec<bool> {
-    lengths
-        .iter()
-        .flat_map(|&length| (0..width).map(move |token| token >= length))
-        .collect()
-}
-
-/// The mask of rows that end before `width` tokens: true from a row's length on.
-///
-/// # Shapes
-/// `[B]` lengths give `[B, width]`.
-pub fn padding_of(lengths: &[usize], width: usize, device: &Device) -> Tensor<2, Bool> {
-    let padded = TensorData::new(padded(lengths, width), [lengths.len(), width]);
-    Tensor::from_data(padded, device)
 }
 
 #[cfg(test)]

@@ -56,13 +56,7 @@ impl Editor {
             .filter_map(|&name| files.get(name).map(Vec::as_slice))
             .collect();
         let hash = weights_hash(&record.config, &weights);
-        let mut model = MotionRefit::of_frames(
-            &config.model,
-            &config.diffusion,
-            record.config.text.source(),
-            3 * config.keypoints,
-            device,
-        );
+        let mut model = record.config.network(device);
         load_weights(&mut model, &mut files, run_dir)?;
         Ok(Self {
             model,

@@ -1,5 +1,6 @@
 //! Settings of the evaluation encoder.
 
+use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -8,7 +9,7 @@ use crate::config::{
     check_lengths, positive,
 };
 use crate::features::FeatureRecipe;
-use crate::model::tmr::TmrSizes;
+use crate::model::tmr::Tmr;
 use crate::vocabulary::Vocabulary;
 
 /// Settings of the encoder's training.
@@ -160,13 +161,9 @@ impl TmrConfig {
         above_zero("temperature", self.temperature)
     }
 
-    /// Sizes of the network for the words of a vocabulary.
-    pub(super) fn sizes(&self, vocabulary: &Vocabulary) -> TmrSizes {
-        TmrSizes {
-            motion_features: self.features.width(),
-            num_tokens: vocabulary.num_tokens(),
-            word_width: self.word_width,
-            network: self.model,
-        }
+    /// Builds the network for the words of a vocabulary.
+    pub(super) fn network(&self, vocabulary: &Vocabulary, device: &Device) -> Tmr {
+        let words = [vocabulary.num_tokens(), self.word_width];
+        Tmr::new(&self.model, self.features.width(), words, device)
     }
 }

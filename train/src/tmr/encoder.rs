@@ -122,8 +122,7 @@ impl TmrEncoder {
         config.check()?;
         let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
         let hash = weights_hash(&record.config, &[weights]);
-        let sizes = config.sizes(&record.config.vocabulary);
-        let mut model = Tmr::new(&sizes, device);
+        let mut model = config.network(&record.config.vocabulary, device);
         load(&mut model, &mut files, run_dir)?;
         Ok(Self {
             motion_encoder: model.motion_encoder.clone(),

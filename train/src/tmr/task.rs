@@ -112,8 +112,7 @@ pub fn train_tmr<'a>(
         sampler,
         val_batches,
     };
-    let sizes = config.sizes(&record.vocabulary);
-    let network = |device: &Device| Tmr::new(&sizes, device);
+    let network = |device: &Device| config.network(&record.vocabulary, device);
     let (_, report) = trainer::train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
