@@ -281,7 +281,7 @@ impl Run {
             let mut lineage = recorded.lineage.clone();
             lineage.push(Ancestor {
                 by: Inheritance::Extend,
-                weights: hash_of(&recorded.config, &files),
+                weights: weights_hash(&recorded.config, &files),
                 step: step_of(&files, "step"),
                 changed: differences,
             });
@@ -454,12 +454,37 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     Ok(Some(files))
 }
 
-/// The checkpoint a finished run is used from: the best one, or the last one if none was validated.
-pub(crate) fn read_for_use(run_dir: &Path, slot: Slot, kind: &'static str) -> Result<Files, Error> {
-    read(run_dir, slot)?.ok_or_else(|| {
+/// A run opened for use.
+pub(crate) struct Opened<C> {
+    pub(crate) record: RunRecord<C>,
+    /// The files of a checkpoint.
+    pub(crate) files: Files,
+    /// What identifies its weights.
+    pub(crate) hash: String,
+}
+
+impl<C: Serialize> Opened<C> {
+    pub(crate) fn new(record: RunRecord<C>, files: Files) -> Self {
+        Self {
+            hash: weights_hash(&record.config, &files),
+            record,
+            files,
+        }
+    }
+}
+
+/// Opens a run for use: its record, and the files of a checkpoint.
+pub(crate) fn open_for_use<C: Serialize + DeserializeOwned>(
+    run_dir: &Path,
+    slot: Slot,
+    kind: &'static str,
+) -> Result<Opened<C>, Error> {
+    let record = read_record(run_dir, kind)?;
+    let files = read(run_dir, slot)?.ok_or_else(|| {
         let reason = format!("it holds no checkpoint {:?}", slot.name());
         not_a_run(run_dir, kind, reason)
-    })
+    })?;
+    Ok(Opened::new(record, files))
 }
 
 /// Removes a file from the files of a checkpoint.
@@ -470,25 +495,20 @@ pub(crate) fn take(files: &mut Files, name: &str, run_dir: &Path) -> Result<Vec<
     })
 }
 
-/// What identifies trained weights: the BLAKE3 of configuration and weight files, hexadecimal.
-pub(crate) fn weights_hash<C: Serialize>(config: &C, files: &[&[u8]]) -> String {
+/// What identifies the weights of a checkpoint, as editors and tables do: the BLAKE3 of configuration and weight files,
+/// hexadecimal.
+fn weights_hash<C: Serialize>(config: &C, files: &Files) -> String {
     let mut hasher = blake3::Hasher::new();
     let config = serde_json::to_vec(config).expect("a configuration that was read can be written");
-    for part in std::iter::once(config.as_slice()).chain(files.iter().copied()) {
+    let weights = files
+        .iter()
+        .filter(|(name, _)| name.ends_with(".safetensors") && !name.starts_with(EMA_PREFIX))
+        .map(|(_, bytes)| bytes.as_slice());
+    for part in std::iter::once(config.as_slice()).chain(weights) {
         hasher.update(&(part.len() as u64).to_le_bytes());
         hasher.update(part);
     }
     hasher.finalize().to_hex().to_string()
-}
-
-/// Identifies the weights of a checkpoint, as editors and tables do.
-fn hash_of<C: Serialize>(config: &C, files: &Files) -> String {
-    let weights: Vec<&[u8]> = files
-        .iter()
-        .filter(|(name, _)| name.ends_with(".safetensors") && !name.starts_with(EMA_PREFIX))
-        .map(|(_, bytes)| bytes.as_slice())
-        .collect();
-    weights_hash(config, &weights)
 }
 
 /// The step of a checkpoint; 0 if it is not recorded.
@@ -577,7 +597,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
     let mut lineage = before.lineage.clone();
     lineage.push(Ancestor {
         by: Inheritance::Init,
-        weights: hash_of(&before.config, &files),
+        weights: weights_hash(&before.config, &files),
         step: step_of(&last, "best_step"),
         changed: differences(&to_value(&before).map_err(json)?, asked),
     });

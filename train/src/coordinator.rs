@@ -13,9 +13,7 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{
-    self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
-};
+use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use};
 use crate::compose::ComposeRecord;
 use crate::config::{
     DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, ScheduleName,
@@ -25,7 +23,7 @@ use crate::config::{
 use crate::error::motion_error;
 use crate::model::coordinator::Coordinator;
 use crate::model::pass::{Arithmetic, Pass};
-use crate::model::weights::{from_safetensors, to_safetensors};
+use crate::model::weights::load_network;
 use crate::schedule::Schedule;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
 use crate::transfer::read;
@@ -258,10 +256,8 @@ pub fn train_coordinator<'a>(
         normalizer: segments.normalizer,
         compose: segments.compose.clone(),
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, segments.dataset_hash, segments.skeleton, record),
-    )?;
+    let document = RunRecord::new(KIND, segments.dataset_hash, segments.skeleton, record);
+    let run = Run::open(start, &document)?;
     let seed = Seed(config.run.seed);
     let schedule = Schedule::new(config.schedule, config.diffusion_steps)?;
     let sampler = SegmentSampler {
@@ -364,6 +360,8 @@ impl Task for CoordinatorTask<'_> {
     type Model = Coordinator;
     type Batch = SegmentBatch;
 
+    const WEIGHTS: &'static str = WEIGHTS;
+
     fn draw(&self, step: u64) -> Result<Vec<(f64, SegmentBatch)>, Error> {
         let run = &self.config.run;
         run.batches(step, |first, count| self.sampler.draw(first, count))
@@ -392,20 +390,6 @@ impl Task for CoordinatorTask<'_> {
             .iter()
             .map(|batch| (batch.timesteps.len(), batch))
     }
-
-    fn save(&self, model: &Coordinator, run_dir: &Path) -> Result<Files, Error> {
-        Ok([(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
-    }
-
-    fn load(
-        &self,
-        model: &mut Coordinator,
-        files: &mut Files,
-        run_dir: &Path,
-    ) -> Result<(), Error> {
-        let bytes = take(files, WEIGHTS, run_dir)?;
-        from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
-    }
 }
 
 /// The mean cross entropy of logits `z` and labels `y` in [0, 1]:
@@ -431,15 +415,12 @@ impl TrainedCoordinator {
     /// # Errors
     /// The folder is not a run of the coordinator, or its checkpoint is missing or damaged.
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<Self, Error> {
-        let record: RunRecord<CoordinatorRecord> = checkpoint::read_record(run_dir, KIND)?;
+        let opened = open_for_use::<CoordinatorRecord>(run_dir, slot, KIND)?;
+        let (record, hash, mut files) = (opened.record, opened.hash, opened.files);
         record.config.check()?;
-        let mut files = read_for_use(run_dir, slot, KIND)?;
-        let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
-        let hash = weights_hash(&record.config, &[weights]);
         let train = &record.config.train;
         let mut model = Coordinator::new(&train.model, 3 * train.keypoints, device);
-        let bytes = take(&mut files, WEIGHTS, run_dir)?;
-        from_safetensors(&mut model, bytes, "", &run_dir.join(WEIGHTS))?;
+        load_network(&mut model, &mut files, WEIGHTS, run_dir)?;
         Ok(Self {
             model,
             record,

@@ -7,7 +7,7 @@ use datasets_spec::{Seed, Skeleton};
 use kinematics::normalise::Normalizer;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{Files, Run, RunRecord, Start, take};
+use crate::checkpoint::{Files, Run, RunRecord, Start};
 use crate::compose::ComposeRecord;
 use crate::config::{NoiseKind, TextConfig, TextEncoder, TrainConfig, check_windows};
 use crate::data::{NoisyBatch, Texts, Timesteps, WindowSampler, WindowSource};
@@ -15,7 +15,7 @@ use crate::diffusion::Objective;
 use crate::extrapolation::Extrapolation;
 use crate::model::motionrefit::{MotionRefit, TextSource};
 use crate::model::pass::Pass;
-use crate::model::weights::{from_safetensors, to_safetensors};
+use crate::model::weights::{load_networks, save_networks};
 use crate::schedule::Schedule;
 use crate::text::table::EmbeddingTable;
 pub use crate::trainer::TrainReport;
@@ -281,10 +281,8 @@ pub fn train_motionrefit<'a>(
         extrapolation: extrapolation.clone(),
     };
     record.check()?;
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
     let val_batches = val_batches(config, &val_sampler)?;
 
     let trainer = TrainerConfig {
@@ -349,6 +347,8 @@ impl Task for EditorTask<'_> {
     type Model = MotionRefit;
     type Batch = NoisyBatch;
 
+    const WEIGHTS: &'static str = DENOISER;
+
     fn draw(&self, step: u64) -> Result<Vec<(f64, NoisyBatch)>, Error> {
         let run = &self.record.train.run;
         run.batches(step, |first, count| self.sampler.draw(first, count))
@@ -376,15 +376,8 @@ impl Task for EditorTask<'_> {
     }
 
     fn save(&self, model: &MotionRefit, run_dir: &Path) -> Result<Files, Error> {
-        let mut files: Files = [(
-            DENOISER.to_owned(),
-            to_safetensors(&model.denoiser, run_dir)?,
-        )]
-        .into();
-        if let Some(text) = &model.text {
-            files.insert(TEXT.to_owned(), to_safetensors(text, run_dir)?);
-        }
-        Ok(files)
+        let text = (TEXT, model.text.as_ref());
+        save_networks((DENOISER, &model.denoiser), text, run_dir)
     }
 
     fn load(
@@ -403,14 +396,6 @@ pub(crate) fn load_weights(
     files: &mut Files,
     run_dir: &Path,
 ) -> Result<(), Error> {
-    let path = run_dir.join(DENOISER);
-    let bytes = take(files, DENOISER, run_dir)?;
-    from_safetensors(&mut model.denoiser, bytes, "", &path)?;
-    match &mut model.text {
-        Some(text) => {
-            let bytes = take(files, TEXT, run_dir)?;
-            from_safetensors(text, bytes, "", &run_dir.join(TEXT))
-        }
-        None => Ok(()),
-    }
+    let text = (TEXT, model.text.as_mut());
+    load_networks((DENOISER, &mut model.denoiser), text, files, run_dir)
 }

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use burn_store::ModuleSnapshot;
 use datasets_spec::{Motion, Pose, Seed};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::KeypointFrame;
@@ -16,16 +15,14 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{
-    self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
-};
+use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use, take};
 use crate::config::{Decay, OptimizerConfig, Preset, RunLength, RunSettings};
 use crate::model::pass::Pass;
 use crate::model::pose_net::{
     OFFICIAL_INPUT, OFFICIAL_NAMES, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_NAMES,
     PAPER_OUTPUT, PaperPoseNet,
 };
-use crate::model::weights::{from_safetensors, from_safetensors_named, to_safetensors};
+use crate::model::weights::{from_safetensors_named, to_safetensors};
 use crate::trainer::{self, Task, TrainerConfig};
 use crate::transfer::read;
 use crate::{Error, Session};
@@ -200,10 +197,8 @@ pub fn train_j2s<'a>(
         }
     }
     config.check()?;
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, dataset_hash, skeleton, config.clone()),
-    )?;
+    let document = RunRecord::new(KIND, dataset_hash, skeleton, config.clone());
+    let run = Run::open(start, &document)?;
     let run_dir = run.dir();
     let (network, done) = match config.preset {
         J2sPreset::Paper => {
@@ -291,9 +286,11 @@ impl<'a, M: Module> PoseTask<'a, M> {
     }
 }
 
-impl<M: Module + ModuleSnapshot + Sync> Task for PoseTask<'_, M> {
+impl<M: Module + Sync> Task for PoseTask<'_, M> {
     type Model = M;
     type Batch = (Vec<f32>, Vec<f32>);
+
+    const WEIGHTS: &'static str = WEIGHTS;
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
         let poses = draw_poses(
@@ -323,15 +320,6 @@ impl<M: Module + ModuleSnapshot + Sync> Task for PoseTask<'_, M> {
 
     fn validation(&self) -> impl Iterator<Item = (usize, &Self::Batch)> {
         std::iter::once((1, &self.val))
-    }
-
-    fn save(&self, net: &M, run_dir: &Path) -> Result<Files, Error> {
-        Ok([(WEIGHTS.to_owned(), to_safetensors(net, run_dir)?)].into())
-    }
-
-    fn load(&self, net: &mut M, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-        let bytes = take(files, WEIGHTS, run_dir)?;
-        from_safetensors(net, bytes, "", &run_dir.join(WEIGHTS))
     }
 }
 
@@ -425,18 +413,16 @@ impl PoseNet {
     /// # Errors
     /// The folder is no such run, or its checkpoint is missing or damaged.
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<(Self, String), Error> {
-        let record: RunRecord<J2sConfig> = checkpoint::read_record(run_dir, KIND)?;
-        let mut files = read_for_use(run_dir, slot, KIND)?;
-        let bytes = take(&mut files, WEIGHTS, run_dir)?;
-        let hash = weights_hash(&record.config, &[&bytes]);
-        let config = &record.config;
+        let mut opened = open_for_use::<J2sConfig>(run_dir, slot, KIND)?;
+        let bytes = take(&mut opened.files, WEIGHTS, run_dir)?;
+        let config = &opened.record.config;
         let path = run_dir.join(WEIGHTS);
         let net = Self::from_safetensors(config.preset, config.width, bytes, "", &path, device)?;
         let net = Self {
             faces_forward: config.faces_forward,
             ..net
         };
-        Ok((net, hash))
+        Ok((net, opened.hash))
     }
 
     /// Loads a network from safetensors under the names it is published or recorded with, or those
@@ -452,7 +438,7 @@ impl PoseNet {
         path: &Path,
         device: &Device,
     ) -> Result<Self, Error> {
-        fn load<M: Module + ModuleSnapshot>(
+        fn load<M: Module>(
             mut net: M,
             bytes: Vec<u8>,
             prefix: &str,

@@ -204,10 +204,8 @@ pub fn train_mdm<'a>(
         features: known_features.unwrap_or_else(|| grouped_stats(&train)),
         text,
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
     let task = MdmTask::new(&record, [&train, &val], record.text.texts(corpus.vectors)?)?;
     let trainer = TrainerConfig {
         kind: KIND,
@@ -314,6 +312,8 @@ impl<'a> MdmTask<'a> {
 impl Task for MdmTask<'_> {
     type Model = Conditioned<Mdm>;
     type Batch = MdmBatch;
+
+    const WEIGHTS: &'static str = WEIGHTS;
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, MdmBatch)>, Error> {
         let run = &self.record.train.run;

@@ -8,10 +8,9 @@ use features::humanml3d::Features;
 use kinematics::resample::grid;
 use rayon::prelude::*;
 
-use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash};
+use crate::checkpoint::{Slot, open_for_use};
 use crate::config::Preset;
 use crate::diffusion::guide;
-use crate::fit::TEXT;
 use crate::humanml3d::{SourceFeatures, feature_mask};
 use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord, WEIGHTS};
 use crate::model::conditioned::Conditioned;
@@ -53,16 +52,11 @@ pub(crate) fn open(
     skeleton: &Skeleton,
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
-    let RunRecord { config: record, .. } = read_record::<MdmRecord>(&source.run, KIND)?;
+    let mut opened = open_for_use::<MdmRecord>(&source.run, source.slot, KIND)?;
+    let record = opened.record.config;
     record.train.check()?;
-    let mut files = read_for_use(&source.run, source.slot, KIND)?;
-    let weights: Vec<&[u8]> = [WEIGHTS, TEXT]
-        .iter()
-        .filter_map(|&name| files.get(name).map(Vec::as_slice))
-        .collect();
-    let checkpoint_hash = weights_hash(&record, &weights);
     let mut model = record.network(device);
-    model.load(WEIGHTS, &mut files, &source.run)?;
+    model.load(WEIGHTS, &mut opened.files, &source.run)?;
     let inpainting = PartInpainting::new(
         Schedule::cosine(record.train.diffusion_steps)?,
         config.start,
@@ -88,7 +82,7 @@ pub(crate) fn open(
         max_batch: config.max_batch.max(1),
         identity: SystemIdentity {
             name: config.name.clone().unwrap_or(name),
-            checkpoint_hash,
+            checkpoint_hash: opened.hash,
             settings: settings.to_string(),
         },
         skeleton: skeleton.clone(),

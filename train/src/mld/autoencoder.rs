@@ -11,14 +11,12 @@ use serde::{Deserialize, Serialize};
 use super::config::AutoencoderConfig;
 use super::joints::recovered_joints;
 use crate::captioned::{CaptionedCorpus, CaptionedRows, CropSampler, Crops, grouped_stats};
-use crate::checkpoint::{
-    self, Files, Run, RunRecord, Slot, read_for_use, read_record, take, weights_hash,
-};
+use crate::checkpoint::{Run, RunRecord, Slot, open_for_use};
 use crate::config::Loss;
 use crate::features::FeatureStats;
 use crate::model::mld::{MAX_POSITIONS, MotionVae};
 use crate::model::pass::Pass;
-use crate::model::weights::{from_safetensors, to_safetensors};
+use crate::model::weights::load_network;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
 use crate::{Error, Session};
 
@@ -63,10 +61,8 @@ pub(super) fn train(
         train: config.clone(),
         features: grouped_stats(clips),
     };
-    let run = Run::open(
-        &folder(run),
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(&folder(run), &document)?;
     let seed = Seed(config.run.seed);
     let sampler = |clips, name| CropSampler {
         clips,
@@ -105,6 +101,8 @@ struct AutoencoderTask<'a> {
 impl<'a> Task for AutoencoderTask<'a> {
     type Model = MotionVae;
     type Batch = NoisyCrops<'a>;
+
+    const WEIGHTS: &'static str = WEIGHTS;
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
         let config = &self.record.train;
@@ -165,15 +163,6 @@ impl<'a> Task for AutoencoderTask<'a> {
     fn validation(&self) -> impl Iterator<Item = (usize, &Self::Batch)> {
         self.val.iter().map(|batch| (batch.0.lengths.len(), batch))
     }
-
-    fn save(&self, model: &MotionVae, run_dir: &Path) -> Result<Files, Error> {
-        Ok([(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
-    }
-
-    fn load(&self, model: &mut MotionVae, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-        let bytes = take(files, WEIGHTS, run_dir)?;
-        from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
-    }
 }
 
 /// Standard normal noise for the latent vectors of the samples from `first` on, `[count, width]`. It
@@ -206,18 +195,16 @@ impl Autoencoder {
     /// There is none, or its checkpoint is missing or damaged.
     pub fn load(run: &Path, device: &Device) -> Result<Self, Error> {
         let dir = folder(run);
-        let record: RunRecord<AutoencoderRecord> = read_record(&dir, KIND)?;
-        record.config.train.check()?;
-        let mut files = read_for_use(&dir, Slot::Best, KIND)?;
-        let bytes = checkpoint::take(&mut files, WEIGHTS, &dir)?;
-        let hash = weights_hash(&record.config, &[&bytes]);
-        let mut network = record.config.network(device);
-        from_safetensors(&mut network, bytes, "", &dir.join(WEIGHTS))?;
+        let mut opened = open_for_use::<AutoencoderRecord>(&dir, Slot::Best, KIND)?;
+        let record = opened.record.config;
+        record.train.check()?;
+        let mut network = record.network(device);
+        load_network(&mut network, &mut opened.files, WEIGHTS, &dir)?;
         Ok(Self {
             network,
-            max_frames: record.config.train.max_frames,
-            stats: record.config.features,
-            hash,
+            max_frames: record.train.max_frames,
+            stats: record.features,
+            hash: opened.hash,
         })
     }
 

@@ -104,10 +104,8 @@ pub fn train_mld<'a>(
         autoencoder: autoencoder.hash.clone(),
         latent_std: latent_std(&autoencoder, &sampler(&train, "std"), config, session),
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
     let mut task = DiffusionTask {
         record: &record,
         autoencoder: &autoencoder,
@@ -234,6 +232,8 @@ impl DiffusionTask<'_> {
 impl Task for DiffusionTask<'_> {
     type Model = Conditioned<LatentDenoiser>;
     type Batch = LatentBatch;
+
+    const WEIGHTS: &'static str = WEIGHTS;
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, LatentBatch)>, Error> {
         let run = &self.record.train.run;

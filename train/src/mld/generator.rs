@@ -12,10 +12,9 @@ use serde::{Deserialize, Serialize};
 use super::autoencoder::Autoencoder;
 use super::diffusion::{MldRecord, WEIGHTS};
 use super::{CLIP, KIND};
-use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash};
+use crate::checkpoint::{Slot, open_for_use};
 use crate::ddim::Ddim;
 use crate::diffusion::guide;
-use crate::fit::TEXT;
 use crate::model::conditioned::Conditioned;
 use crate::model::mld::LatentDenoiser;
 use crate::model::pass::Pass;
@@ -66,7 +65,8 @@ impl Generator {
     /// The folder is no such run, its autoencoder is not the one the diffusion was trained with, or a
     /// checkpoint is missing or damaged.
     pub fn load(run: &Path, device: &Device) -> Result<Self, Error> {
-        let RunRecord { config: record, .. } = read_record::<MldRecord>(run, KIND)?;
+        let mut opened = open_for_use::<MldRecord>(run, Slot::Best, KIND)?;
+        let record = opened.record.config;
         record.train.check()?;
         let autoencoder = Autoencoder::load(run, device)?;
         if autoencoder.hash != record.autoencoder {
@@ -76,14 +76,8 @@ impl Generator {
                           into another folder",
             ));
         }
-        let mut files = read_for_use(run, Slot::Best, KIND)?;
-        let weights: Vec<&[u8]> = [WEIGHTS, TEXT]
-            .iter()
-            .filter_map(|&name| files.get(name).map(Vec::as_slice))
-            .collect();
-        let hash = weights_hash(&record, &weights);
         let mut model = record.network(device);
-        model.load(WEIGHTS, &mut files, run)?;
+        model.load(WEIGHTS, &mut opened.files, run)?;
         let schedule = Schedule::scaled_linear(record.train.diffusion_steps)?;
         Ok(Self {
             ddim: Ddim::new(schedule, record.train.sampling_steps)?,
@@ -91,7 +85,7 @@ impl Generator {
             autoencoder,
             record,
             vectors: None,
-            hash,
+            hash: opened.hash,
             device: device.clone(),
         })
     }

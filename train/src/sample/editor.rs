@@ -15,11 +15,11 @@ use super::noise::Noise;
 use super::sampler::{Condition, Guide, Sampler};
 use super::settings::{EditSettings, EditTimes};
 use super::windows::{WindowModel, WindowRequest, edit_windows};
-use crate::checkpoint::{self, RunRecord, Slot, read_for_use, weights_hash};
+use crate::checkpoint::{RunRecord, Slot, open_for_use};
 use crate::config::narrowed;
 use crate::coordinator::TrainedCoordinator;
 use crate::extrapolation::Extrapolation;
-use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
+use crate::fit::{EditorRecord, KIND, load_weights};
 use crate::j2s::PoseNet;
 use crate::model::motionrefit::MotionRefit;
 use crate::model::transformer::PreparedWeights;
@@ -47,15 +47,10 @@ impl Editor {
     /// # Errors
     /// The folder is not a run of the editor, or its checkpoint is missing or damaged.
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<Self, Error> {
-        let record: RunRecord<EditorRecord> = checkpoint::read_record(run_dir, KIND)?;
+        let opened = open_for_use::<EditorRecord>(run_dir, slot, KIND)?;
+        let (record, hash, mut files) = (opened.record, opened.hash, opened.files);
         let config = &record.config.train;
         record.config.check()?;
-        let mut files = read_for_use(run_dir, slot, KIND)?;
-        let weights: Vec<&[u8]> = [DENOISER, TEXT]
-            .iter()
-            .filter_map(|&name| files.get(name).map(Vec::as_slice))
-            .collect();
-        let hash = weights_hash(&record.config, &weights);
         let mut model = record.config.network(device);
         load_weights(&mut model, &mut files, run_dir)?;
         Ok(Self {

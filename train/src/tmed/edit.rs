@@ -11,8 +11,8 @@ use super::config::{ClipData, EditStart, NoSource, TmedConfig};
 use super::features::{FeatureFrame, NUM_FEATURES, features_of_motion, poses_from};
 use super::guidance::{Branch, branches, guided};
 use super::objective::{places, text_tokens};
-use super::task::{DENOISER, KIND, TmedRecord, WORDS, load_weights};
-use crate::checkpoint::{self, RunRecord, Slot, check_skeleton, read_for_use, weights_hash};
+use super::task::{KIND, TmedRecord, load_weights};
+use crate::checkpoint::{Slot, check_skeleton, open_for_use};
 use crate::config::Preset;
 use crate::error::motion_error;
 use crate::fit::TextRecord;
@@ -71,17 +71,11 @@ pub(crate) fn open(
             ));
         }
     }
-    let RunRecord { config: record, .. } =
-        checkpoint::read_record::<TmedRecord>(&source.run, KIND)?;
+    let mut opened = open_for_use::<TmedRecord>(&source.run, source.slot, KIND)?;
+    let record = opened.record.config;
     record.check()?;
-    let mut files = read_for_use(&source.run, source.slot, KIND)?;
-    let weights: Vec<&[u8]> = [DENOISER, WORDS]
-        .iter()
-        .filter_map(|&name| files.get(name).map(Vec::as_slice))
-        .collect();
-    let checkpoint_hash = weights_hash(&record, &weights);
     let mut model = record.model(device);
-    load_weights(&mut model, &mut files, &source.run)?;
+    load_weights(&mut model, &mut opened.files, &source.run)?;
     let trained = &record.train.diffusion;
     let settings = TmedSettings {
         steps: trained.steps(config.steps.or(trained.edit_steps))?,
@@ -112,7 +106,7 @@ pub(crate) fn open(
                 Some(name) => name.clone(),
                 None => system_name(&record, source.slot, &settings)?,
             },
-            checkpoint_hash,
+            checkpoint_hash: opened.hash,
             settings: document.to_string(),
         },
         model,

@@ -10,13 +10,13 @@ use super::clips::{ClipBatch, ClipSampler, ClipSource, statistics};
 use super::config::{ClipData, StatisticsSplits, TmedConfig};
 use super::features::{FeatureStatistics, NUM_FEATURES};
 use super::objective;
-use crate::checkpoint::{Files, Run, RunRecord, Start, take};
+use crate::checkpoint::{Files, Run, RunRecord, Start};
 use crate::compose::ComposeRecord;
 use crate::data::Timesteps;
 use crate::fit::TextRecord;
 use crate::model::pass::Pass;
 use crate::model::tmed::TmedModel;
-use crate::model::weights::{from_safetensors, to_safetensors};
+use crate::model::weights::{load_networks, save_networks};
 use crate::schedule::Schedule;
 use crate::text::table::EmbeddingTable;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
@@ -26,7 +26,7 @@ use crate::{Error, Session};
 pub(crate) const KIND: &str = "tmed";
 
 pub(crate) const DENOISER: &str = "denoiser.safetensors";
-pub(crate) const WORDS: &str = "words.safetensors";
+const WORDS: &str = "words.safetensors";
 
 /// What TMED learns from.
 #[derive(Clone, Copy)]
@@ -114,10 +114,8 @@ pub fn train_tmed<'a>(
         text,
         compose: corpus.compose.cloned(),
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
     let seed = Seed(config.run.seed);
     let sampler = ClipSampler {
         source: corpus.train,
@@ -179,6 +177,8 @@ impl Task for TmedTask<'_> {
     type Model = TmedModel;
     type Batch = ClipBatch;
 
+    const WEIGHTS: &'static str = DENOISER;
+
     fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
         let run = &self.config.run;
         run.batches(step, |first, count| self.sampler.draw(first, count))
@@ -199,12 +199,8 @@ impl Task for TmedTask<'_> {
     }
 
     fn save(&self, model: &TmedModel, run_dir: &Path) -> Result<Files, Error> {
-        let denoiser = to_safetensors(&model.denoiser, run_dir)?;
-        let mut files: Files = [(DENOISER.to_owned(), denoiser)].into();
-        if let Some(words) = &model.words {
-            files.insert(WORDS.to_owned(), to_safetensors(words, run_dir)?);
-        }
-        Ok(files)
+        let words = (WORDS, model.words.as_ref());
+        save_networks((DENOISER, &model.denoiser), words, run_dir)
     }
 
     fn load(&self, model: &mut TmedModel, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
@@ -218,13 +214,6 @@ pub(crate) fn load_weights(
     files: &mut Files,
     run_dir: &Path,
 ) -> Result<(), Error> {
-    let bytes = take(files, DENOISER, run_dir)?;
-    from_safetensors(&mut model.denoiser, bytes, "", &run_dir.join(DENOISER))?;
-    match &mut model.words {
-        Some(words) => {
-            let bytes = take(files, WORDS, run_dir)?;
-            from_safetensors(words, bytes, "", &run_dir.join(WORDS))
-        }
-        None => Ok(()),
-    }
+    let words = (WORDS, model.words.as_mut());
+    load_networks((DENOISER, &mut model.denoiser), words, files, run_dir)
 }

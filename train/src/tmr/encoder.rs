@@ -9,16 +9,14 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::clips::feature_rows;
-use super::task::{KIND, TmrRecord, WEIGHTS, load};
+use super::task::{KIND, TmrRecord, WEIGHTS};
 use crate::Error;
-use crate::checkpoint::{
-    self, Files, MOTION_KIND, RunRecord, Slot, read_for_use, read_kind, take, weights_hash,
-};
+use crate::checkpoint::{Files, MOTION_KIND, Opened, Slot, open_for_use, read_kind, record_of};
 use crate::config::{BertVectors, NetworkConfig};
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
 use crate::model::pass::{Arithmetic, Pass};
 use crate::model::tmr::{SequenceEncoder, Tmr};
-use crate::model::weights::from_safetensors;
+use crate::model::weights::load_network;
 use crate::text::bert::{BertEncoder, BertFiles};
 use crate::transfer::read;
 use crate::vocabulary::Vocabulary;
@@ -92,8 +90,7 @@ impl TmrEncoder {
         if read_kind(run_dir)? == MOTION_KIND {
             return Self::load_motion(run_dir, device);
         }
-        let record = checkpoint::read_record(run_dir, KIND)?;
-        Self::of_files(record, read_for_use(run_dir, slot, KIND)?, run_dir, device)
+        Self::of_run(open_for_use(run_dir, slot, KIND)?, run_dir, device)
     }
 
     /// Loads an encoder from the document `config.json` of its run and the weights of its checkpoint. `name` stands for the
@@ -108,22 +105,16 @@ impl TmrEncoder {
         device: &Device,
     ) -> Result<Self, Error> {
         let files = [(WEIGHTS.to_owned(), weights.to_owned())].into();
-        let record = checkpoint::record_of(config, name, KIND)?;
-        Self::of_files(record, files, name, device)
+        let opened = Opened::new(record_of(config, name, KIND)?, files);
+        Self::of_run(opened, name, device)
     }
 
-    fn of_files(
-        record: RunRecord<TmrRecord>,
-        mut files: Files,
-        run_dir: &Path,
-        device: &Device,
-    ) -> Result<Self, Error> {
+    fn of_run(opened: Opened<TmrRecord>, run_dir: &Path, device: &Device) -> Result<Self, Error> {
+        let (record, hash, mut files) = (opened.record, opened.hash, opened.files);
         let config = &record.config.train;
         config.check()?;
-        let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
-        let hash = weights_hash(&record.config, &[weights]);
         let mut model = config.network(&record.config.vocabulary, device);
-        load(&mut model, &mut files, run_dir)?;
+        load_network(&mut model, &mut files, WEIGHTS, run_dir)?;
         Ok(Self {
             motion_encoder: model.motion_encoder.clone(),
             frame_stride: config.frame_stride,
@@ -141,33 +132,19 @@ impl TmrEncoder {
     }
 
     fn load_motion(run_dir: &Path, device: &Device) -> Result<Self, Error> {
-        let record: RunRecord<MotionEncoderRecord> = checkpoint::read_record(run_dir, MOTION_KIND)?;
+        let opened = open_for_use::<MotionEncoderRecord>(run_dir, Slot::Best, MOTION_KIND)?;
+        let (record, hash, mut files) = (opened.record, opened.hash, opened.files);
         let MotionEncoderRecord {
             model,
             features,
             text,
-        } = record.config.clone();
+        } = record.config;
         model.check()?;
-        let mut files = read_for_use(run_dir, Slot::Best, MOTION_KIND)?;
-        let bytes = take(&mut files, MOTION_WEIGHTS, run_dir)?;
-        let text_bytes = match &text {
-            Some(_) => take(&mut files, TEXT_WEIGHTS, run_dir)?,
-            None => Vec::new(),
-        };
-        let hash = match &text {
-            Some(_) => weights_hash(&record.config, &[&bytes, &text_bytes]),
-            None => weights_hash(&record.config, &[&bytes]),
-        };
         let texts = text
-            .map(|text| load_texts(&text, text_bytes, run_dir, device))
+            .map(|text| load_texts(&text, &mut files, run_dir, device))
             .transpose()?;
         let mut motion_encoder = SequenceEncoder::new(features.recipe.width(), &model, device);
-        from_safetensors(
-            &mut motion_encoder,
-            bytes,
-            "",
-            &run_dir.join(MOTION_WEIGHTS),
-        )?;
+        load_network(&mut motion_encoder, &mut files, MOTION_WEIGHTS, run_dir)?;
         Ok(Self {
             motion_encoder,
             texts,
@@ -301,7 +278,7 @@ impl TmrEncoder {
 /// Loads the text side of an imported encoder.
 fn load_texts(
     record: &ImportedText,
-    weights: Vec<u8>,
+    files: &mut Files,
     run_dir: &Path,
     device: &Device,
 ) -> Result<TextEncoding, Error> {
@@ -314,7 +291,7 @@ fn load_texts(
         });
     }
     let mut network = SequenceEncoder::new(record.width, &record.model, device);
-    from_safetensors(&mut network, weights, "", &run_dir.join(TEXT_WEIGHTS))?;
+    load_network(&mut network, files, TEXT_WEIGHTS, run_dir)?;
     Ok(TextEncoding::States(Box::new((network, encoder))))
 }
 

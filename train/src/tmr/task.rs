@@ -1,19 +1,16 @@
 //! The training of the evaluation encoder.
 
-use std::path::Path;
-
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::{Seed, Skeleton};
 use serde::{Deserialize, Serialize};
 
 use super::clips::{CaptionedMotion, ClipBatch, ClipSampler, clips, fit_features};
 use super::config::TmrConfig;
-use crate::checkpoint::{Files, Run, RunRecord, Start, take};
+use crate::checkpoint::{Run, RunRecord, Start};
 use crate::config::{Loss, WordsConfig};
 use crate::features::FeatureStats;
 use crate::model::pass::Pass;
 use crate::model::tmr::{Tmr, info_nce};
-use crate::model::weights::{from_safetensors, to_safetensors};
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
@@ -83,10 +80,8 @@ pub fn train_tmr<'a>(
         },
         vocabulary,
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
 
     let seed = Seed(config.run.seed);
     let sampler = ClipSampler {
@@ -160,6 +155,8 @@ impl Task for TmrTask<'_> {
     type Model = Tmr;
     type Batch = ClipBatch;
 
+    const WEIGHTS: &'static str = WEIGHTS;
+
     fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
         // The contrastive loss compares all pairs of a batch, so a batch is not split.
         Ok(vec![(1.0, self.sampler.draw(step))])
@@ -172,14 +169,6 @@ impl Task for TmrTask<'_> {
     fn validation(&self) -> impl Iterator<Item = (usize, &ClipBatch)> {
         let batches = self.val_batches.iter();
         batches.map(|batch| (batch.lengths.len(), batch))
-    }
-
-    fn save(&self, model: &Tmr, run_dir: &Path) -> Result<Files, Error> {
-        Ok([(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
-    }
-
-    fn load(&self, model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-        load(model, files, run_dir)
     }
 }
 
@@ -241,9 +230,4 @@ fn batch_loss(
         + kl.mul_scalar(weights.kl)
         + latent.mul_scalar(weights.latent)
         + contrastive.mul_scalar(weights.contrastive)
-}
-
-pub(super) fn load(model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-    let bytes = take(files, WEIGHTS, run_dir)?;
-    from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
 }

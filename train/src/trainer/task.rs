@@ -8,6 +8,7 @@ use burn::tensor::{Device, Tensor};
 use crate::Error;
 use crate::checkpoint::Files;
 use crate::model::pass::Pass;
+use crate::model::weights::{load_network, to_safetensors};
 
 /// What the trainer needs of a model: data, loss and checkpoint files.
 pub trait Task: Sync {
@@ -15,6 +16,9 @@ pub trait Task: Sync {
     type Model: Module;
     /// Data of a micro-batch.
     type Batch: Send + Sync;
+
+    /// Name of the file of the network in a checkpoint; where there are several, of the main one.
+    const WEIGHTS: &'static str;
 
     /// The micro-batches of a step, each with its share of the step's loss. The shares add up to
     /// one. The data depend on the seed of the run and on the step alone.
@@ -40,12 +44,20 @@ pub trait Task: Sync {
     ///
     /// # Errors
     /// A network cannot be written.
-    fn save(&self, model: &Self::Model, run_dir: &Path) -> Result<Files, Error>;
+    fn save(&self, model: &Self::Model, run_dir: &Path) -> Result<Files, Error> {
+        Ok([(Self::WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
+    }
 
     /// The inverse of [`Task::save`]: takes the files it needs.
     ///
     /// # Errors
     /// A file is missing, damaged or of another network.
-    fn load(&self, model: &mut Self::Model, files: &mut Files, run_dir: &Path)
-    -> Result<(), Error>;
+    fn load(
+        &self,
+        model: &mut Self::Model,
+        files: &mut Files,
+        run_dir: &Path,
+    ) -> Result<(), Error> {
+        load_network(model, files, Self::WEIGHTS, run_dir)
+    }
 }
