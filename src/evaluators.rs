@@ -13,7 +13,8 @@ use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::protocol::Protocol;
 use train::checkpoint::{Slot, check_skeleton};
 use train::coordinator::TrainedCoordinator;
-use train::stage::encoder::{CaptionedClip, captioned_clips};
+use train::captioned::CaptionedClip;
+use train::stage::encoder::captioned_clips;
 use train::tmr::TmrEncoder;
 
 use crate::device::{arithmetic, device};

@@ -241,10 +241,9 @@ pub fn train_motionrefit<'a>(
     }
     let start = start.into();
     let fitted: Option<EditorRecord> = start.fitted(KIND)?;
-    let (known_text, known_extrapolation) = match fitted {
-        Some(record) => (Some(record.text), record.extrapolation),
-        None => (None, None),
-    };
+    let (known_text, known_extrapolation) = fitted
+        .map(|known| (known.text, known.extrapolation))
+        .unzip();
     let instructions = corpus.instructions.iter().map(String::as_str);
     let text = TextRecord::chosen(&config.text, known_text, instructions, corpus.vectors)?;
     let seed = Seed(config.run.seed);
@@ -261,7 +260,7 @@ pub fn train_motionrefit<'a>(
         fixed_noise: config.diffusion.fixed_noise,
         shape: None,
     };
-    let extrapolation = chosen_extrapolation(config, known_extrapolation, &sampler)?;
+    let extrapolation = chosen_extrapolation(config, known_extrapolation.flatten(), &sampler)?;
     let sampler = WindowSampler {
         shape: extrapolation.as_ref().and_then(Extrapolation::shape),
         ..sampler

@@ -185,17 +185,8 @@ pub fn train_mdm<'a>(
     config.check()?;
     let start = start.into();
     let fitted: Option<MdmRecord> = start.fitted(KIND)?;
-    let (known_text, known_features) = match fitted {
-        Some(record) => (Some(record.text), Some(record.features)),
-        None => (None, None),
-    };
-    let captions = corpus.train.iter().flat_map(|clip| clip.captions);
-    let text = TextRecord::chosen(
-        &config.text,
-        known_text,
-        captions.map(String::as_str),
-        corpus.vectors,
-    )?;
+    let (known_text, known_features) = fitted.map(|known| (known.text, known.features)).unzip();
+    let text = TextRecord::chosen(&config.text, known_text, corpus.captions(), corpus.vectors)?;
     let rows = |clips, what| captioned_rows(clips, corpus.skeleton, config.min_frames, what);
     let train = rows(corpus.train, "training split of MDM")?;
     let val = rows(corpus.val, "validation split of MDM")?;

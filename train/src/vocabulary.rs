@@ -33,6 +33,19 @@ pub struct TokenBatch {
 }
 
 impl TokenBatch {
+    /// Texts as rows, padded to the longest.
+    pub(crate) fn of<T: AsRef<[i32]>>(texts: &[T]) -> Self {
+        let texts = texts.iter().map(T::as_ref);
+        let width = texts.clone().map(<[i32]>::len).max().unwrap_or(1);
+        let mut ids = Vec::with_capacity(texts.len() * width);
+        for text in texts {
+            let end = ids.len() + width;
+            ids.extend_from_slice(text);
+            ids.resize(end, PADDING);
+        }
+        Self { ids, width }
+    }
+
     /// Tokens of each row that are not padding, `[B]`.
     pub fn lengths(&self) -> impl Iterator<Item = usize> {
         let rows = self.ids.chunks_exact(self.width);
@@ -80,14 +93,7 @@ impl Vocabulary {
     /// The token numbers of several texts, padded to the longest.
     pub fn encode_batch<'a>(&self, texts: impl IntoIterator<Item = &'a str>) -> TokenBatch {
         let rows: Vec<Vec<i32>> = texts.into_iter().map(|text| self.encode(text)).collect();
-        let width = rows.iter().map(Vec::len).max().unwrap_or(1);
-        let mut ids = Vec::with_capacity(rows.len() * width);
-        for row in rows {
-            let filled = ids.len() + width;
-            ids.extend(row);
-            ids.resize(filled, PADDING);
-        }
-        TokenBatch { ids, width }
+        TokenBatch::of(&rows)
     }
 
     /// Unknown words among the first `max_words` of a text, each once, in order.

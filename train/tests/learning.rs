@@ -22,6 +22,7 @@ use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use rand::RngExt;
 use rand_distr::StandardNormal;
+use train::captioned::{CaptionedClip, CaptionedCorpus};
 use train::checkpoint::{Slot, Start};
 use train::compose::ComposeRecord;
 use train::config::{
@@ -42,7 +43,7 @@ use train::model::weights::draw;
 use train::sample::{EditItem, EditSettings, EditTimes, Editor, FitMethod, TimedInstruction};
 use train::schedule::Schedule;
 use train::text::table::EmbeddingTable;
-use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
+use train::tmr::{TmrConfig, TmrEncoder, train_tmr};
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};
 
@@ -1300,7 +1301,7 @@ fn the_encoder_learns_to_tell_motions_apart() {
         ("sit down", &SITTING),
     ];
     // Walks of other lengths, speeds and phases are held out.
-    let motions = |offset: f64| -> Vec<(String, Motion, Vec<String>)> {
+    let motions = |offset: f64| -> Vec<CaptionedClip> {
         (0..18)
             .map(|index| {
                 let (text, turns) = kinds[index % kinds.len()];
@@ -1311,7 +1312,7 @@ fn the_encoder_learns_to_tell_motions_apart() {
                         motion.set_axis_angle(frame, *joint, turn.as_vec3().to_array());
                     }
                 }
-                (index.to_string(), motion, vec![text.to_owned()])
+                captioned(index, motion, text)
             })
             .collect()
     };
@@ -1321,21 +1322,18 @@ fn the_encoder_learns_to_tell_motions_apart() {
     }
 }
 
-fn views(motions: &[(String, Motion, Vec<String>)]) -> Vec<CaptionedMotion<'_>> {
-    motions
-        .iter()
-        .map(|(id, motion, captions)| CaptionedMotion {
-            id,
-            motion,
-            captions,
-        })
-        .collect()
+fn captioned(index: usize, motion: Motion, caption: &str) -> CaptionedClip {
+    CaptionedClip {
+        id: index.to_string(),
+        motion,
+        captions: vec![caption.to_owned()],
+    }
 }
 
 /// Trains an encoder on 18 motions of three texts in turn and asks it for the texts of 18 others.
 fn check_encoder(
-    train: &[(String, Motion, Vec<String>)],
-    held_out: &[(String, Motion, Vec<String>)],
+    train: &[CaptionedClip],
+    held_out: &[CaptionedClip],
     kinds: &[&str; 3],
     recipe: FeatureRecipe,
 ) {
@@ -1346,26 +1344,15 @@ fn check_encoder(
     config.run.batch_size = 18;
     config.run.length = RunLength::of_steps(150);
     config.run.val_every = 150;
-    let stop = AtomicBool::new(false);
-    let report = train_tmr(
-        dir.path(),
-        &config,
-        TmrCorpus {
-            train: &views(train),
-            val: &views(held_out),
-            skeleton: &SKELETON,
-            dataset_hash: "0",
-        },
-        &Session {
-            device: &Device::flex(),
-            more_devices: &[],
-            arithmetic: Arithmetic::default(),
-            progress: &NoProgress,
-            stop: &stop,
-            clock: &|| Duration::ZERO,
-        },
-    )
-    .expect("trains");
+    let corpus = CaptionedCorpus {
+        train,
+        val: held_out,
+        vectors: None,
+        skeleton: &SKELETON,
+        dataset_hash: "0",
+    };
+    let report = quietly(|session| train_tmr(dir.path(), &config, corpus, session));
+    let report = report.expect("trains");
     let (first, last) = (
         report.first_loss.expect("a line"),
         report.last_loss.expect("a line"),
@@ -1373,7 +1360,7 @@ fn check_encoder(
     assert!(last < 0.7 * first, "{recipe:?}: {first} fell to {last}");
 
     let encoder = TmrEncoder::load(dir.path(), Slot::Last, &Device::flex()).expect("loads");
-    let refs: Vec<&Motion> = held_out.iter().map(|(_, motion, _)| motion).collect();
+    let refs: Vec<&Motion> = held_out.iter().map(|clip| &clip.motion).collect();
     let codes = encoder.encode(&refs).expect("encodes");
     let texts = encoder.encode_texts(kinds).expect("trained here");
     let cosine = |a: &[f32], b: &[f32]| {

@@ -92,15 +92,9 @@ pub fn train_mld<'a>(
         pads_to_max: false,
         seed: seed.derive(&[name]),
     };
-    let captions = corpus.train.iter().flat_map(|clip| clip.captions);
     let record = MldRecord {
         train: config.clone(),
-        text: TextRecord::chosen(
-            &config.text,
-            None,
-            captions.map(String::as_str),
-            corpus.vectors,
-        )?,
+        text: TextRecord::chosen(&config.text, None, corpus.captions(), corpus.vectors)?,
         autoencoder: autoencoder.hash.clone(),
         latent_std: latent_std(&autoencoder, &sampler(&train, "std"), config, session),
     };

@@ -3,9 +3,8 @@
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Split};
 
-use super::encoder::{CaptionedClip, views};
 use super::{MOTIONS, create_dir};
-use crate::captioned::CaptionedCorpus;
+use crate::captioned::{CaptionedClip, CaptionedCorpus};
 use crate::config::TextConfig;
 use crate::error::motion_error;
 use crate::kind::{TrainRequest, Trained};
@@ -75,8 +74,8 @@ pub(super) fn train_on_captions(
     let val = timed_clips(dataset, Split::Val)?;
     let vectors = caption_vectors(encoder, train.iter().chain(&val), request, session)?;
     let report = fit(CaptionedCorpus {
-        train: &views(&train),
-        val: &views(&val),
+        train: &train,
+        val: &val,
         vectors: vectors.as_ref(),
         skeleton: &dataset.skeleton()?,
         dataset_hash: &dataset.content_hash(&MOTIONS),

@@ -98,10 +98,7 @@ pub fn train_tmed<'a>(
     }
     let start = start.into();
     let fitted: Option<TmedRecord> = start.fitted(KIND)?;
-    let (known_text, known_statistics) = match fitted {
-        Some(record) => (Some(record.text), Some(record.statistics)),
-        None => (None, None),
-    };
+    let (known_text, known_statistics) = fitted.map(|known| (known.text, known.statistics)).unzip();
     let statistics = match known_statistics {
         Some(known) => known,
         None => statistics_of(&corpus, config)?,

@@ -1,13 +1,14 @@
 //! The training of the evaluation encoder.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::{Seed, Skeleton};
+use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 
-use super::clips::{CaptionedMotion, ClipBatch, ClipSampler, clips, fit_features};
+use super::clips::{ClipBatch, ClipSampler, clips, fit_features};
 use super::config::TmrConfig;
+use crate::captioned::CaptionedCorpus;
 use crate::checkpoint::{Run, RunRecord, Start};
-use crate::config::{Loss, WordsConfig};
+use crate::config::Loss;
 use crate::features::FeatureStats;
 use crate::model::pass::Pass;
 use crate::model::tmr::{Tmr, info_nce};
@@ -17,19 +18,6 @@ use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "tmr";
 pub(super) const WEIGHTS: &str = "tmr.safetensors";
-
-/// What the encoder learns from.
-#[derive(Clone, Copy, Debug)]
-pub struct TmrCorpus<'a> {
-    /// Training clips.
-    pub train: &'a [CaptionedMotion<'a>],
-    /// Validation clips.
-    pub val: &'a [CaptionedMotion<'a>],
-    /// The skeleton the motions drive.
-    pub skeleton: &'a Skeleton,
-    /// Hash of the table of motions.
-    pub dataset_hash: &'a str,
-}
 
 /// Record of an encoder's run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,25 +41,16 @@ pub struct TmrRecord {
 pub fn train_tmr<'a>(
     start: impl Into<Start<'a>>,
     config: &TmrConfig,
-    corpus: TmrCorpus<'_>,
+    corpus: CaptionedCorpus<'_>,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
     config.check()?;
     let start = start.into();
     let fitted: Option<TmrRecord> = start.fitted(KIND)?;
     let (vocabulary, features) = taken_over(fitted, config, &corpus)?;
-    let train = clips(
-        corpus.train,
-        "training split of the encoder",
-        &vocabulary,
-        config,
-    )?;
-    let val = clips(
-        corpus.val,
-        "validation split of the encoder",
-        &vocabulary,
-        config,
-    )?;
+    let prepared = |split, what| clips(split, what, &vocabulary, config);
+    let train = prepared(corpus.train, "training split of the encoder")?;
+    let val = prepared(corpus.val, "validation split of the encoder")?;
     let record = TmrRecord {
         train: config.clone(),
         features: match features {
@@ -117,7 +96,7 @@ pub fn train_tmr<'a>(
 fn taken_over(
     fitted: Option<TmrRecord>,
     config: &TmrConfig,
-    corpus: &TmrCorpus<'_>,
+    corpus: &CaptionedCorpus<'_>,
 ) -> Result<(Vocabulary, Option<FeatureStats>), Error> {
     match fitted {
         Some(fitted) if fitted.features.recipe == config.features => {
@@ -132,15 +111,10 @@ fn taken_over(
             ),
         )),
         None => {
-            let captions = corpus
-                .train
-                .iter()
-                .flat_map(|clip| clip.captions.iter().map(String::as_str));
-            let WordsConfig {
-                num_buckets,
-                max_words,
-            } = config.text;
-            Ok((Vocabulary::build(captions, num_buckets, max_words)?, None))
+            let words = &config.text;
+            let vocabulary =
+                Vocabulary::build(corpus.captions(), words.num_buckets, words.max_words)?;
+            Ok((vocabulary, None))
         }
     }
 }

@@ -3,11 +3,10 @@
 use burn::tensor::TensorData;
 use features::Statistics;
 use features::humanml3d::Features;
-use train::captioned::CaptionedCorpus;
 use train::mld::{Base, Generator, LatentNoise, MldConfig, train_mld};
 use train::model::mld::{LatentDenoiser, MotionVae};
 
-use super::mdm::{clips, features};
+use super::mdm::{clips, features, trained_by};
 use super::*;
 
 fn config(steps: [u64; 2]) -> MldConfig {
@@ -35,30 +34,15 @@ fn config(steps: [u64; 2]) -> MldConfig {
     config
 }
 
-/// Trains on clips and validates on the same.
 fn trained(
     run: &Path,
     config: &MldConfig,
     progress: &dyn Progress,
     stop: &AtomicBool,
 ) -> TrainReport {
-    let clips = clips(6);
-    let corpus = CaptionedCorpus {
-        train: &views(&clips),
-        val: &views(&clips),
-        vectors: None,
-        skeleton: &SKELETON,
-        dataset_hash: "0",
-    };
-    let session = Session {
-        device: &Device::flex(),
-        more_devices: &[],
-        arithmetic: Arithmetic::default(),
-        progress,
-        stop,
-        clock: &|| Duration::ZERO,
-    };
-    train_mld(run, config, corpus, &session).expect("trains")
+    trained_by(progress, stop, |corpus, session| {
+        train_mld(run, config, corpus, session)
+    })
 }
 
 fn best_loss(run: &Path) -> f64 {
@@ -77,10 +61,7 @@ fn the_first_losses_of_mld_are_those_of_untrained_networks() {
     config.run.optimizer.learning_rate = 0.0;
     trained(dir.path(), &config, &NoProgress, &AtomicBool::new(false));
 
-    let all: Vec<Vec<Features>> = clips(6)
-        .iter()
-        .map(|(_, motion, _)| features(motion))
-        .collect();
+    let all: Vec<Vec<Features>> = clips(6).iter().map(|clip| features(&clip.motion)).collect();
     let mut statistics = Statistics::default();
     for clip in &all {
         statistics.take(clip);
