@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::{Fps, Motion, Resample, Seed, Skeleton};
 use features::humanml3d::{Features, features_of_joints, joints_of_motion};
 use features::{Statistics, smpl_body};
@@ -14,6 +14,7 @@ use crate::Error;
 use crate::error::motion_error;
 use crate::features::{FeatureRecipe, FeatureStats};
 use crate::text::table::EmbeddingTable;
+use crate::transfer::send;
 
 /// A clip with its captions.
 #[derive(Clone, Debug)]
@@ -136,7 +137,7 @@ impl Crops<'_> {
         let rows = self.lengths.len();
         let width = self.features.len() / (rows * self.frames);
         let shape = [rows, self.frames, width];
-        Tensor::from_data(TensorData::new(self.features.clone(), shape), device)
+        send(self.features.clone(), shape, device)
     }
 
     /// 1 for the frames that are not padding, 0 for the others, `[B, T, 1]`.
@@ -146,7 +147,7 @@ impl Crops<'_> {
             (0..frames).map(move |frame| if frame < length { 1.0f32 } else { 0.0 })
         });
         let shape = [self.lengths.len(), frames, 1];
-        Tensor::from_data(TensorData::new(valid.collect(), shape), device)
+        send(valid.collect(), shape, device)
     }
 }
 

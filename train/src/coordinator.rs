@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use burn::tensor::activation::relu;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use compose::{CoordinatorBatch, Stream};
 use datasets_spec::{Motion, Resample, Seed, Skeleton};
 use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES, canonicalise, window_starts};
@@ -26,7 +26,7 @@ use crate::model::pass::{Arithmetic, Pass};
 use crate::model::weights::load_network;
 use crate::schedule::Schedule;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
-use crate::transfer::read;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "coordinator";
@@ -376,12 +376,8 @@ impl Task for CoordinatorTask<'_> {
     ) -> Tensor<1> {
         let rows = batch.timesteps.len();
         let (window, width) = (self.config.window, 3 * self.config.keypoints);
-        let x = Tensor::<3>::from_data(
-            TensorData::new(batch.windows.clone(), [rows, window, width]),
-            device,
-        );
-        let composed =
-            Tensor::<2>::from_data(TensorData::new(batch.composed.clone(), [rows, 1]), device);
+        let x = send(batch.windows.clone(), [rows, window, width], device);
+        let composed = send(batch.composed.clone(), [rows, 1], device);
         binary_cross_entropy(model.logits(x, &batch.timesteps, pass), composed)
     }
 
@@ -498,10 +494,7 @@ impl TrainedCoordinator {
             return Vec::new();
         }
         let seen = narrowed(windows.to_vec(), keypoints);
-        let x = Tensor::<3>::from_data(
-            TensorData::new(seen, [rows, window, 3 * keypoints]),
-            &self.device,
-        );
+        let x = send(seen, [rows, window, 3 * keypoints], &self.device);
         let pass = Pass::new(self.arithmetic);
         read(self.model.probability(x, &vec![0; rows], &pass))
     }

@@ -5,7 +5,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use burn::tensor::activation::softmax;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use serde::Serialize;
 
@@ -14,7 +14,7 @@ use crate::config::NetworkConfig;
 use crate::model::pass::Pass;
 use crate::model::transformer::{EncoderLayer, Padding};
 use crate::model::weights::draw;
-use crate::transfer::read;
+use crate::transfer::{read, send};
 
 /// A kind of device, as it is asked for by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -282,7 +282,7 @@ impl Products {
 pub fn check(device: &Device) -> Result<Products, String> {
     let device = device.clone().inner();
     let ones: Vec<f32> = (1..=1000u16).map(f32::from).collect();
-    let sum = Tensor::<1>::from_data(TensorData::new(ones, [1000]), &device).sum();
+    let sum = send(ones, [1000], &device).sum();
     compare("the sum of 1 to 1,000", &read(sum), &[500_500.0], 0.0)?;
 
     let (a, b) = (
@@ -321,7 +321,7 @@ fn waves(shape: &[usize; 2], step: f32, device: &Device) -> Tensor<2> {
     let values: Vec<f32> = (0..shape[0] * shape[1])
         .map(|index| (index as f32 * step).sin())
         .collect();
-    Tensor::from_data(TensorData::new(values, *shape), device)
+    send(values, *shape, device)
 }
 
 /// The output of a layer of a transformer with padding, and the gradients of its weights.

@@ -1,7 +1,7 @@
 //! What MotionReFit's denoiser predicts, its guidance and its loss.
 
 use burn::tensor::activation::sigmoid;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Fps;
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::Normalizer;
@@ -14,6 +14,7 @@ use crate::extrapolation::{Basis, Extrapolation};
 use crate::model::denoiser::Denoiser;
 use crate::model::pass::Pass;
 use crate::schedule::Schedule;
+use crate::transfer::send;
 
 /// Gates of a keypoint: of the original's bone, of the extrapolated change, of what the network makes and, with
 /// shaped noise, of what the noisy window shows.
@@ -155,9 +156,7 @@ struct Windows {
 impl Windows {
     fn of(batch: &NoisyBatch, frame_width: usize, device: &Device) -> Self {
         let shape = [batch.len(), batch.window(frame_width), frame_width];
-        let windows = |values: &[f32]| -> Tensor<3> {
-            Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
-        };
+        let windows = |values: &[f32]| -> Tensor<3> { send(values.to_vec(), shape, device) };
         Self {
             x0: windows(&batch.edited),
             noise: windows(&batch.noise),
@@ -165,7 +164,7 @@ impl Windows {
                 let starts = batch.is_start.iter();
                 let starts = starts.map(|is_start| f32::from(u8::from(*is_start)));
                 let starts: Vec<f32> = starts.collect();
-                Tensor::from_data(TensorData::new(starts, [batch.len(), 1, 1]), device)
+                send(starts, [batch.len(), 1, 1], device)
             }),
             original: windows(&batch.original),
         }
@@ -339,7 +338,7 @@ impl Objective<'_> {
         let unit = |at: usize| (max[at % 3] - min[at % 3]) / 2.0 / BONE_UNIT;
         let units: Vec<f32> = (0..width).map(|at| unit(at) as f32).collect();
         let device = clean.device();
-        let units = Tensor::<3>::from_data(TensorData::new(units, [1, 1, width]), &device);
+        let units = send(units, [1, 1, width], &device);
         let [to_bones, _] = bones(width / 3, &device);
         let differences = mapped((clean - wanted) * units, to_bones);
         let nothing = differences.zeros_like();
@@ -359,7 +358,7 @@ impl Objective<'_> {
         let units: Vec<f32> = (0..3)
             .map(|axis| ((max[axis] - min[axis]) / 2.0 * self.fps.get() / REST_SPEED) as f32)
             .collect();
-        let units = Tensor::<4>::from_data(TensorData::new(units, [1, 1, 1, 3]), &clean.device());
+        let units = send(units, [1, 1, 1, 3], &clean.device());
         let speeds = |x: Tensor<3>| {
             let feet = FEET.map(|joint| x.clone().narrow(2, 3 * joint.index(), 3));
             let steps = steps(Tensor::cat(feet.to_vec(), 2));
@@ -408,10 +407,7 @@ mod tests {
     use crate::config::ScheduleName;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
-        Tensor::from_data(
-            TensorData::new(values.to_vec(), [1, 1, values.len()]),
-            &Device::flex(),
-        )
+        send(values.to_vec(), [1, 1, values.len()], &Device::flex())
     }
 
     fn values(tensor: Tensor<3>) -> Vec<f32> {
@@ -457,7 +453,7 @@ mod tests {
         };
         let frames = |values: &[f32]| -> Tensor<3> {
             let shape = [1, values.len() / FRAME_WIDTH, FRAME_WIDTH];
-            Tensor::from_data(TensorData::new(values.to_vec(), shape), &device)
+            send(values.to_vec(), shape, &device)
         };
         let original = normal(WINDOW);
         let shown = normal(WINDOW);
@@ -482,7 +478,7 @@ mod tests {
             let logits: Vec<f32> = logits.collect();
             let logits = [logits.as_slice(); WINDOW].concat();
             let shape = [1, WINDOW, NUM_GATES * NUM_KEYPOINTS];
-            let logits = Tensor::from_data(TensorData::new(logits, shape), &device);
+            let logits = send(logits, shape, &device);
             let predicted = Tensor::cat(vec![frames(&made), logits], 2);
             let clean =
                 schedule.clean_of(Prediction::Gated, predicted, &frames(&shown), &basis, &[0]);
@@ -537,10 +533,7 @@ mod tests {
         let guess = Extrapolation::fit(&originals, &edited, WINDOW, 0.0, NoiseKind::Shaped);
         let windows = |values: &[f32]| -> Tensor<3> {
             let shape = [1, WINDOW, FRAME_WIDTH];
-            Tensor::from_data(
-                TensorData::new(values[..WINDOW * FRAME_WIDTH].to_vec(), shape),
-                &device,
-            )
+            send(values[..WINDOW * FRAME_WIDTH].to_vec(), shape, &device)
         };
         let (original, x_t) = (windows(&originals), windows(&edited));
         let basis = Basis::new(original, &[false], Some(&guess));
@@ -597,8 +590,7 @@ mod tests {
                 row[3 * Joint::LeftAnkle.index() + 1] = ankle;
                 row[3 * Joint::RightFoot.index() + 2] = foot;
             }
-            let values = TensorData::new(values, [1, WINDOW, FRAME_WIDTH]);
-            Tensor::<3>::from_data(values, &Device::flex())
+            send(values, [1, WINDOW, FRAME_WIDTH], &Device::flex())
         };
         // The ankle rests, the foot walks at 0.5 m/s; both are said to stand still but for one jump of
         // the ankle by 6 cm.

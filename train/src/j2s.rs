@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::{Motion, Pose, Seed};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::KeypointFrame;
@@ -24,7 +24,7 @@ use crate::model::pose_net::{
 };
 use crate::model::weights::{from_safetensors_named, to_safetensors};
 use crate::trainer::{self, Task, TrainerConfig};
-use crate::transfer::read;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -325,7 +325,7 @@ impl<M: Module + Sync> Task for PoseTask<'_, M> {
 
 fn tensor(numbers: Vec<f32>, rows: usize, device: &Device) -> Tensor<2> {
     let columns = numbers.len() / rows.max(1);
-    Tensor::from_data(TensorData::new(numbers, [rows, columns]), device)
+    send(numbers, [rows, columns], device)
 }
 
 /// Poses of random frames, turned about the vertical at random.

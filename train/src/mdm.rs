@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -25,6 +25,7 @@ use crate::model::pass::Pass;
 use crate::schedule::Schedule;
 use crate::text::clip::ClipModel;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::transfer::send;
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -328,12 +329,11 @@ impl Task for MdmTask<'_> {
         let motions = |values: &[f32]| -> Tensor<3> {
             let width = self.record.features.recipe.width();
             let shape = [rows, batch.frames, width];
-            Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+            send(values.to_vec(), shape, device)
         };
         let (x0, noise) = (motions(&batch.features), motions(&batch.noise));
-        let kept = TensorData::new(batch.text_kept.clone(), [rows, 1]);
-        let text =
-            model.text_vectors(&batch.texts, rows, device) * Tensor::<2>::from_data(kept, device);
+        let text = model.text_vectors(&batch.texts, rows, device)
+            * send(batch.text_kept.clone(), [rows, 1], device);
         let x_t = self.schedule.q_sample(x0.clone(), &batch.timesteps, noise);
         let lengths = self.record.train.mask_frames.then_some(&*batch.lengths);
         let predicted = model
@@ -378,8 +378,7 @@ pub fn masked_l2(predicted: Tensor<3>, target: Tensor<3>, lengths: &[usize]) -> 
             (0..frames).map(move |frame| if frame < length { weight } else { 0.0 })
         })
         .collect();
-    let weights = TensorData::new(weights, [rows, frames, 1]);
-    let weights = Tensor::<3>::from_data(weights, &predicted.device());
+    let weights = send(weights, [rows, frames, 1], &predicted.device());
     let errors = (predicted - target).square() * weights;
     errors.sum_dim(2).sum_dim(1).reshape([rows])
 }

@@ -1,7 +1,7 @@
 //! MDM-BP as an editing system: MDM starts from the noised source and keeps what lies outside the edited
 //! body parts until the last steps.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Fps, JointSet, Motion, Resample, Rng, Seed, Skeleton};
 use features::humanml3d::Features;
@@ -24,7 +24,7 @@ use crate::system::{
     SystemSource, named_with,
 };
 use crate::text::table::EmbeddingTable;
-use crate::transfer::read;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 /// Last steps of the published schedule in which the whole body is free, and the steps of that schedule.
@@ -301,7 +301,7 @@ impl MdmBpSystem {
         }
         let tensor = |values: Vec<f32>, frames: usize| -> Tensor<3> {
             let shape = [rows, frames, HUMANML3D_WIDTH];
-            Tensor::from_data(TensorData::new(values, shape), &self.device)
+            send(values, shape, &self.device)
         };
         let (source, kept) = (tensor(source, frames), tensor(kept, 1));
 
@@ -456,8 +456,7 @@ mod tests {
     use super::*;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
-        let data = TensorData::new(values.to_vec(), [1, values.len() / 2, 2]);
-        Tensor::from_data(data, &Device::flex())
+        send(values.to_vec(), [1, values.len() / 2, 2], &Device::flex())
     }
 
     fn values(tensor: &Tensor<3>) -> Vec<f32> {

@@ -2,10 +2,11 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
 
 use crate::Error;
 use crate::config::{ScheduleName, positive};
+use crate::transfer::send;
 
 /// First and last variance of the linear schedule over [`REFERENCE_STEPS`] steps (Ho et al. 2020).
 const LINEAR_VARIANCES: [f64; 2] = [1e-4, 0.02];
@@ -244,7 +245,7 @@ impl Column {
             Self::Each(coefficients) => {
                 let shape = [coefficients.len(), 1, 1];
                 let device = x.device();
-                x * Tensor::from_data(TensorData::new(coefficients.clone(), shape), &device)
+                x * send(coefficients.clone(), shape, &device)
             }
         }
     }
@@ -258,10 +259,7 @@ mod tests {
     use super::*;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
-        Tensor::from_data(
-            TensorData::new(values.to_vec(), [1, 1, values.len()]),
-            &Device::flex(),
-        )
+        send(values.to_vec(), [1, 1, values.len()], &Device::flex())
     }
 
     fn values(tensor: Tensor<3>) -> Vec<f32> {
@@ -298,9 +296,7 @@ mod tests {
     #[test]
     fn windows_at_one_step_are_noised_as_those_at_several() {
         let schedule = Schedule::cosine(40).expect("steps");
-        let three = |values: [f32; 3]| {
-            Tensor::<3>::from_data(TensorData::new(values.to_vec(), [3, 1, 1]), &Device::flex())
-        };
+        let three = |values: [f32; 3]| send(values.to_vec(), [3, 1, 1], &Device::flex());
         let (x0, noise) = (three([0.3, -0.7, 0.9]), three([1.1, -2.0, 0.4]));
         let noised = |timesteps| schedule.q_sample(x0.clone(), timesteps, noise.clone());
         let (same, mixed) = (values(noised(&[7; 3])), values(noised(&[7, 7, 8])));

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -18,6 +18,7 @@ use crate::model::mld::{MAX_POSITIONS, MotionVae};
 use crate::model::pass::Pass;
 use crate::model::weights::load_network;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::transfer::send;
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -135,8 +136,7 @@ impl<'a> Task for AutoencoderTask<'a> {
         let latent = match noise {
             Some(noise) => {
                 let shape = encoded.mu.dims();
-                let noise = TensorData::new(noise.clone(), shape);
-                encoded.sample(Tensor::from_data(noise, device))
+                encoded.sample(send(noise.clone(), shape, device))
             }
             None => encoded.mu.clone(),
         };
@@ -146,8 +146,7 @@ impl<'a> Task for AutoencoderTask<'a> {
             + kl.mul_scalar(config.kl_weight);
         if config.joints_weight > 0.0 {
             let column = |values: &[f32]| -> Tensor<3> {
-                let data = TensorData::new(values.to_vec(), [1, 1, values.len()]);
-                Tensor::from_data(data, device)
+                send(values.to_vec(), [1, 1, values.len()], device)
             };
             let (mean, std) = (column(&stats.mean), column(&stats.std));
             let valid = crops.valid(device);
@@ -222,7 +221,6 @@ impl Autoencoder {
         let pass = Pass::new(session.arithmetic);
         let motions = crops.tensor(device);
         let encoded = self.network.encode(motions, &crops.lengths, &pass);
-        let noise = TensorData::new(noise.to_vec(), encoded.mu.dims());
-        encoded.sample(Tensor::from_data(noise, device))
+        encoded.sample(send(noise.to_vec(), encoded.mu.dims(), device))
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -20,7 +20,7 @@ use crate::model::mld::{LatentDenoiser, MAX_POSITIONS};
 use crate::model::pass::Pass;
 use crate::schedule::Schedule;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
-use crate::transfer::read;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 pub(super) const WEIGHTS: &str = "denoiser.safetensors";
@@ -252,7 +252,7 @@ impl Task for DiffusionTask<'_> {
         let rows = batch.timesteps.len();
         let latents = |values: &[f32]| -> Tensor<3> {
             let shape = [rows, 1, values.len() / rows];
-            Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+            send(values.to_vec(), shape, device)
         };
         let noise = latents(&batch.noise);
         let z_t = self

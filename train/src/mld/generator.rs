@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use features::humanml3d::Features;
 use rand::RngExt;
@@ -21,7 +21,7 @@ use crate::model::pass::Pass;
 use crate::schedule::Schedule;
 use crate::text::source::TextEncoderSource;
 use crate::text::table::EmbeddingTable;
-use crate::transfer::read;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 /// A motion to generate.
@@ -190,7 +190,7 @@ impl Generator {
                     .collect::<Vec<f32>>()
             })
             .collect();
-        let start = Tensor::<2>::from_data(TensorData::new(start, [rows, width]), &self.device);
+        let start = send(start, [rows, width], &self.device);
         let texts = self.record.text.texts(self.vectors.as_ref())?;
         let none = std::iter::repeat_n("", rows);
         let texts = texts.batch(bases.iter().map(|base| base.text.as_str()).chain(none))?;
@@ -222,8 +222,7 @@ impl Generator {
         frames: usize,
         session: &Session<'_>,
     ) -> Vec<Vec<Features>> {
-        let data = TensorData::new(latents, [rows, self.record.train.model.width]);
-        let latents = Tensor::<2>::from_data(data, &self.device);
+        let latents = send(latents, [rows, self.record.train.model.width], &self.device);
         let network = &self.autoencoder.network;
         let pass = Pass::new(session.arithmetic);
         let values = read(network.decode(latents, &vec![frames; rows], frames, &pass));

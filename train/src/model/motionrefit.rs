@@ -1,7 +1,7 @@
 //! The denoiser together with the text encoder trained with it, where there is one.
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 use super::denoiser::Denoiser;
 use super::pass::Pass;
@@ -9,6 +9,7 @@ use super::text::{LearnedText, TextBatch, text_vectors};
 use crate::config::{DiffusionConfig, NetworkConfig, Prediction};
 use crate::data::NoisyBatch;
 use crate::diffusion::{Objective, num_gates};
+use crate::transfer::send;
 
 /// MotionReFit.
 #[derive(Module, Debug)]
@@ -84,10 +85,7 @@ impl MotionRefit {
         pass: &Pass,
     ) -> Tensor<1> {
         let text = self.text_vectors(&batch.texts, batch.len(), device);
-        let kept = Tensor::<2>::from_data(
-            TensorData::new(batch.text_kept.clone(), [batch.len(), 1]),
-            device,
-        );
+        let kept = send(batch.text_kept.clone(), [batch.len(), 1], device);
         objective.loss(&self.denoiser, batch, text * kept, pass)
     }
 }

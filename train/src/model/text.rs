@@ -7,6 +7,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use super::denoiser::TEXT_DIVISOR;
 use super::position::positions;
+use crate::transfer::send;
 use crate::vocabulary::{PADDING, TokenBatch};
 
 /// Words to one vector: each word, knowing its place, is weighed by a gate, and the weighed words
@@ -101,10 +102,9 @@ pub(crate) fn text_vectors(
         TextBatch::Words(tokens) => learned
             .expect("words are given to a model that learns them")
             .forward(tokens),
-        TextBatch::Vectors { values, .. } => Tensor::from_data(
-            TensorData::new(values.clone(), [rows, values.len() / rows.max(1)]),
-            device,
-        ),
+        TextBatch::Vectors { values, .. } => {
+            send(values.clone(), [rows, values.len() / rows.max(1)], device)
+        }
     }
 }
 
@@ -114,10 +114,8 @@ pub(crate) fn text_vectors(
 /// `[B, T]`
 pub(crate) fn token_tensor(tokens: &TokenBatch, device: &Device) -> Tensor<2, Int> {
     let rows = tokens.ids.len() / tokens.width;
-    Tensor::from_data(
-        TensorData::new(tokens.ids.clone(), [rows, tokens.width]),
-        device,
-    )
+    let ids = TensorData::new(tokens.ids.clone(), [rows, tokens.width]);
+    Tensor::from_data(ids, device)
 }
 
 #[cfg(test)]

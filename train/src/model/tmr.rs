@@ -225,10 +225,8 @@ pub fn info_nce(
     let device = texts.device();
     let mut logits = cosine_similarity(texts, motions).div_scalar(temperature);
     if ignored.iter().any(|&ignored| ignored) {
-        let mask = Tensor::<2, Bool>::from_data(
-            TensorData::new(ignored.to_vec(), [batch, batch]),
-            &device,
-        );
+        let mask = TensorData::new(ignored.to_vec(), [batch, batch]);
+        let mask = Tensor::<2, Bool>::from_data(mask, &device);
         logits = logits.mask_fill(mask, f32::NEG_INFINITY);
     }
     // The pairs that belong together lie on the diagonal.

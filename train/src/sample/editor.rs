@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Skeleton;
 use kinematics::KeypointFrame;
 use kinematics::canonical::FIXED_FRAMES;
@@ -25,7 +25,7 @@ use crate::model::motionrefit::MotionRefit;
 use crate::model::transformer::PreparedWeights;
 use crate::schedule::Schedule;
 use crate::text::table::EmbeddingTable;
-use crate::transfer::read;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 /// A trained editor.
@@ -221,10 +221,7 @@ impl WindowModel for Generator<'_> {
         let num_rows = requests.len();
         let (frames, keypoints) = (config.train.window, config.train.keypoints);
         let window = |values: Vec<f32>, frames: usize| -> Tensor<3> {
-            Tensor::from_data(
-                TensorData::new(values, [num_rows, frames, 3 * keypoints]),
-                &editor.device,
-            )
+            send(values, [num_rows, frames, 3 * keypoints], &editor.device)
         };
         let original: Vec<f32> = requests
             .iter()

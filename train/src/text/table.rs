@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::store::replace_file;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
@@ -13,6 +13,7 @@ use super::clip::ClipEncoder;
 use crate::Error;
 use crate::config::BertVectors;
 use crate::model::torch::StoredTensor;
+use crate::transfer::send;
 
 /// Texts encoded at a time.
 const BATCH_LEN: usize = 64;
@@ -238,8 +239,7 @@ impl EmbeddingTable {
             .flatten()
             .copied()
             .collect();
-        let data = TensorData::new(values, [texts.len(), self.width]);
-        Ok(Tensor::from_data(data, device))
+        Ok(send(values, [texts.len(), self.width], device))
     }
 
     /// Checks that the table has every text, as a run does before it starts.

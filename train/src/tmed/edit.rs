@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::Device;
 use datasets_spec::{Fps, Motion, Pose, Rng, Seed, Skeleton};
 use kinematics::resample::{grid, interpolate_all};
 use rayon::prelude::*;
@@ -27,7 +27,7 @@ use crate::system::{
     SystemSource, named_with,
 };
 use crate::text::table::EmbeddingTable;
-use crate::transfer::read;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 /// TMED as a system.
@@ -267,8 +267,7 @@ impl TmedSystem {
                     row[..shared * NUM_FEATURES]
                         .copy_from_slice(question.source[..shared].as_flattened());
                 }
-                let data = TensorData::new(values, [batch, frames, NUM_FEATURES]);
-                Tensor::from_data(data, device)
+                send(values, [batch, frames, NUM_FEATURES], device)
             }
         };
         let denoiser = &self.model.denoiser;
@@ -313,11 +312,10 @@ impl TmedSystem {
             }
         }
         let texts = self.tokens(&texts)?;
-        let data = TensorData::new(values, [rows, source_frames, NUM_FEATURES]);
         Ok(Condition {
             text: text_tokens(&self.model, &texts, &self.device),
             text_lengths: texts.lengths(),
-            source: Tensor::from_data(data, &self.device),
+            source: send(values, [rows, source_frames, NUM_FEATURES], &self.device),
             source_lengths,
             places: places(
                 &self.record.train,

@@ -1,6 +1,6 @@
 //! The training loss of TMED.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 use super::clips::ClipBatch;
 use super::config::{TargetPlaces, TmedConfig};
@@ -9,6 +9,7 @@ use crate::model::pass::Pass;
 use crate::model::text::{TextBatch, token_tensor};
 use crate::model::tmed::{Condition, Places, TmedModel};
 use crate::schedule::Schedule;
+use crate::transfer::send;
 
 /// The squared error of each group of features over the frames of each motion, averaged over the groups.
 /// Changes since the frame before are not asked of the first frame.
@@ -41,8 +42,7 @@ pub fn group_loss(
             }
         }
     }
-    let weights = TensorData::new(weights, [batch, length, NUM_FEATURES]);
-    let weights = Tensor::<3>::from_data(weights, &device);
+    let weights = send(weights, [batch, length, NUM_FEATURES], &device);
     let errors = (predicted - target).square() * weights;
     let sums: Vec<Tensor<1>> = GROUPS
         .iter()
@@ -69,8 +69,7 @@ pub(crate) fn text_tokens(model: &TmedModel, texts: &TextBatch, device: &Device)
         TextBatch::Vectors { values, lengths } => {
             let longest = lengths.iter().copied().max().unwrap_or(0);
             let width = values.len() / (lengths.len() * longest).max(1);
-            let data = TensorData::new(values.clone(), [lengths.len(), longest, width]);
-            Tensor::from_data(data, device)
+            send(values.clone(), [lengths.len(), longest, width], device)
         }
     }
 }
@@ -101,8 +100,7 @@ pub fn loss(
     let rows = batch.len();
     let motions = |values: &[f32]| -> Tensor<3> {
         let frames = values.len() / (rows * NUM_FEATURES);
-        let data = TensorData::new(values.to_vec(), [rows, frames, NUM_FEATURES]);
-        Tensor::from_data(data, device)
+        send(values.to_vec(), [rows, frames, NUM_FEATURES], device)
     };
     let source = motions(&batch.source);
     let shown = batch.source_frames.iter().zip(&batch.source_is_shown);

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Motion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -18,7 +18,7 @@ use crate::model::pass::{Arithmetic, Pass};
 use crate::model::tmr::{SequenceEncoder, Tmr};
 use crate::model::weights::load_network;
 use crate::text::bert::{BertEncoder, BertFiles};
-use crate::transfer::read;
+use crate::transfer::{read, send};
 use crate::vocabulary::Vocabulary;
 
 /// Weights of a motion encoder trained elsewhere.
@@ -234,7 +234,7 @@ impl TmrEncoder {
         steps: usize,
     ) -> Vec<Vec<f32>> {
         let shape = [lengths.len(), steps, self.features.recipe.width()];
-        let features = Tensor::<3>::from_data(TensorData::new(features, shape), &self.device);
+        let features = send(features, shape, &self.device);
         let pass = Pass::new(self.arithmetic);
         rows(self.motion_encoder.forward(features, lengths, &pass).mu)
     }
@@ -264,8 +264,7 @@ impl TmrEncoder {
                 TextEncoding::States(states) => {
                     let (network, encoder) = &**states;
                     let states = encoder.encode(chunk, BertVectors::States)?;
-                    let (values, lengths) = padded(&states, encoder.width());
-                    let states = Tensor::from_data(values, &self.device);
+                    let (states, lengths) = padded(&states, encoder.width(), &self.device);
                     network.forward(states, &lengths, &pass)
                 }
             };
@@ -296,7 +295,7 @@ fn load_texts(
 }
 
 /// States of texts as one array `[B, T, d]`, zero past the end of a text, and the tokens of each.
-fn padded(states: &[Vec<f32>], width: usize) -> (TensorData, Vec<usize>) {
+fn padded(states: &[Vec<f32>], width: usize, device: &Device) -> (Tensor<3>, Vec<usize>) {
     let longest = states.iter().map(Vec::len).max().unwrap_or(0);
     let mut values = Vec::with_capacity(states.len() * longest);
     for row in states {
@@ -306,7 +305,7 @@ fn padded(states: &[Vec<f32>], width: usize) -> (TensorData, Vec<usize>) {
     }
     let lengths = states.iter().map(|row| row.len() / width).collect();
     let shape = [states.len(), longest / width, width];
-    (TensorData::new(values, shape), lengths)
+    (send(values, shape, device), lengths)
 }
 
 fn rows(tensor: Tensor<2>) -> Vec<Vec<f32>> {

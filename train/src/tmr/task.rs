@@ -1,6 +1,6 @@
 //! The training of the evaluation encoder.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 
@@ -13,6 +13,7 @@ use crate::features::FeatureStats;
 use crate::model::pass::Pass;
 use crate::model::tmr::{Tmr, info_nce};
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::transfer::send;
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
 
@@ -158,17 +159,10 @@ fn batch_loss(
     pass: &Pass,
 ) -> Tensor<1> {
     let num_clips = batch.lengths.len();
-    let features = Tensor::<3>::from_data(
-        TensorData::new(
-            batch.features.clone(),
-            [num_clips, batch.steps, config.features.width()],
-        ),
-        device,
-    );
-    let noise = Tensor::<3>::from_data(
-        TensorData::new(batch.noise.clone(), [2, num_clips, config.model.width]),
-        device,
-    );
+    let shape = [num_clips, batch.steps, config.features.width()];
+    let features = send(batch.features.clone(), shape, device);
+    let shape = [2, num_clips, config.model.width];
+    let noise = send(batch.noise.clone(), shape, device);
     let noise = |side: usize| noise.clone().narrow(0, side, 1).squeeze_dim::<2>(0);
 
     let text = model.encode_text(&batch.tokens, pass);
