@@ -11,6 +11,7 @@ use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use crate::Error;
+use crate::data::spread_timestep;
 use crate::error::motion_error;
 use crate::features::{FeatureRecipe, FeatureStats};
 use crate::text::table::EmbeddingTable;
@@ -214,6 +215,24 @@ impl<'a> CropSampler<'a> {
         let frames = self.clips.iter().map(|clip| clip.rows.len());
         let crops = Crop::firsts(frames, self.max_frames);
         crops.chunks(size).map(|crops| self.crops(crops)).collect()
+    }
+
+    /// [`CropSampler::whole`], each with the place of its first clip, and with diffusion steps that are spread evenly, which
+    /// makes validations comparable.
+    pub(crate) fn validation(
+        &self,
+        size: usize,
+        num_steps: usize,
+    ) -> impl Iterator<Item = (u64, Vec<usize>, Crops<'a>)> {
+        let (mut first, total) = (0, self.clips.len());
+        self.whole(size).into_iter().map(move |crops| {
+            let places = first..first + crops.lengths.len();
+            first = places.end;
+            let timesteps = places
+                .clone()
+                .map(|place| spread_timestep(place, total, num_steps));
+            (places.start as u64, timesteps.collect(), crops)
+        })
     }
 
     fn crops(&self, crops: &[Crop]) -> Crops<'a> {

@@ -20,6 +20,7 @@ use crate::config::{
     TrainConfig, all_keypoints, check_keypoints, check_windows, is_all_keypoints, is_zero,
     narrowed, positive, share,
 };
+use crate::data::{WindowSource, across_epochs};
 use crate::error::motion_error;
 use crate::model::coordinator::Coordinator;
 use crate::model::pass::{Arithmetic, Pass};
@@ -130,36 +131,7 @@ impl CoordinatorConfig {
     }
 }
 
-/// Natural and composed windows in equal numbers, which can be entered anywhere.
-pub trait SegmentSource: Sync {
-    /// Items of an epoch.
-    fn epoch_len(&self) -> u64;
-
-    /// Numbers of a window: its frames times 84.
-    fn window_len(&self) -> usize;
-
-    /// Whether windows can be drawn.
-    ///
-    /// # Errors
-    /// There are not two motions to compose a window of.
-    fn check(&self) -> Result<(), Error> {
-        Ok(())
-    }
-
-    /// Replaces the contents of `batch` by `num_items` items of an epoch, from `first_item` on.
-    ///
-    /// # Errors
-    /// The motions cannot be read.
-    fn fill(
-        &self,
-        epoch: u64,
-        first_item: u64,
-        num_items: usize,
-        batch: &mut CoordinatorBatch,
-    ) -> Result<(), Error>;
-}
-
-impl SegmentSource for Stream {
+impl WindowSource<CoordinatorBatch> for Stream {
     fn epoch_len(&self) -> u64 {
         Stream::epoch_len(self)
     }
@@ -186,10 +158,10 @@ impl SegmentSource for Stream {
 /// What the coordinator learns from.
 #[derive(Clone, Copy)]
 pub struct Segments<'a> {
-    /// Training segments.
-    pub train: &'a dyn SegmentSource,
+    /// Training segments: natural and composed windows in equal numbers.
+    pub train: &'a dyn WindowSource<CoordinatorBatch>,
     /// Validation segments.
-    pub val: &'a dyn SegmentSource,
+    pub val: &'a dyn WindowSource<CoordinatorBatch>,
     /// Range the windows were scaled by.
     pub normalizer: Normalizer,
     /// The skeleton the motions drive.
@@ -272,11 +244,8 @@ pub fn train_coordinator<'a>(
         seed: seed.derive(&["val"]),
         ..sampler
     };
-    let part = config.run.micro_batch();
-    let val_batches: Vec<SegmentBatch> = (0..config.val_windows)
-        .step_by(part)
-        .map(|first| val_sampler.draw(first as u64, part.min(config.val_windows - first)))
-        .collect::<Result<_, Error>>()?;
+    let draw = |first, count| val_sampler.draw(first, count);
+    let val_batches = config.run.validation(config.val_windows, draw)?;
     let trainer = TrainerConfig {
         kind: KIND,
         samples: "windows",
@@ -303,7 +272,7 @@ struct SegmentBatch {
 /// Draws segments and puts noise on them.
 #[derive(Clone, Copy)]
 struct SegmentSampler<'a> {
-    source: &'a dyn SegmentSource,
+    source: &'a dyn WindowSource<CoordinatorBatch>,
     schedule: &'a Schedule,
     noise_steps: usize,
     keypoints: usize,
@@ -313,19 +282,16 @@ struct SegmentSampler<'a> {
 impl SegmentSampler<'_> {
     /// The segments `first..first + count` of the run. The count goes on from one epoch to the next.
     fn draw(&self, first: u64, count: usize) -> Result<SegmentBatch, Error> {
-        let epoch_len = self.source.epoch_len();
         let window = self.source.window_len() / FRAME_WIDTH * 3 * self.keypoints;
         let mut whole = CoordinatorBatch::default();
         let mut part = CoordinatorBatch::default();
-        while whole.composed.len() < count {
-            let at = first + whole.composed.len() as u64;
-            let (epoch, item) = (at / epoch_len, at % epoch_len);
-            let missing = (count - whole.composed.len()) as u64;
-            let num_items = missing.min(epoch_len - item) as usize;
+        let items = first..first + count as u64;
+        across_epochs(self.source.epoch_len(), items, |epoch, item, num_items| {
             self.source.fill(epoch, item, num_items, &mut part)?;
             whole.windows.append(&mut part.windows);
             whole.composed.append(&mut part.composed);
-        }
+            Ok(())
+        })?;
         whole.windows = narrowed(whole.windows, self.keypoints);
         let timesteps: Vec<usize> = whole
             .windows

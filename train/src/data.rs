@@ -1,11 +1,12 @@
 //! Training windows on their way to the network: drawn, paired with noise, prefetched.
 
+use std::ops::Range;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Scope;
 
 pub use compose::WindowBatch;
 use compose::{Stream, WindowLoader};
-use datasets_spec::Seed;
+use datasets_spec::{Rng, Seed};
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::FRAME_WIDTH;
 use rand::RngExt;
@@ -23,13 +24,21 @@ use crate::vocabulary::Vocabulary;
 const PREFETCHED_BATCHES: usize = 2;
 
 /// A stream of training windows that can be entered anywhere: item `i` of an epoch is the same
-/// whoever asks for it and whatever was asked before.
-pub trait WindowSource: Sync {
+/// whoever asks for it and whatever was asked before. Items are edits, or the segments that the coordinator learns from.
+pub trait WindowSource<B = WindowBatch>: Sync {
     /// Items of an epoch.
     fn epoch_len(&self) -> u64;
 
     /// Numbers of a window: its frames times 84.
     fn window_len(&self) -> usize;
+
+    /// Whether windows can be drawn.
+    ///
+    /// # Errors
+    /// There are too few motions to compose a window of.
+    fn check(&self) -> Result<(), Error> {
+        Ok(())
+    }
 
     /// Replaces the contents of `batch` by `num_items` items of an epoch, from `first_item` on.
     ///
@@ -40,8 +49,25 @@ pub trait WindowSource: Sync {
         epoch: u64,
         first_item: u64,
         num_items: usize,
-        batch: &mut WindowBatch,
+        batch: &mut B,
     ) -> Result<(), Error>;
+}
+
+/// Reads items of a run, whose count goes on from one epoch to the next. `read` is asked for a number of items of an
+/// epoch, from one of them on.
+pub(crate) fn across_epochs(
+    epoch_len: u64,
+    items: Range<u64>,
+    mut read: impl FnMut(u64, u64, usize) -> Result<(), Error>,
+) -> Result<(), Error> {
+    let mut at = items.start;
+    while at < items.end {
+        let (epoch, first_item) = (at / epoch_len, at % epoch_len);
+        let num_items = (items.end - at).min(epoch_len - first_item);
+        read(epoch, first_item, num_items as usize)?;
+        at += num_items;
+    }
+    Ok(())
 }
 
 impl WindowSource for Stream {
@@ -173,6 +199,21 @@ pub(crate) enum Timesteps {
     Spread(usize),
 }
 
+impl Timesteps {
+    /// The diffusion step of an item of the run.
+    pub(crate) fn of(self, item: u64, num_steps: usize, rng: &mut Rng) -> usize {
+        match self {
+            Self::Random => rng.random_range(0..num_steps),
+            Self::Spread(total) => spread_timestep(item as usize % total, total, num_steps),
+        }
+    }
+}
+
+/// The diffusion step of item `place` of so many, which are spread evenly over the schedule.
+pub(crate) fn spread_timestep(place: usize, total: usize, num_steps: usize) -> usize {
+    (2 * place + 1) * num_steps / (2 * total)
+}
+
 /// Samples noisy batches from a source of windows. Everything drawn for an item depends on the seed and
 /// the item's place in the run alone.
 #[derive(Clone, Copy)]
@@ -201,16 +242,9 @@ impl WindowSampler<'_> {
             .par_chunks_mut(window_len)
             .enumerate()
             .map(|(index, noise)| {
-                let mut rng = self
-                    .seed
-                    .rng(&["window", &(first + index as u64).to_string()]);
-                let timestep = match self.timesteps {
-                    Timesteps::Random => rng.random_range(0..self.num_timesteps),
-                    Timesteps::Spread(total) => {
-                        let place = (first as usize + index) % total;
-                        (2 * place + 1) * self.num_timesteps / (2 * total)
-                    }
-                };
+                let item = first + index as u64;
+                let mut rng = self.seed.rng(&["window", &item.to_string()]);
+                let timestep = self.timesteps.of(item, self.num_timesteps, &mut rng);
                 let text_kept = if rng.random_bool(self.text_dropout) {
                     0.0
                 } else {
@@ -257,11 +291,8 @@ impl WindowSampler<'_> {
         }
         let mut whole = WindowBatch::default();
         let mut part = WindowBatch::default();
-        while whole.progress.len() < num_windows {
-            let at = first + whole.progress.len() as u64;
-            let (epoch, first_item) = (at / epoch_len, at % epoch_len);
-            let missing = (num_windows - whole.progress.len()) as u64;
-            let num_items = missing.min(epoch_len - first_item) as usize;
+        let items = first..first + num_windows as u64;
+        across_epochs(epoch_len, items, |epoch, first_item, num_items| {
             self.source.fill(epoch, first_item, num_items, &mut part)?;
             let window_len = self.source.window_len();
             check_shape(&part, epoch, first_item, num_items, window_len)?;
@@ -269,7 +300,8 @@ impl WindowSampler<'_> {
             whole.edited.append(&mut part.edited);
             whole.progress.append(&mut part.progress);
             whole.instructions.append(&mut part.instructions);
-        }
+            Ok(())
+        })?;
         Ok(whole)
     }
 }
@@ -304,7 +336,7 @@ fn check_shape(
 /// the last value is made, when making one fails, or when the receiver is dropped.
 pub(crate) fn prefetch<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
-    steps: std::ops::Range<u64>,
+    steps: Range<u64>,
     mut make: impl FnMut(u64) -> Result<T, Error> + Send + 'scope,
 ) -> Receiver<Result<T, Error>> {
     let (sender, receiver) = sync_channel(PREFETCHED_BATCHES);

@@ -282,7 +282,8 @@ pub fn train_motionrefit<'a>(
     record.check()?;
     let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
     let run = Run::open(start, &document)?;
-    let val_batches = val_batches(config, &val_sampler)?;
+    let draw = |first, count| val_sampler.draw(first, count);
+    let val_batches = config.run.validation(config.val_windows, draw)?;
 
     let trainer = TrainerConfig {
         kind: KIND,
@@ -322,17 +323,6 @@ fn chosen_extrapolation(
         config.diffusion.fixed_noise,
         config.diffusion.noise,
     )))
-}
-
-fn val_batches(
-    config: &TrainConfig,
-    sampler: &WindowSampler<'_>,
-) -> Result<Vec<NoisyBatch>, Error> {
-    let part = config.run.micro_batch();
-    (0..config.val_windows)
-        .step_by(part)
-        .map(|first| sampler.draw(first as u64, part.min(config.val_windows - first)))
-        .collect()
 }
 
 struct EditorTask<'a> {

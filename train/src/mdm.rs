@@ -259,19 +259,12 @@ impl<'a> MdmTask<'a> {
             val_batches: Vec::new(),
         };
         let held_out = sampler(val, "val");
-        let mut first = 0;
-        for crops in held_out.whole(config.run.micro_batch()) {
-            let samples = first..first + crops.lengths.len();
-            // Steps spread evenly make validations comparable.
-            let timesteps = samples
-                .map(|sample| (2 * sample + 1) * config.diffusion_steps / (2 * val.len()))
-                .collect();
-            let count = crops.lengths.len();
-            let mut batch = task.noisy(crops, held_out.seed, first as u64)?;
+        let size = config.run.micro_batch();
+        for (first, timesteps, crops) in held_out.validation(size, config.diffusion_steps) {
+            let mut batch = task.noisy(crops, held_out.seed, first)?;
             batch.timesteps = timesteps;
             batch.text_kept.fill(1.0);
             task.val_batches.push(batch);
-            first += count;
         }
         Ok(task)
     }

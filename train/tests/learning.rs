@@ -29,9 +29,7 @@ use train::config::{
     Decay, DiffusionConfig, NetworkConfig, NoiseKind, Prediction, Preset, PreviousFrames,
     RunLength, TextEncoder, TrainConfig,
 };
-use train::coordinator::{
-    CoordinatorConfig, SegmentSource, Segments, TrainedCoordinator, train_coordinator,
-};
+use train::coordinator::{CoordinatorConfig, Segments, TrainedCoordinator, train_coordinator};
 use train::data::{NoisyBatch, TextBatch, WindowBatch, WindowSource};
 use train::diffusion::Objective;
 use train::exchange::export;
@@ -1211,7 +1209,7 @@ impl Swings {
     }
 }
 
-impl SegmentSource for Swings {
+impl WindowSource<CoordinatorBatch> for Swings {
     fn epoch_len(&self) -> u64 {
         512
     }

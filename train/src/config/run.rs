@@ -70,6 +70,19 @@ impl RunSettings {
             .collect()
     }
 
+    /// Draws the micro-batches of a validation of so many items, as [`RunSettings::batches`] draws those of a step.
+    pub(crate) fn validation<B>(
+        &self,
+        num_items: usize,
+        draw: impl Fn(u64, usize) -> Result<B, Error>,
+    ) -> Result<Vec<B>, Error> {
+        let micro = self.micro_batch();
+        (0..num_items)
+            .step_by(micro)
+            .map(|first| draw(first as u64, micro.min(num_items - first)))
+            .collect()
+    }
+
     /// Checks that a run can be made with the settings.
     ///
     /// # Errors

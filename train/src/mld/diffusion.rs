@@ -202,24 +202,16 @@ impl DiffusionTask<'_> {
         })
     }
 
-    /// The validation batches: all clips of a sampler, with steps spread evenly, which makes validations
-    /// comparable.
+    /// The validation batches: all clips of a sampler.
     fn val_batches(&self, held_out: &CropSampler<'_>) -> Result<Vec<LatentBatch>, Error> {
         let config = &self.record.train;
-        let mut batches = Vec::new();
-        let mut first = 0;
-        for crops in held_out.whole(config.run.micro_batch()) {
-            let count = crops.lengths.len();
-            let timesteps = (first..first + count)
-                .map(|sample| {
-                    (2 * sample + 1) * config.diffusion_steps / (2 * held_out.clips.len())
-                })
-                .collect();
-            let batch = self.noisy(&crops, held_out.seed, first as u64, 0.0)?;
-            batches.push(LatentBatch { timesteps, ..batch });
-            first += count;
-        }
-        Ok(batches)
+        held_out
+            .validation(config.run.micro_batch(), config.diffusion_steps)
+            .map(|(first, timesteps, crops)| {
+                let batch = self.noisy(&crops, held_out.seed, first, 0.0)?;
+                Ok(LatentBatch { timesteps, ..batch })
+            })
+            .collect()
     }
 }
 

@@ -223,13 +223,7 @@ impl ClipSampler<'_> {
         };
         let (source, target) = (features(&clip.source)?, features(&clip.target)?);
         let mut rng = self.seed.rng(&["clip", &place.to_string()]);
-        let timestep = match self.timesteps {
-            Timesteps::Random => rng.random_range(0..diffusion.num_steps),
-            Timesteps::Spread(total) => {
-                let place = place as usize % total;
-                (2 * place + 1) * diffusion.num_steps / (2 * total)
-            }
-        };
+        let timestep = self.timesteps.of(place, diffusion.num_steps, &mut rng);
         let mut hides = |share: f64| self.hides && rng.random_bool(share);
         let hides_source = hides(diffusion.source_dropout);
         let hides_text = hides(diffusion.text_dropout);

@@ -131,11 +131,8 @@ pub fn train_tmed<'a>(
         hides: false,
         ..sampler
     };
-    let part = config.run.micro_batch();
-    let val_batches = (0..config.val_clips)
-        .step_by(part)
-        .map(|first| val_sampler.draw(first as u64, part.min(config.val_clips - first)))
-        .collect::<Result<Vec<_>, _>>()?;
+    let draw = |first, count| val_sampler.draw(first, count);
+    let val_batches = config.run.validation(config.val_clips, draw)?;
     let trainer = TrainerConfig {
         kind: KIND,
         samples: "clips",
