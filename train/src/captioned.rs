@@ -93,9 +93,7 @@ pub(crate) fn captioned_rows(
         })
         .collect::<Result<_, Error>>()?;
     let rows: Vec<CaptionedRows> = rows.into_iter().flatten().collect();
-    if rows.is_empty() {
-        return Err(Error::Empty { what });
-    }
+    Error::if_empty(&rows, what)?;
     Ok(rows)
 }
 

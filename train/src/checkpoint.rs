@@ -33,7 +33,7 @@ pub use self::record::{
     Ancestor, CONFIG, FORMAT, Inheritance, RunRecord, check_skeleton, check_skeleton_of, read_any,
 };
 pub(crate) use self::record::{MOTION_KIND, read_kind, read_record, record_of};
-use self::record::{differences, not_a_run, parse_record, to_value};
+use self::record::{differences, not_a_run, parse_record, text_of, to_value};
 
 pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
@@ -135,10 +135,8 @@ impl Start<'_> {
         }
         for dir in [Some(self.run), self.init].into_iter().flatten() {
             let path = dir.join(CONFIG);
-            let text = match fs::read_to_string(&path) {
-                Ok(text) => text,
-                Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => continue,
-                Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
+            let Some(text) = text_of(&path)? else {
+                continue;
             };
             let record: Record = serde_json::from_str(&text).map_err(json_error(&path))?;
             return Ok(record.config.normalizer);
@@ -207,12 +205,9 @@ impl Run {
         fs::create_dir_all(start.run).map_err(datasets_spec::Error::io("create", start.run))?;
         // Both documents are parsed from text, so that numbers compare as written.
         let asked = to_value(record).map_err(json_error(&path))?;
-        match fs::read_to_string(&path) {
-            Ok(recorded) => Self::open_again(start, record, asked, &recorded),
-            Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
-                Self::begin(start, record, &asked)
-            }
-            Err(problem) => Err(datasets_spec::Error::io("read", path)(problem).into()),
+        match text_of(&path)? {
+            Some(recorded) => Self::open_again(start, record, asked, &recorded),
+            None => Self::begin(start, record, &asked),
         }
     }
 
@@ -379,10 +374,8 @@ impl Run {
             step: u64,
         }
         let path = self.dir.join(METRICS);
-        let text = match fs::read_to_string(&path) {
-            Ok(text) => text,
-            Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => return Ok(()),
-            Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
+        let Some(text) = text_of(&path)? else {
+            return Ok(());
         };
         let kept: String = text
             .lines()

@@ -7,7 +7,7 @@ use compose::EditKind;
 use datasets_spec::{Fps, Motion, Seed, Skeleton};
 use kinematics::KeypointFrame;
 use kinematics::canonical::FIXED_FRAMES;
-use kinematics::fit::{AdamFit, FitOptions, fit_motion_from};
+use kinematics::fit::{FitOptions, fit_motion_from};
 use kinematics::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use rayon::prelude::*;
 
@@ -15,7 +15,7 @@ use crate::checkpoint::{Slot, check_skeleton};
 use crate::config::{GuidanceConfig, Preset, TrainConfig};
 use crate::coordinator::TrainedCoordinator;
 use crate::error::motion_error;
-use crate::j2s::{J2sPreset, PoseNet, Refinement, solve};
+use crate::j2s::{PoseNet, Refinement, solve};
 use crate::sample::{
     EditItem, EditSettings, EditTimes, Editor, FitMethod, keypoint_parent, model_frames,
 };
@@ -382,11 +382,8 @@ impl<'a> Fit<'a> {
         }
         let failed = motion_error(&item.id);
         if let (FitMethod::Paper, Some((net, device))) = (self.method, self.poses) {
-            let fit = match net.preset() {
-                J2sPreset::Paper => AdamFit::paper(),
-                J2sPreset::Official => AdamFit::official(),
-            };
-            let poses = solve(net, &Refinement::Adam(fit), &frames, skeleton, device);
+            let refinement = Refinement::Adam(net.preset().fit());
+            let poses = solve(net, &refinement, &frames, skeleton, device);
             let motion = Motion::from_poses(item.fps, &poses).map_err(failed)?;
             let errors: Vec<f64> = skeleton
                 .points_of_poses::<NUM_KEYPOINTS>(&poses)

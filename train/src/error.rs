@@ -351,6 +351,14 @@ impl Error {
         }
     }
 
+    /// Refuses an empty list.
+    pub(crate) fn if_empty<T>(items: &[T], what: &'static str) -> Result<(), Self> {
+        match items.is_empty() {
+            true => Err(Self::Empty { what }),
+            false => Ok(()),
+        }
+    }
+
     pub(crate) fn config(field: &'static str, problem: impl Into<String>) -> Self {
         Self::Config {
             field,

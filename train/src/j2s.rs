@@ -15,12 +15,12 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use, take};
+use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use, take, write_atomically};
 use crate::config::{Decay, OptimizerConfig, Preset, RunLength, RunSettings};
 use crate::model::pass::Pass;
 use crate::model::pose_net::{
-    OFFICIAL_INPUT, OFFICIAL_NAMES, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_NAMES,
-    PAPER_OUTPUT, PaperPoseNet,
+    NAMES, OFFICIAL_INPUT, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_OUTPUT,
+    PaperPoseNet,
 };
 use crate::model::weights::{from_safetensors_named, to_safetensors};
 use crate::trainer::{self, Task, TrainerConfig};
@@ -51,6 +51,14 @@ impl J2sPreset {
         match self {
             Self::Paper => PAPER_INPUT,
             Self::Official => OFFICIAL_INPUT,
+        }
+    }
+
+    /// The fit that is published with it.
+    pub(crate) fn fit(self) -> AdamFit {
+        match self {
+            Self::Paper => AdamFit::paper(),
+            Self::Official => AdamFit::official(),
         }
     }
 }
@@ -188,14 +196,8 @@ pub fn train_j2s<'a>(
     session: &Session<'_>,
 ) -> Result<J2sReport, Error> {
     let [train, val] = motions;
-    for (motions, what) in [
-        (train, "training split of the pose network"),
-        (val, "validation split of the pose network"),
-    ] {
-        if motions.is_empty() {
-            return Err(Error::Empty { what });
-        }
-    }
+    Error::if_empty(train, "training split of the pose network")?;
+    Error::if_empty(val, "validation split of the pose network")?;
     config.check()?;
     let document = RunRecord::new(KIND, dataset_hash, skeleton, config.clone());
     let run = Run::open(start, &document)?;
@@ -228,17 +230,10 @@ pub fn train_j2s<'a>(
     };
     let weights = run_dir.join(WEIGHTS);
     let bytes = net.to_safetensors(&weights)?;
-    write(&weights, &bytes)?;
+    write_atomically(&weights, &bytes)?;
     let document = serde_json::to_vec_pretty(&report).expect("plain numbers and names serialise");
-    write(&run_dir.join("report.json"), &document)?;
+    write_atomically(&run_dir.join("report.json"), &document)?;
     Ok(report)
-}
-
-fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    let staged = path.with_extension("part");
-    Ok(std::fs::write(&staged, bytes)
-        .and_then(|()| std::fs::rename(&staged, path))
-        .map_err(datasets_spec::Error::io("write", path))?)
 }
 
 struct PoseTask<'a, M> {
@@ -293,16 +288,11 @@ impl<M: Module + Sync> Task for PoseTask<'_, M> {
     const WEIGHTS: &'static str = WEIGHTS;
 
     fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
-        let poses = draw_poses(
-            self.train,
-            self.config.run.batch_size,
-            self.seed.rng_of(step),
-        );
+        let (count, rng) = (self.config.run.batch_size, self.seed.rng_of(step));
+        let poses = draw_poses(self.train, count, rng);
         let noise = self.seed.derive(&["noise"]).rng_of(step);
-        Ok(vec![(
-            1.0,
-            samples(&poses, self.config, self.skeleton, Some(noise)),
-        )])
+        let batch = samples(&poses, self.config, self.skeleton, Some(noise));
+        Ok(vec![(1.0, batch)])
     }
 
     fn loss(
@@ -438,24 +428,16 @@ impl PoseNet {
         path: &Path,
         device: &Device,
     ) -> Result<Self, Error> {
-        fn load<M: Module>(
-            mut net: M,
-            bytes: Vec<u8>,
-            prefix: &str,
-            path: &Path,
-            names: &[(&str, &str)],
-        ) -> Result<M, Error> {
-            from_safetensors_named(&mut net, bytes, prefix, path, names)?;
-            Ok(net)
-        }
         let network = match preset {
             J2sPreset::Paper => {
-                let net = PaperPoseNet::new(width, device);
-                Network::Paper(Box::new(load(net, bytes, prefix, path, &PAPER_NAMES)?))
+                let mut net = PaperPoseNet::new(width, device);
+                from_safetensors_named(&mut net, bytes, prefix, path, &NAMES)?;
+                Network::Paper(Box::new(net))
             }
             J2sPreset::Official => {
-                let net = OfficialPoseNet::new(width, device);
-                Network::Official(Box::new(load(net, bytes, prefix, path, &OFFICIAL_NAMES)?))
+                let mut net = OfficialPoseNet::new(width, device);
+                from_safetensors_named(&mut net, bytes, prefix, path, &NAMES)?;
+                Network::Official(Box::new(net))
             }
         };
         Ok(Self {
@@ -584,20 +566,13 @@ fn measure(
     session: &Session<'_>,
 ) -> Vec<FitErrors> {
     const POSES: usize = 512;
-    let poses = draw_poses(
-        motions,
-        POSES,
-        Seed(config.run.seed).derive(&["measure"]).rng_of(0),
-    );
+    let seed = Seed(config.run.seed).derive(&["measure"]);
+    let poses = draw_poses(motions, POSES, seed.rng_of(0));
     let frames = skeleton.points_of_poses::<NUM_KEYPOINTS>(&poses);
-    let adam = match config.preset {
-        J2sPreset::Paper => AdamFit::paper(),
-        J2sPreset::Official => AdamFit::official(),
-    };
     let second_order = FitOptions::default();
     let methods: [(&'static str, Option<Refinement>); 4] = [
         ("network", Some(Refinement::None)),
-        ("network, Adam", Some(Refinement::Adam(adam))),
+        ("network, Adam", Some(Refinement::Adam(config.preset.fit()))),
         (
             "network, second order",
             Some(Refinement::SecondOrder(Box::new(second_order.clone()))),

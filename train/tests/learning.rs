@@ -667,7 +667,7 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     let record = &editor.record().config;
     let skeleton = Skeleton::smplx_neutral();
     let edit = |text: &str| {
-        let item = EditItem::new("a", &walk(61, 1.0, 0.0), text, &skeleton, record)?;
+        let item = whole_item("a", &walk(61, 1.0, 0.0), text, record)?;
         let settings = EditSettings {
             seed: Seed(5),
             guidance: 1.0,
@@ -944,7 +944,7 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
     let record = &editor.record().config;
     let item = |id: &str, num_frames: usize, instruction: &str| {
         let motion = walk(num_frames, 1.0, 0.0);
-        EditItem::new(id, &motion, instruction, &skeleton, record).expect("long enough")
+        whole_item(id, &motion, instruction, record).expect("long enough")
     };
     let items = [
         item("a", 61, "raise it"),
@@ -1024,6 +1024,17 @@ fn quietly<T>(act: impl FnOnce(&Session<'_>) -> T) -> T {
         stop: &AtomicBool::new(false),
         clock: &|| begun.elapsed(),
     })
+}
+
+/// A motion that is asked for the same in all of its frames.
+fn whole_item(
+    id: &str,
+    motion: &Motion,
+    instruction: &str,
+    record: &EditorRecord,
+) -> Result<EditItem, Error> {
+    let asked = [timed(0..motion.len(), instruction)];
+    EditItem::timed(id, motion, &asked, motion.fps(), &SKELETON, record)
 }
 
 fn timed(frames: std::ops::Range<usize>, text: &str) -> TimedInstruction {

@@ -183,14 +183,18 @@ pub(crate) fn read_record<C: DeserializeOwned>(
     kind: &'static str,
 ) -> Result<RunRecord<C>, Error> {
     let path = run_dir.join(CONFIG);
-    let text = match fs::read_to_string(&path) {
-        Ok(text) => text,
-        Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
-            return Err(not_a_run(run_dir, kind, format!("it holds no {CONFIG}")));
-        }
-        Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
-    };
+    let text =
+        text_of(&path)?.ok_or_else(|| not_a_run(run_dir, kind, format!("it holds no {CONFIG}")))?;
     record_of(&text, run_dir, kind)
+}
+
+/// The text of a file; none where there is no such file.
+pub(super) fn text_of(path: &Path) -> Result<Option<String>, Error> {
+    match fs::read_to_string(path) {
+        Ok(text) => Ok(Some(text)),
+        Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(problem) => Err(datasets_spec::Error::io("read", path)(problem).into()),
+    }
 }
 
 /// Parses the text of a run's `config.json`. Errors name the run by `run_dir`.

@@ -84,29 +84,6 @@ struct Span {
 }
 
 impl EditItem {
-    /// Cuts a motion of any rate into windows that all ask for the same. The edit has the motion's
-    /// own rate and length.
-    ///
-    /// # Errors
-    /// The motion has no frame.
-    ///
-    /// # Source
-    /// Paper, App. B.2. The windows advance by what each adds; the released demo's 31 raw
-    /// frames drift against the generated motion (`algorithms` section 8).
-    pub fn new(
-        id: impl Into<String>,
-        motion: &Motion,
-        instruction: &str,
-        skeleton: &Skeleton,
-        editor: &EditorRecord,
-    ) -> Result<Self, Error> {
-        let whole = TimedInstruction {
-            frames: 0..motion.len(),
-            text: instruction.to_owned(),
-        };
-        Self::timed(id, motion, &[whole], motion.fps(), skeleton, editor)
-    }
-
     /// Cuts a motion into windows that ask for what is asked of their frames; a frame belongs to the
     /// first instruction that covers it, and stays as it is where none does. `fps` is the rate of the
     /// edit.
@@ -122,7 +99,9 @@ impl EditItem {
     /// frame of its own.
     ///
     /// # Source
-    /// Paper, App. E.1 (time-variant editing); which window hears which instruction is not published.
+    /// Paper, App. B.2, and App. E.1 (time-variant editing); which window hears which instruction is not published. The
+    /// windows advance by what each adds; the released demo's 31 raw frames drift against the generated motion
+    /// (`algorithms` section 8).
     pub fn timed(
         id: impl Into<String>,
         motion: &Motion,

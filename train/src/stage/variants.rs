@@ -270,11 +270,7 @@ pub fn pair_variants(
         });
     }
     let groups = groups_of_motions(dataset.read(None)?);
-    if groups.is_empty() {
-        return Err(Error::Empty {
-            what: "dataset of variants (motions named base/variant)",
-        });
-    }
+    Error::if_empty(&groups, "dataset of variants (motions named base/variant)")?;
     let made: Candidates = candidates(groups, config, &skeleton)?;
     let facts = BTreeMap::from([variants_fact(config)]);
     let transaction = Transaction::begin(out, holder)?;
@@ -341,11 +337,7 @@ fn bases(
         texts.shuffle(&mut seed.rng(&["instructions"]));
         texts.truncate(count);
     }
-    if texts.is_empty() {
-        return Err(Error::Empty {
-            what: "list of instructions",
-        });
-    }
+    Error::if_empty(&texts, "list of instructions")?;
     let bases = texts.into_iter().enumerate().map(|(place, instruction)| {
         let (batch, place) = (place / BATCH, place % BATCH);
         let id = format!("seed{}/batch{batch:04}/{place:02}", seed.0);

@@ -12,12 +12,13 @@ use tokenizers::{Tokenizer, TruncationParams};
 
 use super::bert_net::{BertConfig, BertText};
 use super::files::{WEIGHTS, file_in, first, read_weights};
-use super::tokens::{PROBE, batch_of, vocabulary_of};
+use super::tokens::{PROBE, vocabulary_of};
 use crate::Error;
 use crate::config::BertVectors;
 use crate::error::json_error;
 use crate::model::weights::to_safetensors;
 use crate::transfer::read;
+use crate::vocabulary::TokenBatch;
 
 const CONFIG: [&str; 1] = ["config.json"];
 const TOKENIZERS: [&str; 2] = ["tokenizer.json", "vocab.txt"];
@@ -379,7 +380,7 @@ impl BertEncoder {
             .map(|text| self.tokens(text))
             .collect::<Result<_, _>>()?;
         let lengths: Vec<usize> = rows.iter().map(Vec::len).collect();
-        let tokens = batch_of(rows);
+        let tokens = TokenBatch::of(&rows);
         let width = self.config.width;
         let values = read(self.network.hidden(&self.config, &tokens, &lengths));
         let rows = values.chunks_exact(tokens.width * width).zip(&lengths);

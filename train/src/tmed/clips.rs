@@ -10,10 +10,11 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use super::config::TmedConfig;
-use super::features::{FeatureFrame, FeatureStatistics, Moments, NUM_FEATURES, features_of_motion};
+use super::features::{FeatureFrame, FeatureStatistics, NUM_FEATURES, features_of_motion};
 use crate::Error;
 use crate::data::{TextBatch, Texts, Timesteps};
 use crate::error::motion_error;
+use crate::features::Moments;
 
 /// Clips of both splits that statistics are taken of; more hardly change them.
 const STATISTICS_CLIPS: u64 = 4_096;
@@ -85,7 +86,7 @@ pub(crate) fn statistics(
     max_frames: usize,
     skeleton: &Skeleton,
 ) -> Result<FeatureStatistics, Error> {
-    let mut sum = Moments::none();
+    let mut sum = Moments::none(NUM_FEATURES);
     for source in sources {
         let count = source.num_clips();
         let taken = count.min(STATISTICS_CLIPS);
@@ -96,16 +97,20 @@ pub(crate) fn statistics(
                 let of = |motion: &Motion| -> Result<Moments, Error> {
                     let features = features_of_motion(motion, fps, max_frames, skeleton);
                     let features = features.map_err(motion_error(&clip.instruction))?;
-                    Ok(Moments::of(&features))
+                    let rows = features.iter().map(|row| row.as_slice());
+                    Ok(Moments::of(NUM_FEATURES, rows))
                 };
                 Ok(of(&clip.source)?.merge(&of(&clip.target)?))
             })
             .collect::<Result<Vec<_>, Error>>()?;
         sum = moments.iter().fold(sum, Moments::merge);
     }
-    sum.statistics().ok_or(Error::Empty {
-        what: "training split of TMED",
-    })
+    if sum.is_empty() {
+        return Err(Error::Empty {
+            what: "training split of TMED",
+        });
+    }
+    Ok(FeatureStatistics::of(&sum))
 }
 
 /// `B` clips with everything a training step draws.

@@ -38,9 +38,7 @@ pub(super) fn clips(
     vocabulary: &Vocabulary,
     config: &TmrConfig,
 ) -> Result<Vec<Clip>, Error> {
-    if motions.is_empty() {
-        return Err(Error::Empty { what });
-    }
+    Error::if_empty(motions, what)?;
     motions
         .par_iter()
         .map(|clip| {
