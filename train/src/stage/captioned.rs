@@ -3,13 +3,12 @@
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Split};
 
-use super::{MOTIONS, create_dir};
+use super::{MOTIONS, kept};
 use crate::captioned::{CaptionedClip, CaptionedCorpus};
 use crate::config::TextConfig;
 use crate::error::motion_error;
 use crate::kind::{TrainRequest, Trained};
 use crate::text::clip::ClipModel;
-use crate::text::source::EMBEDDINGS;
 use crate::text::table::EmbeddingTable;
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
@@ -103,7 +102,5 @@ fn caption_vectors<'a>(
     let table = request
         .text_encoder
         .embeddings(run, &captions, encoder, session)?;
-    create_dir(run)?;
-    table.save(&run.join(EMBEDDINGS))?;
-    Ok(Some(table))
+    Ok(Some(kept(table, run)?))
 }

@@ -21,5 +21,4 @@ pub use self::exchange::{TmedImport, import_tmed, read_released_statistics};
 pub use self::guidance::{Branch, branches, guided};
 pub use self::objective::{group_loss, loss};
 pub(crate) use self::stage::MODEL;
-pub use self::stage::train_on_dataset;
 pub use self::task::{TmedCorpus, TmedRecord, train_tmed};
