@@ -19,8 +19,9 @@ use crate::j2s::{PoseNet, Refinement, solve};
 use crate::sample::{
     EditItem, EditSettings, EditTimes, Editor, FitMethod, keypoint_parent, model_frames,
 };
+use crate::system::Setting::{self, Count, Flag, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource, named_with,
 };
 use crate::text::clip::ClipModel;
@@ -149,14 +150,12 @@ fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setti
         .into_iter()
         .find(|preset| preset.model == trained.model);
     let usual = usual.as_ref().unwrap_or(trained);
+    let diffusion = &usual.diffusion;
     let mut changes = vec![
-        (
-            "guidance",
-            Setting::Number(settings.guidance, usual.diffusion.guidance),
-        ),
+        ("guidance", Number(settings.guidance, diffusion.guidance)),
         (
             "temperature",
-            Setting::Number(settings.temperature, usual.diffusion.temperature),
+            Number(settings.temperature, diffusion.temperature),
         ),
     ];
     if editor.has_coordinator() {
@@ -164,21 +163,14 @@ fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setti
         changes.extend([
             (
                 "coordinator strength",
-                Setting::Number(used.strength, usual.strength),
+                Number(used.strength, usual.strength),
             ),
-            (
-                "coordinator steps",
-                Setting::Count(used.num_steps, usual.num_steps),
-            ),
+            ("coordinator steps", Count(used.num_steps, usual.num_steps)),
         ]);
     }
-    let usual_prior = usual_prior(editor);
     changes.extend([
-        (
-            "paper's fit",
-            Setting::Flag(settings.fit == FitMethod::Paper),
-        ),
-        ("prior", Setting::Number(settings.prior, usual_prior)),
+        ("paper's fit", Flag(settings.fit == FitMethod::Paper)),
+        ("prior", Number(settings.prior, usual_prior(editor))),
     ]);
     changes
 }
@@ -229,10 +221,7 @@ impl EditSystem for MotionRefitSystem {
         };
         Remarks {
             num_short: motions.iter().filter(is_short).count(),
-            unknown_words: texts
-                .iter()
-                .flat_map(|text| record.text.unknown_words(text))
-                .collect(),
+            unknown_words: record.text.unknown_words(texts),
         }
     }
 

@@ -1,5 +1,6 @@
 //! The training of the editor.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
@@ -177,12 +178,16 @@ impl TextRecord {
         }
     }
 
-    /// Words of a text that the learned encoder has never seen, in their order, each once. A frozen
-    /// encoder has seen all.
-    pub fn unknown_words(&self, text: &str) -> Vec<String> {
+    /// Words of texts that the learned encoder has never seen. A frozen encoder has seen all.
+    pub(crate) fn unknown_words(&self, texts: &[&str]) -> BTreeSet<String> {
         match self {
-            Self::Learned(vocabulary) => vocabulary.unknown_words(text),
-            Self::Frozen { .. } => Vec::new(),
+            Self::Learned(vocabulary) => {
+                let texts = texts.iter();
+                texts
+                    .flat_map(|text| vocabulary.unknown_words(text))
+                    .collect()
+            }
+            Self::Frozen { .. } => BTreeSet::new(),
         }
     }
 

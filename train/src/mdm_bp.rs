@@ -19,8 +19,9 @@ use crate::model::transformer::PreparedWeights;
 use crate::sample::noise::Noise;
 use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
+use crate::system::Setting::{Count, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource, named_with,
 };
 use crate::text::table::EmbeddingTable;
@@ -114,10 +115,10 @@ fn system_name(
         .map_or(trained.guidance, |preset| preset.guidance);
     let plain = PartInpainting::new(inpainting.schedule.clone(), None, None)?;
     let changes = [
-        ("guidance", Setting::Number(guidance, usual)),
-        ("temperature", Setting::Number(temperature, 1.0)),
-        ("start", Setting::Count(inpainting.start, plain.start)),
-        ("release", Setting::Count(inpainting.release, plain.release)),
+        ("guidance", Number(guidance, usual)),
+        ("temperature", Number(temperature, 1.0)),
+        ("start", Count(inpainting.start, plain.start)),
+        ("release", Count(inpainting.release, plain.release)),
     ];
     Ok(named_with(name.to_owned(), slot, &changes))
 }
@@ -371,11 +372,8 @@ impl EditSystem for MdmBpSystem {
 
     fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
         Remarks {
-            num_short: 0,
-            unknown_words: texts
-                .iter()
-                .flat_map(|text| self.record.text.unknown_words(text))
-                .collect(),
+            unknown_words: self.record.text.unknown_words(texts),
+            ..Remarks::default()
         }
     }
 

@@ -22,8 +22,9 @@ use crate::model::text::TextBatch;
 use crate::model::tmed::{Condition, TmedModel};
 use crate::sample::EditTimes;
 use crate::sample::noise::Noise;
+use crate::system::Setting::{Count, Flag, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource, named_with,
 };
 use crate::text::table::EmbeddingTable;
@@ -140,24 +141,16 @@ fn system_name(record: &TmedRecord, slot: Slot, settings: &TmedSettings) -> Resu
         .find(|preset| preset.model == trained.model);
     let usual = &usual.as_ref().unwrap_or(trained).diffusion;
     let steps = usual.steps(usual.edit_steps)?.timesteps().len();
+    let from_source = settings.start == EditStart::Source && usual.start == EditStart::Noise;
     let changes = [
-        (
-            "guidance",
-            Setting::Number(settings.guidance, usual.guidance),
-        ),
+        ("guidance", Number(settings.guidance, usual.guidance)),
         (
             "source guidance",
-            Setting::Number(settings.source_guidance, usual.source_guidance),
+            Number(settings.source_guidance, usual.source_guidance),
         ),
-        ("temperature", Setting::Number(settings.temperature, 1.0)),
-        (
-            "steps",
-            Setting::Count(settings.steps.timesteps().len(), steps),
-        ),
-        (
-            "from source",
-            Setting::Flag(settings.start == EditStart::Source && usual.start == EditStart::Noise),
-        ),
+        ("temperature", Number(settings.temperature, 1.0)),
+        ("steps", Count(settings.steps.timesteps().len(), steps)),
+        ("from source", Flag(from_source)),
     ];
     Ok(named_with(name, slot, &changes))
 }
@@ -354,12 +347,9 @@ impl EditSystem for TmedSystem {
     }
 
     fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
-        let texts = texts.iter();
         Remarks {
-            num_short: 0,
-            unknown_words: texts
-                .flat_map(|text| self.record.text.unknown_words(text))
-                .collect(),
+            unknown_words: self.record.text.unknown_words(texts),
+            ..Remarks::default()
         }
     }
 
