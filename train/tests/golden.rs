@@ -219,11 +219,16 @@ fn golden_denoiser_trains_as_it_infers() {
 }
 
 #[test]
-fn golden_denoiser_is_saved_under_the_reference_names() {
-    let golden = Golden::read("motionrefit_denoiser");
-    let bytes = to_safetensors(&denoiser(), Path::new("memory")).expect("saved");
+fn golden_networks_are_saved_under_the_reference_names() {
+    check_saved(&denoiser(), "motionrefit_denoiser");
+    check_saved(&coordinator(&Device::flex()), "motionrefit_coordinator");
+}
+
+/// A network is saved as the weights of a recorded case.
+fn check_saved(network: &impl Module, case: &str) {
+    let bytes = to_safetensors(network, Path::new("memory")).expect("saved");
     let saved = SafeTensors::deserialize(&bytes).expect("a safetensors file");
-    let recorded = golden.bytes();
+    let recorded = Golden::read(case).bytes();
     let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
     let mut expected: Vec<&str> = reference
         .names()
@@ -233,7 +238,7 @@ fn golden_denoiser_is_saved_under_the_reference_names() {
     let mut names: Vec<&str> = saved.names().into_iter().collect();
     expected.sort_unstable();
     names.sort_unstable();
-    assert_eq!(names, expected);
+    assert_eq!(names, expected, "{case}");
     for name in names {
         let original = reference.tensor(&format!("weights.{name}")).expect("known");
         let written = saved.tensor(name).expect("written");
@@ -472,28 +477,6 @@ fn golden_coordinator() {
             (found - expected).abs() <= 1e-6 + 1e-4 * expected.abs(),
             "{found} {expected}"
         );
-    }
-}
-
-#[test]
-fn golden_coordinator_is_saved_under_the_reference_names() {
-    let bytes = to_safetensors(&coordinator(&Device::flex()), Path::new("memory")).expect("saved");
-    let saved = SafeTensors::deserialize(&bytes).expect("a safetensors file");
-    let recorded = Golden::read("motionrefit_coordinator").bytes();
-    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
-    let mut names: Vec<&str> = saved.names().into_iter().collect();
-    let mut expected: Vec<&str> = reference
-        .names()
-        .into_iter()
-        .filter_map(|name| name.strip_prefix("weights."))
-        .collect();
-    names.sort_unstable();
-    expected.sort_unstable();
-    assert_eq!(names, expected);
-    for name in names {
-        let original = reference.tensor(&format!("weights.{name}")).expect("known");
-        let written = saved.tensor(name).expect("written");
-        assert_eq!(written.data(), original.data(), "{name}");
     }
 }
 

@@ -668,15 +668,7 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     let skeleton = Skeleton::smplx_neutral();
     let edit = |text: &str| {
         let item = whole_item("a", &walk(61, 1.0, 0.0), text, record)?;
-        let settings = EditSettings {
-            seed: Seed(5),
-            guidance: 1.0,
-            temperature: 1.0,
-            coordinator: record.train.coordinator,
-            fit: FitMethod::Exact,
-            prior: 0.0,
-            max_batch: 2,
-        };
+        let settings = edit_settings(record);
         quietly(|session| {
             let mut times = EditTimes::default();
             editor.edit_batch(&[item], &skeleton, &settings, session, &mut times)
@@ -952,13 +944,8 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
         item("c", 93, "raise it"),
     ];
     let settings = EditSettings {
-        seed: Seed(5),
         guidance: 2.0,
-        temperature: 1.0,
-        coordinator: record.train.coordinator,
-        fit: FitMethod::Exact,
-        prior: 0.0,
-        max_batch: 2,
+        ..edit_settings(record)
     };
     let edit = |items: &[EditItem], settings: &EditSettings| {
         quietly(|session| {
@@ -1026,6 +1013,19 @@ fn quietly<T>(act: impl FnOnce(&Session<'_>) -> T) -> T {
     })
 }
 
+/// Two windows at a time, unguided.
+fn edit_settings(record: &EditorRecord) -> EditSettings {
+    EditSettings {
+        seed: Seed(5),
+        guidance: 1.0,
+        temperature: 1.0,
+        coordinator: record.train.coordinator,
+        fit: FitMethod::Exact,
+        prior: 0.0,
+        max_batch: 2,
+    }
+}
+
 /// A motion that is asked for the same in all of its frames.
 fn whole_item(
     id: &str,
@@ -1046,31 +1046,23 @@ fn timed(frames: std::ops::Range<usize>, text: &str) -> TimedInstruction {
 
 #[test]
 fn windows_hear_the_instruction_their_frames_belong_to() {
-    let skeleton = Skeleton::smplx_neutral();
     let mut record = untrained_record();
     record.train.diffusion.overlap = 0;
     // 145 frames at 20 fps are 73 at 10: windows at 0, 14, 28, 42 and 56, and one at 57 for the last
     // frame.
     let motion = walk(145, 1.0, 0.0);
-    let heard = |asked: &[TimedInstruction]| {
-        EditItem::timed("walk", &motion, asked, Fps::STORE, &skeleton, &record).map(|item| {
-            let windows = item.windows.iter();
-            windows
-                .map(|window| {
-                    (
-                        window.instruction.as_deref().map(str::to_owned),
-                        window.progress,
-                    )
-                })
-                .collect::<Vec<_>>()
-        })
+    let cut = |record: &EditorRecord, asked: &[TimedInstruction]| {
+        let item = EditItem::timed("walk", &motion, asked, Fps::STORE, &SKELETON, record);
+        item.map(|item| item.windows)
     };
     let texts = |asked: &[TimedInstruction]| -> Vec<Option<String>> {
-        heard(asked)
-            .expect("cut")
-            .into_iter()
-            .map(|(text, _)| text)
-            .collect()
+        let windows = cut(&record, asked).expect("cut").into_iter();
+        let texts = windows.map(|window| window.instruction);
+        texts.map(|text| Some(text?.to_string())).collect()
+    };
+    let places = |record: &EditorRecord, asked: TimedInstruction| -> Vec<(usize, usize)> {
+        let windows = cut(record, &[asked]).expect("cut").into_iter();
+        windows.map(|window| (window.start, window.used)).collect()
     };
     let some = |text: &str| Some(text.to_owned());
     assert_eq!(
@@ -1090,16 +1082,8 @@ fn windows_hear_the_instruction_their_frames_belong_to() {
         texts(&[timed(40..60, "raise")]),
         [None, None, some("raise"), None, None, None, None]
     );
-    let asked = [timed(40..60, "raise")];
-    let item = EditItem::timed("walk", &motion, &asked, Fps::STORE, &skeleton, &record);
-    let places: Vec<(usize, usize)> = item
-        .expect("cut")
-        .windows
-        .iter()
-        .map(|window| (window.start, window.used))
-        .collect();
     assert_eq!(
-        places,
+        places(&record, timed(40..60, "raise")),
         [
             (0, 16),
             (14, 6),
@@ -1110,28 +1094,16 @@ fn windows_hear_the_instruction_their_frames_belong_to() {
             (57, 16)
         ]
     );
-    let progress: Vec<f32> = heard(&[timed(0..145, "raise")])
-        .expect("cut")
-        .into_iter()
-        .map(|(_, progress)| progress)
-        .collect();
+    let windows = cut(&record, &[timed(0..145, "raise")]).expect("cut");
     let expected = [0.0, 28.0, 56.0, 84.0, 112.0, 114.0].map(|frame| frame / 145.0);
-    for (found, expected) in progress.iter().zip(expected) {
-        assert!((found - expected).abs() < 1e-6);
+    for (found, expected) in windows.iter().zip(expected) {
+        assert!((found.progress - expected).abs() < 1e-6);
     }
     // Windows that share four frames with the one before, but for those that nothing is asked of.
     let mut overlapping = untrained_record();
     overlapping.train.diffusion.overlap = 4;
-    let asked = [timed(0..60, "raise")];
-    let item = EditItem::timed("walk", &motion, &asked, Fps::STORE, &skeleton, &overlapping);
-    let places: Vec<(usize, usize)> = item
-        .expect("cut")
-        .windows
-        .iter()
-        .map(|window| (window.start, window.used))
-        .collect();
     assert_eq!(
-        places,
+        places(&overlapping, timed(0..60, "raise")),
         [
             (0, 16),
             (10, 16),
@@ -1150,7 +1122,7 @@ fn windows_hear_the_instruction_their_frames_belong_to() {
             "no frame of its own",
         ),
     ] {
-        match heard(&asked) {
+        match cut(&record, &asked) {
             Err(error) => assert!(error.to_string().contains(reason), "{error}"),
             Ok(_) => panic!("{asked:?} is accepted"),
         }
@@ -1167,15 +1139,7 @@ fn windows_without_an_instruction_stay_as_they_were() {
     let motion = walk(145, 1.0, 0.0);
     let asked = [timed(60..88, "raise it")];
     let item = EditItem::timed("a", &motion, &asked, Fps::STORE, &skeleton, record).expect("cut");
-    let settings = EditSettings {
-        seed: Seed(5),
-        guidance: 1.0,
-        temperature: 1.0,
-        coordinator: record.train.coordinator,
-        fit: FitMethod::Exact,
-        prior: 0.0,
-        max_batch: 2,
-    };
+    let settings = edit_settings(record);
     let mut times = EditTimes::default();
     let edited =
         quietly(|session| editor.edit_batch(&[item], &skeleton, &settings, session, &mut times))
