@@ -14,6 +14,7 @@ use train::Session;
 use train::config::{NetworkConfig, Preset, RunLength};
 use train::data::TextBatch;
 use train::model::motionrefit::TextSource;
+use train::model::pass::{Arithmetic, Pass};
 use train::model::tmed::TmedModel;
 use train::model::weights::draw;
 use train::registry::open_system;
@@ -158,7 +159,15 @@ fn the_first_loss_of_tmed_is_that_of_an_untrained_network() {
     let schedule = Schedule::cosine(300).expect("steps");
     let config = TmedConfig::preset(Preset::Paper);
     let device = Device::flex().autodiff();
-    let first: f32 = loss(&model, &batch, &config, &schedule, &device).into_scalar();
+    let first = loss(
+        &model,
+        &batch,
+        &config,
+        &schedule,
+        &device,
+        &Pass::default(),
+    );
+    let first: f32 = first.into_scalar();
     // The output layer maps tokens of unit variance by weights of variance 1/3 over the width. Groups of
     // three features weigh as much as those of 126, and tokens resemble each other.
     let expected = 0.25 + 1.0 / 3.0;
@@ -178,9 +187,10 @@ fn one_batch_is_overfitted_by_tmed() {
     let device = Device::flex().autodiff();
     const STEPS: u32 = 400;
     let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
+    let pass = Pass::default();
     let mut losses = Vec::new();
     for step in 0..STEPS {
-        let loss = loss(&model, &batch, &config, &schedule, &device);
+        let loss = loss(&model, &batch, &config, &schedule, &device, &pass);
         losses.push(loss.clone().into_scalar::<f32>());
         let gradients = GradientsParams::from_grads(loss.backward(), &model);
         let rate = 3e-3 * (1.0 - f64::from(step) / f64::from(STEPS));
