@@ -215,8 +215,8 @@ impl<'a> CropSampler<'a> {
         crops.chunks(size).map(|crops| self.crops(crops)).collect()
     }
 
-    /// [`CropSampler::whole`], each with the place of its first clip, and with diffusion steps that are spread evenly, which
-    /// makes validations comparable.
+    /// [`CropSampler::whole`], each with the place of its first clip, and with diffusion steps that are spread
+    /// evenly, which makes validations comparable.
     pub(crate) fn validation(
         &self,
         size: usize,

@@ -24,7 +24,8 @@ use crate::vocabulary::Vocabulary;
 const PREFETCHED_BATCHES: usize = 2;
 
 /// A stream of training windows that can be entered anywhere: item `i` of an epoch is the same
-/// whoever asks for it and whatever was asked before. Items are edits, or the segments that the coordinator learns from.
+/// whoever asks for it and whatever was asked before. Items are edits, or the segments that the coordinator
+/// learns from.
 pub trait WindowSource<B = WindowBatch>: Sync {
     /// Items of an epoch.
     fn epoch_len(&self) -> u64;

@@ -15,8 +15,8 @@ pub const OFFICIAL_INPUT: usize = 3 * FIT_KEYPOINTS.len();
 /// Numbers it gives: the first two rows of 22 rotation matrices.
 pub const OFFICIAL_OUTPUT: usize = 6 * NUM_BODY_JOINTS;
 
-/// Where the names of a plain sequence of layers differ from ours: (pattern, ours). The recorded network of the paper is
-/// named so, and the released one with a prefix.
+/// Where the names of a plain sequence of layers differ from ours: (pattern, ours). The recorded network of the
+/// paper is named so, and the released one with a prefix.
 pub const NAMES: [(&str, &str); 5] = [
     (r"^(layers\.)?0\.", "first."),
     (r"^(layers\.)?1\.", "first_norm."),
