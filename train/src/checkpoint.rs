@@ -432,11 +432,8 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
             Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
         };
         if bytes.len() as u64 != entry.bytes {
-            return Err(corrupt(format!(
-                "{} bytes, recorded {}",
-                bytes.len(),
-                entry.bytes
-            )));
+            let detail = format!("{} bytes, recorded {}", bytes.len(), entry.bytes);
+            return Err(corrupt(detail));
         }
         let hash = blake3::hash(&bytes).to_hex().to_string();
         if hash != entry.blake3 {

@@ -380,6 +380,26 @@ impl Error {
         }
     }
 
+    pub(crate) fn encoder(problem: impl Into<String>) -> Self {
+        Self::Encoder {
+            problem: problem.into(),
+        }
+    }
+
+    pub(crate) fn tokenizer(path: &Path, detail: impl std::fmt::Display) -> Self {
+        Self::Tokenizer {
+            path: path.to_owned(),
+            detail: detail.to_string(),
+        }
+    }
+
+    pub(crate) fn text_model(path: &Path, detail: impl Into<String>) -> Self {
+        Self::TextModel {
+            path: path.to_owned(),
+            detail: detail.into(),
+        }
+    }
+
     pub(crate) fn weights(path: &Path, detail: impl std::fmt::Display) -> Self {
         Self::Weights {
             path: path.to_owned(),

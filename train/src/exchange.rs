@@ -144,13 +144,10 @@ pub fn import_motion_encoder(
     let (network, model, num_features) =
         sequence_encoder(weights, "motion_encoder.", num_heads, path, device)?;
     if num_features != recipe.width() {
-        return Err(Error::Encoder {
-            problem: format!(
-                "takes {num_features} numbers a frame, and features {} have {}",
-                recipe.name(),
-                recipe.width()
-            ),
-        });
+        let (name, width) = (recipe.name(), recipe.width());
+        return Err(Error::encoder(format!(
+            "takes {num_features} numbers a frame, and features {name} have {width}"
+        )));
     }
     let mut files = Files::from([(
         tmr::MOTION_WEIGHTS.to_owned(),
@@ -213,15 +210,13 @@ fn text_side(
     let (network, model, width) =
         sequence_encoder(side.weights, "text_encoder.", num_heads, side.path, device)?;
     if width != encoder.width() || model.width != latent {
-        return Err(Error::Encoder {
-            problem: format!(
-                "has a text side that takes {width} numbers a token and gives {}; the states of {} have {}, and its \
-                 motion side gives {latent}",
-                model.width,
-                side.folder.display(),
-                encoder.width()
-            ),
-        });
+        return Err(Error::encoder(format!(
+            "has a text side that takes {width} numbers a token and gives {}; the states of {} have {}, and its \
+             motion side gives {latent}",
+            model.width,
+            side.folder.display(),
+            encoder.width()
+        )));
     }
     let record = ImportedText {
         model,
@@ -236,14 +231,10 @@ fn check_stats(features: &FeatureStats) -> Result<(), Error> {
     let recipe = features.recipe;
     for (name, values) in [("mean", &features.mean), ("spread", &features.std)] {
         if values.len() != recipe.width() || values.iter().any(|value| !value.is_finite()) {
-            return Err(Error::Encoder {
-                problem: format!(
-                    "needs a {name} of {} finite numbers for features {}, and has {}",
-                    recipe.width(),
-                    recipe.name(),
-                    values.len()
-                ),
-            });
+            let (width, of, found) = (recipe.width(), recipe.name(), values.len());
+            return Err(Error::encoder(format!(
+                "needs a {name} of {width} finite numbers for features {of}, and has {found}"
+            )));
         }
     }
     Ok(())

@@ -213,13 +213,10 @@ impl TextRecord {
             ));
         };
         if vectors.encoder() != encoder_hash || vectors.width() != *width {
-            return Err(Error::misfit(
-                "the text encoder",
-                format!(
-                    "it is {:.12}, the model was trained with {encoder_hash:.12}",
-                    vectors.encoder()
-                ),
-            ));
+            let given = vectors.encoder();
+            let problem =
+                format!("it is {given:.12}, the model was trained with {encoder_hash:.12}");
+            return Err(Error::misfit("the text encoder", problem));
         }
         Ok(Texts::Vectors(vectors))
     }

@@ -203,13 +203,9 @@ impl<'a, T: Task> Training<'a, T> {
         }
         let num_steps = config.num_steps();
         if state.step > num_steps {
-            return Err(Error::config(
-                "length",
-                format!(
-                    "it is {num_steps} steps, and the run has made {} already",
-                    state.step
-                ),
-            ));
+            let made = state.step;
+            let problem = format!("it is {num_steps} steps, and the run has made {made} already");
+            return Err(Error::config("length", problem));
         }
         run.settle()?;
         run.rewind_log(state.step)?;

@@ -202,10 +202,11 @@ impl Rules {
             normalizes: false,
         };
         if rules.max_tokens < LEAST_TOKENS {
-            return Err(Error::TextModel {
-                path: files.folder.join(SENTENCE_CONFIG),
-                detail: format!("texts of {} tokens hold no word", rules.max_tokens),
-            });
+            let detail = format!("texts of {} tokens hold no word", rules.max_tokens);
+            return Err(Error::text_model(
+                &files.folder.join(SENTENCE_CONFIG),
+                detail,
+            ));
         }
         let modules: Vec<SentenceModule> = files.optional(MODULES)?.unwrap_or_default();
         for module in modules {
@@ -218,10 +219,8 @@ impl Rules {
                 }
                 "Normalize" => rules.normalizes = true,
                 _ => {
-                    return Err(Error::TextModel {
-                        path: files.folder.join(MODULES),
-                        detail: format!("module {} is not known", module.kind),
-                    });
+                    let detail = format!("module {} is not known", module.kind);
+                    return Err(Error::text_model(&files.folder.join(MODULES), detail));
                 }
             }
         }
@@ -264,10 +263,10 @@ fn pooling(modes: &BTreeMap<String, Value>, path: &Path) -> Result<Pooling, Erro
     match asked[..] {
         ["mean_tokens"] => Ok(Pooling::All),
         ["cls_token"] => Ok(Pooling::First),
-        _ => Err(Error::TextModel {
-            path: path.to_owned(),
-            detail: format!("it pools by {asked:?}; mean_tokens and cls_token are known"),
-        }),
+        _ => {
+            let detail = format!("it pools by {asked:?}; mean_tokens and cls_token are known");
+            Err(Error::text_model(path, detail))
+        }
     }
 }
 
@@ -297,14 +296,9 @@ impl BertEncoder {
         let tokenizer = read_tokenizer(&files.tokenizer, &settings, rules.max_tokens)?;
         let last = tokenizer.get_vocab(true).into_values().max();
         if last.is_some_and(|last| last as usize >= config.num_tokens) {
-            return Err(Error::Tokenizer {
-                path: files.tokenizer.clone(),
-                detail: format!(
-                    "it has tokens up to number {}, the network knows {}",
-                    last.unwrap_or_default(),
-                    config.num_tokens
-                ),
-            });
+            let (last, known) = (last.unwrap_or_default(), config.num_tokens);
+            let detail = format!("it has tokens up to number {last}, the network knows {known}");
+            return Err(Error::tokenizer(&files.tokenizer, detail));
         }
         let mut encoder = Self {
             network,
@@ -422,17 +416,14 @@ fn read_tokenizer(
     settings: &TokenizerConfig,
     max_tokens: usize,
 ) -> Result<Tokenizer, Error> {
-    let failed = |detail: String| Error::Tokenizer {
-        path: path.to_owned(),
-        detail,
-    };
     let mut content = read_checked(path)?;
     if path.extension().is_some_and(|ending| ending == "txt") {
-        let text = String::from_utf8(content).map_err(|error| failed(error.to_string()))?;
-        content = document_of_vocabulary(&text, settings).map_err(failed)?;
+        let text = String::from_utf8(content).map_err(|error| Error::tokenizer(path, error))?;
+        let document = document_of_vocabulary(&text, settings);
+        content = document.map_err(|detail| Error::tokenizer(path, detail))?;
     }
     let tokenizer = Tokenizer::from_bytes(content.as_slice());
-    let mut tokenizer = tokenizer.map_err(|error| failed(error.to_string()))?;
+    let mut tokenizer = tokenizer.map_err(|error| Error::tokenizer(path, error))?;
     // The file's own limit is that of a training, and rows are filled up here.
     let truncation = TruncationParams {
         max_length: max_tokens,
@@ -440,7 +431,7 @@ fn read_tokenizer(
     };
     tokenizer
         .with_truncation(Some(truncation))
-        .map_err(|error| failed(error.to_string()))?;
+        .map_err(|error| Error::tokenizer(path, error))?;
     tokenizer.with_padding(None);
     Ok(tokenizer)
 }

@@ -125,10 +125,7 @@ impl BertConfig {
             model_type: Option<String>,
         }
         let json = json_error(path);
-        let refused = |detail: String| Error::TextModel {
-            path: path.to_owned(),
-            detail,
-        };
+        let refused = |detail: String| Error::text_model(path, detail);
         let named: Named = serde_json::from_slice(document).map_err(json)?;
         let kind = match named.model_type.as_deref() {
             Some("bert") => BertKind::Bert,

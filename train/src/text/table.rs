@@ -155,21 +155,16 @@ impl EmbeddingTable {
     /// There are no texts, a text is listed twice, the numbers are not one row for each text, or a number is not finite.
     pub fn of_vectors(encoder: &str, texts: &[String], values: &[f32]) -> Result<Self, Error> {
         let problem = |problem: String| Error::TextVectors { problem };
-        let width = values.len() / texts.len().max(1);
-        if width == 0 || width * texts.len() != values.len() {
-            return Err(problem(format!(
-                "{} numbers are no row for each of {} texts",
-                values.len(),
-                texts.len()
-            )));
+        let (numbers, count) = (values.len(), texts.len());
+        let width = numbers / count.max(1);
+        if width == 0 || width * count != numbers {
+            let detail = format!("{numbers} numbers are no row for each of {count} texts");
+            return Err(problem(detail));
         }
         let rows: BTreeMap<&String, &[f32]> = texts.iter().zip(values.chunks(width)).collect();
-        if rows.len() != texts.len() {
-            return Err(problem(format!(
-                "only {} of {} texts are different",
-                rows.len(),
-                texts.len()
-            )));
+        if rows.len() != count {
+            let detail = format!("only {} of {count} texts are different", rows.len());
+            return Err(problem(detail));
         }
         let is_broken = |(_, row): &(&&String, &&[f32])| row.iter().any(|value| !value.is_finite());
         if let Some((text, _)) = rows.iter().find(is_broken) {

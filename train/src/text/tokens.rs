@@ -51,10 +51,7 @@ impl ClipTokenizer {
     /// # Errors
     /// As [`ClipTokenizer::read`].
     pub fn parse(content: &[u8], path: &Path) -> Result<Self, Error> {
-        let failed = |detail: String| Error::Tokenizer {
-            path: path.to_owned(),
-            detail,
-        };
+        let failed = |detail: String| Error::tokenizer(path, detail);
         let merges = if content.starts_with(GZIP_MAGIC) {
             let mut text = String::new();
             GzDecoder::new(content)

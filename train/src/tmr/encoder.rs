@@ -245,12 +245,10 @@ impl TmrEncoder {
     /// The encoder was imported without its text side, or a text cannot be cut into tokens.
     pub fn encode_texts(&self, texts: &[&str]) -> Result<Vec<Vec<f32>>, Error> {
         let Some(encoding) = &self.texts else {
-            return Err(Error::Encoder {
-                problem:
-                    "was imported without its text side and knows motions alone; import it with \
-                          --text-encoder, the folder of DistilBERT"
-                        .to_owned(),
-            });
+            return Err(Error::encoder(
+                "was imported without its text side and knows motions alone; import it with --text-encoder, the \
+                 folder of DistilBERT",
+            ));
         };
         let pass = Pass::new(self.arithmetic);
         let mut codes = Vec::with_capacity(texts.len());

@@ -103,14 +103,12 @@ fn taken_over(
         Some(fitted) if fitted.features.recipe == config.features => {
             Ok((fitted.vocabulary, Some(fitted.features)))
         }
-        Some(fitted) => Err(Error::config(
-            "features",
-            format!(
-                "it is {}, and the run whose weights are to be taken over sees {}",
-                config.features.name(),
-                fitted.features.recipe.name()
-            ),
-        )),
+        Some(fitted) => {
+            let (own, seen) = (config.features.name(), fitted.features.recipe.name());
+            let problem =
+                format!("it is {own}, and the run whose weights are to be taken over sees {seen}");
+            Err(Error::config("features", problem))
+        }
         None => {
             let words = &config.text;
             let vocabulary =

@@ -65,6 +65,12 @@ impl From<Error> for Failed {
     }
 }
 
+/// The refusal of a plan whose inputs are others by now.
+fn changed(what: &str) -> Failed {
+    let problem = format!("{what} changed since they were planned; plan again");
+    Failed::new("E-SOURCE-CHANGED", problem)
+}
+
 /// The error of a commit, which is one of work in pieces.
 fn of_commit(error: Error) -> work::Error {
     match error {
