@@ -134,12 +134,10 @@ impl SentenceModule {
 
 /// `tokenizer_config.json`.
 #[derive(Deserialize)]
+#[serde(default)]
 struct TokenizerConfig {
-    #[serde(default = "yes")]
     do_lower_case: bool,
-    #[serde(default)]
     strip_accents: Option<bool>,
-    #[serde(default = "yes")]
     tokenize_chinese_chars: bool,
     /// Some tokenizers without a limit record 10^30.
     model_max_length: Option<f64>,
@@ -156,15 +154,11 @@ impl Default for TokenizerConfig {
     }
 }
 
-fn yes() -> bool {
-    true
-}
-
 /// `sentence_bert_config.json`.
 #[derive(Default, Deserialize)]
+#[serde(default)]
 struct SentenceConfig {
     max_seq_length: Option<usize>,
-    #[serde(default)]
     do_lower_case: bool,
 }
 
