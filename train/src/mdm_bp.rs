@@ -317,9 +317,7 @@ impl MdmBpSystem {
             text
         };
         let clean = |x: &Tensor<3>, timestep: usize| {
-            if session.is_stopped() {
-                return Err(Error::Stopped { what: "editing" });
-            }
+            session.go_on("editing")?;
             let network = |x: Tensor<3>, timesteps: &[usize]| {
                 self.model
                     .network

@@ -177,9 +177,7 @@ impl EditSystem for Nearest {
         session: &Session<'_>,
     ) -> Result<EditedMotions, Error> {
         let motions = requests.iter().map(|request| {
-            if session.is_stopped() {
-                return Err(Error::Stopped { what: "editing" });
-            }
+            session.go_on("editing")?;
             Ok((self.answer(request, seed)?, Misfit::default()))
         });
         Ok(EditedMotions {

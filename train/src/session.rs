@@ -6,6 +6,7 @@ use std::time::Duration;
 use burn::tensor::Device;
 use datasets_spec::Progress;
 
+use crate::Error;
 use crate::model::pass::Arithmetic;
 
 /// Context of a run: device and operations, progress sink, stop flag, clock.
@@ -28,6 +29,14 @@ pub struct Session<'a> {
 impl Session<'_> {
     pub(crate) fn is_stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Ends `what` where the run is to end.
+    pub(crate) fn go_on(&self, what: &'static str) -> Result<(), Error> {
+        match self.is_stopped() {
+            true => Err(Error::Stopped { what }),
+            false => Ok(()),
+        }
     }
 
     pub(crate) fn secs(&self) -> f64 {

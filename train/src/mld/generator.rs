@@ -156,9 +156,7 @@ impl Generator {
             .iter()
             .zip(latents.chunks_exact(width))
             .map(|(base, latent)| {
-                if session.is_stopped() {
-                    return Err(Error::Stopped { what: "generating" });
-                }
+                session.go_on("generating")?;
                 let values: Vec<f32> = (0..count)
                     .flat_map(|variant| {
                         let mut rng = seed.rng(&["variant", &base.id, &variant.to_string()]);
@@ -199,9 +197,7 @@ impl Generator {
         let latents = self.ddim.sample(
             start,
             |z, timestep| {
-                if session.is_stopped() {
-                    return Err(Error::Stopped { what: "generating" });
-                }
+                session.go_on("generating")?;
                 let both = Tensor::cat(vec![z.clone(), z.clone()], 0);
                 let timesteps = vec![timestep; 2 * rows];
                 let network = &self.model.network;

@@ -68,9 +68,7 @@ pub fn edit_windows(
     for window_index in 0..longest.unwrap_or(0) {
         let active = joining.advance(window_index, session);
         for chunk in active.chunks(settings.max_batch.max(1)) {
-            if session.is_stopped() {
-                return Err(Error::Stopped { what: "editing" });
-            }
+            session.go_on("editing")?;
             let mut requests: Vec<WindowRequest<'_>> = chunk
                 .iter()
                 .map(|&item| joining.request(item, window_index))

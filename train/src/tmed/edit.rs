@@ -388,9 +388,7 @@ impl EditSystem for TmedSystem {
         progress.begin("edit", Some(questions.len() as u64));
         for (key, members) in &groups {
             for chunk in members.chunks(self.settings.max_batch.max(1)) {
-                if session.is_stopped() {
-                    return Err(Error::Stopped { what: "editing" });
-                }
+                session.go_on("editing")?;
                 let asked: Vec<&Question<'_>> =
                     chunk.iter().map(|&index| &questions[index]).collect();
                 let features = self.generate(&asked, seed, session)?;
