@@ -66,10 +66,7 @@ impl ComposeRecord {
             ),
             Ok(()) => return Ok(()),
         };
-        Err(Error::Config {
-            field: "compose",
-            problem,
-        })
+        Err(Error::config("compose", problem))
     }
 }
 

@@ -5,15 +5,16 @@ use std::fmt;
 use std::str::FromStr;
 
 use burn::tensor::activation::softmax;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use serde::Serialize;
 
 use crate::Error;
 use crate::config::NetworkConfig;
+use crate::model::pass::Pass;
 use crate::model::transformer::{EncoderLayer, Padding};
 use crate::model::weights::draw;
-use crate::transfer::read;
+use crate::transfer::{read, send};
 
 /// A kind of device, as it is asked for by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -281,7 +282,7 @@ impl Products {
 pub fn check(device: &Device) -> Result<Products, String> {
     let device = device.clone().inner();
     let ones: Vec<f32> = (1..=1000u16).map(f32::from).collect();
-    let sum = Tensor::<1>::from_data(TensorData::new(ones, [1000]), &device).sum();
+    let sum = send(ones, [1000], &device).sum();
     compare("the sum of 1 to 1,000", &read(sum), &[500_500.0], 0.0)?;
 
     let (a, b) = (
@@ -320,7 +321,7 @@ fn waves(shape: &[usize; 2], step: f32, device: &Device) -> Tensor<2> {
     let values: Vec<f32> = (0..shape[0] * shape[1])
         .map(|index| (index as f32 * step).sin())
         .collect();
-    Tensor::from_data(TensorData::new(values, *shape), device)
+    send(values, *shape, device)
 }
 
 /// The output of a layer of a transformer with padding, and the gradients of its weights.
@@ -337,7 +338,7 @@ fn layer(device: &Device) -> Result<Vec<(&'static str, Vec<f32>)>, String> {
         .map_err(|error| format!("its weights cannot be drawn: {error}"))?;
     let x = waves(&[5 * 11, 32], 0.37, &device).reshape([5, 11, 32]);
     let padding = Padding::after(&[11, 4, 7, 9, 11], 11);
-    let out = layer.forward(x, Some(&padding));
+    let out = layer.forward(x, Some(&padding), &Pass::default());
     let wave = waves(&[5 * 11, 32], 0.19, &device).reshape([5, 11, 32]);
     let grads = (out.clone() * wave).sum().backward();
     let mut found = vec![("a layer of a transformer", read(out.inner()))];

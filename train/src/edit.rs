@@ -7,19 +7,21 @@ use compose::EditKind;
 use datasets_spec::{Fps, Motion, Seed, Skeleton};
 use kinematics::KeypointFrame;
 use kinematics::canonical::FIXED_FRAMES;
-use kinematics::fit::{AdamFit, FitOptions, fit_motion_from};
+use kinematics::fit::{FitOptions, fit_motion_from};
 use kinematics::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use rayon::prelude::*;
 
 use crate::checkpoint::{Slot, check_skeleton};
 use crate::config::{GuidanceConfig, Preset, TrainConfig};
 use crate::coordinator::TrainedCoordinator;
-use crate::j2s::{J2sPreset, PoseNet, Refinement, solve};
+use crate::error::motion_error;
+use crate::j2s::{PoseNet, Refinement, solve};
 use crate::sample::{
     EditItem, EditSettings, EditTimes, Editor, FitMethod, keypoint_parent, model_frames,
 };
+use crate::system::Setting::{self, Count, Flag, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource, named_with,
 };
 use crate::text::clip::ClipModel;
@@ -143,19 +145,17 @@ fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
 /// training.
 fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setting)> {
     let trained = &editor.record().config.train;
-    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+    let usual = Preset::ALL
         .map(TrainConfig::preset)
         .into_iter()
         .find(|preset| preset.model == trained.model);
     let usual = usual.as_ref().unwrap_or(trained);
+    let diffusion = &usual.diffusion;
     let mut changes = vec![
-        (
-            "guidance",
-            Setting::Number(settings.guidance, usual.diffusion.guidance),
-        ),
+        ("guidance", Number(settings.guidance, diffusion.guidance)),
         (
             "temperature",
-            Setting::Number(settings.temperature, usual.diffusion.temperature),
+            Number(settings.temperature, diffusion.temperature),
         ),
     ];
     if editor.has_coordinator() {
@@ -163,21 +163,14 @@ fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setti
         changes.extend([
             (
                 "coordinator strength",
-                Setting::Number(used.strength, usual.strength),
+                Number(used.strength, usual.strength),
             ),
-            (
-                "coordinator steps",
-                Setting::Count(used.num_steps, usual.num_steps),
-            ),
+            ("coordinator steps", Count(used.num_steps, usual.num_steps)),
         ]);
     }
-    let usual_prior = usual_prior(editor);
     changes.extend([
-        (
-            "paper's fit",
-            Setting::Flag(settings.fit == FitMethod::Paper),
-        ),
-        ("prior", Setting::Number(settings.prior, usual_prior)),
+        ("paper's fit", Flag(settings.fit == FitMethod::Paper)),
+        ("prior", Number(settings.prior, usual_prior(editor))),
     ]);
     changes
 }
@@ -228,10 +221,7 @@ impl EditSystem for MotionRefitSystem {
         };
         Remarks {
             num_short: motions.iter().filter(is_short).count(),
-            unknown_words: texts
-                .iter()
-                .flat_map(|text| record.text.unknown_words(text))
-                .collect(),
+            unknown_words: record.text.unknown_words(texts),
         }
     }
 
@@ -244,7 +234,7 @@ impl EditSystem for MotionRefitSystem {
         let table = source
             .text_encoder
             .embeddings(&source.run, texts, encoder, session)?;
-        self.editor.set_vectors(Box::new(table))
+        self.editor.set_vectors(table)
     }
 
     /// With one window at a time the fits take turns too, so that the times are those of a single window.
@@ -349,13 +339,11 @@ impl<'a> Fit<'a> {
     /// It asks for a pose network that the editor has not.
     fn of(editor: &'a Editor, settings: &EditSettings) -> Result<Self, Error> {
         if settings.fit == FitMethod::Paper && editor.poses().is_none() {
-            return Err(Error::Misfit {
-                what: "the published fit",
-                problem:
-                    "it starts from a pose network; train one (stance train j2s) and give its \
-                          run with --poses"
-                        .to_owned(),
-            });
+            return Err(Error::misfit(
+                "the published fit",
+                "it starts from a pose network; train one (stance train j2s) and give its \
+                          run with --poses",
+            ));
         }
         Ok(Self {
             method: settings.fit,
@@ -383,11 +371,8 @@ impl<'a> Fit<'a> {
         }
         let failed = motion_error(&item.id);
         if let (FitMethod::Paper, Some((net, device))) = (self.method, self.poses) {
-            let fit = match net.preset() {
-                J2sPreset::Paper => AdamFit::paper(),
-                J2sPreset::Official => AdamFit::official(),
-            };
-            let poses = solve(net, &Refinement::Adam(fit), &frames, skeleton, device);
+            let refinement = Refinement::Adam(net.preset().fit());
+            let poses = solve(net, &refinement, &frames, skeleton, device);
             let motion = Motion::from_poses(item.fps, &poses).map_err(failed)?;
             let errors: Vec<f64> = skeleton
                 .points_of_poses::<NUM_KEYPOINTS>(&poses)
@@ -439,11 +424,4 @@ fn complete(
         }
     }
     Ok(())
-}
-
-fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error {
-    move |source| Error::Motion {
-        id: id.to_owned(),
-        source: source.into(),
-    }
 }

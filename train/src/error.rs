@@ -184,16 +184,6 @@ pub enum Error {
         /// What holds no item.
         what: &'static str,
     },
-    /// The source of training windows failed.
-    #[error("cannot compose training windows {first_item}.. of epoch {epoch}")]
-    Source {
-        /// Epoch asked for.
-        epoch: u64,
-        /// First item asked for.
-        first_item: u64,
-        /// The cause.
-        source: Box<dyn std::error::Error + Send + Sync>,
-    },
     /// The source of training windows returned arrays of the wrong length.
     #[error(
         "training windows {first_item}.. of epoch {epoch}: {field} holds {got} values, expected {expected}"
@@ -361,11 +351,76 @@ impl Error {
         }
     }
 
+    /// Refuses an empty list.
+    pub(crate) fn if_empty<T>(items: &[T], what: &'static str) -> Result<(), Self> {
+        match items.is_empty() {
+            true => Err(Self::Empty { what }),
+            false => Ok(()),
+        }
+    }
+
+    pub(crate) fn config(field: &'static str, problem: impl Into<String>) -> Self {
+        Self::Config {
+            field,
+            problem: problem.into(),
+        }
+    }
+
+    pub(crate) fn item(id: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::Item {
+            id: id.into(),
+            problem: problem.into(),
+        }
+    }
+
+    pub(crate) fn misfit(what: &'static str, problem: impl Into<String>) -> Self {
+        Self::Misfit {
+            what,
+            problem: problem.into(),
+        }
+    }
+
+    pub(crate) fn encoder(problem: impl Into<String>) -> Self {
+        Self::Encoder {
+            problem: problem.into(),
+        }
+    }
+
+    pub(crate) fn tokenizer(path: &Path, detail: impl std::fmt::Display) -> Self {
+        Self::Tokenizer {
+            path: path.to_owned(),
+            detail: detail.to_string(),
+        }
+    }
+
+    pub(crate) fn text_model(path: &Path, detail: impl Into<String>) -> Self {
+        Self::TextModel {
+            path: path.to_owned(),
+            detail: detail.into(),
+        }
+    }
+
     pub(crate) fn weights(path: &Path, detail: impl std::fmt::Display) -> Self {
         Self::Weights {
             path: path.to_owned(),
             detail: detail.to_string(),
         }
+    }
+}
+
+/// What becomes of an error of a motion.
+pub(crate) fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error + Copy {
+    move |source| Error::Motion {
+        id: id.to_owned(),
+        source: source.into(),
+    }
+}
+
+/// What becomes of a document that is no JSON, or not of the form that is read.
+pub(crate) fn json_error(path: &Path) -> impl Fn(serde_json::Error) -> Error + Copy {
+    move |source| Error::Json {
+        path: path.to_owned(),
+        source,
     }
 }
 

@@ -2,16 +2,18 @@
 
 use std::path::{Path, PathBuf};
 
+use burn::module::Module;
 use burn::tensor::Device;
 use datasets_spec::Skeleton;
 use kinematics::normalise::Normalizer;
 use pickle::{self, Value, npy};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
-use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, write_atomically};
+use crate::checkpoint::{self, Files, Run, RunRecord, Slot, open_for_use, take, write_atomically};
 use crate::config::{BertVectors, NetworkConfig, Preset};
 use crate::coordinator::{self, CoordinatorConfig, CoordinatorRecord};
 use crate::features::FeatureStats;
@@ -58,13 +60,13 @@ pub fn import_editor(
 ) -> Result<(), Error> {
     record.check()?;
     let fit::TextRecord::Frozen { width, .. } = &record.text else {
-        return Err(Error::Config {
-            field: "text.encoder",
-            problem: "a model trained elsewhere listens to a frozen encoder".to_owned(),
-        });
+        return Err(Error::config(
+            "text.encoder",
+            "a model trained elsewhere listens to a frozen encoder",
+        ));
     };
     let config = &record.train;
-    let mut network = Denoiser::of_frames(
+    let mut network = Denoiser::new(
         &config.model,
         config.diffusion.previous,
         *width,
@@ -72,12 +74,8 @@ pub fn import_editor(
         device,
     );
     from_safetensors(&mut network, weights, "", path)?;
-    let files = [(fit::DENOISER.to_owned(), to_safetensors(&network, run_dir)?)];
-    let run = Run::open(
-        run_dir,
-        &RunRecord::new(fit::KIND, "imported", skeleton, record.clone()),
-    )?;
-    run.write(Slot::Best, &files.into())
+    let record = (fit::KIND, record.clone());
+    write_imported(run_dir, skeleton, record, (fit::DENOISER, &network))
 }
 
 /// Makes a run folder of a coordinator trained elsewhere, as [`import_editor`] does.
@@ -94,17 +92,22 @@ pub fn import_coordinator(
 ) -> Result<(), Error> {
     record.check()?;
     let config: &CoordinatorConfig = &record.train;
-    let mut network = Coordinator::of_frames(&config.model, 3 * config.keypoints, device);
+    let mut network = Coordinator::new(&config.model, 3 * config.keypoints, device);
     from_safetensors(&mut network, weights, "", path)?;
-    let files = [(
-        coordinator::WEIGHTS.to_owned(),
-        to_safetensors(&network, run_dir)?,
-    )];
-    let run = Run::open(
-        run_dir,
-        &RunRecord::new(coordinator::KIND, "imported", skeleton, record.clone()),
-    )?;
-    run.write(Slot::Best, &files.into())
+    let record = (coordinator::KIND, record.clone());
+    write_imported(run_dir, skeleton, record, (coordinator::WEIGHTS, &network))
+}
+
+/// Makes a run folder of a kind with a record, whose best checkpoint is one network under a name.
+pub(crate) fn write_imported<C: Serialize + DeserializeOwned, M: Module>(
+    run_dir: &Path,
+    skeleton: &Skeleton,
+    (kind, record): (&str, C),
+    (name, network): (&str, &M),
+) -> Result<(), Error> {
+    let files = Files::from([(name.to_owned(), to_safetensors(network, run_dir)?)]);
+    let record = RunRecord::new(kind, "imported", skeleton, record);
+    Run::open(run_dir, &record)?.write(Slot::Best, &files)
 }
 
 /// The text side of TMR trained elsewhere.
@@ -141,13 +144,10 @@ pub fn import_motion_encoder(
     let (network, model, num_features) =
         sequence_encoder(weights, "motion_encoder.", num_heads, path, device)?;
     if num_features != recipe.width() {
-        return Err(Error::Encoder {
-            problem: format!(
-                "takes {num_features} numbers a frame, and features {} have {}",
-                recipe.name(),
-                recipe.width()
-            ),
-        });
+        let (name, width) = (recipe.name(), recipe.width());
+        return Err(Error::encoder(format!(
+            "takes {num_features} numbers a frame, and features {name} have {width}"
+        )));
     }
     let mut files = Files::from([(
         tmr::MOTION_WEIGHTS.to_owned(),
@@ -170,10 +170,8 @@ pub fn import_motion_encoder(
     };
     // Its features do not depend on the body.
     let skeleton = Skeleton::smplx_neutral();
-    let run = Run::open(
-        run_dir,
-        &RunRecord::new(checkpoint::MOTION_KIND, "imported", &skeleton, record),
-    )?;
+    let record = RunRecord::new(checkpoint::MOTION_KIND, "imported", &skeleton, record);
+    let run = Run::open(run_dir, &record)?;
     let copy = run_dir.join(tmr::TEXT_FOLDER);
     if let Some(folder) = folder.filter(|_| !copy.exists()) {
         unpack(&folder, &copy, device)?;
@@ -212,15 +210,13 @@ fn text_side(
     let (network, model, width) =
         sequence_encoder(side.weights, "text_encoder.", num_heads, side.path, device)?;
     if width != encoder.width() || model.width != latent {
-        return Err(Error::Encoder {
-            problem: format!(
-                "has a text side that takes {width} numbers a token and gives {}; the states of {} have {}, and its \
-                 motion side gives {latent}",
-                model.width,
-                side.folder.display(),
-                encoder.width()
-            ),
-        });
+        return Err(Error::encoder(format!(
+            "has a text side that takes {width} numbers a token and gives {}; the states of {} have {}, and its \
+             motion side gives {latent}",
+            model.width,
+            side.folder.display(),
+            encoder.width()
+        )));
     }
     let record = ImportedText {
         model,
@@ -235,14 +231,10 @@ fn check_stats(features: &FeatureStats) -> Result<(), Error> {
     let recipe = features.recipe;
     for (name, values) in [("mean", &features.mean), ("spread", &features.std)] {
         if values.len() != recipe.width() || values.iter().any(|value| !value.is_finite()) {
-            return Err(Error::Encoder {
-                problem: format!(
-                    "needs a {name} of {} finite numbers for features {}, and has {}",
-                    recipe.width(),
-                    recipe.name(),
-                    values.len()
-                ),
-            });
+            let (width, of, found) = (recipe.width(), recipe.name(), values.len());
+            return Err(Error::encoder(format!(
+                "needs a {name} of {width} finite numbers for features {of}, and has {found}"
+            )));
         }
     }
     Ok(())
@@ -250,7 +242,7 @@ fn check_stats(features: &FeatureStats) -> Result<(), Error> {
 
 /// Sizes of a `nn.TransformerEncoder` and the inputs of the layer before it, read off their tensors. The
 /// number of heads is not among them.
-fn encoder_sizes(
+pub(crate) fn encoder_sizes(
     file: &SafeTensors<'_>,
     input: &str,
     encoder: &str,
@@ -354,14 +346,10 @@ pub fn import_mdm(
     record.train.check()?;
     let mut network = record.network(device).network;
     from_safetensors(&mut network, weights, "", path)?;
-    let files = [(mdm::WEIGHTS.to_owned(), to_safetensors(&network, run_dir)?)];
     // Its features do not depend on the body.
     let skeleton = Skeleton::smplx_neutral();
-    let run = Run::open(
-        run_dir,
-        &RunRecord::new(mdm::KIND, "imported", &skeleton, record),
-    )?;
-    run.write(Slot::Best, &files.into())
+    let network = (mdm::WEIGHTS, &network);
+    write_imported(run_dir, &skeleton, (mdm::KIND, record), network)
 }
 
 /// Reads the numbers of a file of `torch.save` that holds one tensor, such as `mean.pt`.
@@ -399,23 +387,18 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
     let kind = checkpoint::read_kind(run_dir)?;
     let (files, name, width, normalizer): (Files, &str, usize, Normalizer) =
         if kind == coordinator::KIND {
-            let record: RunRecord<CoordinatorRecord> =
-                checkpoint::read_record(run_dir, coordinator::KIND)?;
-            let files = read_for_use(run_dir, slot, coordinator::KIND)?;
-            let CoordinatorRecord {
-                train, normalizer, ..
-            } = record.config;
-            (files, coordinator::WEIGHTS, train.model.width, normalizer)
+            let opened = open_for_use::<CoordinatorRecord>(run_dir, slot, coordinator::KIND)?;
+            let record = opened.record.config;
+            let width = record.train.model.width;
+            (opened.files, coordinator::WEIGHTS, width, record.normalizer)
         } else {
-            let record: RunRecord<EditorRecord> = checkpoint::read_record(run_dir, fit::KIND)?;
-            let files = read_for_use(run_dir, slot, fit::KIND)?;
-            let EditorRecord {
-                train, normalizer, ..
-            } = record.config;
-            if train.diffusion.tell_frames {
+            let opened = open_for_use::<EditorRecord>(run_dir, slot, fit::KIND)?;
+            let record = opened.record.config;
+            if record.train.diffusion.tell_frames {
                 return Err(foreign("tell_frames is set", "tell_frames = false"));
             }
-            (files, fit::DENOISER, train.model.width, normalizer)
+            let width = record.train.model.width;
+            (opened.files, fit::DENOISER, width, record.normalizer)
         };
     let mut files = files;
     let bytes = with_tables(&take(&mut files, name, run_dir)?, width, run_dir)?;
@@ -430,10 +413,10 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
 
 /// A model that the released program could load only in part.
 fn foreign(found: &str, instead: &str) -> Error {
-    Error::Misfit {
-        what: "the model",
-        problem: format!("{found}, which the released network lacks; train one with {instead}"),
-    }
+    Error::misfit(
+        "the model",
+        format!("{found}, which the released network lacks; train one with {instead}"),
+    )
 }
 
 /// Adds the position tables to a safetensors file.

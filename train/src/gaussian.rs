@@ -46,10 +46,10 @@ impl SampleSteps {
     /// There is no step, or there are more than in training.
     pub fn new(num_trained: usize, num_steps: usize, respacing: Respacing) -> Result<Self, Error> {
         if !(1..=num_trained).contains(&num_steps) {
-            return Err(Error::Config {
-                field: "steps",
-                problem: format!("it is {num_steps}, and must be from 1 to {num_trained}"),
-            });
+            return Err(Error::config(
+                "steps",
+                format!("it is {num_steps}, and must be from 1 to {num_trained}"),
+            ));
         }
         if respacing == Respacing::Official {
             return Ok(Self {

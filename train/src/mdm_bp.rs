@@ -1,30 +1,31 @@
 //! MDM-BP as an editing system: MDM starts from the noised source and keeps what lies outside the edited
 //! body parts until the last steps.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Fps, JointSet, Motion, Resample, Rng, Seed, Skeleton};
 use features::humanml3d::Features;
 use kinematics::resample::grid;
 use rayon::prelude::*;
 
-use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash};
+use crate::checkpoint::{Slot, open_for_use};
 use crate::config::Preset;
-use crate::data::TextVectors;
 use crate::diffusion::guide;
-use crate::fit::TEXT;
 use crate::humanml3d::{SourceFeatures, feature_mask};
 use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord, WEIGHTS};
 use crate::model::conditioned::Conditioned;
-use crate::model::mdm::{Mdm, PreparedMdm};
+use crate::model::mdm::Mdm;
+use crate::model::transformer::PreparedWeights;
 use crate::sample::noise::Noise;
 use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
+use crate::system::Setting::{Count, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource, named_with,
 };
-use crate::transfer::read;
+use crate::text::table::EmbeddingTable;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 /// Last steps of the published schedule in which the whole body is free, and the steps of that schedule.
@@ -33,7 +34,6 @@ const PUBLISHED_RELEASE: [usize; 2] = [20, 1_000];
 /// A trained MDM that edits parts of motions.
 struct MdmBpSystem {
     model: Conditioned<Mdm>,
-    prepared: PreparedMdm,
     record: MdmRecord,
     inpainting: PartInpainting,
     guidance: f64,
@@ -42,7 +42,7 @@ struct MdmBpSystem {
     identity: SystemIdentity,
     skeleton: Skeleton,
     source: SystemSource,
-    vectors: Option<Box<dyn TextVectors + Send>>,
+    vectors: Option<EmbeddingTable>,
     device: Device,
 }
 
@@ -53,16 +53,11 @@ pub(crate) fn open(
     skeleton: &Skeleton,
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
-    let RunRecord { config: record, .. } = read_record::<MdmRecord>(&source.run, KIND)?;
+    let mut opened = open_for_use::<MdmRecord>(&source.run, source.slot, KIND)?;
+    let record = opened.record.config;
     record.train.check()?;
-    let mut files = read_for_use(&source.run, source.slot, KIND)?;
-    let weights: Vec<&[u8]> = [WEIGHTS, TEXT]
-        .iter()
-        .filter_map(|&name| files.get(name).map(Vec::as_slice))
-        .collect();
-    let checkpoint_hash = weights_hash(&record, &weights);
     let mut model = record.network(device);
-    model.load(WEIGHTS, &mut files, &source.run)?;
+    model.load(WEIGHTS, &mut opened.files, &source.run)?;
     let inpainting = PartInpainting::new(
         Schedule::cosine(record.train.diffusion_steps)?,
         config.start,
@@ -80,7 +75,6 @@ pub(crate) fn open(
         "fps": Fps::STORE,
     });
     Ok(Box::new(MdmBpSystem {
-        prepared: model.network.prepare(),
         model,
         record,
         inpainting,
@@ -89,7 +83,7 @@ pub(crate) fn open(
         max_batch: config.max_batch.max(1),
         identity: SystemIdentity {
             name: config.name.clone().unwrap_or(name),
-            checkpoint_hash,
+            checkpoint_hash: opened.hash,
             settings: settings.to_string(),
         },
         skeleton: skeleton.clone(),
@@ -114,17 +108,17 @@ fn system_name(
         true => "MDM-BP tiny",
         false => "MDM-BP",
     };
-    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+    let usual = Preset::ALL
         .map(MdmConfig::preset)
         .into_iter()
         .find(|preset| preset.model == trained.model)
         .map_or(trained.guidance, |preset| preset.guidance);
     let plain = PartInpainting::new(inpainting.schedule.clone(), None, None)?;
     let changes = [
-        ("guidance", Setting::Number(guidance, usual)),
-        ("temperature", Setting::Number(temperature, 1.0)),
-        ("start", Setting::Count(inpainting.start, plain.start)),
-        ("release", Setting::Count(inpainting.release, plain.release)),
+        ("guidance", Number(guidance, usual)),
+        ("temperature", Number(temperature, 1.0)),
+        ("start", Count(inpainting.start, plain.start)),
+        ("release", Count(inpainting.release, plain.release)),
     ];
     Ok(named_with(name.to_owned(), slot, &changes))
 }
@@ -152,13 +146,9 @@ impl PartInpainting {
         let [released, steps] = PUBLISHED_RELEASE;
         let start = start.unwrap_or(schedule.len() - 1);
         if start >= schedule.len() {
-            return Err(Error::Config {
-                field: "start",
-                problem: format!(
-                    "it is step {start}, and the model has the steps 0 to {}",
-                    schedule.len() - 1
-                ),
-            });
+            let last = schedule.len() - 1;
+            let problem = format!("it is step {start}, and the model has the steps 0 to {last}");
+            return Err(Error::config("start", problem));
         }
         Ok(Self {
             release: release.unwrap_or(schedule.len() * released / steps),
@@ -190,20 +180,17 @@ impl PartInpainting {
         mut noise: impl FnMut(Option<usize>) -> Tensor<3>,
         mut on_step: impl FnMut(usize, &Tensor<3>),
     ) -> Result<Tensor<3>, Error> {
-        let at = |timestep: usize| vec![timestep; source.dims()[0]];
-        let mut x = self
-            .schedule
-            .q_sample(source.clone(), &at(self.start), noise(None));
+        let starts = vec![self.start; source.dims()[0]];
+        let mut x = self.schedule.q_sample(source.clone(), &starts, noise(None));
         for timestep in (0..=self.start).rev() {
             let mut x0 = clean(&x, timestep)?;
             if timestep >= self.release {
                 x0 = keep_source(x0, source, kept);
             }
             on_step(timestep, &x0);
-            let mean = self.schedule.posterior_mean(x0, x, &at(timestep));
             x = self
                 .schedule
-                .add_noise(mean, timestep, noise(Some(timestep)));
+                .reverse_step(x, x0, timestep, noise(Some(timestep)));
         }
         Ok(x)
     }
@@ -289,10 +276,7 @@ impl<'a> Item<'a> {
 }
 
 fn refused(request: &EditRequest<'_>, problem: impl std::fmt::Display) -> Error {
-    Error::Item {
-        id: request.id.to_owned(),
-        problem: format!("cannot be edited: {problem}"),
-    }
+    Error::item(request.id, format!("cannot be edited: {problem}"))
 }
 
 impl MdmBpSystem {
@@ -300,6 +284,7 @@ impl MdmBpSystem {
     fn generate(
         &self,
         items: &mut [&mut Item<'_>],
+        weights: &PreparedWeights,
         session: &Session<'_>,
     ) -> Result<Vec<Vec<Features>>, Error> {
         let (rows, frames) = (items.len(), items[0].seen_frames);
@@ -314,12 +299,11 @@ impl MdmBpSystem {
         }
         let tensor = |values: Vec<f32>, frames: usize| -> Tensor<3> {
             let shape = [rows, frames, HUMANML3D_WIDTH];
-            Tensor::from_data(TensorData::new(values, shape), &self.device)
+            send(values, shape, &self.device)
         };
         let (source, kept) = (tensor(source, frames), tensor(kept, 1));
 
-        let vectors = self.vectors.as_deref().map(|vectors| vectors as _);
-        let texts = self.record.text.texts(vectors)?;
+        let texts = self.record.text.texts(self.vectors.as_ref())?;
         let texts = texts.batch(items.iter().map(|item| item.instruction))?;
         let text = self.model.text_vectors(&texts, rows, &self.device);
         // At weight 1 the prediction without text cancels out.
@@ -330,13 +314,11 @@ impl MdmBpSystem {
             text
         };
         let clean = |x: &Tensor<3>, timestep: usize| {
-            if session.is_stopped() {
-                return Err(Error::Stopped { what: "editing" });
-            }
+            session.go_on("editing")?;
             let network = |x: Tensor<3>, timesteps: &[usize]| {
                 self.model
                     .network
-                    .infer(&self.prepared, x, timesteps, text.clone())
+                    .infer(weights, x, timesteps, text.clone())
             };
             if !is_guided {
                 return Ok(network(x.clone(), &vec![timestep; rows]));
@@ -385,11 +367,8 @@ impl EditSystem for MdmBpSystem {
 
     fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
         Remarks {
-            num_short: 0,
-            unknown_words: texts
-                .iter()
-                .flat_map(|text| self.record.text.unknown_words(text))
-                .collect(),
+            unknown_words: self.record.text.unknown_words(texts),
+            ..Remarks::default()
         }
     }
 
@@ -400,7 +379,7 @@ impl EditSystem for MdmBpSystem {
                 .text_encoder
                 .embeddings(&source.run, texts, encoder, session)?;
             self.record.text.texts(Some(&table))?;
-            self.vectors = Some(Box::new(table));
+            self.vectors = Some(table);
         }
         Ok(())
     }
@@ -420,6 +399,7 @@ impl EditSystem for MdmBpSystem {
             ..EditTimes::default()
         };
         let begun = session.secs();
+        let weights = self.model.network.prepare(session.arithmetic);
         let progress = session.progress;
         progress.begin("edit", Some(items.len() as u64));
         // A row never sees padding that depends on the other rows.
@@ -432,7 +412,7 @@ impl EditSystem for MdmBpSystem {
                     .iter_mut()
                     .map(|(index, item)| (*index, &mut **item))
                     .unzip();
-                let made = self.generate(&mut items, session)?;
+                let made = self.generate(&mut items, &weights, session)?;
                 for (index, features) in indices.iter().zip(made) {
                     generated[*index] = features;
                 }
@@ -469,8 +449,7 @@ mod tests {
     use super::*;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
-        let data = TensorData::new(values.to_vec(), [1, values.len() / 2, 2]);
-        Tensor::from_data(data, &Device::flex())
+        send(values.to_vec(), [1, values.len() / 2, 2], &Device::flex())
     }
 
     fn values(tensor: &Tensor<3>) -> Vec<f32> {

@@ -2,10 +2,11 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
 
 use crate::Error;
-use crate::config::ScheduleName;
+use crate::config::{ScheduleName, positive};
+use crate::transfer::send;
 
 /// First and last variance of the linear schedule over [`REFERENCE_STEPS`] steps (Ho et al. 2020).
 const LINEAR_VARIANCES: [f64; 2] = [1e-4, 0.02];
@@ -46,10 +47,10 @@ impl Schedule {
         };
         let [first, last] = LINEAR_VARIANCES.map(|variance| scale * variance);
         if num_steps < 2 || last >= 1.0 {
-            return Err(Error::Config {
-                field: "diffusion.num_steps",
-                problem: format!("{num_steps} steps are too few for the schedule"),
-            });
+            return Err(Error::config(
+                "diffusion.num_steps",
+                format!("{num_steps} steps are too few for the schedule"),
+            ));
         }
         let stride = (last - first) / (num_steps - 1) as f64;
         let betas = (0..num_steps).map(|step| first + step as f64 * stride);
@@ -66,12 +67,7 @@ impl Schedule {
     pub fn cosine(num_steps: usize) -> Result<Self, Error> {
         const OFFSET: f64 = 0.008;
         const MAX_BETA: f64 = 0.999;
-        if num_steps == 0 {
-            return Err(Error::Config {
-                field: "diffusion.num_steps",
-                problem: "it must be at least 1".to_owned(),
-            });
-        }
+        positive("diffusion.num_steps", num_steps as u64)?;
         let signal = |step: usize| {
             let progress = step as f64 / num_steps as f64;
             let angle = (progress + OFFSET) / (1.0 + OFFSET) * FRAC_PI_2;
@@ -92,10 +88,10 @@ impl Schedule {
     pub fn scaled_linear(num_steps: usize) -> Result<Self, Error> {
         const VARIANCES: [f64; 2] = [0.00085, 0.012];
         if num_steps < 2 {
-            return Err(Error::Config {
-                field: "diffusion_steps",
-                problem: format!("it is {num_steps}, and must be at least 2"),
-            });
+            return Err(Error::config(
+                "diffusion_steps",
+                format!("it is {num_steps}, and must be at least 2"),
+            ));
         }
         let [first, last] = VARIANCES.map(f64::sqrt);
         let stride = (last - first) / (num_steps - 1) as f64;
@@ -249,7 +245,7 @@ impl Column {
             Self::Each(coefficients) => {
                 let shape = [coefficients.len(), 1, 1];
                 let device = x.device();
-                x * Tensor::from_data(TensorData::new(coefficients.clone(), shape), &device)
+                x * send(coefficients.clone(), shape, &device)
             }
         }
     }
@@ -263,10 +259,7 @@ mod tests {
     use super::*;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
-        Tensor::from_data(
-            TensorData::new(values.to_vec(), [1, 1, values.len()]),
-            &Device::flex(),
-        )
+        send(values.to_vec(), [1, 1, values.len()], &Device::flex())
     }
 
     fn values(tensor: Tensor<3>) -> Vec<f32> {
@@ -303,9 +296,7 @@ mod tests {
     #[test]
     fn windows_at_one_step_are_noised_as_those_at_several() {
         let schedule = Schedule::cosine(40).expect("steps");
-        let three = |values: [f32; 3]| {
-            Tensor::<3>::from_data(TensorData::new(values.to_vec(), [3, 1, 1]), &Device::flex())
-        };
+        let three = |values: [f32; 3]| send(values.to_vec(), [3, 1, 1], &Device::flex());
         let (x0, noise) = (three([0.3, -0.7, 0.9]), three([1.1, -2.0, 0.4]));
         let noised = |timesteps| schedule.q_sample(x0.clone(), timesteps, noise.clone());
         let (same, mixed) = (values(noised(&[7; 3])), values(noised(&[7, 7, 8])));

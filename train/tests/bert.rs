@@ -15,6 +15,7 @@ use train::checkpoint::Slot;
 use train::config::{BertVectors, NetworkConfig};
 use train::exchange::{TextSide, import_motion_encoder};
 use train::features::{FeatureRecipe, FeatureStats};
+use train::model::pass::Pass;
 use train::model::tmr::SequenceEncoder;
 use train::model::weights::{draw, to_safetensors};
 use train::text::bert::{BertEncoder, BertFiles};
@@ -505,7 +506,10 @@ fn the_text_side_of_tmr_reads_the_states_of_its_network() {
         .expect("encoded");
     let length = states.len() / WIDTH;
     let states = Tensor::<3>::from_data(TensorData::new(states, [1, length, WIDTH]), &device);
-    let expected = text.forward(states, &[length]).mu.into_data();
+    let expected = text
+        .forward(states, &[length], &Pass::default())
+        .mu
+        .into_data();
     let expected: Vec<f32> = expected.try_into_vec_as().expect("floats");
     check(&codes[1], &expected, "latent");
     // A folder that was exchanged is noticed.

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::share;
+use super::check::{finite, not_negative, share};
 use super::schedule::ScheduleName;
 use crate::Error;
 use crate::schedule::Schedule;
@@ -166,12 +166,7 @@ impl DiffusionConfig {
     pub(super) fn check(&self) -> Result<(), Error> {
         share("diffusion.text_dropout", self.text_dropout)?;
         share("diffusion.generated_starts", self.generated_starts)?;
-        if !self.guidance.is_finite() {
-            return Err(Error::Config {
-                field: "diffusion.guidance",
-                problem: format!("it is {}", self.guidance),
-            });
-        }
+        finite("diffusion.guidance", self.guidance)?;
         for (field, value) in [
             ("diffusion.motion_weight", self.motion_weight),
             ("diffusion.contact_weight", self.contact_weight),
@@ -179,35 +174,28 @@ impl DiffusionConfig {
             ("diffusion.temperature", self.temperature),
             ("diffusion.fixed_noise", self.fixed_noise),
         ] {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(Error::Config {
-                    field,
-                    problem: format!("it is {value}, and must be finite and not negative"),
-                });
-            }
+            not_negative(field, value)?;
         }
         if self.motion_weight > 0.0
             && !matches!(self.prediction, Prediction::Clean | Prediction::Change)
         {
-            return Err(Error::Config {
-                field: "diffusion.motion_weight",
-                problem: "frames follow each other in a clean window or a change, not in noise"
-                    .to_owned(),
-            });
+            return Err(Error::config(
+                "diffusion.motion_weight",
+                "frames follow each other in a clean window or a change, not in noise",
+            ));
         }
         if self.noise == NoiseKind::Shaped && self.prediction != Prediction::Gated {
-            return Err(Error::Config {
-                field: "diffusion.noise",
-                problem: "it is shaped, which only the prediction gated supports; set it to white"
-                    .to_owned(),
-            });
+            return Err(Error::config(
+                "diffusion.noise",
+                "it is shaped, which only the prediction gated supports; set it to white",
+            ));
         }
         let needs_clean = self.prediction.is_extrapolated() || self.fixed_noise > 0.0;
         if needs_clean && self.fixed_frames != FixedFrames::Clean {
-            return Err(Error::Config {
-                field: "diffusion.fixed_frames",
-                problem: "a residual and noise on the fixed frames need them clean".to_owned(),
-            });
+            return Err(Error::config(
+                "diffusion.fixed_frames",
+                "a residual and noise on the fixed frames need them clean",
+            ));
         }
         Schedule::new(self.schedule, self.num_steps).map(|_| ())
     }

@@ -14,7 +14,9 @@ use kinematics::canonical::{Anchor, FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::FRAME_WIDTH;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
-pub(crate) use self::check::{positive, share};
+pub(crate) use self::check::{
+    above_zero, check_lengths, check_windows, finite, not_negative, positive, share,
+};
 pub(crate) use self::diffusion::is_zero;
 pub use self::diffusion::{
     DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction, PreviousFrames,
@@ -125,18 +127,36 @@ pub struct TextConfig {
 }
 
 impl TextConfig {
+    /// CLIP, and the words to learn where it is replaced.
+    pub(crate) fn clip() -> Self {
+        Self {
+            encoder: TextEncoder::Clip,
+            vectors: None,
+            words: WordsConfig {
+                num_buckets: 64,
+                max_words: 32,
+            },
+        }
+    }
+
     /// Checks settings of a model that reads tokens or one vector.
     ///
     /// # Errors
     /// `vectors` is set for another encoder than `bert`.
     pub(crate) fn check(&self) -> Result<(), Error> {
         if self.vectors.is_some() && self.encoder != TextEncoder::Bert {
-            return Err(Error::Config {
-                field: "text.vectors",
-                problem: "it is for text.encoder = \"bert\" alone; leave it out".to_owned(),
-            });
+            return Err(Error::config(
+                "text.vectors",
+                "it is for text.encoder = \"bert\" alone; leave it out",
+            ));
         }
         Ok(())
+    }
+
+    /// Checks settings of the words that are learned.
+    pub(crate) fn check_words(&self) -> Result<(), Error> {
+        positive("text.words.num_buckets", self.words.num_buckets as u64)?;
+        positive("text.words.max_words", self.words.max_words as u64)
     }
 
     /// Checks settings of a model that is given one vector for each text.
@@ -145,12 +165,11 @@ impl TextConfig {
     /// As [`Self::check`], or they ask for the vectors of tokens.
     pub(crate) fn check_pooled(&self) -> Result<(), Error> {
         if self.vectors == Some(BertVectors::States) {
-            return Err(Error::Config {
-                field: "text.vectors",
-                problem: "it is states, one vector for each token, and this model is given one for each text; set it to \
-                          pooled, or leave it out"
-                    .to_owned(),
-            });
+            return Err(Error::config(
+                "text.vectors",
+                "it is states, one vector for each token, and this model is given one for each text; set it to \
+                          pooled, or leave it out",
+            ));
         }
         self.check()
     }
@@ -200,6 +219,11 @@ pub enum Preset {
     Official,
     /// A small model that trains in a few minutes on two processor cores.
     Tiny,
+}
+
+impl Preset {
+    /// All of them.
+    pub(crate) const ALL: [Self; 3] = [Self::Paper, Self::Official, Self::Tiny];
 }
 
 impl TrainConfig {
@@ -277,14 +301,7 @@ impl TrainConfig {
                 overlap: 0,
                 tell_frames: false,
             },
-            text: TextConfig {
-                encoder: TextEncoder::Clip,
-                vectors: None,
-                words: WordsConfig {
-                    num_buckets: 64,
-                    max_words: 32,
-                },
-            },
+            text: TextConfig::clip(),
             coordinator: GuidanceConfig {
                 target: GuidanceTarget::CleanPrediction,
                 strength: 1.0,
@@ -295,12 +312,8 @@ impl TrainConfig {
             val_windows: 1_024,
             run: RunSettings {
                 optimizer: OptimizerConfig {
-                    learning_rate: 1e-4,
                     decay: Decay::Linear,
-                    warmup_steps: 0,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
-                    ema_decay: None,
+                    ..OptimizerConfig::of_rate(1e-4)
                 },
                 batch_size: 1024,
                 micro_batch_size: Some(256),
@@ -394,12 +407,10 @@ impl TrainConfig {
             val_windows: 256,
             run: RunSettings {
                 optimizer: OptimizerConfig {
-                    learning_rate: 1e-3,
                     decay: Decay::Linear,
                     warmup_steps: 50,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
                     ema_decay: Some(0.998),
+                    ..OptimizerConfig::of_rate(1e-3)
                 },
                 batch_size: 64,
                 micro_batch_size: Some(256),
@@ -421,34 +432,23 @@ impl TrainConfig {
         self.diffusion.check()?;
         self.run.check()?;
         check_keypoints(self.keypoints)?;
-        if self.window <= FIXED_FRAMES {
-            return Err(Error::Config {
-                field: "window",
-                problem: format!(
-                    "it is {} frames, of which {FIXED_FRAMES} are fixed; at least one must be free",
-                    self.window
-                ),
-            });
+        let (window, shared) = (self.window, self.diffusion.overlap);
+        if window <= FIXED_FRAMES {
+            let problem = format!(
+                "it is {window} frames, of which {FIXED_FRAMES} are fixed; at least one must be free"
+            );
+            return Err(Error::config("window", problem));
         }
-        if self.window <= FIXED_FRAMES + self.diffusion.overlap {
-            return Err(Error::Config {
-                field: "diffusion.overlap",
-                problem: format!(
-                    "windows of {} frames share {} and have {FIXED_FRAMES} fixed ones; each must add one",
-                    self.window, self.diffusion.overlap
-                ),
-            });
+        if window <= FIXED_FRAMES + shared {
+            let problem = format!(
+                "windows of {window} frames share {shared} and have {FIXED_FRAMES} fixed ones; each must add one"
+            );
+            return Err(Error::config("diffusion.overlap", problem));
         }
-        if !self.coordinator.strength.is_finite() {
-            return Err(Error::Config {
-                field: "coordinator.strength",
-                problem: format!("it is {}", self.coordinator.strength),
-            });
-        }
+        finite("coordinator.strength", self.coordinator.strength)?;
         self.text.check_pooled()?;
         positive("val_windows", self.val_windows as u64)?;
-        positive("text.words.num_buckets", self.text.words.num_buckets as u64)?;
-        positive("text.words.max_words", self.text.words.max_words as u64)
+        self.text.check_words()
     }
 }
 
@@ -470,12 +470,12 @@ pub(crate) fn check_keypoints(keypoints: usize) -> Result<(), Error> {
     if [NUM_BODY_JOINTS, NUM_KEYPOINTS].contains(&keypoints) {
         return Ok(());
     }
-    Err(Error::Config {
-        field: "keypoints",
-        problem: format!(
+    Err(Error::config(
+        "keypoints",
+        format!(
             "it is {keypoints}; known are {NUM_KEYPOINTS}, and the {NUM_BODY_JOINTS} body joints"
         ),
-    })
+    ))
 }
 
 /// The first keypoints of frames, which are laid out one after another.
@@ -504,13 +504,10 @@ impl NetworkConfig {
             || !self.width.is_multiple_of(2)
             || !self.width.is_multiple_of(self.num_heads)
         {
-            return Err(Error::Config {
-                field: "model.width",
-                problem: format!(
-                    "it is {}, and must be even and a multiple of {} heads",
-                    self.width, self.num_heads
-                ),
-            });
+            let (width, heads) = (self.width, self.num_heads);
+            let problem =
+                format!("it is {width}, and must be even and a multiple of {heads} heads");
+            return Err(Error::config("model.width", problem));
         }
         Ok(())
     }
@@ -536,7 +533,7 @@ mod tests {
 
     #[test]
     fn presets_are_usable_and_survive_json() {
-        for preset in [Preset::Paper, Preset::Official, Preset::Tiny] {
+        for preset in Preset::ALL {
             let config = TrainConfig::preset(preset);
             config.check().expect("usable");
             let text = serde_json::to_string(&config).expect("serialises");

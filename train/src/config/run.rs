@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{positive, share};
+use super::check::{above_zero, not_negative, positive, share};
 use crate::Error;
 
 /// Settings that every training run has, whatever is trained. In files they stand beside the
@@ -70,6 +70,19 @@ impl RunSettings {
             .collect()
     }
 
+    /// Draws the micro-batches of a validation of so many items, as [`RunSettings::batches`] draws those of a step.
+    pub(crate) fn validation<B>(
+        &self,
+        num_items: usize,
+        draw: impl Fn(u64, usize) -> Result<B, Error>,
+    ) -> Result<Vec<B>, Error> {
+        let micro = self.micro_batch();
+        (0..num_items)
+            .step_by(micro)
+            .map(|first| draw(first as u64, micro.min(num_items - first)))
+            .collect()
+    }
+
     /// Checks that a run can be made with the settings.
     ///
     /// # Errors
@@ -88,10 +101,10 @@ impl RunSettings {
         if self.micro_batch() == self.batch_size {
             return Ok(());
         }
-        Err(Error::Config {
-            field: "micro_batch_size",
-            problem: format!("a step of this model cannot be split: {why}; leave it out"),
-        })
+        Err(Error::config(
+            "micro_batch_size",
+            format!("a step of this model cannot be split: {why}; leave it out"),
+        ))
     }
 }
 
@@ -163,28 +176,25 @@ impl RunLength {
 }
 
 impl OptimizerConfig {
+    /// A constant rate with PyTorch's weight decay, and nothing else.
+    pub(crate) fn of_rate(learning_rate: f64) -> Self {
+        Self {
+            learning_rate,
+            decay: Decay::Constant,
+            warmup_steps: 0,
+            weight_decay: 0.01,
+            max_gradient_norm: None,
+            ema_decay: None,
+        }
+    }
+
     pub(crate) fn check(&self) -> Result<(), Error> {
-        if let Some(longest) = self.max_gradient_norm
-            && !(longest.is_finite() && longest > 0.0)
-        {
-            return Err(Error::Config {
-                field: "optimizer.max_gradient_norm",
-                problem: format!("it is {longest}, and must be positive"),
-            });
+        if let Some(longest) = self.max_gradient_norm {
+            above_zero("optimizer.max_gradient_norm", longest)?;
         }
         share("optimizer.ema_decay", self.ema_decay.unwrap_or(0.0))?;
-        for (field, value) in [
-            ("optimizer.learning_rate", self.learning_rate),
-            ("optimizer.weight_decay", self.weight_decay),
-        ] {
-            if !value.is_finite() || value < 0.0 {
-                return Err(Error::Config {
-                    field,
-                    problem: format!("it is {value}, and must be finite and not negative"),
-                });
-            }
-        }
-        Ok(())
+        not_negative("optimizer.learning_rate", self.learning_rate)?;
+        not_negative("optimizer.weight_decay", self.weight_decay)
     }
 
     /// The learning rate of a step, counted from 0, of a run of `num_steps`.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -11,15 +11,14 @@ use serde::{Deserialize, Serialize};
 use super::config::AutoencoderConfig;
 use super::joints::recovered_joints;
 use crate::captioned::{CaptionedCorpus, CaptionedRows, CropSampler, Crops, grouped_stats};
-use crate::checkpoint::{
-    self, Files, Run, RunRecord, Slot, read_for_use, read_record, take, weights_hash,
-};
+use crate::checkpoint::{Run, RunRecord, Slot, open_for_use};
 use crate::config::Loss;
 use crate::features::FeatureStats;
 use crate::model::mld::{MAX_POSITIONS, MotionVae};
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::model::pass::Pass;
+use crate::model::weights::load_network;
 use crate::trainer::{self, Task, TrainReport, TrainerConfig};
-use crate::transfer::weighted_mean;
+use crate::transfer::send;
 use crate::{Error, Session};
 
 /// Kind of run.
@@ -63,13 +62,9 @@ pub(super) fn train(
         train: config.clone(),
         features: grouped_stats(clips),
     };
-    let run = Run::open(
-        &folder(run),
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
-    let device = session.device.clone().autodiff();
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(&folder(run), &document)?;
     let seed = Seed(config.run.seed);
-    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
     let sampler = |clips, name| CropSampler {
         clips,
         stats: &record.features,
@@ -90,7 +85,8 @@ pub(super) fn train(
         run: config.run,
         epoch_len: clips.len() as u64,
     };
-    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
+    let network = |device: &Device| record.network(device);
+    let (_, report) = trainer::train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
 
@@ -107,6 +103,8 @@ impl<'a> Task for AutoencoderTask<'a> {
     type Model = MotionVae;
     type Batch = NoisyCrops<'a>;
 
+    const WEIGHTS: &'static str = WEIGHTS;
+
     fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
         let config = &self.record.train;
         config.run.batches(step, |first, count| {
@@ -121,30 +119,34 @@ impl<'a> Task for AutoencoderTask<'a> {
     /// # Source
     /// Chen et al. 2023, Eq. 2 with the released weights; joints past the end of a motion are left out
     /// here.
-    fn loss(&self, model: &MotionVae, batch: &Self::Batch, device: &Device) -> Tensor<1> {
+    fn loss(
+        &self,
+        model: &MotionVae,
+        batch: &Self::Batch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
         let (crops, noise) = batch;
         let AutoencoderRecord {
             train: config,
             features: stats,
         } = self.record;
         let features = crops.tensor(device);
-        let encoded = model.encode(features.clone(), &crops.lengths);
+        let encoded = model.encode(features.clone(), &crops.lengths, pass);
         let latent = match noise {
             Some(noise) => {
                 let shape = encoded.mu.dims();
-                let noise = TensorData::new(noise.clone(), shape);
-                encoded.sample(Tensor::from_data(noise, device))
+                encoded.sample(send(noise.clone(), shape, device))
             }
             None => encoded.mu.clone(),
         };
-        let decoded = model.decode(latent, &crops.lengths, crops.frames);
+        let decoded = model.decode(latent, &crops.lengths, crops.frames, pass);
         let kl = encoded.kl(&encoded.standard());
         let mut loss = Loss::SmoothL1.mean(decoded.clone(), features.clone())
             + kl.mul_scalar(config.kl_weight);
         if config.joints_weight > 0.0 {
             let column = |values: &[f32]| -> Tensor<3> {
-                let data = TensorData::new(values.to_vec(), [1, 1, values.len()]);
-                Tensor::from_data(data, device)
+                send(values.to_vec(), [1, 1, values.len()], device)
             };
             let (mean, std) = (column(&stats.mean), column(&stats.std));
             let valid = crops.valid(device);
@@ -157,21 +159,8 @@ impl<'a> Task for AutoencoderTask<'a> {
         loss
     }
 
-    fn validate(&self, model: &MotionVae, device: &Device) -> f32 {
-        weighted_mean(
-            self.val
-                .iter()
-                .map(|batch| (batch.0.lengths.len(), self.loss(model, batch, device))),
-        )
-    }
-
-    fn save(&self, model: &MotionVae, run_dir: &Path) -> Result<Files, Error> {
-        Ok([(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
-    }
-
-    fn load(&self, model: &mut MotionVae, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-        let bytes = take(files, WEIGHTS, run_dir)?;
-        from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
+    fn validation(&self) -> impl Iterator<Item = (usize, &Self::Batch)> {
+        self.val.iter().map(|batch| (batch.0.lengths.len(), batch))
     }
 }
 
@@ -205,28 +194,33 @@ impl Autoencoder {
     /// There is none, or its checkpoint is missing or damaged.
     pub fn load(run: &Path, device: &Device) -> Result<Self, Error> {
         let dir = folder(run);
-        let record: RunRecord<AutoencoderRecord> = read_record(&dir, KIND)?;
-        record.config.train.check()?;
-        let mut files = read_for_use(&dir, Slot::Best, KIND)?;
-        let bytes = checkpoint::take(&mut files, WEIGHTS, &dir)?;
-        let hash = weights_hash(&record.config, &[&bytes]);
-        let mut network = record.config.network(device);
-        from_safetensors(&mut network, bytes, "", &dir.join(WEIGHTS))?;
+        let mut opened = open_for_use::<AutoencoderRecord>(&dir, Slot::Best, KIND)?;
+        let record = opened.record.config;
+        record.train.check()?;
+        let mut network = record.network(device);
+        load_network(&mut network, &mut opened.files, WEIGHTS, &dir)?;
         Ok(Self {
             network,
-            max_frames: record.config.train.max_frames,
-            stats: record.config.features,
-            hash,
+            max_frames: record.train.max_frames,
+            stats: record.features,
+            hash: opened.hash,
         })
     }
 
     /// The latent vectors of crops: samples of their distributions, by the noise that is given.
     ///
     /// # Shapes
-    /// `noise` `[B, d]`, row by row; the result `[B, d]` on the autoencoder's device.
-    pub(super) fn latents(&self, crops: &Crops<'_>, noise: &[f32], device: &Device) -> Tensor<2> {
-        let encoded = self.network.encode(crops.tensor(device), &crops.lengths);
-        let noise = TensorData::new(noise.to_vec(), encoded.mu.dims());
-        encoded.sample(Tensor::from_data(noise, device))
+    /// `noise` `[B, d]`, row by row; the result `[B, d]` on the device of the session.
+    pub(super) fn latents(
+        &self,
+        crops: &Crops<'_>,
+        noise: &[f32],
+        session: &Session<'_>,
+    ) -> Tensor<2> {
+        let device = session.device;
+        let pass = Pass::new(session.arithmetic);
+        let motions = crops.tensor(device);
+        let encoded = self.network.encode(motions, &crops.lengths, &pass);
+        encoded.sample(send(noise.to_vec(), encoded.mu.dims(), device))
     }
 }

@@ -4,15 +4,13 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use burn_store::ModuleSnapshot;
 
 use super::denoiser::TEXT_DIVISOR;
 use super::motionrefit::TextSource;
-use super::text::{LearnedText, text_vectors};
-use super::weights::{from_safetensors, to_safetensors};
+use super::text::{LearnedText, TextBatch, text_vectors};
+use super::weights::{load_networks, save_networks};
 use crate::Error;
-use crate::checkpoint::{Files, take};
-use crate::data::TextBatch;
+use crate::checkpoint::Files;
 use crate::fit::TEXT;
 
 /// A network and its text encoder.
@@ -24,7 +22,7 @@ pub struct Conditioned<N: Module> {
     pub text: Option<LearnedText>,
 }
 
-impl<N: Module + ModuleSnapshot> Conditioned<N> {
+impl<N: Module> Conditioned<N> {
     /// Builds a network for the width of its text vectors. A learned encoder makes vectors of `width`
     /// numbers.
     pub fn new(
@@ -33,10 +31,7 @@ impl<N: Module + ModuleSnapshot> Conditioned<N> {
         device: &Device,
         network: impl FnOnce(usize) -> N,
     ) -> Self {
-        let (text_width, text) = match text {
-            TextSource::Learned(tokens) => (width, Some(LearnedText::new(tokens, width, device))),
-            TextSource::Frozen(width) => (width, None),
-        };
+        let (text_width, text) = text.encoder(width, device);
         Self {
             network: network(text_width),
             text,
@@ -64,12 +59,7 @@ impl<N: Module + ModuleSnapshot> Conditioned<N> {
     /// # Errors
     /// A network cannot be written.
     pub(crate) fn save(&self, name: &str, run_dir: &Path) -> Result<Files, Error> {
-        let network = to_safetensors(&self.network, run_dir)?;
-        let mut files: Files = [(name.to_owned(), network)].into();
-        if let Some(text) = &self.text {
-            files.insert(TEXT.to_owned(), to_safetensors(text, run_dir)?);
-        }
-        Ok(files)
+        save_networks((name, &self.network), (TEXT, self.text.as_ref()), run_dir)
     }
 
     /// The inverse of [`Conditioned::save`].
@@ -82,14 +72,7 @@ impl<N: Module + ModuleSnapshot> Conditioned<N> {
         files: &mut Files,
         run_dir: &Path,
     ) -> Result<(), Error> {
-        let bytes = take(files, name, run_dir)?;
-        from_safetensors(&mut self.network, bytes, "", &run_dir.join(name))?;
-        match &mut self.text {
-            Some(text) => {
-                let bytes = take(files, TEXT, run_dir)?;
-                from_safetensors(text, bytes, "", &run_dir.join(TEXT))
-            }
-            None => Ok(()),
-        }
+        let text = (TEXT, self.text.as_mut());
+        load_networks((name, &mut self.network), text, files, run_dir)
     }
 }

@@ -4,6 +4,7 @@ use burn::module::Module;
 use burn::nn::{LayerNorm, LayerNormConfig, Linear, LinearConfig};
 use burn::tensor::{Device, Tensor};
 
+use super::pass::Pass;
 use super::transformer::{DecoderLayer, EncoderLayer, Padding};
 use crate::config::NetworkConfig;
 
@@ -65,8 +66,8 @@ impl SkipLayers<EncoderLayer> {
     ///
     /// # Shapes
     /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
-    pub fn encode(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        self.forward(x, |layer, x| layer.forward(x, padding))
+    pub fn encode(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
+        self.forward(x, |layer, x| layer.forward(x, padding, pass))
     }
 }
 
@@ -83,7 +84,15 @@ impl SkipLayers<DecoderLayer> {
     ///
     /// # Shapes
     /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` that of `B` rows of `T` tokens.
-    pub fn decode(&self, x: Tensor<3>, memory: &Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        self.forward(x, |layer, x| layer.forward(x, memory.clone(), padding))
+    pub fn decode(
+        &self,
+        x: Tensor<3>,
+        memory: &Tensor<3>,
+        padding: Option<&Padding>,
+        pass: &Pass,
+    ) -> Tensor<3> {
+        self.forward(x, |layer, x| {
+            layer.forward(x, memory.clone(), padding, pass)
+        })
     }
 }

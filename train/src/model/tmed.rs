@@ -4,11 +4,11 @@ use burn::module::{Initializer, Module, Param};
 use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, LinearConfig};
 use burn::tensor::{Device, Tensor};
 
-use super::denoiser::IndexEmbedding;
-use super::dropout::drop_out;
+use super::denoiser::TwoLayers;
 use super::motionrefit::TextSource;
+use super::pass::Pass;
 use super::position::sinusoid;
-use super::transformer::{Encoder, Padding, padding_of};
+use super::transformer::{Encoder, Padding};
 use crate::config::NetworkConfig;
 
 /// A transformer over one sequence: the diffusion step, the tokens of the instruction, the source, a
@@ -24,7 +24,7 @@ pub struct Tmed {
     pose_proj_in_source: Linear,
     pose_proj_in_target: Linear,
     pose_proj_out: Linear,
-    embed_timestep: IndexEmbedding,
+    embed_timestep: TwoLayers,
     emb_proj: Option<Linear>,
     encoder: Encoder,
     dropout: Dropout,
@@ -84,7 +84,7 @@ impl Tmed {
             pose_proj_in_source: linear(num_features, width),
             pose_proj_in_target: linear(num_features, width),
             pose_proj_out: linear(width, num_features),
-            embed_timestep: IndexEmbedding::new(width, device),
+            embed_timestep: TwoLayers::new([width; 3], device),
             emb_proj: (text_width != width).then(|| linear(text_width, width)),
             encoder: Encoder::new(config, device),
             dropout: DropoutConfig::new(config.dropout).init(),
@@ -101,10 +101,11 @@ impl Tmed {
         lengths: &[usize],
         timesteps: &[usize],
         condition: &Condition,
+        pass: &Pass,
     ) -> Tensor<3> {
-        let [batch, frames, num_features] = x.dims();
+        let [batch, frames, _] = x.dims();
         let device = x.device();
-        let time = self.embed_timestep.forward(timesteps).unsqueeze_dim::<3>(1);
+        let time = self.embed_timestep.embed(timesteps).unsqueeze_dim::<3>(1);
         let [_, _, width] = time.dims();
         let text = match &self.emb_proj {
             Some(projection) => projection.forward(condition.text.clone()),
@@ -124,9 +125,8 @@ impl Tmed {
             })
             .collect();
         let padding = padding(&visible, parts);
-        let tokens = self
-            .encoder
-            .forward(drop_out(&self.dropout, tokens), padding.as_ref());
+        let tokens = pass.drop_out(&self.dropout, tokens);
+        let tokens = self.encoder.forward(tokens, padding.as_ref(), pass);
         let [_, length, _] = tokens.dims();
         let out = self
             .pose_proj_out
@@ -134,11 +134,7 @@ impl Tmed {
         if lengths.iter().all(|&length| length == frames) {
             return out;
         }
-        let past = padding_of(lengths, frames, &device);
-        let past = past
-            .unsqueeze_dim::<3>(2)
-            .expand([batch, frames, num_features]);
-        out.mask_fill(past, 0.0)
+        Padding::after(lengths, frames).clear(out)
     }
 
     /// Tokens of source frames. A frame of zeros gives a token of zeros, not the bias.

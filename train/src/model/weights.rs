@@ -15,6 +15,7 @@ use rand_distr::StandardNormal;
 use safetensors::SafeTensors;
 
 use crate::Error;
+use crate::checkpoint::{Files, take};
 
 /// Renamed parameters: (pattern in PyTorch's name, ours; pattern in our name, PyTorch's). The store
 /// converts layouts of linear layers and names of norms.
@@ -76,10 +77,7 @@ const RENAMES: [(&str, &str, &str, &str); 10] = [
 ///
 /// # Errors
 /// The store refuses a tensor.
-pub fn to_safetensors<M: Module + ModuleSnapshot>(
-    network: &M,
-    path: &Path,
-) -> Result<Vec<u8>, Error> {
+pub fn to_safetensors<M: Module>(network: &M, path: &Path) -> Result<Vec<u8>, Error> {
     let mut store = SafetensorsStore::from_bytes(None)
         .clear_metadata()
         .with_to_adapter(BurnToPyTorchAdapter);
@@ -98,7 +96,7 @@ pub fn to_safetensors<M: Module + ModuleSnapshot>(
 ///
 /// # Errors
 /// The file is malformed, or a tensor is missing or of another shape.
-pub fn from_safetensors<M: Module + ModuleSnapshot>(
+pub fn from_safetensors<M: Module>(
     network: &mut M,
     bytes: Vec<u8>,
     prefix: &str,
@@ -112,7 +110,7 @@ pub fn from_safetensors<M: Module + ModuleSnapshot>(
 ///
 /// # Errors
 /// As [`from_safetensors`].
-pub fn from_safetensors_named<M: Module + ModuleSnapshot>(
+pub fn from_safetensors_named<M: Module>(
     network: &mut M,
     bytes: Vec<u8>,
     prefix: &str,
@@ -159,6 +157,53 @@ pub fn from_safetensors_named<M: Module + ModuleSnapshot>(
         let _ = write!(detail, ", and {} more differ", differences.len() - LISTED);
     }
     Err(Error::weights(path, detail))
+}
+
+/// Takes a network out of the files of a checkpoint.
+///
+/// # Errors
+/// The file is missing, damaged or of another network.
+pub(crate) fn load_network<M: Module>(
+    network: &mut M,
+    files: &mut Files,
+    name: &str,
+    run_dir: &Path,
+) -> Result<(), Error> {
+    let bytes = take(files, name, run_dir)?;
+    from_safetensors(network, bytes, "", &run_dir.join(name))
+}
+
+/// A network as a file of a checkpoint, and one that goes with it, where there is one.
+///
+/// # Errors
+/// A network cannot be written.
+pub(crate) fn save_networks<M: Module, N: Module>(
+    (name, network): (&str, &M),
+    (other_name, other): (&str, Option<&N>),
+    run_dir: &Path,
+) -> Result<Files, Error> {
+    let mut files = Files::from([(name.to_owned(), to_safetensors(network, run_dir)?)]);
+    if let Some(other) = other {
+        files.insert(other_name.to_owned(), to_safetensors(other, run_dir)?);
+    }
+    Ok(files)
+}
+
+/// The inverse of [`save_networks`].
+///
+/// # Errors
+/// As [`load_network`].
+pub(crate) fn load_networks<M: Module, N: Module>(
+    (name, network): (&str, &mut M),
+    (other_name, other): (&str, Option<&mut N>),
+    files: &mut Files,
+    run_dir: &Path,
+) -> Result<(), Error> {
+    load_network(network, files, name, run_dir)?;
+    match other {
+        Some(other) => load_network(other, files, other_name, run_dir),
+        None => Ok(()),
+    }
 }
 
 /// Maximum number of tensors an error names.

@@ -4,13 +4,14 @@
 //! and does not depend on what else is in its batch. Many steps are drawn and sent at once, so that a
 //! device does not wait for each.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Rng;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use crate::noise_shape::NoiseShape;
+use crate::transfer::send;
 
 /// Numbers drawn and sent at once: 16 MB. Most batches need one or two such blocks.
 const BLOCK: usize = 1 << 22;
@@ -107,7 +108,7 @@ impl<'a> Noise<'a> {
             }
         }
         let shape = [steps, rows, frames, width];
-        Tensor::from_data(TensorData::new(values, shape), self.device)
+        send(values, shape, self.device)
     }
 }
 

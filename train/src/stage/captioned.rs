@@ -3,13 +3,12 @@
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Split};
 
-use super::encoder::{CaptionedClip, views};
-use super::{MOTIONS, create_dir};
-use crate::captioned::CaptionedCorpus;
+use super::{MOTIONS, kept};
+use crate::captioned::{CaptionedClip, CaptionedCorpus};
 use crate::config::TextConfig;
+use crate::error::motion_error;
 use crate::kind::{TrainRequest, Trained};
 use crate::text::clip::ClipModel;
-use crate::text::source::EMBEDDINGS;
 use crate::text::table::EmbeddingTable;
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
@@ -26,10 +25,7 @@ fn timed_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Er
     let rows: Vec<MotionRow> = dataset.read(Some(split))?;
     let mut clips = Vec::new();
     for row in rows.iter().filter(|row| !row.captions.is_empty()) {
-        push_clips(row, &mut clips).map_err(|source| Error::Motion {
-            id: row.id.to_string(),
-            source,
-        })?;
+        push_clips(row, &mut clips).map_err(motion_error(row.id.as_str()))?;
     }
     Ok(clips)
 }
@@ -77,9 +73,9 @@ pub(super) fn train_on_captions(
     let val = timed_clips(dataset, Split::Val)?;
     let vectors = caption_vectors(encoder, train.iter().chain(&val), request, session)?;
     let report = fit(CaptionedCorpus {
-        train: &views(&train),
-        val: &views(&val),
-        vectors: vectors.as_ref().map(|table| table as _),
+        train: &train,
+        val: &val,
+        vectors: vectors.as_ref(),
         skeleton: &dataset.skeleton()?,
         dataset_hash: &dataset.content_hash(&MOTIONS),
     })?;
@@ -106,7 +102,5 @@ fn caption_vectors<'a>(
     let table = request
         .text_encoder
         .embeddings(run, &captions, encoder, session)?;
-    create_dir(run)?;
-    table.save(&run.join(EMBEDDINGS))?;
-    Ok(Some(table))
+    Ok(Some(kept(table, run)?))
 }

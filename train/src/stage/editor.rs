@@ -9,7 +9,7 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
 use kinematics::normalise::Normalizer;
 
-use super::{Streams, create_dir};
+use super::{Streams, kept};
 use crate::checkpoint::Start;
 use crate::compose::ComposeRecord;
 use crate::config::TrainConfig;
@@ -17,7 +17,7 @@ use crate::edit;
 use crate::fit::{self, Corpus, train_motionrefit};
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::text::clip::ClipModel;
-use crate::text::source::{EMBEDDINGS, TextEncoderSource};
+use crate::text::source::TextEncoderSource;
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
@@ -80,9 +80,7 @@ pub fn train_editor<'a>(
             let all = [instructions.clone(), val.instructions()].concat();
             let source = inputs.text_encoder;
             let table = source.embeddings(start.run, &all, encoder, session)?;
-            create_dir(start.run)?;
-            table.save(&start.run.join(EMBEDDINGS))?;
-            Some(table)
+            Some(kept(table, start.run)?)
         }
     };
     let corpus = Corpus {
@@ -92,7 +90,7 @@ pub fn train_editor<'a>(
         },
         val,
         instructions: &instructions,
-        vectors: vectors.as_ref().map(|table| table as _),
+        vectors: vectors.as_ref(),
         normalizer: *normalizer,
         skeleton: &dataset.skeleton()?,
         dataset_hash: &data_hash(dataset, inputs.windows)?,

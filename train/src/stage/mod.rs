@@ -22,6 +22,8 @@ use kinematics::canonical::WINDOW_FRAMES;
 use kinematics::normalise::Normalizer;
 
 use crate::Error;
+use crate::text::source::EMBEDDINGS;
+use crate::text::table::EmbeddingTable;
 
 /// Tables that models of motions alone follow from.
 const MOTIONS: [&str; 1] = [MotionRow::TABLE];
@@ -47,9 +49,7 @@ impl Streams {
         let seed = Seed(seed);
         let compose = with_window(compose, window);
         let (train, normalizer) = train_stream(dataset, &compose, seed, normalizer)?;
-        let val = library(dataset, Split::Val)?;
-        let val = Stream::new(val, unthinned(&compose), seed, &normalizer)
-            .map_err(|source| Error::Validation { source })?;
+        let val = validation_stream(dataset, &compose, seed, &normalizer)?;
         Ok(Self {
             compose,
             train,
@@ -61,7 +61,7 @@ impl Streams {
 
 /// The composer's settings without those that thin, fix or mirror the training data:
 /// validation data stay the same.
-pub(crate) fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
+fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
     ComposeConfig {
         mcm_ratio: 1.0,
         annotated_ratio: 1.0,
@@ -69,6 +69,18 @@ pub(crate) fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
         mirrored_ratio: 0.0,
         ..compose.clone()
     }
+}
+
+/// The stream of the validation split, unthinned.
+pub(crate) fn validation_stream(
+    dataset: &Dataset,
+    compose: &ComposeConfig,
+    seed: Seed,
+    normalizer: &Normalizer,
+) -> Result<Stream, Error> {
+    let library = library(dataset, Split::Val)?;
+    let stream = Stream::new(library, unthinned(compose), seed, normalizer);
+    stream.map_err(|source| Error::Validation { source })
 }
 
 /// The composer's settings with the model's window, unless they set a window themselves. Then the model
@@ -81,6 +93,9 @@ fn with_window(compose: &ComposeConfig, window: usize) -> ComposeConfig {
     }
 }
 
-pub(crate) fn create_dir(dir: &Path) -> Result<(), Error> {
-    Ok(std::fs::create_dir_all(dir).map_err(datasets_spec::Error::io("create", dir))?)
+/// Keeps the vectors of a run's texts in its folder.
+pub(crate) fn kept(table: EmbeddingTable, run: &Path) -> Result<EmbeddingTable, Error> {
+    std::fs::create_dir_all(run).map_err(datasets_spec::Error::io("create", run))?;
+    table.save(&run.join(EMBEDDINGS))?;
+    Ok(table)
 }

@@ -5,6 +5,7 @@ use datasets_spec::{Dataset, Motion, Split};
 
 use super::MOTIONS;
 use crate::checkpoint::Start;
+use crate::error::motion_error;
 use crate::j2s::{self, J2sConfig, J2sReport};
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::{Error, Session};
@@ -32,12 +33,7 @@ pub fn train_j2s<'a>(
     let motions = |split: Split| -> Result<Vec<Motion>, Error> {
         let rows: Vec<MotionRow> = dataset.read(Some(split))?;
         rows.iter()
-            .map(|row| {
-                row.motion().map_err(|source| Error::Motion {
-                    id: row.id.to_string(),
-                    source,
-                })
-            })
+            .map(|row| row.motion().map_err(motion_error(row.id.as_str())))
             .collect()
     };
     let (train, val) = (motions(Split::Train)?, motions(Split::Val)?);

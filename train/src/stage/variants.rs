@@ -270,11 +270,7 @@ pub fn pair_variants(
         });
     }
     let groups = groups_of_motions(dataset.read(None)?);
-    if groups.is_empty() {
-        return Err(Error::Empty {
-            what: "dataset of variants (motions named base/variant)",
-        });
-    }
+    Error::if_empty(&groups, "dataset of variants (motions named base/variant)")?;
     let made: Candidates = candidates(groups, config, &skeleton)?;
     let facts = BTreeMap::from([variants_fact(config)]);
     let transaction = Transaction::begin(out, holder)?;
@@ -341,11 +337,7 @@ fn bases(
         texts.shuffle(&mut seed.rng(&["instructions"]));
         texts.truncate(count);
     }
-    if texts.is_empty() {
-        return Err(Error::Empty {
-            what: "list of instructions",
-        });
-    }
+    Error::if_empty(&texts, "list of instructions")?;
     let bases = texts.into_iter().enumerate().map(|(place, instruction)| {
         let (batch, place) = (place / BATCH, place % BATCH);
         let id = format!("seed{}/batch{batch:04}/{place:02}", seed.0);
@@ -398,10 +390,8 @@ fn group(
             let id = format!("{}/{number:02}", base.id);
             let joints = recover_joints(features);
             let posed = motion_of_joints(&joints, Fps::STORE, skeleton);
-            let (motion, fit_error_m) = posed.map_err(|error| Error::Item {
-                id: id.clone(),
-                problem: format!("cannot be posed: {error}"),
-            })?;
+            let (motion, fit_error_m) = posed
+                .map_err(|error| Error::item(id.clone(), format!("cannot be posed: {error}")))?;
             let by = ["mld", generator.hash()];
             let id = MotionId::parse(&id)?;
             let row = generated_row(id, split, &motion, &base.text, fit_error_m, by, skeleton);

@@ -12,11 +12,13 @@ use tokenizers::{Tokenizer, TruncationParams};
 
 use super::bert_net::{BertConfig, BertText};
 use super::files::{WEIGHTS, file_in, first, read_weights};
-use super::tokens::{PROBE, batch_of, vocabulary_of};
+use super::tokens::{PROBE, vocabulary_of};
 use crate::Error;
 use crate::config::BertVectors;
+use crate::error::json_error;
 use crate::model::weights::to_safetensors;
 use crate::transfer::read;
+use crate::vocabulary::TokenBatch;
 
 const CONFIG: [&str; 1] = ["config.json"];
 const TOKENIZERS: [&str; 2] = ["tokenizer.json", "vocab.txt"];
@@ -111,10 +113,7 @@ impl BertFiles {
 }
 
 fn parse<T: DeserializeOwned>(document: &[u8], path: &Path) -> Result<T, Error> {
-    serde_json::from_slice(document).map_err(|source| Error::Json {
-        path: path.to_owned(),
-        source,
-    })
+    serde_json::from_slice(document).map_err(json_error(path))
 }
 
 /// A line of `modules.json`.
@@ -135,12 +134,10 @@ impl SentenceModule {
 
 /// `tokenizer_config.json`.
 #[derive(Deserialize)]
+#[serde(default)]
 struct TokenizerConfig {
-    #[serde(default = "yes")]
     do_lower_case: bool,
-    #[serde(default)]
     strip_accents: Option<bool>,
-    #[serde(default = "yes")]
     tokenize_chinese_chars: bool,
     /// Some tokenizers without a limit record 10^30.
     model_max_length: Option<f64>,
@@ -157,15 +154,11 @@ impl Default for TokenizerConfig {
     }
 }
 
-fn yes() -> bool {
-    true
-}
-
 /// `sentence_bert_config.json`.
 #[derive(Default, Deserialize)]
+#[serde(default)]
 struct SentenceConfig {
     max_seq_length: Option<usize>,
-    #[serde(default)]
     do_lower_case: bool,
 }
 
@@ -203,10 +196,11 @@ impl Rules {
             normalizes: false,
         };
         if rules.max_tokens < LEAST_TOKENS {
-            return Err(Error::TextModel {
-                path: files.folder.join(SENTENCE_CONFIG),
-                detail: format!("texts of {} tokens hold no word", rules.max_tokens),
-            });
+            let detail = format!("texts of {} tokens hold no word", rules.max_tokens);
+            return Err(Error::text_model(
+                &files.folder.join(SENTENCE_CONFIG),
+                detail,
+            ));
         }
         let modules: Vec<SentenceModule> = files.optional(MODULES)?.unwrap_or_default();
         for module in modules {
@@ -219,10 +213,8 @@ impl Rules {
                 }
                 "Normalize" => rules.normalizes = true,
                 _ => {
-                    return Err(Error::TextModel {
-                        path: files.folder.join(MODULES),
-                        detail: format!("module {} is not known", module.kind),
-                    });
+                    let detail = format!("module {} is not known", module.kind);
+                    return Err(Error::text_model(&files.folder.join(MODULES), detail));
                 }
             }
         }
@@ -265,10 +257,10 @@ fn pooling(modes: &BTreeMap<String, Value>, path: &Path) -> Result<Pooling, Erro
     match asked[..] {
         ["mean_tokens"] => Ok(Pooling::All),
         ["cls_token"] => Ok(Pooling::First),
-        _ => Err(Error::TextModel {
-            path: path.to_owned(),
-            detail: format!("it pools by {asked:?}; mean_tokens and cls_token are known"),
-        }),
+        _ => {
+            let detail = format!("it pools by {asked:?}; mean_tokens and cls_token are known");
+            Err(Error::text_model(path, detail))
+        }
     }
 }
 
@@ -298,14 +290,9 @@ impl BertEncoder {
         let tokenizer = read_tokenizer(&files.tokenizer, &settings, rules.max_tokens)?;
         let last = tokenizer.get_vocab(true).into_values().max();
         if last.is_some_and(|last| last as usize >= config.num_tokens) {
-            return Err(Error::Tokenizer {
-                path: files.tokenizer.clone(),
-                detail: format!(
-                    "it has tokens up to number {}, the network knows {}",
-                    last.unwrap_or_default(),
-                    config.num_tokens
-                ),
-            });
+            let (last, known) = (last.unwrap_or_default(), config.num_tokens);
+            let detail = format!("it has tokens up to number {last}, the network knows {known}");
+            return Err(Error::tokenizer(&files.tokenizer, detail));
         }
         let mut encoder = Self {
             network,
@@ -381,7 +368,7 @@ impl BertEncoder {
             .map(|text| self.tokens(text))
             .collect::<Result<_, _>>()?;
         let lengths: Vec<usize> = rows.iter().map(Vec::len).collect();
-        let tokens = batch_of(rows);
+        let tokens = TokenBatch::of(&rows);
         let width = self.config.width;
         let values = read(self.network.hidden(&self.config, &tokens, &lengths));
         let rows = values.chunks_exact(tokens.width * width).zip(&lengths);
@@ -423,17 +410,14 @@ fn read_tokenizer(
     settings: &TokenizerConfig,
     max_tokens: usize,
 ) -> Result<Tokenizer, Error> {
-    let failed = |detail: String| Error::Tokenizer {
-        path: path.to_owned(),
-        detail,
-    };
     let mut content = read_checked(path)?;
     if path.extension().is_some_and(|ending| ending == "txt") {
-        let text = String::from_utf8(content).map_err(|error| failed(error.to_string()))?;
-        content = document_of_vocabulary(&text, settings).map_err(failed)?;
+        let text = String::from_utf8(content).map_err(|error| Error::tokenizer(path, error))?;
+        let document = document_of_vocabulary(&text, settings);
+        content = document.map_err(|detail| Error::tokenizer(path, detail))?;
     }
     let tokenizer = Tokenizer::from_bytes(content.as_slice());
-    let mut tokenizer = tokenizer.map_err(|error| failed(error.to_string()))?;
+    let mut tokenizer = tokenizer.map_err(|error| Error::tokenizer(path, error))?;
     // The file's own limit is that of a training, and rows are filled up here.
     let truncation = TruncationParams {
         max_length: max_tokens,
@@ -441,7 +425,7 @@ fn read_tokenizer(
     };
     tokenizer
         .with_truncation(Some(truncation))
-        .map_err(|error| failed(error.to_string()))?;
+        .map_err(|error| Error::tokenizer(path, error))?;
     tokenizer.with_padding(None);
     Ok(tokenizer)
 }

@@ -7,14 +7,15 @@ use burn::nn::{Embedding, EmbeddingConfig, LayerNorm, LayerNormConfig, Linear, L
 use burn::tensor::activation::{gelu, gelu_approximate, relu};
 use burn::tensor::module::attention;
 use burn::tensor::ops::AttentionModuleOptions;
-use burn::tensor::{Bool, Device, Tensor};
+use burn::tensor::{Device, Tensor};
 use safetensors::SafeTensors;
 use serde::Deserialize;
 
 use crate::Error;
+use crate::error::json_error;
 use crate::model::text::token_tensor;
 use crate::model::torch::{StoredTensor, float_tensor, safetensors_of};
-use crate::model::transformer::padding_of;
+use crate::model::transformer::{Padding, join_heads, split_heads};
 use crate::model::weights::from_safetensors;
 use crate::vocabulary::TokenBatch;
 
@@ -123,14 +124,8 @@ impl BertConfig {
         struct Named {
             model_type: Option<String>,
         }
-        let json = |source| Error::Json {
-            path: path.to_owned(),
-            source,
-        };
-        let refused = |detail: String| Error::TextModel {
-            path: path.to_owned(),
-            detail,
-        };
+        let json = json_error(path);
+        let refused = |detail: String| Error::text_model(path, detail);
         let named: Named = serde_json::from_slice(document).map_err(json)?;
         let kind = match named.model_type.as_deref() {
             Some("bert") => BertKind::Bert,
@@ -297,19 +292,14 @@ impl BertText {
     pub fn hidden(&self, config: &BertConfig, tokens: &TokenBatch, lengths: &[usize]) -> Tensor<3> {
         let device = self.words.weight.val().device();
         let words = self.words.forward(token_tensor(tokens, &device));
-        let [batch, length, _] = words.dims();
+        let [_, length, _] = words.dims();
         let places = self.places.weight.val().narrow(0, 0, length);
         let mut x = words + places.unsqueeze_dim::<3>(0);
         if let Some(segments) = &self.segments {
             let first = segments.weight.val().narrow(0, 0, 1);
             x = x + first.unsqueeze_dim::<3>(0);
         }
-        let is_padded = lengths.iter().any(|&own| own < length);
-        let padding: Option<Tensor<4, Bool>> = is_padded.then(|| {
-            padding_of(lengths, length, &device)
-                .reshape([batch, 1, 1, length])
-                .expand([batch, config.num_heads, length, length])
-        });
+        let padding = Padding::where_shorter(lengths, length);
         self.layers.iter().fold(self.norm.forward(x), |x, layer| {
             layer.forward(config, x, padding.as_ref())
         })
@@ -357,31 +347,18 @@ impl BertLayer {
         }
     }
 
-    fn forward(
-        &self,
-        config: &BertConfig,
-        x: Tensor<3>,
-        padding: Option<&Tensor<4, Bool>>,
-    ) -> Tensor<3> {
-        let [batch, length, width] = x.dims();
-        let heads = |layer: &Linear| {
-            layer
-                .forward(x.clone())
-                .reshape([batch, length, config.num_heads, width / config.num_heads])
-                .swap_dims(1, 2)
-        };
+    fn forward(&self, config: &BertConfig, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
+        let heads = |layer: &Linear| split_heads(layer.forward(x.clone()), config.num_heads);
         let attended = attention(
             heads(&self.query),
             heads(&self.key),
             heads(&self.value),
-            padding.cloned(),
+            padding.map(|padding| padding.of_attention(config.num_heads, &x.device())),
             None,
             AttentionModuleOptions::default(),
         );
-        let attended = attended.swap_dims(1, 2).reshape([batch, length, width]);
-        let x = self
-            .attention_norm
-            .forward(x.clone() + self.attended.forward(attended));
+        let attended = self.attended.forward(join_heads(attended));
+        let x = self.attention_norm.forward(x.clone() + attended);
         let hidden = self.hidden.forward(x.clone());
         let hidden = match config.activation {
             Activation::Gelu => gelu(hidden),

@@ -145,14 +145,9 @@ impl ClipEncoder {
         drop(bytes);
         let tokenizer = ClipTokenizer::read(&files.tokenizer)?;
         if tokenizer.num_tokens() != config.num_tokens {
-            return Err(Error::Tokenizer {
-                path: files.tokenizer.clone(),
-                detail: format!(
-                    "it has {} tokens, expected {}",
-                    tokenizer.num_tokens(),
-                    config.num_tokens
-                ),
-            });
+            let (found, expected) = (tokenizer.num_tokens(), config.num_tokens);
+            let detail = format!("it has {found} tokens, expected {expected}");
+            return Err(Error::tokenizer(&files.tokenizer, detail));
         }
         Self::new(network, tokenizer)
     }

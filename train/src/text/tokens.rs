@@ -21,8 +21,6 @@ const WORD_END: &str = "</w>";
 const NUM_MERGES: usize = 49_152 - 256 - 2;
 /// How a text is cut into words that are encoded one by one.
 const WORDS: &str = r"'s|'t|'re|'ve|'m|'ll|'d|[\p{L}]+|[\p{N}]|[^\s\p{L}\p{N}]+";
-/// Padding token, after a row's end token (as OpenAI pads).
-const PADDING: i32 = 0;
 /// Largest unpacked list of merges.
 const MAX_MERGES_LEN: u64 = 64 << 20;
 const GZIP_MAGIC: &[u8] = &[0x1f, 0x8b];
@@ -53,10 +51,7 @@ impl ClipTokenizer {
     /// # Errors
     /// As [`ClipTokenizer::read`].
     pub fn parse(content: &[u8], path: &Path) -> Result<Self, Error> {
-        let failed = |detail: String| Error::Tokenizer {
-            path: path.to_owned(),
-            detail,
-        };
+        let failed = |detail: String| Error::tokenizer(path, detail);
         let merges = if content.starts_with(GZIP_MAGIC) {
             let mut text = String::new();
             GzDecoder::new(content)
@@ -127,7 +122,7 @@ impl ClipTokenizer {
             .collect())
     }
 
-    /// The tokens of several texts, padded to the longest of them and at most `context` long.
+    /// The tokens of several texts, padded to the longest of them by zeros, as OpenAI pads, and at most `context` long.
     ///
     /// # Shapes
     /// `B` texts give `[B, T]`.
@@ -139,7 +134,7 @@ impl ClipTokenizer {
             .iter()
             .map(|text| self.encode(text, context))
             .collect::<Result<_, _>>()?;
-        Ok(batch_of(rows))
+        Ok(TokenBatch::of(&rows))
     }
 
     /// Hashes what determines tokenisation. The same vocabulary as JSON or as a list of merges hashes
@@ -162,21 +157,6 @@ impl ClipTokenizer {
         }
         Ok(())
     }
-}
-
-/// Pads rows of tokens to the length of the longest.
-///
-/// # Shapes
-/// `B` rows give `[B, T]`.
-pub(super) fn batch_of(rows: Vec<Vec<i32>>) -> TokenBatch {
-    let width = rows.iter().map(Vec::len).max().unwrap_or(1);
-    let mut ids = Vec::with_capacity(rows.len() * width);
-    for row in rows {
-        let filled = ids.len() + width;
-        ids.extend(row);
-        ids.resize(filled, PADDING);
-    }
-    TokenBatch { ids, width }
 }
 
 /// The tokens of a vocabulary by their numbers.

@@ -10,22 +10,23 @@ use super::clips::{ClipBatch, ClipSampler, ClipSource, statistics};
 use super::config::{ClipData, StatisticsSplits, TmedConfig};
 use super::features::{FeatureStatistics, NUM_FEATURES};
 use super::objective;
-use crate::checkpoint::{Files, Run, RunRecord, Start, take};
+use crate::checkpoint::{Files, Run, RunRecord, Start};
 use crate::compose::ComposeRecord;
-use crate::data::{TextVectors, Timesteps};
+use crate::data::Timesteps;
 use crate::fit::TextRecord;
+use crate::model::pass::Pass;
 use crate::model::tmed::TmedModel;
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::model::weights::{load_networks, save_networks};
 use crate::schedule::Schedule;
+use crate::text::table::EmbeddingTable;
 use crate::trainer::{Task, TrainReport, TrainerConfig, train};
-use crate::transfer::weighted_mean;
 use crate::{Error, Session};
 
 /// Kind of run.
 pub(crate) const KIND: &str = "tmed";
 
 pub(crate) const DENOISER: &str = "denoiser.safetensors";
-pub(crate) const WORDS: &str = "words.safetensors";
+const WORDS: &str = "words.safetensors";
 
 /// What TMED learns from.
 #[derive(Clone, Copy)]
@@ -37,7 +38,7 @@ pub struct TmedCorpus<'a> {
     /// Instructions of the training split, whose words are the vocabulary of learned word vectors.
     pub instructions: &'a [String],
     /// Token vectors of the instructions of both splits and of the empty text, of a frozen encoder.
-    pub vectors: Option<&'a dyn TextVectors>,
+    pub vectors: Option<&'a EmbeddingTable>,
     /// The skeleton the motions drive.
     pub skeleton: &'a Skeleton,
     /// Hash of the tables the clips are made of.
@@ -90,17 +91,14 @@ pub fn train_tmed<'a>(
 ) -> Result<TrainReport, Error> {
     config.check()?;
     if corpus.compose.is_some() != (config.data == ClipData::Composed) {
-        return Err(Error::Config {
-            field: "data",
-            problem: "composed clips come with the composer's settings, pairs with none".to_owned(),
-        });
+        return Err(Error::config(
+            "data",
+            "composed clips come with the composer's settings, pairs with none",
+        ));
     }
     let start = start.into();
     let fitted: Option<TmedRecord> = start.fitted(KIND)?;
-    let (known_text, known_statistics) = match fitted {
-        Some(record) => (Some(record.text), Some(record.statistics)),
-        None => (None, None),
-    };
+    let (known_text, known_statistics) = fitted.map(|known| (known.text, known.statistics)).unzip();
     let statistics = match known_statistics {
         Some(known) => known,
         None => statistics_of(&corpus, config)?,
@@ -113,10 +111,8 @@ pub fn train_tmed<'a>(
         text,
         compose: corpus.compose.cloned(),
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
     let seed = Seed(config.run.seed);
     let sampler = ClipSampler {
         source: corpus.train,
@@ -135,13 +131,8 @@ pub fn train_tmed<'a>(
         hides: false,
         ..sampler
     };
-    let part = config.run.micro_batch();
-    let val_batches = (0..config.val_clips)
-        .step_by(part)
-        .map(|first| val_sampler.draw(first as u64, part.min(config.val_clips - first)))
-        .collect::<Result<Vec<_>, _>>()?;
-    let device = session.device.clone().autodiff();
-    let model = draw(record.model(&device), seed.derive(&["weights"]))?;
+    let draw = |first, count| val_sampler.draw(first, count);
+    let val_batches = config.run.validation(config.val_clips, draw)?;
     let trainer = TrainerConfig {
         kind: KIND,
         samples: "clips",
@@ -154,7 +145,8 @@ pub fn train_tmed<'a>(
         sampler,
         val_batches,
     };
-    let (_, report) = train(&task, model, &trainer, &run, session)?;
+    let network = |device: &Device| record.model(device);
+    let (_, report) = train(&task, network, &trainer, &run, session)?;
     Ok(report)
 }
 
@@ -179,30 +171,30 @@ impl Task for TmedTask<'_> {
     type Model = TmedModel;
     type Batch = ClipBatch;
 
+    const WEIGHTS: &'static str = DENOISER;
+
     fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
         let run = &self.config.run;
         run.batches(step, |first, count| self.sampler.draw(first, count))
     }
 
-    fn loss(&self, model: &TmedModel, batch: &ClipBatch, device: &Device) -> Tensor<1> {
-        objective::loss(model, batch, self.config, &self.schedule, device)
+    fn loss(
+        &self,
+        model: &TmedModel,
+        batch: &ClipBatch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
+        objective::loss(model, batch, self.config, &self.schedule, device, pass)
     }
 
-    fn validate(&self, model: &TmedModel, device: &Device) -> f32 {
-        weighted_mean(
-            self.val_batches
-                .iter()
-                .map(|batch| (batch.len(), self.loss(model, batch, device))),
-        )
+    fn validation(&self) -> impl Iterator<Item = (usize, &ClipBatch)> {
+        self.val_batches.iter().map(|batch| (batch.len(), batch))
     }
 
     fn save(&self, model: &TmedModel, run_dir: &Path) -> Result<Files, Error> {
-        let denoiser = to_safetensors(&model.denoiser, run_dir)?;
-        let mut files: Files = [(DENOISER.to_owned(), denoiser)].into();
-        if let Some(words) = &model.words {
-            files.insert(WORDS.to_owned(), to_safetensors(words, run_dir)?);
-        }
-        Ok(files)
+        let words = (WORDS, model.words.as_ref());
+        save_networks((DENOISER, &model.denoiser), words, run_dir)
     }
 
     fn load(&self, model: &mut TmedModel, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
@@ -216,13 +208,6 @@ pub(crate) fn load_weights(
     files: &mut Files,
     run_dir: &Path,
 ) -> Result<(), Error> {
-    let bytes = take(files, DENOISER, run_dir)?;
-    from_safetensors(&mut model.denoiser, bytes, "", &run_dir.join(DENOISER))?;
-    match &mut model.words {
-        Some(words) => {
-            let bytes = take(files, WORDS, run_dir)?;
-            from_safetensors(words, bytes, "", &run_dir.join(WORDS))
-        }
-        None => Ok(()),
-    }
+    let words = (WORDS, model.words.as_mut());
+    load_networks((DENOISER, &mut model.denoiser), words, files, run_dir)
 }

@@ -16,7 +16,7 @@ use work::{
     absolute,
 };
 
-use super::{Surroundings, of_commit};
+use super::{Surroundings, changed, of_commit};
 use crate::checkpoint::Slot;
 use crate::registry::open_system;
 use crate::sample::EditTimes;
@@ -123,14 +123,10 @@ pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>,
     let stored: Stored = plan.settings()?;
     let editing = Editing::open(&stored, surroundings)?;
     if editing.plan_hash != plan.hash() {
-        return Err(Failed::new(
-            "E-SOURCE-CHANGED",
-            format!(
-                "the items in {} or the run in {} changed since they were planned; plan again",
-                stored.items.display(),
-                stored.run.display()
-            ),
-        ));
+        let (items, run) = (stored.items.display(), stored.run.display());
+        return Err(changed(&format!(
+            "the items in {items} or the run in {run}"
+        )));
     }
     let texts: Vec<String> = editing
         .rows
@@ -150,10 +146,10 @@ pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>,
 impl Editing {
     fn open(stored: &Stored, surroundings: Surroundings) -> Result<Self, Error> {
         let items = Dataset::open(&stored.items)?;
-        let slot: Slot = stored.checkpoint.parse().map_err(|problem| Error::Config {
-            field: "checkpoint",
-            problem,
-        })?;
+        let slot: Slot = stored
+            .checkpoint
+            .parse()
+            .map_err(|problem| Error::config("checkpoint", problem))?;
         let source = SystemSource {
             run: stored.run.clone(),
             slot,

@@ -13,6 +13,7 @@ use remote_store::hub::HubCache;
 use serde_json::Value;
 use work::{Failed, Plan};
 
+use crate::model::pass::Arithmetic;
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
 
@@ -21,6 +22,8 @@ use crate::{Error, Session};
 pub struct Surroundings {
     /// Device that models run on.
     pub device: Device,
+    /// The operations that they are computed by.
+    pub arithmetic: Arithmetic,
     /// Where text encoders are found that the plan names no folder of.
     pub cache: Option<HubCache>,
 }
@@ -40,6 +43,7 @@ impl Surroundings {
         act(&Session {
             device: &self.device,
             more_devices: &[],
+            arithmetic: self.arithmetic,
             progress: &NoProgress,
             stop: &AtomicBool::new(false),
             clock: &clock,
@@ -59,6 +63,12 @@ impl From<Error> for Failed {
     fn from(error: Error) -> Self {
         Self::of(error.code(), &error)
     }
+}
+
+/// The refusal of a plan whose inputs are others by now.
+fn changed(what: &str) -> Failed {
+    let problem = format!("{what} changed since they were planned; plan again");
+    Failed::new("E-SOURCE-CHANGED", problem)
 }
 
 /// The error of a commit, which is one of work in pieces.

@@ -16,7 +16,7 @@ use work::{
     absolute,
 };
 
-use super::{Surroundings, of_commit};
+use super::{Surroundings, changed, of_commit};
 use crate::Error;
 use crate::stage::variants::{Instructions, MakeVariants, Making, made_before};
 
@@ -115,14 +115,9 @@ pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>,
         &surroundings.device,
     )?;
     if making.plan_hash() != plan.hash() {
-        return Err(Failed::new(
-            "E-SOURCE-CHANGED",
-            format!(
-                "the dataset {} or the generator {} changed since they were planned; plan again",
-                stored.dataset.display(),
-                stored.generator.display()
-            ),
-        ));
+        let (dataset, generator) = (stored.dataset.display(), stored.generator.display());
+        let what = format!("the dataset {dataset} or the generator {generator}");
+        return Err(changed(&what));
     }
     let encoder = surroundings.text_encoder(stored.text_encoder.clone());
     surroundings.with_session(|session| making.prepare(&encoder, session))?;
