@@ -24,14 +24,13 @@ use crate::data::{WindowSource, across_epochs};
 use crate::error::motion_error;
 use crate::model::coordinator::Coordinator;
 use crate::model::pass::{Arithmetic, Pass};
-use crate::model::weights::load_network;
+use crate::model::weights::Networks;
 use crate::schedule::Schedule;
-use crate::trainer::{Task, TrainReport, TrainerConfig, train};
+use crate::trainer::{Task, TrainReport, train};
 use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "coordinator";
-pub(crate) const WEIGHTS: &str = "coordinator.safetensors";
 
 /// Last diffusion steps whose noise the coordinator learns to see through (paper, Sec. 5.2).
 const NOISE_STEPS: usize = 20;
@@ -244,22 +243,27 @@ pub fn train_coordinator<'a>(
         seed: seed.derive(&["val"]),
         ..sampler
     };
-    let draw = |first, count| val_sampler.draw(first, count);
-    let val_batches = config.run.validation(config.val_windows, draw)?;
-    let trainer = TrainerConfig {
+    let validation = |first, count| val_sampler.draw(first, count);
+    let task = Task::<Coordinator, SegmentBatch> {
         kind: KIND,
         samples: "windows",
         run: config.run,
         epoch_len: segments.train.epoch_len(),
-    };
-    let task = CoordinatorTask {
-        config,
-        sampler,
-        val_batches,
+        draw: &|step| {
+            let run = &config.run;
+            run.batches(step, |first, count| sampler.draw(first, count))
+        },
+        loss: &|model, batch, device, pass| {
+            let rows = batch.timesteps.len();
+            let shape = [rows, config.window, 3 * config.keypoints];
+            let x = send(batch.windows.clone(), shape, device);
+            let composed = send(batch.composed.clone(), [rows, 1], device);
+            binary_cross_entropy(model.logits(x, &batch.timesteps, pass), composed)
+        },
+        validation: config.run.validation(config.val_windows, validation)?,
     };
     let network = |device: &Device| Coordinator::new(&config.model, 3 * config.keypoints, device);
-    let (_, report) = train(&task, network, &trainer, &run, session)?;
-    Ok(report)
+    Ok(train(&task, network, &run, session)?.1)
 }
 
 /// Noisy windows, their steps and whether they were composed.
@@ -316,44 +320,6 @@ impl SegmentSampler<'_> {
     }
 }
 
-struct CoordinatorTask<'a> {
-    config: &'a CoordinatorConfig,
-    sampler: SegmentSampler<'a>,
-    val_batches: Vec<SegmentBatch>,
-}
-
-impl Task for CoordinatorTask<'_> {
-    type Model = Coordinator;
-    type Batch = SegmentBatch;
-
-    const WEIGHTS: &'static str = WEIGHTS;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, SegmentBatch)>, Error> {
-        let run = &self.config.run;
-        run.batches(step, |first, count| self.sampler.draw(first, count))
-    }
-
-    fn loss(
-        &self,
-        model: &Coordinator,
-        batch: &SegmentBatch,
-        device: &Device,
-        pass: &Pass,
-    ) -> Tensor<1> {
-        let rows = batch.timesteps.len();
-        let (window, width) = (self.config.window, 3 * self.config.keypoints);
-        let x = send(batch.windows.clone(), [rows, window, width], device);
-        let composed = send(batch.composed.clone(), [rows, 1], device);
-        binary_cross_entropy(model.logits(x, &batch.timesteps, pass), composed)
-    }
-
-    fn validation(&self) -> impl Iterator<Item = (usize, &SegmentBatch)> {
-        self.val_batches
-            .iter()
-            .map(|batch| (batch.timesteps.len(), batch))
-    }
-}
-
 /// The mean cross entropy of logits `z` and labels `y` in [0, 1]:
 /// `max(z, 0) - z y + ln(1 + exp(-|z|))`, in which nothing overflows.
 fn binary_cross_entropy(logits: Tensor<2>, labels: Tensor<2>) -> Tensor<1> {
@@ -382,7 +348,7 @@ impl TrainedCoordinator {
         record.config.check()?;
         let train = &record.config.train;
         let mut model = Coordinator::new(&train.model, 3 * train.keypoints, device);
-        load_network(&mut model, &mut files, WEIGHTS, run_dir)?;
+        model.take_files(&mut files, run_dir)?;
         Ok(Self {
             model,
             record,

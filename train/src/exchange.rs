@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use burn::module::Module;
 use burn::tensor::Device;
 use datasets_spec::Skeleton;
 use kinematics::normalise::Normalizer;
@@ -23,7 +22,7 @@ use crate::model::coordinator::Coordinator;
 use crate::model::denoiser::Denoiser;
 use crate::model::position::sinusoid_values;
 use crate::model::tmr::SequenceEncoder;
-use crate::model::weights::{from_safetensors, to_safetensors};
+use crate::model::weights::{Networks, from_safetensors, to_safetensors};
 use crate::text::bert::{BertEncoder, BertFiles};
 use crate::text::package::unpack;
 use crate::tmr::{self, ImportedText, MotionEncoderRecord};
@@ -74,8 +73,7 @@ pub fn import_editor(
         device,
     );
     from_safetensors(&mut network, weights, "", path)?;
-    let record = (fit::KIND, record.clone());
-    write_imported(run_dir, skeleton, record, (fit::DENOISER, &network))
+    write_imported(run_dir, skeleton, (fit::KIND, record.clone()), &network)
 }
 
 /// Makes a run folder of a coordinator trained elsewhere, as [`import_editor`] does.
@@ -94,18 +92,22 @@ pub fn import_coordinator(
     let config: &CoordinatorConfig = &record.train;
     let mut network = Coordinator::new(&config.model, 3 * config.keypoints, device);
     from_safetensors(&mut network, weights, "", path)?;
-    let record = (coordinator::KIND, record.clone());
-    write_imported(run_dir, skeleton, record, (coordinator::WEIGHTS, &network))
+    write_imported(
+        run_dir,
+        skeleton,
+        (coordinator::KIND, record.clone()),
+        &network,
+    )
 }
 
-/// Makes a run folder of a kind with a record, whose best checkpoint is one network under a name.
-pub(crate) fn write_imported<C: Serialize + DeserializeOwned, M: Module>(
+/// Makes a run folder of a kind with a record, whose best checkpoint is one network.
+pub(crate) fn write_imported<C: Serialize + DeserializeOwned>(
     run_dir: &Path,
     skeleton: &Skeleton,
     (kind, record): (&str, C),
-    (name, network): (&str, &M),
+    network: &impl Networks,
 ) -> Result<(), Error> {
-    let files = Files::from([(name.to_owned(), to_safetensors(network, run_dir)?)]);
+    let files = network.to_files(run_dir)?;
     let record = RunRecord::new(kind, "imported", skeleton, record);
     Run::open(run_dir, &record)?.write(Slot::Best, &files)
 }
@@ -149,20 +151,16 @@ pub fn import_motion_encoder(
             "takes {num_features} numbers a frame, and features {name} have {width}"
         )));
     }
-    let mut files = Files::from([(
-        tmr::MOTION_WEIGHTS.to_owned(),
-        to_safetensors(&network, run_dir)?,
-    )]);
-    let folder = texts.as_ref().map(|side| side.folder.to_owned());
-    let text = match texts {
-        None => None,
-        Some(side) => {
-            let (network, record) = text_side(side, num_heads, model.width, device)?;
-            let bytes = to_safetensors(&network, run_dir)?;
-            files.insert(tmr::TEXT_WEIGHTS.to_owned(), bytes);
-            Some(record)
-        }
-    };
+    let bytes = to_safetensors(&network, run_dir)?;
+    let mut files = Files::from([(tmr::MOTION_WEIGHTS.to_owned(), bytes)]);
+    let folder = texts.as_ref().map(|side| side.folder);
+    let mut text = None;
+    if let Some(side) = texts {
+        let (network, record) = text_side(side, num_heads, model.width, device)?;
+        let bytes = to_safetensors(&network, run_dir)?;
+        files.insert(tmr::TEXT_WEIGHTS.to_owned(), bytes);
+        text = Some(record);
+    }
     let record = MotionEncoderRecord {
         model,
         features,
@@ -174,7 +172,7 @@ pub fn import_motion_encoder(
     let run = Run::open(run_dir, &record)?;
     let copy = run_dir.join(tmr::TEXT_FOLDER);
     if let Some(folder) = folder.filter(|_| !copy.exists()) {
-        unpack(&folder, &copy, device)?;
+        unpack(folder, &copy, device)?;
     }
     run.write(Slot::Best, &files)
 }
@@ -348,8 +346,7 @@ pub fn import_mdm(
     from_safetensors(&mut network, weights, "", path)?;
     // Its features do not depend on the body.
     let skeleton = Skeleton::smplx_neutral();
-    let network = (mdm::WEIGHTS, &network);
-    write_imported(run_dir, &skeleton, (mdm::KIND, record), network)
+    write_imported(run_dir, &skeleton, (mdm::KIND, record), &network)
 }
 
 /// Reads the numbers of a file of `torch.save` that holds one tensor, such as `mean.pt`.
@@ -390,7 +387,7 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
             let opened = open_for_use::<CoordinatorRecord>(run_dir, slot, coordinator::KIND)?;
             let record = opened.record.config;
             let width = record.train.model.width;
-            (opened.files, coordinator::WEIGHTS, width, record.normalizer)
+            (opened.files, Coordinator::FILE, width, record.normalizer)
         } else {
             let opened = open_for_use::<EditorRecord>(run_dir, slot, fit::KIND)?;
             let record = opened.record.config;
@@ -398,7 +395,7 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
                 return Err(foreign("tell_frames is set", "tell_frames = false"));
             }
             let width = record.train.model.width;
-            (opened.files, fit::DENOISER, width, record.normalizer)
+            (opened.files, Denoiser::FILE, width, record.normalizer)
         };
     let mut files = files;
     let bytes = with_tables(&take(&mut files, name, run_dir)?, width, run_dir)?;

@@ -1,34 +1,28 @@
 //! The training of the editor.
 
 use std::collections::BTreeSet;
-use std::path::Path;
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use datasets_spec::{Seed, Skeleton};
 use kinematics::normalise::Normalizer;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{Files, Run, RunRecord, Start};
+use crate::checkpoint::{Run, RunRecord, Start};
 use crate::compose::ComposeRecord;
 use crate::config::{NoiseKind, TextConfig, TextEncoder, TrainConfig, check_windows};
 use crate::data::{NoisyBatch, Texts, Timesteps, WindowSampler, WindowSource};
 use crate::diffusion::Objective;
 use crate::extrapolation::Extrapolation;
 use crate::model::motionrefit::{MotionRefit, TextSource};
-use crate::model::pass::Pass;
-use crate::model::weights::{load_networks, save_networks};
 use crate::schedule::Schedule;
 use crate::text::table::EmbeddingTable;
 pub use crate::trainer::TrainReport;
-use crate::trainer::{Task, TrainerConfig, train};
+use crate::trainer::{Task, train};
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
 
 /// Kind of run.
 pub(crate) const KIND: &str = "motionrefit";
-
-pub(crate) const DENOISER: &str = "denoiser.safetensors";
-pub(crate) const TEXT: &str = "text.safetensors";
 
 /// Windows that the linear guess of a residual is fitted to: 84 numbers each, of which a 2 by 2 matrix
 /// is estimated.
@@ -284,24 +278,28 @@ pub fn train_motionrefit<'a>(
     record.check()?;
     let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
     let run = Run::open(start, &document)?;
-    let draw = |first, count| val_sampler.draw(first, count);
-    let val_batches = config.run.validation(config.val_windows, draw)?;
-
-    let trainer = TrainerConfig {
+    let objective = Objective {
+        schedule: &schedule,
+        extrapolation: record.extrapolation.as_ref(),
+        config: &config.diffusion,
+        normalizer: &record.normalizer,
+        fps: record.compose.config.fps,
+    };
+    let validation = |first, count| val_sampler.draw(first, count);
+    let task = Task::<MotionRefit, NoisyBatch> {
         kind: KIND,
         samples: "windows",
         run: config.run,
         epoch_len: corpus.train.epoch_len(),
-    };
-    let task = EditorTask {
-        record: &record,
-        schedule,
-        sampler,
-        val_batches,
+        draw: &|step| {
+            let run = &config.run;
+            run.batches(step, |first, count| sampler.draw(first, count))
+        },
+        loss: &|model, batch, device, pass| model.loss(&objective, batch, device, pass),
+        validation: config.run.validation(config.val_windows, validation)?,
     };
     let network = |device: &Device| record.network(device);
-    let (_, report) = train(&task, network, &trainer, &run, session)?;
-    Ok(report)
+    Ok(train(&task, network, &run, session)?.1)
 }
 
 /// The extrapolation of the run whose weights are taken over; without one, that of the first windows of
@@ -325,68 +323,4 @@ fn chosen_extrapolation(
         config.diffusion.fixed_noise,
         config.diffusion.noise,
     )))
-}
-
-struct EditorTask<'a> {
-    record: &'a EditorRecord,
-    schedule: Schedule,
-    sampler: WindowSampler<'a>,
-    val_batches: Vec<NoisyBatch>,
-}
-
-impl Task for EditorTask<'_> {
-    type Model = MotionRefit;
-    type Batch = NoisyBatch;
-
-    const WEIGHTS: &'static str = DENOISER;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, NoisyBatch)>, Error> {
-        let run = &self.record.train.run;
-        run.batches(step, |first, count| self.sampler.draw(first, count))
-    }
-
-    fn loss(
-        &self,
-        model: &MotionRefit,
-        batch: &NoisyBatch,
-        device: &Device,
-        pass: &Pass,
-    ) -> Tensor<1> {
-        let objective = Objective {
-            schedule: &self.schedule,
-            extrapolation: self.record.extrapolation.as_ref(),
-            config: &self.record.train.diffusion,
-            normalizer: &self.record.normalizer,
-            fps: self.record.compose.config.fps,
-        };
-        model.loss(&objective, batch, device, pass)
-    }
-
-    fn validation(&self) -> impl Iterator<Item = (usize, &NoisyBatch)> {
-        self.val_batches.iter().map(|batch| (batch.len(), batch))
-    }
-
-    fn save(&self, model: &MotionRefit, run_dir: &Path) -> Result<Files, Error> {
-        let text = (TEXT, model.text.as_ref());
-        save_networks((DENOISER, &model.denoiser), text, run_dir)
-    }
-
-    fn load(
-        &self,
-        model: &mut MotionRefit,
-        files: &mut Files,
-        run_dir: &Path,
-    ) -> Result<(), Error> {
-        load_weights(model, files, run_dir)
-    }
-}
-
-/// Loads the networks of an editor.
-pub(crate) fn load_weights(
-    model: &mut MotionRefit,
-    files: &mut Files,
-    run_dir: &Path,
-) -> Result<(), Error> {
-    let text = (TEXT, model.text.as_mut());
-    load_networks((DENOISER, &mut model.denoiser), text, files, run_dir)
 }

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use datasets_spec::{Motion, Pose, Seed};
 use glam::{DMat3, DQuat, DVec3};
@@ -17,20 +16,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use, take, write_atomically};
 use crate::config::{Decay, OptimizerConfig, Preset, RunLength, RunSettings};
-use crate::model::pass::Pass;
 use crate::model::pose_net::{
     NAMES, OFFICIAL_INPUT, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_OUTPUT,
     PaperPoseNet,
 };
-use crate::model::weights::{from_safetensors_named, to_safetensors};
-use crate::trainer::{self, Task, TrainerConfig};
+use crate::model::weights::{Networks, from_safetensors_named, to_safetensors};
+use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 /// Kind of run.
 pub(crate) const KIND: &str = "j2s";
-
-const WEIGHTS: &str = "model.safetensors";
 
 /// Poses of a validation.
 const VAL_POSES: usize = 512;
@@ -205,14 +201,28 @@ pub fn train_j2s<'a>(
     let (network, done) = match config.preset {
         J2sPreset::Paper => {
             let net = |device: &Device| PaperPoseNet::new(config.width, device);
-            let task = PoseTask::new(PaperPoseNet::forward, config, motions, skeleton);
-            let (net, done) = trainer::train(&task, net, &task.trainer(), &run, session)?;
+            let (net, done) = fit(
+                PaperPoseNet::forward,
+                net,
+                config,
+                motions,
+                skeleton,
+                &run,
+                session,
+            )?;
             (Network::Paper(Box::new(net)), done)
         }
         J2sPreset::Official => {
             let net = |device: &Device| OfficialPoseNet::new(config.width, device);
-            let task = PoseTask::new(OfficialPoseNet::forward, config, motions, skeleton);
-            let (net, done) = trainer::train(&task, net, &task.trainer(), &run, session)?;
+            let (net, done) = fit(
+                OfficialPoseNet::forward,
+                net,
+                config,
+                motions,
+                skeleton,
+                &run,
+                session,
+            )?;
             (Network::Official(Box::new(net)), done)
         }
     };
@@ -228,7 +238,7 @@ pub fn train_j2s<'a>(
         loss: [done.first_loss, done.last_loss].map(|loss| loss.unwrap_or(f64::NAN)),
         fits: measure(&net, val, skeleton, config, session),
     };
-    let weights = run_dir.join(WEIGHTS);
+    let weights = run_dir.join(PaperPoseNet::FILE);
     let bytes = net.to_safetensors(&weights)?;
     write_atomically(&weights, &bytes)?;
     let document = serde_json::to_vec_pretty(&report).expect("plain numbers and names serialise");
@@ -236,81 +246,42 @@ pub fn train_j2s<'a>(
     Ok(report)
 }
 
-struct PoseTask<'a, M> {
+/// Trains one of the networks. `forward` is what it makes of rows of points.
+fn fit<M: Networks>(
     forward: fn(&M, Tensor<2>) -> Tensor<2>,
-    config: &'a J2sConfig,
-    train: &'a [Motion],
-    skeleton: &'a Skeleton,
-    seed: Seed,
-    /// Inputs and targets of the validation poses.
-    val: (Vec<f32>, Vec<f32>),
-}
-
-impl<'a, M: Module> PoseTask<'a, M> {
-    fn new(
-        forward: fn(&M, Tensor<2>) -> Tensor<2>,
-        config: &'a J2sConfig,
-        motions: [&'a [Motion]; 2],
-        skeleton: &'a Skeleton,
-    ) -> Self {
-        let [train, val] = motions;
-        let seed = Seed(config.run.seed).derive(&["poses"]);
-        let poses = draw_poses(val, VAL_POSES, seed.derive(&["val"]).rng_of(0));
-        Self {
-            forward,
-            config,
-            train,
-            skeleton,
-            seed,
-            val: samples(&poses, config, skeleton, None),
-        }
-    }
-
-    fn trainer(&self) -> TrainerConfig {
-        let mut run = self.config.run;
-        // At least twenty lines and ten validations in a run, however short it is.
-        let num_steps = run.length.steps;
-        run.log_every = run.log_every.min(num_steps.div_ceil(20));
-        run.val_every = run.val_every.min(num_steps.div_ceil(10));
-        TrainerConfig {
-            kind: KIND,
-            samples: "poses",
-            run,
-            epoch_len: self.train.iter().map(|motion| motion.len() as u64).sum(),
-        }
-    }
-}
-
-impl<M: Module + Sync> Task for PoseTask<'_, M> {
-    type Model = M;
-    type Batch = (Vec<f32>, Vec<f32>);
-
-    const WEIGHTS: &'static str = WEIGHTS;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
-        let (count, rng) = (self.config.run.batch_size, self.seed.rng_of(step));
-        let poses = draw_poses(self.train, count, rng);
-        let noise = self.seed.derive(&["noise"]).rng_of(step);
-        let batch = samples(&poses, self.config, self.skeleton, Some(noise));
-        Ok(vec![(1.0, batch)])
-    }
-
-    fn loss(
-        &self,
-        net: &M,
-        (points, wanted): &Self::Batch,
-        device: &Device,
-        _pass: &Pass,
-    ) -> Tensor<1> {
-        let rows = points.len() / self.config.preset.input();
-        let points = tensor(points.clone(), rows, device);
-        let away = (self.forward)(net, points) - tensor(wanted.clone(), rows, device);
-        away.square().mean()
-    }
-
-    fn validation(&self) -> impl Iterator<Item = (usize, &Self::Batch)> {
-        std::iter::once((1, &self.val))
-    }
+    network: impl FnOnce(&Device) -> M,
+    config: &J2sConfig,
+    [train, val]: [&[Motion]; 2],
+    skeleton: &Skeleton,
+    run: &Run,
+    session: &Session<'_>,
+) -> Result<(M, TrainReport), Error> {
+    let seed = Seed(config.run.seed).derive(&["poses"]);
+    let mut settings = config.run;
+    // At least twenty lines and ten validations in a run, however short it is.
+    let num_steps = settings.length.steps;
+    settings.log_every = settings.log_every.min(num_steps.div_ceil(20));
+    settings.val_every = settings.val_every.min(num_steps.div_ceil(10));
+    let val_poses = draw_poses(val, VAL_POSES, seed.derive(&["val"]).rng_of(0));
+    let task = Task::<M, (Vec<f32>, Vec<f32>)> {
+        kind: KIND,
+        samples: "poses",
+        run: settings,
+        epoch_len: train.iter().map(|motion| motion.len() as u64).sum(),
+        draw: &|step| {
+            let poses = draw_poses(train, config.run.batch_size, seed.rng_of(step));
+            let noise = seed.derive(&["noise"]).rng_of(step);
+            Ok(vec![(1.0, samples(&poses, config, skeleton, Some(noise)))])
+        },
+        loss: &|net, (points, wanted), device, _| {
+            let rows = points.len() / config.preset.input();
+            let points = tensor(points.clone(), rows, device);
+            let away = forward(net, points) - tensor(wanted.clone(), rows, device);
+            away.square().mean()
+        },
+        validation: vec![(1, samples(&val_poses, config, skeleton, None))],
+    };
+    trainer::train(&task, network, run, session)
 }
 
 fn tensor(numbers: Vec<f32>, rows: usize, device: &Device) -> Tensor<2> {
@@ -404,9 +375,9 @@ impl PoseNet {
     /// The folder is no such run, or its checkpoint is missing or damaged.
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<(Self, String), Error> {
         let mut opened = open_for_use::<J2sConfig>(run_dir, slot, KIND)?;
-        let bytes = take(&mut opened.files, WEIGHTS, run_dir)?;
+        let bytes = take(&mut opened.files, PaperPoseNet::FILE, run_dir)?;
         let config = &opened.record.config;
-        let path = run_dir.join(WEIGHTS);
+        let path = run_dir.join(PaperPoseNet::FILE);
         let net = Self::from_safetensors(config.preset, config.width, bytes, "", &path, device)?;
         let net = Self {
             faces_forward: config.faces_forward,

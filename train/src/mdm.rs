@@ -1,17 +1,13 @@
 //! MDM: settings and training.
 
-use std::path::Path;
-
 use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use crate::captioned::{
-    CaptionedCorpus, CaptionedRows, CropSampler, Crops, captioned_rows, grouped_stats,
-};
-use crate::checkpoint::{Files, Run, RunRecord, Start};
+use crate::captioned::{CaptionedCorpus, CropSampler, Crops, captioned_rows, grouped_stats};
+use crate::checkpoint::{Run, RunRecord, Start};
 use crate::config::{
     NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TrainConfig,
     check_lengths, positive, share,
@@ -24,14 +20,12 @@ use crate::model::mdm::Mdm;
 use crate::model::pass::Pass;
 use crate::schedule::Schedule;
 use crate::text::clip::ClipModel;
-use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::send;
 use crate::{Error, Session};
 
 /// Kind of run.
 pub(crate) const KIND: &str = "mdm";
-
-pub(crate) const WEIGHTS: &str = "mdm.safetensors";
 
 /// The frozen text encoder.
 pub(crate) const CLIP: ClipModel = ClipModel::VitB32;
@@ -198,16 +192,42 @@ pub fn train_mdm<'a>(
     };
     let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
     let run = Run::open(start, &document)?;
-    let task = MdmTask::new(&record, [&train, &val], record.text.texts(corpus.vectors)?)?;
-    let trainer = TrainerConfig {
+    let seed = Seed(config.run.seed);
+    let sampler = |clips, name| CropSampler {
+        clips,
+        stats: &record.features,
+        max_frames: config.max_frames,
+        pads_to_max: !config.mask_frames,
+        seed: seed.derive(&[name]),
+    };
+    let (sampler, held_out) = (sampler(&train, "train"), sampler(&val, "val"));
+    let noising = Noising {
+        record: &record,
+        schedule: Schedule::cosine(config.diffusion_steps)?,
+        texts: record.text.texts(corpus.vectors)?,
+    };
+    let size = config.run.micro_batch();
+    let val_batches = held_out.validation(size, config.diffusion_steps);
+    let val_batches = val_batches.map(|(first, timesteps, crops)| {
+        let mut batch = noising.noisy(crops, held_out.seed, first)?;
+        batch.text_kept.fill(1.0);
+        Ok((timesteps.len(), MdmBatch { timesteps, ..batch }))
+    });
+    let task = Task::<Conditioned<Mdm>, MdmBatch> {
         kind: KIND,
         samples: "motions",
         run: config.run,
         epoch_len: train.len() as u64,
+        draw: &|step| {
+            config.run.batches(step, |first, count| {
+                noising.noisy(sampler.draw(first, count), sampler.seed, first)
+            })
+        },
+        loss: &|model, batch, device, pass| noising.loss(model, batch, device, pass),
+        validation: val_batches.collect::<Result<_, Error>>()?,
     };
     let network = |device: &Device| record.network(device);
-    let (_, report) = trainer::train(&task, network, &trainer, &run, session)?;
-    Ok(report)
+    Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
 /// Noisy motions with their captions, with everything a training step draws.
@@ -227,48 +247,14 @@ struct MdmBatch {
     text_kept: Vec<f32>,
 }
 
-struct MdmTask<'a> {
+/// How motions become noisy ones, and what is asked of those.
+struct Noising<'a> {
     record: &'a MdmRecord,
     schedule: Schedule,
-    sampler: CropSampler<'a>,
     texts: Texts<'a>,
-    val_batches: Vec<MdmBatch>,
 }
 
-impl<'a> MdmTask<'a> {
-    fn new(
-        record: &'a MdmRecord,
-        splits: [&'a [CaptionedRows]; 2],
-        texts: Texts<'a>,
-    ) -> Result<Self, Error> {
-        let [train, val] = splits;
-        let config = &record.train;
-        let seed = Seed(config.run.seed);
-        let sampler = |clips, name| CropSampler {
-            clips,
-            stats: &record.features,
-            max_frames: config.max_frames,
-            pads_to_max: !config.mask_frames,
-            seed: seed.derive(&[name]),
-        };
-        let mut task = Self {
-            record,
-            schedule: Schedule::cosine(config.diffusion_steps)?,
-            sampler: sampler(train, "train"),
-            texts,
-            val_batches: Vec::new(),
-        };
-        let held_out = sampler(val, "val");
-        let size = config.run.micro_batch();
-        for (first, timesteps, crops) in held_out.validation(size, config.diffusion_steps) {
-            let mut batch = task.noisy(crops, held_out.seed, first)?;
-            batch.timesteps = timesteps;
-            batch.text_kept.fill(1.0);
-            task.val_batches.push(batch);
-        }
-        Ok(task)
-    }
-
+impl Noising<'_> {
     /// Draws noise, diffusion steps and dropped captions of crops, the first of which is the sample
     /// `first` of the run.
     fn noisy(&self, crops: Crops<'_>, seed: Seed, first: u64) -> Result<MdmBatch, Error> {
@@ -292,21 +278,6 @@ impl<'a> MdmTask<'a> {
             text_kept,
         })
     }
-}
-
-impl Task for MdmTask<'_> {
-    type Model = Conditioned<Mdm>;
-    type Batch = MdmBatch;
-
-    const WEIGHTS: &'static str = WEIGHTS;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, MdmBatch)>, Error> {
-        let run = &self.record.train.run;
-        run.batches(step, |first, count| {
-            self.noisy(self.sampler.draw(first, count), self.sampler.seed, first)
-        })
-    }
-
     /// The error of the predicted clean motions.
     ///
     /// # Source
@@ -333,25 +304,6 @@ impl Task for MdmTask<'_> {
             .network
             .forward(x_t, &batch.timesteps, text, lengths, pass);
         masked_l2(predicted, x0, &batch.lengths).mean()
-    }
-
-    fn validation(&self) -> impl Iterator<Item = (usize, &MdmBatch)> {
-        self.val_batches
-            .iter()
-            .map(|batch| (batch.lengths.len(), batch))
-    }
-
-    fn save(&self, model: &Conditioned<Mdm>, run_dir: &Path) -> Result<Files, Error> {
-        model.save(WEIGHTS, run_dir)
-    }
-
-    fn load(
-        &self,
-        model: &mut Conditioned<Mdm>,
-        files: &mut Files,
-        run_dir: &Path,
-    ) -> Result<(), Error> {
-        model.load(WEIGHTS, files, run_dir)
     }
 }
 

@@ -12,10 +12,11 @@ use crate::checkpoint::{Slot, open_for_use};
 use crate::config::Preset;
 use crate::diffusion::guide;
 use crate::humanml3d::{SourceFeatures, feature_mask};
-use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord, WEIGHTS};
+use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord};
 use crate::model::conditioned::Conditioned;
 use crate::model::mdm::Mdm;
 use crate::model::transformer::PreparedWeights;
+use crate::model::weights::Networks;
 use crate::sample::noise::Noise;
 use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
@@ -57,7 +58,7 @@ pub(crate) fn open(
     let record = opened.record.config;
     record.train.check()?;
     let mut model = record.network(device);
-    model.load(WEIGHTS, &mut opened.files, &source.run)?;
+    model.take_files(&mut opened.files, &source.run)?;
     let inpainting = PartInpainting::new(
         Schedule::cosine(record.train.diffusion_steps)?,
         config.start,

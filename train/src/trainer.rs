@@ -1,6 +1,6 @@
 //! Training loop shared by all models: training, stopping, resuming, checkpoints.
 //!
-//! A model implements [`Task`]; [`train`] does the rest.
+//! A model gives data and loss as a `Task`; `train` does the rest.
 
 mod clipping;
 mod devices;
@@ -11,7 +11,6 @@ mod task;
 
 use std::path::Path;
 
-use burn::module::Module;
 use burn::optim::ModuleOptimizer;
 use burn::tensor::{Bytes, Device};
 use datasets_spec::Seed;
@@ -21,42 +20,17 @@ use self::clipping::clip_grad_norm;
 use self::devices::{Devices, Step};
 use self::ema::Ema;
 use self::progress::{MetricsLine, Speed, TrainState, Unread, ValidationLine};
-pub use self::task::Task;
+pub(crate) use self::task::Task;
 use crate::checkpoint::{self, EMA_PREFIX, Files, Run, STATE, Slot, take};
-use crate::config::RunSettings;
 use crate::data::prefetch;
 use crate::error::json_error;
 use crate::model::pass::Pass;
-use crate::model::weights::draw;
+use crate::model::weights::{Networks, draw};
 use crate::optimizer::adamw;
 use crate::transfer::weighted_mean;
 use crate::{Error, Session};
 
 const OPTIMIZER: &str = "optimizer.bpk";
-
-/// Settings of the trainer.
-#[derive(Clone, Copy, Debug)]
-pub struct TrainerConfig {
-    /// Kind of model, shown with the progress.
-    pub kind: &'static str,
-    /// What a sample is called, in the plural.
-    pub samples: &'static str,
-    /// Settings that every training run has.
-    pub run: RunSettings,
-    /// Samples of an epoch.
-    pub epoch_len: u64,
-}
-
-impl TrainerConfig {
-    fn steps_per_epoch(&self) -> u64 {
-        self.epoch_len.div_ceil(self.run.batch_size as u64).max(1)
-    }
-
-    /// Steps of the run.
-    fn num_steps(&self) -> u64 {
-        self.run.length.num_steps(self.steps_per_epoch())
-    }
-}
 
 /// Result of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -111,24 +85,23 @@ impl TrainReport {
 /// # Errors
 /// The run folder holds a damaged checkpoint or a longer run, the data cannot be read, a loss is not
 /// finite, or a file cannot be written.
-pub fn train<T: Task>(
-    task: &T,
-    network: impl FnOnce(&Device) -> T::Model,
-    config: &TrainerConfig,
+pub(crate) fn train<M: Networks, B: Send + Sync>(
+    task: &Task<'_, M, B>,
+    network: impl FnOnce(&Device) -> M,
     run: &Run,
     session: &Session<'_>,
-) -> Result<(T::Model, TrainReport), Error> {
-    let seed = Seed(config.run.seed).derive(&["weights"]);
+) -> Result<(M, TrainReport), Error> {
+    let seed = Seed(task.run.seed).derive(&["weights"]);
     let mut model = draw(network(&session.device.clone().autodiff()), seed)?;
-    let mut training = Training::begin(task, &mut model, config, run, session)?;
-    let num_steps = config.num_steps();
+    let mut training = Training::begin(task, &mut model, run, session)?;
+    let num_steps = task.num_steps();
     session
         .progress
-        .begin(&format!("train {}", config.kind), Some(num_steps));
+        .begin(&format!("train {}", task.kind), Some(num_steps));
     session.progress.advance(training.state.step);
-    let model = std::thread::scope(|scope| -> Result<T::Model, Error> {
+    let model = std::thread::scope(|scope| -> Result<M, Error> {
         let steps = training.state.step..num_steps;
-        let batches = prefetch(scope, steps, |step| task.draw(step));
+        let batches = prefetch(scope, steps, |step| (task.draw)(step));
         let mut devices = Devices::new(&model, session.device, session.more_devices);
         while training.state.step < num_steps && !session.is_stopped() {
             let begun = session.secs();
@@ -152,9 +125,8 @@ pub fn train<T: Task>(
 }
 
 /// A run that is being trained: all but the model, which every step takes and gives back.
-struct Training<'a, T: Task> {
-    task: &'a T,
-    config: &'a TrainerConfig,
+struct Training<'a, M, B> {
+    task: &'a Task<'a, M, B>,
     run: &'a Run,
     session: &'a Session<'a>,
     optimizer: ModuleOptimizer,
@@ -179,29 +151,28 @@ struct Due {
     epoch: Option<u64>,
 }
 
-impl<'a, T: Task> Training<'a, T> {
+impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
     /// Reads where the run folder left off, into `model` too.
     fn begin(
-        task: &'a T,
-        model: &mut T::Model,
-        config: &'a TrainerConfig,
+        task: &'a Task<'a, M, B>,
+        model: &mut M,
         run: &'a Run,
         session: &'a Session<'a>,
     ) -> Result<Self, Error> {
-        let (run_dir, settings) = (run.dir(), &config.run.optimizer);
+        let (run_dir, settings) = (run.dir(), &task.run.optimizer);
         let mut optimizer = adamw(settings.weight_decay, session.arithmetic);
         let mut state = TrainState::default();
         let mut ema = None;
         if let Some(mut files) = checkpoint::read(run_dir, Slot::Last)? {
             if settings.ema_decay.is_some() {
-                ema = Some(load_ema(task, model, &mut files, run_dir)?);
+                ema = Some(load_ema(model, &files, run_dir)?);
             }
-            task.load(model, &mut files, run_dir)?;
+            model.take_files(&mut files, run_dir)?;
             (optimizer, state) = load_progress(optimizer, &mut files, run_dir)?;
         } else if let Some((from, mut files)) = run.init() {
-            task.load(model, &mut files, from)?;
+            model.take_files(&mut files, from)?;
         }
-        let num_steps = config.num_steps();
+        let num_steps = task.num_steps();
         if state.step > num_steps {
             let made = state.step;
             let problem = format!("it is {num_steps} steps, and the run has made {made} already");
@@ -214,7 +185,6 @@ impl<'a, T: Task> Training<'a, T> {
         }
         Ok(Self {
             task,
-            config,
             run,
             session,
             optimizer,
@@ -229,13 +199,8 @@ impl<'a, T: Task> Training<'a, T> {
     }
 
     /// Makes a step.
-    fn step(
-        &mut self,
-        model: T::Model,
-        parts: &[(f64, T::Batch)],
-        devices: &mut Devices<T::Model>,
-    ) -> Result<T::Model, Error> {
-        let (settings, step) = (&self.config.run, self.state.step);
+    fn step(&mut self, model: M, parts: &[(f64, B)], devices: &mut Devices<M>) -> Result<M, Error> {
+        let (settings, step) = (&self.task.run, self.state.step);
         let (loss, mut gradients) = Step {
             task: self.task,
             parts,
@@ -263,15 +228,15 @@ impl<'a, T: Task> Training<'a, T> {
 
     /// The learning rate of a step.
     fn rate(&self, step: u64) -> f64 {
-        let optimizer = &self.config.run.optimizer;
-        optimizer.rate_at(step, self.config.num_steps())
+        let optimizer = &self.task.run.optimizer;
+        optimizer.rate_at(step, self.task.num_steps())
     }
 
     /// What is due after the step that was made last.
     fn due(&self) -> Due {
-        let (settings, step) = (&self.config.run, self.state.step);
-        let is_last = step == self.config.num_steps();
-        let epoch_len = self.config.steps_per_epoch();
+        let (settings, step) = (&self.task.run, self.state.step);
+        let is_last = step == self.task.num_steps();
+        let epoch_len = self.task.steps_per_epoch();
         let keep_every = settings.keep_epochs * epoch_len;
         let is_kept = keep_every > 0 && step.is_multiple_of(keep_every);
         Due {
@@ -288,7 +253,7 @@ impl<'a, T: Task> Training<'a, T> {
     }
 
     /// Writes the lines and the checkpoints that are due after a step.
-    fn report_step(&mut self, model: &T::Model) -> Result<(), Error> {
+    fn report_step(&mut self, model: &M) -> Result<(), Error> {
         let due = self.due();
         if due.line {
             self.log()?;
@@ -297,7 +262,7 @@ impl<'a, T: Task> Training<'a, T> {
             self.validate(model)?;
         }
         if let Some(epoch) = due.epoch {
-            let files = self.task.save(&self.used(model), self.run.dir())?;
+            let files = self.used(model).to_files(self.run.dir())?;
             self.run.write(Slot::Epoch(epoch), &files)?;
         }
         Ok(())
@@ -307,7 +272,7 @@ impl<'a, T: Task> Training<'a, T> {
     fn log(&mut self) -> Result<(), Error> {
         let step = self.state.step;
         let loss = self.state.take_loss();
-        let samples_per_sec = self.recent.samples_per_sec(self.config.run.batch_size);
+        let samples_per_sec = self.recent.samples_per_sec(self.task.run.batch_size);
         let data_wait_share = self.recent.wait_share();
         self.run.log(&MetricsLine {
             step,
@@ -319,7 +284,7 @@ impl<'a, T: Task> Training<'a, T> {
         })?;
         self.session.progress.message(&format!(
             "loss {loss:.4}, {samples_per_sec:.0} {}/s, {:.1} % waiting",
-            self.config.samples,
+            self.task.samples,
             100.0 * data_wait_share
         ));
         self.whole.merge(&self.recent);
@@ -328,14 +293,13 @@ impl<'a, T: Task> Training<'a, T> {
     }
 
     /// Validates, and writes the checkpoints.
-    fn validate(&mut self, model: &T::Model) -> Result<(), Error> {
+    fn validate(&mut self, model: &M) -> Result<(), Error> {
         let used = self.used(model);
         let pass = Pass::new(self.session.arithmetic);
         let device = self.session.device;
-        let losses = self
-            .task
-            .validation()
-            .map(|(samples, batch)| (samples, self.task.loss(&used, batch, device, &pass)));
+        let batches = self.task.validation.iter();
+        let losses = batches
+            .map(|(samples, batch)| (*samples, (self.task.loss)(&used, batch, device, &pass)));
         let val_loss = weighted_mean(losses);
         let step = self.state.step;
         if !val_loss.is_finite() {
@@ -353,14 +317,14 @@ impl<'a, T: Task> Training<'a, T> {
         })?;
         self.save(model)?;
         if is_best {
-            let files = self.task.save(&used, self.run.dir())?;
+            let files = used.to_files(self.run.dir())?;
             self.run.write(Slot::Best, &files)?;
         }
         Ok(())
     }
 
     /// The model for validation and inference: with EMA weights if the settings ask for them.
-    fn used(&self, model: &T::Model) -> T::Model {
+    fn used(&self, model: &M) -> M {
         match &self.ema {
             Some(ema) => ema.put_into(model.valid()),
             None => model.valid(),
@@ -368,18 +332,18 @@ impl<'a, T: Task> Training<'a, T> {
     }
 
     /// Writes the checkpoint that the run continues from.
-    fn save(&mut self, model: &T::Model) -> Result<(), Error> {
+    fn save(&mut self, model: &M) -> Result<(), Error> {
         let run_dir = self.run.dir();
         let moments = self
             .optimizer
             .into_bytes()
             .map_err(|problem| Error::weights(&run_dir.join(OPTIMIZER), problem))?;
         let state = serde_json::to_vec(&self.state).map_err(json_error(&run_dir.join(STATE)))?;
-        let mut files = self.task.save(&model.valid(), run_dir)?;
+        let mut files = model.valid().to_files(run_dir)?;
         files.insert(OPTIMIZER.to_owned(), moments.to_vec());
         files.insert(STATE.to_owned(), state);
         if self.ema.is_some() {
-            let averaged = self.task.save(&self.used(model), run_dir)?;
+            let averaged = self.used(model).to_files(run_dir)?;
             files.extend(
                 averaged
                     .into_iter()
@@ -392,8 +356,8 @@ impl<'a, T: Task> Training<'a, T> {
     }
 
     /// Ends the session, with a checkpoint where the run is not complete.
-    fn end(&mut self, model: &T::Model) -> Result<TrainReport, Error> {
-        let is_complete = self.state.step == self.config.num_steps();
+    fn end(&mut self, model: &M) -> Result<TrainReport, Error> {
+        let is_complete = self.state.step == self.task.num_steps();
         if !is_complete {
             self.save(model)?;
         }
@@ -418,18 +382,13 @@ impl<'a, T: Task> Training<'a, T> {
             last_loss: state.last_loss.map(f64::from),
             best_val_loss: state.best_val_loss.map(f64::from),
             best_step: state.best_step,
-            samples_per_sec: self.whole.samples_per_sec(self.config.run.batch_size),
+            samples_per_sec: self.whole.samples_per_sec(self.task.run.batch_size),
             data_wait_share: self.whole.wait_share(),
         })
     }
 }
 
-fn load_ema<T: Task>(
-    task: &T,
-    model: &T::Model,
-    files: &mut Files,
-    run_dir: &Path,
-) -> Result<Ema, Error> {
+fn load_ema<M: Networks>(model: &M, files: &Files, run_dir: &Path) -> Result<Ema, Error> {
     let mut averaged: Files = files
         .iter()
         .filter_map(|(name, bytes)| {
@@ -437,7 +396,7 @@ fn load_ema<T: Task>(
         })
         .collect();
     let mut twin = model.clone();
-    task.load(&mut twin, &mut averaged, run_dir)?;
+    twin.take_files(&mut averaged, run_dir)?;
     Ok(Ema::of(&twin.valid()))
 }
 

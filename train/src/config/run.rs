@@ -70,16 +70,18 @@ impl RunSettings {
             .collect()
     }
 
-    /// Draws the micro-batches of a validation of so many items, as [`RunSettings::batches`] draws those of a step.
+    /// Draws the micro-batches of a validation of so many items, as [`RunSettings::batches`] draws those of a step; each comes
+    /// with its number of items.
     pub(crate) fn validation<B>(
         &self,
         num_items: usize,
         draw: impl Fn(u64, usize) -> Result<B, Error>,
-    ) -> Result<Vec<B>, Error> {
+    ) -> Result<Vec<(usize, B)>, Error> {
         let micro = self.micro_batch();
         (0..num_items)
             .step_by(micro)
-            .map(|first| draw(first as u64, micro.min(num_items - first)))
+            .map(|first| (first, micro.min(num_items - first)))
+            .map(|(first, count)| Ok((count, draw(first as u64, count)?)))
             .collect()
     }
 

@@ -16,15 +16,13 @@ use crate::config::Loss;
 use crate::features::FeatureStats;
 use crate::model::mld::{MAX_POSITIONS, MotionVae};
 use crate::model::pass::Pass;
-use crate::model::weights::load_network;
-use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::model::weights::Networks;
+use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::send;
 use crate::{Error, Session};
 
 /// Kind of run.
 const KIND: &str = "mld-autoencoder";
-
-const WEIGHTS: &str = "autoencoder.safetensors";
 
 /// Record of a run of the autoencoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,13 +30,6 @@ const WEIGHTS: &str = "autoencoder.safetensors";
 struct AutoencoderRecord {
     train: AutoencoderConfig,
     features: FeatureStats,
-}
-
-impl AutoencoderRecord {
-    fn network(&self, device: &Device) -> MotionVae {
-        let width = self.features.recipe.width();
-        MotionVae::new(&self.train.model, width, MAX_POSITIONS, device)
-    }
 }
 
 /// The folder of the autoencoder in that of the latent diffusion.
@@ -73,44 +64,36 @@ pub(super) fn train(
         seed: seed.derive(&[name]),
     };
     let val = sampler(val, "val").whole(config.run.micro_batch());
-    let task = AutoencoderTask {
-        record: &record,
-        sampler: sampler(clips, "train"),
-        // A validation takes the mean latent vectors.
-        val: val.into_iter().map(|crops| (crops, None)).collect(),
-    };
-    let trainer = TrainerConfig {
+    let sampler = sampler(clips, "train");
+    let task = Task::<MotionVae, NoisyCrops<'_>> {
         kind: KIND,
         samples: "motions",
         run: config.run,
         epoch_len: clips.len() as u64,
+        draw: &|step| {
+            config.run.batches(step, |first, count| {
+                let noise = latent_noise(sampler.seed, first, count, config.model.width);
+                Ok((sampler.draw(first, count), Some(noise)))
+            })
+        },
+        loss: &|model, batch, device, pass| record.loss(model, batch, device, pass),
+        // A validation takes the mean latent vectors.
+        validation: val
+            .into_iter()
+            .map(|crops| (crops.lengths.len(), (crops, None)))
+            .collect(),
     };
     let network = |device: &Device| record.network(device);
-    let (_, report) = trainer::train(&task, network, &trainer, &run, session)?;
-    Ok(report)
+    Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
 /// Crops, and the noise of their latent vectors, `[B, d]`.
 type NoisyCrops<'a> = (Crops<'a>, Option<Vec<f32>>);
 
-struct AutoencoderTask<'a> {
-    record: &'a AutoencoderRecord,
-    sampler: CropSampler<'a>,
-    val: Vec<NoisyCrops<'a>>,
-}
-
-impl<'a> Task for AutoencoderTask<'a> {
-    type Model = MotionVae;
-    type Batch = NoisyCrops<'a>;
-
-    const WEIGHTS: &'static str = WEIGHTS;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
-        let config = &self.record.train;
-        config.run.batches(step, |first, count| {
-            let noise = latent_noise(self.sampler.seed, first, count, config.model.width);
-            Ok((self.sampler.draw(first, count), Some(noise)))
-        })
+impl AutoencoderRecord {
+    fn network(&self, device: &Device) -> MotionVae {
+        let width = self.features.recipe.width();
+        MotionVae::new(&self.train.model, width, MAX_POSITIONS, device)
     }
 
     /// Errors of features and joints, and the divergence of the latent vectors from the standard normal
@@ -122,15 +105,11 @@ impl<'a> Task for AutoencoderTask<'a> {
     fn loss(
         &self,
         model: &MotionVae,
-        batch: &Self::Batch,
+        (crops, noise): &NoisyCrops<'_>,
         device: &Device,
         pass: &Pass,
     ) -> Tensor<1> {
-        let (crops, noise) = batch;
-        let AutoencoderRecord {
-            train: config,
-            features: stats,
-        } = self.record;
+        let (config, stats) = (&self.train, &self.features);
         let features = crops.tensor(device);
         let encoded = model.encode(features.clone(), &crops.lengths, pass);
         let latent = match noise {
@@ -157,10 +136,6 @@ impl<'a> Task for AutoencoderTask<'a> {
             loss = loss + error.mul_scalar(config.joints_weight);
         }
         loss
-    }
-
-    fn validation(&self) -> impl Iterator<Item = (usize, &Self::Batch)> {
-        self.val.iter().map(|batch| (batch.0.lengths.len(), batch))
     }
 }
 
@@ -198,7 +173,7 @@ impl Autoencoder {
         let record = opened.record.config;
         record.train.check()?;
         let mut network = record.network(device);
-        load_network(&mut network, &mut opened.files, WEIGHTS, &dir)?;
+        network.take_files(&mut opened.files, &dir)?;
         Ok(Self {
             network,
             max_frames: record.train.max_frames,

@@ -1,7 +1,5 @@
 //! The diffusion of latent vectors: training.
 
-use std::path::Path;
-
 use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use rand::RngExt;
@@ -12,18 +10,16 @@ use super::KIND;
 use super::autoencoder::{self, Autoencoder, latent_noise};
 use super::config::MldConfig;
 use crate::captioned::{CaptionedCorpus, CropSampler, Crops, captioned_rows};
-use crate::checkpoint::{Files, Run, RunRecord, Start};
+use crate::checkpoint::{Run, RunRecord, Start};
 use crate::data::{TextBatch, Texts};
 use crate::fit::TextRecord;
 use crate::model::conditioned::Conditioned;
 use crate::model::mld::{LatentDenoiser, MAX_POSITIONS};
 use crate::model::pass::Pass;
 use crate::schedule::Schedule;
-use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::{read, send};
 use crate::{Error, Session};
-
-pub(super) const WEIGHTS: &str = "denoiser.safetensors";
 
 /// Record of a run of the latent diffusion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -100,25 +96,35 @@ pub fn train_mld<'a>(
     };
     let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
     let run = Run::open(start, &document)?;
-    let mut task = DiffusionTask {
+    let noising = Noising {
         record: &record,
         autoencoder: &autoencoder,
         session,
         schedule: Schedule::scaled_linear(config.diffusion_steps)?,
-        sampler: sampler(&train, "train"),
         texts: record.text.texts(corpus.vectors)?,
-        val: Vec::new(),
     };
-    task.val = task.val_batches(&sampler(&val, "val"))?;
-    let trainer = TrainerConfig {
+    let (held_out, sampler) = (sampler(&val, "val"), sampler(&train, "train"));
+    let val_batches = held_out.validation(config.run.micro_batch(), config.diffusion_steps);
+    let val_batches = val_batches.map(|(first, timesteps, crops)| {
+        let batch = noising.noisy(&crops, held_out.seed, first, 0.0)?;
+        Ok((timesteps.len(), LatentBatch { timesteps, ..batch }))
+    });
+    let task = Task::<Conditioned<LatentDenoiser>, LatentBatch> {
         kind: KIND,
         samples: "motions",
         run: config.run,
         epoch_len: train.len() as u64,
+        draw: &|step| {
+            config.run.batches(step, |first, count| {
+                let crops = sampler.draw(first, count);
+                noising.noisy(&crops, sampler.seed, first, config.text_dropout)
+            })
+        },
+        loss: &|model, batch, device, pass| noising.loss(model, batch, device, pass),
+        validation: val_batches.collect::<Result<_, Error>>()?,
     };
     let network = |device: &Device| record.network(device);
-    let (_, report) = trainer::train(&task, network, &trainer, &run, session)?;
-    Ok(report)
+    Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
 /// The standard deviation of the latent vectors of clips: the root of the mean variance of their numbers.
@@ -160,18 +166,17 @@ struct LatentBatch {
     texts: TextBatch,
 }
 
-struct DiffusionTask<'a> {
+/// How motions become noisy latent vectors, and what is asked of those.
+struct Noising<'a> {
     record: &'a MldRecord,
     autoencoder: &'a Autoencoder,
     /// Where and how the autoencoder computes.
     session: &'a Session<'a>,
     schedule: Schedule,
-    sampler: CropSampler<'a>,
     texts: Texts<'a>,
-    val: Vec<LatentBatch>,
 }
 
-impl DiffusionTask<'_> {
+impl Noising<'_> {
     /// Draws latent vectors, noise, diffusion steps and dropped captions of crops, the first of which is
     /// the sample `first` of the run.
     fn noisy(
@@ -202,41 +207,13 @@ impl DiffusionTask<'_> {
         })
     }
 
-    /// The validation batches: all clips of a sampler.
-    fn val_batches(&self, held_out: &CropSampler<'_>) -> Result<Vec<LatentBatch>, Error> {
-        let config = &self.record.train;
-        held_out
-            .validation(config.run.micro_batch(), config.diffusion_steps)
-            .map(|(first, timesteps, crops)| {
-                let batch = self.noisy(&crops, held_out.seed, first, 0.0)?;
-                Ok(LatentBatch { timesteps, ..batch })
-            })
-            .collect()
-    }
-}
-
-impl Task for DiffusionTask<'_> {
-    type Model = Conditioned<LatentDenoiser>;
-    type Batch = LatentBatch;
-
-    const WEIGHTS: &'static str = WEIGHTS;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, LatentBatch)>, Error> {
-        let run = &self.record.train.run;
-        let text_dropout = self.record.train.text_dropout;
-        run.batches(step, |first, count| {
-            let crops = self.sampler.draw(first, count);
-            self.noisy(&crops, self.sampler.seed, first, text_dropout)
-        })
-    }
-
     /// The squared error of the predicted noise.
     ///
     /// # Source
     /// Chen et al. 2023, Eq. 4.
     fn loss(
         &self,
-        model: &Self::Model,
+        model: &Conditioned<LatentDenoiser>,
         batch: &LatentBatch,
         device: &Device,
         pass: &Pass,
@@ -256,22 +233,5 @@ impl Task for DiffusionTask<'_> {
             .network
             .forward(flat(z_t), &batch.timesteps, text, pass);
         (predicted - flat(noise)).square().mean()
-    }
-
-    fn validation(&self) -> impl Iterator<Item = (usize, &LatentBatch)> {
-        self.val.iter().map(|batch| (batch.timesteps.len(), batch))
-    }
-
-    fn save(&self, model: &Self::Model, run_dir: &Path) -> Result<Files, Error> {
-        model.save(WEIGHTS, run_dir)
-    }
-
-    fn load(
-        &self,
-        model: &mut Self::Model,
-        files: &mut Files,
-        run_dir: &Path,
-    ) -> Result<(), Error> {
-        model.load(WEIGHTS, files, run_dir)
     }
 }

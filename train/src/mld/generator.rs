@@ -10,7 +10,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use super::autoencoder::Autoencoder;
-use super::diffusion::{MldRecord, WEIGHTS};
+use super::diffusion::MldRecord;
 use super::{CLIP, KIND};
 use crate::checkpoint::{Slot, open_for_use};
 use crate::ddim::Ddim;
@@ -18,6 +18,7 @@ use crate::diffusion::guide;
 use crate::model::conditioned::Conditioned;
 use crate::model::mld::LatentDenoiser;
 use crate::model::pass::Pass;
+use crate::model::weights::Networks;
 use crate::schedule::Schedule;
 use crate::text::source::TextEncoderSource;
 use crate::text::table::EmbeddingTable;
@@ -77,7 +78,7 @@ impl Generator {
             ));
         }
         let mut model = record.network(device);
-        model.load(WEIGHTS, &mut opened.files, run)?;
+        model.take_files(&mut opened.files, run)?;
         let schedule = Schedule::scaled_linear(record.train.diffusion_steps)?;
         Ok(Self {
             ddim: Ddim::new(schedule, record.train.sampling_steps)?,

@@ -8,10 +8,9 @@ use burn::tensor::{Device, Tensor};
 use super::denoiser::TEXT_DIVISOR;
 use super::motionrefit::TextSource;
 use super::text::{LearnedText, TextBatch, text_vectors};
-use super::weights::{load_networks, save_networks};
+use super::weights::{Networks, both_files};
 use crate::Error;
 use crate::checkpoint::Files;
-use crate::fit::TEXT;
 
 /// A network and its text encoder.
 #[derive(Module, Debug)]
@@ -20,6 +19,19 @@ pub struct Conditioned<N: Module> {
     pub network: N,
     /// The learned text encoder; none if the vectors come from a frozen encoder.
     pub text: Option<LearnedText>,
+}
+
+impl<N: Networks> Networks for Conditioned<N> {
+    const FILE: &'static str = N::FILE;
+
+    fn to_files(&self, run_dir: &Path) -> Result<Files, Error> {
+        both_files(&self.network, &self.text, run_dir)
+    }
+
+    fn take_files(&mut self, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        self.network.take_files(files, run_dir)?;
+        self.text.take_files(files, run_dir)
+    }
 }
 
 impl<N: Module> Conditioned<N> {
@@ -52,27 +64,5 @@ impl<N: Module> Conditioned<N> {
             Some(_) => vectors.div_scalar(TEXT_DIVISOR),
             None => vectors,
         }
-    }
-
-    /// The networks as files of a checkpoint, that of `N` under the given name.
-    ///
-    /// # Errors
-    /// A network cannot be written.
-    pub(crate) fn save(&self, name: &str, run_dir: &Path) -> Result<Files, Error> {
-        save_networks((name, &self.network), (TEXT, self.text.as_ref()), run_dir)
-    }
-
-    /// The inverse of [`Conditioned::save`].
-    ///
-    /// # Errors
-    /// A file is missing, damaged or of another network.
-    pub(crate) fn load(
-        &mut self,
-        name: &str,
-        files: &mut Files,
-        run_dir: &Path,
-    ) -> Result<(), Error> {
-        let text = (TEXT, self.text.as_mut());
-        load_networks((name, &mut self.network), text, files, run_dir)
     }
 }

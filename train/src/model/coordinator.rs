@@ -9,6 +9,7 @@ use super::denoiser::TwoLayers;
 use super::pass::Pass;
 use super::position::positions;
 use super::transformer::Encoder;
+use super::weights::Networks;
 use crate::config::NetworkConfig;
 
 /// A transformer over a token of the diffusion step and the frames of a window, and a verdict on
@@ -29,6 +30,10 @@ pub struct Coordinator {
     /// What follows the mean over frames.
     pred: TwoLayers,
     dropout: Dropout,
+}
+
+impl Networks for Coordinator {
+    const FILE: &'static str = "coordinator.safetensors";
 }
 
 impl Coordinator {

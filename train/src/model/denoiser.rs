@@ -9,6 +9,7 @@ use kinematics::canonical::FIXED_FRAMES;
 use super::pass::{Arithmetic, Pass};
 use super::position::{positions, sinusoid};
 use super::transformer::{Encoder, PreparedWeights};
+use super::weights::Networks;
 use crate::config::{NetworkConfig, PreviousFrames};
 
 /// What the text feature is divided by before it joins the condition token (released code).
@@ -75,6 +76,10 @@ pub struct Denoiser {
     #[module(skip)]
     tells_frames: bool,
     dropout: Dropout,
+}
+
+impl Networks for Denoiser {
+    const FILE: &'static str = "denoiser.safetensors";
 }
 
 impl Denoiser {
@@ -184,9 +189,7 @@ impl Denoiser {
             .forward(pass.drop_out(&self.dropout, tokens), None, pass);
         self.read(tokens.narrow(1, 1, window))
     }
-}
 
-impl Denoiser {
     /// Text vectors in the width of the network. The layer has no bias, which keeps zeros zeros: no
     /// text stays no text.
     fn project(&self, text: Tensor<2>) -> Tensor<2> {

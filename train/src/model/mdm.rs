@@ -8,6 +8,7 @@ use super::denoiser::TwoLayers;
 use super::pass::{Arithmetic, Pass};
 use super::position::positions;
 use super::transformer::{Encoder, Padding, PreparedWeights};
+use super::weights::Networks;
 use crate::config::NetworkConfig;
 
 /// A transformer over one token of diffusion step and caption, and a token for each frame.
@@ -23,6 +24,10 @@ pub struct Mdm {
     sequence_encoder: Encoder,
     pose_final: Linear,
     dropout: Dropout,
+}
+
+impl Networks for Mdm {
+    const FILE: &'static str = "mdm.safetensors";
 }
 
 impl Mdm {

@@ -11,6 +11,7 @@ use super::position::Tables;
 use super::skip::{SkipDecoder, SkipEncoder};
 use super::tmr::{Distribution, NUM_TOKENS, with_tokens};
 use super::transformer::Padding;
+use super::weights::Networks;
 use crate::config::NetworkConfig;
 
 /// Positions of the released tables.
@@ -49,6 +50,10 @@ pub struct MotionVae {
     encoder: SkipEncoder,
     decoder: SkipDecoder,
     final_layer: Linear,
+}
+
+impl Networks for MotionVae {
+    const FILE: &'static str = "autoencoder.safetensors";
 }
 
 impl MotionVae {
@@ -127,6 +132,10 @@ pub struct LatentDenoiser {
     text_emb_proj: Linear,
     query_pos: LearnedPositions,
     encoder: SkipEncoder,
+}
+
+impl Networks for LatentDenoiser {
+    const FILE: &'static str = "denoiser.safetensors";
 }
 
 impl LatentDenoiser {

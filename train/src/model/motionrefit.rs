@@ -1,11 +1,16 @@
 //! The denoiser together with the text encoder trained with it, where there is one.
 
+use std::path::Path;
+
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
 use super::denoiser::Denoiser;
 use super::pass::Pass;
 use super::text::{LearnedText, TextBatch, text_vectors};
+use super::weights::{Networks, both_files};
+use crate::Error;
+use crate::checkpoint::Files;
 use crate::config::{DiffusionConfig, NetworkConfig, Prediction};
 use crate::data::NoisyBatch;
 use crate::diffusion::{Objective, num_gates};
@@ -36,6 +41,19 @@ impl TextSource {
             Self::Learned(tokens) => (width, Some(LearnedText::new(tokens, width, device))),
             Self::Frozen(width) => (width, None),
         }
+    }
+}
+
+impl Networks for MotionRefit {
+    const FILE: &'static str = Denoiser::FILE;
+
+    fn to_files(&self, run_dir: &Path) -> Result<Files, Error> {
+        both_files(&self.denoiser, &self.text, run_dir)
+    }
+
+    fn take_files(&mut self, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        self.denoiser.take_files(files, run_dir)?;
+        self.text.take_files(files, run_dir)
     }
 }
 

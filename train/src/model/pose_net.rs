@@ -6,6 +6,8 @@ use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 use kinematics::skeleton::{FIT_KEYPOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
+use super::weights::Networks;
+
 /// Numbers of a frame the network of the paper sees: 28 keypoints.
 pub const PAPER_INPUT: usize = 3 * NUM_KEYPOINTS;
 /// Numbers it gives: 22 rotation vectors.
@@ -33,6 +35,10 @@ pub struct PoseLayers<N: Module> {
     second: Linear,
     second_norm: N,
     last: Linear,
+}
+
+impl<N: Module> Networks for PoseLayers<N> {
+    const FILE: &'static str = "model.safetensors";
 }
 
 impl<N: Module> PoseLayers<N> {

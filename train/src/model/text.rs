@@ -7,6 +7,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use super::denoiser::TEXT_DIVISOR;
 use super::position::positions;
+use super::weights::Networks;
 use crate::transfer::send;
 use crate::vocabulary::{PADDING, TokenBatch};
 
@@ -23,6 +24,10 @@ pub struct LearnedText {
     gate: Linear,
     norm: LayerNorm,
     output: Linear,
+}
+
+impl Networks for LearnedText {
+    const FILE: &'static str = "text.safetensors";
 }
 
 impl LearnedText {

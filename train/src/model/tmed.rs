@@ -1,5 +1,7 @@
 //! The TMED denoiser.
 
+use std::path::Path;
+
 use burn::module::{Initializer, Module, Param};
 use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, LinearConfig};
 use burn::tensor::{Device, Tensor};
@@ -9,6 +11,9 @@ use super::motionrefit::TextSource;
 use super::pass::Pass;
 use super::position::sinusoid;
 use super::transformer::{Encoder, Padding};
+use super::weights::{Networks, both_files};
+use crate::Error;
+use crate::checkpoint::Files;
 use crate::config::NetworkConfig;
 
 /// A transformer over one sequence: the diffusion step, the tokens of the instruction, the source, a
@@ -66,6 +71,10 @@ impl Places {
             .chain(first_frame..first_frame + source)
             .chain(separator..=separator + target)
     }
+}
+
+impl Networks for Tmed {
+    const FILE: &'static str = "denoiser.safetensors";
 }
 
 impl Tmed {
@@ -189,6 +198,24 @@ pub struct TmedModel {
     pub denoiser: Tmed,
     /// Word vectors, unless a frozen encoder gives the tokens of texts.
     pub words: Option<Embedding>,
+}
+
+/// Word vectors alone.
+impl Networks for Embedding {
+    const FILE: &'static str = "words.safetensors";
+}
+
+impl Networks for TmedModel {
+    const FILE: &'static str = Tmed::FILE;
+
+    fn to_files(&self, run_dir: &Path) -> Result<Files, Error> {
+        both_files(&self.denoiser, &self.words, run_dir)
+    }
+
+    fn take_files(&mut self, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        self.denoiser.take_files(files, run_dir)?;
+        self.words.take_files(files, run_dir)
+    }
 }
 
 impl TmedModel {

@@ -9,6 +9,7 @@ use super::pass::Pass;
 use super::position::positions;
 use super::text::token_tensor;
 use super::transformer::{Decoder, Encoder, Padding};
+use super::weights::Networks;
 use crate::config::NetworkConfig;
 use crate::vocabulary::TokenBatch;
 
@@ -174,6 +175,10 @@ pub struct Tmr {
     /// Decodes motions.
     pub motion_decoder: SequenceDecoder,
     words: Embedding,
+}
+
+impl Networks for Tmr {
+    const FILE: &'static str = "tmr.safetensors";
 }
 
 impl Tmr {

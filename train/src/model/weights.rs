@@ -173,37 +173,55 @@ pub(crate) fn load_network<M: Module>(
     from_safetensors(network, bytes, "", &run_dir.join(name))
 }
 
-/// A network as a file of a checkpoint, and one that goes with it, where there is one.
+/// Networks as files of a checkpoint.
+pub trait Networks: Module {
+    /// Name of the file; where there are several, of that of the main network.
+    const FILE: &'static str;
+
+    /// The networks as files by name.
+    ///
+    /// # Errors
+    /// A network cannot be written.
+    fn to_files(&self, run_dir: &Path) -> Result<Files, Error> {
+        Ok([(Self::FILE.to_owned(), to_safetensors(self, run_dir)?)].into())
+    }
+
+    /// The inverse of [`Networks::to_files`]: takes the files it needs.
+    ///
+    /// # Errors
+    /// A file is missing, damaged or of another network.
+    fn take_files(&mut self, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        load_network(self, files, Self::FILE, run_dir)
+    }
+}
+
+/// A network that only some models have.
+impl<N: Networks> Networks for Option<N> {
+    const FILE: &'static str = N::FILE;
+
+    fn to_files(&self, run_dir: &Path) -> Result<Files, Error> {
+        self.as_ref()
+            .map_or_else(|| Ok(Files::new()), |network| network.to_files(run_dir))
+    }
+
+    fn take_files(&mut self, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        self.as_mut()
+            .map_or(Ok(()), |network| network.take_files(files, run_dir))
+    }
+}
+
+/// The files of a main network and of one that goes with it.
 ///
 /// # Errors
 /// A network cannot be written.
-pub(crate) fn save_networks<M: Module, N: Module>(
-    (name, network): (&str, &M),
-    (other_name, other): (&str, Option<&N>),
+pub(crate) fn both_files(
+    main: &impl Networks,
+    other: &impl Networks,
     run_dir: &Path,
 ) -> Result<Files, Error> {
-    let mut files = Files::from([(name.to_owned(), to_safetensors(network, run_dir)?)]);
-    if let Some(other) = other {
-        files.insert(other_name.to_owned(), to_safetensors(other, run_dir)?);
-    }
+    let mut files = main.to_files(run_dir)?;
+    files.extend(other.to_files(run_dir)?);
     Ok(files)
-}
-
-/// The inverse of [`save_networks`].
-///
-/// # Errors
-/// As [`load_network`].
-pub(crate) fn load_networks<M: Module, N: Module>(
-    (name, network): (&str, &mut M),
-    (other_name, other): (&str, Option<&mut N>),
-    files: &mut Files,
-    run_dir: &Path,
-) -> Result<(), Error> {
-    load_network(network, files, name, run_dir)?;
-    match other {
-        Some(other) => load_network(other, files, other_name, run_dir),
-        None => Ok(()),
-    }
 }
 
 /// Maximum number of tensors an error names.

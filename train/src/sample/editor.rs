@@ -19,10 +19,11 @@ use crate::checkpoint::{RunRecord, Slot, open_for_use};
 use crate::config::narrowed;
 use crate::coordinator::TrainedCoordinator;
 use crate::extrapolation::Extrapolation;
-use crate::fit::{EditorRecord, KIND, load_weights};
+use crate::fit::{EditorRecord, KIND};
 use crate::j2s::PoseNet;
 use crate::model::motionrefit::MotionRefit;
 use crate::model::transformer::PreparedWeights;
+use crate::model::weights::Networks;
 use crate::schedule::Schedule;
 use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
@@ -52,7 +53,7 @@ impl Editor {
         let config = &record.config.train;
         record.config.check()?;
         let mut model = record.config.network(device);
-        load_weights(&mut model, &mut files, run_dir)?;
+        model.take_files(&mut files, run_dir)?;
         Ok(Self {
             model,
             schedule: Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?,

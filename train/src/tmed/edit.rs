@@ -11,7 +11,7 @@ use super::config::{ClipData, EditStart, NoSource, TmedConfig};
 use super::features::{FeatureFrame, NUM_FEATURES, features_of_motion, poses_from};
 use super::guidance::{Branch, branches, guided};
 use super::objective::{places, text_tokens};
-use super::task::{KIND, TmedRecord, load_weights};
+use super::task::{KIND, TmedRecord};
 use crate::checkpoint::{Slot, check_skeleton, open_for_use};
 use crate::config::Preset;
 use crate::error::motion_error;
@@ -20,6 +20,7 @@ use crate::gaussian::SampleSteps;
 use crate::model::pass::Pass;
 use crate::model::text::TextBatch;
 use crate::model::tmed::{Condition, TmedModel};
+use crate::model::weights::Networks;
 use crate::sample::EditTimes;
 use crate::sample::noise::Noise;
 use crate::system::Setting::{Count, Flag, Number};
@@ -76,7 +77,7 @@ pub(crate) fn open(
     let record = opened.record.config;
     record.check()?;
     let mut model = record.model(device);
-    load_weights(&mut model, &mut opened.files, &source.run)?;
+    model.take_files(&mut opened.files, &source.run)?;
     let trained = &record.train.diffusion;
     let settings = TmedSettings {
         steps: trained.steps(config.steps.or(trained.edit_steps))?,

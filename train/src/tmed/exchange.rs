@@ -8,7 +8,7 @@ use safetensors::SafeTensors;
 
 use super::config::TmedConfig;
 use super::features::{FeatureStatistics, NUM_FEATURES};
-use super::task::{DENOISER, KIND, TmedRecord};
+use super::task::{KIND, TmedRecord};
 use crate::Error;
 use crate::config::{NetworkConfig, Preset};
 use crate::exchange::{encoder_sizes, read_numpy_object, write_imported};
@@ -59,8 +59,7 @@ pub fn import_tmed(
     from_safetensors(&mut model.denoiser, weights, "", path)?;
     // MotionFix has a body of its own; motions are posed for it on the skeleton of this program.
     let skeleton = Skeleton::smplx_neutral();
-    let network = (DENOISER, &model.denoiser);
-    write_imported(run_dir, &skeleton, (KIND, record), network)
+    write_imported(run_dir, &skeleton, (KIND, record), &model.denoiser)
 }
 
 /// Sizes of the network whose tensors these are.

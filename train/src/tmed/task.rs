@@ -1,8 +1,6 @@
 //! The training of TMED.
 
-use std::path::Path;
-
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use datasets_spec::{Seed, Skeleton};
 use serde::{Deserialize, Serialize};
 
@@ -10,23 +8,18 @@ use super::clips::{ClipBatch, ClipSampler, ClipSource, statistics};
 use super::config::{ClipData, StatisticsSplits, TmedConfig};
 use super::features::{FeatureStatistics, NUM_FEATURES};
 use super::objective;
-use crate::checkpoint::{Files, Run, RunRecord, Start};
+use crate::checkpoint::{Run, RunRecord, Start};
 use crate::compose::ComposeRecord;
 use crate::data::Timesteps;
 use crate::fit::TextRecord;
-use crate::model::pass::Pass;
 use crate::model::tmed::TmedModel;
-use crate::model::weights::{load_networks, save_networks};
 use crate::schedule::Schedule;
 use crate::text::table::EmbeddingTable;
-use crate::trainer::{Task, TrainReport, TrainerConfig, train};
+use crate::trainer::{Task, TrainReport, train};
 use crate::{Error, Session};
 
 /// Kind of run.
 pub(crate) const KIND: &str = "tmed";
-
-pub(crate) const DENOISER: &str = "denoiser.safetensors";
-const WORDS: &str = "words.safetensors";
 
 /// What TMED learns from.
 #[derive(Clone, Copy)]
@@ -131,23 +124,24 @@ pub fn train_tmed<'a>(
         hides: false,
         ..sampler
     };
-    let draw = |first, count| val_sampler.draw(first, count);
-    let val_batches = config.run.validation(config.val_clips, draw)?;
-    let trainer = TrainerConfig {
+    let schedule = Schedule::cosine(config.diffusion.num_steps)?;
+    let validation = |first, count| val_sampler.draw(first, count);
+    let task = Task::<TmedModel, ClipBatch> {
         kind: KIND,
         samples: "clips",
         run: config.run,
         epoch_len: corpus.train.num_clips(),
-    };
-    let task = TmedTask {
-        config,
-        schedule: Schedule::cosine(config.diffusion.num_steps)?,
-        sampler,
-        val_batches,
+        draw: &|step| {
+            let run = &config.run;
+            run.batches(step, |first, count| sampler.draw(first, count))
+        },
+        loss: &|model, batch, device, pass| {
+            objective::loss(model, batch, config, &schedule, device, pass)
+        },
+        validation: config.run.validation(config.val_clips, validation)?,
     };
     let network = |device: &Device| record.model(device);
-    let (_, report) = train(&task, network, &trainer, &run, session)?;
-    Ok(report)
+    Ok(train(&task, network, &run, session)?.1)
 }
 
 /// The statistics of the splits that the settings name.
@@ -158,56 +152,4 @@ fn statistics_of(corpus: &TmedCorpus<'_>, config: &TmedConfig) -> Result<Feature
         StatisticsSplits::TrainAndVal => &both[..],
     };
     statistics(sources, config.fps, config.max_frames, corpus.skeleton)
-}
-
-struct TmedTask<'a> {
-    config: &'a TmedConfig,
-    schedule: Schedule,
-    sampler: ClipSampler<'a>,
-    val_batches: Vec<ClipBatch>,
-}
-
-impl Task for TmedTask<'_> {
-    type Model = TmedModel;
-    type Batch = ClipBatch;
-
-    const WEIGHTS: &'static str = DENOISER;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
-        let run = &self.config.run;
-        run.batches(step, |first, count| self.sampler.draw(first, count))
-    }
-
-    fn loss(
-        &self,
-        model: &TmedModel,
-        batch: &ClipBatch,
-        device: &Device,
-        pass: &Pass,
-    ) -> Tensor<1> {
-        objective::loss(model, batch, self.config, &self.schedule, device, pass)
-    }
-
-    fn validation(&self) -> impl Iterator<Item = (usize, &ClipBatch)> {
-        self.val_batches.iter().map(|batch| (batch.len(), batch))
-    }
-
-    fn save(&self, model: &TmedModel, run_dir: &Path) -> Result<Files, Error> {
-        let words = (WORDS, model.words.as_ref());
-        save_networks((DENOISER, &model.denoiser), words, run_dir)
-    }
-
-    fn load(&self, model: &mut TmedModel, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-        load_weights(model, files, run_dir)
-    }
-}
-
-/// Loads the networks of a run.
-pub(crate) fn load_weights(
-    model: &mut TmedModel,
-    files: &mut Files,
-    run_dir: &Path,
-) -> Result<(), Error> {
-    let words = (WORDS, model.words.as_mut());
-    load_networks((DENOISER, &mut model.denoiser), words, files, run_dir)
 }

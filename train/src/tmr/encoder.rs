@@ -9,14 +9,14 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::clips::feature_rows;
-use super::task::{KIND, TmrRecord, WEIGHTS};
+use super::task::{KIND, TmrRecord};
 use crate::Error;
 use crate::checkpoint::{Files, MOTION_KIND, Opened, Slot, open_for_use, read_kind, record_of};
 use crate::config::{BertVectors, NetworkConfig};
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
 use crate::model::pass::{Arithmetic, Pass};
 use crate::model::tmr::{SequenceEncoder, Tmr};
-use crate::model::weights::load_network;
+use crate::model::weights::{Networks, load_network};
 use crate::text::bert::{BertEncoder, BertFiles};
 use crate::transfer::{read, send};
 use crate::vocabulary::Vocabulary;
@@ -104,7 +104,7 @@ impl TmrEncoder {
         name: &Path,
         device: &Device,
     ) -> Result<Self, Error> {
-        let files = [(WEIGHTS.to_owned(), weights.to_owned())].into();
+        let files = [(Tmr::FILE.to_owned(), weights.to_owned())].into();
         let opened = Opened::new(record_of(config, name, KIND)?, files);
         Self::of_run(opened, name, device)
     }
@@ -114,7 +114,7 @@ impl TmrEncoder {
         let config = &record.config.train;
         config.check()?;
         let mut model = config.network(&record.config.vocabulary, device);
-        load_network(&mut model, &mut files, WEIGHTS, run_dir)?;
+        model.take_files(&mut files, run_dir)?;
         Ok(Self {
             motion_encoder: model.motion_encoder.clone(),
             frame_stride: config.frame_stride,

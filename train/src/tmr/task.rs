@@ -12,13 +12,12 @@ use crate::config::Loss;
 use crate::features::FeatureStats;
 use crate::model::pass::Pass;
 use crate::model::tmr::{Tmr, info_nce};
-use crate::trainer::{self, Task, TrainReport, TrainerConfig};
+use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::send;
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "tmr";
-pub(super) const WEIGHTS: &str = "tmr.safetensors";
 
 /// Record of an encoder's run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -70,26 +69,27 @@ pub fn train_tmr<'a>(
         config,
         seed: seed.derive(&["train"]),
     };
-    let val_batches: Vec<ClipBatch> = ClipSampler {
+    let val_batches = ClipSampler {
         clips: &val,
         seed: seed.derive(&["val"]),
         ..sampler
     }
     .whole();
-    let trainer = TrainerConfig {
+    let task = Task::<Tmr, ClipBatch> {
         kind: KIND,
         samples: "clips",
         run: config.run,
         epoch_len: train.len() as u64,
-    };
-    let task = TmrTask {
-        config,
-        sampler,
-        val_batches,
+        // The contrastive loss compares all pairs of a batch, so a batch is not split.
+        draw: &|step| Ok(vec![(1.0, sampler.draw(step))]),
+        loss: &|model, batch, device, pass| batch_loss(model, batch, config, device, pass),
+        validation: val_batches
+            .into_iter()
+            .map(|batch| (batch.lengths.len(), batch))
+            .collect(),
     };
     let network = |device: &Device| config.network(&record.vocabulary, device);
-    let (_, report) = trainer::train(&task, network, &trainer, &run, session)?;
-    Ok(report)
+    Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
 /// The vocabulary and the feature statistics of the run whose weights are taken over; without one, the words of
@@ -115,33 +115,6 @@ fn taken_over(
                 Vocabulary::build(corpus.captions(), words.num_buckets, words.max_words)?;
             Ok((vocabulary, None))
         }
-    }
-}
-
-struct TmrTask<'a> {
-    config: &'a TmrConfig,
-    sampler: ClipSampler<'a>,
-    val_batches: Vec<ClipBatch>,
-}
-
-impl Task for TmrTask<'_> {
-    type Model = Tmr;
-    type Batch = ClipBatch;
-
-    const WEIGHTS: &'static str = WEIGHTS;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
-        // The contrastive loss compares all pairs of a batch, so a batch is not split.
-        Ok(vec![(1.0, self.sampler.draw(step))])
-    }
-
-    fn loss(&self, model: &Tmr, batch: &ClipBatch, device: &Device, pass: &Pass) -> Tensor<1> {
-        batch_loss(model, batch, self.config, device, pass)
-    }
-
-    fn validation(&self) -> impl Iterator<Item = (usize, &ClipBatch)> {
-        let batches = self.val_batches.iter();
-        batches.map(|batch| (batch.lengths.len(), batch))
     }
 }
 

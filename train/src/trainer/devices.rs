@@ -44,10 +44,10 @@ impl<M: Module> Devices<M> {
 }
 
 /// A step of training.
-pub(super) struct Step<'a, T: Task> {
-    pub(super) task: &'a T,
+pub(super) struct Step<'a, M, B> {
+    pub(super) task: &'a Task<'a, M, B>,
     /// Its micro-batches, each with its share of the loss.
-    pub(super) parts: &'a [(f64, T::Batch)],
+    pub(super) parts: &'a [(f64, B)],
     /// What its dropout masks follow from.
     pub(super) masks: Seed,
     pub(super) arithmetic: Arithmetic,
@@ -56,14 +56,14 @@ pub(super) struct Step<'a, T: Task> {
 /// The losses of the micro-batches of a device, and the sum of their gradients.
 type Share = (Vec<(usize, Tensor<1>)>, GradientsParams);
 
-impl<T: Task> Step<'_, T> {
+impl<M: Module, B: Send + Sync> Step<'_, M, B> {
     /// The loss of the step and its gradients on the first device. Every device computes a share of the
     /// micro-batches and adds up their gradients; the sums cross to the first device in one transfer each and
     /// are added in the order of the devices, so that a step does not depend on which is done first.
     pub(super) fn gradients(
         &self,
-        model: &T::Model,
-        devices: &mut Devices<T::Model>,
+        model: &M,
+        devices: &mut Devices<M>,
     ) -> (Tensor<1>, GradientsParams) {
         if self.parts.len() == 1 {
             return self.of_part(model, 0, &devices.first);
@@ -91,7 +91,7 @@ impl<T: Task> Step<'_, T> {
     }
 
     /// The shares of all devices, in their order.
-    fn shares(&self, model: &T::Model, devices: &Devices<T::Model>) -> Vec<Share> {
+    fn shares(&self, model: &M, devices: &Devices<M>) -> Vec<Share> {
         let num_devices = 1 + devices.others.len();
         std::thread::scope(|scope| {
             let running: Vec<_> = (1..)
@@ -121,13 +121,7 @@ impl<T: Task> Step<'_, T> {
     }
 
     /// The share of one of several devices.
-    fn of_device(
-        &self,
-        model: &T::Model,
-        place: usize,
-        device: &Device,
-        num_devices: usize,
-    ) -> Share {
+    fn of_device(&self, model: &M, place: usize, device: &Device, num_devices: usize) -> Share {
         let mut losses = Vec::new();
         let mut sum = GradientsAccumulator::new();
         for index in (place..self.parts.len()).step_by(num_devices) {
@@ -139,19 +133,14 @@ impl<T: Task> Step<'_, T> {
     }
 
     /// The share that a micro-batch has in the loss, and its gradients.
-    fn of_part(
-        &self,
-        model: &T::Model,
-        index: usize,
-        device: &Device,
-    ) -> (Tensor<1>, GradientsParams) {
+    fn of_part(&self, model: &M, index: usize, device: &Device) -> (Tensor<1>, GradientsParams) {
         let (share, batch) = &self.parts[index];
         // Dropout depends on the step and the micro-batch, so that a continued run repeats it. A GPU
         // draws its own masks.
         let seed = self.masks.draw_u64(&[&index.to_string()]);
         device.seed(seed);
         let pass = Pass::seeded(self.arithmetic, seed);
-        let loss = self.task.loss(model, batch, device, &pass);
+        let loss = (self.task.loss)(model, batch, device, &pass);
         let loss = loss.mul_scalar(*share);
         let value = loss.clone().inner();
         (value, GradientsParams::from_grads(loss.backward(), model))
