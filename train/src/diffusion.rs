@@ -405,13 +405,10 @@ mod tests {
 
     use super::*;
     use crate::config::ScheduleName;
+    use crate::transfer::read;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
         send(values.to_vec(), [1, 1, values.len()], &Device::flex())
-    }
-
-    fn values(tensor: Tensor<3>) -> Vec<f32> {
-        tensor.into_data().try_into_vec_as().expect("floats")
     }
 
     #[test]
@@ -427,15 +424,9 @@ mod tests {
     #[test]
     fn guidance_of_one_is_the_prediction_with_text_and_of_zero_without() {
         let (with, without) = (tensor(&[2.0, -1.0]), tensor(&[0.5, 1.0]));
-        assert_eq!(
-            values(guide(with.clone(), without.clone(), 1.0)),
-            [2.0, -1.0]
-        );
-        assert_eq!(
-            values(guide(with.clone(), without.clone(), 0.0)),
-            [0.5, 1.0]
-        );
-        assert_eq!(values(guide(with, without, 3.0)), [5.0, -5.0]);
+        assert_eq!(read(guide(with.clone(), without.clone(), 1.0)), [2.0, -1.0]);
+        assert_eq!(read(guide(with.clone(), without.clone(), 0.0)), [0.5, 1.0]);
+        assert_eq!(read(guide(with, without, 3.0)), [5.0, -5.0]);
     }
 
     /// Gates with white noise.
@@ -482,7 +473,7 @@ mod tests {
             let predicted = Tensor::cat(vec![frames(&made), logits], 2);
             let clean =
                 schedule.clean_of(Prediction::Gated, predicted, &frames(&shown), &basis, &[0]);
-            let values = values(clean);
+            let values = read(clean);
             values[(WINDOW - 1) * FRAME_WIDTH..].to_vec()
         };
         let [kept, carried, own] = [0, 1, 2].map(|gate| {
@@ -546,7 +537,7 @@ mod tests {
             let clean = schedule.clean_of(Prediction::Gated, predicted.clone(), &x_t, &basis, &[t]);
             let signal = schedule.alphas_cumprod[t].sqrt();
             let expected = centre.clone() + (x_t.clone() - centre.clone()).mul_scalar(signal);
-            for (a, b) in values(clean).iter().zip(values(expected)) {
+            for (a, b) in read(clean).iter().zip(read(expected)) {
                 // Sums of a dozen numbers of size one.
                 assert!((a - b).abs() < 1e-4, "{a} {b}");
             }
@@ -658,7 +649,7 @@ mod tests {
                 let basis = Basis::new(tensor(&original), &[false], None);
                 let back = schedule.clean_of(prediction, predicted, &x_t, &basis, &[t]);
                 let slack = 4.0 * 1e-6 / schedule.alphas_cumprod[t].sqrt();
-                for (a, b) in x0.iter().zip(values(back)) {
+                for (a, b) in x0.iter().zip(read(back)) {
                     prop_assert!(f64::from((a - b).abs()) < slack, "{prediction:?} {a} {b}");
                 }
             }

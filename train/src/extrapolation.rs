@@ -245,10 +245,7 @@ impl Basis {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn values(tensor: Tensor<3>) -> Vec<f32> {
-        tensor.into_data().try_into_vec_as().expect("floats")
-    }
+    use crate::transfer::read;
 
     #[test]
     fn a_change_that_goes_on_as_it_began_leaves_no_residual() {
@@ -301,7 +298,7 @@ mod tests {
         let basis = Basis::new(windows(&original), &[false; 64], Some(&fitted));
         let (guess, _) = basis.guess(&x0);
         let back = windows(&original) + guess;
-        for (a, b) in edited.iter().zip(values(back)) {
+        for (a, b) in edited.iter().zip(read(back)) {
             // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
             assert!((a - b).abs() < 0.02, "{a} {b}");
         }

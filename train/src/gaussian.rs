@@ -119,6 +119,7 @@ mod tests {
 
     use super::*;
     use crate::sample::noise::Noise;
+    use crate::transfer::read;
 
     #[test]
     fn fewer_steps_are_spread_over_those_of_training() {
@@ -163,7 +164,7 @@ mod tests {
                 |step, _| indices.push(step.index),
             );
             assert!(indices.into_iter().eq((0..7).rev()));
-            x.into_data().try_into_vec_as().expect("floats")
+            read(x)
         };
         let both = sampled(&["a", "b"]);
         assert_eq!(both[..6], sampled(&["a"]));

@@ -453,10 +453,6 @@ mod tests {
         send(values.to_vec(), [1, values.len() / 2, 2], &Device::flex())
     }
 
-    fn values(tensor: &Tensor<3>) -> Vec<f32> {
-        tensor.to_data().try_into_vec_as().expect("floats")
-    }
-
     /// Samples with a network that answers 5 everywhere; gives the estimates that the steps used and the
     /// result.
     fn run(release: usize) -> (Vec<(usize, Vec<f32>)>, Vec<f32>) {
@@ -472,10 +468,10 @@ mod tests {
                 &kept,
                 |x, _| Ok(x.zeros_like().add_scalar(5.0)),
                 |_| tensor(&[0; 4].map(|_| rng.sample(StandardNormal))),
-                |timestep, x0| estimates.push((timestep, values(x0))),
+                |timestep, x0| estimates.push((timestep, read(x0.clone()))),
             )
             .expect("sampled");
-        (estimates, values(&x))
+        (estimates, read(x))
     }
 
     #[test]

@@ -108,6 +108,7 @@ mod tests {
     use burn::tensor::Distribution;
 
     use super::*;
+    use crate::transfer::read;
 
     /// The weights after some steps on random gradients, among which are very small and large ones.
     fn trained(mut optimizer: ModuleOptimizer) -> Vec<Vec<f32>> {
@@ -123,9 +124,8 @@ mod tests {
             let grads = GradientsParams::from_grads(grads, &layer);
             layer = optimizer.step(0.01, layer, grads);
             let Linear { weight, bias } = layer.clone().valid();
-            found.push(weight.val().into_data().try_into_vec_as().expect("floats"));
-            let bias = bias.as_ref().map(Param::val).expect("it has a bias");
-            found.push(bias.into_data().try_into_vec_as().expect("floats"));
+            found.push(read(weight.val()));
+            found.push(read(bias.as_ref().map(Param::val).expect("it has a bias")));
         }
         found
     }
@@ -154,7 +154,7 @@ mod tests {
         let optimizer = OnePass::new(0.01, Arithmetic::default());
         let state = Some(AdamWState { momentum });
         let (found, state) = optimizer.step(1e-2, tensor([1.0, -2.0]), tensor([0.7, 0.4]), state);
-        let found: Vec<f32> = found.into_data().try_into_vec_as().expect("floats");
+        let found = read(found);
         assert_eq!(state.expect("kept").momentum.time, 5);
         let numbers = [(1.0, 0.7, 0.3, 0.5), (-2.0, 0.4, -0.2, 0.1)];
         for ((value, gradient, first, second), found) in numbers.into_iter().zip(found) {

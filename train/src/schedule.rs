@@ -257,13 +257,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::transfer::read;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
         send(values.to_vec(), [1, 1, values.len()], &Device::flex())
-    }
-
-    fn values(tensor: Tensor<3>) -> Vec<f32> {
-        tensor.into_data().try_into_vec_as().expect("floats")
     }
 
     #[test]
@@ -299,7 +296,7 @@ mod tests {
         let three = |values: [f32; 3]| send(values.to_vec(), [3, 1, 1], &Device::flex());
         let (x0, noise) = (three([0.3, -0.7, 0.9]), three([1.1, -2.0, 0.4]));
         let noised = |timesteps| schedule.q_sample(x0.clone(), timesteps, noise.clone());
-        let (same, mixed) = (values(noised(&[7; 3])), values(noised(&[7, 7, 8])));
+        let (same, mixed) = (read(noised(&[7; 3])), read(noised(&[7, 7, 8])));
         assert_eq!(same[..2], mixed[..2]);
         assert_ne!(same[2], mixed[2]);
     }
@@ -313,7 +310,7 @@ mod tests {
         ) {
             let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
             let x_t = schedule.q_sample(tensor(&x0), &[t], tensor(&noise));
-            let back = values(schedule.predict_x0(x_t, &[t], tensor(&noise)));
+            let back = read(schedule.predict_x0(x_t, &[t], tensor(&noise)));
             // One rounding of x_t, at most 4 in size, is divided by the remaining signal.
             let slack = 4.0 * 1e-6 / schedule.alphas_cumprod[t].sqrt();
             for (a, b) in x0.iter().zip(back) {
@@ -328,7 +325,7 @@ mod tests {
         ) {
             let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
             let noise = tensor(&[7.0; 4]);
-            let last = values(schedule.reverse_step(tensor(&x_t), tensor(&x0), 0, noise));
+            let last = read(schedule.reverse_step(tensor(&x_t), tensor(&x0), 0, noise));
             for (x0, last) in x0.iter().zip(last) {
                 prop_assert!((x0 - last).abs() < 1e-6);
             }

@@ -59,6 +59,7 @@ mod tests {
     use features::humanml3d::{Features, recover_joints};
 
     use super::*;
+    use crate::transfer::read;
 
     #[test]
     fn joints_are_those_of_the_recipe() {
@@ -73,8 +74,7 @@ mod tests {
             .collect();
         let shape = [2, 20, HUMANML3D_WIDTH];
         let features = send(features.as_flattened().to_vec(), shape, &Device::flex());
-        let found = recovered_joints(features);
-        let found: Vec<f32> = found.into_data().try_into_vec_as().expect("floats");
+        let found = read(recovered_joints(features));
         let expected = [&features[..20], &features[20..]].map(recover_joints);
         let expected = expected.iter().flatten().flatten();
         for (found, expected) in found.chunks_exact(3).zip(expected) {

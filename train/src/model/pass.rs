@@ -158,15 +158,12 @@ mod tests {
 
     use super::*;
     use crate::model::weights::draw;
-
-    fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-        tensor.into_data().try_into_vec_as().expect("floats")
-    }
+    use crate::transfer::read;
 
     fn dropped(seed: u64, device: &Device) -> Vec<f32> {
         let dropout = DropoutConfig::new(0.25).init();
         let x = Tensor::<2>::ones([300, 200], device);
-        values(Pass::seeded(Arithmetic::default(), seed).drop_out(&dropout, x))
+        read(Pass::seeded(Arithmetic::default(), seed).drop_out(&dropout, x))
     }
 
     #[test]
@@ -210,11 +207,11 @@ mod tests {
         let numbers = TensorData::new(numbers.collect::<Vec<f32>>(), [7, 40]);
         let x = || Tensor::<2>::from_data(numbers.clone(), &device);
         let dropped = || match bf16 {
-            false => values(pass.drop_out(&DropoutConfig::new(0.25).init(), x())),
+            false => read(pass.drop_out(&DropoutConfig::new(0.25).init(), x())),
             // The device draws, and not from the seed.
             true => Vec::new(),
         };
-        [values(pass.linear(&layer, x())), dropped(), dropped()]
+        [read(pass.linear(&layer, x())), dropped(), dropped()]
     }
 
     #[test]

@@ -129,6 +129,7 @@ mod tests {
 
     use super::*;
     use crate::model::weights::draw;
+    use crate::transfer::read;
     use crate::vocabulary::Vocabulary;
 
     #[test]
@@ -140,13 +141,8 @@ mod tests {
             Seed(3),
         )
         .expect("known layers");
-        let encode = |texts: &[&str]| {
-            encoder
-                .forward(&vocabulary.encode_batch(texts.iter().copied()))
-                .into_data()
-                .try_into_vec_as::<f32>()
-                .expect("floats")
-        };
+        let encode =
+            |texts: &[&str]| read(encoder.forward(&vocabulary.encode_batch(texts.iter().copied())));
         let alone = encode(&["left arm"]);
         let beside = encode(&["left arm", "raise the left arm slowly"]);
         for (a, b) in alone.iter().zip(&beside) {

@@ -433,6 +433,7 @@ mod tests {
 
     use super::*;
     use crate::model::weights::draw;
+    use crate::transfer::{read, send};
 
     const CONFIG: NetworkConfig = NetworkConfig {
         width: 24,
@@ -441,10 +442,6 @@ mod tests {
         feed_forward: 40,
         dropout: 0.0,
     };
-
-    fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-        tensor.into_data().try_into_vec_as().expect("floats")
-    }
 
     fn check_equal(found: &[f32], expected: &[f32], tolerance: f32) {
         assert_eq!(found.len(), expected.len());
@@ -464,15 +461,15 @@ mod tests {
         let slope: Vec<f32> = (0..out.shape().num_elements())
             .map(|index| (index as f32 * 0.7).sin())
             .collect();
-        let slope = Tensor::<3>::from_data(TensorData::new(slope, out.shape()), &out.device());
+        let slope = send(slope, out.dims(), &out.device());
         let grads = (out.clone() * slope).sum().backward();
         let tensors = layer.tensors().expect("a whole layer");
-        let mut found = vec![values(out), values(x.grad(&grads).expect("a gradient"))];
+        let mut found = vec![read(out), read(x.grad(&grads).expect("a gradient"))];
         for weight in tensors.weights {
-            found.push(values(weight.grad(&grads).expect("a gradient")));
+            found.push(read(weight.grad(&grads).expect("a gradient")));
         }
         for vector in tensors.vectors {
-            found.push(values(vector.grad(&grads).expect("a gradient")));
+            found.push(read(vector.grad(&grads).expect("a gradient")));
         }
         found
     }
@@ -497,7 +494,7 @@ mod tests {
             let plain = layer.valid();
             let padding = padding.map(|_| Padding::after(&lengths, length));
             let inferred = plain.forward(x.clone().inner(), padding.as_ref(), &pass);
-            check_equal(&values(inferred), &fused[0], 1e-5);
+            check_equal(&read(inferred), &fused[0], 1e-5);
         }
     }
 
@@ -513,8 +510,7 @@ mod tests {
         let lengths: Vec<usize> = (0..batch).map(|row| 3 + row).collect();
         let [ours, theirs] = devices.map(|device| {
             let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(1)).expect("known layers");
-            let data = TensorData::new(numbers.clone(), [batch, length, 24]);
-            let x = Tensor::<3>::from_data(data, &device);
+            let x = send(numbers.clone(), [batch, length, 24], &device);
             let padding = Padding::after(&lengths, length);
             run(&layer, &x, |layer, x| {
                 layer.forward(x, Some(&padding), &Pass::default())
@@ -543,23 +539,22 @@ mod tests {
             .num_threads(1)
             .build()
             .expect("a pool")
-            .install(|| values(forward(1, x.clone())));
-        assert_eq!(values(forward(1, x.clone())), on_one_thread);
-        assert_ne!(values(forward(2, x.clone())), on_one_thread);
+            .install(|| read(forward(1, x.clone())));
+        assert_eq!(read(forward(1, x.clone())), on_one_thread);
+        assert_ne!(read(forward(2, x.clone())), on_one_thread);
         let input = x.clone().require_grad();
         let weights: Vec<f32> = (0..240).map(|index| (index as f32 * 0.3).cos()).collect();
-        let weights = Tensor::<3>::from_data(TensorData::new(weights, [2, 5, 24]), &device);
+        let weights = send(weights, [2, 5, 24], &device);
         let loss = |x: Tensor<3>| (forward(3, x) * weights.clone()).sum();
         let grads = loss(input.clone()).backward();
-        let grad = values(input.grad(&grads).expect("a gradient"));
-        let at = values(x);
+        let grad = read(input.grad(&grads).expect("a gradient"));
+        let at = read(x);
         const STEP: f32 = 1e-2;
         for index in (0..240).step_by(17) {
             let moved = |by: f32| {
                 let mut at = at.clone();
                 at[index] += by;
-                let x = Tensor::<3>::from_data(TensorData::new(at, [2, 5, 24]), &device);
-                loss(x).into_scalar::<f32>()
+                read(loss(send(at, [2, 5, 24], &device)))[0]
             };
             let slope = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
             // The error of the difference is of the order of the squared step.

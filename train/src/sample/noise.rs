@@ -117,6 +117,7 @@ mod tests {
     use datasets_spec::Seed;
 
     use super::*;
+    use crate::transfer::read;
 
     #[test]
     fn noise_is_that_of_each_row_whatever_is_drawn_ahead() {
@@ -128,8 +129,7 @@ mod tests {
         // Two blocks: the first holds nine steps of two rows.
         let mut noise = Noise::new(&mut ahead, SHAPE, 11, &device).scaled(0.5);
         for _ in 0..11 {
-            let step = noise.step().into_data();
-            let step: Vec<f32> = step.try_into_vec_as().expect("floats");
+            let step = read(noise.step());
             let expected: Vec<f32> = one_by_one
                 .iter_mut()
                 .flat_map(|rng| {

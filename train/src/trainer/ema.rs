@@ -79,10 +79,10 @@ mod tests {
 
     use super::*;
     use crate::model::weights::draw;
+    use crate::transfer::read;
 
     fn numbers(layer: &Linear) -> Vec<f32> {
-        let weight = layer.weight.val().into_data();
-        weight.try_into_vec_as().expect("floats")
+        read(layer.weight.val())
     }
 
     #[test]
