@@ -23,6 +23,7 @@ use crate::model::denoiser::Denoiser;
 use crate::model::position::sinusoid_values;
 use crate::model::tmr::SequenceEncoder;
 use crate::model::weights::{Networks, from_safetensors, to_safetensors};
+use crate::text::FrozenText;
 use crate::text::bert::{BertEncoder, BertFiles};
 use crate::text::package::unpack;
 use crate::tmr::{self, ImportedText, MotionEncoderRecord};
@@ -207,13 +208,14 @@ fn text_side(
     let encoder = BertEncoder::load(&BertFiles::in_folder(side.folder)?, device)?;
     let (network, model, width) =
         sequence_encoder(side.weights, "text_encoder.", num_heads, side.path, device)?;
-    if width != encoder.width() || model.width != latent {
+    let states = encoder.width(BertVectors::States);
+    if width != states || model.width != latent {
         return Err(Error::encoder(format!(
             "has a text side that takes {width} numbers a token and gives {}; the states of {} have {}, and its \
              motion side gives {latent}",
             model.width,
             side.folder.display(),
-            encoder.width()
+            states
         )));
     }
     let record = ImportedText {

@@ -9,12 +9,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Run, RunRecord, Start};
 use crate::compose::ComposeRecord;
-use crate::config::{NoiseKind, TextConfig, TextEncoder, TrainConfig, check_windows};
+use crate::config::{BertVectors, NoiseKind, TextConfig, TextEncoder, TrainConfig, check_windows};
 use crate::data::{NoisyBatch, Texts, Timesteps, WindowSampler, WindowSource};
 use crate::diffusion::Objective;
 use crate::extrapolation::Extrapolation;
 use crate::model::motionrefit::{MotionRefit, TextSource};
 use crate::schedule::Schedule;
+use crate::text::FrozenText;
 use crate::text::table::EmbeddingTable;
 pub use crate::trainer::TrainReport;
 use crate::trainer::{Task, train};
@@ -162,6 +163,14 @@ impl TextRecord {
                     width: vectors.width(),
                 })
             }
+        }
+    }
+
+    /// That of a frozen encoder.
+    pub fn frozen(encoder: &impl FrozenText, vectors: BertVectors) -> Self {
+        Self::Frozen {
+            encoder_hash: encoder.identity(vectors),
+            width: encoder.width(vectors),
         }
     }
 

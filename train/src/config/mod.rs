@@ -175,7 +175,7 @@ impl TextConfig {
     }
 }
 
-/// What a model is given of a text by BERT.
+/// What a model is given of a text by a frozen encoder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BertVectors {

@@ -10,6 +10,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use tokenizers::{Tokenizer, TruncationParams};
 
+use super::FrozenText;
 use super::bert_net::{BertConfig, BertText};
 use super::files::{WEIGHTS, file_in, first, read_weights};
 use super::tokens::{PROBE, vocabulary_of};
@@ -333,33 +334,42 @@ impl BertEncoder {
         Ok(hasher.finalize().to_hex().to_string())
     }
 
-    /// Identity of the encoder: BLAKE3 of its weights, its vocabulary and its rules, independent of the file formats
-    /// they came in.
-    pub fn identity(&self, vectors: BertVectors) -> String {
-        match vectors {
-            BertVectors::Pooled => self.identity.clone(),
-            BertVectors::States => format!("tokens-{}", self.identity),
+    /// The tokens of a text, start and end included.
+    fn tokens(&self, text: &str) -> Result<Vec<i32>, Error> {
+        let failed = |detail: String| Error::TokenizedText {
+            text: text.to_owned(),
+            detail,
+        };
+        let lowered = self.rules.lowers.then(|| text.to_lowercase());
+        let encoding = self
+            .tokenizer
+            .encode_fast(lowered.as_deref().unwrap_or(text).trim(), true)
+            .map_err(|error| failed(error.to_string()))?;
+        let tokens: Vec<i32> = encoding.get_ids().iter().map(|&id| id as i32).collect();
+        if tokens.is_empty() {
+            return Err(failed(
+                "the tokenizer adds no start and no end to it".to_owned(),
+            ));
         }
+        Ok(tokens)
+    }
+}
+
+/// A text of more tokens than the folder allows is cut, as sentence-transformers cut it (`max_seq_length` of
+/// `sentence_bert_config.json`, else the places that the network knows).
+///
+/// # Source
+/// Pooled vectors are those of `SentenceTransformer.encode`, states are `last_hidden_state` of the network.
+impl FrozenText for BertEncoder {
+    fn hash(&self) -> &str {
+        &self.identity
     }
 
-    /// Numbers of a vector, of a text as of a token.
-    pub fn width(&self) -> usize {
+    fn width(&self, _vectors: BertVectors) -> usize {
         self.config.width
     }
 
-    /// Encodes texts in one batch. A text of more tokens than the folder allows is cut, as sentence-transformers cut
-    /// it (`max_seq_length` of `sentence_bert_config.json`, else the places that the network knows).
-    ///
-    /// # Shapes
-    /// `N` texts give `N` vectors `[d]`, or with [`BertVectors::States`] `N` lists of `[T, d]`, row-major, start and end
-    /// included.
-    ///
-    /// # Errors
-    /// A text cannot be cut into tokens.
-    ///
-    /// # Source
-    /// Pooled vectors are those of `SentenceTransformer.encode`, states are `last_hidden_state` of the network.
-    pub fn encode(&self, texts: &[&str], vectors: BertVectors) -> Result<Vec<Vec<f32>>, Error> {
+    fn encode(&self, texts: &[&str], vectors: BertVectors) -> Result<Vec<Vec<f32>>, Error> {
         if texts.is_empty() {
             return Ok(Vec::new());
         }
@@ -381,26 +391,6 @@ impl BertEncoder {
                 }
             })
             .collect())
-    }
-
-    /// The tokens of a text, start and end included.
-    fn tokens(&self, text: &str) -> Result<Vec<i32>, Error> {
-        let failed = |detail: String| Error::TokenizedText {
-            text: text.to_owned(),
-            detail,
-        };
-        let lowered = self.rules.lowers.then(|| text.to_lowercase());
-        let encoding = self
-            .tokenizer
-            .encode_fast(lowered.as_deref().unwrap_or(text).trim(), true)
-            .map_err(|error| failed(error.to_string()))?;
-        let tokens: Vec<i32> = encoding.get_ids().iter().map(|&id| id as i32).collect();
-        if tokens.is_empty() {
-            return Err(failed(
-                "the tokenizer adds no start and no end to it".to_owned(),
-            ));
-        }
-        Ok(tokens)
     }
 }
 

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use remote_store::hub::HubCache;
 
+use super::FrozenText;
 use super::bert::{BertEncoder, BertFiles};
 use super::clip::{ClipEncoder, ClipFiles, ClipModel};
 use super::table::EmbeddingTable;
@@ -91,8 +92,14 @@ impl TextEncoderSource {
         match encoder {
             FrozenEncoder::Clip(model) => {
                 let load = || self.load(model, session.device);
-                let compute = EmbeddingTable::compute;
-                self.computed(run, texts, "CLIP", load, compute, session)
+                self.computed(
+                    run,
+                    texts,
+                    "CLIP",
+                    load,
+                    (BertVectors::Pooled, None),
+                    session,
+                )
             }
             FrozenEncoder::Bert => self.bert(run, texts, Some(TEXT_DIVISOR), session),
             FrozenEncoder::Table => self.given_table(run, texts),
@@ -110,19 +117,8 @@ impl TextEncoderSource {
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
         let load = || self.load_bert(session.device);
-        let compute =
-            |encoder: &BertEncoder, texts: Vec<&str>, progress: &mut dyn FnMut(usize, usize)| {
-                let vectors = match rms {
-                    Some(_) => BertVectors::Pooled,
-                    None => BertVectors::States,
-                };
-                let table = EmbeddingTable::compute_bert(encoder, vectors, texts, progress)?;
-                Ok(match rms {
-                    Some(rms) => table.scaled_to(rms),
-                    None => table,
-                })
-            };
-        self.computed(run, texts, "BERT", load, compute, session)
+        let vectors = rms.map_or(BertVectors::States, |_| BertVectors::Pooled);
+        self.computed(run, texts, "BERT", load, (vectors, rms), session)
     }
 
     fn given_table(&self, run: &Path, texts: &[String]) -> Result<EmbeddingTable, Error> {
@@ -164,28 +160,33 @@ impl TextEncoderSource {
     ) -> Result<EmbeddingTable, Error> {
         if config.encoder != TextEncoder::Bert {
             let load = || self.load(ClipModel::VitL14, session.device);
-            let compute = EmbeddingTable::compute_tokens;
-            return self.computed(run, texts, "CLIP", load, compute, session);
+            let states = (BertVectors::States, None);
+            return self.computed(run, texts, "CLIP", load, states, session);
         }
         let rms = (config.vectors == Some(BertVectors::Pooled)).then_some(1.0);
         self.bert(run, texts, rms, session)
     }
 
     /// The table of the run folder if it holds all texts, else one that a loaded encoder computes. Where the user names an
-    /// encoder, a table of another one, which a training that failed may have left, does not count.
-    fn computed<'a, E>(
+    /// encoder, a table of another one, which a training that failed may have left, does not count. Vectors are scaled to
+    /// `rms`, where it is given.
+    fn computed<E: FrozenText>(
         &self,
         run: &Path,
-        texts: &'a [String],
+        texts: &[String],
         name: &str,
         load: impl FnOnce() -> Result<E, Error>,
-        compute: impl Fn(
-            &E,
-            Vec<&'a str>,
-            &mut dyn FnMut(usize, usize),
-        ) -> Result<EmbeddingTable, Error>,
+        (vectors, rms): (BertVectors, Option<f64>),
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
+        let compute = |encoder: &E, texts: &[&str], progress: &mut dyn FnMut(usize, usize)| {
+            let texts = texts.iter().copied();
+            let table = EmbeddingTable::compute(encoder, vectors, texts, progress)?;
+            Ok(match rms {
+                Some(rms) => table.scaled_to(rms),
+                None => table,
+            })
+        };
         let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
         let path = run.join(EMBEDDINGS);
         let stored = path.exists().then(|| EmbeddingTable::load(&path));
@@ -199,7 +200,7 @@ impl TextEncoderSource {
                 let Ok(encoder) = load() else {
                     return Ok(table);
                 };
-                let none = compute(&encoder, Vec::new(), &mut |_, _| {})?;
+                let none = compute(&encoder, &[], &mut |_, _| {})?;
                 if none.encoder() == table.encoder() {
                     return Ok(table);
                 }
@@ -210,7 +211,7 @@ impl TextEncoderSource {
         let progress = session.progress;
         progress.begin("texts", Some(texts.len() as u64));
         let mut reported = 0;
-        let table = compute(&encoder, texts, &mut |done, _| {
+        let table = compute(&encoder, &texts, &mut |done, _| {
             progress.advance((done - reported) as u64);
             reported = done;
         })?;

@@ -17,6 +17,7 @@ use crate::features::{FeatureRecipe, FeatureStats, Prepared};
 use crate::model::pass::{Arithmetic, Pass};
 use crate::model::tmr::{SequenceEncoder, Tmr};
 use crate::model::weights::{Networks, load_network};
+use crate::text::FrozenText;
 use crate::text::bert::{BertEncoder, BertFiles};
 use crate::transfer::{read, send};
 use crate::vocabulary::Vocabulary;
@@ -262,7 +263,8 @@ impl TmrEncoder {
                 TextEncoding::States(states) => {
                     let (network, encoder) = &**states;
                     let states = encoder.encode(chunk, BertVectors::States)?;
-                    let (states, lengths) = padded(&states, encoder.width(), &self.device);
+                    let (states, lengths) =
+                        padded(&states, encoder.width(BertVectors::States), &self.device);
                     network.forward(states, &lengths, &pass)
                 }
             };
