@@ -321,13 +321,9 @@ fn check_shape(
         ("instructions", batch.instructions.len(), num_items),
     ] {
         if got != expected {
-            return Err(Error::BatchShape {
-                epoch,
-                first_item,
-                field,
-                got,
-                expected,
-            });
+            return Err(Error::Refused(format!(
+                "training windows {first_item}.. of epoch {epoch}: {field} holds {got} values, expected {expected}"
+            )));
         }
     }
     Ok(())

@@ -113,10 +113,7 @@ pub struct FoundDevice {
 /// # Errors
 /// The program was built without the backend, there are not so many devices, or one gives wrong numbers.
 pub fn open(name: DeviceName, count: usize) -> Result<Vec<Device>, Error> {
-    let fails = |problem: String| Error::Device {
-        name: name.to_string(),
-        problem,
-    };
+    let fails = |problem: String| Error::Refused(format!("device {name} {problem}"));
     let devices = match name {
         // A second copy of the processor would share its cores with the first.
         DeviceName::Cpu | DeviceName::Ndarray if count > 1 => {

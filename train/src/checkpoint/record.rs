@@ -139,12 +139,14 @@ pub fn check_skeleton_of(
         return Ok(());
     }
     let of = trained.skeleton_hash.as_deref();
-    Err(Error::OtherSkeleton {
-        what,
-        run: run_dir.to_owned(),
-        trained: format!("{} ({:.12})", trained.skeleton, of.unwrap_or("no hash")),
-        asked: format!("{} ({hash:.12})", skeleton.name()),
-    })
+    Err(Error::Refused(format!(
+        "{what} in {} was trained on skeleton {} ({:.12}), and the motions are on {} ({hash:.12}); train one \
+         on a dataset of theirs, or bring the motions to its skeleton with --body-model",
+        run_dir.display(),
+        trained.skeleton,
+        of.unwrap_or("no hash"),
+        skeleton.name(),
+    )))
 }
 
 /// The kind of model in a run folder.

@@ -263,7 +263,10 @@ pub fn draw<M: Module>(network: M, seed: Seed) -> Result<M, Error> {
     let network = network.map(&mut draw);
     match draw.unknown {
         None => Ok(network),
-        Some((parameter, layer)) => Err(Error::NoFirstValue { parameter, layer }),
+        Some((parameter, layer)) => Err(Error::Refused(format!(
+            "parameter {parameter} of layer {layer} has no rule for its first values; add one to \
+             model::weights::draw"
+        ))),
     }
 }
 
@@ -402,12 +405,8 @@ mod tests {
             inner: linear(1),
             scale: Param::from_tensor(Tensor::zeros([3], &device)),
         };
-        match draw(odd, Seed(1)) {
-            Err(Error::NoFirstValue { parameter, layer }) => {
-                assert_eq!((parameter.as_str(), layer.as_str()), ("scale", "Odd"));
-            }
-            other => panic!("expected a refusal, got {other:?}"),
-        }
+        let error = draw(odd, Seed(1)).expect_err("no rule").to_string();
+        assert!(error.starts_with("parameter scale of layer Odd"), "{error}");
     }
 
     #[test]

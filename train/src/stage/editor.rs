@@ -137,10 +137,7 @@ fn recorded_windows(
 ) -> Result<WindowLoader, Error> {
     let recorded = Dataset::open(folder)?;
     let rows: Vec<NormalizerRow> = recorded.read(None)?;
-    let misfit = |problem: &'static str| Error::RecordedWindows {
-        path: folder.to_owned(),
-        problem,
-    };
+    let misfit = |problem| Error::Refused(format!("the windows in {} {problem}", folder.display()));
     if used.hash() != fitted.hash() {
         return Err(misfit(
             "use the normaliser of their dataset, and the run keeps that of the weights it begins \

@@ -294,9 +294,10 @@ fn variants_fact(config: &impl Serialize) -> (String, String) {
 pub(crate) fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Error> {
     match Dataset::open_unverified(out) {
         Ok(done) if done.manifest().plan(MotionRow::TABLE) == plan => Ok(Some(Dataset::open(out)?)),
-        Ok(_) => Err(Error::OtherDataset {
-            path: out.to_owned(),
-        }),
+        Ok(_) => Err(Error::Refused(format!(
+            "{} holds another dataset; choose another folder",
+            out.display()
+        ))),
         Err(_) => Ok(None),
     }
 }

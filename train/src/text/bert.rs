@@ -336,19 +336,16 @@ impl BertEncoder {
 
     /// The tokens of a text, start and end included.
     fn tokens(&self, text: &str) -> Result<Vec<i32>, Error> {
-        let failed = |detail: String| Error::TokenizedText {
-            text: text.to_owned(),
-            detail,
-        };
         let lowered = self.rules.lowers.then(|| text.to_lowercase());
         let encoding = self
             .tokenizer
             .encode_fast(lowered.as_deref().unwrap_or(text).trim(), true)
-            .map_err(|error| failed(error.to_string()))?;
+            .map_err(|error| Error::tokens(text, error))?;
         let tokens: Vec<i32> = encoding.get_ids().iter().map(|&id| id as i32).collect();
         if tokens.is_empty() {
-            return Err(failed(
-                "the tokenizer adds no start and no end to it".to_owned(),
+            return Err(Error::tokens(
+                text,
+                "the tokenizer adds no start and no end to it",
             ));
         }
         Ok(tokens)

@@ -107,17 +107,16 @@ impl ClipFiles {
         hub: &Hub,
         progress: &mut dyn FnMut(u64, Option<u64>),
     ) -> Result<Self, Error> {
-        let mut first = |what, names: &'static [&'static str]| {
+        let mut first = |what, names: &[&str]| {
             for name in names {
                 if let Some(path) = cache.fetch(hub, model.repo(), name, progress)? {
                     return Ok(path);
                 }
             }
-            Err(Error::NotOnServer {
-                repo: model.repo(),
-                what,
-                names,
-            })
+            let (repo, names) = (model.repo(), names.join(", "));
+            Err(Error::Refused(format!(
+                "{repo} on the server has no {what}, looked for {names}"
+            )))
         };
         Ok(Self {
             weights: first("weights", &WEIGHTS)?,

@@ -22,19 +22,17 @@ pub(super) fn file_in(folder: &Path) -> impl Fn(&str) -> Option<PathBuf> {
 /// # Errors
 /// There is none.
 pub(super) fn first(
-    what: &'static str,
-    names: &'static [&'static str],
+    what: &str,
+    names: &[&str],
     folder: &Path,
     find: impl Fn(&str) -> Option<PathBuf>,
 ) -> Result<PathBuf, Error> {
-    names
-        .iter()
-        .find_map(|name| find(name))
-        .ok_or_else(|| Error::NoEncoderFile {
-            what,
-            names,
-            folder: folder.to_owned(),
-        })
+    names.iter().find_map(|name| find(name)).ok_or_else(|| {
+        let (folder, names) = (folder.display(), names.join(", "));
+        Error::Refused(format!(
+            "{folder} has no {what}: place one of {names} there, or have it downloaded"
+        ))
+    })
 }
 
 /// Weights as a safetensors file. Of a file of `torch.save`, the tensors whose names begin with one of `keep`, or

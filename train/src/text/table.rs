@@ -110,7 +110,11 @@ impl EmbeddingTable {
     /// # Errors
     /// There are no texts, a text is listed twice, the numbers are not one row for each text, or a number is not finite.
     pub fn of_vectors(encoder: &str, texts: &[String], values: &[f32]) -> Result<Self, Error> {
-        let problem = |problem: String| Error::TextVectors { problem };
+        let problem = |problem: String| {
+            Error::Refused(format!(
+                "no table can be made: {problem}; give one row for each text of `stance model texts`"
+            ))
+        };
         let (numbers, count) = (values.len(), texts.len());
         let width = numbers / count.max(1);
         if width == 0 || width * count != numbers {

@@ -109,10 +109,7 @@ impl ClipTokenizer {
     pub fn encode(&self, text: &str, context: usize) -> Result<Vec<i32>, Error> {
         let clean = unescape(&unescape(text));
         let encoding = self.tokenizer.encode_fast(clean.trim(), false);
-        let encoding = encoding.map_err(|error| Error::TokenizedText {
-            text: text.to_owned(),
-            detail: error.to_string(),
-        })?;
+        let encoding = encoding.map_err(|error| Error::tokens(text, error))?;
         let room = context.saturating_sub(2);
         let words = encoding.get_ids().iter().take(room).map(|&id| id as i32);
         Ok([self.start]
