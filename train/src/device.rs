@@ -160,29 +160,18 @@ fn ndarray() -> Device {
 /// The devices of this machine that this build of the program can use. Every card is opened, none is tested.
 pub fn list() -> Vec<FoundDevice> {
     let threads = rayon::current_num_threads();
-    let processor = |name: DeviceName, description: String| FoundDevice {
-        name: name.to_string(),
-        index: 0,
-        description,
-    };
-    let mut found = vec![
-        processor(DeviceName::Cpu, format!("the processor, {threads} threads")),
-        processor(
-            DeviceName::Ndarray,
-            "the processor, by burn-ndarray".to_owned(),
-        ),
-    ];
-    let cards = backend::list();
-    found.extend(
-        cards
-            .into_iter()
-            .map(|(name, index, description)| FoundDevice {
-                name: name.to_string(),
-                index,
-                description,
-            }),
-    );
+    let processor = format!("the processor, {threads} threads");
+    let ours = (DeviceName::Cpu, 0, processor);
+    let other = "the processor, by burn-ndarray".to_owned();
+    let found = [ours, (DeviceName::Ndarray, 0, other)].into_iter();
     found
+        .chain(backend::list())
+        .map(|(name, index, description)| FoundDevice {
+            name: name.to_string(),
+            index,
+            description,
+        })
+        .collect()
 }
 
 /// How a device computes matrix products of single precision. Cards round their factors where that is faster.

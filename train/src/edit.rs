@@ -226,15 +226,13 @@ impl EditSystem for MotionRefitSystem {
     }
 
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
-        let encoder = self.editor.record().config.train.text.encoder;
-        let Some(encoder) = encoder.frozen(ClipModel::VitB32) else {
-            return Ok(());
-        };
         let source = &self.source;
+        let encoder = self.editor.record().config.train.text.encoder;
+        let encoder = (encoder, ClipModel::VitB32);
         let table = source
             .text_encoder
             .embeddings(&source.run, texts, encoder, session)?;
-        self.editor.set_vectors(table)
+        table.map_or(Ok(()), |table| self.editor.set_vectors(table))
     }
 
     /// With one window at a time the fits take turns too, so that the times are those of a single window.

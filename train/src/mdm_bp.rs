@@ -374,15 +374,11 @@ impl EditSystem for MdmBpSystem {
     }
 
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
-        if let Some(encoder) = self.record.train.text.encoder.frozen(CLIP) {
-            let source = &self.source;
-            let table = source
-                .text_encoder
-                .embeddings(&source.run, texts, encoder, session)?;
-            self.record.text.texts(Some(&table))?;
-            self.vectors = Some(table);
-        }
-        Ok(())
+        let (source, encoder) = (&self.source, (self.record.train.text.encoder, CLIP));
+        self.vectors = source
+            .text_encoder
+            .embeddings(&source.run, texts, encoder, session)?;
+        self.record.text.texts(self.vectors.as_ref()).map(|_| ())
     }
 
     fn edit(

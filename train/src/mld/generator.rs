@@ -118,14 +118,10 @@ impl Generator {
         source: &TextEncoderSource,
         session: &Session<'_>,
     ) -> Result<(), Error> {
-        if let Some(encoder) = self.record.train.text.encoder.frozen(CLIP) {
-            let mut texts = texts.to_vec();
-            texts.push(String::new());
-            let table = source.embeddings(run, &texts, encoder, session)?;
-            self.record.text.texts(Some(&table))?;
-            self.vectors = Some(table);
-        }
-        Ok(())
+        let texts = [texts, &[String::new()]].concat();
+        let encoder = (self.record.train.text.encoder, CLIP);
+        self.vectors = source.embeddings(run, &texts, encoder, session)?;
+        self.record.text.texts(self.vectors.as_ref()).map(|_| ())
     }
 
     /// Features of `count` variants of each base motion: a latent vector is sampled by the text, and each

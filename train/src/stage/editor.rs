@@ -74,15 +74,13 @@ pub fn train_editor<'a>(
         Some(loader) => loader.instructions().to_vec(),
         None => train.instructions(),
     };
-    let vectors = match config.text.encoder.frozen(ClipModel::VitB32) {
-        None => None,
-        Some(encoder) => {
-            let all = [instructions.clone(), val.instructions()].concat();
-            let source = inputs.text_encoder;
-            let table = source.embeddings(start.run, &all, encoder, session)?;
-            Some(kept(table, start.run)?)
-        }
-    };
+    let all = [instructions.clone(), val.instructions()].concat();
+    let encoder = (config.text.encoder, ClipModel::VitB32);
+    let source = inputs.text_encoder;
+    let vectors = kept(
+        source.embeddings(start.run, &all, encoder, session)?,
+        start.run,
+    )?;
     let corpus = Corpus {
         train: match &recorded {
             Some(loader) => loader,

@@ -20,7 +20,8 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     let mut config = request.settings(&MdmConfig::preset(request.preset))?;
     request.change(&mut config.run);
     request.split(&mut config.run, &config.model, 1 + config.max_frames);
-    train_on_captions(request, (&config.text, mdm::CLIP), session, |corpus| {
+    let encoder = (config.text.encoder, mdm::CLIP);
+    train_on_captions(request, encoder, session, |corpus| {
         train_mdm(request.start, &config, corpus, session)
     })
 }

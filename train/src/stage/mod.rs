@@ -94,8 +94,13 @@ fn with_window(compose: &ComposeConfig, window: usize) -> ComposeConfig {
 }
 
 /// Keeps the vectors of a run's texts in its folder.
-pub(crate) fn kept(table: EmbeddingTable, run: &Path) -> Result<EmbeddingTable, Error> {
-    std::fs::create_dir_all(run).map_err(datasets_spec::Error::io("create", run))?;
-    table.save(&run.join(EMBEDDINGS))?;
+pub(crate) fn kept(
+    table: Option<EmbeddingTable>,
+    run: &Path,
+) -> Result<Option<EmbeddingTable>, Error> {
+    if let Some(table) = &table {
+        std::fs::create_dir_all(run).map_err(datasets_spec::Error::io("create", run))?;
+        table.save(&run.join(EMBEDDINGS))?;
+    }
     Ok(table)
 }

@@ -107,7 +107,7 @@ impl ClipFiles {
         hub: &Hub,
         progress: &mut dyn FnMut(u64, Option<u64>),
     ) -> Result<Self, Error> {
-        let mut first = |what, names: &[&str]| {
+        let mut first = |what: &str, names: &[&str]| {
             for name in names {
                 if let Some(path) = cache.fetch(hub, model.repo(), name, progress)? {
                     return Ok(path);

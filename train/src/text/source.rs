@@ -16,29 +16,6 @@ use crate::{Error, Session};
 /// Table of the instructions a run was trained with, in its folder.
 pub(crate) const EMBEDDINGS: &str = "embeddings.safetensors";
 
-/// A text encoder that is not trained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrozenEncoder {
-    /// CLIP, which this program runs.
-    Clip(ClipModel),
-    /// BERT, which this program runs.
-    Bert,
-    /// Another one, whose vectors are in a table.
-    Table,
-}
-
-impl TextEncoder {
-    /// The frozen encoder that is asked for, if one is; `clip` is the CLIP that the model uses.
-    pub(crate) fn frozen(self, clip: ClipModel) -> Option<FrozenEncoder> {
-        match self {
-            Self::Learned => None,
-            Self::Clip => Some(FrozenEncoder::Clip(clip)),
-            Self::Bert => Some(FrozenEncoder::Bert),
-            Self::Table => Some(FrozenEncoder::Table),
-        }
-    }
-}
-
 /// Where a frozen text encoder is found.
 #[derive(Clone, Debug, Default)]
 pub struct TextEncoderSource {
@@ -82,8 +59,9 @@ impl TextEncoderSource {
         BertEncoder::load(&BertFiles::in_folder(folder)?, device)
     }
 
-    /// Vectors of texts, one each. Those of CLIP and BERT are in the run folder, or computed; those of another encoder
-    /// are in the table that the user names, or in the run folder.
+    /// Vectors of texts, one each, of the encoder that settings name; none where it is trained. `clip` is the CLIP that the
+    /// model uses. Vectors of CLIP and BERT are in the run folder, or computed; those of another encoder are in the table
+    /// that the user names, or in the run folder.
     ///
     /// # Errors
     /// As [`Self::load`] and [`Self::load_bert`], a text cannot be encoded, or the table lacks one or contradicts that
@@ -92,12 +70,13 @@ impl TextEncoderSource {
         &self,
         run: &Path,
         texts: &[String],
-        encoder: FrozenEncoder,
+        (encoder, clip): (TextEncoder, ClipModel),
         session: &Session<'_>,
-    ) -> Result<EmbeddingTable, Error> {
-        match encoder {
-            FrozenEncoder::Clip(model) => {
-                let load = || self.load(model, session.device);
+    ) -> Result<Option<EmbeddingTable>, Error> {
+        let table = match encoder {
+            TextEncoder::Learned => return Ok(None),
+            TextEncoder::Clip => {
+                let load = || self.load(clip, session.device);
                 self.computed(
                     run,
                     texts,
@@ -107,9 +86,10 @@ impl TextEncoderSource {
                     session,
                 )
             }
-            FrozenEncoder::Bert => self.bert(run, texts, Some(TEXT_DIVISOR), session),
-            FrozenEncoder::Table => self.given_table(run, texts),
-        }
+            TextEncoder::Bert => self.bert(run, texts, Some(TEXT_DIVISOR), session),
+            TextEncoder::Table => self.given_table(run, texts),
+        };
+        table.map(Some)
     }
 
     /// Vectors of BERT. With `rms`, the pooled ones, scaled so that the numbers of each have that root mean square;
@@ -157,8 +137,9 @@ impl TextEncoderSource {
         Ok(table)
     }
 
-    /// The vectors of texts for a model that reads tokens: the last hidden states of CLIP ViT-L/14, or of BERT its
-    /// states or, as a single token, its pooled vector. Those of the run folder if it holds all of them, else computed.
+    /// The vectors of texts for a model that reads tokens, none where they are trained: the last hidden states of CLIP
+    /// ViT-L/14, or of BERT its states or, as a single token, its pooled vector. Those of the run folder if it holds all of
+    /// them, else computed.
     ///
     /// # Errors
     /// As [`Self::load`] and [`Self::load_bert`], or a text cannot be encoded.
@@ -168,14 +149,26 @@ impl TextEncoderSource {
         texts: &[String],
         config: &TextConfig,
         session: &Session<'_>,
-    ) -> Result<EmbeddingTable, Error> {
-        if config.encoder != TextEncoder::Bert {
-            let load = || self.load(ClipModel::VitL14, session.device);
-            let states = (BertVectors::States, None);
-            return self.computed(run, texts, "CLIP", load, states, session);
-        }
-        let rms = (config.vectors == Some(BertVectors::Pooled)).then_some(1.0);
-        self.bert(run, texts, rms, session)
+    ) -> Result<Option<EmbeddingTable>, Error> {
+        let table = match config.encoder {
+            TextEncoder::Learned => return Ok(None),
+            TextEncoder::Bert => {
+                let rms = (config.vectors == Some(BertVectors::Pooled)).then_some(1.0);
+                self.bert(run, texts, rms, session)
+            }
+            TextEncoder::Clip | TextEncoder::Table => {
+                let load = || self.load(ClipModel::VitL14, session.device);
+                self.computed(
+                    run,
+                    texts,
+                    "CLIP",
+                    load,
+                    (BertVectors::States, None),
+                    session,
+                )
+            }
+        };
+        table.map(Some)
     }
 
     /// The table of the run folder if it holds all texts, else one that a loaded encoder computes. Where the user names an

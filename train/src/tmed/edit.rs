@@ -15,7 +15,6 @@ use super::task::{KIND, TmedRecord};
 use crate::checkpoint::{Slot, check_skeleton, open_for_use};
 use crate::config::Preset;
 use crate::error::motion_error;
-use crate::fit::TextRecord;
 use crate::gaussian::SampleSteps;
 use crate::model::pass::Pass;
 use crate::model::text::TextBatch;
@@ -346,14 +345,10 @@ impl EditSystem for TmedSystem {
     }
 
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
-        if let TextRecord::Frozen { .. } = self.record.text {
-            let texts = [texts, &[String::new()]].concat();
-            let (encoder, run) = (&self.source.text_encoder, &self.source.run);
-            let table = encoder.token_embeddings(run, &texts, &self.record.train.text, session)?;
-            self.record.text.texts(Some(&table))?;
-            self.vectors = Some(table);
-        }
-        Ok(())
+        let texts = [texts, &[String::new()]].concat();
+        let (encoder, run) = (&self.source.text_encoder, &self.source.run);
+        self.vectors = encoder.token_embeddings(run, &texts, &self.record.train.text, session)?;
+        self.record.text.texts(self.vectors.as_ref()).map(|_| ())
     }
 
     fn edit(

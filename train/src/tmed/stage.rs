@@ -11,7 +11,6 @@ use super::config::{ClipData, TmedConfig};
 use super::edit;
 use super::task::{KIND, TmedCorpus, train_tmed};
 use crate::compose::ComposeRecord;
-use crate::config::TextEncoder;
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::stage::{kept, validation_stream};
 use crate::{Error, Session};
@@ -55,15 +54,10 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
             dataset.content_hash(&COMPOSED),
         ),
     };
-    let vectors = match config.text.encoder {
-        TextEncoder::Learned => None,
-        TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table => {
-            let all = [texts.as_slice(), &val_texts, &[String::new()]].concat();
-            let encoder = request.text_encoder;
-            let table = encoder.token_embeddings(run, &all, &config.text, session)?;
-            Some(kept(table, run)?)
-        }
-    };
+    let all = [texts.as_slice(), &val_texts, &[String::new()]].concat();
+    let encoder = request.text_encoder;
+    let vectors = encoder.token_embeddings(run, &all, &config.text, session)?;
+    let vectors = kept(vectors, run)?;
     let corpus = TmedCorpus {
         train: &*train,
         val: &*val,
