@@ -17,7 +17,7 @@ use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use};
 use crate::compose::ComposeRecord;
 use crate::config::{
     DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, ScheduleName,
-    TrainConfig, all_keypoints, check_keypoints, check_windows, is_all_keypoints, is_zero,
+    TrainConfig, all_keypoints, check_keypoints, check_windows, ensure, is_all_keypoints, is_zero,
     narrowed, positive, share,
 };
 use crate::data::{WindowSource, across_epochs};
@@ -121,11 +121,9 @@ impl CoordinatorConfig {
         positive("val_windows", self.val_windows as u64)?;
         share("mirrored_ratio", self.mirrored_ratio)?;
         positive("noise_steps", self.noise_steps as u64)?;
-        if self.noise_steps > self.diffusion_steps {
-            let (steps, all) = (self.noise_steps, self.diffusion_steps);
-            let problem = format!("it is {steps}, more than the {all} diffusion steps");
-            return Err(Error::config("noise_steps", problem));
-        }
+        let (steps, all) = (self.noise_steps, self.diffusion_steps);
+        let problem = format!("it is {steps}, more than the {all} diffusion steps");
+        ensure(steps <= all, "noise_steps", problem)?;
         Schedule::new(self.schedule, self.diffusion_steps).map(|_| ())
     }
 }

@@ -9,7 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Run, RunRecord, Start};
 use crate::compose::ComposeRecord;
-use crate::config::{BertVectors, NoiseKind, TextConfig, TextEncoder, TrainConfig, check_windows};
+use crate::config::{
+    BertVectors, NoiseKind, TextConfig, TextEncoder, TrainConfig, check_windows, ensure,
+};
 use crate::data::{NoisyBatch, Texts, Timesteps, WindowSampler, WindowSource};
 use crate::diffusion::Objective;
 use crate::extrapolation::Extrapolation;
@@ -77,22 +79,20 @@ impl EditorRecord {
         self.compose.check(self.train.window)?;
         let wanted =
             (self.train.diffusion.prediction.is_extrapolated()).then_some(self.train.window);
-        if self.extrapolation.as_ref().map(Extrapolation::window) != wanted {
-            return Err(Error::config(
-                "extrapolation",
-                "gated predictions are relative to one of the model's window, others to none",
-            ));
-        }
+        ensure(
+            self.extrapolation.as_ref().map(Extrapolation::window) == wanted,
+            "extrapolation",
+            "gated predictions are relative to one of the model's window, others to none",
+        )?;
         let shape = self.extrapolation.as_ref().and_then(Extrapolation::shape);
         let is_shaped = self.train.diffusion.noise == NoiseKind::Shaped;
-        if shape.is_some() != is_shaped || shape.is_some_and(|shape| !shape.fits(self.train.window))
-        {
-            return Err(Error::config(
-                "extrapolation.shape",
-                "shaped noise has one of the model's window, white noise none",
-            ));
-        }
-        Ok(())
+        ensure(
+            shape.map_or(!is_shaped, |shape| {
+                is_shaped && shape.fits(self.train.window)
+            }),
+            "extrapolation.shape",
+            "shaped noise has one of the model's window, white noise none",
+        )
     }
 
     /// Builds the networks.

@@ -9,7 +9,7 @@ use kinematics::resample::grid;
 use rayon::prelude::*;
 
 use crate::checkpoint::{Slot, open_for_use};
-use crate::config::Preset;
+use crate::config::{Preset, ensure};
 use crate::diffusion::guide;
 use crate::humanml3d::{SourceFeatures, feature_mask};
 use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord};
@@ -145,12 +145,10 @@ impl PartInpainting {
         release: Option<usize>,
     ) -> Result<Self, Error> {
         let [released, steps] = PUBLISHED_RELEASE;
-        let start = start.unwrap_or(schedule.len() - 1);
-        if start >= schedule.len() {
-            let last = schedule.len() - 1;
-            let problem = format!("it is step {start}, and the model has the steps 0 to {last}");
-            return Err(Error::config("start", problem));
-        }
+        let last = schedule.len() - 1;
+        let start = start.unwrap_or(last);
+        let problem = format!("it is step {start}, and the model has the steps 0 to {last}");
+        ensure(start <= last, "start", problem)?;
         Ok(Self {
             release: release.unwrap_or(schedule.len() * released / steps),
             schedule,

@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 use burn::tensor::Tensor;
 
 use crate::Error;
-use crate::config::{ScheduleName, positive};
+use crate::config::{ScheduleName, ensure, positive};
 use crate::transfer::send;
 
 /// First and last variance of the linear schedule over [`REFERENCE_STEPS`] steps (Ho et al. 2020).
@@ -46,15 +46,9 @@ impl Schedule {
             ScheduleName::Cosine => return Self::cosine(num_steps),
         };
         let [first, last] = LINEAR_VARIANCES.map(|variance| scale * variance);
-        if num_steps < 2 || last >= 1.0 {
-            return Err(Error::config(
-                "diffusion.num_steps",
-                format!("{num_steps} steps are too few for the schedule"),
-            ));
-        }
-        let stride = (last - first) / (num_steps - 1) as f64;
-        let betas = (0..num_steps).map(|step| first + step as f64 * stride);
-        Ok(Self::of_betas(betas.collect()))
+        let problem = format!("{num_steps} steps are too few for the schedule");
+        ensure(num_steps >= 2 && last < 1.0, "diffusion.num_steps", problem)?;
+        Ok(Self::of_betas(evenly([first, last], num_steps).collect()))
     }
 
     /// The squared cosine schedule, whose last steps are capped.
@@ -87,16 +81,10 @@ impl Schedule {
     /// Rombach et al. 2022, with the variances of MLD (`algorithms` section 14).
     pub fn scaled_linear(num_steps: usize) -> Result<Self, Error> {
         const VARIANCES: [f64; 2] = [0.00085, 0.012];
-        if num_steps < 2 {
-            return Err(Error::config(
-                "diffusion_steps",
-                format!("it is {num_steps}, and must be at least 2"),
-            ));
-        }
-        let [first, last] = VARIANCES.map(f64::sqrt);
-        let stride = (last - first) / (num_steps - 1) as f64;
-        let betas = (0..num_steps).map(|step| (first + step as f64 * stride).powi(2));
-        Ok(Self::of_betas(betas.collect()))
+        let problem = format!("it is {num_steps}, and must be at least 2");
+        ensure(num_steps >= 2, "diffusion_steps", problem)?;
+        let deviations = evenly(VARIANCES.map(f64::sqrt), num_steps);
+        Ok(Self::of_betas(deviations.map(|std| std.powi(2)).collect()))
     }
 
     /// The schedule over some of the steps, in rising order: each kept step adds the noise of all steps
@@ -219,6 +207,12 @@ impl Schedule {
         }
         mean + noise.mul_scalar(self.posterior_variance[timestep].sqrt())
     }
+}
+
+/// So many numbers from the first to the last, evenly spread.
+fn evenly([first, last]: [f64; 2], count: usize) -> impl Iterator<Item = f64> {
+    let stride = (last - first) / (count - 1) as f64;
+    (0..count).map(move |step| first + step as f64 * stride)
 }
 
 /// A coefficient per window, to be multiplied with a batch. While sampling all windows are at one step: their

@@ -22,6 +22,7 @@ use self::ema::Ema;
 use self::progress::{MetricsLine, Speed, TrainState, Unread, ValidationLine};
 pub(crate) use self::task::Task;
 use crate::checkpoint::{self, EMA_PREFIX, Files, Run, STATE, Slot, take};
+use crate::config::ensure;
 use crate::data::prefetch;
 use crate::error::json_error;
 use crate::model::pass::Pass;
@@ -173,11 +174,9 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
             model.take_files(&mut files, from)?;
         }
         let num_steps = task.num_steps();
-        if state.step > num_steps {
-            let made = state.step;
-            let problem = format!("it is {num_steps} steps, and the run has made {made} already");
-            return Err(Error::config("length", problem));
-        }
+        let made = state.step;
+        let problem = format!("it is {num_steps} steps, and the run has made {made} already");
+        ensure(made <= num_steps, "length", problem)?;
         run.settle()?;
         run.rewind_log(state.step)?;
         if ema.is_none() && settings.ema_decay.is_some() {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{finite, not_negative, share};
+use super::check::{ensure, finite, not_negative, share};
 use super::schedule::ScheduleName;
 use crate::Error;
 use crate::schedule::Schedule;
@@ -176,27 +176,23 @@ impl DiffusionConfig {
         ] {
             not_negative(field, value)?;
         }
-        if self.motion_weight > 0.0
-            && !matches!(self.prediction, Prediction::Clean | Prediction::Change)
-        {
-            return Err(Error::config(
-                "diffusion.motion_weight",
-                "frames follow each other in a clean window or a change, not in noise",
-            ));
-        }
-        if self.noise == NoiseKind::Shaped && self.prediction != Prediction::Gated {
-            return Err(Error::config(
-                "diffusion.noise",
-                "it is shaped, which only the prediction gated supports; set it to white",
-            ));
-        }
+        let is_clean = matches!(self.prediction, Prediction::Clean | Prediction::Change);
+        ensure(
+            self.motion_weight == 0.0 || is_clean,
+            "diffusion.motion_weight",
+            "frames follow each other in a clean window or a change, not in noise",
+        )?;
+        ensure(
+            self.noise == NoiseKind::White || self.prediction == Prediction::Gated,
+            "diffusion.noise",
+            "it is shaped, which only the prediction gated supports; set it to white",
+        )?;
         let needs_clean = self.prediction.is_extrapolated() || self.fixed_noise > 0.0;
-        if needs_clean && self.fixed_frames != FixedFrames::Clean {
-            return Err(Error::config(
-                "diffusion.fixed_frames",
-                "a residual and noise on the fixed frames need them clean",
-            ));
-        }
+        ensure(
+            self.fixed_frames == FixedFrames::Clean || !needs_clean,
+            "diffusion.fixed_frames",
+            "a residual and noise on the fixed frames need them clean",
+        )?;
         Schedule::new(self.schedule, self.num_steps).map(|_| ())
     }
 }

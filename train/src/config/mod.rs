@@ -15,7 +15,7 @@ use kinematics::normalise::FRAME_WIDTH;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
 pub(crate) use self::check::{
-    above_zero, check_lengths, check_windows, finite, not_negative, positive, share,
+    above_zero, check_lengths, check_windows, ensure, finite, not_negative, positive, share,
 };
 pub(crate) use self::diffusion::is_zero;
 pub use self::diffusion::{
@@ -83,6 +83,18 @@ impl NetworkConfig {
         let left = memory.saturating_sub(4 * BYTES * weights);
         usize::try_from(left / sample.max(1)).map_or(usize::MAX, |samples| samples.max(1))
     }
+
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        positive("model.num_layers", self.num_layers as u64)?;
+        positive("model.feed_forward", self.feed_forward as u64)?;
+        positive("model.num_heads", self.num_heads as u64)?;
+        share("model.dropout", self.dropout)?;
+        // Sine and cosine share a token in pairs.
+        let (width, heads) = (self.width, self.num_heads);
+        let fits = width > 0 && width.is_multiple_of(2) && width.is_multiple_of(heads);
+        let problem = format!("it is {width}, and must be even and a multiple of {heads} heads");
+        ensure(fits, "model.width", problem)
+    }
 }
 
 /// How the coordinator guides the editor.
@@ -144,13 +156,11 @@ impl TextConfig {
     /// # Errors
     /// `vectors` is set for another encoder than `bert`.
     pub(crate) fn check(&self) -> Result<(), Error> {
-        if self.vectors.is_some() && self.encoder != TextEncoder::Bert {
-            return Err(Error::config(
-                "text.vectors",
-                "it is for text.encoder = \"bert\" alone; leave it out",
-            ));
-        }
-        Ok(())
+        ensure(
+            self.vectors.is_none() || self.encoder == TextEncoder::Bert,
+            "text.vectors",
+            "it is for text.encoder = \"bert\" alone; leave it out",
+        )
     }
 
     /// Checks settings of the words that are learned.
@@ -164,13 +174,12 @@ impl TextConfig {
     /// # Errors
     /// As [`Self::check`], or they ask for the vectors of tokens.
     pub(crate) fn check_pooled(&self) -> Result<(), Error> {
-        if self.vectors == Some(BertVectors::States) {
-            return Err(Error::config(
-                "text.vectors",
-                "it is states, one vector for each token, and this model is given one for each text; set it to \
-                          pooled, or leave it out",
-            ));
-        }
+        ensure(
+            self.vectors != Some(BertVectors::States),
+            "text.vectors",
+            "it is states, one vector for each token, and this model is given one for each text; set it to \
+             pooled, or leave it out",
+        )?;
         self.check()
     }
 }
@@ -433,18 +442,14 @@ impl TrainConfig {
         self.run.check()?;
         check_keypoints(self.keypoints)?;
         let (window, shared) = (self.window, self.diffusion.overlap);
-        if window <= FIXED_FRAMES {
-            let problem = format!(
-                "it is {window} frames, of which {FIXED_FRAMES} are fixed; at least one must be free"
-            );
-            return Err(Error::config("window", problem));
-        }
-        if window <= FIXED_FRAMES + shared {
-            let problem = format!(
-                "windows of {window} frames share {shared} and have {FIXED_FRAMES} fixed ones; each must add one"
-            );
-            return Err(Error::config("diffusion.overlap", problem));
-        }
+        let problem = format!(
+            "it is {window} frames, of which {FIXED_FRAMES} are fixed; at least one must be free"
+        );
+        ensure(window > FIXED_FRAMES, "window", problem)?;
+        let problem = format!(
+            "windows of {window} frames share {shared} and have {FIXED_FRAMES} fixed ones; each must add one"
+        );
+        ensure(window > FIXED_FRAMES + shared, "diffusion.overlap", problem)?;
         finite("coordinator.strength", self.coordinator.strength)?;
         self.text.check_pooled()?;
         positive("val_windows", self.val_windows as u64)?;
@@ -467,15 +472,11 @@ pub(crate) fn is_all_keypoints(keypoints: &usize) -> bool {
 }
 
 pub(crate) fn check_keypoints(keypoints: usize) -> Result<(), Error> {
-    if [NUM_BODY_JOINTS, NUM_KEYPOINTS].contains(&keypoints) {
-        return Ok(());
-    }
-    Err(Error::config(
-        "keypoints",
-        format!(
-            "it is {keypoints}; known are {NUM_KEYPOINTS}, and the {NUM_BODY_JOINTS} body joints"
-        ),
-    ))
+    let known = [NUM_BODY_JOINTS, NUM_KEYPOINTS];
+    let problem = format!(
+        "it is {keypoints}; known are {NUM_KEYPOINTS}, and the {NUM_BODY_JOINTS} body joints"
+    );
+    ensure(known.contains(&keypoints), "keypoints", problem)
 }
 
 /// The first keypoints of frames, which are laid out one after another.
@@ -491,26 +492,6 @@ pub(crate) fn narrowed(frames: Vec<f32>, keypoints: usize) -> Vec<f32> {
         .flat_map(|frame| &frame[..3 * keypoints])
         .copied()
         .collect()
-}
-
-impl NetworkConfig {
-    pub(crate) fn check(&self) -> Result<(), Error> {
-        positive("model.num_layers", self.num_layers as u64)?;
-        positive("model.feed_forward", self.feed_forward as u64)?;
-        positive("model.num_heads", self.num_heads as u64)?;
-        share("model.dropout", self.dropout)?;
-        // Sine and cosine share a token in pairs.
-        if self.width == 0
-            || !self.width.is_multiple_of(2)
-            || !self.width.is_multiple_of(self.num_heads)
-        {
-            let (width, heads) = (self.width, self.num_heads);
-            let problem =
-                format!("it is {width}, and must be even and a multiple of {heads} heads");
-            return Err(Error::config("model.width", problem));
-        }
-        Ok(())
-    }
 }
 
 #[cfg(test)]

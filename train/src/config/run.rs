@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{above_zero, not_negative, positive, share};
+use super::check::{above_zero, ensure, not_negative, positive, share};
 use crate::Error;
 
 /// Settings that every training run has, whatever is trained. In files they stand beside the
@@ -100,13 +100,11 @@ impl RunSettings {
 
     /// Refuses micro-batches for a model whose loss needs the whole batch.
     pub(crate) fn check_whole(&self, why: &str) -> Result<(), Error> {
-        if self.micro_batch() == self.batch_size {
-            return Ok(());
-        }
-        Err(Error::config(
+        ensure(
+            self.micro_batch() == self.batch_size,
             "micro_batch_size",
             format!("a step of this model cannot be split: {why}; leave it out"),
-        ))
+        )
     }
 }
 
@@ -138,6 +136,11 @@ impl RunLength {
             None => self.steps,
         }
     }
+
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        positive("length.steps", self.steps)?;
+        positive("length.epochs", self.epochs.unwrap_or(1))
+    }
 }
 
 /// AdamW and its learning rate.
@@ -168,13 +171,6 @@ pub enum Decay {
     Constant,
     /// It falls linearly to zero at the last step.
     Linear,
-}
-
-impl RunLength {
-    pub(crate) fn check(&self) -> Result<(), Error> {
-        positive("length.steps", self.steps)?;
-        positive("length.epochs", self.epochs.unwrap_or(1))
-    }
 }
 
 impl OptimizerConfig {

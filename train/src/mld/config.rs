@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::config::{
     NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TrainConfig,
-    not_negative, positive, share,
+    ensure, not_negative, positive, share,
 };
 use crate::model::mld::MAX_POSITIONS;
 
@@ -147,11 +147,8 @@ impl MldConfig {
         self.text.check_pooled()?;
         share("text_dropout", self.text_dropout)?;
         let (width, latent) = (self.model.width, self.autoencoder.model.width);
-        if width != latent {
-            let problem = format!("it is {width}, and latent vectors have {latent} numbers");
-            return Err(Error::config("model.width", problem));
-        }
-        Ok(())
+        let problem = format!("it is {width}, and latent vectors have {latent} numbers");
+        ensure(width == latent, "model.width", problem)
     }
 }
 
@@ -166,10 +163,12 @@ impl AutoencoderConfig {
         positive("autoencoder.min_frames", self.min_frames as u64)?;
         // Two learned tokens stand before the frames.
         let (frames, least, most) = (self.max_frames, self.min_frames, MAX_POSITIONS - 2);
-        if !(least..=most).contains(&frames) {
-            let problem = format!("it is {frames}, and must be from min_frames {least} to {most}");
-            return Err(Error::config("autoencoder.max_frames", problem));
-        }
+        let problem = format!("it is {frames}, and must be from min_frames {least} to {most}");
+        ensure(
+            (least..=most).contains(&frames),
+            "autoencoder.max_frames",
+            problem,
+        )?;
         not_negative("autoencoder.joints_weight", self.joints_weight)?;
         not_negative("autoencoder.kl_weight", self.kl_weight)
     }
@@ -179,13 +178,8 @@ impl AutoencoderConfig {
 fn check_layers(field: &'static str, model: &NetworkConfig) -> Result<(), Error> {
     model.check()?;
     let layers = model.num_layers;
-    if layers.is_multiple_of(2) {
-        return Err(Error::config(
-            field,
-            format!("it is {layers}, and must be odd"),
-        ));
-    }
-    Ok(())
+    let problem = format!("it is {layers}, and must be odd");
+    ensure(!layers.is_multiple_of(2), field, problem)
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::config::{
     NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
-    TrainConfig, finite, positive, share,
+    TrainConfig, ensure, finite, positive, share,
 };
 use crate::gaussian::{Respacing, SampleSteps};
 
@@ -230,12 +230,11 @@ impl TmedConfig {
         self.run.check()?;
         self.diffusion.check()?;
         self.text.check()?;
-        if self.text.encoder == TextEncoder::Table {
-            return Err(Error::config(
-                "text.encoder",
-                "a table holds one vector for each text, and TMED reads tokens; set it to learned, clip or bert",
-            ));
-        }
+        ensure(
+            self.text.encoder != TextEncoder::Table,
+            "text.encoder",
+            "a table holds one vector for each text, and TMED reads tokens; set it to learned, clip or bert",
+        )?;
         positive("max_frames", self.max_frames as u64)?;
         positive("val_clips", self.val_clips as u64)?;
         self.text.check_words()

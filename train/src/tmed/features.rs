@@ -9,6 +9,7 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::config::ensure;
 use crate::features::Moments;
 
 /// Numbers of a frame.
@@ -207,13 +208,11 @@ impl FeatureStatistics {
         let fits = |values: &[f32]| {
             values.len() == NUM_FEATURES && values.iter().all(|value| value.is_finite())
         };
-        if fits(&self.mean) && fits(&self.std) && self.std.iter().all(|&std| std >= 0.0) {
-            return Ok(());
-        }
-        Err(Error::config(
+        ensure(
+            fits(&self.mean) && fits(&self.std) && self.std.iter().all(|&std| std >= 0.0),
             "statistics",
             format!("they are not {NUM_FEATURES} finite means and standard deviations"),
-        ))
+        )
     }
 
     /// `(x - mean) / (2 (std + 1e-5))`, as released.

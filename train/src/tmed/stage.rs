@@ -11,6 +11,7 @@ use super::config::{ClipData, TmedConfig};
 use super::edit;
 use super::task::{KIND, TmedCorpus, train_tmed};
 use crate::compose::ComposeRecord;
+use crate::config::ensure;
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::stage::{kept, validation_stream};
 use crate::{Error, Session};
@@ -77,12 +78,8 @@ type Clips = (Box<dyn ClipSource>, Vec<String>);
 /// The captured pairs of a split.
 fn captured(dataset: &Dataset, split: Split) -> Result<Clips, Error> {
     let library = library(dataset, split)?;
-    if library.num_pairs() == 0 {
-        return Err(Error::config(
-            "data",
-            format!("it is pairs, and the {split} split has none; set it to composed"),
-        ));
-    }
+    let problem = format!("it is pairs, and the {split} split has none; set it to composed");
+    ensure(library.num_pairs() > 0, "data", problem)?;
     let texts = (0..library.num_pairs()).map(|pair| library.instruction_of_pair(pair).to_owned());
     let texts = texts.collect();
     Ok((Box::new(CapturedPairs(library)), texts))

@@ -10,6 +10,7 @@ use super::features::{FeatureStatistics, NUM_FEATURES};
 use super::objective;
 use crate::checkpoint::{Run, RunRecord, Start};
 use crate::compose::ComposeRecord;
+use crate::config::ensure;
 use crate::data::Timesteps;
 use crate::fit::TextRecord;
 use crate::model::tmed::TmedModel;
@@ -83,12 +84,11 @@ pub fn train_tmed<'a>(
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
     config.check()?;
-    if corpus.compose.is_some() != (config.data == ClipData::Composed) {
-        return Err(Error::config(
-            "data",
-            "composed clips come with the composer's settings, pairs with none",
-        ));
-    }
+    ensure(
+        corpus.compose.is_some() == (config.data == ClipData::Composed),
+        "data",
+        "composed clips come with the composer's settings, pairs with none",
+    )?;
     let start = start.into();
     let fitted: Option<TmedRecord> = start.fitted(KIND)?;
     let (known_text, known_statistics) = fitted.map(|known| (known.text, known.statistics)).unzip();
