@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use compose::{COMPOSED, library};
-use compose::{ComposeConfig, ReadOrder, WindowLoader};
+use compose::{COMPOSED, ComposeConfig, ReadOrder, WindowLoader, library};
 use datasets_spec::record::{NormalizerRow, WindowRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
@@ -11,7 +10,6 @@ use kinematics::normalise::Normalizer;
 
 use super::{Streams, kept};
 use crate::checkpoint::Start;
-use crate::compose::ComposeRecord;
 use crate::config::TrainConfig;
 use crate::edit;
 use crate::fit::{self, Corpus, train_motionrefit};
@@ -65,7 +63,7 @@ pub fn train_editor<'a>(
     } = &streams;
     let recorded = match inputs.windows {
         Some(folder) => {
-            let fitted = library(dataset, Split::Train)?.fit_normalizer(compose)?;
+            let fitted = library(dataset, Split::Train)?.fit_normalizer(&compose.config)?;
             Some(recorded_windows(folder, [&fitted, normalizer], Seed(seed))?)
         }
         None => None,
@@ -92,10 +90,7 @@ pub fn train_editor<'a>(
         normalizer: *normalizer,
         skeleton: &dataset.skeleton()?,
         dataset_hash: &data_hash(dataset, inputs.windows)?,
-        compose: &ComposeRecord {
-            config: compose.clone(),
-            seed: Seed(seed),
-        },
+        compose,
     };
     train_motionrefit(start, config, corpus, session)
 }

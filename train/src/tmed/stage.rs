@@ -1,7 +1,6 @@
 //! Training of TMED on a dataset.
 
-use compose::ComposeConfig;
-use compose::{COMPOSED, library, train_stream};
+use compose::{COMPOSED, ComposeConfig, library, train_stream};
 use datasets_spec::record::{MotionRow, PairRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
