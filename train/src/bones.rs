@@ -28,9 +28,7 @@ pub(crate) fn parent_number(number: usize) -> usize {
 /// # Shapes
 /// Both `[3 keypoints, 3 keypoints]`. A frame is a row vector, left of the map ([`mapped`]).
 pub(crate) fn bones(keypoints: usize, device: &Device) -> [Tensor<2>; 2] {
-    /// Computed once for each width and device.
     static TO_BONES: Tables = Tables::new(to_bones);
-    /// Computed once for each width and device.
     static TO_POINTS: Tables = Tables::new(to_points);
     let width = 3 * keypoints;
     let numbers: Vec<usize> = (0..width).collect();

@@ -44,14 +44,12 @@ pub struct CaptionedCorpus<'a> {
 }
 
 impl CaptionedCorpus<'_> {
-    /// The captions of the training clips.
     pub(crate) fn captions(&self) -> impl Iterator<Item = &str> {
         let captions = self.train.iter().flat_map(|clip| &clip.captions);
         captions.map(String::as_str)
     }
 }
 
-/// A clip as features of HumanML3D, with its captions.
 pub(crate) struct CaptionedRows {
     rows: Vec<Features>,
     captions: Vec<String>,
@@ -156,7 +154,6 @@ impl Crops<'_> {
 pub(crate) struct CropSampler<'a> {
     pub(crate) clips: &'a [CaptionedRows],
     pub(crate) stats: &'a FeatureStats,
-    /// Frames of the longest crop.
     pub(crate) max_frames: usize,
     /// Whether crops are padded to the longest possible one rather than to the longest of the batch.
     pub(crate) pads_to_max: bool,
@@ -261,7 +258,6 @@ impl<'a> CropSampler<'a> {
     }
 }
 
-/// A crop of a clip, and one of its captions.
 #[derive(Clone, Copy)]
 pub(crate) struct Crop {
     pub(crate) clip: usize,

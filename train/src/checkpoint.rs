@@ -39,7 +39,6 @@ pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
 /// Prefix of the files with the averaged weights, in a checkpoint: those of the model under their names.
 pub(crate) const EMA_PREFIX: &str = "ema-";
-/// The progress of the run, in a checkpoint.
 pub(crate) const STATE: &str = "state.json";
 
 /// A checkpoint of a run.
@@ -211,7 +210,6 @@ impl Run {
         }
     }
 
-    /// Starts a run in a folder that holds none.
     fn begin<C: Serialize + DeserializeOwned>(
         start: Start<'_>,
         record: &RunRecord<C>,
@@ -289,7 +287,6 @@ impl Run {
         })
     }
 
-    /// Records the settings of an extended run.
     pub(crate) fn settle(&self) -> Result<(), Error> {
         match &self.extended {
             Some((record, lineage)) => write_record(&self.dir.join(CONFIG), record, lineage),
@@ -304,12 +301,10 @@ impl Run {
         Some((dir, files.clone()))
     }
 
-    /// The folder.
     pub(crate) fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// Replaces a checkpoint.
     pub(crate) fn write(&self, slot: Slot, files: &Files) -> Result<(), Error> {
         let parent = self.dir.join("checkpoint");
         let name = slot.name();
@@ -349,7 +344,6 @@ impl Run {
         remove_dir(&old)
     }
 
-    /// Appends a line to the metrics file.
     pub(crate) fn log(&self, line: &impl Serialize) -> Result<(), Error> {
         let path = self.dir.join(METRICS);
         let not_json = json_error(&path);
@@ -444,12 +438,9 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     Ok(Some(files))
 }
 
-/// A run opened for use.
 pub(crate) struct Opened<C> {
     pub(crate) record: RunRecord<C>,
-    /// The files of a checkpoint.
     pub(crate) files: Files,
-    /// What identifies its weights.
     pub(crate) hash: String,
 }
 
@@ -463,7 +454,6 @@ impl<C: Serialize> Opened<C> {
     }
 }
 
-/// Opens a run for use: its record, and the files of a checkpoint.
 pub(crate) fn open_for_use<C: Serialize + DeserializeOwned>(
     run_dir: &Path,
     slot: Slot,
@@ -510,7 +500,6 @@ fn step_of(files: &Files, field: &str) -> u64 {
         .unwrap_or(0)
 }
 
-/// Checks that the fields in which a record differs may change.
 fn check_changes<'a>(
     start: Start<'_>,
     mut fields: impl Iterator<Item = &'a String>,

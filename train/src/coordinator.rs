@@ -264,14 +264,12 @@ pub fn train_coordinator<'a>(
     Ok(train(&task, network, &run, session)?.1)
 }
 
-/// Noisy windows, their steps and whether they were composed.
 struct SegmentBatch {
     windows: Vec<f32>,
     timesteps: Vec<usize>,
     composed: Vec<f32>,
 }
 
-/// Draws segments and puts noise on them.
 #[derive(Clone, Copy)]
 struct SegmentSampler<'a> {
     source: &'a dyn WindowSource<CoordinatorBatch>,

@@ -190,7 +190,6 @@ impl NoisyBatch {
     }
 }
 
-/// How the diffusion steps of a batch are chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Timesteps {
     /// Uniformly, each window for itself.
@@ -201,7 +200,6 @@ pub(crate) enum Timesteps {
 }
 
 impl Timesteps {
-    /// The diffusion step of an item of the run.
     pub(crate) fn of(self, item: u64, num_steps: usize, rng: &mut Rng) -> usize {
         match self {
             Self::Random => rng.random_range(0..num_steps),
@@ -220,7 +218,6 @@ pub(crate) fn spread_timestep(place: usize, total: usize, num_steps: usize) -> u
 #[derive(Clone, Copy)]
 pub(crate) struct WindowSampler<'a> {
     pub(crate) source: &'a dyn WindowSource,
-    /// Keypoints of a frame that are taken.
     pub(crate) keypoints: usize,
     pub(crate) texts: Texts<'a>,
     pub(crate) seed: Seed,
@@ -282,7 +279,6 @@ impl WindowSampler<'_> {
         })
     }
 
-    /// Reads windows across the boundaries of epochs.
     pub(crate) fn windows(&self, first: u64, num_windows: usize) -> Result<WindowBatch, Error> {
         let epoch_len = self.source.epoch_len();
         if epoch_len == 0 {
@@ -353,7 +349,6 @@ pub(crate) fn prefetch<'scope, T: Send + 'scope>(
 mod tests {
     use super::*;
 
-    /// Numbers of a window of 16 frames.
     const WINDOW_NUMBERS: usize = 16 * FRAME_WIDTH;
 
     /// Windows that hold their own epoch and item number.

@@ -188,7 +188,6 @@ pub enum Products {
 impl Products {
     const ALL: [Self; 3] = [Self::Single, Self::Tf32, Self::Bf16];
 
-    /// Bits of a factor that are lost.
     fn lost_bits(self) -> u32 {
         match self {
             Self::Single => 0,

@@ -115,7 +115,6 @@ impl Loss {
         self.of_each(predicted - target).mean()
     }
 
-    /// The loss of each difference.
     fn of_each(self, difference: Tensor<3>) -> Tensor<3> {
         match self {
             // With c = min(|d|, 1), c (|d| - c / 2) is d^2 / 2 below 1 and |d| - 1/2 above.
@@ -145,7 +144,6 @@ const BONE_UNIT: f64 = 0.1;
 
 /// Windows of a batch on a device, `[B, W, D]`.
 struct Windows {
-    /// Edited windows.
     x0: Tensor<3>,
     noise: Tensor<3>,
     /// 1 for windows that are the first of their motion, `[B, 1, 1]`; none if none is.
@@ -429,7 +427,6 @@ mod tests {
         assert_eq!(read(guide(with, without, 3.0)), [5.0, -5.0]);
     }
 
-    /// Gates with white noise.
     const NUM_GATES: usize = 3;
 
     #[test]

@@ -27,7 +27,6 @@ use crate::system::{
 use crate::text::clip::ClipModel;
 use crate::{Error, Session};
 
-/// The MotionReFit editor as a system.
 struct MotionRefitSystem {
     editor: Editor,
     /// All but the seed, which every call brings.
@@ -42,7 +41,6 @@ struct MotionRefitSystem {
 /// edited clips of the Bandai-Namco set's test split, so that results on that split are biased by it.
 const NETWORK_PRIOR: f64 = 0.01;
 
-/// Opens an editor with its helpers.
 pub(crate) fn open(
     source: &SystemSource,
     config: &EditConfig,
@@ -83,7 +81,6 @@ pub(crate) fn open(
     }))
 }
 
-/// The settings the editor samples with.
 fn settings(editor: &Editor, config: &EditConfig) -> EditSettings {
     let trained = &editor.record().config.train;
     EditSettings {
@@ -175,7 +172,6 @@ fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setti
     changes
 }
 
-/// Weight of the prior where the user gives none.
 fn usual_prior(editor: &Editor) -> f64 {
     match editor.has_poses() {
         true => NETWORK_PRIOR,

@@ -90,7 +90,6 @@ pub enum Error {
     /// A folder is not a run of the expected kind.
     #[error("{} is not a {kind} run: {reason}", path.display())]
     NotARun {
-        /// The folder.
         path: PathBuf,
         /// Kind of run looked for.
         kind: String,
@@ -224,7 +223,6 @@ impl Error {
         }
     }
 
-    /// Refuses an empty list.
     pub(crate) fn if_empty<T>(items: &[T], what: &'static str) -> Result<(), Self> {
         match items.is_empty() {
             true => Err(Self::Empty { what }),
@@ -253,12 +251,10 @@ impl Error {
         }
     }
 
-    /// An evaluation encoder cannot do what it is asked for.
     pub(crate) fn encoder(problem: impl std::fmt::Display) -> Self {
         Self::Refused(format!("the encoder {problem}"))
     }
 
-    /// A text cannot be cut into tokens.
     pub(crate) fn tokens(text: &str, detail: impl std::fmt::Display) -> Self {
         Self::Refused(format!(
             "text {text:?} cannot be cut into tokens ({detail})"

@@ -39,7 +39,6 @@ const TABLES: [&str; 4] = [
     "embed_prog_ind.sequence_pos_encoder.pos_encoding",
 ];
 
-/// Name of the file that the normaliser is exported to.
 const RANGE: &str = "range.json";
 
 /// Makes a run folder of an editor trained elsewhere.
@@ -226,7 +225,6 @@ fn text_side(
     Ok((network, record))
 }
 
-/// Checks statistics that were read.
 fn check_stats(features: &FeatureStats) -> Result<(), Error> {
     let recipe = features.recipe;
     for (name, values) in [("mean", &features.mean), ("spread", &features.std)] {
@@ -418,7 +416,6 @@ fn foreign(found: &str, instead: &str) -> Error {
     )
 }
 
-/// Adds the position tables to a safetensors file.
 fn with_tables(bytes: &[u8], width: usize, path: &Path) -> Result<Vec<u8>, Error> {
     let weights = |problem: safetensors::SafeTensorError| Error::weights(path, problem);
     let file = SafeTensors::deserialize(bytes).map_err(weights)?;
@@ -444,7 +441,6 @@ fn with_tables(bytes: &[u8], width: usize, path: &Path) -> Result<Vec<u8>, Error
     safetensors::serialize(tensors, None).map_err(weights)
 }
 
-/// Reads the object in a file of `numpy.save`.
 pub(crate) fn read_numpy_object(bytes: &[u8], path: &Path) -> Result<Value, Error> {
     let problem = |detail: &str| Error::weights(path, detail);
     let header = match bytes {
@@ -514,7 +510,6 @@ mod tests {
 
     use super::*;
 
-    /// An array file around a pickle.
     fn array_of(pickled: &[u8]) -> Vec<u8> {
         let text = "{'descr': '|O', 'fortran_order': False, 'shape': (), }\n";
         let mut bytes = b"\x93NUMPY\x01\x00".to_vec();

@@ -140,7 +140,6 @@ impl Prepared {
         Ok(Self::Poses(recipe, poses))
     }
 
-    /// Frames.
     pub(crate) fn len(&self) -> usize {
         match self {
             Self::Poses(_, poses) => poses.len(),
@@ -199,7 +198,6 @@ pub(crate) struct Moments {
 }
 
 impl Moments {
-    /// Moments of no row.
     pub(crate) fn none(width: usize) -> Self {
         Self {
             count: 0.0,
@@ -208,7 +206,6 @@ impl Moments {
         }
     }
 
-    /// Moments of rows of `width` numbers.
     pub(crate) fn of<'a>(width: usize, rows: impl IntoIterator<Item = &'a [f32]>) -> Self {
         let mut moments = Self::none(width);
         for row in rows {
@@ -244,17 +241,14 @@ impl Moments {
         self
     }
 
-    /// Whether they are of no row.
     pub(crate) fn is_empty(&self) -> bool {
         self.count == 0.0
     }
 
-    /// The mean of each column.
     pub(crate) fn means(&self) -> Vec<f32> {
         self.mean.iter().map(|&mean| mean as f32).collect()
     }
 
-    /// The standard deviation of each column.
     pub(crate) fn deviations(&self) -> impl Iterator<Item = f64> {
         let squares = self.squares.iter();
         squares.map(|squares| (squares / self.count).sqrt())

@@ -24,7 +24,6 @@ use crate::trainer::{Task, train};
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
 
-/// Kind of run.
 pub(crate) const KIND: &str = "motionrefit";
 
 /// Windows that the linear guess of a residual is fitted to: 84 numbers each, of which a 2 by 2 matrix
@@ -95,7 +94,6 @@ impl EditorRecord {
         )
     }
 
-    /// Builds the networks.
     pub(crate) fn network(&self, device: &Device) -> MotionRefit {
         let config = &self.train;
         MotionRefit::new(

@@ -10,7 +10,6 @@ use crate::error::motion_error;
 use crate::sample::TimedInstruction;
 use crate::system::{Edited, Misfit};
 
-/// Version of the document.
 const VERSION: u32 = 2;
 
 /// A motion and the edits made of it, one after another.
@@ -18,7 +17,6 @@ const VERSION: u32 = 2;
 #[serde(deny_unknown_fields)]
 pub struct EditHistory {
     version: u32,
-    /// Name of the motion that was opened.
     id: String,
     opened: StoredMotion,
     edits: Vec<HistoryStep>,
@@ -43,7 +41,6 @@ pub struct HistoryStep {
     result: StoredMotion,
 }
 
-/// A motion as SMPL-X parameters, frame by frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StoredMotion {

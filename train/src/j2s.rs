@@ -25,10 +25,8 @@ use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::{read, send};
 use crate::{Error, Session};
 
-/// Kind of run.
 pub(crate) const KIND: &str = "j2s";
 
-/// Poses of a validation.
 const VAL_POSES: usize = 512;
 
 /// Which of the two published networks.
@@ -42,7 +40,6 @@ pub enum J2sPreset {
 }
 
 impl J2sPreset {
-    /// Numbers of a frame the network sees.
     fn input(self) -> usize {
         match self {
             Self::Paper => PAPER_INPUT,
@@ -50,7 +47,6 @@ impl J2sPreset {
         }
     }
 
-    /// The fit that is published with it.
     pub(crate) fn fit(self) -> AdamFit {
         match self {
             Self::Paper => AdamFit::paper(),
@@ -134,7 +130,6 @@ pub struct PoseNet {
     faces_forward: bool,
 }
 
-/// The two published networks.
 #[derive(Debug)]
 enum Network {
     Paper(Box<PaperPoseNet>),
@@ -302,7 +297,6 @@ fn draw_poses(motions: &[Motion], count: usize, mut rng: datasets_spec::Rng) -> 
         .collect()
 }
 
-/// Inputs and targets of a network for poses.
 fn samples(
     poses: &[Pose],
     config: &J2sConfig,

@@ -24,10 +24,8 @@ use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::send;
 use crate::{Error, Session};
 
-/// Kind of run.
 pub(crate) const KIND: &str = "mdm";
 
-/// The frozen text encoder.
 pub(crate) const CLIP: ClipModel = ClipModel::VitB32;
 
 /// Settings of MDM.
@@ -153,7 +151,6 @@ pub struct MdmRecord {
 }
 
 impl MdmRecord {
-    /// Builds the networks.
     pub(crate) fn network(&self, device: &Device) -> Conditioned<Mdm> {
         let (config, num_features) = (&self.train.model, self.features.recipe.width());
         Conditioned::new(self.text.source(), config.width, device, |text_width| {

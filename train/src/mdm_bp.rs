@@ -32,7 +32,6 @@ use crate::{Error, Session};
 /// Last steps of the published schedule in which the whole body is free, and the steps of that schedule.
 const PUBLISHED_RELEASE: [usize; 2] = [20, 1_000];
 
-/// A trained MDM that edits parts of motions.
 struct MdmBpSystem {
     model: Conditioned<Mdm>,
     record: MdmRecord,
@@ -47,7 +46,6 @@ struct MdmBpSystem {
     device: Device,
 }
 
-/// Opens a run of MDM as an editor of motions.
 pub(crate) fn open(
     source: &SystemSource,
     config: &EditConfig,
@@ -204,7 +202,6 @@ pub fn keep_source(x0: Tensor<3>, source: &Tensor<3>, kept: &Tensor<3>) -> Tenso
     x0 * free + source.clone() * kept.clone()
 }
 
-/// A request as the network sees it.
 struct Item<'a> {
     request: &'a EditRequest<'a>,
     instruction: &'a str,

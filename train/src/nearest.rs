@@ -26,7 +26,6 @@ use crate::system::{
 use crate::vocabulary::words_of;
 use crate::{Error, Session};
 
-/// The nearest neighbour in the training set.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: KIND,
     about: "The training target whose instruction is closest: no network, a row to compare with",
@@ -36,22 +35,17 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 };
 
 const KIND: &str = "nearest";
-/// Folder of the training triplets in a run.
 const TRIPLETS: &str = "triplets";
-/// Name in tables.
 const NAME: &str = "Nearest neighbour";
 
-/// Settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NearestConfig {
     /// Training triplets to answer from.
     triplets: u64,
-    /// Seed of the training stream.
     seed: u64,
 }
 
-/// What a run depends on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NearestRecord {
@@ -59,7 +53,6 @@ struct NearestRecord {
     compose: ComposeConfig,
 }
 
-/// Records triplets of the training stream.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let preset = NearestConfig {
         triplets: 1_024,
@@ -105,7 +98,6 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     })
 }
 
-/// Training targets by instruction.
 struct Nearest {
     identity: SystemIdentity,
     fps: Fps,

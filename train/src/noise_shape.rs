@@ -180,7 +180,6 @@ impl Covariance {
         }
     }
 
-    /// Open frames.
     fn num_frames(&self) -> usize {
         // Inverts the number of weights, F (F + 1) / 2.
         (2 * self.factors[0].len()).isqrt()

@@ -11,7 +11,6 @@ use crate::transfer::send;
 /// First and last variance of the linear schedule over [`REFERENCE_STEPS`] steps (Ho et al. 2020).
 const LINEAR_VARIANCES: [f64; 2] = [1e-4, 0.02];
 
-/// Steps the linear schedule was made for.
 const REFERENCE_STEPS: f64 = 1_000.0;
 
 /// The coefficients of a diffusion of `T` steps, all in `f64`.
@@ -104,7 +103,6 @@ impl Schedule {
         Self::of_betas(betas.collect())
     }
 
-    /// Computes the coefficients from the variances.
     fn of_betas(betas: Vec<f64>) -> Self {
         let num_steps = betas.len();
         let alphas_cumprod: Vec<f64> = betas
@@ -163,7 +161,6 @@ impl Schedule {
         of_x.times(x_t) - of_eps.times(eps)
     }
 
-    /// Weights of signal and noise in noisy windows.
     pub(crate) fn mixture(&self, timesteps: &[usize]) -> (Column, Column) {
         (
             Column::new(timesteps, |t| self.alphas_cumprod[t].sqrt()),

@@ -144,7 +144,6 @@ pub(crate) fn named_with(name: String, slot: Slot, settings: &[(&str, Setting)])
     }
 }
 
-/// A setting that a system edits with, and its usual value.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Setting {
     /// Used and usual.

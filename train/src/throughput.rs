@@ -20,7 +20,6 @@ use crate::transfer::read;
 
 /// Steps before the clock starts: kernels are compiled and memory is taken in the first ones.
 const WARM_UP: usize = 3;
-/// Steps of diffusion.
 const DIFFUSION_STEPS: usize = 100;
 
 /// What was measured.

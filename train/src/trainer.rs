@@ -144,7 +144,6 @@ struct Training<'a, M, B> {
     whole: Speed,
 }
 
-/// What is due after a step.
 struct Due {
     line: bool,
     validation: bool,
@@ -197,7 +196,6 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         })
     }
 
-    /// Makes a step.
     fn step(&mut self, model: M, parts: &[(f64, B)], devices: &mut Devices<M>) -> Result<M, Error> {
         let (settings, step) = (&self.task.run, self.state.step);
         let (loss, mut gradients) = Step {
@@ -225,13 +223,11 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         Ok(model)
     }
 
-    /// The learning rate of a step.
     fn rate(&self, step: u64) -> f64 {
         let optimizer = &self.task.run.optimizer;
         optimizer.rate_at(step, self.task.num_steps())
     }
 
-    /// What is due after the step that was made last.
     fn due(&self) -> Due {
         let (settings, step) = (&self.task.run, self.state.step);
         let is_last = step == self.task.num_steps();
@@ -245,13 +241,11 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         }
     }
 
-    /// Reads what the device still has of the losses.
     fn read(&mut self) -> Result<(), Error> {
         self.gradient_norm = self.unread.read(&mut self.state, self.kept)?;
         Ok(())
     }
 
-    /// Writes the lines and the checkpoints that are due after a step.
     fn report_step(&mut self, model: &M) -> Result<(), Error> {
         let due = self.due();
         if due.line {
@@ -267,7 +261,6 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         Ok(())
     }
 
-    /// Writes a line of the metrics file.
     fn log(&mut self) -> Result<(), Error> {
         let step = self.state.step;
         let loss = self.state.take_loss();
@@ -291,7 +284,6 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         Ok(())
     }
 
-    /// Validates, and writes the checkpoints.
     fn validate(&mut self, model: &M) -> Result<(), Error> {
         let used = self.used(model);
         let pass = Pass::new(self.session.arithmetic);
@@ -330,7 +322,6 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         }
     }
 
-    /// Writes the checkpoint that the run continues from.
     fn save(&mut self, model: &M) -> Result<(), Error> {
         let run_dir = self.run.dir();
         let moments = self

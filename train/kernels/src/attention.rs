@@ -40,7 +40,6 @@ impl Small {
         &mut self.values[row * self.stride..][..self.stride]
     }
 
-    /// Copies rows.
     #[inline(always)]
     fn copy<'a>(&mut self, rows: impl Iterator<Item = &'a [f32]>) {
         for (row, from) in rows.enumerate() {
@@ -48,7 +47,6 @@ impl Small {
         }
     }
 
-    /// Copies the transpose of rows.
     #[inline(always)]
     fn copy_transposed<'a>(&mut self, rows: impl Iterator<Item = &'a [f32]>) {
         for (column, from) in rows.enumerate() {
@@ -210,7 +208,6 @@ pub fn backward(
     }
 }
 
-/// One sequence of the backward pass.
 struct SequenceGrad<'a> {
     heads: Heads<'a>,
     index: usize,

@@ -26,7 +26,6 @@ fn part<'a>(heads: Heads<'_>, joint: &'a [f32], place: usize, part: usize) -> Co
     )
 }
 
-/// As [`crate::attention::forward`].
 pub(crate) fn forward(
     heads: Heads<'_>,
     joint: &[f32],
@@ -58,7 +57,6 @@ pub(crate) fn forward(
     join(heads, &attended, head, out, |at| at * head);
 }
 
-/// As [`crate::attention::backward`].
 pub(crate) fn backward(
     heads: Heads<'_>,
     joint: &[f32],

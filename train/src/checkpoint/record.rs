@@ -149,7 +149,6 @@ pub fn check_skeleton_of(
     )))
 }
 
-/// The kind of model in a run folder.
 pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
     #[derive(Deserialize)]
     struct Kind {
@@ -179,7 +178,6 @@ pub fn read_any(run_dir: &Path) -> Result<RunRecord<Value>, Error> {
     }
 }
 
-/// Reads the document of a finished or running run.
 pub(crate) fn read_record<C: DeserializeOwned>(
     run_dir: &Path,
     kind: &'static str,
@@ -227,7 +225,6 @@ pub(crate) fn record_of<C: DeserializeOwned>(
     parse_record(text).map_err(json)
 }
 
-/// Reads a record of this version or of an earlier one.
 pub(super) fn parse_record<C: DeserializeOwned>(
     text: &str,
 ) -> Result<RunRecord<C>, serde_json::Error> {
@@ -239,7 +236,6 @@ pub(super) fn parse_record<C: DeserializeOwned>(
     serde_json::from_value(record)
 }
 
-/// The error that a folder is no run of a kind.
 pub(super) fn not_a_run(path: &Path, kind: &str, reason: impl Into<String>) -> Error {
     Error::NotARun {
         path: path.to_owned(),

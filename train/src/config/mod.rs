@@ -163,7 +163,6 @@ impl TextConfig {
         )
     }
 
-    /// Checks settings of the words that are learned.
     pub(crate) fn check_words(&self) -> Result<(), Error> {
         positive("text.words.num_buckets", self.words.num_buckets as u64)?;
         positive("text.words.max_words", self.words.max_words as u64)
@@ -231,7 +230,6 @@ pub enum Preset {
 }
 
 impl Preset {
-    /// All of them.
     pub(crate) const ALL: [Self; 3] = [Self::Paper, Self::Official, Self::Tiny];
 }
 

@@ -43,7 +43,6 @@ fn default_val_every() -> u64 {
 }
 
 impl RunSettings {
-    /// Samples computed at once.
     pub(crate) fn micro_batch(&self) -> usize {
         self.micro_batch_size
             .map_or(self.batch_size, |size| size.min(self.batch_size))

@@ -21,10 +21,8 @@ use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::send;
 use crate::{Error, Session};
 
-/// Kind of run.
 const KIND: &str = "mld-autoencoder";
 
-/// Record of a run of the autoencoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct AutoencoderRecord {
@@ -32,7 +30,6 @@ struct AutoencoderRecord {
     features: FeatureStats,
 }
 
-/// The folder of the autoencoder in that of the latent diffusion.
 fn folder(run: &Path) -> PathBuf {
     run.join("autoencoder")
 }

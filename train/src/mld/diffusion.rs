@@ -36,7 +36,6 @@ pub struct MldRecord {
 }
 
 impl MldRecord {
-    /// Builds the networks.
     pub(super) fn network(&self, device: &Device) -> Conditioned<LatentDenoiser> {
         let config = &self.train.model;
         Conditioned::new(self.text.source(), config.width, device, |text_width| {

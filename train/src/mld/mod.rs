@@ -18,5 +18,4 @@ use crate::text::clip::ClipModel;
 /// Kind of a run of the latent diffusion, whose folder holds the run of its autoencoder too.
 pub(crate) const KIND: &str = "mld";
 
-/// The frozen text encoder.
 pub(crate) const CLIP: ClipModel = ClipModel::VitL14;

@@ -252,7 +252,6 @@ fn end_place(ids: &[i32], end_token: usize) -> usize {
     ids.iter().position(|&id| Some(id) == end).unwrap_or(0)
 }
 
-/// A pre-norm transformer layer.
 #[derive(Module, Debug)]
 struct ClipLayer {
     self_attn: ClipAttention,
@@ -323,7 +322,6 @@ impl ClipAttention {
     }
 }
 
-/// The feed-forward layers.
 #[derive(Module, Debug)]
 struct ClipMlp {
     fc1: Linear,

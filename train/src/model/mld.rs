@@ -190,7 +190,6 @@ impl LatentDenoiser {
 /// # Shapes
 /// `[B]` steps give `[B, width]`.
 pub fn step_sinusoid(timesteps: &[usize], width: usize, device: &Device) -> Tensor<2> {
-    /// Computed once for each width and device.
     static TABLES: Tables = Tables::new(step_sinusoid_values);
     TABLES.rows(timesteps, width, device)
 }

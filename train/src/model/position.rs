@@ -19,7 +19,6 @@ const LEAST_ROWS: usize = 128;
 /// # Source
 /// Vaswani et al. 2017, Sec. 3.5; used alike by MotionReFit, TMR, MDM and TMED.
 pub fn sinusoid(indices: &[usize], width: usize, device: &Device) -> Tensor<2> {
-    /// Computed once for each width and device.
     static TABLES: Tables = Tables::new(sinusoid_values);
     TABLES.rows(indices, width, device)
 }

@@ -90,7 +90,6 @@ pub(crate) fn split_heads(x: Tensor<3>, num_heads: usize) -> Tensor<4> {
         .swap_dims(1, 2)
 }
 
-/// The inverse of [`split_heads`].
 pub(crate) fn join_heads(heads: Tensor<4>) -> Tensor<3> {
     let [batch, num_heads, length, head] = heads.dims();
     heads
@@ -241,7 +240,6 @@ impl EncoderLayer {
         ]
     }
 
-    /// The weights of its products.
     pub(crate) fn weights(&self) -> [Tensor<2>; 4] {
         self.linears().map(|linear| linear.weight.val())
     }
@@ -337,7 +335,6 @@ pub struct PreparedWeights {
 }
 
 impl PreparedWeights {
-    /// The operations of the passes.
     pub(crate) fn arithmetic(&self) -> Arithmetic {
         self.arithmetic
     }

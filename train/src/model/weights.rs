@@ -224,7 +224,6 @@ pub(crate) fn both_files(
     Ok(files)
 }
 
-/// Maximum number of tensors an error names.
 const LISTED: usize = 5;
 
 /// Shapes of the tensors of a safetensors file whose names start with `prefix`, by the rest.

@@ -86,12 +86,10 @@ impl Editor {
         self.hash = blake3::hash(&both).to_hex().to_string();
     }
 
-    /// The pose network.
     pub(crate) fn poses(&self) -> Option<&PoseNet> {
         self.poses.as_ref()
     }
 
-    /// Device of the tensors.
     pub(crate) fn device(&self) -> &Device {
         &self.device
     }
@@ -198,10 +196,8 @@ impl Editor {
     }
 }
 
-/// The editor's network at work.
 struct Generator<'a> {
     editor: &'a Editor,
-    /// Packed weights of the editor's denoiser.
     weights: PreparedWeights,
     settings: &'a EditSettings,
     session: &'a Session<'a>,
@@ -307,7 +303,6 @@ fn widened(generated: Vec<f32>, keypoints: usize) -> Vec<f32> {
         .collect()
 }
 
-/// The keypoint that one of the others hangs from.
 pub(crate) fn keypoint_parent(slot: usize) -> usize {
     usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0)
 }

@@ -233,7 +233,6 @@ fn check_heard(
     Ok(())
 }
 
-/// Poses as a window of the model: canonical and normalised.
 fn model_units(
     mut segment: Vec<Pose>,
     skeleton: &Skeleton,
@@ -348,7 +347,6 @@ fn spans(
 #[derive(Clone, Copy)]
 struct Place {
     start: usize,
-    /// Its frames that are used.
     used: usize,
     instruction: Option<usize>,
 }

@@ -25,7 +25,6 @@ pub(crate) struct Noise<'a> {
     /// Covariance of the noise, and whether it is that of first windows; none for white noise.
     covariance: Option<(&'a NoiseShape, bool)>,
     device: &'a Device,
-    /// Steps still to be drawn.
     left: usize,
     /// Steps that were drawn, `[S, B, T, width]`, and the first that was not taken.
     block: Option<(Tensor<4>, usize)>,
@@ -50,7 +49,6 @@ impl<'a> Noise<'a> {
         }
     }
 
-    /// The same noise times a factor.
     pub(crate) fn scaled(mut self, scale: f64) -> Self {
         self.scale = scale as f32;
         self

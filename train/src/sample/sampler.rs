@@ -126,12 +126,10 @@ impl Sampler<'_> {
     }
 }
 
-/// A batch of windows that a sampler is at.
 struct Sampling<'a> {
     sampler: Sampler<'a>,
     denoiser: PreparedDenoiser<'a>,
     basis: Basis,
-    /// Number of windows.
     batch: usize,
     pass: Pass,
 }
@@ -224,7 +222,6 @@ impl<'a> Sampling<'a> {
     }
 }
 
-/// A batch, and again behind itself.
 fn twice(x: &Tensor<3>) -> Tensor<3> {
     Tensor::cat(vec![x.clone(), x.clone()], 0)
 }

@@ -82,7 +82,6 @@ pub fn edit_windows(
     Ok(joining.into_frames())
 }
 
-/// Checks that items have windows of so many frames.
 fn check_windows(items: &[EditItem], window_frames: usize) -> Result<(), Error> {
     for item in items {
         let problem = if item.windows.is_empty() {
@@ -101,7 +100,6 @@ fn check_windows(items: &[EditItem], window_frames: usize) -> Result<(), Error> 
     Ok(())
 }
 
-/// Motions whose windows are being joined.
 struct Joining<'a> {
     record: &'a EditorRecord,
     items: &'a [EditItem],
@@ -155,7 +153,6 @@ impl<'a> Joining<'a> {
         }
     }
 
-    /// Adds windows that were made.
     fn push(&mut self, requests: &[WindowRequest<'_>], generated: &[f32]) {
         let EditorRecord {
             train, normalizer, ..

@@ -10,7 +10,6 @@ use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
-/// The body-part coordinator.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: coordinator::KIND,
     about: "The body-part coordinator, on natural segments and composed ones",
@@ -48,7 +47,6 @@ pub fn train_coordinator<'a>(
     coordinator::train_coordinator(start, config, segments, session)
 }
 
-/// Trains the coordinator as a command line asks for it.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&CoordinatorConfig::preset(request.preset))?;
     request.change(&mut config.run);

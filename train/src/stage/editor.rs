@@ -19,7 +19,6 @@ use crate::text::source::TextEncoderSource;
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
-/// The MotionReFit editor.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: fit::KIND,
     about: "The MotionReFit editor, on triplets composed from motions and masks",
@@ -95,7 +94,6 @@ pub fn train_editor<'a>(
     train_motionrefit(start, config, corpus, session)
 }
 
-/// Trains the editor as a command line asks for it.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&TrainConfig::preset(request.preset))?;
     request.change(&mut config.run);

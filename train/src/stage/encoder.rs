@@ -12,7 +12,6 @@ use crate::tmr::{self, TmrConfig, train_tmr};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
-/// The evaluation encoder.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: tmr::KIND,
     about: "The encoder of motions and texts that evaluation measures with",
@@ -62,7 +61,6 @@ pub fn train_encoder<'a>(
     train_tmr(start, config, corpus, session)
 }
 
-/// Trains the encoder as a command line asks for it.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&TmrConfig::preset(request.preset))?;
     request.change(&mut config.run);

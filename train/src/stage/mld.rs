@@ -5,7 +5,6 @@ use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::mld::{self, MldConfig, train_mld};
 use crate::{Error, Session};
 
-/// MLD, which makes variants of motions.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: mld::KIND,
     about: "MLD, an autoencoder of motions and a diffusion of its latents, for `stance variants`",

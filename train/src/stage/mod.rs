@@ -78,7 +78,6 @@ fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
     }
 }
 
-/// The stream of the validation split, unthinned.
 pub(crate) fn validation_stream(
     dataset: &Dataset,
     compose: &ComposeConfig,

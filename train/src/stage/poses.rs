@@ -10,7 +10,6 @@ use crate::j2s::{self, J2sConfig, J2sReport};
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::{Error, Session};
 
-/// The pose network.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: j2s::KIND,
     about: "The network from keypoints to rotations, measured beside the fits that follow it",
@@ -41,7 +40,6 @@ pub fn train_j2s<'a>(
     j2s::train_j2s(start, config, [&train, &val], &skeleton, &hash, session)
 }
 
-/// Trains the pose network as a command line asks for it.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&J2sConfig::of(request.preset))?;
     request.change(&mut config.run);

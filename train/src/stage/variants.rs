@@ -26,7 +26,6 @@ use crate::mld::{Base, Generator, LatentNoise};
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
 
-/// Motions whose latent vectors are sampled together.
 const BATCH: usize = 32;
 
 /// Lengths of generated motions are multiples of this number of frames.
@@ -135,7 +134,6 @@ pub fn make_variants(
     })
 }
 
-/// A generator with what it makes variants of.
 pub(crate) struct Making {
     generator: Generator,
     run: PathBuf,
@@ -190,7 +188,6 @@ impl Making {
         self.bases.chunks(BATCH).nth(batch).map_or(0, <[_]>::len)
     }
 
-    /// Prepares the generator for the texts.
     pub(crate) fn prepare(
         &mut self,
         text_encoder: &TextEncoderSource,
@@ -227,7 +224,6 @@ impl Making {
         Ok(candidates(groups, &self.config.filter, &self.skeleton)?)
     }
 
-    /// Commits all candidates.
     pub(crate) fn commit(
         &self,
         transaction: Transaction,
@@ -302,14 +298,12 @@ pub(crate) fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Err
     }
 }
 
-/// A text to make variants of.
 struct Instruction {
     text: String,
     /// Frames at 20 fps and split of the clip it is a caption of.
     clip: Option<(usize, Split)>,
 }
 
-/// The motions to make variants of.
 fn bases(
     dataset: &Dataset,
     instructions: &Instructions,
@@ -376,7 +370,6 @@ fn captions(dataset: &Dataset) -> Result<Vec<Instruction>, Error> {
     Ok(texts)
 }
 
-/// The variants of a base as motions on a body.
 fn group(
     base: &Base,
     split: Split,

@@ -103,7 +103,6 @@ impl BertFiles {
         Ok(hasher.finalize().to_hex().to_string())
     }
 
-    /// A document of the folder, if it is there.
     fn optional<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, Error> {
         let path = self.folder.join(name);
         if !path.is_file() {
@@ -117,7 +116,6 @@ fn parse<T: DeserializeOwned>(document: &[u8], path: &Path) -> Result<T, Error> 
     serde_json::from_slice(document).map_err(json_error(path))
 }
 
-/// A line of `modules.json`.
 #[derive(Deserialize)]
 struct SentenceModule {
     path: String,
@@ -133,7 +131,6 @@ impl SentenceModule {
     }
 }
 
-/// `tokenizer_config.json`.
 #[derive(Deserialize)]
 #[serde(default)]
 struct TokenizerConfig {
@@ -155,7 +152,6 @@ impl Default for TokenizerConfig {
     }
 }
 
-/// `sentence_bert_config.json`.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct SentenceConfig {
@@ -163,14 +159,12 @@ struct SentenceConfig {
     do_lower_case: bool,
 }
 
-/// Which tokens a pooled vector is the mean of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Pooling {
     All,
     First,
 }
 
-/// What is done before and after the network.
 #[derive(Debug)]
 struct Rules {
     /// Longest row of tokens, start and end included; longer texts are cut.
@@ -178,7 +172,6 @@ struct Rules {
     /// Whether texts are put in lower case before they come to the tokenizer, which may do so itself.
     lowers: bool,
     pooling: Pooling,
-    /// Whether pooled vectors are brought to length 1.
     normalizes: bool,
 }
 
@@ -334,7 +327,6 @@ impl BertEncoder {
         Ok(hasher.finalize().to_hex().to_string())
     }
 
-    /// The tokens of a text, start and end included.
     fn tokens(&self, text: &str) -> Result<Vec<i32>, Error> {
         let lowered = self.rules.lowers.then(|| text.to_lowercase());
         let encoding = self

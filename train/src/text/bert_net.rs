@@ -21,7 +21,6 @@ use crate::vocabulary::TokenBatch;
 
 /// What names may begin with: the network alone has no prefix, one with a head has that of its kind.
 const PREFIXES: [&str; 4] = ["", "bert.", "distilbert.", "model."];
-/// The tensor that is looked for under each prefix.
 const WORDS: &str = "embeddings.word_embeddings.weight";
 /// Parts of a layer: our name, that of BERT, that of DistilBERT.
 const PARTS: [(&str, &str, &str); 8] = [
@@ -318,7 +317,6 @@ fn norm(config: &BertConfig, device: &Device) -> LayerNorm {
         .init(device)
 }
 
-/// A post-norm transformer layer.
 #[derive(Module, Debug)]
 struct BertLayer {
     query: Linear,

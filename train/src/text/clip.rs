@@ -15,7 +15,6 @@ use crate::model::clip::{ClipConfig, ClipText};
 use crate::model::weights::to_safetensors;
 use crate::transfer::read;
 
-/// Names the tokenizer may have.
 const TOKENIZERS: [&str; 3] = [
     "tokenizer.json",
     "bpe_simple_vocab_16e6.txt.gz",

@@ -12,7 +12,6 @@ pub(super) const WEIGHTS: [&str; 2] = ["model.safetensors", "pytorch_model.bin"]
 /// First bytes of the files `torch.save` writes: a zip archive, or before PyTorch 1.6 a pickle.
 const TORCH_MAGIC: [&[u8]; 2] = [b"PK\x03\x04", &[0x80, 0x02]];
 
-/// A file of a folder, if it is there.
 pub(super) fn file_in(folder: &Path) -> impl Fn(&str) -> Option<PathBuf> {
     move |name: &str| Some(folder.join(name)).filter(|path| path.is_file())
 }

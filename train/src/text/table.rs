@@ -12,11 +12,8 @@ use crate::Error;
 use crate::config::BertVectors;
 use crate::model::torch::StoredTensor;
 
-/// Texts encoded at a time.
 const BATCH_LEN: usize = 64;
-/// Missing texts that a message names.
 const NAMED_TEXTS: usize = 3;
-/// Version of the file.
 const FORMAT: u32 = 1;
 /// The only key of the file's metadata: several would be written in no fixed order.
 const METADATA_KEY: &str = "stance";
@@ -42,9 +39,7 @@ pub struct EmbeddingTable {
 #[serde(deny_unknown_fields)]
 struct Metadata {
     format: u32,
-    /// Identity of the encoder.
     encoder: String,
-    /// BLAKE3 of the texts and the vectors.
     blake3: String,
 }
 
@@ -318,7 +313,6 @@ impl EmbeddingTable {
     }
 }
 
-/// Running sums.
 fn ends_of(lengths: impl IntoIterator<Item = usize>) -> Vec<usize> {
     let lengths = lengths.into_iter();
     lengths

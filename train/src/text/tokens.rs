@@ -14,14 +14,12 @@ use crate::vocabulary::TokenBatch;
 /// Names of the start and end tokens in Hugging Face's and in open_clip's files.
 const START_NAMES: [&str; 2] = ["<|startoftext|>", "<start_of_text>"];
 const END_NAMES: [&str; 2] = ["<|endoftext|>", "<end_of_text>"];
-/// Suffix of the last piece of a word.
 const WORD_END: &str = "</w>";
 /// Merges of CLIP's vocabulary of 49,408: all but 512 bytes, the start and the end. OpenAI's list
 /// is longer.
 const NUM_MERGES: usize = 49_152 - 256 - 2;
 /// How a text is cut into words that are encoded one by one.
 const WORDS: &str = r"'s|'t|'re|'ve|'m|'ll|'d|[\p{L}]+|[\p{N}]|[^\s\p{L}\p{N}]+";
-/// Largest unpacked list of merges.
 const MAX_MERGES_LEN: u64 = 64 << 20;
 const GZIP_MAGIC: &[u8] = &[0x1f, 0x8b];
 /// Probe text for tokenizers that share a vocabulary: case, contractions, digits, punctuation, white

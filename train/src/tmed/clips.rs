@@ -157,7 +157,6 @@ pub(crate) struct ClipSampler<'a> {
     pub(crate) hides: bool,
 }
 
-/// A clip as drawn.
 struct Drawn {
     instruction: String,
     source: Vec<FeatureFrame>,

@@ -242,9 +242,7 @@ impl TmedConfig {
 
     /// Places of the position table that are kept for a text.
     pub(crate) fn text_places(&self) -> usize {
-        /// The context of CLIP.
         const CLIP_TOKENS: usize = 77;
-        /// The context of BERT.
         const BERT_TOKENS: usize = 512;
         match self.text.encoder {
             TextEncoder::Clip | TextEncoder::Table => CLIP_TOKENS,

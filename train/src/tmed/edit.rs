@@ -31,7 +31,6 @@ use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
 use crate::{Error, Session};
 
-/// TMED as a system.
 struct TmedSystem {
     model: TmedModel,
     record: TmedRecord,
@@ -43,7 +42,6 @@ struct TmedSystem {
     device: Device,
 }
 
-/// How motions are edited.
 struct TmedSettings {
     steps: SampleSteps,
     guidance: f64,
@@ -53,7 +51,6 @@ struct TmedSettings {
     max_batch: usize,
 }
 
-/// Opens a run of TMED.
 pub(crate) fn open(
     source: &SystemSource,
     config: &EditConfig,
@@ -155,12 +152,10 @@ fn system_name(record: &TmedRecord, slot: Slot, settings: &TmedSettings) -> Resu
     Ok(named_with(name, slot, &changes))
 }
 
-/// A motion to edit, as the network takes it.
 struct Question<'a> {
     id: &'a str,
     text: &'a str,
     source: Vec<FeatureFrame>,
-    /// Where the edit begins.
     first: Pose,
     /// Frames of the edit at the network's rate.
     frames: usize,
@@ -212,7 +207,6 @@ impl TmedSystem {
         })
     }
 
-    /// Tokens of texts.
     fn tokens(&self, texts: &[&str]) -> Result<TextBatch, Error> {
         let known = self.record.text.texts(self.vectors.as_ref())?;
         known.batch(texts.iter().copied())

@@ -62,7 +62,6 @@ pub fn import_tmed(
     write_imported(run_dir, &skeleton, (KIND, record), &model.denoiser)
 }
 
-/// Sizes of the network whose tensors these are.
 fn sizes(weights: &[u8], num_heads: usize, path: &Path) -> Result<NetworkConfig, Error> {
     let file = SafeTensors::deserialize(weights).map_err(|error| Error::weights(path, error))?;
     let source = "pose_proj_in_source.weight";

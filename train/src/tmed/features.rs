@@ -54,7 +54,6 @@ fn heading(root: DQuat) -> DQuat {
     DQuat::from_rotation_z(m.x_axis.y.atan2(m.x_axis.x))
 }
 
-/// Turns y up into z up.
 fn upright() -> DQuat {
     DQuat::from_rotation_x(FRAC_PI_2)
 }
@@ -192,7 +191,6 @@ pub struct FeatureStatistics {
 }
 
 impl FeatureStatistics {
-    /// The statistics of moments.
     pub(crate) fn of(moments: &Moments) -> Self {
         Self {
             mean: moments.means(),

@@ -15,7 +15,6 @@ use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::stage::{kept, validation_stream};
 use crate::{Error, Session};
 
-/// TMED.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: KIND,
     about: "TMED, a diffusion over whole motions, on composed clips or on captured pairs",
@@ -71,10 +70,8 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     Ok(Trained::from_report(report, run))
 }
 
-/// Clips of a split, and their instructions.
 type Clips = (Box<dyn ClipSource>, Vec<String>);
 
-/// The captured pairs of a split.
 fn captured(dataset: &Dataset, split: Split) -> Result<Clips, Error> {
     let library = library(dataset, split)?;
     let problem = format!("it is pairs, and the {split} split has none; set it to composed");

@@ -19,7 +19,6 @@ use crate::text::table::EmbeddingTable;
 use crate::trainer::{Task, TrainReport, train};
 use crate::{Error, Session};
 
-/// Kind of run.
 pub(crate) const KIND: &str = "tmed";
 
 /// What TMED learns from.
@@ -66,7 +65,6 @@ impl TmedRecord {
         self.statistics.check()
     }
 
-    /// The network of the record, with weights of no meaning.
     pub(crate) fn model(&self, device: &Device) -> TmedModel {
         TmedModel::new(&self.train.model, self.text.source(), NUM_FEATURES, device)
     }
@@ -144,7 +142,6 @@ pub fn train_tmed<'a>(
     Ok(train(&task, network, &run, session)?.1)
 }
 
-/// The statistics of the splits that the settings name.
 fn statistics_of(corpus: &TmedCorpus<'_>, config: &TmedConfig) -> Result<FeatureStatistics, Error> {
     let both = [corpus.train, corpus.val];
     let sources = match config.statistics {

@@ -14,13 +14,11 @@ use crate::captioned::{CaptionedClip, Crop};
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
 use crate::vocabulary::{TokenBatch, Vocabulary};
 
-/// Features and tokenised captions of a clip.
 pub(super) struct Clip {
     pub(super) motion: Prepared,
     captions: Vec<Vec<i32>>,
 }
 
-/// A batch of clips with everything a step draws.
 pub(super) struct ClipBatch {
     pub(super) features: Vec<f32>,
     pub(super) lengths: Vec<usize>,

@@ -161,7 +161,6 @@ impl TmrConfig {
         above_zero("temperature", self.temperature)
     }
 
-    /// Builds the network for the words of a vocabulary.
     pub(super) fn network(&self, vocabulary: &Vocabulary, device: &Device) -> Tmr {
         let words = [vocabulary.num_tokens(), self.word_width];
         Tmr::new(&self.model, self.features.width(), words, device)

@@ -22,14 +22,12 @@ use crate::text::bert::{BertEncoder, BertFiles};
 use crate::transfer::{read, send};
 use crate::vocabulary::Vocabulary;
 
-/// Weights of a motion encoder trained elsewhere.
 pub(crate) const MOTION_WEIGHTS: &str = "motion_encoder.safetensors";
 
 /// Weights of a text side trained elsewhere, and the folder of the network whose states it reads.
 pub(crate) const TEXT_WEIGHTS: &str = "text_encoder.safetensors";
 pub(crate) const TEXT_FOLDER: &str = "text_encoder";
 
-/// Motions or texts encoded at a time.
 const ENCODE_BATCH: usize = 32;
 
 /// Record of a motion encoder trained elsewhere.
@@ -57,7 +55,6 @@ pub struct ImportedText {
     pub width: usize,
 }
 
-/// What encodes texts.
 #[derive(Debug)]
 enum TextEncoding {
     /// Words that were learned with the motion encoder.
@@ -70,7 +67,6 @@ enum TextEncoding {
 #[derive(Debug)]
 pub struct TmrEncoder {
     motion_encoder: SequenceEncoder,
-    /// The text encoder, if there is one.
     texts: Option<TextEncoding>,
     features: FeatureStats,
     frame_stride: usize,
@@ -274,7 +270,6 @@ impl TmrEncoder {
     }
 }
 
-/// Loads the text side of an imported encoder.
 fn load_texts(
     record: &ImportedText,
     files: &mut Files,

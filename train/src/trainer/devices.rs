@@ -9,7 +9,6 @@ use super::flat::Flat;
 use super::task::Task;
 use crate::model::pass::{Arithmetic, Pass};
 
-/// The devices that compute micro-batches.
 pub(super) struct Devices<M> {
     first: Device,
     /// The others, each with a copy of the model.
@@ -43,7 +42,6 @@ impl<M: Module> Devices<M> {
     }
 }
 
-/// A step of training.
 pub(super) struct Step<'a, M, B> {
     pub(super) task: &'a Task<'a, M, B>,
     /// Its micro-batches, each with its share of the loss.
@@ -90,7 +88,6 @@ impl<M: Module, B: Send + Sync> Step<'_, M, B> {
         (total, gradients)
     }
 
-    /// The shares of all devices, in their order.
     fn shares(&self, model: &M, devices: &Devices<M>) -> Vec<Share> {
         let num_devices = 1 + devices.others.len();
         std::thread::scope(|scope| {
@@ -120,7 +117,6 @@ impl<M: Module, B: Send + Sync> Step<'_, M, B> {
         })
     }
 
-    /// The share of one of several devices.
     fn of_device(&self, model: &M, place: usize, device: &Device, num_devices: usize) -> Share {
         let mut losses = Vec::new();
         let mut sum = GradientsAccumulator::new();

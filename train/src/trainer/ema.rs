@@ -5,19 +5,16 @@ use std::collections::BTreeMap;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamId};
 use burn::tensor::Tensor;
 
-/// The average; every parameter is flattened.
 #[derive(Clone, Debug)]
 pub(super) struct Ema(BTreeMap<ParamId, Tensor<1>>);
 
 impl Ema {
-    /// Starts at the weights of a model.
     pub(super) fn of<M: Module>(model: &M) -> Self {
         let mut ema = Self(BTreeMap::new());
         ema.move_to(model, 0.0);
         ema
     }
 
-    /// Takes in the weights that a model has after a step.
     pub(super) fn update<M: Module>(&mut self, model: &M, decay: f64, step: u64) {
         self.move_to(model, warmed_up(decay, step));
     }
@@ -46,7 +43,6 @@ impl Ema {
         });
     }
 
-    /// A model with the averaged weights.
     pub(super) fn put_into<M: Module>(&self, model: M) -> M {
         struct Put<'a>(&'a BTreeMap<ParamId, Tensor<1>>);
         impl ModuleMapper for Put<'_> {

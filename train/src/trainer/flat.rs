@@ -20,7 +20,6 @@ impl Flat {
         }
     }
 
-    /// The weights of a model.
     pub(super) fn of_weights<M: Module>(model: &M) -> Self {
         struct Collect(Vec<(ParamId, Tensor<1>)>);
         impl ModuleVisitor for Collect {

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::transfer::read_all;
 
-/// Progress of a run, saved with every checkpoint.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TrainState {
@@ -98,7 +97,6 @@ impl Speed {
     }
 }
 
-/// The losses and the norm of steps that are still on the device.
 #[derive(Default)]
 pub(super) struct Unread {
     pub(super) losses: Vec<Tensor<1>>,

@@ -12,9 +12,7 @@ pub(crate) struct Task<'a, M, B> {
     pub(crate) kind: &'static str,
     /// What a sample is called, in the plural.
     pub(crate) samples: &'static str,
-    /// Settings that every training run has.
     pub(crate) run: RunSettings,
-    /// Samples of an epoch.
     pub(crate) epoch_len: u64,
     /// The micro-batches of a step, each with its share of the step's loss. The shares add up to
     /// one. The data depend on the seed of the run and on the step alone.
@@ -30,7 +28,6 @@ impl<M, B> Task<'_, M, B> {
         self.epoch_len.div_ceil(self.run.batch_size as u64).max(1)
     }
 
-    /// Steps of the run.
     pub(super) fn num_steps(&self) -> u64 {
         self.run.length.num_steps(self.steps_per_epoch())
     }

@@ -29,7 +29,6 @@ pub const JOB: &str = "edit";
 /// Items of a piece: as many windows as are generated at a time by default.
 const PIECE_ITEMS: usize = 64;
 
-/// The settings of a plan.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -45,7 +44,6 @@ struct Stored {
     device: Value,
 }
 
-/// What a piece edits.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Detail {
@@ -55,14 +53,12 @@ struct Detail {
     of: usize,
 }
 
-/// What a piece notes for the commit.
 #[derive(Serialize, Deserialize)]
 struct Notes {
     times: EditTimes,
     remarks: Remarks,
 }
 
-/// A system with the items it answers.
 struct Editing {
     system: Mutex<Box<dyn EditSystem>>,
     rows: Vec<ItemRow>,

@@ -40,7 +40,6 @@ impl Surroundings {
         }
     }
 
-    /// Runs a part of a piece.
     fn with_session<T>(&self, act: impl FnOnce(&Session<'_>) -> T) -> T {
         let begun = Instant::now();
         let clock = move || -> Duration { begun.elapsed() };
@@ -96,7 +95,6 @@ impl From<Error> for Failed {
     }
 }
 
-/// The refusal of a plan whose inputs are others by now.
 fn changed(what: &str) -> Failed {
     let problem = format!("{what} changed since they were planned; plan again");
     Failed::new("E-SOURCE-CHANGED", problem)

@@ -21,7 +21,6 @@ use crate::stage::variants::{Instructions, MakeVariants, Making, made_before};
 /// Name of the job.
 pub const JOB: &str = "variants";
 
-/// The settings of a plan.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -49,14 +48,12 @@ impl Stored {
     }
 }
 
-/// The batch that a piece makes.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Detail {
     batch: usize,
 }
 
-/// What all batches share.
 struct Variants {
     making: Mutex<Making>,
     surroundings: Surroundings,
