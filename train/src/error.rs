@@ -90,6 +90,7 @@ pub enum Error {
     /// A folder is not a run of the expected kind.
     #[error("{} is not a {kind} run: {reason}", path.display())]
     NotARun {
+        /// The folder.
         path: PathBuf,
         /// Kind of run looked for.
         kind: String,
