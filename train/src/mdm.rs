@@ -141,13 +141,10 @@ impl MdmConfig {
 /// Record of a run of MDM.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct MdmRecord {
-    /// The resolved settings.
-    pub train: MdmConfig,
-    /// Mean and spread of the features over the training split.
-    pub features: FeatureStats,
-    /// What the network is told captions by.
-    pub text: TextRecord,
+pub(crate) struct MdmRecord {
+    pub(crate) train: MdmConfig,
+    pub(crate) features: FeatureStats,
+    pub(crate) text: TextRecord,
 }
 
 impl MdmRecord {

@@ -151,7 +151,7 @@ pub(super) fn latent_noise(seed: Seed, first: u64, count: usize, width: usize) -
 
 /// A trained autoencoder.
 #[derive(Debug)]
-pub struct Autoencoder {
+pub(super) struct Autoencoder {
     pub(super) network: MotionVae,
     pub(super) stats: FeatureStats,
     /// Longest motion it was trained on, in frames.
@@ -164,7 +164,7 @@ impl Autoencoder {
     ///
     /// # Errors
     /// There is none, or its checkpoint is missing or damaged.
-    pub fn load(run: &Path, device: &Device) -> Result<Self, Error> {
+    pub(super) fn load(run: &Path, device: &Device) -> Result<Self, Error> {
         let dir = folder(run);
         let mut opened = open_for_use::<AutoencoderRecord>(&dir, Slot::Best, KIND)?;
         let record = opened.record.config;

@@ -24,15 +24,13 @@ use crate::{Error, Session};
 /// Record of a run of the latent diffusion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct MldRecord {
-    /// The resolved settings.
-    pub train: MldConfig,
-    /// What the network is told captions by.
-    pub text: TextRecord,
+pub(crate) struct MldRecord {
+    pub(crate) train: MldConfig,
+    pub(crate) text: TextRecord,
     /// What identifies the autoencoder: BLAKE3, hexadecimal.
-    pub autoencoder: String,
+    pub(crate) autoencoder: String,
     /// Standard deviation of the latent vectors of the training split, over all their numbers.
-    pub latent_std: f32,
+    pub(crate) latent_std: f32,
 }
 
 impl MldRecord {

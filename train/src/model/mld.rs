@@ -15,11 +15,10 @@ use super::weights::Networks;
 use crate::config::NetworkConfig;
 
 /// Positions of the released tables.
-pub const MAX_POSITIONS: usize = 500;
+pub(crate) const MAX_POSITIONS: usize = 500;
 
-/// A learned table of positions.
 #[derive(Module, Debug)]
-pub struct LearnedPositions {
+struct LearnedPositions {
     pe: Param<Tensor<3>>,
 }
 
@@ -116,7 +115,7 @@ impl MotionVae {
 
 /// Two layers that map the sinusoid of a diffusion step to a token.
 #[derive(Module, Debug)]
-pub struct TimeEmbedding {
+struct TimeEmbedding {
     linear_1: Linear,
     linear_2: Linear,
 }

@@ -9,17 +9,17 @@ use kinematics::skeleton::{FIT_KEYPOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use super::weights::Networks;
 
 /// Numbers of a frame the network of the paper sees: 28 keypoints.
-pub const PAPER_INPUT: usize = 3 * NUM_KEYPOINTS;
+pub(crate) const PAPER_INPUT: usize = 3 * NUM_KEYPOINTS;
 /// Numbers it gives: 22 rotation vectors.
-pub const PAPER_OUTPUT: usize = 3 * NUM_BODY_JOINTS;
+pub(crate) const PAPER_OUTPUT: usize = 3 * NUM_BODY_JOINTS;
 /// Numbers of a frame the released network sees: 24 joints.
-pub const OFFICIAL_INPUT: usize = 3 * FIT_KEYPOINTS.len();
+pub(crate) const OFFICIAL_INPUT: usize = 3 * FIT_KEYPOINTS.len();
 /// Numbers it gives: the first two rows of 22 rotation matrices.
-pub const OFFICIAL_OUTPUT: usize = 6 * NUM_BODY_JOINTS;
+pub(crate) const OFFICIAL_OUTPUT: usize = 6 * NUM_BODY_JOINTS;
 
 /// Where the names of a plain sequence of layers differ from ours: (pattern, ours). The recorded network of the
 /// paper is named so, and the released one with a prefix.
-pub const NAMES: [(&str, &str); 5] = [
+pub(crate) const NAMES: [(&str, &str); 5] = [
     (r"^(layers\.)?0\.", "first."),
     (r"^(layers\.)?1\.", "first_norm."),
     (r"^(layers\.)?3\.", "second."),
@@ -29,7 +29,7 @@ pub const NAMES: [(&str, &str); 5] = [
 
 /// Three layers, with a norm and ReLU after each but the last.
 #[derive(Module, Debug)]
-pub struct PoseLayers<N: Module> {
+pub(crate) struct PoseLayers<N: Module> {
     first: Linear,
     first_norm: N,
     second: Linear,
@@ -65,11 +65,11 @@ impl<N: Module> PoseLayers<N> {
 /// # Source
 /// Paper App. B.3: 84, 512, 512 and 66 numbers, ReLU and LayerNorm. The order of norm and ReLU is not
 /// published; here the norm comes first.
-pub type PaperPoseNet = PoseLayers<LayerNorm>;
+pub(crate) type PaperPoseNet = PoseLayers<LayerNorm>;
 
 impl PaperPoseNet {
     /// Builds the network; the published width is 512.
-    pub fn new(width: usize, device: &Device) -> Self {
+    pub(crate) fn new(width: usize, device: &Device) -> Self {
         let norm = || LayerNormConfig::new(width).init(device);
         Self::of([PAPER_INPUT, width, PAPER_OUTPUT], norm, device)
     }
@@ -78,7 +78,7 @@ impl PaperPoseNet {
     ///
     /// # Shapes
     /// `[B, 84]` give `[B, 66]`.
-    pub fn forward(&self, points: Tensor<2>) -> Tensor<2> {
+    pub(crate) fn forward(&self, points: Tensor<2>) -> Tensor<2> {
         self.apply(points, |norm, x| norm.forward(x))
     }
 }
@@ -87,11 +87,11 @@ impl PaperPoseNet {
 ///
 /// # Source
 /// The released `joints_to_smpl`: 72, 64, 64 and 132 numbers.
-pub type OfficialPoseNet = PoseLayers<BatchNorm>;
+pub(crate) type OfficialPoseNet = PoseLayers<BatchNorm>;
 
 impl OfficialPoseNet {
     /// Builds the network; the released width is 64.
-    pub fn new(width: usize, device: &Device) -> Self {
+    pub(crate) fn new(width: usize, device: &Device) -> Self {
         let norm = || BatchNormConfig::new(width).init(device);
         Self::of([OFFICIAL_INPUT, width, OFFICIAL_OUTPUT], norm, device)
     }
@@ -100,7 +100,7 @@ impl OfficialPoseNet {
     ///
     /// # Shapes
     /// `[B, 72]` give `[B, 132]`.
-    pub fn forward(&self, joints: Tensor<2>) -> Tensor<2> {
+    pub(crate) fn forward(&self, joints: Tensor<2>) -> Tensor<2> {
         self.apply(joints, |norm, x| norm.forward(x))
     }
 }

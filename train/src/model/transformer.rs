@@ -99,7 +99,7 @@ pub(crate) fn join_heads(heads: Tensor<4>) -> Tensor<3> {
 
 /// Multi-head self-attention with query, key and value in one projection.
 #[derive(Module, Debug)]
-pub struct SelfAttention {
+struct SelfAttention {
     in_proj: Linear,
     out_proj: Linear,
     dropout: Dropout,
@@ -107,8 +107,7 @@ pub struct SelfAttention {
 }
 
 impl SelfAttention {
-    /// Builds the layer.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+    fn new(config: &NetworkConfig, device: &Device) -> Self {
         Self {
             in_proj: LinearConfig::new(config.width, 3 * config.width).init(device),
             out_proj: LinearConfig::new(config.width, config.width).init(device),
@@ -121,7 +120,7 @@ impl SelfAttention {
     ///
     /// # Shapes
     /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
-    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
+    fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
         let [_, _, width] = x.dims();
         let weight = self.in_proj.weight.val();
         let bias = self.in_proj.bias.as_ref().map(|bias| bias.val());
@@ -156,25 +155,21 @@ impl SelfAttention {
 /// Dropout of attention weights, which would only remove the memory from single tokens, is left
 /// out.
 #[derive(Module, Debug)]
-pub struct SingleMemoryAttention {
+struct SingleMemoryAttention {
     in_proj: Linear,
     out_proj: Linear,
 }
 
 impl SingleMemoryAttention {
-    /// Builds the layer.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+    fn new(config: &NetworkConfig, device: &Device) -> Self {
         Self {
             in_proj: LinearConfig::new(config.width, 3 * config.width).init(device),
             out_proj: LinearConfig::new(config.width, config.width).init(device),
         }
     }
 
-    /// What every token receives from the memory.
-    ///
-    /// # Shapes
-    /// `[B, 1, d]` to `[B, 1, d]`
-    pub fn forward(&self, memory: Tensor<3>, pass: &Pass) -> Tensor<3> {
+    /// What every token receives from the memory, `[B, 1, d]` to `[B, 1, d]`.
+    fn forward(&self, memory: Tensor<3>, pass: &Pass) -> Tensor<3> {
         let [_, _, width] = memory.dims();
         let weight = self.in_proj.weight.val().narrow(1, 2 * width, width);
         let bias = self
@@ -214,7 +209,7 @@ impl EncoderLayer {
     /// and composed elsewhere.
     ///
     /// # Shapes
-    /// As [`SelfAttention::forward`].
+    /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
     pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
         let device = x.device();
         let tensors = pass.uses_kernels(&device).then(|| self.tensors()).flatten();
@@ -318,7 +313,7 @@ impl Encoder {
     /// Applies all layers.
     ///
     /// # Shapes
-    /// As [`SelfAttention::forward`].
+    /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
     pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
         self.layers
             .iter()
@@ -342,7 +337,7 @@ impl PreparedWeights {
 
 /// `nn.TransformerDecoderLayer` whose memory is one token.
 #[derive(Module, Debug)]
-pub struct DecoderLayer {
+pub(super) struct DecoderLayer {
     self_attn: SelfAttention,
     multihead_attn: SingleMemoryAttention,
     linear1: Linear,
@@ -354,8 +349,7 @@ pub struct DecoderLayer {
 }
 
 impl DecoderLayer {
-    /// Builds the layer.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+    pub(super) fn new(config: &NetworkConfig, device: &Device) -> Self {
         Self {
             self_attn: SelfAttention::new(config, device),
             multihead_attn: SingleMemoryAttention::new(config, device),
@@ -368,11 +362,9 @@ impl DecoderLayer {
         }
     }
 
-    /// Applies the layer.
-    ///
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` as in [`SelfAttention::forward`].
-    pub fn forward(
+    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` that of `B` rows of `T` tokens.
+    pub(super) fn forward(
         &self,
         x: Tensor<3>,
         memory: Tensor<3>,
@@ -392,13 +384,12 @@ impl DecoderLayer {
 
 /// `nn.TransformerDecoder` whose memory is one token, without a final norm.
 #[derive(Module, Debug)]
-pub struct Decoder {
+pub(super) struct Decoder {
     layers: Vec<DecoderLayer>,
 }
 
 impl Decoder {
-    /// Builds the layers.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+    pub(super) fn new(config: &NetworkConfig, device: &Device) -> Self {
         Self {
             layers: (0..config.num_layers)
                 .map(|_| DecoderLayer::new(config, device))
@@ -406,11 +397,9 @@ impl Decoder {
         }
     }
 
-    /// Applies all layers.
-    ///
     /// # Shapes
     /// As [`DecoderLayer::forward`].
-    pub fn forward(
+    pub(super) fn forward(
         &self,
         x: Tensor<3>,
         memory: Tensor<3>,

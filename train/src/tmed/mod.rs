@@ -21,4 +21,4 @@ pub use self::exchange::{TmedImport, import_tmed, read_released_statistics};
 pub use self::guidance::{Branch, branches, guided};
 pub use self::objective::{group_loss, loss};
 pub(crate) use self::stage::MODEL;
-pub use self::task::{TmedCorpus, TmedRecord, train_tmed};
+pub use self::task::{TmedCorpus, train_tmed};

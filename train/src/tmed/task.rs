@@ -43,16 +43,13 @@ pub struct TmedCorpus<'a> {
 /// What is recorded of a run of TMED: its settings and what was fitted to the training split.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct TmedRecord {
-    /// The resolved settings.
-    pub train: TmedConfig,
-    /// What the features are normalised by.
-    pub statistics: FeatureStatistics,
-    /// What the network is told instructions by.
-    pub text: TextRecord,
+pub(crate) struct TmedRecord {
+    pub(crate) train: TmedConfig,
+    pub(crate) statistics: FeatureStatistics,
+    pub(crate) text: TextRecord,
     /// How the clips were composed; none of captured pairs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub compose: Option<ComposeRecord>,
+    pub(crate) compose: Option<ComposeRecord>,
 }
 
 impl TmedRecord {

@@ -33,26 +33,23 @@ const ENCODE_BATCH: usize = 32;
 /// Record of a motion encoder trained elsewhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct MotionEncoderRecord {
-    /// Size of the transformer.
-    pub model: NetworkConfig,
-    /// Features of a motion, and their normaliser.
-    pub features: FeatureStats,
+pub(crate) struct MotionEncoderRecord {
+    pub(crate) model: NetworkConfig,
+    pub(crate) features: FeatureStats,
     /// Its text side, if that was imported too.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub text: Option<ImportedText>,
+    pub(crate) text: Option<ImportedText>,
 }
 
 /// Record of a text side trained elsewhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ImportedText {
-    /// Size of the transformer.
-    pub model: NetworkConfig,
+pub(crate) struct ImportedText {
+    pub(crate) model: NetworkConfig,
     /// Identity of the frozen network whose states it reads.
-    pub encoder_hash: String,
+    pub(crate) encoder_hash: String,
     /// Numbers of a state.
-    pub width: usize,
+    pub(crate) width: usize,
 }
 
 #[derive(Debug)]

@@ -22,13 +22,10 @@ pub(crate) const KIND: &str = "tmr";
 /// Record of an encoder's run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct TmrRecord {
-    /// The resolved settings.
-    pub train: TmrConfig,
-    /// Mean and spread of the features over the training split.
-    pub features: FeatureStats,
-    /// Words the encoder knows.
-    pub vocabulary: Vocabulary,
+pub(crate) struct TmrRecord {
+    pub(crate) train: TmrConfig,
+    pub(crate) features: FeatureStats,
+    pub(crate) vocabulary: Vocabulary,
 }
 
 /// Trains the encoder, or continues where the run folder left off, exactly as
