@@ -17,8 +17,8 @@ use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use};
 use crate::compose::ComposeRecord;
 use crate::config::{
     DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, ScheduleName,
-    TrainConfig, all_keypoints, check_keypoints, check_windows, ensure, is_all_keypoints, is_zero,
-    narrowed, positive, share,
+    TrainConfig, all_keypoints, check_keypoints, check_windows, ensure, is_all_keypoints,
+    is_default, narrowed, positive, share,
 };
 use crate::data::{WindowSource, across_epochs};
 use crate::error::motion_error;
@@ -54,7 +54,7 @@ pub struct CoordinatorConfig {
     pub keypoints: usize,
     /// Share of training windows that are mirrored, where the composer's settings mirror none: a mirrored motion is as
     /// natural, and a mirrored blend as composed, as the window itself.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub mirrored_ratio: f64,
     /// Windows in a validation.
     pub val_windows: usize,

@@ -383,19 +383,27 @@ mod tests {
         }
     }
 
-    fn check(first: u64, num_windows: usize, expected: &[f32]) {
-        let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
-        let sampler = WindowSampler {
-            source: &Counting(3),
+    fn sampler<'a>(source: &'a Counting, vocabulary: &'a Vocabulary) -> WindowSampler<'a> {
+        WindowSampler {
+            source,
             keypoints: 28,
-            texts: Texts::Words(&vocabulary),
+            texts: Texts::Words(vocabulary),
             seed: Seed(1),
             num_timesteps: 10,
             timesteps: Timesteps::Random,
-            text_dropout: 0.5,
-            generated_starts: 0.25,
+            text_dropout: 0.0,
+            generated_starts: 0.0,
             fixed_noise: 0.0,
             shape: None,
+        }
+    }
+
+    fn check(first: u64, num_windows: usize, expected: &[f32]) {
+        let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
+        let sampler = WindowSampler {
+            text_dropout: 0.5,
+            generated_starts: 0.25,
+            ..sampler(&Counting(3), &vocabulary)
         };
         let batch = sampler.draw(first, num_windows).expect("drawn");
         let firsts: Vec<f32> = batch
@@ -424,16 +432,9 @@ mod tests {
     fn noise_is_zero_on_the_fixed_frames_and_standard_elsewhere() {
         let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
         let sampler = WindowSampler {
-            source: &Counting(64),
-            keypoints: 28,
-            texts: Texts::Words(&vocabulary),
             seed: Seed(2),
-            num_timesteps: 10,
             timesteps: Timesteps::Spread(64),
-            text_dropout: 0.0,
-            generated_starts: 0.0,
-            fixed_noise: 0.0,
-            shape: None,
+            ..sampler(&Counting(64), &vocabulary)
         };
         let batch = sampler.draw(0, 64).expect("drawn");
         let mut square = 0.0f64;

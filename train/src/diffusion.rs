@@ -645,6 +645,7 @@ mod tests {
             ] {
                 let basis = Basis::new(tensor(&original), &[false], None);
                 let back = schedule.clean_of(prediction, predicted, &x_t, &basis, &[t]);
+                // One rounding of x_t, at most 4 in size, is divided by the remaining signal.
                 let slack = 4.0 * 1e-6 / schedule.alphas_cumprod[t].sqrt();
                 for (a, b) in x0.iter().zip(read(back)) {
                     prop_assert!(f64::from((a - b).abs()) < slack, "{prediction:?} {a} {b}");

@@ -294,22 +294,6 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_true_noise_gives_the_clean_window_back(
-            x0 in prop::collection::vec(-1.0f32..1.0, 4),
-            noise in prop::collection::vec(-3.0f32..3.0, 4),
-            t in 0usize..50,
-        ) {
-            let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
-            let x_t = schedule.q_sample(tensor(&x0), &[t], tensor(&noise));
-            let back = read(schedule.predict_x0(x_t, &[t], tensor(&noise)));
-            // One rounding of x_t, at most 4 in size, is divided by the remaining signal.
-            let slack = 4.0 * 1e-6 / schedule.alphas_cumprod[t].sqrt();
-            for (a, b) in x0.iter().zip(back) {
-                prop_assert!(f64::from((a - b).abs()) < slack, "{a} {b} {slack}");
-            }
-        }
-
-        #[test]
         fn the_last_reverse_step_returns_the_clean_window(
             x0 in prop::collection::vec(-0.9f32..0.9, 4),
             x_t in prop::collection::vec(-3.0f32..3.0, 4),

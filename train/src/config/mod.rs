@@ -17,7 +17,7 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 pub(crate) use self::check::{
     above_zero, check_lengths, check_windows, ensure, finite, not_negative, positive, share,
 };
-pub(crate) use self::diffusion::is_zero;
+pub(crate) use self::diffusion::is_default;
 pub use self::diffusion::{
     DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction, PreviousFrames,
 };
@@ -543,14 +543,6 @@ mod tests {
     }
 
     #[test]
-    fn unknown_settings_are_refused() {
-        let mut value =
-            serde_json::to_value(TrainConfig::preset(Preset::Tiny)).expect("serialises");
-        value["diffusion"]["sampler"] = "ddim".into();
-        assert!(serde_json::from_value::<TrainConfig>(value).is_err());
-    }
-
-    #[test]
     fn records_of_version_0_1_are_read() {
         let mut old = serde_json::to_value(TrainConfig::preset(Preset::Tiny)).expect("serialises");
         let table = old.as_object_mut().expect("a table");
@@ -616,24 +608,16 @@ mod tests {
 
     #[test]
     fn impossible_sizes_are_refused_by_name() {
-        let mut config = TrainConfig::preset(Preset::Tiny);
-        config.model.width = 98;
-        assert!(matches!(
-            config.check(),
-            Err(Error::Config {
-                field: "model.width",
-                ..
-            })
-        ));
-        let mut config = TrainConfig::preset(Preset::Tiny);
-        config.run.batch_size = 0;
-        assert!(matches!(
-            config.check(),
-            Err(Error::Config {
-                field: "batch_size",
-                ..
-            })
-        ));
+        let (mut odd, mut empty) = (
+            TrainConfig::preset(Preset::Tiny),
+            TrainConfig::preset(Preset::Tiny),
+        );
+        odd.model.width = 98;
+        empty.run.batch_size = 0;
+        for (config, name) in [(odd, "model.width"), (empty, "batch_size")] {
+            let refused = config.check();
+            assert!(matches!(refused, Err(Error::Config { field, .. }) if field == name));
+        }
     }
 
     #[test]
