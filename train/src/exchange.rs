@@ -191,7 +191,7 @@ fn sequence_encoder(
     let prefix = if is_named { name } else { "" };
     let input = format!("{prefix}projection.weight");
     let encoder = format!("{prefix}seqTransEncoder");
-    let (model, num_features) = encoder_sizes(&file, &input, &encoder, num_heads, path)?;
+    let (model, num_features) = encoder_sizes(&weights, &input, &encoder, num_heads, path)?;
     let mut network = SequenceEncoder::new(num_features, &model, device);
     from_safetensors(&mut network, weights, prefix, path)?;
     Ok((network, model, num_features))
@@ -241,15 +241,16 @@ fn check_stats(features: &FeatureStats) -> Result<(), Error> {
 /// Sizes of a `nn.TransformerEncoder` and the inputs of the layer before it, read off their tensors. The
 /// number of heads is not among them.
 pub(crate) fn encoder_sizes(
-    file: &SafeTensors<'_>,
+    weights: &[u8],
     input: &str,
     encoder: &str,
     num_heads: usize,
     path: &Path,
 ) -> Result<(NetworkConfig, usize), Error> {
-    let [width, num_inputs] = matrix_shape(file, input, path)?;
+    let file = SafeTensors::deserialize(weights).map_err(|e| Error::weights(path, e))?;
+    let [width, num_inputs] = matrix_shape(&file, input, path)?;
     let layer = |k: usize| format!("{encoder}.layers.{k}.linear1.weight");
-    let [feed_forward, _] = matrix_shape(file, &layer(0), path)?;
+    let [feed_forward, _] = matrix_shape(&file, &layer(0), path)?;
     let model = NetworkConfig {
         width,
         num_layers: (0..)
@@ -322,11 +323,8 @@ pub fn import_mdm(
         }
     }
     check_stats(&features)?;
-    let (model, num_features) = {
-        let file = SafeTensors::deserialize(&weights).map_err(|e| Error::weights(path, e))?;
-        let input = "input_process.poseEmbedding.weight";
-        encoder_sizes(&file, input, "seqTransEncoder", num_heads, path)?
-    };
+    let input = "input_process.poseEmbedding.weight";
+    let (model, num_features) = encoder_sizes(&weights, input, "seqTransEncoder", num_heads, path)?;
     if num_features != features.recipe.width() {
         let problem = format!("it takes {num_features} numbers a frame, not those of HumanML3D");
         return Err(Error::weights(path, problem));

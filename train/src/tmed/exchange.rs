@@ -63,9 +63,8 @@ pub fn import_tmed(
 }
 
 fn sizes(weights: &[u8], num_heads: usize, path: &Path) -> Result<NetworkConfig, Error> {
-    let file = SafeTensors::deserialize(weights).map_err(|error| Error::weights(path, error))?;
     let source = "pose_proj_in_source.weight";
-    let (model, num_features) = encoder_sizes(&file, source, "encoder", num_heads, path)?;
+    let (model, num_features) = encoder_sizes(weights, source, "encoder", num_heads, path)?;
     if num_features != NUM_FEATURES {
         return Err(Error::weights(
             path,
