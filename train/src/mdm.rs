@@ -272,6 +272,7 @@ impl Noising<'_> {
             text_kept,
         })
     }
+
     /// The error of the predicted clean motions.
     ///
     /// # Source
