@@ -90,6 +90,7 @@ mod tests {
     use kinematics::skeleton::{Joint, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
     use super::*;
+    use crate::sample::noise::normal;
     use crate::transfer::{read, send};
 
     #[test]
@@ -98,9 +99,7 @@ mod tests {
         for device in [Device::flex(), Device::flex().autodiff()] {
             for keypoints in [NUM_BODY_JOINTS, NUM_KEYPOINTS] {
                 let width = 3 * keypoints;
-                let frame: Vec<f32> = (0..width)
-                    .map(|_| rand::RngExt::sample(&mut rng, rand_distr::StandardNormal))
-                    .collect();
+                let frame = normal(&mut rng, width);
                 let points = send(frame.clone(), [1, 1, width], &device);
                 let [to_bones, to_points] = bones(keypoints, &device);
                 let bones = mapped(points, to_bones);

@@ -403,6 +403,7 @@ mod tests {
 
     use super::*;
     use crate::config::ScheduleName;
+    use crate::sample::noise::normal;
     use crate::transfer::read;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
@@ -434,11 +435,7 @@ mod tests {
         const WINDOW: usize = 3;
         let device = Device::flex();
         let mut rng = datasets_spec::Seed(5).rng(&["gates"]);
-        let mut normal = |rows: usize| -> Vec<f32> {
-            (0..rows * FRAME_WIDTH)
-                .map(|_| rand::RngExt::sample(&mut rng, rand_distr::StandardNormal))
-                .collect()
-        };
+        let mut normal = |rows: usize| normal(&mut rng, rows * FRAME_WIDTH);
         let frames = |values: &[f32]| -> Tensor<3> {
             let shape = [1, values.len() / FRAME_WIDTH, FRAME_WIDTH];
             send(values.to_vec(), shape, &device)
@@ -512,11 +509,7 @@ mod tests {
         const WINDOW: usize = 4;
         let device = Device::flex();
         let mut rng = datasets_spec::Seed(8).rng(&["shown"]);
-        let mut normal = |rows: usize| -> Vec<f32> {
-            (0..rows * WINDOW * FRAME_WIDTH)
-                .map(|_| rand::RngExt::sample(&mut rng, rand_distr::StandardNormal))
-                .collect()
-        };
+        let mut normal = |rows: usize| normal(&mut rng, rows * WINDOW * FRAME_WIDTH);
         let (originals, edited) = (normal(16), normal(16));
         let guess = Extrapolation::fit(&originals, &edited, WINDOW, 0.0, NoiseKind::Shaped);
         let windows = |values: &[f32]| -> Tensor<3> {

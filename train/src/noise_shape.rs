@@ -244,6 +244,7 @@ mod tests {
     use rand_distr::StandardNormal;
 
     use super::*;
+    use crate::sample::noise::normal;
 
     const WINDOW: usize = 5;
 
@@ -280,9 +281,7 @@ mod tests {
         let mut moments = [[[0.0f64; WINDOW]; WINDOW]; 5];
         const WINDOWS: usize = 4_000;
         for _ in 0..WINDOWS {
-            let mut noise: Vec<f32> = (0..WINDOW * FRAME_WIDTH)
-                .map(|_| rng.sample(StandardNormal))
-                .collect();
+            let mut noise = normal(&mut rng, WINDOW * FRAME_WIDTH);
             shape.apply(&mut noise, FRAME_WIDTH / 3, true);
             for (cells, number) in moments.iter_mut().zip(numbers) {
                 let bone = |frame: usize| {
@@ -326,9 +325,7 @@ mod tests {
         let left = walks(64, scale);
         let shape = NoiseShape::fit(&left, &left, &left, WINDOW);
         let mut rng = Seed(5).rng(&["noise"]);
-        let white: Vec<f32> = (0..WINDOW * FRAME_WIDTH)
-            .map(|_| rng.sample(StandardNormal))
-            .collect();
+        let white = normal(&mut rng, WINDOW * FRAME_WIDTH);
         let mut noise = white.clone();
         shape.apply(&mut noise, FRAME_WIDTH / 3, false);
         assert_eq!(noise[..2 * FRAME_WIDTH], white[..2 * FRAME_WIDTH]);

@@ -4,8 +4,6 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
-use rand::RngExt;
-use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use super::config::AutoencoderConfig;
@@ -17,6 +15,7 @@ use crate::features::FeatureStats;
 use crate::model::mld::{MAX_POSITIONS, MotionVae};
 use crate::model::pass::Pass;
 use crate::model::weights::Networks;
+use crate::sample::noise::normal;
 use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::send;
 use crate::{Error, Session};
@@ -140,12 +139,7 @@ impl AutoencoderRecord {
 /// depends on the seed and the sample alone.
 pub(super) fn latent_noise(seed: Seed, first: u64, count: usize, width: usize) -> Vec<f32> {
     (first..first + count as u64)
-        .flat_map(|sample| {
-            let mut rng = seed.rng(&["latent", &sample.to_string()]);
-            (0..width)
-                .map(|_| rng.sample(StandardNormal))
-                .collect::<Vec<f32>>()
-        })
+        .flat_map(|sample| normal(&mut seed.rng(&["latent", &sample.to_string()]), width))
         .collect()
 }
 

@@ -5,8 +5,6 @@ use std::path::Path;
 use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use features::humanml3d::Features;
-use rand::RngExt;
-use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use super::autoencoder::Autoencoder;
@@ -19,6 +17,7 @@ use crate::model::conditioned::Conditioned;
 use crate::model::mld::LatentDenoiser;
 use crate::model::pass::Pass;
 use crate::model::weights::Networks;
+use crate::sample::noise::normal;
 use crate::schedule::Schedule;
 use crate::text::source::TextEncoderSource;
 use crate::text::table::EmbeddingTable;
@@ -157,9 +156,9 @@ impl Generator {
                 let values: Vec<f32> = (0..count)
                     .flat_map(|variant| {
                         let mut rng = seed.rng(&["variant", &base.id, &variant.to_string()]);
-                        latent
-                            .iter()
-                            .map(|value| value + sigma * rng.sample::<f32, _>(StandardNormal))
+                        let moved = latent.iter().zip(normal(&mut rng, width));
+                        moved
+                            .map(|(value, noise)| value + sigma * noise)
                             .collect::<Vec<f32>>()
                     })
                     .collect();
@@ -178,12 +177,7 @@ impl Generator {
         let (rows, width) = (bases.len(), self.record.train.model.width);
         let start: Vec<f32> = bases
             .iter()
-            .flat_map(|base| {
-                let mut rng = seed.rng(&["base", &base.id]);
-                (0..width)
-                    .map(|_| rng.sample(StandardNormal))
-                    .collect::<Vec<f32>>()
-            })
+            .flat_map(|base| normal(&mut seed.rng(&["base", &base.id]), width))
             .collect();
         let start = send(start, [rows, width], &self.device);
         let texts = self.record.text.texts(self.vectors.as_ref())?;

@@ -110,6 +110,11 @@ impl<'a> Noise<'a> {
     }
 }
 
+/// So many numbers of the standard normal distribution.
+pub(crate) fn normal(rng: &mut Rng, count: usize) -> Vec<f32> {
+    (0..count).map(|_| rng.sample(StandardNormal)).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use datasets_spec::Seed;

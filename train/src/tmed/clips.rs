@@ -6,7 +6,6 @@ use compose::{Library, Stream};
 use datasets_spec::{Fps, Motion, Seed, Skeleton};
 use rand::RngExt;
 use rand::seq::SliceRandom;
-use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use super::config::TmedConfig;
@@ -15,6 +14,7 @@ use crate::Error;
 use crate::data::{TextBatch, Texts, Timesteps};
 use crate::error::motion_error;
 use crate::features::Moments;
+use crate::sample::noise::normal;
 
 /// Clips of both splits that statistics are taken of; more hardly change them.
 const STATISTICS_CLIPS: u64 = 4_096;
@@ -232,9 +232,7 @@ impl ClipSampler<'_> {
         let hides_source = hides(diffusion.source_dropout);
         let hides_text = hides(diffusion.text_dropout);
         let hides_both = hides(diffusion.both_dropout);
-        let noise = (0..target.len() * NUM_FEATURES)
-            .map(|_| rng.sample(StandardNormal))
-            .collect();
+        let noise = normal(&mut rng, target.len() * NUM_FEATURES);
         Ok(Drawn {
             instruction: if hides_text || hides_both {
                 String::new()

@@ -5,13 +5,13 @@ use std::ops::Range;
 use datasets_spec::Seed;
 use rand::RngExt;
 use rand::seq::SliceRandom;
-use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use super::config::TmrConfig;
 use crate::Error;
 use crate::captioned::{CaptionedClip, Crop};
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
+use crate::sample::noise::normal;
 use crate::vocabulary::{TokenBatch, Vocabulary};
 
 pub(super) struct Clip {
@@ -100,9 +100,7 @@ impl ClipSampler<'_> {
                 }
             })
             .collect();
-        let noise = (0..2 * crops.len() * self.config.model.width)
-            .map(|_| rng.sample(StandardNormal))
-            .collect();
+        let noise = normal(&mut rng, 2 * crops.len() * self.config.model.width);
         self.batch(&crops, noise)
     }
 
