@@ -185,8 +185,8 @@ impl TextEncoderSource {
     ) -> Result<EmbeddingTable, Error> {
         let compute = |encoder: &E, texts: &[&str], progress: &mut dyn FnMut(usize, usize)| {
             let texts = texts.iter().copied();
-            let table = EmbeddingTable::compute(encoder, vectors, texts, progress)?;
-            Ok(match rms {
+            let table = EmbeddingTable::compute(encoder, vectors, texts, progress);
+            table.map(|table| match rms {
                 Some(rms) => table.scaled_to(rms),
                 None => table,
             })
