@@ -133,12 +133,7 @@ fn forward_short(
 
         #[inline(always)]
         fn run(self) {
-            let Heads {
-                length,
-                width,
-                count,
-                ..
-            } = self.heads;
+            let (length, width, count) = (self.heads.length, self.heads.width, self.heads.count);
             let (head, scale) = (self.heads.head(), self.heads.scale());
             let padding = self.heads.padding_of(self.index);
             let first = self.index * self.heads.weights();
@@ -223,12 +218,7 @@ impl Kernel for SequenceGrad<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Heads {
-            length,
-            width,
-            count,
-            ..
-        } = self.heads;
+        let (length, width, count) = (self.heads.length, self.heads.width, self.heads.count);
         let (head, scale) = (self.heads.head(), self.heads.scale());
         let first = self.index * self.heads.weights();
         let tokens = || Small::new(length, head);

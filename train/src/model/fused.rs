@@ -484,12 +484,10 @@ pub(crate) fn encoder_layer(
 ) -> Option<Tensor<3>> {
     let [_, length, _] = x.dims();
     if !x.device().is_autodiff() {
-        let weights = all(tensors.weights.map(plain))?;
-        let vectors = all(tensors.vectors.map(plain))?;
+        let layer = PreparedLayer::for_inference(tensors, num_heads)?;
         let x = plain(x.clone())?.to_contiguous();
         let mut out = vec![0.0; numbers(&x).len()];
         on_workers(|| {
-            let layer = PreparedLayer::new(weights, vectors, num_heads);
             let heads = layer.heads(length, padding.as_deref());
             layer.infer(numbers(&x), heads, &mut Saved::default(), &mut out);
         });
