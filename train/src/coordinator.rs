@@ -215,9 +215,7 @@ pub fn train_coordinator<'a>(
         source.check()?;
         check_windows(config.window, source.window_len())?;
         if source.epoch_len() == 0 {
-            return Err(Error::Empty {
-                what: "source of segments",
-            });
+            return Err(Error::empty("source of segments"));
         }
     }
     let record = CoordinatorRecord {

@@ -282,9 +282,7 @@ impl WindowSampler<'_> {
     pub(crate) fn windows(&self, first: u64, num_windows: usize) -> Result<WindowBatch, Error> {
         let epoch_len = self.source.epoch_len();
         if epoch_len == 0 {
-            return Err(Error::Empty {
-                what: "source of training windows",
-            });
+            return Err(Error::empty("source of training windows"));
         }
         let mut whole = WindowBatch::default();
         let mut part = WindowBatch::default();

@@ -224,9 +224,13 @@ impl Error {
         }
     }
 
+    pub(crate) fn empty(what: &'static str) -> Self {
+        Self::Empty { what }
+    }
+
     pub(crate) fn if_empty<T>(items: &[T], what: &'static str) -> Result<(), Self> {
         match items.is_empty() {
-            true => Err(Self::Empty { what }),
+            true => Err(Self::empty(what)),
             false => Ok(()),
         }
     }

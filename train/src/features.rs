@@ -278,9 +278,7 @@ impl FeatureStats {
     ) -> Result<Self, Error> {
         let moments = Moments::of(recipe.width(), rows);
         if moments.is_empty() {
-            return Err(Error::Empty {
-                what: "training split of the encoder",
-            });
+            return Err(Error::empty("training split of the encoder"));
         }
         let deviations = moments.deviations().enumerate();
         Ok(Self {

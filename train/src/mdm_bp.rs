@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use crate::checkpoint::{Slot, open_for_use};
 use crate::config::{Preset, ensure};
 use crate::diffusion::guide;
+use crate::error::motion_error;
 use crate::humanml3d::{SourceFeatures, feature_mask};
 use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord};
 use crate::model::conditioned::Conditioned;
@@ -253,20 +254,12 @@ impl<'a> Item<'a> {
             .source
             .motion(features)
             .map_err(|error| refused(self.request, error))?;
-        let EditRequest {
-            id,
-            motion: original,
-            fps,
-            ..
-        } = *self.request;
+        let (original, fps) = (self.request.motion, self.request.fps);
         let frames = grid(original.len(), original.fps(), fps).len();
         let motion = Resample::Exact
             .apply(&motion, fps)
             .and_then(|motion| motion.crop(0..frames))
-            .map_err(|source| Error::Motion {
-                id: id.to_owned(),
-                source: source.into(),
-            })?;
+            .map_err(motion_error(self.request.id))?;
         Ok((motion, misfit))
     }
 }

@@ -106,9 +106,7 @@ pub(crate) fn statistics(
         sum = moments.iter().fold(sum, Moments::merge);
     }
     if sum.is_empty() {
-        return Err(Error::Empty {
-            what: "training split of TMED",
-        });
+        return Err(Error::empty("training split of TMED"));
     }
     Ok(FeatureStatistics::of(&sum))
 }
@@ -171,9 +169,7 @@ impl ClipSampler<'_> {
     pub(crate) fn draw(&self, first: u64, count: usize) -> Result<ClipBatch, Error> {
         let num_clips = self.source.num_clips();
         if num_clips == 0 {
-            return Err(Error::Empty {
-                what: "source of training clips",
-            });
+            return Err(Error::empty("source of training clips"));
         }
         let places = first..first + count as u64;
         let epochs = places.start / num_clips..=(places.end - 1) / num_clips;

@@ -175,10 +175,8 @@ impl TmedSystem {
             ..
         } = *request;
         let [asked] = instructions else {
-            return Err(Error::Item {
-                id: id.to_owned(),
-                problem: "asks for several edits; TMED follows one instruction".to_owned(),
-            });
+            let problem = "asks for several edits; TMED follows one instruction";
+            return Err(Error::item(id, problem));
         };
         let own = self.record.train.fps;
         let mut source = features_of_motion(motion, own, usize::MAX, &self.skeleton)
