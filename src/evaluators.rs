@@ -11,9 +11,9 @@ use eval::evaluators::{Evaluators, MotionClassifier, MotionEncoder};
 use eval::judge::{About, JudgeReport, REPORT, weakness};
 use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::protocol::Protocol;
+use train::captioned::CaptionedClip;
 use train::checkpoint::{Slot, check_skeleton};
 use train::coordinator::TrainedCoordinator;
-use train::captioned::CaptionedClip;
 use train::stage::encoder::captioned_clips;
 use train::tmr::TmrEncoder;
 

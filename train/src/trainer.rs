@@ -367,7 +367,7 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         Ok(TrainReport {
             steps: state.step,
             is_complete,
-            num_parameters: model.num_params(),
+            num_parameters: burn::module::Module::num_params(model),
             first_loss: state.first_loss.map(f64::from),
             last_loss: state.last_loss.map(f64::from),
             best_val_loss: state.best_val_loss.map(f64::from),

@@ -101,6 +101,7 @@ messages! {
         pub title: String,
         /// HTTP status.
         pub status: u16,
+        /// Which problem; texts may change, codes do not.
         pub code: Code,
         /// What happened, and what to do.
         pub detail: String,

@@ -600,7 +600,7 @@ pub(crate) fn kept(of_type: EditType) -> Answer {
 }
 
 pub(crate) fn style() -> Answer {
-    answer(
+    from_json(
         json!({ "kind": "style", "verdict": "keep", "style": "proud", "extent": "upper", "text": "more proudly" }),
     )
 }

@@ -254,7 +254,7 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
     let ranges: Vec<_> = masks.iter().map(|row| (row.start, row.end)).collect();
     let expected = [(None, None), (Some(0), Some(31)), (Some(9), Some(40))];
     assert_eq!(ranges, expected);
-    let (store, _) = fresh_store(&site, "of-dataset.sqlite");
+    let store = fresh_store(&site, "of-dataset.sqlite");
     assert_eq!(answers(&store), said);
 }
 
@@ -474,7 +474,7 @@ fn variants_of_a_motion_are_no_mask_tasks() {
         }
     }
     commit(&site.dataset, &pairs, |row| row.split, "variants");
-    let (store, _) = empty_store(&site, "other.sqlite");
+    let store = empty_store(&site, "other.sqlite");
     let taken = take_dataset(&site, &store);
     assert_eq!(taken.counts["variants"], 2, "clip03 and clip04");
     let funnel = store.funnel().expect("counts");
@@ -504,7 +504,7 @@ fn a_candidate_keeps_its_key_and_leaves_the_pairs_when_it_is_judged_unusable() {
     // The store takes the dataset again, as a server does at its start.
     assert_eq!(take_dataset(&site, store).counts["new_tasks"], 0);
     // A new store has the same key, with the whole answer.
-    let (other, _) = fresh_store(&site, "other.sqlite");
+    let other = fresh_store(&site, "other.sqlite");
     let whole_answer = BTreeMap::from([(id.to_owned(), pair(Verdict::Keep))]);
     assert_eq!(answers(&other), whole_answer);
     let before = pair_rows(&site);

@@ -73,8 +73,8 @@ mod tests {
             })
             .collect();
         let shape = [2, 20, HUMANML3D_WIDTH];
-        let features = send(features.as_flattened().to_vec(), shape, &Device::flex());
-        let found = read(recovered_joints(features));
+        let sent = send(features.as_flattened().to_vec(), shape, &Device::flex());
+        let found = read(recovered_joints(sent));
         let expected = [&features[..20], &features[20..]].map(recover_joints);
         let expected = expected.iter().flatten().flatten();
         for (found, expected) in found.chunks_exact(3).zip(expected) {

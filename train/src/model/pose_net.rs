@@ -1,6 +1,6 @@
 //! The networks from keypoints to rotations, whose output a fit starts from.
 
-use burn::module::Module;
+use burn::module::{Module, ModuleDisplay};
 use burn::nn::{BatchNorm, BatchNormConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
@@ -37,7 +37,7 @@ pub(crate) struct PoseLayers<N: Module> {
     last: Linear,
 }
 
-impl<N: Module> Networks for PoseLayers<N> {
+impl<N: Module + ModuleDisplay> Networks for PoseLayers<N> {
     const FILE: &'static str = "model.safetensors";
 }
 

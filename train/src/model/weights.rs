@@ -4,11 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use burn::module::{Module, ModuleMapper, Param, ParamId};
+use burn::module::{Module, ModuleDisplay, ModuleMapper, Param, ParamId};
 use burn::tensor::{Tensor, TensorData};
-use burn_store::{
-    BurnToPyTorchAdapter, ModuleSnapshot, ModuleStore, PyTorchToBurnAdapter, SafetensorsStore,
-};
+use burn_store::{BurnToPyTorchAdapter, ModuleStore, PyTorchToBurnAdapter, SafetensorsStore};
 use datasets_spec::Seed;
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -174,7 +172,7 @@ pub(crate) fn load_network<M: Module>(
 }
 
 /// Networks as files of a checkpoint.
-pub trait Networks: Module {
+pub trait Networks: Module + ModuleDisplay {
     /// Name of the file; where there are several, of that of the main network.
     const FILE: &'static str;
 
