@@ -3,7 +3,8 @@
 //! Both databases share the SQL statements. Parameters are `?1`, `?2` …; integers are `BIGINT`, booleans are
 //! 0 and 1, other columns are `TEXT`, `BYTEA` or double precision.
 
-use super::records::Millis;
+use std::path::Path;
+
 use crate::Error;
 
 /// The result of work in a transaction.
@@ -210,21 +211,23 @@ pub(crate) trait Tx {
     /// Runs a query.
     fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>>;
 
+    /// Runs statements; an error says that the store cannot do the action.
+    fn batch(&mut self, sql: &str, action: &'static str) -> Result<()>;
     /// Runs statements that define tables, each database with its own word for what `schema.sql` writes once.
     fn define(&mut self, sql: &str) -> Result<()>;
+}
 
+impl dyn Tx + '_ {
     /// Runs a query with at most one row.
-    fn one(&mut self, sql: &str, params: &[Value]) -> Result<Option<Row>> {
+    pub(crate) fn one(&mut self, sql: &str, params: &[Value]) -> Result<Option<Row>> {
         Ok(self.query(sql, params)?.into_iter().next())
     }
 
     /// Runs a query for one integer; 0 without rows.
-    fn number(&mut self, sql: &str, params: &[Value]) -> Result<i64> {
+    pub(crate) fn number(&mut self, sql: &str, params: &[Value]) -> Result<i64> {
         self.one(sql, params)?.map_or(Ok(0), |row| row.int(0))
     }
-}
 
-impl dyn Tx + '_ {
     /// Runs a statement whose number of changed rows does not matter.
     pub(crate) fn run(&mut self, sql: &str, params: &[Value]) -> Result<()> {
         self.execute(sql, params).map(|_| ())
@@ -259,32 +262,29 @@ impl dyn Tx + '_ {
 /// Closure run in a transaction.
 pub(crate) type Work<'a> = Box<dyn FnOnce(&mut dyn Tx) -> Result<()> + Send + 'a>;
 
-/// What a copy of a store holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Content {
-    /// Everything.
-    All,
-    /// All but tokens and sessions, which open the store on this machine alone.
-    WithoutTokens,
-}
-
-/// A database: write transactions run one after the other, read transactions beside them.
+/// A database: write transactions run one after the other, read transactions beside them. A snapshot can only be read.
 pub(crate) trait Database: Send + Sync {
-    /// Runs work in a transaction and returns once it is durable. Failed work is rolled back.
-    fn write(&self, work: Work<'static>) -> Result<()>;
     /// Runs read-only work on a consistent snapshot.
     fn read(&self, work: Work<'_>) -> Result<()>;
-    /// The database as it is now, whatever is written later.
-    fn snapshot(&self) -> Result<Box<dyn Database>>;
-    /// Writes a backup to a new file without blocking others.
-    fn backup(&self, path: &std::path::Path, content: Content) -> Result<()>;
-    /// Whether servers on several machines can share it.
-    fn is_shared(&self) -> bool {
-        false
+
+    /// Runs work in a transaction and returns once it is durable. Failed work is rolled back.
+    fn write(&self, _: Work<'static>) -> Result<()> {
+        Err(Error::Closed)
     }
-    /// The time of the database's own clock, if it is shared.
-    fn time(&self) -> Result<Option<Millis>> {
-        Ok(None)
+
+    /// The database as it is now, whatever is written later.
+    fn snapshot(&self) -> Result<Box<dyn Database>> {
+        Err(Error::Closed)
+    }
+
+    /// As [`Backend::backup`](super::pool::Backend::backup).
+    fn backup(&self, _path: &Path, _with_tokens: bool) -> Result<()> {
+        Err(Error::Closed)
+    }
+
+    /// The query for its own time, if servers on several machines can share it.
+    fn time(&self) -> Option<&'static str> {
+        None
     }
 }
 

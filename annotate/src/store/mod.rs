@@ -8,7 +8,7 @@
 //! (drafts, submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with
 //! `filter`, `bulk` (actions on many tasks), `home`, `mine`, `work`, `captures` (the capture plan), `import`, `people`,
 //! `jobs` and `pictures`; `read` holds queries, `project` the tables beside the log. `apply` writes the projections,
-//! `db` abstracts from the database.
+//! `db` abstracts from the database, whose connections `pool` holds.
 
 mod append;
 mod apply;
@@ -20,7 +20,6 @@ mod claim;
 pub(crate) mod db;
 mod entry;
 mod filter;
-mod group;
 mod home;
 mod import;
 mod jobs;
@@ -30,6 +29,7 @@ mod migrate;
 mod mine;
 mod people;
 mod pictures;
+mod pool;
 #[cfg(feature = "postgres")]
 mod postgres;
 #[cfg(feature = "postgres")]
@@ -37,7 +37,6 @@ mod postgres_address;
 mod project;
 mod projections;
 mod read;
-mod readers;
 mod rebuild;
 mod records;
 mod review;
@@ -74,7 +73,7 @@ pub use store::Store;
 /// # Errors
 /// The file cannot be opened, is of a newer version, or lies on a network file system.
 pub fn open_sqlite(path: &Path) -> Result<Arc<Store>> {
-    let (db, upgrade) = sqlite::Sqlite::open(path)?;
+    let (db, upgrade) = sqlite::open(path)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }
 
@@ -85,6 +84,6 @@ pub fn open_sqlite(path: &Path) -> Result<Arc<Store>> {
 /// The server cannot be reached, or its tables are of a newer version.
 #[cfg(feature = "postgres")]
 pub fn open_postgres(url: &str, schema: &str) -> Result<Arc<Store>> {
-    let (db, upgrade) = postgres::Postgres::open(url, schema)?;
+    let (db, upgrade) = postgres::open(url, schema)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }

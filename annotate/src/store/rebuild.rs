@@ -6,10 +6,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
 
+use rusqlite::Connection;
+
 use super::apply::apply;
 use super::db::{self, Database, Result, Row, Tx, Value, params};
 use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
-use super::sqlite::Scratch;
+use super::sqlite::scratch;
 use crate::lock::lock;
 
 /// A table of a projection, its column with the task that a row belongs to, and its sort columns.
@@ -29,17 +31,14 @@ pub(super) const PROJECTIONS: [Projection; 10] = [
     ("gold_place", "task", "task, usr"),
 ];
 
+/// What creates the projections.
+pub(super) const SCHEMA: &str = include_str!("projections.sql");
 /// Entries read at a time.
 const BATCH: i64 = 1000;
 /// Tasks compared at a time.
 const COMPARED: i64 = 1000;
 /// Tasks repaired in a transaction: as much as claiming two bundles writes.
 const REPAIRED: usize = 16;
-
-/// Creates the projections.
-pub(super) fn define_projections(tx: &mut dyn Tx) -> Result<()> {
-    tx.define(include_str!("projections.sql"))
-}
 
 /// Entries of the log after a sequence number, up to [`BATCH`].
 fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>> {
@@ -64,14 +63,14 @@ pub(super) fn derive(tx: &mut dyn Tx) -> Result<()> {
 
 /// What follows from the log up to an entry.
 struct Derived {
-    scratch: Scratch,
+    scratch: Connection,
     last: i64,
 }
 
 impl Derived {
     fn new() -> Result<Self> {
-        let scratch = Scratch::new()?;
-        define_projections(&mut scratch.tx())?;
+        let mut scratch = scratch()?;
+        scratch.define(SCHEMA)?;
         Ok(Self { scratch, last: 0 })
     }
 
@@ -83,19 +82,19 @@ impl Derived {
                 return Ok(());
             }
             for (seq, entry) in some {
-                apply(&mut self.scratch.tx(), seq, &entry)?;
+                apply(&mut self.scratch, seq, &entry)?;
                 self.last = seq;
             }
         }
     }
 
     /// Replaces the rows of a task by those that follow from the log.
-    fn repair(&self, tx: &mut dyn Tx, task: i64) -> Result<()> {
+    fn repair(&mut self, tx: &mut dyn Tx, task: i64) -> Result<()> {
         for (table, column, order) in PROJECTIONS {
             let sql = format!("DELETE FROM {table} WHERE {column} = ?1");
             tx.run(&sql, params![task])?;
             let sql = format!("SELECT * FROM {table} WHERE {column} = ?1 ORDER BY {order}");
-            for row in self.scratch.tx().query(&sql, params![task])? {
+            for row in Tx::query(&mut self.scratch, &sql, params![task])? {
                 let places: Vec<String> = (1..=row.0.len()).map(|at| format!("?{at}")).collect();
                 let sql = format!("INSERT INTO {table} VALUES ({})", places.join(", "));
                 tx.execute(&sql, &row.0)?;
@@ -163,7 +162,7 @@ fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing> {
 fn compare(tx: &mut dyn Tx) -> Result<(Derived, Differing)> {
     let mut derived = Derived::new()?;
     derived.catch_up(tx)?;
-    let found = differing(tx, &mut derived.scratch.tx())?;
+    let found = differing(tx, &mut derived.scratch)?;
     Ok((derived, found))
 }
 
@@ -229,15 +228,15 @@ pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use super::super::db::{Content, Work};
+    use super::super::db::Work;
     use super::super::records::NewTask;
-    use super::super::sqlite::Sqlite;
+    use super::super::sqlite;
     use super::super::store::Store;
     use super::*;
 
     /// A database that counts its writes, and the statements of the longest one.
     struct Counting {
-        inner: Sqlite,
+        inner: Box<dyn Database>,
         writes: Arc<AtomicUsize>,
         longest: Arc<AtomicUsize>,
     }
@@ -256,6 +255,10 @@ mod tests {
         fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
             self.statements += 1;
             self.inner.query(sql, params)
+        }
+
+        fn batch(&mut self, sql: &str, action: &'static str) -> Result<()> {
+            self.inner.batch(sql, action)
         }
 
         fn define(&mut self, sql: &str) -> Result<()> {
@@ -285,10 +288,6 @@ mod tests {
         fn snapshot(&self) -> Result<Box<dyn Database>> {
             self.inner.snapshot()
         }
-
-        fn backup(&self, path: &std::path::Path, content: Content) -> Result<()> {
-            self.inner.backup(path, content)
-        }
     }
 
     fn task(number: usize) -> NewTask {
@@ -303,10 +302,10 @@ mod tests {
     fn neither_a_check_nor_a_rebuild_stops_writers_for_longer_than_a_claim() {
         const TASKS: usize = 1500;
         let folder = tempfile::tempdir().expect("a folder");
-        let (inner, _) = Sqlite::open(&folder.path().join("s.sqlite")).expect("a store");
+        let (inner, _) = sqlite::open(&folder.path().join("s.sqlite")).expect("a store");
         let (writes, longest) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
         let database = Counting {
-            inner,
+            inner: Box::new(inner),
             writes: Arc::clone(&writes),
             longest: Arc::clone(&longest),
         };

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use super::db::{self, Content, Database, Result, Tx};
+use super::db::{self, Database, Result, Tx};
 use super::migrate::{self, Upgrade};
 use super::{people, project, rebuild};
 use crate::Error;
@@ -58,7 +58,7 @@ impl Store {
 
     /// Whether servers on several machines can use the store. If so, it also keeps the files of their exports.
     pub(crate) fn is_shared(&self) -> bool {
-        self.db.is_shared()
+        self.db.time().is_some()
     }
 
     /// Derives the projections from the log again and repairs what differs. Returns the names of the tables that did.
@@ -92,7 +92,7 @@ impl Store {
     /// # Errors
     /// The file exists.
     pub fn backup(&self, path: &Path) -> Result<()> {
-        self.db.backup(path, Content::All)
+        self.db.backup(path, true)
     }
 
     /// Writes the store without tokens and sessions to a new file, for another machine.
@@ -100,7 +100,7 @@ impl Store {
     /// # Errors
     /// As [`Self::backup`].
     pub fn pack(&self, path: &Path) -> Result<()> {
-        self.db.backup(path, Content::WithoutTokens)
+        self.db.backup(path, false)
     }
 
     /// Checks that the store can be read and that its writer answers, without writing anything. A full disk shows
@@ -125,11 +125,11 @@ impl Store {
     /// The clock of the database, for a store that several servers share. Their own clocks may differ by more than
     /// a lease lasts.
     pub fn clock(self: &Arc<Self>) -> Result<Option<Clock>> {
-        if self.db.time()?.is_none() {
+        let Some(sql) = self.db.time() else {
             return Ok(None);
-        }
+        };
         let store = Arc::clone(self);
-        let read = move || store.db.time().and_then(|time| time.ok_or(Error::Closed));
+        let read = move || store.read(|tx| tx.number(sql, &[]));
         Ok(Some(clock::shared(read)?))
     }
 }
