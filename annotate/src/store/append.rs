@@ -369,6 +369,5 @@ fn others(tx: &mut dyn Tx, task: i64, but: i64) -> Result<Vec<Answer>> {
         "SELECT answer FROM revision WHERE task = ?1 AND author <> ?2
            AND state IN ('submitted', 'accepted', 'superseded') ORDER BY author",
         params![task, but],
-        |row| row.json(0),
     )
 }

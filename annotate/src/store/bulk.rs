@@ -1,22 +1,22 @@
 //! Actions on all tasks of a filter.
 
+use serde::Deserialize;
+
 use super::db::{Result, Tx, params};
 use super::entry::Body;
 use super::filter::{self, Values, condition};
-use super::leases::MINUTE;
 use super::records::{Millis, TaskRecord, Who};
-use super::rows::NUM_TASK_COLUMNS;
 use super::settings::require;
 use super::store::Store;
 use super::{log, project, review, rows, rules};
 use crate::Error;
 use crate::answer;
+use crate::clock::DAY;
 use crate::state::{LogKind, targets};
 use crate::wire::{BulkAction, BulkDone, BulkRequest, Settings};
 
 /// Tasks that one bulk request looks at.
 const BULK_AT_ONCE: i64 = 2000;
-const DAY: Millis = 24 * 60 * MINUTE;
 
 impl Store {
     /// Counts what a bulk action would change. Refused with `invalid`.
@@ -74,37 +74,31 @@ fn bulk(
         "SELECT {}, (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'review' AND l.usr <> {me}),
            (SELECT COUNT(*) FROM revision r WHERE r.task = t.id AND r.author = {me} AND r.state <> 'draft')
          FROM task t WHERE {place} AND t.id > {after} ORDER BY t.id LIMIT {limit}",
-        rows::TASK_COLUMNS
+        rows::TASK
     );
-    let found = tx.query(&sql, &values.0)?;
+    let found: Vec<One> = tx.list(&sql, &values.all())?;
     let mut done = BulkDone {
         looked_at: found.len() as i64,
         ..BulkDone::default()
     };
-    let mut last = None;
-    for row in &found {
-        let one = One {
-            task: rows::read_task(row)?,
-            held: row.flag(NUM_TASK_COLUMNS)?,
-            own: row.flag(NUM_TASK_COLUMNS + 1)?,
-        };
-        let id = one.task.id;
-        match planned(tx, who, request, &settings, &one, now)? {
+    for one in &found {
+        match planned(tx, who, request, &settings, one, now)? {
             Ok(body) => {
                 done.done += 1;
                 if act {
-                    log::note(tx, now, Some(who), Some(id), body)?;
+                    log::note(tx, now, Some(who), Some(one.task.id), body)?;
                 }
             }
             Err(reason) => *done.left_alone.entry(reason.to_owned()).or_default() += 1,
         }
-        last = Some(id);
     }
+    let last = found.last().map(|one| one.task.id);
     done.next = last.filter(|_| act && done.looked_at == BULK_AT_ONCE);
     Ok(done)
 }
 
 /// A task of a bulk action.
+#[derive(Deserialize)]
 struct One {
     task: TaskRecord,
     /// Whether another reviewer looks at it.
@@ -206,7 +200,7 @@ fn accepted(
 
 /// Keeps a task for a person who neither holds nor answered it.
 fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Planned> {
-    let row = tx.one(
+    let found = tx.find(
         "SELECT t.wanted - t.submitted - (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'annotate'),
                    (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.usr = ?2),
                    (SELECT COUNT(*) FROM revision r WHERE r.task = t.id AND r.author = ?2
@@ -214,18 +208,15 @@ fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Pl
                  FROM task t WHERE t.id = ?1",
         params![task, person],
     )?;
-    let row = row.ok_or_else(|| Error::not_found("task"))?;
-    if row.int(1)? > 0 {
-        return Ok(Err("held"));
-    }
-    if row.int(2)? > 0 {
-        return Ok(Err("answered"));
-    }
-    if row.int(0)? <= 0 {
-        return Ok(Err("task_full"));
-    }
-    Ok(Ok(Body::Assigned {
-        user: person,
-        until,
-    }))
+    let (room, held, answered): (i64, bool, bool) =
+        found.ok_or_else(|| Error::not_found("task"))?;
+    Ok(match (held, answered, room > 0) {
+        (true, ..) => Err("held"),
+        (_, true, _) => Err("answered"),
+        (.., false) => Err("task_full"),
+        _ => Ok(Body::Assigned {
+            user: person,
+            until,
+        }),
+    })
 }

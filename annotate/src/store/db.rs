@@ -5,79 +5,16 @@
 
 use std::path::Path;
 
+pub(crate) use rusqlite::types::Value;
+pub(crate) use rusqlite::{ToSql, params};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use super::columns::Columns;
 use crate::Error;
 
 /// The result of work in a transaction.
 pub(crate) type Result<T, E = Error> = std::result::Result<T, E>;
-
-/// A value of a parameter or a column.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Value {
-    /// NULL.
-    Null,
-    /// An integer.
-    Int(i64),
-    /// A floating-point number.
-    Real(f64),
-    /// Text.
-    Text(String),
-    /// Bytes.
-    Blob(Vec<u8>),
-}
-
-impl From<i64> for Value {
-    fn from(value: i64) -> Self {
-        Self::Int(value)
-    }
-}
-
-impl From<u32> for Value {
-    fn from(value: u32) -> Self {
-        Self::Int(value.into())
-    }
-}
-
-impl From<bool> for Value {
-    fn from(value: bool) -> Self {
-        Self::Int(value.into())
-    }
-}
-
-impl From<f64> for Value {
-    fn from(value: f64) -> Self {
-        Self::Real(value)
-    }
-}
-
-impl From<&str> for Value {
-    fn from(value: &str) -> Self {
-        Self::Text(value.to_owned())
-    }
-}
-
-impl From<String> for Value {
-    fn from(value: String) -> Self {
-        Self::Text(value)
-    }
-}
-
-impl From<Vec<u8>> for Value {
-    fn from(value: Vec<u8>) -> Self {
-        Self::Blob(value)
-    }
-}
-
-impl From<&String> for Value {
-    fn from(value: &String) -> Self {
-        Self::Text(value.clone())
-    }
-}
-
-impl<T: Into<Value>> From<Option<T>> for Value {
-    fn from(value: Option<T>) -> Self {
-        value.map_or(Self::Null, Into::into)
-    }
-}
 
 /// The error of a row that cannot be read, or of a value that cannot be stored.
 pub(crate) fn unreadable(table: &'static str, problem: impl std::fmt::Display) -> Error {
@@ -107,109 +44,27 @@ pub(crate) fn json<T: serde::Serialize>(value: &T) -> Result<String> {
     serde_json::to_string(value).map_err(|error| unreadable("of a request", error))
 }
 
-/// Values for the parameters of a statement.
-macro_rules! params {
-    ($($value:expr),* $(,)?) => { &[$( $crate::store::db::Value::from($value), )*] };
-}
-pub(crate) use params;
-
 /// A row of a result.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row(pub(crate) Vec<Value>);
 
 impl Row {
-    fn wrong(&self, column: usize, expected: &str) -> Error {
-        unreadable(
-            "of an answer",
-            format!(
-                "column {column} is {:?}, expected {expected}",
-                self.0.get(column)
-            ),
-        )
-    }
-
-    pub(crate) fn int(&self, column: usize) -> Result<i64> {
-        match self.0.get(column) {
-            Some(Value::Int(value)) => Ok(*value),
-            _ => Err(self.wrong(column, "a whole number")),
-        }
-    }
-
-    pub(crate) fn flag(&self, column: usize) -> Result<bool> {
-        Ok(self.int(column)? != 0)
-    }
-
-    pub(crate) fn count(&self, column: usize) -> Result<u32> {
-        u32::try_from(self.int(column)?).map_err(|_| self.wrong(column, "a count"))
-    }
-
-    pub(crate) fn real(&self, column: usize) -> Result<f64> {
-        match self.0.get(column) {
-            Some(Value::Real(value)) => Ok(*value),
-            Some(Value::Int(value)) => Ok(*value as f64),
-            _ => Err(self.wrong(column, "a number")),
-        }
-    }
-
-    pub(crate) fn text(&self, column: usize) -> Result<&str> {
-        match self.0.get(column) {
-            Some(Value::Text(value)) => Ok(value),
-            _ => Err(self.wrong(column, "text")),
-        }
-    }
-
-    pub(crate) fn bytes(&self, column: usize) -> Result<&[u8]> {
-        match self.0.get(column) {
-            Some(Value::Blob(value)) => Ok(value),
-            _ => Err(self.wrong(column, "bytes")),
-        }
-    }
-
-    pub(crate) fn string(&self, column: usize) -> Result<String> {
-        self.text(column).map(str::to_owned)
-    }
-
-    /// A column that may be NULL.
-    pub(crate) fn opt<T>(
-        &self,
-        column: usize,
-        read: impl FnOnce(&Self, usize) -> Result<T>,
-    ) -> Result<Option<T>> {
-        match self.0.get(column) {
-            Some(Value::Null) => Ok(None),
-            _ => read(self, column).map(Some),
-        }
-    }
-
-    pub(crate) fn opt_int(&self, column: usize) -> Result<Option<i64>> {
-        self.opt(column, Self::int)
-    }
-
-    pub(crate) fn opt_text(&self, column: usize) -> Result<Option<String>> {
-        self.opt(column, Self::string)
-    }
-
-    /// A column with one of a list of names.
-    pub(crate) fn named<T>(
-        &self,
-        column: usize,
-        parse: impl FnOnce(&str) -> Option<T>,
-    ) -> Result<T> {
-        parse(self.text(column)?).ok_or_else(|| self.wrong(column, "a name that is known"))
-    }
-
-    /// A column of JSON.
-    pub(crate) fn json<T: serde::de::DeserializeOwned>(&self, column: usize) -> Result<T> {
-        serde_json::from_str(self.text(column)?).map_err(|error| unreadable("of an answer", error))
+    /// Reads the row; [`super::columns`] says how. Further columns are left out.
+    pub(crate) fn read<'a, T: Deserialize<'a>>(&'a self) -> Result<T> {
+        let mut columns = Columns(self.0.iter());
+        T::deserialize(&mut columns).map_err(|error| {
+            let column = self.0.len() - columns.0.len();
+            unreadable("of an answer", format!("column {column}: {error}"))
+        })
     }
 }
 
 /// An open transaction.
 pub(crate) trait Tx {
     /// Runs a statement and returns the number of changed rows.
-    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64>;
+    fn execute(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<u64>;
     /// Runs a query.
-    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>>;
+    fn query(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<Vec<Row>>;
 
     /// Runs statements; an error says that the store cannot do the action.
     fn batch(&mut self, sql: &str, action: &'static str) -> Result<()>;
@@ -218,44 +73,54 @@ pub(crate) trait Tx {
 }
 
 impl dyn Tx + '_ {
-    /// Runs a query with at most one row.
-    pub(crate) fn one(&mut self, sql: &str, params: &[Value]) -> Result<Option<Row>> {
-        Ok(self.query(sql, params)?.into_iter().next())
-    }
-
-    /// Runs a query for one integer; 0 without rows.
-    pub(crate) fn number(&mut self, sql: &str, params: &[Value]) -> Result<i64> {
-        self.one(sql, params)?.map_or(Ok(0), |row| row.int(0))
-    }
-
     /// Runs a statement whose number of changed rows does not matter.
-    pub(crate) fn run(&mut self, sql: &str, params: &[Value]) -> Result<()> {
+    pub(crate) fn run(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<()> {
         self.execute(sql, params).map(|_| ())
     }
 
-    /// Runs a query and reads each of its rows.
-    pub(crate) fn list<T>(
+    /// Runs a query and reads its rows.
+    pub(crate) fn list<T: DeserializeOwned>(
         &mut self,
         sql: &str,
-        params: &[Value],
-        read: impl FnMut(&Row) -> Result<T>,
+        params: &[&dyn ToSql],
     ) -> Result<Vec<T>> {
-        self.query(sql, params)?.iter().map(read).collect()
+        let rows = self.query(sql, params)?;
+        rows.iter().map(|row| row.read()).collect()
     }
 
-    /// Runs a query with at most one row and reads it.
-    pub(crate) fn find<T>(
+    /// Runs a query and reads its first row.
+    pub(crate) fn find<T: DeserializeOwned>(
         &mut self,
         sql: &str,
-        params: &[Value],
-        read: impl FnOnce(&Row) -> Result<T>,
+        params: &[&dyn ToSql],
     ) -> Result<Option<T>> {
-        self.one(sql, params)?.as_ref().map(read).transpose()
+        let rows = self.query(sql, params)?;
+        rows.first().map(|row| row.read()).transpose()
+    }
+
+    /// [`Self::find`] for a query that always has a row.
+    pub(crate) fn get<T: DeserializeOwned>(
+        &mut self,
+        sql: &str,
+        params: &[&dyn ToSql],
+    ) -> Result<T> {
+        self.find(sql, params)?.ok_or(Error::Closed)
+    }
+
+    /// Runs a query for one integer; 0 without rows.
+    pub(crate) fn number(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<i64> {
+        Ok(self.find(sql, params)?.unwrap_or(0))
     }
 
     /// Whether a query has rows.
-    pub(crate) fn has(&mut self, sql: &str, params: &[Value]) -> Result<bool> {
-        Ok(self.one(sql, params)?.is_some())
+    pub(crate) fn has(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<bool> {
+        Ok(!self.query(sql, params)?.is_empty())
+    }
+
+    /// The next id of a table.
+    pub(crate) fn next_id(&mut self, table: &str) -> Result<i64> {
+        let sql = format!("SELECT COALESCE(MAX(id), 0) + 1 FROM {table}");
+        self.get(&sql, &[])
     }
 }
 

@@ -24,7 +24,7 @@ impl Store {
     pub fn renew(&self, user: i64, lease: i64, now: Millis) -> Result<Lease> {
         self.write(move |tx| {
             let settings = super::project::settings(tx)?;
-            let held = rows::lease(tx, lease)?.filter(|held| held.lease.user == user);
+            let held = lease_of_id(tx, lease)?.filter(|held| held.lease.user == user);
             let held = held.ok_or_else(|| {
                 Error::refused(
                     Code::LeaseLost,
@@ -43,7 +43,7 @@ impl Store {
     pub fn release(&self, who: &Who, lease: i64, now: Millis) -> Result<()> {
         let (user, role) = (who.id, who.role);
         self.write(move |tx| {
-            let held = rows::lease(tx, lease)?
+            let held = lease_of_id(tx, lease)?
                 .filter(|held| held.lease.user == user || role >= Role::Reviewer)
                 .ok_or_else(|| Error::not_found("lease"))?;
             let reason = if held.lease.user == user {
@@ -54,6 +54,10 @@ impl Store {
             end(tx, &held, Some(user), reason, now)
         })
     }
+}
+
+fn lease_of_id(tx: &mut dyn Tx, id: i64) -> Result<Option<LeaseRow>> {
+    Ok(rows::leases(tx, "lease l WHERE l.id = ?1", params![id])?.pop())
 }
 
 /// Ends leases past their deadline, except those of `keep`, who may renew a lease that nobody has
@@ -90,8 +94,8 @@ pub(super) fn reserved_after(
     let sql = format!(
         "SELECT {ENTRY_COLUMNS} FROM event WHERE task = ?1 AND kind = 'returned' ORDER BY seq DESC"
     );
-    for (_, entry) in tx.list(&sql, params![task], read_entry)? {
-        if let Body::Returned { authors, until, .. } = entry.body
+    for row in tx.query(&sql, params![task])? {
+        if let Body::Returned { authors, until, .. } = read_entry(&row)?.1.body
             && authors.contains(&user)
         {
             return Ok((until > now).then_some(until));
@@ -149,16 +153,15 @@ pub(super) fn take(
     settings: &Settings,
     now: Millis,
 ) -> Result<()> {
-    let row = tx
-        .one("SELECT epoch, key FROM task WHERE id = ?1", params![task])?
-        .ok_or_else(|| Error::not_found("task"))?;
+    let found = tx.find("SELECT epoch, key FROM task WHERE id = ?1", params![task])?;
+    let (epoch, key): (i64, String) = found.ok_or_else(|| Error::not_found("task"))?;
     let blind = purpose == Purpose::Annotate
-        && percent(&["blind", row.text(1)?, &user.to_string()]) < settings.blind_percent;
+        && percent(&["blind", &key, &user.to_string()]) < settings.blind_percent;
     let entry = Entry {
         at: now,
         actor: Some(user),
         task: Some(task),
-        epoch: Some(row.int(0)? + 1),
+        epoch: Some(epoch + 1),
         body: Body::Claimed {
             purpose,
             expires: lease_end(settings, now),

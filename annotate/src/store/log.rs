@@ -4,8 +4,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::apply::apply;
-use super::db::{Result, Row, Tx, json, params};
-use super::entry::{self, Body, Entry, VERSION};
+use super::db::{Result, Tx, json, params, unreadable};
+use super::entry::{Body, Entry, VERSION};
 use super::records::Millis;
 use super::settings::{is_word, require};
 use crate::Error;
@@ -55,7 +55,7 @@ fn put(tx: &mut dyn Tx, seq: i64, entry: &Entry, reply: Option<Reply<'_>>) -> Re
             seq,
             entry.at,
             entry.actor,
-            entry.body.kind().as_str(),
+            entry.body.kind(),
             entry.task,
             key,
             entry.epoch,
@@ -90,19 +90,18 @@ impl Request {
 
     /// The reply that was given to this request before.
     pub(super) fn replay<T: DeserializeOwned>(&self, tx: &mut dyn Tx) -> Result<Option<T>> {
-        let sql = format!(
-            "SELECT {}, result FROM event WHERE idem_key = ?1",
-            entry::ENTRY_COLUMNS
-        );
-        let Some(row) = tx.one(&sql, params![&self.key])? else {
+        let sql = "SELECT result, body FROM event WHERE idem_key = ?1";
+        let found: Option<(Option<String>, serde_json::Value)> = tx.find(sql, params![self.key])?;
+        let Some((result, body)) = found else {
             return Ok(None);
         };
-        let (_, entry) = entry::read_entry(&row)?;
-        if entry.body.work().1 != Some(self.hash.as_str()) {
+        if body["request"] != self.hash.as_str() {
             let problem = "this key was used for another request; use a new one";
             return Err(Error::refused(Code::KeyReused, problem));
         }
-        row.opt(7, Row::json)
+        let result = result.map(|result| serde_json::from_str(&result));
+        let result = result.transpose();
+        result.map_err(|error| unreadable("event", error))
     }
 
     /// Writes the entry of the request and returns the reply, which is computed from the projections after the entry

@@ -17,6 +17,7 @@ mod browse;
 mod bulk;
 mod captures;
 mod claim;
+mod columns;
 pub(crate) mod db;
 mod entry;
 mod filter;

@@ -2,9 +2,10 @@
 
 use std::collections::HashMap;
 
+use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
-use super::db::{Result, Row, Tx, params};
+use super::db::{Result, Tx, params};
 use super::entry::Body;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
 use super::settings::{has_up_to, require};
@@ -33,7 +34,7 @@ impl Store {
 
     /// All users.
     pub fn users(&self) -> Result<Vec<User>> {
-        self.read(users)
+        self.read(|tx| tx.list("SELECT id, name, role, active FROM usr ORDER BY id", &[]))
     }
 
     /// Adds many users, each with a token, or none if a line is wrong. Refused with `invalid`, which names the line.
@@ -96,7 +97,7 @@ impl Store {
                 require(tx.has(others, params![user])?, "role", problem)?;
             }
             let sql = "UPDATE usr SET role = ?2, active = ?3 WHERE id = ?1";
-            tx.run(sql, params![user, after.role.as_str(), after.active])?;
+            tx.run(sql, params![user, after.role, after.active])?;
             if !after.active {
                 tx.run("UPDATE token SET revoked = 1 WHERE usr = ?1", params![user])?;
                 // Others can take the tasks.
@@ -133,7 +134,7 @@ impl Store {
             known.changes
         };
         let found = self.read(|tx| find(tx, &hash, purposes, now))?;
-        if found.needs_note {
+        if found.needs_note(now) {
             let purposes = purposes.to_vec();
             return self.write(move |tx| used(tx, &hash, &purposes, now));
         }
@@ -169,17 +170,7 @@ impl Store {
     pub fn tokens(&self, user: i64) -> Result<Vec<TokenInfo>> {
         let sql = "SELECT id, usr, created, expires, last_used, revoked FROM token
              WHERE usr = ?1 AND purpose <> 'session' ORDER BY id";
-        let read = |row: &Row| {
-            Ok(TokenInfo {
-                id: row.int(0)?,
-                user: row.int(1)?,
-                created: row.int(2)?,
-                expires: row.int(3)?,
-                last_used: row.opt_int(4)?,
-                revoked: row.flag(5)?,
-            })
-        };
-        self.read(|tx| tx.list(sql, params![user], read))
+        self.read(|tx| tx.list(sql, params![user]))
     }
 
     /// Revokes a token and all sessions of its owner: a thief of the token may have opened some.
@@ -187,7 +178,7 @@ impl Store {
     pub fn revoke(&self, token: i64) -> Result<()> {
         self.write_people(move |tx| {
             let sql = "SELECT usr FROM token WHERE id = ?1";
-            let user = tx.find(sql, params![token], |row| row.int(0))?;
+            let user: Option<i64> = tx.find(sql, params![token])?;
             let user = user.ok_or_else(|| Error::not_found("token"))?;
             let sql =
                 "UPDATE token SET revoked = 1 WHERE id = ?1 OR (usr = ?2 AND purpose = 'session')";
@@ -226,23 +217,9 @@ pub(super) fn random<const BYTES: usize>() -> Result<String> {
     Ok(hex(&bytes))
 }
 
-fn read_user(row: &Row) -> Result<User> {
-    Ok(User {
-        id: row.int(0)?,
-        name: row.string(1)?,
-        role: row.named(2, Role::parse)?,
-        active: row.flag(3)?,
-    })
-}
-
-pub(super) fn users(tx: &mut dyn Tx) -> Result<Vec<User>> {
-    let sql = "SELECT id, name, role, active FROM usr ORDER BY id";
-    tx.list(sql, &[], read_user)
-}
-
 fn user(tx: &mut dyn Tx, id: i64) -> Result<User> {
     let sql = "SELECT id, name, role, active FROM usr WHERE id = ?1";
-    let user = tx.find(sql, params![id], read_user)?;
+    let user = tx.find(sql, params![id])?;
     user.ok_or_else(|| Error::not_found("user"))
 }
 
@@ -269,9 +246,9 @@ fn add(tx: &mut dyn Tx, actor: Option<i64>, name: &str, role: Role, now: Millis)
         "name",
         format!("there is a user {name:?} already; choose another name"),
     )?;
-    let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM usr", &[])?;
+    let id = tx.next_id("usr")?;
     let sql = "INSERT INTO usr (id, name, role, active, created) VALUES (?1, ?2, ?3, 1, ?4)";
-    tx.run(sql, params![id, name, role.as_str(), now])?;
+    tx.run(sql, params![id, name, role, now])?;
     let user = User {
         id,
         name: name.to_owned(),
@@ -293,11 +270,11 @@ fn issue(
     let problem = "this user is not active; activate them first";
     require(user.active, "user", problem)?;
     let token = format!("ann_{}", random::<TOKEN_BYTES>()?);
-    let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM token", &[])?;
-    tx.execute(
+    let id = tx.next_id("token")?;
+    tx.run(
         "INSERT INTO token (id, usr, hash, purpose, created, expires, last_used, revoked)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, NULL, 0)",
-        params![id, user.id, hash(&token), purpose.as_str(), now, expires],
+        params![id, user.id, hash(&token), purpose, now, expires],
     )?;
     Ok(IssuedToken {
         user,
@@ -343,15 +320,22 @@ fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
     Ok(users)
 }
 
-/// Owner of a token.
-#[derive(Clone)]
+/// A token and its owner.
+#[derive(Clone, Deserialize)]
 struct Found {
-    who: Who,
+    token: i64,
     purpose: TokenUse,
     expires: Millis,
-    token: i64,
+    last_used: Option<Millis>,
+    who: Who,
+}
+
+impl Found {
     /// Whether to update its last use.
-    needs_note: bool,
+    fn needs_note(&self, now: Millis) -> bool {
+        let is_old = |at: Millis| now - at > NOTE_EVERY;
+        self.purpose == TokenUse::Once || self.last_used.is_none_or(is_old)
+    }
 }
 
 /// Lifetime of a cached token. A token revoked through another server stays valid here for at most this long.
@@ -382,7 +366,7 @@ impl Known {
     }
 
     fn put(&mut self, hash: String, found: Found, changes: u64, now: Millis) {
-        if found.needs_note || changes != self.changes {
+        if found.needs_note(now) || changes != self.changes {
             return;
         }
         if self.by_hash.len() >= MOST_KNOWN {
@@ -393,36 +377,18 @@ impl Known {
 }
 
 fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Found> {
-    let refused = || {
+    let found: Option<Found> = tx.find(
+        "SELECT k.id, k.purpose, k.expires, k.last_used, u.id, u.name, u.role
+         FROM token k JOIN usr u ON u.id = k.usr
+         WHERE k.hash = ?1 AND k.revoked = 0 AND u.active = 1",
+        params![hash],
+    )?;
+    let fits = |found: &Found| purposes.contains(&found.purpose) && found.expires > now;
+    found.filter(fits).ok_or_else(|| {
         Error::refused(
             Code::Unauthenticated,
             "this token is unknown, revoked or expired; ask an admin for a new one",
         )
-    };
-    let row = tx
-        .one(
-            "SELECT k.id, k.purpose, k.expires, k.last_used, u.id, u.name, u.role
-             FROM token k JOIN usr u ON u.id = k.usr
-             WHERE k.hash = ?1 AND k.revoked = 0 AND u.active = 1",
-            params![hash],
-        )?
-        .ok_or_else(refused)?;
-    let purpose = row.named(1, TokenUse::parse)?;
-    let fits = purposes.contains(&purpose);
-    if !fits || row.int(2)? <= now {
-        return Err(refused());
-    }
-    let last_used = row.opt_int(3)?;
-    Ok(Found {
-        who: Who {
-            id: row.int(4)?,
-            name: row.string(5)?,
-            role: row.named(6, Role::parse)?,
-        },
-        purpose,
-        expires: row.int(2)?,
-        token: row.int(0)?,
-        needs_note: purpose == TokenUse::Once || last_used.is_none_or(|at| now - at > NOTE_EVERY),
     })
 }
 

@@ -8,10 +8,12 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use postgres::types::private::BytesMut;
 use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
 use postgres::{Client, Statement};
+use rusqlite::types::{ToSqlOutput, ValueRef};
 
-use super::db::{Result, Row, Tx, Value, not_opened, params, read_only};
+use super::db::{self, Result, Row, Tx, Value, not_opened, params, read_only, unreadable};
 use super::migrate::{self, Upgrade};
 use super::pool::{Backend, Pool};
 use super::postgres_address::Address;
@@ -110,13 +112,12 @@ fn copy_schema(tx: &mut dyn Tx, schema: &str, version: i64) -> Result<String> {
         copy = format!("{schema}_version_{version}_{number}");
     }
     tx.define(&format!("CREATE SCHEMA {copy}"))?;
-    let tables = tx.query(
+    let tables: Vec<String> = tx.list(
         "SELECT table_name::text FROM information_schema.tables WHERE table_schema = ?1 AND table_type = 'BASE TABLE'
          ORDER BY table_name",
         params![schema],
     )?;
     for table in tables {
-        let table = table.text(0)?;
         tx.define(&format!(
             "CREATE TABLE {copy}.{table} (LIKE {schema}.{table} INCLUDING ALL);
              INSERT INTO {copy}.{table} SELECT * FROM {schema}.{table}"
@@ -174,21 +175,34 @@ impl Connection {
     }
 }
 
-impl ToSql for Value {
-    fn to_sql(
-        &self,
-        ty: &Type,
-        out: &mut postgres::types::private::BytesMut,
-    ) -> Result<IsNull, Box<dyn std::error::Error + Sync + Send>> {
-        match self {
-            Self::Null => Ok(IsNull::Yes),
+/// Why a value cannot be sent or read.
+type Failure = Box<dyn std::error::Error + Sync + Send>;
+
+/// A parameter of any supported type.
+#[derive(Debug)]
+struct Parameter<'a>(ToSqlOutput<'a>);
+
+fn parameters<'a>(params: &'a [&dyn db::ToSql]) -> Result<Vec<Parameter<'a>>> {
+    let params = params.iter().map(|param| param.to_sql().map(Parameter));
+    let params = params.collect::<Result<_, _>>();
+    params.map_err(|error| unreadable("of a request", error))
+}
+
+impl ToSql for Parameter<'_> {
+    fn to_sql(&self, ty: &Type, out: &mut BytesMut) -> Result<IsNull, Failure> {
+        let value = match &self.0 {
+            ToSqlOutput::Borrowed(value) => *value,
+            ToSqlOutput::Owned(value) => value.into(),
+            other => return Err(format!("{other:?} cannot be stored").into()),
+        };
+        match value {
+            ValueRef::Null => Ok(IsNull::Yes),
             // Convert integers for float columns and for smaller integer columns.
-            Self::Int(value) if *ty == Type::FLOAT8 => (*value as f64).to_sql(ty, out),
-            Self::Int(value) if *ty == Type::INT4 => i32::try_from(*value)?.to_sql(ty, out),
-            Self::Int(value) => value.to_sql(ty, out),
-            Self::Real(value) => value.to_sql(ty, out),
-            Self::Text(value) => value.to_sql(ty, out),
-            Self::Blob(value) => value.to_sql(ty, out),
+            ValueRef::Integer(value) if *ty == Type::FLOAT8 => (value as f64).to_sql(ty, out),
+            ValueRef::Integer(value) if *ty == Type::INT4 => i32::try_from(value)?.to_sql(ty, out),
+            ValueRef::Integer(value) => value.to_sql(ty, out),
+            ValueRef::Real(value) => value.to_sql(ty, out),
+            ValueRef::Text(value) | ValueRef::Blob(value) => value.to_sql(ty, out),
         }
     }
 
@@ -203,13 +217,10 @@ impl ToSql for Value {
 struct Column(Value);
 
 impl<'a> FromSql<'a> for Column {
-    fn from_sql(
-        ty: &Type,
-        raw: &'a [u8],
-    ) -> Result<Self, Box<dyn std::error::Error + Sync + Send>> {
+    fn from_sql(ty: &Type, raw: &'a [u8]) -> Result<Self, Failure> {
         let value = match *ty {
-            Type::INT8 => Value::Int(i64::from_sql(ty, raw)?),
-            Type::INT4 => Value::Int(i32::from_sql(ty, raw)?.into()),
+            Type::INT8 => Value::Integer(i64::from_sql(ty, raw)?),
+            Type::INT4 => Value::Integer(i32::from_sql(ty, raw)?.into()),
             Type::FLOAT8 => Value::Real(f64::from_sql(ty, raw)?),
             Type::BYTEA => Value::Blob(raw.to_vec()),
             _ => Value::Text(<&str>::from_sql(&Type::TEXT, raw)?.to_owned()),
@@ -217,7 +228,7 @@ impl<'a> FromSql<'a> for Column {
         Ok(Self(value))
     }
 
-    fn from_sql_null(_: &Type) -> Result<Self, Box<dyn std::error::Error + Sync + Send>> {
+    fn from_sql_null(_: &Type) -> Result<Self, Failure> {
         Ok(Self(Value::Null))
     }
 
@@ -226,17 +237,17 @@ impl<'a> FromSql<'a> for Column {
     }
 }
 
-fn borrowed(params: &[Value]) -> Vec<&(dyn ToSql + Sync)> {
-    params
-        .iter()
-        .map(|value| value as &(dyn ToSql + Sync))
-        .collect()
+fn borrowed<'a>(params: &'a [Parameter<'_>]) -> Vec<&'a (dyn ToSql + Sync)> {
+    let params = params.iter();
+    params.map(|param| param as &(dyn ToSql + Sync)).collect()
 }
 
 impl Tx for Connection {
-    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
+    fn execute(&mut self, sql: &str, params: &[&dyn db::ToSql]) -> Result<u64> {
         let statement = self.statement(sql)?;
-        let changed = self.client.execute(&statement, &borrowed(params));
+        let changed = self
+            .client
+            .execute(&statement, &borrowed(&parameters(params)?));
         changed.map_err(failed("write"))
     }
 
@@ -253,9 +264,11 @@ impl Tx for Connection {
         self.batch(&sql, migrate::MAKE)
     }
 
-    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
+    fn query(&mut self, sql: &str, params: &[&dyn db::ToSql]) -> Result<Vec<Row>> {
         let statement = self.statement(sql)?;
-        let rows = self.client.query(&statement, &borrowed(params));
+        let rows = self
+            .client
+            .query(&statement, &borrowed(&parameters(params)?));
         let rows = rows.map_err(failed("read"))?;
         let values = |row: &postgres::Row| {
             (0..row.len())

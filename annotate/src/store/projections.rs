@@ -21,13 +21,13 @@ pub(super) fn is_kept_pair(answer: &Answer) -> bool {
 }
 
 /// Edit type that an answer keeps a pair as, if it says it.
-pub(super) fn kept_type(answer: &Answer) -> Option<&'static str> {
+pub(super) fn kept_type(answer: &Answer) -> Option<EditType> {
     match answer {
         Answer::Pair {
             verdict: Verdict::Keep,
             edit_type,
             ..
-        } => edit_type.map(EditType::as_str),
+        } => *edit_type,
         _ => None,
     }
 }
@@ -60,7 +60,7 @@ impl Acceptance<'_> {
                 kept_type(self.answer),
                 at,
                 seq,
-                &self.basis,
+                self.basis,
                 words(self.answer),
                 part_list(self.answer)
             ],
@@ -84,7 +84,7 @@ pub(super) fn put_lease(
             lease.user,
             lease.epoch,
             lease.expires,
-            purpose.as_str(),
+            purpose,
             blind
         ],
     )?;
@@ -119,10 +119,10 @@ pub(super) fn part_list(answer: &Answer) -> String {
 }
 
 pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<()> {
-    tx.execute(
+    tx.run(
         "UPDATE task SET state = ?2, claimable = 0,
            leases = (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose <> 'review') WHERE id = ?1",
-        params![task, state.as_str()],
+        params![task, state],
     )?;
     count(tx, task)
 }
@@ -150,18 +150,16 @@ fn count(tx: &mut dyn Tx, task: i64) -> Result<()> {
 
 /// Counts the answers and leases of an undecided task and derives its state.
 pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<()> {
-    let row = tx
-        .one(
-            "SELECT wanted, CASE WHEN gold IS NULL THEN 0 ELSE 1 END,
-               (SELECT COUNT(*) FROM revision WHERE task = ?1 AND state IN ('submitted', 'accepted', 'superseded')),
-               (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose IN ('annotate', 'assigned')),
-               (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose = 'returned')
-             FROM task WHERE id = ?1",
-            params![task],
-        )?
-        .ok_or_else(|| Error::not_found("task"))?;
-    let (wanted, gold) = (row.int(0)?, row.flag(1)?);
-    let (submitted, active, kept) = (row.int(2)?, row.int(3)?, row.int(4)?);
+    let counts = tx.find(
+        "SELECT wanted, CASE WHEN gold IS NULL THEN 0 ELSE 1 END,
+           (SELECT COUNT(*) FROM revision WHERE task = ?1 AND state IN ('submitted', 'accepted', 'superseded')),
+           (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose IN ('annotate', 'assigned')),
+           (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose = 'returned')
+         FROM task WHERE id = ?1",
+        params![task],
+    )?;
+    let (wanted, gold, submitted, active, kept): (i64, bool, i64, i64, i64) =
+        counts.ok_or_else(|| Error::not_found("task"))?;
     let state = if submitted >= wanted {
         TaskState::Submitted
     } else if active > 0 {
@@ -174,9 +172,7 @@ pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<()> {
     let claimable = !gold && submitted + active + kept < wanted;
     let sql =
         "UPDATE task SET state = ?2, submitted = ?3, leases = ?4, claimable = ?5 WHERE id = ?1";
-    tx.run(
-        sql,
-        params![task, state.as_str(), submitted, active + kept, claimable],
-    )?;
+    let values = params![task, state, submitted, active + kept, claimable];
+    tx.run(sql, values)?;
     count(tx, task)
 }

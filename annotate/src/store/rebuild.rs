@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use rusqlite::Connection;
 
 use super::apply::apply;
-use super::db::{self, Database, Result, Row, Tx, Value, params};
+use super::db::{self, Database, Result, Row, ToSql, Tx, Value, params};
 use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
 use super::sqlite::scratch;
 use crate::lock::lock;
@@ -43,7 +43,8 @@ const REPAIRED: usize = 16;
 /// Entries of the log after a sequence number, up to [`BATCH`].
 fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>> {
     let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
-    tx.list(&sql, params![after, BATCH], read_entry)
+    let rows = tx.query(&sql, params![after, BATCH])?;
+    rows.iter().map(read_entry).collect()
 }
 
 /// Fills the empty projections of a store from its log.
@@ -97,7 +98,8 @@ impl Derived {
             for row in Tx::query(&mut self.scratch, &sql, params![task])? {
                 let places: Vec<String> = (1..=row.0.len()).map(|at| format!("?{at}")).collect();
                 let sql = format!("INSERT INTO {table} VALUES ({})", places.join(", "));
-                tx.execute(&sql, &row.0)?;
+                let values: Vec<_> = row.0.iter().map(|value| value as &dyn ToSql).collect();
+                tx.run(&sql, &values)?;
             }
         }
         Ok(())
@@ -123,7 +125,7 @@ fn rows_of(
 fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>> {
     let mut tasks: BTreeMap<i64, Vec<Vec<Value>>> = BTreeMap::new();
     for row in rows {
-        tasks.entry(row.int(0)?).or_default().push(row.0);
+        tasks.entry(row.read()?).or_default().push(row.0);
     }
     Ok(tasks)
 }
@@ -198,14 +200,11 @@ pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>> {
 /// Findings about the log and the projections.
 pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
     let mut findings = Vec::new();
-    let row = tx.one("SELECT COUNT(*), COALESCE(MAX(seq), 0) FROM event", &[])?;
-    if let Some(row) = row
-        && row.int(0)? != row.int(1)?
-    {
+    let sql = "SELECT COUNT(*), COALESCE(MAX(seq), 0) FROM event";
+    let (count, last): (i64, i64) = tx.get(sql, &[])?;
+    if count != last {
         findings.push(format!(
-            "the log has {} entries, but its last sequence number is {}",
-            row.int(0)?,
-            row.int(1)?
+            "the log has {count} entries, but its last sequence number is {last}"
         ));
     }
     let sql = "SELECT COUNT(*) FROM task WHERE submitted + leases > wanted";
@@ -247,12 +246,12 @@ mod tests {
     }
 
     impl Tx for CountingTx<'_> {
-        fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
+        fn execute(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<u64> {
             self.statements += 1;
             self.inner.execute(sql, params)
         }
 
-        fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
+        fn query(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<Vec<Row>> {
             self.statements += 1;
             self.inner.query(sql, params)
         }

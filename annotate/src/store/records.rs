@@ -14,7 +14,7 @@ pub use crate::wire::{BundleItem as BundleEntry, TokenShown as IssuedToken};
 pub type Millis = i64;
 
 /// A logged-in user.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Who {
     /// Id.
     pub id: i64,
@@ -119,7 +119,7 @@ pub struct NewSuggestion {
 }
 
 /// A task as it is stored.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct TaskRecord {
     /// Id.
     pub id: i64,
@@ -230,7 +230,7 @@ pub struct KeyRange {
 }
 
 /// An answer with its task, for figures and exports.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Label {
     /// Task.
     pub task: i64,
@@ -249,7 +249,7 @@ pub struct Label {
 }
 
 /// An accepted answer with its task.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct AcceptedAnswer {
     /// The task.
     pub task: TaskRecord,
@@ -270,7 +270,7 @@ pub struct AcceptedAnswer {
 }
 
 /// A dropped or skipped task.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Reject {
     /// The task.
     pub task: TaskRecord,
@@ -364,7 +364,7 @@ pub struct Picture {
 }
 
 /// Totals of one person.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct PersonCounts {
     /// Who.
     pub user: User,
@@ -381,7 +381,7 @@ pub struct PersonCounts {
 }
 
 /// Counts of a week.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 pub struct WeekCounts {
     /// Submitted answers.
     pub submitted: i64,

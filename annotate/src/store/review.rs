@@ -11,13 +11,12 @@ use super::store::Store;
 use super::{apply, project, rows};
 use crate::Error;
 use crate::answer;
+use crate::clock::DAY;
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
     Code, Decision, MAX_TEXT_CHARS, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, Revision,
     RevisionState, Settings, TaskKind, TaskState,
 };
-
-const DAY: Millis = 24 * 60 * MINUTE;
 
 impl Store {
     /// Claims the next task to review.
@@ -114,7 +113,7 @@ fn next(
          ORDER BY {order} LIMIT 1"
     );
     let values = params![user, kind, share, back, settings.seed, settings.solo];
-    let task = tx.find(&sql, values, |row| row.int(0))?;
+    let task = tx.find(&sql, values)?;
     if let Some(task) = task {
         take(tx, user, task, Purpose::Review, None, &settings, now)?;
     }
@@ -123,22 +122,14 @@ fn next(
 
 /// What is left to review, of a kind or any.
 fn empty(tx: &mut dyn Tx, user: i64, kind: &str) -> Result<ReviewEmpty> {
-    let found = tx.find(
+    tx.get(
         "SELECT COUNT(CASE WHEN t.state = 'submitted' THEN 1 END),
            COUNT(CASE WHEN t.state = 'submitted' AND EXISTS (
              SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft') THEN 1 END),
            COUNT(CASE WHEN t.state = 'in_review' THEN 1 END)
          FROM task t WHERE t.state IN ('submitted', 'in_review') AND t.gold IS NULL AND (?1 = '' OR t.kind = ?1)",
         params![kind, user],
-        |row| {
-            Ok(ReviewEmpty {
-                waiting: row.int(0)?,
-                mine: row.int(1)?,
-                in_review: row.int(2)?,
-            })
-        },
-    )?;
-    found.ok_or(Error::Closed)
+    )
 }
 
 /// Claims a task to review, or goes on with it.
@@ -185,12 +176,11 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail> {
         )
     });
     let sql = "SELECT comment FROM review WHERE task = ?1 AND comment <> '' ORDER BY seq";
-    let comments = tx.list(sql, params![id], |row| row.string(0))?;
     Ok(ReviewDetail {
         task,
         lease,
         candidates,
-        comments,
+        comments: tx.list(sql, params![id])?,
     })
 }
 
@@ -199,11 +189,9 @@ fn answers_to(tx: &mut dyn Tx, task: i64) -> Result<Vec<(Revision, String)>> {
         "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
          WHERE r.task = ?1 AND r.state <> 'draft'
          ORDER BY CASE WHEN r.state = 'returned' THEN 1 ELSE 0 END, r.author",
-        rows::REVISION_COLUMNS
+        rows::REVISION
     );
-    tx.list(&sql, params![task], |row| {
-        Ok((rows::read_revision(row, 0)?, row.string(7)?))
-    })
+    tx.list(&sql, params![task])
 }
 
 /// A decision on a task, and what its log entry depends on.
@@ -251,7 +239,7 @@ impl Deciding<'_> {
     fn authors(&self, tx: &mut dyn Tx) -> Result<Vec<i64>> {
         let sql =
             "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author";
-        let authors: Vec<i64> = tx.list(sql, params![self.task.id], |row| row.int(0))?;
+        let authors: Vec<i64> = tx.list(sql, params![self.task.id])?;
         match self.review.author {
             None => Ok(authors),
             Some(author) if authors.contains(&author) => Ok(vec![author]),

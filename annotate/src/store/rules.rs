@@ -67,7 +67,7 @@ impl Store {
             }
             let basis = format!("rule:{name}");
             let sql = "SELECT task FROM accepted WHERE basis = ?1 ORDER BY task LIMIT ?2";
-            let tasks = tx.list(sql, params![&basis, AT_ONCE], |row| row.int(0))?;
+            let tasks: Vec<i64> = tx.list(sql, params![&basis, AT_ONCE])?;
             if tasks.is_empty() && !known {
                 return Err(Error::not_found("rule"));
             }
@@ -208,14 +208,10 @@ fn waiting(tx: &mut dyn Tx, after: i64, up_to: i64, limit: i64) -> Result<Vec<Ta
 
 fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>> {
     let settings = project::settings(tx)?;
-    let mut accepted: BTreeMap<String, i64> = BTreeMap::new();
-    for row in tx.query(
-        "SELECT basis, COUNT(*) FROM accepted WHERE basis LIKE 'rule:%' GROUP BY basis",
-        &[],
-    )? {
-        let name = row.text(0)?.trim_start_matches("rule:").to_owned();
-        accepted.insert(name, row.int(1)?);
-    }
+    let sql =
+        "SELECT substr(basis, 6), COUNT(*) FROM accepted WHERE basis LIKE 'rule:%' GROUP BY basis";
+    let accepted: Vec<(String, i64)> = tx.list(sql, &[])?;
+    let mut accepted = BTreeMap::from_iter(accepted);
     let state = |rule: Rule, known: bool, accepted: i64| RuleState {
         rule,
         known,
@@ -281,9 +277,6 @@ pub(super) fn reopen(
 /// The rule that accepted a task, and when.
 pub(super) fn accepted_by_rule(tx: &mut dyn Tx, task: i64) -> Result<Option<(String, Millis)>> {
     let sql = "SELECT basis, at FROM accepted WHERE task = ?1";
-    let Some(row) = tx.one(sql, params![task])? else {
-        return Ok(None);
-    };
-    let rule = row.text(0)?.strip_prefix("rule:").map(str::to_owned);
-    Ok(rule.zip(Some(row.int(1)?)))
+    let found: Option<(String, Millis)> = tx.find(sql, params![task])?;
+    Ok(found.and_then(|(basis, at)| Some((basis.strip_prefix("rule:")?.to_owned(), at))))
 }

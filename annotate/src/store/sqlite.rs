@@ -3,10 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use rusqlite::types::{ToSqlOutput, ValueRef};
-use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, params_from_iter};
+use rusqlite::{Connection, ErrorCode, OpenFlags};
 
-use super::db::{Result, Row, Tx, Value, not_opened, read_only};
+use super::db::{Result, Row, ToSql, Tx, not_opened, read_only};
 use super::migrate::{self, Upgrade};
 use super::pool::{Backend, Pool};
 use crate::Error;
@@ -203,23 +202,10 @@ pub(crate) fn scratch() -> Result<Connection> {
     Ok(db)
 }
 
-impl ToSql for Value {
-    fn to_sql(&self) -> rusqlite::Result<ToSqlOutput<'_>> {
-        Ok(ToSqlOutput::Borrowed(match self {
-            Self::Null => ValueRef::Null,
-            Self::Int(value) => ValueRef::Integer(*value),
-            Self::Real(value) => ValueRef::Real(*value),
-            Self::Text(value) => ValueRef::Text(value.as_bytes()),
-            Self::Blob(value) => ValueRef::Blob(value),
-        }))
-    }
-}
-
 impl Tx for Connection {
-    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
-        let wrap = failed("write");
-        let mut statement = self.prepare_cached(sql).map_err(&wrap)?;
-        let changed = statement.execute(params_from_iter(params)).map_err(&wrap)?;
+    fn execute(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<u64> {
+        let mut statement = self.prepare_cached(sql).map_err(failed("write"))?;
+        let changed = statement.execute(params).map_err(failed("write"))?;
         Ok(changed as u64)
     }
 
@@ -233,26 +219,17 @@ impl Tx for Connection {
         self.batch(&sql, migrate::MAKE)
     }
 
-    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
-        let wrap = failed("read");
-        let mut statement = self.prepare_cached(sql).map_err(&wrap)?;
-        let columns = statement.column_count();
-        let mut found = statement.query(params_from_iter(params)).map_err(&wrap)?;
-        let mut rows = Vec::new();
-        while let Some(row) = found.next().map_err(&wrap)? {
-            let mut values = Vec::with_capacity(columns);
-            for column in 0..columns {
-                values.push(match row.get_ref(column).map_err(&wrap)? {
-                    ValueRef::Null => Value::Null,
-                    ValueRef::Integer(value) => Value::Int(value),
-                    ValueRef::Real(value) => Value::Real(value),
-                    ValueRef::Text(text) => Value::Text(String::from_utf8_lossy(text).into_owned()),
-                    ValueRef::Blob(bytes) => Value::Blob(bytes.to_vec()),
-                });
-            }
-            rows.push(Row(values));
-        }
-        Ok(rows)
+    fn query(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<Vec<Row>> {
+        let read = || -> rusqlite::Result<Vec<Row>> {
+            let mut statement = self.prepare_cached(sql)?;
+            let columns = statement.column_count();
+            let rows = statement.query_map(params, |row| {
+                let values: rusqlite::Result<_> = (0..columns).map(|at| row.get(at)).collect();
+                Ok(Row(values?))
+            })?;
+            rows.collect()
+        };
+        read().map_err(failed("read"))
     }
 }
 
@@ -321,7 +298,7 @@ mod tests {
 
     fn names(store: &Pool<Sqlite>) -> Vec<String> {
         let sql = "SELECT name FROM setting WHERE name <> 'id' ORDER BY name";
-        db::read(store, |tx| tx.list(sql, &[], |row| row.string(0))).expect("reads")
+        db::read(store, |tx| tx.list(sql, &[])).expect("reads")
     }
 
     #[test]
