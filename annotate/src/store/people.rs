@@ -1,7 +1,5 @@
 //! Users, tokens and sessions. Tokens are stored as hashes.
 
-use std::collections::HashMap;
-
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
@@ -12,7 +10,6 @@ use super::settings::{has_up_to, require};
 use super::store::Store;
 use super::{leases, log, rows};
 use crate::Error;
-use crate::lock::lock;
 use crate::state::ReleaseReason;
 use crate::wire::{Code, Role, TokenInfo, User};
 
@@ -22,16 +19,6 @@ const TOKEN_BYTES: usize = 32;
 const NOTE_EVERY: Millis = 60_000;
 
 impl Store {
-    /// [`Self::write`] of users or tokens; clears the token cache.
-    fn write_people<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'static,
-    ) -> Result<T> {
-        let outcome = self.write(work);
-        lock(&self.known).clear();
-        outcome
-    }
-
     /// All users.
     pub fn users(&self) -> Result<Vec<User>> {
         self.read(|tx| tx.list("SELECT id, name, role, active FROM usr ORDER BY id", &[]))
@@ -46,7 +33,7 @@ impl Store {
         now: Millis,
     ) -> Result<Vec<IssuedToken>> {
         let new = parse_lines(lines)?;
-        self.write_people(move |tx| {
+        self.write(move |tx| {
             new.iter()
                 .map(|(number, name, role)| {
                     let user = add(tx, actor, name, *role, now).map_err(|error| match error {
@@ -71,7 +58,7 @@ impl Store {
         now: Millis,
     ) -> Result<User> {
         let name = name.to_owned();
-        self.write_people(move |tx| add(tx, actor, &name, role, now))
+        self.write(move |tx| add(tx, actor, &name, role, now))
     }
 
     /// Changes a user. The last active admin cannot be demoted or disabled. Refused with `invalid`, `not_found`.
@@ -83,7 +70,7 @@ impl Store {
         active: Option<bool>,
         now: Millis,
     ) -> Result<User> {
-        self.write_people(move |tx| {
+        self.write(move |tx| {
             let before = self::user(tx, user)?;
             let after = User {
                 role: role.unwrap_or(before.role),
@@ -119,28 +106,20 @@ impl Store {
         expires: Millis,
         now: Millis,
     ) -> Result<IssuedToken> {
-        self.write_people(move |tx| issue(tx, user, purpose, expires, now))
+        self.write(move |tx| issue(tx, user, purpose, expires, now))
     }
 
     /// The user of a token, if it is valid for this purpose. A one-time token becomes invalid.
     /// Refused with `unauthenticated`.
     pub fn authenticate(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
         let hash = hash(token);
-        let changes = {
-            let known = lock(&self.known);
-            if let Some(who) = known.find(&hash, purposes, now) {
-                return Ok(who);
-            }
-            known.changes
-        };
         let found = self.read(|tx| find(tx, &hash, purposes, now))?;
-        if found.needs_note(now) {
+        let is_old = |at: Millis| now - at > NOTE_EVERY;
+        if found.purpose == TokenUse::Once || found.last_used.is_none_or(is_old) {
             let purposes = purposes.to_vec();
             return self.write(move |tx| used(tx, &hash, &purposes, now));
         }
-        let who = found.who.clone();
-        lock(&self.known).put(hash, found, changes, now);
-        Ok(who)
+        Ok(found.who)
     }
 
     /// [`Self::authenticate`] without a record of the use. Refused with `unauthenticated`.
@@ -152,7 +131,7 @@ impl Store {
     /// Begins a session by a token, until a time or the end of the token. Refused with `unauthenticated`.
     pub fn log_in(&self, token: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
         let hash = hash(token);
-        self.write_people(move |tx| {
+        self.write(move |tx| {
             let purposes = [TokenUse::Token, TokenUse::Once];
             let found = find(tx, &hash, &purposes, now)?;
             let until = if found.purpose == TokenUse::Once {
@@ -176,7 +155,7 @@ impl Store {
     /// Revokes a token and all sessions of its owner: a thief of the token may have opened some.
     /// Refused with `not_found`.
     pub fn revoke(&self, token: i64) -> Result<()> {
-        self.write_people(move |tx| {
+        self.write(move |tx| {
             let sql = "SELECT usr FROM token WHERE id = ?1";
             let user: Option<i64> = tx.find(sql, params![token])?;
             let user = user.ok_or_else(|| Error::not_found("token"))?;
@@ -189,7 +168,7 @@ impl Store {
     /// Revokes a session.
     pub fn log_out(&self, token: &str) -> Result<()> {
         let hash = hash(token);
-        self.write_people(move |tx| {
+        self.write(move |tx| {
             let sql = "UPDATE token SET revoked = 1 WHERE hash = ?1";
             tx.run(sql, params![&hash])
         })
@@ -321,59 +300,13 @@ fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
 }
 
 /// A token and its owner.
-#[derive(Clone, Deserialize)]
+#[derive(Deserialize)]
 struct Found {
     token: i64,
     purpose: TokenUse,
     expires: Millis,
     last_used: Option<Millis>,
     who: Who,
-}
-
-impl Found {
-    /// Whether to update its last use.
-    fn needs_note(&self, now: Millis) -> bool {
-        let is_old = |at: Millis| now - at > NOTE_EVERY;
-        self.purpose == TokenUse::Once || self.last_used.is_none_or(is_old)
-    }
-}
-
-/// Lifetime of a cached token. A token revoked through another server stays valid here for at most this long.
-const KNOWN_FOR: Millis = 1000;
-/// Maximum number of cached tokens.
-const MOST_KNOWN: usize = 4096;
-
-/// Cache of recently used tokens. Every change of users or tokens clears it.
-#[derive(Default)]
-pub(super) struct Known {
-    by_hash: HashMap<String, (Millis, Found)>,
-    /// Number of clears. A lookup that began before a clear must not be stored after it.
-    changes: u64,
-}
-
-impl Known {
-    /// Clears the cache.
-    fn clear(&mut self) {
-        self.by_hash.clear();
-        self.changes += 1;
-    }
-
-    fn find(&self, hash: &str, purposes: &[TokenUse], now: Millis) -> Option<Who> {
-        let (at, found) = self.by_hash.get(hash)?;
-        let is_fresh = (0..KNOWN_FOR).contains(&(now - at)) && now < found.expires;
-        let fits = purposes.contains(&found.purpose);
-        (is_fresh && fits).then(|| found.who.clone())
-    }
-
-    fn put(&mut self, hash: String, found: Found, changes: u64, now: Millis) {
-        if found.needs_note(now) || changes != self.changes {
-            return;
-        }
-        if self.by_hash.len() >= MOST_KNOWN {
-            self.by_hash.clear();
-        }
-        self.by_hash.insert(hash, (now, found));
-    }
 }
 
 fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Found> {

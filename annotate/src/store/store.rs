@@ -1,11 +1,11 @@
 //! The store as a whole. Its operations on tasks, people and files are in the modules of their kind.
 
 use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use super::db::{self, Database, Result, Tx};
 use super::migrate::{self, Upgrade};
-use super::{people, project, rebuild};
+use super::{project, rebuild};
 use crate::Error;
 use crate::clock::{self, Clock};
 
@@ -20,16 +20,11 @@ const TRIED: usize = 64 * 1024;
 pub struct Store {
     db: Box<dyn Database>,
     upgrade: Option<Upgrade>,
-    pub(super) known: Mutex<people::Known>,
 }
 
 impl Store {
     pub(super) fn new(db: Box<dyn Database>, upgrade: Option<Upgrade>) -> Self {
-        Self {
-            db,
-            upgrade,
-            known: Mutex::default(),
-        }
+        Self { db, upgrade }
     }
 
     /// The upgrade that opening the store made, if its tables were of an older version.
