@@ -6,16 +6,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::db::{Result, ToSql, Tx, params};
 use super::entry::Place;
 use super::import::{GOLD_KEY, percent};
-use super::leases::{
-    MINUTE, PLACED, expire, lease_end, prolong, prolong_bundle, reserved_after, take,
-};
+use super::leases::{PLACED, Turn, expire, reserved_after};
 use super::records::{Claimed, Millis, TaskDetail};
 use super::rows::{self, LEASE, LeaseRow};
 use super::store::Store;
-use super::{apply, project, read};
+use super::{apply, read};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
-use crate::wire::{Code, EditType, Empty, Practice, RevisionState, Settings, TaskKind, TaskState};
+use crate::wire::{Code, EditType, Empty, Practice, RevisionState, TaskKind, TaskState};
 
 /// SQL condition: user `?2` can get task `t` as new work. Whoever has a returned answer can, once it is no longer
 /// kept for them alone.
@@ -34,10 +32,11 @@ impl Store {
         // The writer does both in one transaction: its page cache is warm, a reader's is invalid after
         // every commit.
         self.write(move |tx| {
-            Ok(match claim(tx, user, kind, now)? {
+            let turn = Turn::begin(tx, user, now)?;
+            Ok(match claim(tx, &turn, kind)? {
                 Ok(task) => Claimed::Task {
                     detail: Box::new(read::detail(tx, user, task)?),
-                    upcoming: upcoming(tx, user, kind, task, ahead)?,
+                    upcoming: upcoming(tx, &turn, kind, task, ahead)?,
                 },
                 Err(empty) => Claimed::Nothing(empty),
             })
@@ -47,7 +46,8 @@ impl Store {
     /// Claims a given task. Refused with `task_full`, `not_found`, `wrong_state`.
     pub fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<TaskDetail> {
         self.write(move |tx| {
-            claim_task(tx, user, task, now)?;
+            let turn = Turn::begin(tx, user, now)?;
+            claim_task(tx, &turn, task)?;
             read::detail(tx, user, task)
         })
     }
@@ -55,11 +55,10 @@ impl Store {
     /// A user's practice of each kind.
     pub fn practice(&self, user: i64) -> Result<Vec<Practice>> {
         self.read(|tx| {
-            let settings = project::settings(tx)?;
+            // The time is of no matter.
+            let turn = Turn::of(tx, user, 0)?;
             let kinds = TaskKind::ALL.iter();
-            kinds
-                .map(|&kind| standing(tx, user, kind, &settings))
-                .collect()
+            kinds.map(|&kind| standing(tx, &turn, kind)).collect()
         })
     }
 }
@@ -77,15 +76,8 @@ struct Offer {
 
 /// Number of new and postponed tasks that claims would give a user now. Pairs that the quota of their category holds
 /// back are left out.
-pub(super) fn on_offer(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    settings: &Settings,
-    now: Millis,
-) -> Result<i64> {
-    let quota = (kind == TaskKind::Pair && settings.category_quota > 0)
-        .then(|| i64::from(settings.category_quota));
+pub(super) fn on_offer(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<i64> {
+    let quota = quota(turn, kind);
     let (columns, group) = match quota {
         Some(_) => ("t.category, t.counted", "GROUP BY t.category, t.counted"),
         None => ("CAST(NULL AS TEXT), 0", ""),
@@ -103,7 +95,7 @@ pub(super) fn on_offer(
          ) m JOIN task t ON t.id = m.task WHERE t.kind = ?1 AND t.claimable = 1 {group}"
     );
     let mut counts: Vec<(Option<String>, bool, i64)> = tx.list(&claimable, params![kind])?;
-    counts.append(&mut tx.list(&not_for_me, params![kind, user])?);
+    counts.append(&mut tx.list(&not_for_me, params![kind, turn.user])?);
     for (category, is_counted, count) in counts {
         let offer = offers.entry(category).or_default();
         if is_counted {
@@ -112,7 +104,7 @@ pub(super) fn on_offer(
             offer.others += count;
         }
     }
-    expired_offers(tx, user, kind, quota.is_some(), now, &mut offers)?;
+    expired_offers(tx, turn, kind, &mut offers)?;
     let Some(quota) = quota else {
         return Ok(offers.values().map(|offer| offer.others).sum());
     };
@@ -129,12 +121,11 @@ pub(super) fn on_offer(
 /// Adds the tasks that the next claim of a user would free of expired leases.
 fn expired_offers(
     tx: &mut dyn Tx,
-    user: i64,
+    turn: &Turn,
     kind: TaskKind,
-    by_category: bool,
-    now: Millis,
     offers: &mut BTreeMap<Option<String>, Offer>,
 ) -> Result<()> {
+    let by_category = quota(turn, kind).is_some();
     let sql = format!(
         "SELECT {LEASE}, l.purpose, l.blind, CASE WHEN t.claimable = 0
              AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
@@ -148,9 +139,9 @@ fn expired_offers(
     );
     let mut seen = BTreeSet::new();
     let expired: Vec<(LeaseRow, bool, bool, Option<String>)> =
-        tx.list(&sql, params![now, user, kind])?;
+        tx.list(&sql, params![turn.now, turn.user, kind])?;
     for (held, for_me, counts, category) in expired {
-        let reserved = reserved_after(tx, &held, ReleaseReason::Expired, now)?.is_some();
+        let reserved = reserved_after(tx, &held, ReleaseReason::Expired, turn.now)?.is_some();
         if reserved || !seen.insert(held.lease.task) {
             continue;
         }
@@ -166,69 +157,58 @@ fn expired_offers(
 }
 
 /// The next task of a user, or why there is none.
-fn claim(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<Result<i64, Empty>> {
-    let mut expired = expire(tx, user, now)?;
-    let settings = project::settings(tx)?;
-    if let Some(task) = due(tx, user, kind, &settings, now)? {
+fn claim(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Result<i64, Empty>> {
+    if let Some(task) = due(tx, turn, kind)? {
         return Ok(Ok(task));
     }
     let (first, bundle, room) = loop {
-        let room = room(tx, kind, &settings)?;
-        if let Some((first, bundle)) = candidate(tx, user, kind, room.as_ref(), &settings)? {
+        let room = room(tx, turn, kind)?;
+        if let Some((first, bundle)) = candidate(tx, turn, kind, room.as_ref())? {
             break (first, bundle, room);
         }
-        if expired == 0 {
-            let mut empty = empty(tx, user, kind)?;
+        // One request does not end all leases that have expired.
+        if expire(tx, turn.user, turn.now)? == 0 {
+            let mut empty = empty(tx, turn.user, kind)?;
             if let Some(room) = &room {
                 empty.quota_full = room.values().map(|category| category.held_back).sum();
             }
             return Ok(Err(empty));
         }
-        expired = expire(tx, user, now)?;
     };
     let places = match bundle {
         None => vec![(first, None)],
-        Some(bundle) => places(tx, user, first, bundle, room)?,
+        Some(bundle) => places(tx, turn.user, first, bundle, room)?,
     };
-    let golds = gold_tasks(tx, user, kind, places.len(), &settings)?;
+    let golds = gold_tasks(tx, turn, kind, places.len())?;
     let mut taken = Vec::with_capacity(places.len());
     for ((task, place), gold) in places.into_iter().zip(golds) {
         // A gold task stands in for one of the tasks, which is left for a later claim.
         let (task, place) = gold.map_or((task, None), |gold| (gold, place));
-        take(tx, user, task, Purpose::Annotate, place, &settings, now)?;
+        turn.take(tx, task, Purpose::Annotate, place)?;
         taken.push(task);
     }
     Ok(Ok(taken.first().copied().unwrap_or(first)))
 }
 
 /// The task that comes before new ones: one that the user holds, one kept for them, or practice.
-fn due(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    settings: &Settings,
-    now: Millis,
-) -> Result<Option<i64>> {
+fn due(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<i64>> {
     let from = format!(
         "{PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2 ORDER BY {IN_BUNDLES} LIMIT 1"
     );
-    if let Some(held) = rows::leases(tx, &from, params![user, kind])?.pop() {
-        if held.lease.expires < lease_end(settings, now) - MINUTE {
-            prolong_bundle(tx, &held, settings, now)?;
-        }
-        return Ok(Some(held.lease.task));
+    if let Some(held) = rows::leases(tx, &from, params![turn.user, kind])?.pop() {
+        return turn.resume(tx, &held).map(Some);
     }
     let back = tx.find(
         "SELECT t.id FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?1 AND l.purpose IN ('returned', 'assigned') AND t.kind = ?2 ORDER BY l.id LIMIT 1",
-        params![user, kind],
+        params![turn.user, kind],
     )?;
     let task = match back {
         Some(task) => Some(task),
-        None => next_practice(tx, user, kind, settings)?,
+        None => next_practice(tx, turn, kind)?,
     };
     if let Some(task) = task {
-        take(tx, user, task, Purpose::Annotate, None, settings, now)?;
+        turn.take(tx, task, Purpose::Annotate, None)?;
     }
     Ok(task)
 }
@@ -298,17 +278,23 @@ fn counts(tx: &mut dyn Tx, sql: &str) -> Result<BTreeMap<Option<String>, i64>> {
     Ok(BTreeMap::from_iter(counts))
 }
 
-/// The room in each category, if the project has a quota for tasks of this kind.
-fn room(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Option<Room>> {
-    if kind != TaskKind::Pair || settings.category_quota == 0 {
+/// Pairs that are wanted of each category, if the project has a quota for tasks of this kind.
+fn quota(turn: &Turn, kind: TaskKind) -> Option<i64> {
+    let wanted = i64::from(turn.settings.category_quota);
+    (kind == TaskKind::Pair && wanted > 0).then_some(wanted)
+}
+
+/// The room in each category, if they have a quota.
+fn room(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<Room>> {
+    let Some(quota) = quota(turn, kind) else {
         return Ok(None);
-    }
+    };
     let counted = counted(tx)?;
     let sql = "SELECT category, CAST(SUM(1 - counted) AS BIGINT) FROM task WHERE kind = 'pair' AND claimable = 1 GROUP BY category";
     let mut room = Room::new();
     for (category, others) in tx.list::<(Option<String>, i64)>(sql, &[])? {
         let counted = counted.get(&category).copied().unwrap_or(0);
-        let left = (i64::from(settings.category_quota) - counted).max(0);
+        let left = (quota - counted).max(0);
         let held_back = if left == 0 { others } else { 0 };
         room.insert(
             category,
@@ -347,10 +333,9 @@ fn category_limits(room: Option<&Room>) -> Vec<(&'static str, Option<&String>)> 
 /// The conditions under which pairs are looked for within a category: those that are stated to be of the edit type
 /// whose quota is furthest behind first, then all but those of a type of which there is enough, and these last. None is
 /// held back. Without quotas, one condition that holds for all.
-fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Vec<String>> {
-    let quotas: Vec<(EditType, i64)> = settings
-        .edit_type_quota
-        .iter()
+fn type_limits(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Vec<String>> {
+    let quotas = turn.settings.edit_type_quota.iter();
+    let quotas: Vec<(EditType, i64)> = quotas
         .map(|(edit_type, wanted)| (*edit_type, i64::from(*wanted)))
         .filter(|(_, wanted)| *wanted > 0)
         .collect();
@@ -393,12 +378,11 @@ fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<V
 /// [`category_limits`], and within a category of [`type_limits`].
 fn candidate(
     tx: &mut dyn Tx,
-    user: i64,
+    turn: &Turn,
     kind: TaskKind,
     room: Option<&Room>,
-    settings: &Settings,
 ) -> Result<Option<(i64, Option<i64>)>> {
-    let (categories, types) = (category_limits(room), type_limits(tx, kind, settings)?);
+    let (categories, types) = (category_limits(room), type_limits(tx, turn, kind)?);
     let fresh = |limit: &str| {
         format!(
             "SELECT t.id, t.bundle FROM task t WHERE t.kind = ?1 AND {FOR_ME} {limit}
@@ -417,7 +401,7 @@ fn candidate(
     for sql in sorts {
         for (of_category, category) in &categories {
             for of_type in &types {
-                let mut values: Vec<&dyn ToSql> = vec![&kind, &user];
+                let mut values: Vec<&dyn ToSql> = vec![&kind, &turn.user];
                 values.extend(category.map(|category| category as &dyn ToSql));
                 let sql = sql(&format!("{of_category} {of_type}"));
                 if let Some(found) = tx.find(&sql, &values)? {
@@ -433,7 +417,7 @@ fn candidate(
 /// otherwise come later than those of others, and new ones.
 fn upcoming(
     tx: &mut dyn Tx,
-    user: i64,
+    turn: &Turn,
     kind: TaskKind,
     present: i64,
     limit: usize,
@@ -447,10 +431,10 @@ fn upcoming(
            AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
          ORDER BY t.priority DESC, t.id LIMIT ?3"
     );
-    let params = params![kind, user, limit as i64 + 1];
+    let params = params![kind, turn.user, limit as i64 + 1];
     let mut tasks: Vec<(String, Option<String>, i64)> = tx.list(&held, params)?;
-    if project::settings(tx)?.gold_percent > 0 {
-        for gold in known_tasks(tx, user, kind, 1)? {
+    if turn.settings.gold_percent > 0 {
+        for gold in known_tasks(tx, turn.user, kind, 1)? {
             let sql = "SELECT source, target, id FROM task WHERE id = ?1";
             tasks.push(tx.get(sql, params![gold])?);
         }
@@ -469,13 +453,13 @@ fn upcoming(
 /// depends on the user and the number of the answer, so that asking again changes nothing.
 fn gold_tasks(
     tx: &mut dyn Tx,
-    user: i64,
+    turn: &Turn,
     kind: TaskKind,
     count: usize,
-    settings: &Settings,
 ) -> Result<Vec<Option<i64>>> {
+    let (user, share) = (turn.user, turn.settings.gold_percent);
     let mut places = vec![None; count];
-    if settings.gold_percent == 0 {
+    if share == 0 {
         return Ok(places);
     }
     let done = tx.number(
@@ -485,7 +469,7 @@ fn gold_tasks(
     )?;
     let is_due = |index: usize| {
         let number = (done + index as i64).to_string();
-        percent(&["gold", &user.to_string(), &number]) < settings.gold_percent
+        percent(&["gold", &user.to_string(), &number]) < share
     };
     let due: Vec<usize> = (0..count).filter(|&index| is_due(index)).collect();
     if due.is_empty() {
@@ -546,17 +530,15 @@ fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty> {
     Ok(empty)
 }
 
-fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
-    expire(tx, user, now)?;
-    let settings = project::settings(tx)?;
+fn claim_task(tx: &mut dyn Tx, turn: &Turn, id: i64) -> Result<()> {
+    let user = turn.user;
     let task = rows::task(tx, id)?;
     match rows::lease_of(tx, id, user)? {
         Some(held) if held.purpose == Purpose::Annotate => {
-            prolong(tx, &held, &settings, now)?;
-            return Ok(());
+            return turn.prolong(tx, &held).map(|_| ());
         }
         Some(held) if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) => {
-            return take(tx, user, id, Purpose::Annotate, None, &settings, now);
+            return turn.take(tx, id, Purpose::Annotate, None);
         }
         Some(_) => return Err(Error::wrong_state(task.state, "answered by its reviewer")),
         None => {}
@@ -580,7 +562,7 @@ fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
         let problem = "the task has enough annotators by now; your text is kept as a draft";
         return Err(Error::refused(Code::TaskFull, problem));
     }
-    let room = room(tx, task.kind, &settings)?;
+    let room = room(tx, turn, task.kind)?;
     let category = room.as_ref().and_then(|room| room.get(&task.category));
     let is_full = category.is_some_and(|category| category.room == 0);
     if is_full && !counted && task.gold.is_none() {
@@ -588,16 +570,12 @@ fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
             "its category has as many pairs as the project wants; your text is kept as a draft";
         return Err(Error::refused(Code::TaskFull, problem));
     }
-    take(tx, user, id, Purpose::Annotate, None, &settings, now)
+    turn.take(tx, id, Purpose::Annotate, None)
 }
 
 /// Where a user stands with the practice tasks of a kind. Reviewers and admins need no practice.
-pub(super) fn standing(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    settings: &Settings,
-) -> Result<Practice> {
+pub(super) fn standing(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Practice> {
+    let (user, settings) = (turn.user, &turn.settings);
     let sql = "SELECT COUNT(*) FROM task WHERE practice = 1 AND kind = ?1 AND state IN ('open', 'leased')";
     let there = tx.number(sql, params![kind])?;
     let needed = there.min(settings.practice_tasks.into());
@@ -624,13 +602,8 @@ pub(super) fn standing(
 
 /// The practice task that a user has to do next, if real work of the kind is not open to them yet. New tasks come
 /// first, then the one answered longest ago.
-fn next_practice(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    settings: &Settings,
-) -> Result<Option<i64>> {
-    if settings.practice_tasks == 0 || standing(tx, user, kind, settings)?.passed {
+fn next_practice(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<i64>> {
+    if turn.settings.practice_tasks == 0 || standing(tx, turn, kind)?.passed {
         return Ok(None);
     }
     tx.find(
@@ -638,6 +611,6 @@ fn next_practice(
          WHERE t.practice = 1 AND t.kind = ?1 AND t.state IN ('open', 'leased')
          ORDER BY CASE WHEN g.at IS NULL THEN 0 ELSE 1 END,
            (SELECT COUNT(*) FROM skip s WHERE s.task = t.id AND s.usr = ?2), g.at, t.shuffle, t.id LIMIT 1",
-        params![kind, user],
+        params![kind, turn.user],
     )
 }

@@ -3,11 +3,12 @@
 use datasets_spec::quantile;
 
 use super::db::{Result, Tx, params};
+use super::leases::Turn;
 use super::records::Millis;
 use super::store::Store;
-use super::{claim, project, rows};
+use super::{claim, rows};
 use crate::clock;
-use crate::wire::{Home, QueueInfo, ReturnedTask, Settings, TaskKind};
+use crate::wire::{Home, QueueInfo, ReturnedTask, TaskKind};
 
 impl Store {
     /// Contents of a user's home page.
@@ -17,11 +18,11 @@ impl Store {
 }
 
 fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home> {
-    let settings = project::settings(tx)?;
-    let midnight = clock::midnight(&settings.time_zone, now);
+    let turn = Turn::of(tx, user, now)?;
+    let midnight = clock::midnight(&turn.settings.time_zone, now);
     let mut queues = Vec::new();
     for &kind in TaskKind::ALL {
-        queues.push(queue(tx, user, kind, &settings, now)?);
+        queues.push(queue(tx, &turn, kind)?);
     }
     let held = "lease l WHERE l.usr = ?1 AND l.purpose = 'annotate' ORDER BY l.expires DESC, l.id";
     let held = rows::leases(tx, held, params![user])?;
@@ -47,13 +48,7 @@ fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home> {
 }
 
 /// Counts of a kind, as a person sees them.
-fn queue(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    settings: &Settings,
-    now: Millis,
-) -> Result<QueueInfo> {
+fn queue(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<QueueInfo> {
     let (total, done, mine) = tx.get(
         "SELECT COUNT(*), COUNT(CASE WHEN state IN ('submitted', 'in_review', 'accepted') THEN 1 END),
            (SELECT COUNT(*) FROM (
@@ -61,7 +56,7 @@ fn queue(
                UNION SELECT task FROM lease WHERE usr = ?2 AND purpose <> 'review'
              ) m JOIN task t ON t.id = m.task WHERE t.kind = ?1 AND t.practice = 0)
          FROM task WHERE kind = ?1 AND gold IS NULL AND state <> 'dropped'",
-        params![kind, user],
+        params![kind, turn.user],
     )?;
     // Practice that is begun is counted with the practice that is left.
     let (kept, held, held_until): (i64, _, _) = tx.get(
@@ -69,11 +64,11 @@ fn queue(
            MIN(CASE WHEN l.purpose = 'annotate' THEN l.expires END)
          FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?2 AND l.purpose <> 'review' AND t.kind = ?1 AND t.practice = 0",
-        params![kind, user],
+        params![kind, turn.user],
     )?;
-    let practice = claim::standing(tx, user, kind, settings)?;
+    let practice = claim::standing(tx, turn, kind)?;
     let new = if practice.passed {
-        claim::on_offer(tx, user, kind, settings, now)?
+        claim::on_offer(tx, turn, kind)?
     } else {
         // After the last one, those with a low score are given again.
         (practice.needed - practice.done).max(1)

@@ -3,10 +3,10 @@
 use super::db::{Result, Tx, params};
 use super::entry::{Body, ENTRY_COLUMNS, Entry, Place, read_entry};
 use super::import::percent;
-use super::log;
 use super::records::{Millis, Who};
 use super::rows::{self, LeaseRow};
 use super::store::Store;
+use super::{log, project};
 use crate::Error;
 use crate::state::{Purpose, ReleaseReason};
 use crate::wire::{Code, Lease, Role, Settings, TaskState};
@@ -23,7 +23,6 @@ impl Store {
     /// Renews a lease. Refused with `lease_lost`.
     pub fn renew(&self, user: i64, lease: i64, now: Millis) -> Result<Lease> {
         self.write(move |tx| {
-            let settings = super::project::settings(tx)?;
             let held = lease_of_id(tx, lease)?.filter(|held| held.lease.user == user);
             let held = held.ok_or_else(|| {
                 Error::refused(
@@ -35,7 +34,7 @@ impl Store {
             if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) {
                 return Err(Error::wrong_state(TaskState::Returned, "renewed; claim it"));
             }
-            prolong_bundle(tx, &held, &settings, now)
+            Turn::of(tx, user, now)?.prolong_bundle(tx, &held)
         })
     }
 
@@ -143,68 +142,90 @@ pub(super) fn lease_end(settings: &Settings, now: Millis) -> Millis {
     now + Millis::from(settings.lease_minutes) * MINUTE
 }
 
-/// Leases a task that the caller has checked to be free. A gold task may have a place in a bundle.
-pub(super) fn take(
-    tx: &mut dyn Tx,
-    user: i64,
-    task: i64,
-    purpose: Purpose,
-    place: Option<Place>,
-    settings: &Settings,
-    now: Millis,
-) -> Result<()> {
-    let found = tx.find("SELECT epoch, key FROM task WHERE id = ?1", params![task])?;
-    let (epoch, key): (i64, String) = found.ok_or_else(|| Error::not_found("task"))?;
-    let blind = purpose == Purpose::Annotate
-        && percent(&["blind", &key, &user.to_string()]) < settings.blind_percent;
-    let entry = Entry {
-        at: now,
-        actor: Some(user),
-        task: Some(task),
-        epoch: Some(epoch + 1),
-        body: Body::Claimed {
-            purpose,
-            expires: lease_end(settings, now),
-            blind,
-            place,
-        },
-    };
-    log::write(tx, &entry)
+/// A person who works at a time, under the settings of the project.
+pub(super) struct Turn {
+    pub(super) user: i64,
+    pub(super) settings: Settings,
+    pub(super) now: Millis,
 }
 
-pub(super) fn prolong(
-    tx: &mut dyn Tx,
-    held: &LeaseRow,
-    settings: &Settings,
-    now: Millis,
-) -> Result<Lease> {
-    let expires = lease_end(settings, now);
-    let lease = held.lease.id;
-    let body = Body::Renewed { lease, expires };
-    note(tx, held, Some(held.lease.user), now, body)?;
-    Ok(Lease {
-        expires,
-        ..held.lease.clone()
-    })
-}
-
-/// [`prolong`] for a lease and all leases of its bundle, since a bundle takes longer than one task.
-pub(super) fn prolong_bundle(
-    tx: &mut dyn Tx,
-    held: &LeaseRow,
-    settings: &Settings,
-    now: Millis,
-) -> Result<Lease> {
-    let from = format!(
-        "{PLACED}
-         WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2 AND COALESCE(g.bundle, t.bundle) = (
-           SELECT COALESCE(p.bundle, x.bundle) FROM task x
-             LEFT JOIN gold_place p ON p.task = x.id AND p.usr = ?1 WHERE x.id = ?3)
-         ORDER BY l.id"
-    );
-    let lease = &held.lease;
-    for other in rows::leases(tx, &from, params![lease.user, lease.id, lease.task])? {
-        prolong(tx, &other, settings, now)?;
+impl Turn {
+    pub(super) fn of(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Self> {
+        let settings = project::settings(tx)?;
+        Ok(Self {
+            user,
+            settings,
+            now,
+        })
     }
-    prolong(tx, held, settings, now)
+
+    /// Ends expired leases of others first.
+    pub(super) fn begin(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Self> {
+        expire(tx, user, now)?;
+        Self::of(tx, user, now)
+    }
+
+    /// Leases a task that the caller has checked to be free. A gold task may have a place in a bundle.
+    pub(super) fn take(
+        &self,
+        tx: &mut dyn Tx,
+        task: i64,
+        purpose: Purpose,
+        place: Option<Place>,
+    ) -> Result<()> {
+        let (user, settings) = (self.user, &self.settings);
+        let found = tx.find("SELECT epoch, key FROM task WHERE id = ?1", params![task])?;
+        let (epoch, key): (i64, String) = found.ok_or_else(|| Error::not_found("task"))?;
+        let blind = purpose == Purpose::Annotate
+            && percent(&["blind", &key, &user.to_string()]) < settings.blind_percent;
+        let entry = Entry {
+            at: self.now,
+            actor: Some(user),
+            task: Some(task),
+            epoch: Some(epoch + 1),
+            body: Body::Claimed {
+                purpose,
+                expires: lease_end(settings, self.now),
+                blind,
+                place,
+            },
+        };
+        log::write(tx, &entry)
+    }
+
+    pub(super) fn prolong(&self, tx: &mut dyn Tx, held: &LeaseRow) -> Result<Lease> {
+        let expires = lease_end(&self.settings, self.now);
+        let lease = held.lease.id;
+        let body = Body::Renewed { lease, expires };
+        note(tx, held, Some(held.lease.user), self.now, body)?;
+        Ok(Lease {
+            expires,
+            ..held.lease.clone()
+        })
+    }
+
+    /// [`Self::prolong`] for a lease and all leases of its bundle, since a bundle takes longer than one task.
+    pub(super) fn prolong_bundle(&self, tx: &mut dyn Tx, held: &LeaseRow) -> Result<Lease> {
+        let from = format!(
+            "{PLACED}
+             WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2 AND COALESCE(g.bundle, t.bundle) = (
+               SELECT COALESCE(p.bundle, x.bundle) FROM task x
+                 LEFT JOIN gold_place p ON p.task = x.id AND p.usr = ?1 WHERE x.id = ?3)
+             ORDER BY l.id"
+        );
+        let lease = &held.lease;
+        for other in rows::leases(tx, &from, params![lease.user, lease.id, lease.task])? {
+            self.prolong(tx, &other)?;
+        }
+        self.prolong(tx, held)
+    }
+
+    /// The task of a lease that the person goes on with. The lease, with those of its bundle, is prolonged, but not at
+    /// every request.
+    pub(super) fn resume(&self, tx: &mut dyn Tx, held: &LeaseRow) -> Result<i64> {
+        if held.lease.expires < lease_end(&self.settings, self.now) - MINUTE {
+            self.prolong_bundle(tx, held)?;
+        }
+        Ok(held.lease.task)
+    }
 }

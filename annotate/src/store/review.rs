@@ -3,7 +3,7 @@
 use super::append::working;
 use super::db::{Result, Tx, params};
 use super::entry::{Body, Entry};
-use super::leases::{MINUTE, expire, lease_end, prolong, take};
+use super::leases::Turn;
 use super::log::Request;
 use super::records::{Millis, ReviewClaimed, ReviewDetail, TaskRecord};
 use super::settings::{has_up_to, require};
@@ -90,15 +90,12 @@ fn next(
     kind: &str,
     now: Millis,
 ) -> Result<Option<i64>> {
-    expire(tx, user, now)?;
-    let settings = project::settings(tx)?;
+    let turn = Turn::begin(tx, user, now)?;
+    let settings = &turn.settings;
     let from = "lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?1 AND l.purpose = 'review' AND (?2 = '' OR t.kind = ?2) ORDER BY l.id LIMIT 1";
     if let Some(held) = rows::leases(tx, from, params![user, kind])?.pop() {
-        if held.lease.expires < lease_end(&settings, now) - MINUTE {
-            prolong(tx, &held, &settings, now)?;
-        }
-        return Ok(Some(held.lease.task));
+        return turn.resume(tx, &held).map(Some);
     }
     // Only queue `sample` is limited to a share of the tasks; 100 admits all.
     let (order, share, back) = match queue {
@@ -115,7 +112,7 @@ fn next(
     let values = params![user, kind, share, back, settings.seed, settings.solo];
     let task = tx.find(&sql, values)?;
     if let Some(task) = task {
-        take(tx, user, task, Purpose::Review, None, &settings, now)?;
+        turn.take(tx, task, Purpose::Review, None)?;
     }
     Ok(task)
 }
@@ -134,13 +131,12 @@ fn empty(tx: &mut dyn Tx, user: i64, kind: &str) -> Result<ReviewEmpty> {
 
 /// Claims a task to review, or goes on with it.
 fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
-    expire(tx, user, now)?;
-    let settings = project::settings(tx)?;
+    let turn = Turn::begin(tx, user, now)?;
     let task = rows::task(tx, id)?;
     if let Some(held) = rows::lease_of(tx, id, user)?
         && held.purpose == Purpose::Review
     {
-        return prolong(tx, &held, &settings, now).map(|_| ());
+        return turn.prolong(tx, &held).map(|_| ());
     }
     if task.state == TaskState::InReview {
         let problem = "another reviewer looks at this task; the record of the task says who, and can release it";
@@ -149,8 +145,8 @@ fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
     if task.state != TaskState::Submitted || task.gold.is_some() {
         return Err(Error::wrong_state(task.state, "reviewed"));
     }
-    check_own(tx, user, id, &settings)?;
-    take(tx, user, id, Purpose::Review, None, &settings, now)
+    check_own(tx, user, id, &turn.settings)?;
+    turn.take(tx, id, Purpose::Review, None)
 }
 
 /// Whether a reviewer answered the task, which only a project of one person allows.
