@@ -3,10 +3,10 @@
 use super::db::{Result, ToSql, Tx, json, params, unreadable};
 use super::entry::{Body, Entry, LoggedTask};
 use super::projections::{
-    Acceptance, IMPORTED, end_leases, is_kept_pair, kept_type, part_list, put_lease, refresh,
-    set_state, words,
+    Acceptance, end_leases, is_kept_pair, kept_type, part_list, put_lease, refresh, set_state,
+    words,
 };
-use super::records::{Credit, Millis};
+use super::records::Millis;
 use super::rows;
 use crate::Error;
 use crate::state::{LogKind, Purpose, targets};
@@ -40,7 +40,10 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<()> {
         task,
         actor: entry.actor.unwrap_or(0),
     };
-    change.apply(tx)?;
+    change.apply_lease(tx)?;
+    change.apply_answer(tx)?;
+    change.apply_import(tx)?;
+    change.apply_decision(tx)?;
     if matches!(
         kind,
         LogKind::Submitted
@@ -143,25 +146,10 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
         ],
     )?;
     match &task.accepted {
-        Some(answer) => imported(answer, task.credit.as_ref(), entry).put(tx, seq, id, entry.at),
+        Some(answer) => {
+            Acceptance::imported(answer, task.credit.as_ref(), entry).put(tx, seq, id, entry.at)
+        }
         None => Ok(()),
-    }
-}
-
-/// The acceptance of an imported answer.
-fn imported<'a>(answer: &'a Answer, credit: Option<&'a Credit>, entry: &Entry) -> Acceptance<'a> {
-    let actor = entry.actor.unwrap_or(0);
-    Acceptance {
-        author: actor,
-        reviewer: actor,
-        answer,
-        merged: credit.is_some_and(|credit| credit.merged),
-        credit: credit.and_then(|credit| credit.author.as_deref()),
-        keeps: is_kept_pair(answer),
-        basis: match credit.and_then(|credit| credit.accepted_by.as_deref()) {
-            Some(basis) => format!("{IMPORTED}:{basis}"),
-            None => IMPORTED.to_owned(),
-        },
     }
 }
 
@@ -180,37 +168,6 @@ struct Change<'a> {
 }
 
 impl Change<'_> {
-    fn apply(&self, tx: &mut dyn Tx) -> Result<()> {
-        match &self.entry.body {
-            Body::Claimed { .. }
-            | Body::Renewed { .. }
-            | Body::Released { .. }
-            | Body::Assigned { .. }
-            | Body::Retargeted { .. } => self.apply_lease(tx),
-            Body::DraftSaved { .. }
-            | Body::Submitted { .. }
-            | Body::Skipped { .. }
-            | Body::Undone { .. }
-            | Body::SuggestionUsed { .. }
-            | Body::GoldScored { .. } => self.apply_answer(tx),
-            Body::Filled { .. } | Body::ClipChanged { .. } | Body::ClipKept => {
-                self.apply_import(tx)
-            }
-            Body::Returned { .. }
-            | Body::Accepted { .. }
-            | Body::Merged { .. }
-            | Body::Dropped { .. }
-            | Body::Reopened { .. } => self.apply_decision(tx),
-            Body::Imported { .. }
-            | Body::RoleChanged { .. }
-            | Body::SettingsChanged { .. }
-            | Body::CapturesPlanned { .. }
-            | Body::GuidePicture { .. }
-            | Body::ParaphraseJudged { .. }
-            | Body::Exported { .. } => Ok(()),
-        }
-    }
-
     /// Applies what changes who holds the task, or how many may.
     fn apply_lease(&self, tx: &mut dyn Tx) -> Result<()> {
         let task = self.task;
@@ -345,7 +302,10 @@ impl Change<'_> {
                 if let Some(extra) = extra {
                     self.set(tx, "extra", json(extra)?)?;
                 }
-                self.accept(tx, &imported(answer, credit.as_ref(), self.entry))
+                self.accept(
+                    tx,
+                    &Acceptance::imported(answer, credit.as_ref(), self.entry),
+                )
             }
             // Nobody has to be asked about a task without an answer.
             Body::ClipChanged { source, target } => tx.run(
@@ -394,12 +354,8 @@ impl Change<'_> {
                 self.settle(tx, Some(*author), comment, rule.as_deref())?;
                 let acceptance = Acceptance {
                     author: *author,
-                    reviewer: self.actor,
-                    answer: &answer,
-                    merged: false,
-                    credit: None,
                     keeps: answer.verdict() == Some(Verdict::Keep),
-                    basis: basis(rule.as_deref(), *own),
+                    ..Acceptance::by(self.actor, &answer, basis(rule.as_deref(), *own))
                 };
                 self.accept(tx, &acceptance)
             }
@@ -413,13 +369,8 @@ impl Change<'_> {
                 self.hand_over(tx, 0)?;
                 self.settle(tx, None, comment, None)?;
                 let acceptance = Acceptance {
-                    author: self.actor,
-                    reviewer: self.actor,
-                    answer,
                     merged: true,
-                    credit: None,
-                    keeps: is_kept_pair(answer),
-                    basis: basis(None, *own),
+                    ..Acceptance::by(self.actor, answer, basis(None, *own))
                 };
                 self.accept(tx, &acceptance)
             }

@@ -1,13 +1,11 @@
 //! Rows that entries of several kinds write, and the state of a task, which follows from these rows.
 
 use super::db::{Result, Tx, json, params};
-use super::records::Millis;
+use super::entry::Entry;
+use super::records::{Credit, Millis};
 use crate::Error;
 use crate::state::Purpose;
 use crate::wire::{Answer, EditType, Lease, TaskState, Verdict};
-
-/// Column `accepted.basis` of an imported answer; behind a colon follows how it was accepted elsewhere.
-pub(super) const IMPORTED: &str = "import";
 
 /// Whether an answer keeps a fine-grained pair, which counts toward the quota of its category.
 pub(super) fn is_kept_pair(answer: &Answer) -> bool {
@@ -40,10 +38,35 @@ pub(super) struct Acceptance<'a> {
     pub(super) merged: bool,
     pub(super) credit: Option<&'a str>,
     pub(super) keeps: bool,
+    /// `review`, `own`, `rule:NAME`, or `import`; there, how it was accepted elsewhere follows behind a colon.
     pub(super) basis: String,
 }
 
-impl Acceptance<'_> {
+impl<'a> Acceptance<'a> {
+    /// The acceptance of an answer by its author.
+    pub(super) fn by(author: i64, answer: &'a Answer, basis: String) -> Self {
+        Self {
+            author,
+            reviewer: author,
+            answer,
+            merged: false,
+            credit: None,
+            keeps: is_kept_pair(answer),
+            basis,
+        }
+    }
+
+    /// The acceptance of an imported answer.
+    pub(super) fn imported(answer: &'a Answer, credit: Option<&'a Credit>, entry: &Entry) -> Self {
+        let elsewhere = credit.and_then(|credit| credit.accepted_by.as_deref());
+        let basis = elsewhere.map_or("import".to_owned(), |basis| format!("import:{basis}"));
+        Self {
+            merged: credit.is_some_and(|credit| credit.merged),
+            credit: credit.and_then(|credit| credit.author.as_deref()),
+            ..Self::by(entry.actor.unwrap_or(0), answer, basis)
+        }
+    }
+
     pub(super) fn put(&self, tx: &mut dyn Tx, seq: i64, task: i64, at: Millis) -> Result<()> {
         tx.run(
             "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, edit_type, at, seq, basis,
