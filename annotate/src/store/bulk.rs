@@ -5,15 +5,15 @@ use serde::Deserialize;
 use super::db::{Result, Tx, params};
 use super::entry::Body;
 use super::filter::{self, Values, condition};
+use super::leases::Turn;
 use super::records::{Millis, TaskRecord, Who};
 use super::settings::require;
 use super::store::Store;
 use super::{log, project, review, rows, rules};
 use crate::Error;
 use crate::answer;
-use crate::clock::DAY;
 use crate::state::{LogKind, targets};
-use crate::wire::{BulkAction, BulkDone, BulkRequest, Settings};
+use crate::wire::{BulkAction, BulkDone, BulkRequest};
 
 /// Tasks that one bulk request looks at.
 const BULK_AT_ONCE: i64 = 2000;
@@ -64,7 +64,7 @@ fn bulk(
     now: Millis,
 ) -> Result<BulkDone> {
     check_bulk(tx, request, act)?;
-    let settings = project::settings(tx)?;
+    let turn = Turn::of(tx, who, now)?;
     let mut values = Values::default();
     let place = condition(&request.filter, &mut values);
     let after = values.put(request.after.unwrap_or(0));
@@ -82,7 +82,7 @@ fn bulk(
         ..BulkDone::default()
     };
     for one in &found {
-        match planned(tx, who, request, &settings, one, now)? {
+        match planned(tx, &turn, request, one)? {
             Ok(body) => {
                 done.done += 1;
                 if act {
@@ -111,14 +111,7 @@ struct One {
 type Planned = Result<Body, &'static str>;
 
 /// What a bulk action does to a task.
-fn planned(
-    tx: &mut dyn Tx,
-    who: i64,
-    request: &BulkRequest,
-    settings: &Settings,
-    one: &One,
-    now: Millis,
-) -> Result<Planned> {
+fn planned(tx: &mut dyn Tx, turn: &Turn, request: &BulkRequest, one: &One) -> Result<Planned> {
     let One { task, held, own } = one;
     let comment = request.comment.trim().to_owned();
     let kind = match request.action {
@@ -134,12 +127,12 @@ fn planned(
     if *held {
         return Ok(Err("held"));
     }
-    if *own && !settings.solo && request.action != BulkAction::Assign {
+    if *own && !turn.settings.solo && request.action != BulkAction::Assign {
         return Ok(Err("own_work"));
     }
-    let until = now + Millis::from(settings.returned_days) * DAY;
+    let until = turn.until_returned();
     let body = match request.action {
-        BulkAction::Accept => return accepted(tx, who, one, settings, comment),
+        BulkAction::Accept => return accepted(tx, turn, one, comment),
         BulkAction::Return => {
             let answers = rules::waiting_answers(tx, task.id)?;
             Body::Returned {
@@ -169,13 +162,7 @@ fn planned(
 }
 
 /// Accepts the first of answers that agree.
-fn accepted(
-    tx: &mut dyn Tx,
-    who: i64,
-    one: &One,
-    settings: &Settings,
-    comment: String,
-) -> Result<Planned> {
+fn accepted(tx: &mut dyn Tx, turn: &Turn, one: &One, comment: String) -> Result<Planned> {
     let answers = rules::waiting_answers(tx, one.task.id)?;
     let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
     let frames = project::frames(tx, &one.task.source)?;
@@ -185,7 +172,7 @@ fn accepted(
     let Some(first) = answers.first() else {
         return Ok(Err("wrong_state"));
     };
-    if first.answer.new_style(settings).is_some() {
+    if first.answer.new_style(&turn.settings).is_some() {
         return Ok(Err("new_style"));
     }
     Ok(Ok(Body::Accepted {
@@ -194,7 +181,7 @@ fn accepted(
         secs: 0.0,
         request: String::new(),
         rule: None,
-        own: one.own && first.author == who,
+        own: one.own && first.author == turn.user,
     }))
 }
 

@@ -2,6 +2,7 @@
 
 use super::db::{Result, Tx, params};
 use super::entry::{Body, LoggedTask};
+use super::leases::Turn;
 use super::records::{Imported, Millis, NewTask};
 use super::store::Store;
 use super::{log, project, read, rows, rules};
@@ -181,20 +182,20 @@ pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool>
         return Ok(true);
     };
     let after: i64 = after.parse().unwrap_or(0);
-    let settings = project::settings(tx)?;
+    let turn = Turn::of(tx, actor, now)?;
     let found: Vec<(i64, String, Option<i64>, u32, u32)> = tx.list(
         "SELECT id, key, bundle, wanted, submitted + leases FROM task
          WHERE id > ?1 AND gold IS NULL AND state IN ('open', 'leased', 'returned') ORDER BY id LIMIT ?2",
         params![after, RETARGETED_AT_ONCE],
     )?;
     for (task, key, bundle, before, taken) in &found {
-        let wanted = wanted(&settings, key, *bundle).max(*taken);
+        let wanted = wanted(&turn.settings, key, *bundle).max(*taken);
         if wanted == *before {
             continue;
         }
         let body = Body::Retargeted { wanted };
         log::note(tx, now, Some(actor), Some(*task), body)?;
-        rules::on_answer(tx, &settings, *task, now)?;
+        rules::on_answer(tx, &turn, *task)?;
     }
     if let Some((last, ..)) = found.last() {
         project::put(tx, project::RETARGETING, &last.to_string())?;

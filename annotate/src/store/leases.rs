@@ -8,6 +8,7 @@ use super::rows::{self, LeaseRow};
 use super::store::Store;
 use super::{log, project};
 use crate::Error;
+use crate::clock::DAY;
 use crate::state::{Purpose, ReleaseReason};
 use crate::wire::{Code, Lease, Role, Settings, TaskState};
 
@@ -138,10 +139,6 @@ pub(super) fn end(
     note(tx, held, actor, now, body)
 }
 
-pub(super) fn lease_end(settings: &Settings, now: Millis) -> Millis {
-    now + Millis::from(settings.lease_minutes) * MINUTE
-}
-
 /// A person who works at a time, under the settings of the project.
 pub(super) struct Turn {
     pub(super) user: i64,
@@ -165,6 +162,15 @@ impl Turn {
         Self::of(tx, user, now)
     }
 
+    pub(super) fn lease_end(&self) -> Millis {
+        self.now + Millis::from(self.settings.lease_minutes) * MINUTE
+    }
+
+    /// Until when a task is kept for the author of an answer that is sent back, or for whom it is given to.
+    pub(super) fn until_returned(&self) -> Millis {
+        self.now + Millis::from(self.settings.returned_days) * DAY
+    }
+
     /// Leases a task that the caller has checked to be free. A gold task may have a place in a bundle.
     pub(super) fn take(
         &self,
@@ -173,11 +179,11 @@ impl Turn {
         purpose: Purpose,
         place: Option<Place>,
     ) -> Result<()> {
-        let (user, settings) = (self.user, &self.settings);
+        let user = self.user;
         let found = tx.find("SELECT epoch, key FROM task WHERE id = ?1", params![task])?;
         let (epoch, key): (i64, String) = found.ok_or_else(|| Error::not_found("task"))?;
         let blind = purpose == Purpose::Annotate
-            && percent(&["blind", &key, &user.to_string()]) < settings.blind_percent;
+            && percent(&["blind", &key, &user.to_string()]) < self.settings.blind_percent;
         let entry = Entry {
             at: self.now,
             actor: Some(user),
@@ -185,7 +191,7 @@ impl Turn {
             epoch: Some(epoch + 1),
             body: Body::Claimed {
                 purpose,
-                expires: lease_end(settings, self.now),
+                expires: self.lease_end(),
                 blind,
                 place,
             },
@@ -194,7 +200,7 @@ impl Turn {
     }
 
     pub(super) fn prolong(&self, tx: &mut dyn Tx, held: &LeaseRow) -> Result<Lease> {
-        let expires = lease_end(&self.settings, self.now);
+        let expires = self.lease_end();
         let lease = held.lease.id;
         let body = Body::Renewed { lease, expires };
         note(tx, held, Some(held.lease.user), self.now, body)?;
@@ -223,7 +229,7 @@ impl Turn {
     /// The task of a lease that the person goes on with. The lease, with those of its bundle, is prolonged, but not at
     /// every request.
     pub(super) fn resume(&self, tx: &mut dyn Tx, held: &LeaseRow) -> Result<i64> {
-        if held.lease.expires < lease_end(&self.settings, self.now) - MINUTE {
+        if held.lease.expires < self.lease_end() - MINUTE {
             self.prolong_bundle(tx, held)?;
         }
         Ok(held.lease.task)

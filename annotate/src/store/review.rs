@@ -11,11 +11,10 @@ use super::store::Store;
 use super::{apply, project, rows};
 use crate::Error;
 use crate::answer;
-use crate::clock::DAY;
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
     Code, Decision, MAX_TEXT_CHARS, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, Revision,
-    RevisionState, Settings, TaskKind, TaskState,
+    RevisionState, TaskKind, TaskState,
 };
 
 impl Store {
@@ -51,17 +50,15 @@ impl Store {
             if let Some(done) = request.replay(tx)? {
                 return Ok(done);
             }
-            let settings = project::settings(tx)?;
+            let turn = Turn::of(tx, user, now)?;
             let task = rows::task(tx, new.task)?;
-            let own = check_own(tx, user, task.id, &settings)?;
+            let own = check_own(tx, &turn, task.id)?;
             let deciding = Deciding {
-                user,
+                turn,
                 review: &new,
                 request,
                 task,
-                settings,
                 own,
-                now,
             };
             deciding.check_state()?;
             let needs_comment = matches!(
@@ -145,15 +142,15 @@ fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
     if task.state != TaskState::Submitted || task.gold.is_some() {
         return Err(Error::wrong_state(task.state, "reviewed"));
     }
-    check_own(tx, user, id, &turn.settings)?;
+    check_own(tx, &turn, id)?;
     turn.take(tx, id, Purpose::Review, None)
 }
 
 /// Whether a reviewer answered the task, which only a project of one person allows.
-fn check_own(tx: &mut dyn Tx, user: i64, task: i64, settings: &Settings) -> Result<bool> {
-    let mine = rows::revision(tx, task, user)?;
+fn check_own(tx: &mut dyn Tx, turn: &Turn, task: i64) -> Result<bool> {
+    let mine = rows::revision(tx, task, turn.user)?;
     let own = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
-    if own && !settings.solo {
+    if own && !turn.settings.solo {
         let problem = "you answered this task yourself; somebody else has to review it";
         return Err(Error::refused(Code::OwnWork, problem));
     }
@@ -192,14 +189,12 @@ fn answers_to(tx: &mut dyn Tx, task: i64) -> Result<Vec<(Revision, String)>> {
 
 /// A decision on a task, and what its log entry depends on.
 struct Deciding<'a> {
-    user: i64,
+    turn: Turn,
     review: &'a NewReview,
     request: Request,
     task: TaskRecord,
-    settings: Settings,
     /// Whether the reviewer answered the task too.
     own: bool,
-    now: Millis,
 }
 
 impl Deciding<'_> {
@@ -217,13 +212,13 @@ impl Deciding<'_> {
         let from = "lease l WHERE l.task = ?1 AND l.purpose = 'review'";
         let held = rows::leases(tx, from, params![self.task.id])?.pop();
         let ours = held.as_ref().is_some_and(|held| {
-            held.lease.user == self.user && held.lease.epoch == self.review.lease_epoch
+            held.lease.user == self.turn.user && held.lease.epoch == self.review.lease_epoch
         });
         let needs_lease = matches!(
             self.review.decision,
             Decision::Accept | Decision::Merge | Decision::Return
         );
-        let somebody_else = held.is_some_and(|held| held.lease.user != self.user);
+        let somebody_else = held.is_some_and(|held| held.lease.user != self.turn.user);
         if (needs_lease && !ours) || somebody_else {
             let problem = "your lease on this review expired; claim the task again from the queue";
             return Err(Error::refused(Code::LeaseLost, problem));
@@ -259,7 +254,7 @@ impl Deciding<'_> {
                     secs,
                     request,
                     rule: None,
-                    own: self.own && *author == self.user,
+                    own: self.own && *author == self.turn.user,
                 },
                 _ => {
                     let problem = format!("{} answers wait; choose one", authors.len());
@@ -271,7 +266,7 @@ impl Deciding<'_> {
                 let answer = answer
                     .ok_or_else(|| Error::invalid("answer", "the merged answer is missing"))?;
                 let frames = project::frames(tx, &self.task.source)?;
-                answer::check_submission(&answer, self.task.kind, &self.settings, frames)?;
+                answer::check_submission(&answer, self.task.kind, &self.turn.settings, frames)?;
                 Body::Merged {
                     answer,
                     comment,
@@ -283,7 +278,7 @@ impl Deciding<'_> {
             Decision::Return => Body::Returned {
                 authors,
                 comment,
-                until: self.now + Millis::from(self.settings.returned_days) * DAY,
+                until: self.turn.until_returned(),
                 secs,
                 request,
             },
@@ -311,21 +306,21 @@ impl Deciding<'_> {
         };
         let Some(style) = answer
             .as_ref()
-            .and_then(|answer| answer.new_style(&self.settings))
+            .and_then(|answer| answer.new_style(&self.turn.settings))
         else {
             return Ok(());
         };
         // Another spelling may have been accepted since the answer was handed in.
-        answer::check_style_name(style, &self.settings)?;
-        project::add_styles(tx, Some(self.user), [style], self.now)
+        answer::check_style_name(style, &self.turn.settings)?;
+        project::add_styles(tx, Some(self.turn.user), [style], self.turn.now)
     }
 
     /// Writes the entry and returns the reply, which is stored for repetitions of the same key.
     fn log(&self, tx: &mut dyn Tx, body: Body) -> Result<ReviewDone> {
         let id = self.task.id;
         let entry = Entry {
-            at: self.now,
-            actor: Some(self.user),
+            at: self.turn.now,
+            actor: Some(self.turn.user),
             task: Some(id),
             epoch: Some(self.review.lease_epoch),
             body,

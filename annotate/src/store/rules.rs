@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use super::db::{Result, Tx, params};
 use super::entry::Body;
+use super::leases::Turn;
 use super::records::{Millis, TaskRecord};
 use super::store::Store;
 use super::{log, project, rows};
@@ -34,7 +35,8 @@ impl Store {
     /// Applies the enabled rules to up to 2,000 tasks that wait for review, with ids above `after`.
     pub fn apply_rules(&self, after: i64, now: Millis) -> Result<RulesApplied> {
         self.write(move |tx| {
-            let settings = project::settings(tx)?;
+            // Nobody in particular decides.
+            let turn = Turn::of(tx, 0, now)?;
             let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
             let mut done = RulesApplied {
                 looked_at: tasks.len() as i64,
@@ -44,7 +46,7 @@ impl Store {
                 ..RulesApplied::default()
             };
             for task in tasks {
-                if let Some(rule) = decide(tx, &settings, &task, now)? {
+                if let Some(rule) = decide(tx, &turn, &task)? {
                     *done.accepted.entry(rule).or_default() += 1;
                 }
             }
@@ -152,12 +154,8 @@ pub(super) fn waiting_answers(tx: &mut dyn Tx, task: i64) -> Result<Vec<Revision
 }
 
 /// Accepts a task if a rule says so, and returns the name of the rule.
-fn decide(
-    tx: &mut dyn Tx,
-    settings: &Settings,
-    task: &TaskRecord,
-    now: Millis,
-) -> Result<Option<String>> {
+fn decide(tx: &mut dyn Tx, turn: &Turn, task: &TaskRecord) -> Result<Option<String>> {
+    let settings = &turn.settings;
     let answers = waiting_answers(tx, task.id)?;
     let frames = project::frames(tx, &task.source)?;
     for rule in settings.rules.iter().filter(|rule| rule.enabled) {
@@ -174,7 +172,7 @@ fn decide(
                     rule: Some(rule.name.clone()),
                     own: false,
                 };
-                log::note(tx, now, None, Some(task.id), body)?;
+                log::note(tx, turn.now, None, Some(task.id), body)?;
                 return Ok(Some(rule.name.clone()));
             }
         }
@@ -183,17 +181,12 @@ fn decide(
 }
 
 /// Applies the rules to a task that has just got an answer.
-pub(super) fn on_answer(
-    tx: &mut dyn Tx,
-    settings: &Settings,
-    task: i64,
-    now: Millis,
-) -> Result<()> {
-    if !settings.rules.iter().any(|rule| rule.enabled) {
+pub(super) fn on_answer(tx: &mut dyn Tx, turn: &Turn, task: i64) -> Result<()> {
+    if !turn.settings.rules.iter().any(|rule| rule.enabled) {
         return Ok(());
     }
     if let Some(task) = waiting(tx, task - 1, task, 1)?.pop() {
-        decide(tx, settings, &task, now)?;
+        decide(tx, turn, &task)?;
     }
     Ok(())
 }
