@@ -61,6 +61,10 @@ impl<'de> Deserializer<'de> for &mut Columns<'de> {
         self.number(visitor)
     }
 
+    fn deserialize_u64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
+        self.number(visitor)
+    }
+
     fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
         self.number(visitor)
     }
@@ -100,7 +104,7 @@ impl<'de> Deserializer<'de> for &mut Columns<'de> {
     }
 
     forward_to_deserialize_any! {
-        i8 i16 i32 i128 u8 u16 u64 u128 f32 char str bytes byte_buf unit unit_struct newtype_struct seq tuple_struct map
+        i8 i16 i32 i128 u8 u16 u128 f32 char str bytes byte_buf unit unit_struct newtype_struct seq tuple_struct map
         identifier ignored_any
     }
 }

@@ -4,12 +4,12 @@ use serde::Deserialize;
 
 use super::append::take_back_window;
 use super::db::{Result, Tx, params};
-use super::records::{Millis, MineQuery, OwnAnswer, TaskRecord};
+use super::records::{Millis, MineQuery, TaskRecord};
 use super::rows::{self, REVISION, TASK};
 use super::store::Store;
 use super::{project, read};
 use crate::Error;
-use crate::wire::{Answer, Feedback, Revision, RevisionState, Standing, TaskState};
+use crate::wire::{Answer, Feedback, MyAnswer, Revision, RevisionState, Standing, TaskState};
 
 impl Store {
     /// A person's answers, newest first, with the cursor of the next page. Refused with `invalid`.
@@ -18,7 +18,7 @@ impl Store {
         user: i64,
         query: MineQuery,
         now: Millis,
-    ) -> Result<(Vec<OwnAnswer>, Option<String>)> {
+    ) -> Result<(Vec<MyAnswer>, Option<String>)> {
         self.read(|tx| {
             let bad =
                 || Error::invalid("before", "this is no cursor of a page; begin at the first");
@@ -86,7 +86,7 @@ fn own_answer(
     found: Found,
     window: Millis,
     now: Millis,
-) -> Result<OwnAnswer> {
+) -> Result<MyAnswer> {
     let mine = found.mine;
     let task = read::shown(tx, found.task, user)?;
     let feedback = if task.practice && mine.state != RevisionState::Draft {
@@ -118,8 +118,13 @@ fn own_answer(
         None
     };
     let other = found.merged || found.author != Some(user);
-    Ok(OwnAnswer {
+    let missing = match standing {
+        Standing::WaitsForOthers => task.wanted.saturating_sub(task.submitted),
+        _ => 0,
+    };
+    Ok(MyAnswer {
         standing,
+        missing,
         comment,
         accepted: found.accepted.filter(|_| other),
         // Names of rules and reviewers' ways are the project's own facts; the author may know them.
@@ -127,7 +132,7 @@ fn own_answer(
         can_take_back,
         until,
         feedback,
-        task,
+        task: read::view(tx, task, None)?,
         mine,
     })
 }

@@ -62,9 +62,8 @@ pub use browse::{DecisionQuery, PageQuery};
 pub use migrate::Upgrade;
 pub use records::{
     AcceptedAnswer, AuditFilter, BundleEntry, Claimed, Credit, Imported, IssuedToken, KeyRange,
-    Label, Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts,
-    Picture, Reject, ReviewClaimed, ReviewDetail, ShelfFilter, TaskDetail, TaskRecord, TokenUse,
-    WeekCounts, Who,
+    Label, Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, Reject, ReviewClaimed,
+    ReviewDetail, ShelfFilter, TaskDetail, TaskRecord, TokenUse, Who,
 };
 pub use store::Store;
 

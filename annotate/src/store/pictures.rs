@@ -6,7 +6,7 @@ use base64::engine::general_purpose::STANDARD;
 use super::db::{Result, Tx, params, unreadable};
 use super::entry::Body;
 use super::log;
-use super::records::{Millis, Picture};
+use super::records::Millis;
 use super::settings::require;
 use super::store::Store;
 use crate::Error;
@@ -35,13 +35,12 @@ impl Store {
         infos.collect()
     }
 
-    /// A picture of the guide. Refused with `not_found`.
-    pub fn picture(&self, name: &str) -> Result<Picture> {
+    /// Type and content of a picture of the guide. Refused with `not_found`.
+    pub fn picture(&self, name: &str) -> Result<(String, Vec<u8>)> {
         let sql = "SELECT mime, bytes FROM picture WHERE name = ?1";
         let found = self.read(|tx| tx.find(sql, params![name]))?;
         let (mime, text): (String, String) = found.ok_or_else(|| Error::not_found("picture"))?;
-        let bytes = decoded(&text)?;
-        Ok(Picture { mime, bytes })
+        Ok((mime, decoded(&text)?))
     }
 
     /// Stores a picture of the guide, in place of one of the same name. Refused with `invalid`.

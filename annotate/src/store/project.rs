@@ -344,7 +344,7 @@ fn settle_changed(
 }
 
 /// Motions that fit what follows `WHERE` in a query.
-fn motions_where(
+pub(super) fn motions_where(
     tx: &mut dyn Tx,
     condition: &str,
     params: &[&dyn ToSql],

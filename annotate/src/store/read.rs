@@ -4,14 +4,17 @@ use super::db::{Result, ToSql, Tx, params};
 use super::filter::Values;
 use super::project;
 use super::records::{
-    AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, PersonCounts, Reject,
-    ShelfFilter, TaskDetail, TaskRecord, WeekCounts, Who,
+    AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, Reject, ShelfFilter,
+    TaskDetail, TaskRecord, Who,
 };
 use super::rows::{self, LEASE, REVISION, TASK};
 use super::store::Store;
 use crate::Error;
 use crate::state::Purpose;
-use crate::wire::{Answer, Audit, AuditEntry, HeldLease, RevisionState, Role, TaskKind, TaskState};
+use crate::wire::{
+    Answer, Audit, AuditEntry, Bundle, HeldLease, MotionInfo, Person, RevisionState, Role, Task,
+    TaskKind, TaskState, Week,
+};
 
 impl Store {
     /// Whether a user holds or answered a task.
@@ -32,6 +35,11 @@ impl Store {
     /// A task, without access check. Refused with `not_found`.
     pub fn task_record(&self, task: i64) -> Result<TaskRecord> {
         self.read(|tx| rows::task(tx, task))
+    }
+
+    /// A task as the page shows it.
+    pub(crate) fn view(&self, task: TaskRecord, bundle: Option<Bundle>) -> Result<Task> {
+        self.read(|tx| view(tx, task, bundle))
     }
 
     /// Key, source and target of each task about two motions, without gold tasks.
@@ -182,10 +190,11 @@ impl Store {
         self.read(|tx| tx.list(sql, &[]))
     }
 
-    /// Counts per week; `bounds` holds the starts of the weeks and the end of the last one.
-    pub fn weeks(&self, bounds: Vec<Millis>) -> Result<Vec<WeekCounts>> {
-        let sql = "SELECT COUNT(CASE WHEN kind = 'submitted' THEN 1 END),
-               COUNT(CASE WHEN kind IN ('accepted', 'merged') THEN 1 END), COUNT(CASE WHEN kind = 'returned' THEN 1 END)
+    /// Weeks with their counts, without figures; `bounds` holds their starts and the end of the last one.
+    pub fn weeks(&self, bounds: &[Millis]) -> Result<Vec<Week>> {
+        let sql = "SELECT CAST(?1 AS BIGINT), COUNT(CASE WHEN kind = 'submitted' THEN 1 END),
+               COUNT(CASE WHEN kind IN ('accepted', 'merged') THEN 1 END), COUNT(CASE WHEN kind = 'returned' THEN 1 END),
+               NULL, NULL, 0
              FROM event WHERE at >= ?1 AND at < ?2 AND kind IN ('submitted', 'accepted', 'merged', 'returned')";
         self.read(|tx| {
             let weeks = bounds.windows(2);
@@ -194,9 +203,18 @@ impl Store {
         })
     }
 
-    /// Totals of every person.
-    pub fn people(&self) -> Result<Vec<PersonCounts>> {
-        self.read(people)
+    /// Totals of every person, without figures.
+    pub fn people(&self) -> Result<Vec<Person>> {
+        let sql = "SELECT u.id, u.name, u.role, u.active,
+               (SELECT COUNT(*) FROM revision WHERE author = u.id AND state <> 'draft'), NULL,
+               (SELECT COUNT(*) FROM revision WHERE author = u.id AND state = 'accepted'),
+               (SELECT COUNT(*) FROM review v JOIN revision r ON r.task = v.task AND r.author = u.id
+                WHERE v.decision = 'returned' AND (v.author IS NULL OR v.author = u.id)), NULL, NULL,
+               (SELECT COUNT(*) FROM gold_score g JOIN task t ON t.id = g.task WHERE g.usr = u.id AND t.practice = 0),
+               (SELECT AVG(g.score) FROM gold_score g JOIN task t ON t.id = g.task WHERE g.usr = u.id AND t.practice = 0),
+               NULL, (SELECT at FROM event WHERE actor = u.id ORDER BY seq DESC LIMIT 1)
+             FROM usr u ORDER BY u.id";
+        self.read(|tx| tx.list(sql, &[]))
     }
 
     /// All leases.
@@ -322,6 +340,29 @@ pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<
     Ok(task)
 }
 
+/// A task as the page shows it.
+pub(super) fn view(tx: &mut dyn Tx, task: TaskRecord, bundle: Option<Bundle>) -> Result<Task> {
+    let mut motions = project::motions_where(tx, "hash = ?1", params![task.source])?;
+    motions.extend(project::motions_where(
+        tx,
+        "hash = ?1",
+        params![task.target],
+    )?);
+    Ok(Task {
+        id: task.id,
+        kind: task.kind,
+        state: task.state,
+        motions: motions.into_iter().map(MotionInfo::from).collect(),
+        category: task.category,
+        hint: task.hint,
+        style: task.style,
+        wanted: task.wanted,
+        submitted: task.submitted,
+        bundle,
+        practice: task.practice,
+    })
+}
+
 fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEntry>> {
     let Some(bundle) = task.bundle else {
         return Ok(Vec::new());
@@ -387,27 +428,6 @@ fn labels(columns: &str, condition: &str) -> String {
          LEFT JOIN accepted a ON a.task = r.task AND a.author = r.author AND a.merged = 0 AND r.state = 'accepted'
          WHERE r.state <> 'draft' AND {condition}"
     )
-}
-
-fn people(tx: &mut dyn Tx) -> Result<Vec<PersonCounts>> {
-    let mut people: Vec<PersonCounts> = tx.list(
-        "SELECT u.id, u.name, u.role, u.active,
-           (SELECT COUNT(*) FROM revision WHERE author = u.id AND state <> 'draft'),
-           (SELECT COUNT(*) FROM revision WHERE author = u.id AND state = 'accepted'),
-           (SELECT COUNT(*) FROM review v JOIN revision r ON r.task = v.task AND r.author = u.id
-            WHERE v.decision = 'returned' AND (v.author IS NULL OR v.author = u.id)),
-           '[]', (SELECT at FROM event WHERE actor = u.id ORDER BY seq DESC LIMIT 1)
-         FROM usr u ORDER BY u.id",
-        &[],
-    )?;
-    for person in &mut people {
-        person.gold = tx.list(
-            "SELECT g.score FROM gold_score g JOIN task t ON t.id = g.task
-             WHERE g.usr = ?1 AND t.practice = 0 ORDER BY g.task",
-            params![person.user.id],
-        )?;
-    }
-    Ok(people)
 }
 
 /// Entries `e` of the log that fit what follows `WHERE` in a query.

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::state::LogKind;
 use crate::wire::{
-    Answer, EditType, Empty, Feedback, Lease, ReviewEmpty, Revision, Role, Standing, Suggestion,
-    SuggestionSource, TaskKind, TaskState, User, names,
+    Answer, EditType, Empty, Lease, MotionInfo, ReviewEmpty, Revision, Role, Standing, Suggestion,
+    SuggestionSource, TaskKind, TaskState, names,
 };
 
 pub use crate::wire::{BundleItem as BundleEntry, TokenShown as IssuedToken};
@@ -43,6 +43,20 @@ pub struct MotionRecord {
     pub style: Option<String>,
     /// Action label of the source.
     pub action: Option<String>,
+}
+
+impl From<MotionRecord> for MotionInfo {
+    fn from(motion: MotionRecord) -> Self {
+        Self {
+            hash: motion.hash,
+            id: motion.id,
+            frames: usize::try_from(motion.frames).unwrap_or(0),
+            fps: motion.fps,
+            split: motion.split,
+            captions: motion.captions,
+            style: motion.style,
+        }
+    }
 }
 
 /// A task to be imported.
@@ -329,66 +343,6 @@ pub struct MineQuery {
     pub before: Option<String>,
     /// Maximum number.
     pub limit: usize,
-}
-
-/// An answer of a person, and where it stands.
-#[derive(Clone, Debug, PartialEq)]
-pub struct OwnAnswer {
-    /// The task.
-    pub task: TaskRecord,
-    /// The answer.
-    pub mine: Revision,
-    /// Where it stands.
-    pub standing: Standing,
-    /// The comment it was sent back with, or the task was dropped with.
-    pub comment: Option<String>,
-    /// The answer that was accepted instead.
-    pub accepted: Option<Answer>,
-    /// How it was accepted.
-    pub accepted_by: Option<String>,
-    /// Whether its author can take it back.
-    pub can_take_back: bool,
-    /// When a returned task is offered to others.
-    pub until: Option<Millis>,
-    /// The known answer and the score of practice.
-    pub feedback: Option<Feedback>,
-}
-
-/// A picture of the guide.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Picture {
-    /// Type of its content.
-    pub mime: String,
-    /// Its content.
-    pub bytes: Vec<u8>,
-}
-
-/// Totals of one person.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-pub struct PersonCounts {
-    /// Who.
-    pub user: User,
-    /// Submitted answers.
-    pub done: i64,
-    /// Answers accepted.
-    pub accepted: i64,
-    /// Answers sent back, ever.
-    pub returned: i64,
-    /// Scores on gold tasks.
-    pub gold: Vec<f64>,
-    /// Last entry of the log by them.
-    pub last_seen: Option<Millis>,
-}
-
-/// Counts of a week.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
-pub struct WeekCounts {
-    /// Submitted answers.
-    pub submitted: i64,
-    /// Accepted or merged.
-    pub accepted: i64,
-    /// Sent back.
-    pub returned: i64,
 }
 
 /// Result of an import of tasks.

@@ -4,14 +4,12 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use annotate::store::{
-    DecisionQuery, MineQuery, NewTask, OwnAnswer, PageQuery, ReviewClaimed, Store, Who,
-};
+use annotate::store::{DecisionQuery, MineQuery, NewTask, PageQuery, ReviewClaimed, Store, Who};
 use annotate::transfer::export;
 use annotate::wire::{
     Answer, BulkAction, BulkRequest, Code, Decision, EventKind, ExportFormat, ExportRequest,
-    ReviewQueue, Role, Rule, RuleKind, Settings, SkipFilter, SkipReason, Standing, TaskFilter,
-    TaskKind, TaskSort, TaskState, Verdict,
+    MyAnswer, ReviewQueue, Role, Rule, RuleKind, Settings, SkipFilter, SkipReason, Standing,
+    TaskFilter, TaskKind, TaskSort, TaskState, Verdict,
 };
 
 use crate::store::{Fixture, fixture, mask_tasks, on_each, problem};
@@ -57,7 +55,7 @@ impl Fixture {
         self.store.task_row(task).expect("a task").0.accepted_by
     }
 
-    fn mine(&self, user: i64, now: i64) -> Vec<OwnAnswer> {
+    fn mine(&self, user: i64, now: i64) -> Vec<MyAnswer> {
         let query = MineQuery {
             limit: 50,
             ..MineQuery::default()
@@ -1114,7 +1112,7 @@ fn a_new_annotator_practises_until_the_score_is_reached() {
             "reviewers need no practice"
         );
         let people = site.store.people().expect("people");
-        assert!(people.iter().all(|person| person.gold.is_empty()));
+        assert!(people.iter().all(|person| person.gold_items == 0));
         assert_eq!(
             site.found(TaskFilter::default()).len(),
             4,

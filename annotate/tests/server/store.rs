@@ -811,7 +811,7 @@ fn gold_tasks_look_like_others_and_are_scored() {
             .iter()
             .find(|person| person.user.id == site.bob)
             .expect("bob");
-        assert_eq!(bob.gold, [1.0]);
+        assert_eq!((bob.gold_items, bob.gold_score), (1, Some(1.0)));
         let counted: i64 = site
             .store
             .funnel()

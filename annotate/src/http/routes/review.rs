@@ -2,7 +2,7 @@
 
 use axum::response::Response;
 
-use super::tasks::{offered, task_of};
+use super::tasks::offered;
 use crate::Error;
 use crate::answer;
 use crate::http::app::{Context, json};
@@ -35,7 +35,7 @@ pub(super) fn review_next(cx: &Context) -> Result<Response, Error> {
     let suggestions = store.suggestions_of(detail.task.id)?;
     let suggestions = offered(&cx.app, &detail.task, suggestions)?;
     let clip_changed = detail.task.changed;
-    let task = task_of(&cx.app, detail.task, None)?;
+    let task = store.view(detail.task, None)?;
     let motion = task.motions.first();
     let frames = motion.map_or(1, |motion| motion.frames as i64);
     json(&ReviewNext {
