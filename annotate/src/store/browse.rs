@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::de::DeserializeOwned;
 
-use super::db::{Result, ToSql, Tx, params};
+use super::db::{Params, Result, ToSql, Tx, params};
 use super::filter::{self, Values, condition};
 use super::records::TaskRecord;
 use super::rows::{self, REVISION, TASK};
@@ -236,7 +236,7 @@ fn brief((own, name): (Revision, String)) -> AnswerBrief {
 }
 
 /// Decisions `v` that fit what follows `WHERE` in a query.
-fn decisions(tx: &mut dyn Tx, condition: &str, params: &[&dyn ToSql]) -> Result<Vec<DecisionRow>> {
+fn decisions(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<DecisionRow>> {
     let sql = format!(
         "SELECT v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), v.author, '[]', v.rule, v.comment,
            v.at, t.state

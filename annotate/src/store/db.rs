@@ -59,12 +59,15 @@ impl Row {
     }
 }
 
+/// Values for the parameters of a statement.
+pub(crate) type Params<'a> = &'a [&'a dyn ToSql];
+
 /// An open transaction.
 pub(crate) trait Tx {
     /// Runs a statement and returns the number of changed rows.
-    fn execute(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<u64>;
+    fn execute(&mut self, sql: &str, params: Params) -> Result<u64>;
     /// Runs a query.
-    fn query(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<Vec<Row>>;
+    fn query(&mut self, sql: &str, params: Params) -> Result<Vec<Row>>;
 
     /// Runs statements; an error says that the store cannot do the action.
     fn batch(&mut self, sql: &str, action: &'static str) -> Result<()>;
@@ -74,7 +77,7 @@ pub(crate) trait Tx {
 
 impl dyn Tx + '_ {
     /// Runs a statement whose number of changed rows does not matter.
-    pub(crate) fn run(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<()> {
+    pub(crate) fn run(&mut self, sql: &str, params: Params) -> Result<()> {
         self.execute(sql, params).map(|_| ())
     }
 
@@ -82,7 +85,7 @@ impl dyn Tx + '_ {
     pub(crate) fn list<T: DeserializeOwned>(
         &mut self,
         sql: &str,
-        params: &[&dyn ToSql],
+        params: Params,
     ) -> Result<Vec<T>> {
         let rows = self.query(sql, params)?;
         rows.iter().map(|row| row.read()).collect()
@@ -92,28 +95,24 @@ impl dyn Tx + '_ {
     pub(crate) fn find<T: DeserializeOwned>(
         &mut self,
         sql: &str,
-        params: &[&dyn ToSql],
+        params: Params,
     ) -> Result<Option<T>> {
         let rows = self.query(sql, params)?;
         rows.first().map(|row| row.read()).transpose()
     }
 
     /// [`Self::find`] for a query that always has a row.
-    pub(crate) fn get<T: DeserializeOwned>(
-        &mut self,
-        sql: &str,
-        params: &[&dyn ToSql],
-    ) -> Result<T> {
+    pub(crate) fn get<T: DeserializeOwned>(&mut self, sql: &str, params: Params) -> Result<T> {
         self.find(sql, params)?.ok_or(Error::Closed)
     }
 
     /// Runs a query for one integer; 0 without rows.
-    pub(crate) fn number(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<i64> {
+    pub(crate) fn number(&mut self, sql: &str, params: Params) -> Result<i64> {
         Ok(self.find(sql, params)?.unwrap_or(0))
     }
 
     /// Whether a query has rows.
-    pub(crate) fn has(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<bool> {
+    pub(crate) fn has(&mut self, sql: &str, params: Params) -> Result<bool> {
         Ok(!self.query(sql, params)?.is_empty())
     }
 

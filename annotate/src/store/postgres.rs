@@ -13,7 +13,7 @@ use postgres::types::{FromSql, IsNull, ToSql, Type, to_sql_checked};
 use postgres::{Client, Statement};
 use rusqlite::types::{ToSqlOutput, ValueRef};
 
-use super::db::{self, Result, Row, Tx, Value, not_opened, params, read_only, unreadable};
+use super::db::{Params, Result, Row, Tx, Value, not_opened, params, read_only, unreadable};
 use super::migrate::{self, Upgrade};
 use super::pool::{Backend, Pool};
 use super::postgres_address::Address;
@@ -182,7 +182,7 @@ type Failure = Box<dyn std::error::Error + Sync + Send>;
 #[derive(Debug)]
 struct Parameter<'a>(ToSqlOutput<'a>);
 
-fn parameters<'a>(params: &'a [&dyn db::ToSql]) -> Result<Vec<Parameter<'a>>> {
+fn parameters<'a>(params: Params<'a>) -> Result<Vec<Parameter<'a>>> {
     let params = params.iter().map(|param| param.to_sql().map(Parameter));
     let params = params.collect::<Result<_, _>>();
     params.map_err(|error| unreadable("of a request", error))
@@ -243,7 +243,7 @@ fn borrowed<'a>(params: &'a [Parameter<'_>]) -> Vec<&'a (dyn ToSql + Sync)> {
 }
 
 impl Tx for Connection {
-    fn execute(&mut self, sql: &str, params: &[&dyn db::ToSql]) -> Result<u64> {
+    fn execute(&mut self, sql: &str, params: Params) -> Result<u64> {
         let statement = self.statement(sql)?;
         let changed = self
             .client
@@ -264,7 +264,7 @@ impl Tx for Connection {
         self.batch(&sql, migrate::MAKE)
     }
 
-    fn query(&mut self, sql: &str, params: &[&dyn db::ToSql]) -> Result<Vec<Row>> {
+    fn query(&mut self, sql: &str, params: Params) -> Result<Vec<Row>> {
         let statement = self.statement(sql)?;
         let rows = self
             .client

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::db::{Result, ToSql, Tx, json, params};
+use super::db::{Params, Result, Tx, json, params};
 use super::entry::{Body, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
 use super::settings::{check, is_name, require};
@@ -347,7 +347,7 @@ fn settle_changed(
 pub(super) fn motions_where(
     tx: &mut dyn Tx,
     condition: &str,
-    params: &[&dyn ToSql],
+    params: Params,
 ) -> Result<Vec<MotionRecord>> {
     let columns = "hash, id, split, frames, fps, captions, style, action";
     let sql = format!("SELECT {columns} FROM motion WHERE {condition}");
@@ -362,11 +362,7 @@ pub(super) fn frames(tx: &mut dyn Tx, hash: &str) -> Result<i64> {
 }
 
 /// Suggestions that fit what follows `WHERE` in a query.
-fn suggestions_where(
-    tx: &mut dyn Tx,
-    condition: &str,
-    params: &[&dyn ToSql],
-) -> Result<Vec<Suggestion>> {
+fn suggestions_where(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<Suggestion>> {
     let sql = format!("SELECT id, source, parts, text, model FROM suggestion WHERE {condition}");
     tx.list(&sql, params)
 }
@@ -412,7 +408,7 @@ pub(super) fn put_suggestion(
 pub(super) fn drafts_where(
     tx: &mut dyn Tx,
     condition: &str,
-    params: &[&dyn ToSql],
+    params: Params,
 ) -> Result<Vec<NewSuggestion>> {
     let columns = "source, parts, text, model, prompt_hash, params, tokens, response_hash";
     let sql = format!("SELECT {columns} FROM suggestion WHERE {condition}");

@@ -1,6 +1,6 @@
 //! Queries on tasks and answers, for people, figures, exports and the log.
 
-use super::db::{Result, ToSql, Tx, params};
+use super::db::{Params, Result, Tx, params};
 use super::filter::Values;
 use super::project;
 use super::records::{
@@ -414,7 +414,7 @@ pub(super) fn like(text: &str) -> String {
 }
 
 /// Accepted answers `a` to tasks `t` of what follows `FROM` in a query.
-fn accepted(tx: &mut dyn Tx, from: &str, params: &[&dyn ToSql]) -> Result<Vec<AcceptedAnswer>> {
+fn accepted(tx: &mut dyn Tx, from: &str, params: Params) -> Result<Vec<AcceptedAnswer>> {
     let basis = "CASE WHEN a.basis LIKE 'import:%' THEN substr(a.basis, 8) ELSE a.basis END";
     let columns = format!("a.author, a.merged, a.credit, {basis}, a.answer, a.at, a.seq");
     tx.list(&format!("SELECT {TASK}, {columns} FROM {from}"), params)
@@ -431,7 +431,7 @@ fn labels(columns: &str, condition: &str) -> String {
 }
 
 /// Entries `e` of the log that fit what follows `WHERE` in a query.
-fn log(tx: &mut dyn Tx, condition: &str, params: &[&dyn ToSql]) -> Result<Vec<AuditEntry>> {
+fn log(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<AuditEntry>> {
     let sql = format!(
         "SELECT e.seq, e.at, e.actor, u.name, e.kind, e.task, e.body
          FROM event e LEFT JOIN usr u ON u.id = e.actor WHERE {condition}"

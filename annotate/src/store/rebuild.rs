@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use rusqlite::Connection;
 
 use super::apply::apply;
-use super::db::{self, Database, Result, Row, ToSql, Tx, Value, params};
+use super::db::{self, Database, Params, Result, Row, ToSql, Tx, Value, params};
 use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
 use super::sqlite::scratch;
 use crate::lock::lock;
@@ -246,12 +246,12 @@ mod tests {
     }
 
     impl Tx for CountingTx<'_> {
-        fn execute(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<u64> {
+        fn execute(&mut self, sql: &str, params: Params) -> Result<u64> {
             self.statements += 1;
             self.inner.execute(sql, params)
         }
 
-        fn query(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<Vec<Row>> {
+        fn query(&mut self, sql: &str, params: Params) -> Result<Vec<Row>> {
             self.statements += 1;
             self.inner.query(sql, params)
         }

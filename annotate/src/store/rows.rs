@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use super::db::{Result, ToSql, Tx, params};
+use super::db::{Params, Result, Tx, params};
 use super::records::TaskRecord;
 use crate::Error;
 use crate::state::Purpose;
@@ -14,11 +14,7 @@ pub(crate) const TASK: &str = "t.id, t.key, t.kind, t.source, t.target, t.split,
   t.changed";
 
 /// Tasks `t` that fit what follows `WHERE` in a query.
-pub(crate) fn tasks(
-    tx: &mut dyn Tx,
-    condition: &str,
-    params: &[&dyn ToSql],
-) -> Result<Vec<TaskRecord>> {
+pub(crate) fn tasks(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<TaskRecord>> {
     tx.list(
         &format!("SELECT {TASK} FROM task t WHERE {condition}"),
         params,
@@ -35,11 +31,7 @@ pub(crate) fn task(tx: &mut dyn Tx, id: i64) -> Result<TaskRecord> {
 pub(crate) const REVISION: &str = "r.task, r.author, r.rev, r.state, r.answer, r.at, r.secs";
 
 /// Revisions `r` that fit what follows `WHERE` in a query.
-pub(crate) fn revisions(
-    tx: &mut dyn Tx,
-    condition: &str,
-    params: &[&dyn ToSql],
-) -> Result<Vec<Revision>> {
+pub(crate) fn revisions(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<Revision>> {
     let sql = format!("SELECT {REVISION} FROM revision r WHERE {condition}");
     tx.list(&sql, params)
 }
@@ -61,7 +53,7 @@ pub(crate) struct LeaseRow {
 pub(crate) const LEASE: &str = "l.id, l.task, l.usr, l.epoch, l.expires";
 
 /// Leases `l` of what follows `FROM` in a query.
-pub(crate) fn leases(tx: &mut dyn Tx, from: &str, params: &[&dyn ToSql]) -> Result<Vec<LeaseRow>> {
+pub(crate) fn leases(tx: &mut dyn Tx, from: &str, params: Params) -> Result<Vec<LeaseRow>> {
     tx.list(
         &format!("SELECT {LEASE}, l.purpose, l.blind FROM {from}"),
         params,

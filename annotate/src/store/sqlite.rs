@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use rusqlite::{Connection, ErrorCode, OpenFlags};
 
-use super::db::{Result, Row, ToSql, Tx, not_opened, read_only};
+use super::db::{Params, Result, Row, Tx, not_opened, read_only};
 use super::migrate::{self, Upgrade};
 use super::pool::{Backend, Pool};
 use crate::Error;
@@ -203,7 +203,7 @@ pub(crate) fn scratch() -> Result<Connection> {
 }
 
 impl Tx for Connection {
-    fn execute(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<u64> {
+    fn execute(&mut self, sql: &str, params: Params) -> Result<u64> {
         let mut statement = self.prepare_cached(sql).map_err(failed("write"))?;
         let changed = statement.execute(params).map_err(failed("write"))?;
         Ok(changed as u64)
@@ -219,7 +219,7 @@ impl Tx for Connection {
         self.batch(&sql, migrate::MAKE)
     }
 
-    fn query(&mut self, sql: &str, params: &[&dyn ToSql]) -> Result<Vec<Row>> {
+    fn query(&mut self, sql: &str, params: Params) -> Result<Vec<Row>> {
         let read = || -> rusqlite::Result<Vec<Row>> {
             let mut statement = self.prepare_cached(sql)?;
             let columns = statement.column_count();
