@@ -32,7 +32,7 @@ pub(crate) fn note(
 /// Writes an entry and applies it.
 pub(crate) fn write(tx: &mut dyn Tx, entry: &Entry) -> Result<()> {
     let seq = apply_next(tx, entry)?;
-    put(tx, seq, entry, None)
+    put(tx, seq, entry, None, None)
 }
 
 fn apply_next(tx: &mut dyn Tx, entry: &Entry) -> Result<i64> {
@@ -41,13 +41,15 @@ fn apply_next(tx: &mut dyn Tx, entry: &Entry) -> Result<i64> {
     Ok(seq)
 }
 
-/// Key of a request, the revision that it is based on, and its reply.
-type Reply<'a> = (&'a str, i64, String);
-
-fn put(tx: &mut dyn Tx, seq: i64, entry: &Entry, reply: Option<Reply<'_>>) -> Result<()> {
-    let (key, base_rev, result) = reply.map_or((None, None, None), |(key, base_rev, result)| {
-        (Some(key), Some(base_rev), Some(result))
-    });
+/// Stores an entry; one of a request with its key, the revision that it is based on, and its reply.
+fn put(
+    tx: &mut dyn Tx,
+    seq: i64,
+    entry: &Entry,
+    request: Option<(&str, i64)>,
+    reply: Option<String>,
+) -> Result<()> {
+    let (key, base_rev) = request.unzip();
     tx.run(
         "INSERT INTO event (seq, at, actor, kind, task, idem_key, epoch, base_rev, body, result, version)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
@@ -61,7 +63,7 @@ fn put(tx: &mut dyn Tx, seq: i64, entry: &Entry, reply: Option<Reply<'_>>) -> Re
             entry.epoch,
             base_rev,
             json(&entry.body)?,
-            result,
+            reply,
             VERSION
         ],
     )
@@ -115,12 +117,8 @@ impl Request {
     ) -> Result<T> {
         let seq = apply_next(tx, entry)?;
         let reply = reply(tx, seq)?;
-        put(
-            tx,
-            seq,
-            entry,
-            Some((self.key.as_str(), base_rev, json(&reply)?)),
-        )?;
+        let request = (self.key.as_str(), base_rev);
+        put(tx, seq, entry, Some(request), Some(json(&reply)?))?;
         Ok(reply)
     }
 }
