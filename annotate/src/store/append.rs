@@ -141,13 +141,7 @@ impl Taking<'_> {
         feedback: Option<Feedback>,
     ) -> Result<EventResult> {
         let (user, id, event) = (self.turn.user, self.task.id, self.event);
-        let entry = Entry {
-            at: self.turn.now,
-            actor: Some(user),
-            task: Some(id),
-            epoch,
-            body,
-        };
+        let entry = Entry::new(self.turn.now, Some(user), Some(id), epoch, body);
         self.request.log(tx, &entry, event.base_rev, |tx, seq| {
             told(tx, user, id, event, Some(seq), problem, feedback)
         })

@@ -295,6 +295,24 @@ pub(crate) struct Entry {
     pub(crate) body: Body,
 }
 
+impl Entry {
+    pub(crate) fn new(
+        at: Millis,
+        actor: Option<i64>,
+        task: Option<i64>,
+        epoch: Option<i64>,
+        body: Body,
+    ) -> Self {
+        Self {
+            at,
+            actor,
+            task,
+            epoch,
+            body,
+        }
+    }
+}
+
 /// Columns of [`read_entry`].
 pub(crate) const ENTRY_COLUMNS: &str = "seq, at, actor, task, epoch, body, version";
 
@@ -308,14 +326,7 @@ pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry)> {
     }
     let body = serde_json::from_str(&body)
         .map_err(|error| unreadable("event", format!("entry {seq}: {error}")))?;
-    let entry = Entry {
-        at,
-        actor,
-        task,
-        epoch,
-        body,
-    };
-    Ok((seq, entry))
+    Ok((seq, Entry::new(at, actor, task, epoch, body)))
 }
 
 #[cfg(test)]

@@ -112,14 +112,8 @@ fn note(
     now: Millis,
     body: Body,
 ) -> Result<()> {
-    let entry = Entry {
-        at: now,
-        actor,
-        task: Some(held.lease.task),
-        epoch: Some(held.lease.epoch),
-        body,
-    };
-    log::write(tx, &entry)
+    let (task, epoch) = (Some(held.lease.task), Some(held.lease.epoch));
+    log::write(tx, &Entry::new(now, actor, task, epoch, body))
 }
 
 pub(super) fn end(
@@ -184,18 +178,13 @@ impl Turn {
         let (epoch, key): (i64, String) = found.ok_or_else(|| Error::not_found("task"))?;
         let blind = purpose == Purpose::Annotate
             && percent(&["blind", &key, &user.to_string()]) < self.settings.blind_percent;
-        let entry = Entry {
-            at: self.now,
-            actor: Some(user),
-            task: Some(task),
-            epoch: Some(epoch + 1),
-            body: Body::Claimed {
-                purpose,
-                expires: self.lease_end(),
-                blind,
-                place,
-            },
+        let body = Body::Claimed {
+            purpose,
+            expires: self.lease_end(),
+            blind,
+            place,
         };
+        let entry = Entry::new(self.now, Some(user), Some(task), Some(epoch + 1), body);
         log::write(tx, &entry)
     }
 

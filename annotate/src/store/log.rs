@@ -19,14 +19,7 @@ pub(crate) fn note(
     task: Option<i64>,
     body: Body,
 ) -> Result<()> {
-    let entry = Entry {
-        at,
-        actor,
-        task,
-        epoch: None,
-        body,
-    };
-    write(tx, &entry)
+    write(tx, &Entry::new(at, actor, task, None, body))
 }
 
 /// Writes an entry and applies it.

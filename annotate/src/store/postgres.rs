@@ -182,7 +182,7 @@ type Failure = Box<dyn std::error::Error + Sync + Send>;
 #[derive(Debug)]
 struct Parameter<'a>(ToSqlOutput<'a>);
 
-fn parameters<'a>(params: Params<'a>) -> Result<Vec<Parameter<'a>>> {
+fn parameters(params: Params<'_>) -> Result<Vec<Parameter<'_>>> {
     let params = params.iter().map(|param| param.to_sql().map(Parameter));
     let params = params.collect::<Result<_, _>>();
     params.map_err(|error| unreadable("of a request", error))

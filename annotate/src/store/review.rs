@@ -318,13 +318,8 @@ impl Deciding<'_> {
     /// Writes the entry and returns the reply, which is stored for repetitions of the same key.
     fn log(&self, tx: &mut dyn Tx, body: Body) -> Result<ReviewDone> {
         let id = self.task.id;
-        let entry = Entry {
-            at: self.turn.now,
-            actor: Some(self.turn.user),
-            task: Some(id),
-            epoch: Some(self.review.lease_epoch),
-            body,
-        };
+        let (actor, epoch) = (Some(self.turn.user), Some(self.review.lease_epoch));
+        let entry = Entry::new(self.turn.now, actor, Some(id), epoch, body);
         self.request.log(tx, &entry, 0, |tx, seq| {
             let state = rows::task(tx, id)?.state;
             Ok(ReviewDone { seq, state })
