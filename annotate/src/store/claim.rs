@@ -7,7 +7,7 @@ use super::db::{Result, ToSql, Tx, params};
 use super::entry::Place;
 use super::import::{GOLD_KEY, percent};
 use super::leases::{PLACED, Turn, expire, reserved_after};
-use super::records::{Claimed, Millis, TaskDetail};
+use super::records::{Millis, TaskDetail};
 use super::rows::{self, LEASE, LeaseRow};
 use super::store::Store;
 use super::{apply, read};
@@ -26,20 +26,25 @@ const IN_BUNDLES: &str =
     "COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id";
 
 impl Store {
-    /// Claims the next task of a kind, or returns the one that the user holds, with the
-    /// motions of the next `ahead` tasks.
-    pub fn claim(&self, user: i64, kind: TaskKind, ahead: usize, now: Millis) -> Result<Claimed> {
+    /// Claims the next task of a kind, or returns the one that the user holds, with the hashes of the
+    /// motions of the next `ahead` tasks; or says why there is none.
+    pub fn claim(
+        &self,
+        user: i64,
+        kind: TaskKind,
+        ahead: usize,
+        now: Millis,
+    ) -> Result<Result<(TaskDetail, Vec<String>), Empty>> {
         // The writer does both in one transaction: its page cache is warm, a reader's is invalid after
         // every commit.
         self.write(move |tx| {
             let turn = Turn::begin(tx, user, now)?;
-            Ok(match claim(tx, &turn, kind)? {
-                Ok(task) => Claimed::Task {
-                    detail: Box::new(read::detail(tx, user, task)?),
-                    upcoming: upcoming(tx, &turn, kind, task, ahead)?,
-                },
-                Err(empty) => Claimed::Nothing(empty),
-            })
+            let task = match claim(tx, &turn, kind)? {
+                Ok(task) => task,
+                Err(empty) => return Ok(Err(empty)),
+            };
+            let upcoming = upcoming(tx, &turn, kind, task, ahead)?;
+            Ok(Ok((read::detail(tx, user, task)?, upcoming)))
         })
     }
 

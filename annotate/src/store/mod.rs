@@ -61,9 +61,9 @@ pub use backup::{back_up, backup_is_due};
 pub use browse::{DecisionQuery, PageQuery};
 pub use migrate::Upgrade;
 pub use records::{
-    AcceptedAnswer, AuditFilter, BundleEntry, Claimed, Credit, Imported, IssuedToken, KeyRange,
-    Label, Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, Reject, ReviewClaimed,
-    ReviewDetail, ShelfFilter, TaskDetail, TaskRecord, TokenUse, Who,
+    AcceptedAnswer, AuditFilter, BundleEntry, Credit, Imported, IssuedToken, KeyRange, Label,
+    Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, Reject, ReviewDetail, ShelfFilter,
+    TaskDetail, TaskRecord, TokenUse, Who,
 };
 pub use store::Store;
 

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::state::LogKind;
 use crate::wire::{
-    Answer, EditType, Empty, Lease, MotionInfo, ReviewEmpty, Revision, Role, Standing, Suggestion,
-    SuggestionSource, TaskKind, TaskState, names,
+    Answer, EditType, Lease, MotionInfo, Revision, Role, Standing, Suggestion, SuggestionSource,
+    TaskKind, TaskState, names,
 };
 
 pub use crate::wire::{BundleItem as BundleEntry, TokenShown as IssuedToken};
@@ -196,29 +196,6 @@ pub struct TaskDetail {
     pub blind: bool,
     /// Whether the clip was ingested anew after the user wrote an answer.
     pub clip_changed: bool,
-}
-
-/// Result of a claim.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Claimed {
-    /// A task; the lease on it is held.
-    Task {
-        /// The task as its holder may see it.
-        detail: Box<TaskDetail>,
-        /// Hashes of the motions of the following tasks.
-        upcoming: Vec<String>,
-    },
-    /// No task, and why.
-    Nothing(Empty),
-}
-
-/// Result of claiming a review.
-#[derive(Clone, Debug, PartialEq)]
-pub enum ReviewClaimed {
-    /// A task to review.
-    Task(Box<ReviewDetail>),
-    /// No task, and why.
-    Nothing(ReviewEmpty),
 }
 
 /// A task to review.

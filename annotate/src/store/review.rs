@@ -5,7 +5,7 @@ use super::db::{Result, Tx, params};
 use super::entry::{Body, Entry};
 use super::leases::Turn;
 use super::log::Request;
-use super::records::{Millis, ReviewClaimed, ReviewDetail, TaskRecord};
+use super::records::{Millis, ReviewDetail, TaskRecord};
 use super::settings::{has_up_to, require};
 use super::store::Store;
 use super::{apply, project, rows};
@@ -18,18 +18,18 @@ use crate::wire::{
 };
 
 impl Store {
-    /// Claims the next task to review.
+    /// Claims the next task to review, or says why there is none.
     pub fn review_next(
         &self,
         user: i64,
         queue: ReviewQueue,
         kind: Option<TaskKind>,
         now: Millis,
-    ) -> Result<ReviewClaimed> {
+    ) -> Result<Result<ReviewDetail, ReviewEmpty>> {
         let kind = kind.map_or("", TaskKind::as_str);
         self.write(move |tx| match next(tx, user, queue, kind, now)? {
-            Some(task) => Ok(ReviewClaimed::Task(Box::new(detail(tx, user, task)?))),
-            None => empty(tx, user, kind).map(ReviewClaimed::Nothing),
+            Some(task) => detail(tx, user, task).map(Ok),
+            None => empty(tx, user, kind).map(Err),
         })
     }
 

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use annotate::store::{Claimed, ReviewClaimed, Store, TaskDetail, open_sqlite};
+use annotate::store::{Store, TaskDetail, open_sqlite};
 use annotate::transfer::from_dataset;
 use annotate::wire::{
     Answer, CountReason, Decision, EditType, EventKind, Extent, Funnel, MaskAnswer, NewReview,
@@ -337,8 +337,8 @@ impl Team {
             let claimed = (0..3).find_map(|next| {
                 let kind = kinds[(first + next) % 3];
                 match self.store.claim(person, kind, 3, now).expect("claims") {
-                    Claimed::Task { detail, .. } => Some(detail),
-                    Claimed::Nothing(_) => None,
+                    Ok((detail, _)) => Some(detail),
+                    Err(_) => None,
                 }
             });
             let Some(detail) = claimed else { return };
@@ -374,7 +374,7 @@ impl Team {
                 .store
                 .review_next(reviewer, ReviewQueue::Disagreement, None, now)
                 .expect("claims");
-            let ReviewClaimed::Task(detail) = claimed else {
+            let Ok(detail) = claimed else {
                 return;
             };
             now += MINUTE / 2;

@@ -11,9 +11,7 @@ use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use annotate::store::{
-    Claimed, MotionRecord, NewTask, PageQuery, ReviewClaimed, Store, TaskDetail,
-};
+use annotate::store::{MotionRecord, NewTask, PageQuery, Store, TaskDetail};
 use annotate::wire::{
     Answer, Decision, EditType, EventKind, NewReview, ReviewQueue, Role, Rule, RuleKind,
     SkipReason, TaskFilter, TaskKind, TaskSort, TaskState, Verdict,
@@ -232,7 +230,7 @@ impl Project {
         let claimed = self.times.of("claim", || {
             store.claim(person, kind, 3, now).expect("claims")
         });
-        let Claimed::Task { detail, .. } = claimed else {
+        let Ok((detail, _)) = claimed else {
             return None;
         };
         let (task, lease) = (detail.task.id, detail.lease.as_ref().expect("a lease"));
@@ -336,7 +334,7 @@ impl Project {
                     .review_next(reviewer, ReviewQueue::Sample, None, now)
                     .expect("claims")
             });
-            let ReviewClaimed::Task(detail) = claimed else {
+            let Ok(detail) = claimed else {
                 return;
             };
             let decision = match self.rng.random_range(0..100) {

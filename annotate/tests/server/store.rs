@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use annotate::store::{Claimed, NewTask, ReviewClaimed, Store, TokenUse, Who, open_sqlite};
+use annotate::store::{NewTask, Store, TokenUse, Who, open_sqlite};
 use annotate::wire::{
     Answer, Code, Decision, EventKind, EventResult, JointChoice, JointWeight, MaskAnswer, NewEvent,
     NewReview, ReviewQueue, RevisionState, Role, Settings, SkipReason, TaskKind, TaskState,
@@ -100,8 +100,8 @@ impl Fixture {
 
     pub(crate) fn claim_kind(&self, user: i64, kind: TaskKind, now: i64) -> Option<i64> {
         match self.store.claim(user, kind, 3, now).expect("claims") {
-            Claimed::Task { detail, .. } => Some(detail.task.id),
-            Claimed::Nothing(_) => None,
+            Ok((detail, _)) => Some(detail.task.id),
+            Err(_) => None,
         }
     }
 
@@ -167,8 +167,8 @@ impl Fixture {
             .review_next(self.eve.id, ReviewQueue::Disagreement, None, now)
             .expect("claims")
         {
-            ReviewClaimed::Task(detail) => (detail.task.id, detail.lease.epoch),
-            ReviewClaimed::Nothing(empty) => panic!("nothing to review: {empty:?}"),
+            Ok(detail) => (detail.task.id, detail.lease.epoch),
+            Err(empty) => panic!("nothing to review: {empty:?}"),
         }
     }
 
@@ -217,7 +217,7 @@ fn a_task_goes_to_as_many_people_as_it_wants_and_no_more() {
         let second = site.claim(site.bob, START);
         assert!(second.is_some() && second != first);
         assert_eq!(site.claim(site.eve.id, START), None);
-        let Claimed::Nothing(empty) = site
+        let Err(empty) = site
             .store
             .claim(site.eve.id, TaskKind::MaskText, 3, START)
             .expect("claims")
@@ -431,7 +431,7 @@ fn reviewers_do_not_judge_their_own_work_and_decisions_can_be_undone() {
             .store
             .review_next(site.eve.id, ReviewQueue::Sample, None, START)
             .expect("claims");
-        let ReviewClaimed::Nothing(empty) = review else {
+        let Err(empty) = review else {
             panic!("one's own work is not given out")
         };
         assert_eq!((empty.waiting, empty.mine), (1, 1));
@@ -932,7 +932,7 @@ fn the_motions_of_the_next_tasks_are_named_gold_ones_too() {
         });
         let site = fixture(store, tasks);
         let next = |user: i64| match site.store.claim(user, TaskKind::Pair, 3, START) {
-            Ok(Claimed::Task { detail, upcoming }) => (detail.task.source, upcoming.join(" ")),
+            Ok(Ok((detail, upcoming))) => (detail.task.source, upcoming.join(" ")),
             other => panic!("{other:?}"),
         };
         let (present, following) = next(site.ann);
@@ -1333,7 +1333,7 @@ fn random_walks_end_in_a_store_that_follows_from_its_log() {
                     let claimed =
                         site.store
                             .review_next(site.eve.id, ReviewQueue::Disagreement, None, now);
-                    if let ReviewClaimed::Task(detail) = claimed.expect("claims") {
+                    if let Ok(detail) = claimed.expect("claims") {
                         let decision = Decision::ALL[rng.random_range(0..4)];
                         let author = detail
                             .candidates
@@ -1585,7 +1585,7 @@ fn a_category_gets_no_more_pairs_than_its_quota_and_the_emptiest_comes_first() {
             *bob.entry(answer(fixture.bob, Verdict::Keep)).or_insert(0) += 1;
         }
         assert_eq!(bob, BTreeMap::from([("wave".to_owned(), 6)]));
-        let Claimed::Nothing(empty) = fixture
+        let Err(empty) = fixture
             .store
             .claim(fixture.ann, TaskKind::Pair, 0, START)
             .expect("claims")

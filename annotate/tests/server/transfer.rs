@@ -5,8 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use annotate::store::{
-    AcceptedAnswer, Claimed, KeyRange, MotionRecord, NewTask, ReviewClaimed, Store, TaskRecord,
-    Who, open_sqlite,
+    AcceptedAnswer, KeyRange, MotionRecord, NewTask, Store, TaskRecord, Who, open_sqlite,
 };
 use annotate::transfer::{
     AnnotationRow, EventRow, LabelRow, RejectRow, Taken, export, from_annotations, from_dataset,
@@ -156,7 +155,7 @@ fn task_of(store: &Store, key: &str) -> TaskRecord {
 
 /// Has a person answer a task of a kind in a store without a server, and returns it.
 fn answer_in(store: &Store, user: i64, kind: TaskKind, answer: Option<Answer>) -> i64 {
-    let Claimed::Task { detail, .. } = store.claim(user, kind, 0, START).expect("claims") else {
+    let Ok((detail, _)) = store.claim(user, kind, 0, START).expect("claims") else {
         panic!("a task")
     };
     let lease = detail.lease.expect("a lease");
@@ -182,7 +181,7 @@ fn accept_in(store: &Store, user: i64) {
     let next = store
         .review_next(user, ReviewQueue::Sample, None, START)
         .expect("claims");
-    let ReviewClaimed::Task(review) = next else {
+    let Ok(review) = next else {
         panic!("a task to review")
     };
     let decision = NewReview {
@@ -1046,7 +1045,7 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
     let next = store
         .review_next(eve, ReviewQueue::Sample, Some(TaskKind::Pair), START)
         .expect("claims");
-    let ReviewClaimed::Task(review) = next else {
+    let Ok(review) = next else {
         panic!("a task to review")
     };
     assert!(review.task.changed);

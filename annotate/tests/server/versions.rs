@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use annotate::store::{Claimed, Store, open_sqlite};
+use annotate::store::{Store, open_sqlite};
 use annotate::wire::{Answer, EventKind, Role, Settings, TaskKind, TaskState};
 use rusqlite::Connection;
 
@@ -85,7 +85,7 @@ fn check_upgraded(store: &Arc<Store>, version: i64) {
     assert_eq!(store.id().expect("an id").len(), 16);
     // The returned answer is still with its author, and work goes on.
     let ann = store.users().expect("users")[1].id;
-    let Claimed::Task { detail, .. } = store
+    let Ok((detail, _)) = store
         .claim(ann, TaskKind::MaskText, 0, START)
         .expect("claims")
     else {

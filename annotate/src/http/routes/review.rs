@@ -7,7 +7,6 @@ use crate::Error;
 use crate::answer;
 use crate::http::app::{Context, json};
 use crate::quality::draft_distance;
-use crate::store::ReviewClaimed;
 use crate::wire::{
     Candidate, Decision, NewReview, ReviewNext, ReviewRequest, ReviewView, Revision,
 };
@@ -19,13 +18,13 @@ pub(super) fn review_next(cx: &Context) -> Result<Response, Error> {
         store.review_task(user, task, cx.now)?
     } else {
         match store.review_next(user, request.queue, request.kind, cx.now)? {
-            ReviewClaimed::Nothing(empty) => {
+            Err(empty) => {
                 return json(&ReviewNext {
                     review: None,
                     empty: Some(empty),
                 });
             }
-            ReviewClaimed::Task(detail) => *detail,
+            Ok(detail) => detail,
         }
     };
     let revisions = detail.candidates.iter();

@@ -7,7 +7,7 @@ use crate::answer;
 use crate::http::app::{App, Context, json};
 use crate::mask::known_parts;
 use crate::model::MAX_REQUESTS_PER_MINUTE;
-use crate::store::{AuditFilter, Claimed, TaskDetail, TaskRecord};
+use crate::store::{AuditFilter, TaskDetail, TaskRecord};
 use crate::wire::{
     Bundle, Code, EventBatch, EventResults, MAX_EVENTS, Next, NextRequest, SuggestRequest,
     Suggestion, TaskKind, TaskView, TextForm,
@@ -76,8 +76,8 @@ pub(super) fn next(cx: &Context) -> Result<Response, Error> {
     let request: NextRequest = cx.body()?;
     let claimed = cx.store().claim(cx.user()?, request.kind, AHEAD, cx.now)?;
     let (task, empty, prefetch) = match claimed {
-        Claimed::Task { detail, upcoming } => (Some(view(&cx.app, *detail)?), None, upcoming),
-        Claimed::Nothing(empty) => (None, Some(empty), Vec::new()),
+        Ok((detail, upcoming)) => (Some(view(&cx.app, detail)?), None, upcoming),
+        Err(empty) => (None, Some(empty), Vec::new()),
     };
     json(&Next {
         task,
