@@ -72,9 +72,8 @@ impl Store {
         let limit = values.put(query.limit as i64);
         place += &format!(" ORDER BY v.seq DESC LIMIT {limit}");
         let items = self.read(|tx| decisions(tx, &place, &values.all()))?;
-        let next = (items.len() == query.limit)
-            .then(|| items.last().map(|item| item.seq))
-            .flatten();
+        let last = items.last().map(|item| item.seq);
+        let next = last.filter(|_| items.len() == query.limit);
         Ok(Decisions { items, next })
     }
 }

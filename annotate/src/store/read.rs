@@ -236,9 +236,8 @@ impl Store {
         let limit = values.put(filter.limit as i64);
         condition += &format!(" ORDER BY e.seq DESC LIMIT {limit}");
         let entries = self.read(|tx| log(tx, &condition, &values.all()))?;
-        let next = (entries.len() == filter.limit)
-            .then(|| entries.last().map(|entry| entry.seq))
-            .flatten();
+        let last = entries.last().map(|entry| entry.seq);
+        let next = last.filter(|_| entries.len() == filter.limit);
         Ok(Audit { entries, next })
     }
 

@@ -38,11 +38,10 @@ impl Store {
             // Nobody in particular decides.
             let turn = Turn::of(tx, 0, now)?;
             let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
+            let (looked_at, last) = (tasks.len() as i64, tasks.last().map(|task| task.id));
             let mut done = RulesApplied {
-                looked_at: tasks.len() as i64,
-                next: (tasks.len() as i64 == AT_ONCE)
-                    .then(|| tasks.last().map(|task| task.id))
-                    .flatten(),
+                looked_at,
+                next: last.filter(|_| looked_at == AT_ONCE),
                 ..RulesApplied::default()
             };
             for task in tasks {
