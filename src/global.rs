@@ -106,10 +106,10 @@ impl Global {
     }
 }
 
-/// Names that an option takes: what each stands for, and its help.
+/// The names that an option takes, each with its value and its help.
 pub(crate) type Names<T> = &'static [(&'static str, T, &'static str)];
 
-/// Parses one of some names.
+/// A parser of the option that takes these names.
 pub(crate) fn one_of<T>(names: Names<T>) -> impl TypedValueParser<Value = T>
 where
     T: Copy + Send + Sync + 'static,
@@ -120,7 +120,7 @@ where
     });
     PossibleValuesParser::new(listed).map(move |given| {
         let row = names.iter().find(|(name, ..)| *name == given);
-        row.expect("the parser knows the names").1
+        row.expect("no other name is parsed").1
     })
 }
 

@@ -49,7 +49,7 @@ pub(crate) fn listing(lines: &[String]) -> String {
     text
 }
 
-/// Rows of cells, one below the other; those of the columns for which it holds stand to the right.
+/// Lines up rows of cells in columns. Columns for which `is_right` holds are aligned to the right, others to the left.
 pub(crate) fn columns(rows: &[Vec<String>], is_right: impl Fn(usize) -> bool) -> String {
     let count = rows.first().map_or(0, Vec::len);
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max();

@@ -13,7 +13,7 @@ use crate::wire::{
     MaskAnswer, Settings, Style, TaskKind, Verdict,
 };
 
-/// What an answer of any kind says; what its kind does not have is empty.
+/// The fields of an answer of any kind. Those that its kind does not have are empty.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Fields<'a> {
     pub(crate) masks: &'a [MaskAnswer],
@@ -29,7 +29,7 @@ pub(crate) struct Fields<'a> {
 }
 
 impl Fields<'_> {
-    /// The answer of a kind that says this; a pair without a verdict is kept.
+    /// An answer of this kind with these fields. A pair without a verdict is kept.
     pub(crate) fn answer(self, kind: TaskKind) -> Answer {
         let (parts, text) = (self.parts.to_vec(), self.text.to_owned());
         let (verdict, note) = (self.verdict.unwrap_or(Verdict::Keep), self.note.to_owned());
@@ -396,9 +396,10 @@ impl Answer {
 
 /// Distance of two answers about a clip with `frames` frames, 0 to 1.
 ///
-/// A mask is the set of its hard joints in each of its frames. Each mask of either answer has a Jaccard distance to the
-/// nearest mask of the other one; the result is their mean, by answer and then over both. Pairs: 1 for different verdicts,
-/// else by parts and label.
+/// Masks are compared as sets of pairs of a hard joint and a frame. The Jaccard distance of each mask to the nearest
+/// mask of the other answer is averaged over the masks of an answer, and then over both answers. Pairs: 1 for different
+/// verdicts, 0 for the same rejection. Of two kept pairs it is the mean of the Jaccard distance of their joints, and of
+/// 0 for the same edit type or style and 1 for another one.
 pub(crate) fn distance(a: &Answer, b: &Answer, frames: i64) -> f64 {
     if a.verdict() != b.verdict() || a.kind() != b.kind() {
         return 1.0;
@@ -418,7 +419,7 @@ pub(crate) fn distance(a: &Answer, b: &Answer, frames: i64) -> f64 {
     }
 }
 
-/// Mean distance of masks to the nearest of some others.
+/// Mean distance of masks to the nearest of some others; 0 if there are neither, 1 if there are only others.
 fn to_nearest(masks: &[Cells], others: &[Cells]) -> f64 {
     if masks.is_empty() {
         return f64::from(u8::from(!others.is_empty()));

@@ -96,7 +96,8 @@ pub(crate) fn check_names(choices: &[JointChoice]) -> Result<(), String> {
     Ok(())
 }
 
-/// Checks that each choice changes the mask of the parts, and that a hard joint is left. The error is as of [`check_names`].
+/// Checks that each choice changes the mask of the parts, and that a hard joint is left. The error says what is wrong,
+/// and what to do.
 pub(crate) fn check_choices(
     parts: &[String],
     soft: bool,
@@ -116,8 +117,8 @@ pub(crate) fn check_choices(
     Ok(())
 }
 
-/// Checks that a range lies in a clip with `frames` frames and is as long as a training window. The error has the words
-/// after the name of the mask.
+/// Checks that a range lies in a clip with `frames` frames and is at least as long as a training window. The error says
+/// what is wrong and what to do, as the words that follow the name of the mask.
 pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), String> {
     const WHOLE: &str = "or let it hold for the whole clip";
     let length = i64::from(end) - i64::from(start);
@@ -302,10 +303,10 @@ mod tests {
         for (range, problem) in [
             ([-1, 30], "a first frame from 0 on"),
             ([20, 20], "a later end"),
-            ([20, 41], "up to frame 41 of a clip of 40 frames"),
+            ([20, 41], "holds up to frame 41 of a clip of 40 frames"),
             (
                 [4, 3 + least],
-                "for 30 frames, but a range needs 31 at least",
+                "holds for 30 frames, but a range needs 31 at least",
             ),
         ] {
             let found = check_range(range, 40).expect_err("a problem");

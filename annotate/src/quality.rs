@@ -199,7 +199,8 @@ impl Counted {
         }
     }
 
-    /// Adds a task with several answers. They agree as far as each does with the others, in the mean.
+    /// Adds a task with several answers. Each answer has a mean likeness to the others; the agreement on the task is
+    /// the mean of these.
     fn add_shared(&mut self, task: &OfTask) {
         let mut each = Vec::new();
         for (index, said) in task.said.iter().enumerate() {

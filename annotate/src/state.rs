@@ -96,11 +96,11 @@ const WANTING: &[TaskState] = &[Open, Leased, Returned];
 const ANY_UNDECIDED: &[TaskState] = &[Open, Leased, Returned, Submitted];
 /// States in which a reviewer may decide.
 const WITH_REVIEWERS: &[TaskState] = &[Submitted, InReview];
-/// The next state is the same.
+/// The state does not change.
 const SAME: &[TaskState] = &[];
 
-/// All legal transitions: the event, the states before, and the possible next ones, of which the remaining answers and
-/// leases decide. Others are refused with `wrong_state`.
+/// All legal transitions: the event, the states before it, and the possible states after it. The remaining answers and
+/// leases decide which of these it is. Other transitions are refused with `wrong_state`.
 pub const MOVES: &[(LogKind, &[TaskState], &[TaskState])] = &[
     (E::Filled, &[Open], &[Accepted]),
     (E::Claimed, WANTING, &[Leased]),

@@ -149,7 +149,7 @@ async function check() {
 async function test() {
   const folder = join(here, ".test");
   rmSync(folder, { recursive: true, force: true });
-  const entryPoints = walk(join(here, "test")).map((path) => relative(here, path));
+  const entryPoints = walk(join(here, "test")).filter((path) => path.endsWith(".test.ts")).map((path) => relative(here, path));
   await esbuild.build({
     ...shared,
     platform: "node",

@@ -112,7 +112,7 @@ pub enum Error {
         /// The hash of the numbers.
         found: String,
     },
-    /// A range of frames is empty, or one of its ends is missing.
+    /// A range of frames is empty, begins before the first frame, or lacks one of its ends.
     #[error(
         "frames {} to {} are no range; give a first frame and one past the last, or neither",
         start.map_or("?".to_owned(), |frame| frame.to_string()),
@@ -125,7 +125,9 @@ pub enum Error {
         end: Option<i32>,
     },
     /// A range of frames ends after its motion.
-    #[error("a range ends at frame {end} of a motion of {len} frames; end it there or before")]
+    #[error(
+        "a range ends at frame {end}, but its motion has {len} frames; end it at {len} or before"
+    )]
     RangeEnd {
         /// One past the last frame of the range.
         end: usize,

@@ -641,8 +641,8 @@ impl TripletRow {
     }
 }
 
-/// The range of frames that two columns of a row name: `start`, and `end`, which is one past the last. None where both are
-/// missing.
+/// The range of frames that two columns of a row state: `start`, the first frame, and `end`, one past the last. None if
+/// both are missing.
 ///
 /// # Errors
 /// One of both is missing, `start` is negative, or the range is empty.
@@ -670,7 +670,7 @@ fn within(range: Option<Range<usize>>, len: usize) -> Result<Range<usize>, Error
 
 impl MaskRow {
     /// Length in frames of the shortest range that a mask may hold for: what a training window of every preset spans, 16
-    /// frames at 10 fps, counted at the stored 20 fps.
+    /// frames at 10 fps (paper Sec. 5.1), counted at the stored 20 fps.
     pub const SHORTEST: i32 = 31;
 
     /// The range of frames that the mask holds for; none if it holds for the whole motion.
@@ -762,7 +762,7 @@ impl ItemRow {
     /// The frames of the source that the question is about.
     ///
     /// # Errors
-    /// As [`range_of`], the range ends after the source, or there is one and the target is not as long as the source.
+    /// As [`range_of`]; or the range ends after the source; or there is a range and a target of another length.
     pub fn edited_frames(&self) -> Result<Range<usize>, Error> {
         let len = usize::try_from(self.source_frames).unwrap_or(0);
         if self.edit_start.is_some() && ![0, self.source_frames].contains(&self.target_frames) {

@@ -30,7 +30,7 @@ pub(crate) fn clip_ids(
     }
 }
 
-/// What a file says of itself, as a file is written with it.
+/// The facts of a file, in the form in which another file is written with them.
 pub(crate) fn borrowed(facts: &[(String, String)]) -> Vec<(&str, String)> {
     let facts = facts.iter();
     facts

@@ -82,7 +82,7 @@ pub enum Error {
         /// The settings that differ, with both values.
         differing: String,
     },
-    /// It cannot be known which source is meant.
+    /// It cannot be known which source is meant. The text says what is open, and how to answer.
     #[error("{0}")]
     AskedSource(String),
     /// Clips would stay as they were while settings change that all clips of a dataset share.
@@ -152,7 +152,7 @@ pub enum Error {
         .0.display()
     )]
     AllRemoved(PathBuf),
-    /// Two datasets differ in what must be one over a dataset.
+    /// Two datasets differ in settings that are one for a whole dataset. The text names them, with both values.
     #[error(
         "the datasets cannot be one: {0}; ingest one of them again with the setting of the other"
     )]
@@ -189,7 +189,7 @@ pub enum Error {
         .0.display()
     )]
     NoMotions(PathBuf),
-    /// Edits were to be exported in a layout of whole datasets.
+    /// Edits were to be exported in this layout, which is one of whole datasets.
     #[error("{0} is a layout of whole datasets; edits are exported as bvh, amass or gltf")]
     LayoutOfEdits(&'static str),
     /// A bundle of answers, or a folder that is to become one, breaks a rule.
@@ -200,7 +200,7 @@ pub enum Error {
         /// What is wrong, with the item where it is one's.
         problem: String,
     },
-    /// Two items have one id.
+    /// Two items have this id.
     #[error("item {0} is in the table twice; draw the items again with `stance items`")]
     ItemTwice(String),
     /// The layout has one frame rate and the clips have several.

@@ -1,6 +1,7 @@
 //! Verification of a dataset: hashes, columns, contents, and no leaks between splits.
 
 mod answers;
+mod finding;
 mod origins;
 mod read;
 
@@ -19,62 +20,7 @@ use crate::Error;
 use crate::likeness::{Sketch, near_pairs};
 use crate::recordings::Origin;
 
-/// Subject of a finding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Check {
-    /// Files exist with the recorded size and hash.
-    Files,
-    /// Every table has its columns, and rows decode.
-    Schema,
-    /// Motions match their hashes and counts.
-    Contents,
-    /// Rows that name a motion or an item name an existing one and agree with it.
-    References,
-    /// Edits are unique by system, item and seed.
-    Systems,
-    /// No recording is in two splits.
-    Splits,
-    /// Sources equal ingested, quarantined and skipped.
-    Accounting,
-}
-
-impl Check {
-    /// Every check, in the order they are made.
-    pub const ALL: [Check; 7] = [
-        Self::Files,
-        Self::Schema,
-        Self::Contents,
-        Self::References,
-        Self::Systems,
-        Self::Splits,
-        Self::Accounting,
-    ];
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Files => "files",
-            Self::Schema => "schema",
-            Self::Contents => "contents",
-            Self::References => "references",
-            Self::Systems => "systems",
-            Self::Splits => "splits",
-            Self::Accounting => "accounting",
-        }
-    }
-}
-
-/// A defect.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-pub struct Finding {
-    /// The check that found it.
-    pub check: Check,
-    /// The file, motion or row.
-    pub item: String,
-    /// What is wrong, with the numbers found and expected.
-    pub problem: String,
-}
+pub use self::finding::{Check, Finding};
 
 /// Result of a verification.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

@@ -188,7 +188,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     })
 }
 
-/// The losses of a run over its steps, with a text before their names.
+/// The training and validation losses of a run over its steps. `before` is put before the names of the curves.
 pub(crate) fn loss_curves(run: &Path, before: &str) -> anyhow::Result<[Curve; 2]> {
     let metrics = train::metrics::read(run)?;
     let curves = [("training", metrics.loss), ("validation", metrics.val_loss)];

@@ -292,7 +292,8 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     let other = differences(&compare(&second));
     let mut other = other.iter();
     let moved = other.find(|row| row["metric"] == "Position error (cm)");
-    assert_ne!(moved.expect("measured")["difference"], 0.0);
+    let moved = moved.expect("measured")["difference"].as_f64();
+    assert_ne!(moved.expect("a number"), 0.0);
 }
 
 /// A plan of a small editor, with its settings in section `models.motionrefit`.

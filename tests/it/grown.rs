@@ -31,9 +31,8 @@ pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) ->
     let done: Value = ran(sources, out, more).expect_code(code).json();
     assert_counted(&done);
     let dataset = Dataset::open(out).expect("a dataset");
-    for table in ["quarantine", "skipped"] {
-        let count = &done[table.replace("quarantine", "quarantined")];
-        assert_eq!(*count, dataset.manifest().rows(table, None), "{table}");
+    for (table, count) in [("quarantine", "quarantined"), ("skipped", "skipped")] {
+        assert_eq!(done[count], dataset.manifest().rows(table, None), "{table}");
     }
     done
 }

@@ -156,6 +156,7 @@ fn bad_files_are_quarantined_with_a_reason_and_the_rest_goes_on() {
         ]
     );
     assert!(rows[0].byte_offset.is_some());
+    // The frame is named.
     assert_has(&rows[1].reason, &["10"]);
     assert!(
         rows.iter()

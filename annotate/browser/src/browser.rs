@@ -1,20 +1,17 @@
 //! Chromium, and user actions in it.
 
-use std::process::Stdio;
-use std::time::Instant;
+use std::process::{Command, Stdio};
 
 use fantoccini::actions::{
-    InputSource, KeyAction, KeyActions, MOUSE_BUTTON_LEFT, MouseActions, PointerAction,
+    Actions, InputSource, KeyAction, KeyActions, MOUSE_BUTTON_LEFT, MouseActions, PointerAction,
     TouchActions,
 };
-use fantoccini::wd::Capabilities;
-use fantoccini::{Client, ClientBuilder};
+use fantoccini::wd::{Capabilities, WindowHandle};
+use fantoccini::{Client, ClientBuilder, Locator};
 use hyper_util::client::legacy::connect::HttpConnector;
 use serde_json::{Value, json};
-use tokio::io::{AsyncBufReadExt, BufReader};
-use tokio::process::{Child, Command};
 
-use crate::waits::{LOOK_EVERY, PATIENCE};
+use crate::waits::{PATIENCE, Program, in_time, wait};
 
 /// Non-printing keys, as named by WebDriver.
 pub mod keys {
@@ -57,43 +54,42 @@ pub enum Graphics {
 #[derive(Debug)]
 pub struct Browser {
     client: Client,
-    driver: Child,
     /// Process id of the browser, which survives if its driver is killed.
     process: Option<i64>,
+    _driver: Program,
 }
 
 impl Drop for Browser {
-    /// Ends the browser of a failed test, which would otherwise keep running.
+    /// Ends the browser. That of a failed test may answer no command, and would keep running.
     fn drop(&mut self) {
-        if let Some(process) = self.process {
-            let ended = std::process::Command::new("kill")
-                .args(["-9", &process.to_string()])
-                .stderr(Stdio::null())
-                .status();
-            if let Err(error) = ended {
+        if !std::thread::panicking() {
+            wait(self.client.clone().close()).expect("Chromium ends");
+        } else if let Some(process) = self.process {
+            let mut kill = Command::new("kill");
+            let kill = kill.args(["-9", &process.to_string()]);
+            if let Err(error) = kill.stderr(Stdio::null()).status() {
                 eprintln!("browser {process} was not ended: {error}");
             }
         }
     }
 }
 
+/// The first matching element, in JavaScript.
+fn element(selector: &str) -> String {
+    format!("document.querySelector({})", json!(selector))
+}
+
 impl Browser {
     /// Starts a driver and a browser of 1280 by 800 pixels.
-    pub async fn start(graphics: Graphics) -> Self {
-        Self::start_with(graphics, &[]).await
+    pub fn start(graphics: Graphics) -> Self {
+        Self::start_with(graphics, &[])
     }
 
     /// Starts a browser with more command-line arguments, for settings of its user's system.
-    pub async fn start_with(graphics: Graphics, more: &[&str]) -> Self {
-        let mut driver = Command::new("chromedriver")
-            .arg("--port=0")
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .kill_on_drop(true)
-            .spawn()
-            .expect("chromedriver starts; annotate/browser/run installs it");
-        let port = driver_port(&mut driver).await;
+    pub fn start_with(graphics: Graphics, more: &[&str]) -> Self {
+        let mut driver = Command::new("chromedriver");
+        driver.arg("--port=0").stderr(Stdio::null());
+        let (driver, port) = Program::start(&mut driver, driver_port);
         let mut args = vec![
             "--headless=new",
             "--no-sandbox",
@@ -109,404 +105,397 @@ impl Browser {
             "--enable-precise-memory-info",
         ];
         args.extend(more);
-        match graphics {
-            Graphics::Software => {
-                args.extend(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
-            }
-            Graphics::None => args.extend(["--disable-gpu", "--disable-3d-apis"]),
-        }
+        args.extend(match graphics {
+            Graphics::Software => ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+            Graphics::None => ["--disable-gpu", "--disable-3d-apis"],
+        });
         let mut capabilities = Capabilities::new();
         capabilities.insert("goog:chromeOptions".to_owned(), json!({ "args": args }));
-        let client = ClientBuilder::new(HttpConnector::new())
-            .capabilities(capabilities)
-            .connect(&format!("http://127.0.0.1:{port}"))
-            .await
-            .expect("Chromium starts");
+        let mut builder = ClientBuilder::new(HttpConnector::new());
+        builder.capabilities(capabilities);
+        let client = wait(builder.connect(&format!("http://127.0.0.1:{port}")));
+        let client = client.expect("Chromium starts");
         // Software rendering of a few hundred frames is slow on few cores.
-        let mut timeouts = client.get_timeouts().await.expect("time limits");
+        let mut timeouts = wait(client.get_timeouts()).expect("time limits");
         timeouts.set_script(Some(2 * PATIENCE));
-        client
-            .update_timeouts(timeouts)
-            .await
-            .expect("time limits are set");
-        let process = client
-            .capabilities()
-            .and_then(|capabilities| capabilities.get("goog:processID"))
-            .and_then(Value::as_i64);
+        wait(client.update_timeouts(timeouts)).expect("time limits are set");
+        let capabilities = client.capabilities();
+        let process = capabilities.and_then(|own| own.get("goog:processID")?.as_i64());
         Self {
             client,
-            driver,
             process,
+            _driver: driver,
         }
-    }
-
-    /// Ends browser and driver; a failed test ends them on drop.
-    pub async fn quit(mut self) {
-        self.client.clone().close().await.expect("Chromium ends");
-        self.process = None;
-        self.driver.kill().await.expect("the driver ends");
-    }
-
-    /// The WebDriver client, for windows and other rare commands.
-    pub fn client(&self) -> &Client {
-        &self.client
     }
 
     /// Opens a URL.
-    pub async fn open(&self, address: &str) {
-        self.client.goto(address).await.expect("the page opens");
+    pub fn open(&self, address: &str) {
+        wait(self.client.goto(address)).expect("the page opens");
+    }
+
+    /// Opens the page anew.
+    pub fn reload(&self) {
+        wait(self.client.refresh()).expect("the page reloads");
+    }
+
+    /// Goes back to the page before.
+    pub fn back(&self) {
+        wait(self.client.back()).expect("the page before");
+    }
+
+    /// The tab that is shown.
+    pub fn window(&self) -> WindowHandle {
+        wait(self.client.window()).expect("a window")
+    }
+
+    /// All tabs.
+    pub fn windows(&self) -> Vec<WindowHandle> {
+        wait(self.client.windows()).expect("windows")
+    }
+
+    /// Opens a tab, without showing it.
+    pub fn new_tab(&self) -> WindowHandle {
+        wait(self.client.new_window(true)).expect("a tab").handle
+    }
+
+    /// Shows a tab.
+    pub fn switch_to(&self, window: &WindowHandle) {
+        wait(self.client.switch_to_window(window.clone())).expect("the tab is shown");
+    }
+
+    /// Closes the tab that is shown.
+    pub fn close_tab(&self) {
+        wait(self.client.close_window()).expect("the tab is closed");
     }
 
     /// Runs JavaScript in the page and returns its result.
-    pub async fn js(&self, script: &str) -> Value {
-        self.js_with(script, Vec::new()).await
+    pub fn js(&self, script: &str) -> Value {
+        self.js_with(script, Vec::new())
     }
 
     /// Runs JavaScript with arguments.
-    pub async fn js_with(&self, script: &str, args: Vec<Value>) -> Value {
-        self.client
-            .execute(script, args)
-            .await
-            .unwrap_or_else(|error| panic!("{script}: {error}"))
+    pub fn js_with(&self, script: &str, args: Vec<Value>) -> Value {
+        wait(self.client.execute(script, args)).unwrap_or_else(|error| panic!("{script}: {error}"))
     }
 
     /// Runs an asynchronous expression in the page and returns its result.
-    pub async fn js_async(&self, expression: &str) -> Value {
+    pub fn js_async(&self, expression: &str) -> Value {
         let script = format!(
             "const done = arguments[arguments.length - 1]; \
              (async () => {expression})().then((value) => done({{ value }}), (error) => done({{ error: String(error) }}));"
         );
-        let result = self
-            .client
-            .execute_async(&script, Vec::new())
-            .await
-            .unwrap_or_else(|error| panic!("{expression}: {error}"));
-        assert!(
-            result["error"].is_null(),
-            "{expression}: {}",
-            result["error"]
-        );
-        result["value"].clone()
+        let result = wait(self.client.execute_async(&script, Vec::new()));
+        let mut result = result.unwrap_or_else(|error| panic!("{expression}: {error}"));
+        let error = &result["error"];
+        assert!(error.is_null(), "{expression}: {error}");
+        result["value"].take()
+    }
+
+    /// The value of an expression in the page.
+    pub fn value(&self, expression: &str) -> Value {
+        self.js(&format!("return {expression};"))
+    }
+
+    /// Checks the value of an expression in the page.
+    pub fn is(&self, expression: &str, expected: impl Into<Value>) {
+        assert_eq!(self.value(expression), expected.into(), "{expression}");
+    }
+
+    /// Number of matching elements.
+    pub fn count(&self, selector: &str) -> u64 {
+        let all = format!("document.querySelectorAll({}).length", json!(selector));
+        self.value(&all).as_u64().expect("a number")
+    }
+
+    /// The text of the first matching element.
+    pub fn text_of(&self, selector: &str) -> String {
+        let text = self.value(&format!("{}.textContent", element(selector)));
+        text.as_str().expect("a text").to_owned()
+    }
+
+    /// Checks that the text of the first matching element has all of these words.
+    pub fn reads(&self, selector: &str, words: &[&str]) {
+        let text = self.text_of(selector);
+        for words in words {
+            assert!(text.contains(words), "{words} is missing: {text}");
+        }
     }
 
     /// Bytes of the page's heap after garbage collection.
-    pub async fn heap_bytes(&self) -> u64 {
-        let bytes = self
-            .js("gc(); gc(); return performance.memory.usedJSHeapSize;")
-            .await;
+    pub fn heap_bytes(&self) -> u64 {
+        let bytes = self.js("gc(); gc(); return performance.memory.usedJSHeapSize;");
         bytes.as_u64().expect("a number of bytes")
     }
 
     /// Waits until the expression is true.
-    pub async fn until(&self, what: &str, expression: &str) {
+    pub fn until(&self, what: &str, expression: &str) {
         let script = format!("return Boolean({expression});");
-        let begun = Instant::now();
-        loop {
-            if self.js(&script).await == Value::Bool(true) {
-                return;
-            }
-            if begun.elapsed() > PATIENCE {
-                let page = self
-                    .js("return document.body.innerText.slice(0, 2000);")
-                    .await;
-                panic!("not within {PATIENCE:?}: {what} ({expression}); the page says:\n{page}");
-            }
-            tokio::time::sleep(LOOK_EVERY).await;
+        if !in_time(|| self.js(&script) == true) {
+            let page = self.value("document.body.innerText.slice(0, 2000)");
+            panic!("not within {PATIENCE:?}: {what} ({expression}); the page says:\n{page}");
         }
     }
 
-    /// Waits until the server answers a request as expected: the page says what was done before it is stored.
-    ///
-    /// # Panics
-    /// It does not happen within [`PATIENCE`].
-    pub async fn until_stored(&self, what: &str, path: &str, is_so: impl Fn(&Value) -> bool) {
-        let begun = Instant::now();
-        loop {
-            let reply = self.request("GET", path, None).await;
-            if is_so(&reply["body"]) {
-                return;
-            }
-            assert!(
-                begun.elapsed() <= PATIENCE,
-                "not within {PATIENCE:?}: {what}; the server says {reply}"
-            );
-            tokio::time::sleep(LOOK_EVERY).await;
-        }
+    /// Waits until there is a matching element.
+    pub fn shows(&self, selector: &str) {
+        self.until(selector, &element(selector));
+    }
+
+    /// Waits until there is no matching element.
+    pub fn lacks(&self, selector: &str) {
+        self.until(selector, &format!("!{}", element(selector)));
+    }
+
+    /// Waits until the text of the first matching element has these words.
+    pub fn says(&self, selector: &str, words: &str) {
+        let says = format!("?.textContent.includes({})", json!(words));
+        self.until(words, &(element(selector) + &says));
+    }
+
+    /// Waits until a matching element has the focus.
+    pub fn focuses(&self, selector: &str) {
+        let matches = format!("document.activeElement?.matches({})", json!(selector));
+        self.until(&format!("the focus on {selector}"), &matches);
+    }
+
+    /// Gives the first matching element the focus.
+    pub fn focus(&self, selector: &str) {
+        self.js(&format!("{}.focus();", element(selector)));
+    }
+
+    /// Clicks the first matching element, without moving the mouse there.
+    pub fn click(&self, selector: &str) {
+        self.js(&format!("{}.click();", element(selector)));
+    }
+
+    /// Clicks the first matching element with the mouse.
+    pub fn click_with_mouse(&self, selector: &str) {
+        let found = wait(self.client.find(Locator::Css(selector))).expect("an element");
+        wait(found.click()).expect("it can be clicked");
+    }
+
+    /// Chooses a file in the first matching field.
+    pub fn choose_file(&self, selector: &str, path: &str) {
+        let field = wait(self.client.find(Locator::Css(selector))).expect("a field");
+        wait(field.send_keys(path)).expect("a file is chosen");
+    }
+
+    /// Clicks a button of the open dialog, or of the first matching element without one, once it can be clicked: by its
+    /// choice, its accessible name or its text.
+    pub fn press_button(&self, within: &str, label: &str) {
+        let button = format!(
+            "[...((document.querySelector('dialog[open]') ?? {})?.querySelectorAll('button:not([disabled])') ?? [])] \
+             .find((own) => (own.dataset.choice ?? own.getAttribute('aria-label') ?? own.textContent).trim() === {})",
+            element(within),
+            json!(label)
+        );
+        self.until(label, &button);
+        self.js(&format!("{button}.click();"));
     }
 
     /// Presses and releases keys, one after the other.
-    pub async fn press(&self, pressed: &[&str]) {
-        self.press_with(&[], pressed).await;
+    pub fn press(&self, pressed: &[&str]) {
+        self.press_with(&[], pressed);
     }
 
     /// Presses keys while Control is held.
-    pub async fn control(&self, pressed: &[&str]) {
-        self.press_with(&[keys::CONTROL], pressed).await;
+    pub fn control(&self, pressed: &[&str]) {
+        self.press_with(&[keys::CONTROL], pressed);
     }
 
     /// Presses keys while Shift is held.
-    pub async fn shift(&self, pressed: &[&str]) {
-        self.press_with(&[keys::SHIFT], pressed).await;
+    pub fn shift(&self, pressed: &[&str]) {
+        self.press_with(&[keys::SHIFT], pressed);
+    }
+
+    /// Presses keys while Control and Shift are held.
+    pub fn control_shift(&self, pressed: &[&str]) {
+        self.press_with(&[keys::CONTROL, keys::SHIFT], pressed);
     }
 
     /// Types a text, letter by letter.
-    pub async fn type_text(&self, text: &str) {
+    pub fn type_text(&self, text: &str) {
         let letters: Vec<String> = text.chars().map(String::from).collect();
         let letters: Vec<&str> = letters.iter().map(String::as_str).collect();
-        self.press(&letters).await;
+        self.press(&letters);
+    }
+
+    /// Presses keys, the last of which goes to a text, and types the text.
+    pub fn write(&self, pressed: &[&str], text: &str) {
+        self.press(pressed);
+        self.type_text(text);
     }
 
     /// Presses keys while modifiers are held.
-    pub async fn press_with(&self, held: &[char], pressed: &[&str]) {
+    fn press_with(&self, held: &[char], pressed: &[&str]) {
         let mut actions = KeyActions::new("keyboard".to_owned());
         for &value in held {
             actions = actions.then(KeyAction::Down { value });
         }
         for key in pressed {
             let value = key.chars().next().expect("a key");
-            actions = actions
-                .then(KeyAction::Down { value })
-                .then(KeyAction::Up { value });
+            actions = actions.then(KeyAction::Down { value });
+            actions = actions.then(KeyAction::Up { value });
         }
         for &value in held.iter().rev() {
             actions = actions.then(KeyAction::Up { value });
         }
-        self.client
-            .perform_actions(actions)
-            .await
-            .expect("keys are pressed");
+        self.act(actions);
     }
 
     /// Touches the middle of the first matching element, which must be on the screen, with a finger.
-    pub async fn tap(&self, selector: &str) {
-        let [x, y] = self.middle(selector).await;
+    pub fn tap(&self, selector: &str) {
         let button = MOUSE_BUTTON_LEFT;
         let touch = TouchActions::new("finger".to_owned())
-            .then(PointerAction::MoveTo {
-                duration: None,
-                x,
-                y,
-            })
+            .then(self.to_middle(selector, 0.0))
             .then(PointerAction::Down { button })
             .then(PointerAction::Up { button });
-        self.client
-            .perform_actions(touch)
-            .await
-            .expect("the screen is touched");
+        self.act(touch);
     }
 
     /// Drags the middle of the first matching element, which must be on the screen, to the right with the mouse, by a
     /// number of pixels.
-    pub async fn drag(&self, selector: &str, by: f64) {
-        let [x, y] = self.middle(selector).await;
+    pub fn drag(&self, selector: &str, by: f64) {
         let button = MOUSE_BUTTON_LEFT;
-        let to = |x: f64| PointerAction::MoveTo {
-            duration: None,
-            x,
-            y,
-        };
         let mouse = MouseActions::new("mouse".to_owned())
-            .then(to(x))
+            .then(self.to_middle(selector, 0.0))
             .then(PointerAction::Down { button })
-            .then(to(x + by / 2.0))
-            .then(to(x + by))
+            .then(self.to_middle(selector, by / 2.0))
+            .then(self.to_middle(selector, by))
             .then(PointerAction::Up { button });
-        self.client
-            .perform_actions(mouse)
-            .await
-            .expect("the mouse is moved");
+        self.act(mouse);
     }
 
-    /// The middle of the first matching element on the screen, in pixels.
-    async fn middle(&self, selector: &str) -> [f64; 2] {
-        let at = self
-            .js_with(
-                "const box = document.querySelector(arguments[0]).getBoundingClientRect();
-                 return [box.left + box.width / 2, box.top + box.height / 2];",
-                vec![json!(selector)],
-            )
-            .await;
-        [0, 1].map(|axis: usize| at[axis].as_f64().expect("a place"))
+    /// A move to `right` pixels right of the middle of the first matching element.
+    fn to_middle(&self, selector: &str, right: f64) -> PointerAction {
+        let at = self.js_with(
+            "const box = document.querySelector(arguments[0]).getBoundingClientRect();
+             return [box.left + box.width / 2, box.top + box.height / 2];",
+            vec![json!(selector)],
+        );
+        let [x, y] = [0, 1].map(|axis: usize| at[axis].as_f64().expect("a place"));
+        PointerAction::MoveTo {
+            duration: None,
+            x: x + right,
+            y,
+        }
+    }
+
+    fn act(&self, actions: impl Into<Actions>) {
+        wait(self.client.perform_actions(actions)).expect("the actions are performed");
     }
 
     /// Logs in with the token in the URL, like the printed address, and opens a page.
-    pub async fn log_in(&self, server: &crate::Server, token: &str, path: &str) {
-        self.open(&server.page(&format!("#token={token}"))).await;
-        self.until(
-            "logged in",
-            "document.querySelector('header.top:not([hidden])')",
-        )
-        .await;
-        let address = self.js("return location.href;").await;
-        assert!(
-            !address.as_str().expect("an address").contains(token),
-            "the token stays in the address bar"
-        );
-        self.open(&server.page(path)).await;
-    }
-
-    /// Sends a request in the page's session. Returns `{status, body}`.
-    pub async fn request(&self, method: &str, path: &str, body: Option<Value>) -> Value {
-        self.fetch(method, path, body, None).await
-    }
-
-    /// Sends a request with the token of another user.
-    pub async fn request_as(
-        &self,
-        token: &str,
-        method: &str,
-        path: &str,
-        body: Option<Value>,
-    ) -> Value {
-        self.fetch(method, path, body, Some(token)).await
-    }
-
-    async fn fetch(
-        &self,
-        method: &str,
-        path: &str,
-        body: Option<Value>,
-        token: Option<&str>,
-    ) -> Value {
-        let headers = match token {
-            Some(token) => {
-                json!({ "Authorization": format!("Bearer {token}"), "Content-Type": "application/json" })
-            }
-            None => json!({ "X-Annotate": "1", "Content-Type": "application/json" }),
-        };
-        let mut init = json!({ "method": method, "headers": headers });
-        init["credentials"] = json!(if token.is_some() {
-            "omit"
-        } else {
-            "same-origin"
-        });
-        if let Some(body) = body {
-            init["body"] = json!(body.to_string());
-        }
-        self.js_async(&format!(
-            "{{ const response = await fetch({}, {init}); const text = await response.text(); \
-             return {{ status: response.status, body: text === '' ? null : JSON.parse(text) }}; }}",
-            json!(format!("/api/v1/{path}"))
-        ))
-        .await
+    pub fn log_in(&self, server: &crate::Server, token: &str, path: &str) {
+        self.open(&server.page(&format!("#token={token}")));
+        self.shows("header.top:not([hidden])");
+        let address = self.value("location.href").to_string();
+        assert!(!address.contains(token), "{address} still has the token");
+        self.open(&server.page(path));
     }
 
     /// The number of the task on the page, once one is shown and drawn.
-    pub async fn task(&self) -> i64 {
+    pub fn task(&self) -> i64 {
         self.until(
             "a task is shown",
             "document.querySelector('.work[data-task]') && document.querySelector('.stage canvas')",
-        )
-        .await;
-        let task = self
-            .js("return Number(document.querySelector('.work').dataset.task);")
-            .await;
+        );
+        let task = self.value("Number(document.querySelector('.work').dataset.task)");
         task.as_i64().expect("a number")
     }
 
+    /// Waits until the page shows another task than this, or none.
+    pub fn leaves(&self, task: i64) {
+        self.lacks(&format!(".work[data-task=\"{task}\"]"));
+    }
+
     /// Waits until another task than this is shown.
-    pub async fn next_task(&self, task: i64) -> i64 {
+    pub fn next_task(&self, task: i64) -> i64 {
         self.until(
             "the next task is shown",
             &format!("document.querySelector('.work') && document.querySelector('.work').dataset.task !== '{task}'"),
-        )
-        .await;
-        self.task().await
+        );
+        self.task()
     }
 
     /// Waits until all changes are saved on the server.
-    pub async fn saved(&self) {
-        self.until(
-            "saved",
-            "document.querySelector('.chip').dataset.state === 'saved'",
-        )
-        .await;
+    pub fn saved(&self) {
+        self.shows(".chip[data-state=saved]");
+    }
+
+    /// Marks the page that is shown with `data-left`, which the next one does not have.
+    pub fn mark(&self) {
+        self.js(
+            "document.querySelector('#main')?.firstElementChild?.setAttribute('data-left', '');",
+        );
     }
 
     /// Moves the focus to a link, a button or a field with the Tab key.
-    pub async fn tab_to(&self, label: &str) {
+    pub fn tab_to(&self, label: &str) {
         const MOST: usize = 60;
         for _ in 0..MOST {
-            let here = self
-                .js("const at = document.activeElement; return at.getAttribute('aria-label') ?? at.textContent;")
-                .await;
+            let here = self.js("const at = document.activeElement; return at.getAttribute('aria-label') ?? at.textContent;");
             if here.as_str().is_some_and(|text| text.trim() == label) {
                 return;
             }
-            self.press(&[keys::TAB]).await;
+            self.press(&[keys::TAB]);
         }
         panic!("{label} is not within {MOST} steps of the Tab key");
     }
 
+    /// Whether F6, which goes round the regions of the page, moves the focus into an element.
+    pub fn reaches(&self, selector: &str) -> bool {
+        const REGIONS: usize = 6;
+        let inside = format!("document.activeElement.closest('{selector}') !== null");
+        let is_inside = || self.value(&inside) == true;
+        (0..REGIONS).any(|_| {
+            let reached = is_inside();
+            if !reached {
+                self.press(&[keys::F6]);
+            }
+            reached
+        }) || is_inside()
+    }
+
     /// Saves screenshots of the page in two sizes if ANNOTATE_PICTURES names a folder.
-    pub async fn picture(&self, name: &str) {
+    pub fn picture(&self, name: &str) {
         if std::env::var_os("ANNOTATE_PICTURES").is_some() {
-            self.in_each_size(name, async |_| {}).await;
+            self.in_each_size(name, |_| {});
         }
     }
 
     /// Checks the page in two sizes, and saves a screenshot of each if ANNOTATE_PICTURES names a folder.
-    pub async fn in_each_size(&self, name: &str, check: impl AsyncFn(u32)) {
+    pub fn in_each_size(&self, name: &str, check: impl Fn(u32)) {
         // Take the smaller size last: tests continue in it.
         for (width, height) in [(1920, 1080), (1280, 800)] {
-            self.resize(width, height).await;
-            self.photograph(&format!("{name}-{width}")).await;
-            check(width).await;
+            self.resize(width, height);
+            self.photograph(&format!("{name}-{width}"));
+            check(width);
         }
     }
 
     /// Gives the page a size in pixels, and waits until it is drawn.
-    pub async fn resize(&self, width: u32, height: u32) {
-        let edge = self
-            .js("return [outerWidth - innerWidth, outerHeight - innerHeight];")
-            .await;
+    pub fn resize(&self, width: u32, height: u32) {
+        let edge = self.value("[outerWidth - innerWidth, outerHeight - innerHeight]");
         let edge = |at: usize| edge[at].as_u64().unwrap_or(0) as u32;
-        self.client
-            .set_window_size(width + edge(0), height + edge(1))
-            .await
-            .expect("the window has another size");
-        self.js_async("{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); return null; }")
-            .await;
+        let [width, height] = [width + edge(0), height + edge(1)];
+        wait(self.client.set_window_size(width, height)).expect("the window has another size");
+        self.js_async("{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); return null; }");
     }
 
     /// Saves a screenshot if ANNOTATE_PICTURES names a folder.
-    pub async fn photograph(&self, name: &str) {
+    pub fn photograph(&self, name: &str) {
         if let Some(folder) = std::env::var_os("ANNOTATE_PICTURES") {
-            let png = self.client.screenshot().await.expect("a picture");
+            let png = wait(self.client.screenshot()).expect("a picture");
             let path = std::path::Path::new(&folder).join(format!("{name}.png"));
             std::fs::write(&path, png).expect("the picture is kept");
         }
     }
-
-    /// The text of the first matching element.
-    pub async fn text_of(&self, selector: &str) -> String {
-        let text = self
-            .js_with(
-                "return document.querySelector(arguments[0]).textContent;",
-                vec![json!(selector)],
-            )
-            .await;
-        text.as_str().expect("a text").to_owned()
-    }
 }
 
-/// The port chosen and printed by the driver.
-async fn driver_port(driver: &mut Child) -> u16 {
-    let stdout = driver.stdout.take().expect("stdout is piped");
-    let mut lines = BufReader::new(stdout).lines();
-    let found = tokio::time::timeout(PATIENCE, async {
-        while let Ok(Some(line)) = lines.next_line().await {
-            if let Some(rest) = line.split("successfully on port ").nth(1) {
-                let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();
-                if let Ok(port) = digits.parse() {
-                    return port;
-                }
-            }
-        }
-        panic!("chromedriver did not say its port");
-    })
-    .await
-    .expect("chromedriver starts in time");
-    tokio::spawn(async move { while let Ok(Some(_)) = lines.next_line().await {} });
-    found
+/// The port chosen by the driver, from the line that says it.
+fn driver_port(line: &str) -> Option<u16> {
+    let rest = line.split("successfully on port ").nth(1)?;
+    let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();
+    digits.parse().ok()
 }

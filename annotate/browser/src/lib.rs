@@ -4,9 +4,9 @@
 //! own data folder, server port and browser profile, so they run in any order and in parallel.
 
 mod browser;
+mod requests;
 mod server;
 mod waits;
 
 pub use browser::{Browser, Graphics, keys};
 pub use server::{Dataset, Server, report_page};
-pub use waits::{LOOK_EVERY, PATIENCE};

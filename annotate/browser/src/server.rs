@@ -3,15 +3,13 @@
 use std::fs;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
-use std::sync::OnceLock;
+use std::process::{Command, Stdio};
+use std::sync::LazyLock;
 
 use serde_json::Value;
 use tempfile::TempDir;
-use tokio::io::{AsyncBufReadExt, BufReader};
-use tokio::process::{Child, Command};
 
-use crate::waits::PATIENCE;
+use crate::waits::Program;
 
 /// Number of clips of the built-in corpus: enough for masks, bundles of eight and style pairs.
 const CLIPS: &str = "48";
@@ -25,36 +23,28 @@ fn stance() -> PathBuf {
 }
 
 /// Runs the command to its end and returns its output.
-async fn run(args: &[&str]) -> String {
-    let output = Command::new(stance())
-        .args(args)
-        .args(["--quiet"])
-        .stdin(Stdio::null())
-        .output()
-        .await
-        .expect("stance starts");
-    assert!(
-        output.status.success(),
-        "stance {args:?}: {}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+fn run(args: &[&str]) -> String {
+    let mut command = Command::new(stance());
+    command.args(args).arg("--quiet").stdin(Stdio::null());
+    let output = command.output().expect("stance starts");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "stance {args:?}: {said}");
     String::from_utf8(output.stdout).expect("stdout is text")
 }
 
+fn temporary() -> TempDir {
+    TempDir::new().expect("a temporary folder")
+}
+
 /// The report page of a run: the one named by STANCE_REPORT, or that of a short demo.
-pub async fn report_page() -> PathBuf {
-    static MADE: OnceLock<TempDir> = OnceLock::new();
-    static MAKING: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
-    if let Some(page) = std::env::var_os("STANCE_REPORT") {
-        return PathBuf::from(page);
-    }
-    let _guard = MAKING.lock().await;
-    if MADE.get().is_none() {
-        let folder = TempDir::new().expect("a temporary folder");
-        run(&["demo", "--quick", "--out", &text(folder.path())]).await;
-        let _ = MADE.set(folder);
-    }
-    MADE.get().expect("made above").path().join("report.html")
+pub fn report_page() -> PathBuf {
+    static MADE: LazyLock<TempDir> = LazyLock::new(|| {
+        let folder = temporary();
+        run(&["demo", "--quick", "--out", &text(folder.path())]);
+        folder
+    });
+    let named = std::env::var_os("STANCE_REPORT").map(PathBuf::from);
+    named.unwrap_or_else(|| MADE.path().join("report.html"))
 }
 
 /// A test's copy of a dataset that is made once for all tests.
@@ -65,37 +55,30 @@ pub struct Dataset {
 
 impl Dataset {
     /// A copy of the dataset with masks, fine-grained pairs and style pairs.
-    pub async fn fresh() -> Self {
-        static MADE: OnceLock<TempDir> = OnceLock::new();
-        static MAKING: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
-        let guard = MAKING.lock().await;
-        if MADE.get().is_none() {
-            let folder = TempDir::new().expect("a temporary folder");
+    pub fn fresh() -> Self {
+        static MADE: LazyLock<TempDir> = LazyLock::new(|| {
+            let folder = temporary();
             let sources = text(&folder.path().join("sources"));
             let dataset = text(&folder.path().join("dataset"));
-            run(&["corpus", "--out", &sources, "--clips", CLIPS]).await;
-            run(&["ingest", &sources, "--out", &dataset]).await;
-            run(&["masks", &dataset]).await;
-            run(&["pairs", &dataset]).await;
-            let _ = MADE.set(folder);
-        }
-        drop(guard);
-        let made = MADE.get().expect("made above").path().join("dataset");
-        let folder = TempDir::new().expect("a temporary folder");
-        copy(&made, &folder.path().join("dataset"));
-        Self { folder }
+            run(&["corpus", "--out", &sources, "--clips", CLIPS]);
+            run(&["ingest", &sources, "--out", &dataset]);
+            run(&["masks", &dataset]);
+            run(&["pairs", &dataset]);
+            folder
+        });
+        Self::copy_of(&MADE.path().join("dataset"))
     }
 
     /// A dataset with a style pair of any two of its clips, and at least `count` of them.
-    pub async fn with_pairs(count: i64) -> Self {
+    pub fn with_pairs(count: i64) -> Self {
         let clips = (1..).find(|clips| clips * (clips - 1) / 2 >= count);
         let clips = clips.expect("a number of clips").to_string();
-        let folder = TempDir::new().expect("a temporary folder");
-        let sources = folder.path().join("sources");
-        let pairs = folder.path().join("pairs.csv");
-        run(&["corpus", "--out", &text(&sources), "--clips", &clips]).await;
+        let folder = temporary();
+        let [sources, pairs, dataset] =
+            ["sources", "pairs.csv", "dataset"].map(|name| text(&folder.path().join(name)));
+        run(&["corpus", "--out", &sources, "--clips", &clips]);
         let mut names = Vec::new();
-        clip_files(&sources, &sources, &mut names);
+        clip_files(Path::new(&sources), Path::new(&sources), &mut names);
         names.sort();
         let mut lines = String::new();
         for (at, styled) in names.iter().enumerate() {
@@ -104,22 +87,13 @@ impl Dataset {
             }
         }
         fs::write(&pairs, lines).expect("a list of pairs");
-        let dataset = text(&folder.path().join("dataset"));
-        run(&[
-            "ingest",
-            &text(&sources),
-            "--out",
-            &dataset,
-            "--pairs",
-            &text(&pairs),
-        ])
-        .await;
+        run(&["ingest", &sources, "--out", &dataset, "--pairs", &pairs]);
         Self { folder }
     }
 
     /// A copy of another dataset, with its store.
     pub fn copy_of(dataset: &Path) -> Self {
-        let folder = TempDir::new().expect("a temporary folder");
+        let folder = temporary();
         copy(dataset, &folder.path().join("dataset"));
         Self { folder }
     }
@@ -130,16 +104,15 @@ impl Dataset {
     }
 
     /// Runs a command of `stance annotate` on it, and returns the document that it prints.
-    pub async fn annotate(&self, command: &[&str]) -> Value {
+    pub fn annotate(&self, command: &[&str]) -> Value {
         let path = text(&self.path());
-        let printed = run(&[&["annotate", &path], command, &["--json"]].concat()).await;
+        let printed = run(&[&["annotate", &path], command, &["--json"]].concat());
         serde_json::from_str(&printed).expect("one JSON document")
     }
 
     /// Adds a user and returns their token.
-    pub async fn add_user(&self, name: &str, role: &str) -> String {
-        let add = ["user", "add", name, "--role", role];
-        let shown = self.annotate(&add).await;
+    pub fn add_user(&self, name: &str, role: &str) -> String {
+        let shown = self.annotate(&["user", "add", name, "--role", role]);
         shown["token"].as_str().expect("a token").to_owned()
     }
 }
@@ -147,7 +120,7 @@ impl Dataset {
 /// A running server. It is killed when dropped.
 #[derive(Debug)]
 pub struct Server {
-    child: Option<Child>,
+    program: Option<Program>,
     port: u16,
     dataset: PathBuf,
     printed_token: String,
@@ -157,71 +130,53 @@ pub struct Server {
 
 impl Server {
     /// Starts a server on a free port.
-    pub async fn start(dataset: &Dataset) -> Self {
-        Self::start_with(dataset, None).await
+    pub fn start(dataset: &Dataset) -> Self {
+        Self::start_with(dataset, None)
     }
 
     /// Starts a server that asks a language model for drafts.
-    pub async fn start_with(dataset: &Dataset, model: Option<String>) -> Self {
-        let port = free_port();
+    pub fn start_with(dataset: &Dataset, model: Option<String>) -> Self {
         let mut server = Self {
-            child: None,
-            port,
+            program: None,
+            port: free_port(),
             dataset: dataset.path(),
             printed_token: String::new(),
             model,
         };
-        server.up().await;
+        server.up();
         server
     }
 
     /// Starts it again on the same port.
-    pub async fn up(&mut self) {
+    pub fn up(&mut self) {
         let mut command = Command::new(stance());
         if let Some(model) = &self.model {
-            command
-                .env("STANCE_MODEL_URL", model)
-                .env("STANCE_MODEL_NAME", "tiny");
+            command.envs([
+                ("STANCE_MODEL_URL", model.as_str()),
+                ("STANCE_MODEL_NAME", "tiny"),
+            ]);
         }
-        let mut child = command
-            .arg("annotate")
-            .arg(&self.dataset)
-            .args(["--listen", &format!("127.0.0.1:{}", self.port), "--json"])
-            .args(["--host", AFAR])
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::inherit())
-            .kill_on_drop(true)
-            .spawn()
-            .expect("stance starts");
-        let stdout = child.stdout.take().expect("stdout is piped");
-        let mut lines = BufReader::new(stdout).lines();
-        let line = tokio::time::timeout(PATIENCE, lines.next_line())
-            .await
-            .expect("the server says where it is in time")
-            .expect("stdout is text")
-            .expect("the server says where it is");
-        let shown: Value = serde_json::from_str(&line).expect("one JSON document");
+        let listen = format!("127.0.0.1:{}", self.port);
+        command.arg("annotate").arg(&self.dataset);
+        command.args(["--listen", &listen, "--json", "--host", AFAR]);
+        let document = |line: &str| serde_json::from_str::<Value>(line).ok();
+        let (program, shown) = Program::start(&mut command, document);
         if let Some(token) = shown["token"].as_str() {
             self.printed_token = token.to_owned();
         }
-        // Drain its output, so that it never blocks.
-        tokio::spawn(async move { while let Ok(Some(_)) = lines.next_line().await {} });
-        self.child = Some(child);
+        self.program = Some(program);
     }
 
     /// Serves another dataset from now on, on the same port.
-    pub async fn switch_to(&mut self, dataset: &Dataset) {
-        self.down().await;
+    pub fn switch_to(&mut self, dataset: &Dataset) {
+        self.down();
         self.dataset = dataset.path();
-        self.up().await;
+        self.up();
     }
 
     /// Kills it without warning, like a power cut.
-    pub async fn down(&mut self) {
-        if let Some(mut child) = self.child.take() {
-            child.kill().await.expect("the server can be killed");
-        }
+    pub fn down(&mut self) {
+        self.program = None;
     }
 
     /// The address of a page.

@@ -1,9 +1,70 @@
-//! How long tests wait.
+//! Waiting: how long tests do it, for what the page and programs do.
 
-use std::time::Duration;
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+use std::sync::{LazyLock, mpsc};
+use std::time::{Duration, Instant};
+
+use tokio::runtime::Runtime;
 
 /// Timeout of every wait. It is long because test machines can be slow.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Polling interval of a condition.
-pub const LOOK_EVERY: Duration = Duration::from_millis(40);
+const LOOK_EVERY: Duration = Duration::from_millis(40);
+
+/// Runs a command of the WebDriver client to its end. Only the client is asynchronous: a test does one thing after the
+/// other.
+pub(crate) fn wait<T>(work: impl Future<Output = T>) -> T {
+    static RUNTIME: LazyLock<Runtime> = LazyLock::new(|| Runtime::new().expect("a runtime"));
+    RUNTIME.block_on(work)
+}
+
+/// Whether it is so within [`PATIENCE`].
+pub(crate) fn in_time(mut is_so: impl FnMut() -> bool) -> bool {
+    let begun = Instant::now();
+    while !is_so() {
+        if begun.elapsed() > PATIENCE {
+            return false;
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+    true
+}
+
+/// A running program. It is killed when dropped.
+#[derive(Debug)]
+pub(crate) struct Program(Child);
+
+impl Program {
+    /// Starts a program, and waits for a line of its output that `read` understands.
+    pub(crate) fn start<T: Send + 'static>(
+        command: &mut Command,
+        read: impl Fn(&str) -> Option<T> + Send + 'static,
+    ) -> (Self, T) {
+        command.stdin(Stdio::null()).stdout(Stdio::piped());
+        let started = command.spawn();
+        let mut child = started.unwrap_or_else(|error| panic!("{command:?}: {error}"));
+        let lines = BufReader::new(child.stdout.take().expect("stdout is piped")).lines();
+        let program = Self(child);
+        let (sender, understood) = mpsc::channel();
+        // Drains the rest too, so that the program never blocks.
+        std::thread::spawn(move || {
+            for value in lines.map_while(Result::ok).filter_map(|line| read(&line)) {
+                let _unheard = sender.send(value);
+            }
+        });
+        let value = understood.recv_timeout(PATIENCE);
+        let value = value.unwrap_or_else(|error| panic!("{command:?} said nothing: {error}"));
+        (program, value)
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let ended = self.0.kill().and_then(|()| self.0.wait());
+        if let Err(error) = ended {
+            eprintln!("a program was not ended: {error}");
+        }
+    }
+}

@@ -164,12 +164,16 @@ pub(super) fn parse_query<T: DeserializeOwned>(query: &str) -> Result<T, Error> 
     if !query.split('%').skip(1).all(is_escape) {
         return Err(refused(&"a percent escape is malformed"));
     }
-    let given = query.split('&').filter(|pair| !pair.ends_with('='));
+    let has_value = |pair: &&str| {
+        let value = pair.split_once('=').map_or("", |(_, value)| value);
+        !value.is_empty()
+    };
+    let given = query.split('&').filter(has_value);
     serde_urlencoded::from_str(&given.collect::<Vec<_>>().join("&"))
         .map_err(|error| refused(&error))
 }
 
-/// The number of rows to send of at most `most`; 0 asks for no number.
+/// The number of rows of a page: as many as asked for, up to `most`. Without a number, which is 0 here, it is `most`.
 pub(super) fn page_size(asked: usize, most: usize) -> usize {
     if asked == 0 { most } else { asked.min(most) }
 }
@@ -243,6 +247,35 @@ pub(super) async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Error> + Send + 'static,
 ) -> Result<T, Error> {
     let ended = tokio::task::spawn_blocking(work).await;
-    // Of work that panicked the message is in the log.
+    // The panic hook has printed the message of work that panicked.
     ended.unwrap_or(Err(Error::Closed))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Search {
+        q: Option<String>,
+        limit: Option<usize>,
+    }
+
+    #[test]
+    fn a_parameter_without_a_value_is_left_out() {
+        for (query, q, limit) in [
+            ("", None, None),
+            ("q=&limit=", None, None),
+            ("q&limit=3", None, Some(3)),
+            ("q=a+b%3D", Some("a b="), None),
+            ("q=a=&limit=3", Some("a="), Some(3)),
+        ] {
+            let found: Search = parse_query(query).expect("a query");
+            assert_eq!((found.q.as_deref(), found.limit), (q, limit), "{query}");
+        }
+        for query in ["other=1", "q=a&q=b", "limit=x", "limit=-1", "q=%4", "q=%zz"] {
+            assert!(parse_query::<Search>(query).is_err(), "{query}");
+        }
+    }
 }

@@ -33,7 +33,7 @@ static FILES: &[Asset] = &[
 ];
 
 impl Asset {
-    /// Tag of the content, which holds for the file compressed and not.
+    /// Weak tag of the content: the compressed file has the same.
     pub(super) fn etag(&self) -> String {
         format!("W/\"{}\"", &blake3::hash(self.bytes).to_hex()[..16])
     }

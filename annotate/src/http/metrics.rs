@@ -5,7 +5,6 @@ use std::fmt::Write as _;
 use std::sync::Mutex;
 use std::time::Duration;
 
-use super::app::Route;
 use crate::lock::lock;
 
 /// Upper bounds of the latency buckets in seconds.
@@ -24,10 +23,11 @@ struct Requests {
 pub(crate) struct Metrics(Mutex<BTreeMap<(&'static str, &'static str), Requests>>);
 
 impl Metrics {
-    pub(crate) fn count(&self, route: &Route, status: u16, took: Duration) {
+    /// Counts a request to a route, by its method and path.
+    pub(crate) fn count(&self, route: (&'static str, &'static str), status: u16, took: Duration) {
         let secs = took.as_secs_f64();
         let mut all = lock(&self.0);
-        let requests = all.entry((route.method, route.path)).or_default();
+        let requests = all.entry(route).or_default();
         *requests.by_status.entry(status).or_default() += 1;
         requests.secs += secs;
         for (count, end) in requests.by_class.iter_mut().zip(CLASSES) {

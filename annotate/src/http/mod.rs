@@ -270,8 +270,11 @@ async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Respon
         }
         problem_response(&problem)
     });
-    app.metrics
-        .count(route, response.status().as_u16(), begun.elapsed());
+    app.metrics.count(
+        (route.method, route.path),
+        response.status().as_u16(),
+        begun.elapsed(),
+    );
     response
 }
 
@@ -310,7 +313,7 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
     let params = RawPathParams::from_request_parts(&mut parts, &())
         .await
         .map_err(|error| Error::refused(Code::BadRequest, error.to_string()))?;
-    // Only a file is longer than other bodies.
+    // Files, settings and capture plans have limits of their own, and the time of an upload.
     let (what, time) = match route.max_body > MAX_BODY_BYTES {
         true => ("the upload", app.config.upload_patience),
         false => ("the request", patience),

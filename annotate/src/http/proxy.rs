@@ -99,7 +99,10 @@ fn forwarded_for(element: &str) -> Option<IpAddr> {
 fn address(text: &str) -> Option<IpAddr> {
     let text = text.trim();
     let with_port = text.parse().map(|address: SocketAddr| address.ip());
-    let address = with_port.or_else(|_| text.trim_matches(['[', ']']).parse::<IpAddr>());
+    let bracketed = text
+        .strip_prefix('[')
+        .and_then(|rest| rest.strip_suffix(']'));
+    let address = with_port.or_else(|_| bracketed.unwrap_or(text).parse::<IpAddr>());
     address.ok().map(|address| address.to_canonical())
 }
 
@@ -137,6 +140,8 @@ mod tests {
             ("192.0.2.7:4711", "192.0.2.7"),
             ("[2001:db8::7]:4711", "2001:db8::7"),
             ("::ffff:192.0.2.7", "192.0.2.7"),
+            ("[2001:db8::7]", "2001:db8::7"),
+            ("[2001:db8::7", "10.0.0.1"),
             // What the client sent itself stands before its address.
             ("127.0.0.1, 192.0.2.7", "192.0.2.7"),
             ("1.2.3.4, 192.0.2.7, 10.0.0.9, fd00::1", "192.0.2.7"),

@@ -348,7 +348,7 @@ impl Change<'_> {
                 own,
                 ..
             } => {
-                self.hand_over(tx, *author)?;
+                self.decide_on_answers(tx, *author)?;
                 let accepted = rows::revision(tx, task, *author)?;
                 let answer = accepted.ok_or_else(|| Error::not_found("answer"))?.answer;
                 self.settle(tx, Some(*author), comment, rule.as_deref())?;
@@ -365,8 +365,8 @@ impl Change<'_> {
                 own,
                 ..
             } => {
-                // No answer of an author is the accepted one.
-                self.hand_over(tx, 0)?;
+                // No user has the id 0: all submitted answers are superseded.
+                self.decide_on_answers(tx, 0)?;
                 self.settle(tx, None, comment, None)?;
                 let acceptance = Acceptance {
                     merged: true,
@@ -403,8 +403,8 @@ impl Change<'_> {
         tx.run(&sql, params![self.task, self.actor])
     }
 
-    /// Ends the review of the submitted answers: that of an author is accepted, the others are not.
-    fn hand_over(&self, tx: &mut dyn Tx, accepted: i64) -> Result<()> {
+    /// Marks the submitted answer of the author `accepted` as accepted, and the others as superseded.
+    fn decide_on_answers(&self, tx: &mut dyn Tx, accepted: i64) -> Result<()> {
         tx.run(
             "UPDATE revision SET state = CASE WHEN author = ?2 THEN 'accepted' ELSE 'superseded' END
              WHERE task = ?1 AND state = 'submitted'",
@@ -412,7 +412,7 @@ impl Change<'_> {
         )
     }
 
-    /// Ends the work on a task with a decision about its clip as it is now.
+    /// Ends all leases and records the decision, which holds for the clip as it is now.
     fn settle(
         &self,
         tx: &mut dyn Tx,

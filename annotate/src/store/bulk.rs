@@ -41,7 +41,8 @@ fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<()> {
     review::comment(&request.comment, act && needs_comment, "authors")?;
     match (request.action, request.person) {
         (BulkAction::Assign, None) => {
-            require(false, "person", "name the person to give the tasks to")
+            let problem = "name the person to give the tasks to";
+            Err(Error::invalid("person", problem))
         }
         (BulkAction::Assign, Some(person)) => {
             let active = "SELECT 1 FROM usr WHERE id = ?1 AND active = 1";

@@ -1,11 +1,11 @@
-//! Claims: which task a person gets next. Real work of a kind is open to new annotators after practice: tasks with
-//! known answers.
+//! Claims: which task a person gets next. New annotators first get practice tasks of a kind, whose answers are known.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::db::{Result, ToSql, Tx, params};
+use super::draw::percent;
 use super::entry::Place;
-use super::import::{GOLD_KEY, percent};
+use super::import::GOLD_KEY;
 use super::leases::{PLACED, Turn, expire, reserved_after};
 use super::records::{Millis, TaskDetail};
 use super::rows::{self, LEASE, LeaseRow};

@@ -1,7 +1,6 @@
 //! Filters of tasks, as conditions in SQL.
 
 use super::db::{Result, ToSql};
-use super::read;
 use super::settings::{has_up_to, require};
 use crate::Error;
 use crate::wire::{SkipFilter, TaskFilter};
@@ -23,7 +22,7 @@ impl Values {
         all.map(|value| &**value as &dyn ToSql).collect()
     }
 
-    /// The further condition that a column has a value, if one is asked for.
+    /// ` AND column = value` for a `WHERE`; empty without a value.
     pub(super) fn equal(
         &mut self,
         column: &str,
@@ -111,7 +110,7 @@ fn skipped(by: SkipFilter) -> String {
 
 /// The condition of a task with a text in its answers, its clips or its own words.
 fn contains(text: &str, values: &mut Values) -> String {
-    let like = values.put(read::like(text));
+    let like = values.put(like(text));
     let fits = |column: &str| format!("{column} LIKE {like} ESCAPE '\\'");
     let clip = |hash: &str| {
         format!(
@@ -157,4 +156,31 @@ pub(super) fn check(filter: &TaskFilter) -> Result<()> {
         require(is_share, field, "a distance is 0 to 1")?;
     }
     Ok(())
+}
+
+/// The pattern of a text anywhere in a lower-case column. Spaces around the text do not count; a blank text fits all.
+pub(super) fn like(text: &str) -> String {
+    let escaped = text
+        .trim()
+        .to_lowercase()
+        .replace('\\', "\\\\")
+        .replace('%', "\\%")
+        .replace('_', "\\_");
+    format!("%{escaped}%")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::like;
+
+    #[test]
+    fn a_search_is_for_the_text_as_it_stands_without_the_spaces_around_it() {
+        for (text, pattern) in [
+            (" Wave twice ", "%wave twice%"),
+            (" ", "%%"),
+            (r"50%_\", r"%50\%\_\\%"),
+        ] {
+            assert_eq!(like(text), pattern);
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! Import of tasks into the store, and of answers into tasks that exist.
 
 use super::db::{Result, Tx, params};
+use super::draw::{draw, percent};
 use super::entry::{Body, LoggedTask};
 use super::leases::Turn;
 use super::records::{Imported, Millis, NewTask};
@@ -16,6 +17,14 @@ pub(super) const GOLD_KEY: &str = "gold:";
 const GOLD_WANTED: u32 = 1_000_000;
 
 impl Store {
+    /// Changes the settings. A changed number of people is applied to all tasks that still want answers, some at
+    /// a time. Refused with `invalid`.
+    pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<()> {
+        self.write(move |tx| project::put_settings(tx, Some(actor), settings, now))?;
+        while !self.write(move |tx| retarget(tx, actor, now))? {}
+        Ok(())
+    }
+
     /// Imports tasks. Tasks with a known key stay as they are, except that an accepted answer fills one that nobody
     /// has worked on.
     pub fn import(&self, actor: Option<i64>, tasks: Vec<NewTask>, now: Millis) -> Result<Imported> {
@@ -247,14 +256,4 @@ fn copy_known(tx: &mut dyn Tx, actor: i64, id: i64, practice: bool, now: Millis)
     let settings = project::settings(tx)?;
     put_task(tx, Some(actor), next, &copy, practice, &settings, now)?;
     Ok(next)
-}
-
-/// The pseudo-random number of a key, the same on every call and in a store opened again.
-fn draw(parts: &[&str]) -> u64 {
-    datasets_spec::Seed(0).draw_u64(parts)
-}
-
-/// [`draw`] as a number from 0 to 99.
-pub(super) fn percent(parts: &[&str]) -> u32 {
-    (draw(parts) % 100) as u32
 }

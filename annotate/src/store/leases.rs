@@ -1,8 +1,8 @@
 //! Leases: assignment of tasks to people for a limited time.
 
 use super::db::{Result, Tx, params};
+use super::draw::percent;
 use super::entry::{Body, ENTRY_COLUMNS, Entry, Place, read_entry};
-use super::import::percent;
 use super::records::{Millis, Who};
 use super::rows::{self, LeaseRow};
 use super::store::Store;

@@ -3,7 +3,7 @@
 //! # To change the tables
 //!
 //! 1. Change `schema.sql` (what is not derived) or `projections.sql` (what is derived from the log) to what a new
-//!    store gets. A new projection also has a line in [`rebuild::PROJECTIONS`].
+//!    store gets. A new projection also has a line in [`derived::PROJECTIONS`].
 //! 2. Append a step to [`STEPS`]: SQL for both databases that brings the tables of `schema.sql` from the version
 //!    before to the new one. It is empty if only projections or their rows changed: every upgrade drops the
 //!    projections, creates them anew and derives them from the log.
@@ -14,7 +14,9 @@
 //! (`tests/stores`) and compares their tables with those of a new store.
 
 use super::db::{Result, Tx, not_opened, params};
-use super::{people, rebuild};
+use super::store::{Store, Upgrade};
+use super::{derived, people, project};
+use crate::Error;
 
 const SCHEMA: &str = include_str!("schema.sql");
 
@@ -82,15 +84,11 @@ pub(super) const ID: &str = "id";
 /// Bytes of the id.
 const ID_BYTES: usize = 8;
 
-/// An upgrade that opening a store made.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Upgrade {
-    /// Version of its tables before.
-    pub from: i64,
-    /// Version now.
-    pub to: i64,
-    /// Where the copy of the store from before is.
-    pub copy: String,
+impl Store {
+    /// The id of the store, drawn when it was created; its copies share it.
+    pub fn id(&self) -> Result<String> {
+        self.read(|tx| project::get(tx, ID)?.ok_or(Error::Closed))
+    }
 }
 
 /// What creating or upgrading tables does, for errors.
@@ -109,7 +107,7 @@ pub(super) fn prepare(
     match found {
         VERSION => return Ok(None),
         0 => {
-            for sql in [SCHEMA, rebuild::SCHEMA, triggers] {
+            for sql in [SCHEMA, derived::SCHEMA, triggers] {
                 tx.define(sql)?;
             }
         }
@@ -123,11 +121,11 @@ pub(super) fn prepare(
             for step in &STEPS[done..] {
                 tx.define(step)?;
             }
-            for (table, ..) in rebuild::PROJECTIONS {
+            for (table, ..) in derived::PROJECTIONS {
                 tx.define(&format!("DROP TABLE IF EXISTS {table}"))?;
             }
-            tx.define(rebuild::SCHEMA)?;
-            rebuild::derive(tx)?;
+            tx.define(derived::SCHEMA)?;
+            derived::derive(tx)?;
         }
         newer => {
             let reason = format!(

@@ -19,6 +19,8 @@ mod captures;
 mod claim;
 mod columns;
 pub(crate) mod db;
+mod derived;
+mod draw;
 mod entry;
 mod filter;
 mod home;
@@ -59,13 +61,12 @@ use db::Result;
 
 pub use backup::{back_up, backup_is_due};
 pub use browse::{DecisionQuery, PageQuery};
-pub use migrate::Upgrade;
 pub use records::{
     AcceptedAnswer, AuditFilter, BundleEntry, Credit, Imported, IssuedToken, KeyRange, Label,
     Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, Reject, ReviewDetail, ShelfFilter,
     TaskDetail, TaskRecord, TokenUse, Who,
 };
-pub use store::Store;
+pub use store::{Store, Upgrade};
 
 /// Opens the store of a file, creating it if needed. A store of an older version is upgraded after a copy of it was
 /// made ([`Store::upgrade`]).

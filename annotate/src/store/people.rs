@@ -128,7 +128,8 @@ impl Store {
         Ok(self.read(|tx| find(tx, &hash, purposes, now))?.who)
     }
 
-    /// Begins a session by a token, until a time or the end of the token. Refused with `unauthenticated`.
+    /// Begins a session by a token, until a time or the end of the token, whichever is earlier. The end of a one-time
+    /// token does not shorten its session. Refused with `unauthenticated`.
     pub fn log_in(&self, token: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
         let hash = hash(token);
         self.write(move |tx| {

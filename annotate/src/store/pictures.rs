@@ -7,7 +7,7 @@ use super::db::{Result, Tx, params, unreadable};
 use super::entry::Body;
 use super::log;
 use super::records::Millis;
-use super::settings::require;
+use super::settings::{check_picture_name, require};
 use super::store::Store;
 use crate::Error;
 use crate::wire::{MAX_PICTURE_BYTES, PictureInfo};
@@ -75,18 +75,6 @@ fn mime(bytes: &[u8]) -> Option<&'static str> {
     (*mime != "image/webp" || is_webp).then_some(*mime)
 }
 
-/// Checks a name of a picture.
-pub(super) fn check_name(name: &str) -> Result<()> {
-    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    require(
-        (1..=60).contains(&name.len()) && name.chars().all(allowed),
-        "name",
-        format!(
-            "{name:?} is no name of a picture; use up to 60 letters, digits, dashes, dots and underscores"
-        ),
-    )
-}
-
 fn decoded(text: &str) -> Result<Vec<u8>> {
     STANDARD
         .decode(text)
@@ -100,7 +88,7 @@ fn put(
     bytes: &[u8],
     now: Millis,
 ) -> Result<PictureInfo> {
-    check_name(&name)?;
+    check_picture_name(&name)?;
     let mime = mime(bytes).ok_or_else(|| {
         Error::invalid(
             "body",
@@ -140,9 +128,9 @@ mod tests {
         for other in [&b"RIFF....WAVEfmt "[..], b"<svg onload='x'>", b"GIF", b""] {
             assert_eq!(mime(other), None);
         }
-        assert!(check_name("right-1.png").is_ok());
+        assert!(check_picture_name("right-1.png").is_ok());
         for bad in ["", "../x", "a b", "a/b"] {
-            assert!(check_name(bad).is_err(), "{bad:?}");
+            assert!(check_picture_name(bad).is_err(), "{bad:?}");
         }
     }
 }

@@ -14,9 +14,10 @@ use postgres::{Client, Statement};
 use rusqlite::types::{ToSqlOutput, ValueRef};
 
 use super::db::{Params, Result, Row, Tx, Value, not_opened, params, read_only, unreadable};
-use super::migrate::{self, Upgrade};
+use super::migrate;
 use super::pool::{Backend, Pool};
 use super::postgres_address::Address;
+use super::store::Upgrade;
 use crate::Error;
 
 /// Trigger that makes the log append-only.

@@ -182,24 +182,24 @@ mod tests {
 
     #[test]
     fn a_connection_to_another_host_is_encrypted_unless_the_address_says_otherwise() {
-        let of_others = [
+        let encrypted = [
             "ann@db.example/stance",
             "ann@10.0.0.5/stance?connect_timeout=3",
             "ann@localhost,db.example/stance",
             "ann@localhost/stance?sslmode=verify-full",
             "ann:a%3Fb@localhost/stance?sslmode=require&connect_timeout=3",
         ];
-        let local = [
+        let plain = [
             "ann@localhost/stance",
             "ann@127.0.0.1:5433/stance",
             "ann@%2Frun%2Fpostgresql/stance",
             "/stance?host=/run/postgresql",
             "ann@db.example/stance?sslmode=disable",
         ];
-        let of_others = of_others.map(|url| (url, SslMode::Require));
-        let local = local.map(|url| (url, SslMode::Disable));
+        let encrypted = encrypted.map(|url| (url, SslMode::Require));
+        let plain = plain.map(|url| (url, SslMode::Disable));
         let either = [("ann@db.example/stance?sslmode=prefer", SslMode::Prefer)];
-        for (url, expected) in of_others.into_iter().chain(local).chain(either) {
+        for (url, expected) in encrypted.into_iter().chain(plain).chain(either) {
             let url = &format!("postgres://{url}");
             assert_eq!(mode(url), expected, "{url}");
         }

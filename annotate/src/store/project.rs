@@ -7,12 +7,14 @@ use super::entry::{Body, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
 use super::settings::{check, is_name, require};
 use super::store::Store;
-use super::{import, log, rows};
+use super::{log, rows};
 use crate::Error;
 use crate::wire::{
     Action, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Style, Suggestion, TaskState,
 };
 
+/// Characters of the write test: more than any answer has, so that a nearly full disk fails the test.
+const TRIED: usize = 64 * 1024;
 /// Key of the settings.
 const SETTINGS: &str = "settings";
 /// What happens to a motion that is known and is ingested anew.
@@ -23,17 +25,17 @@ const ANEW: &str =
 pub(super) const AT_ONCE: usize = 500;
 
 impl Store {
+    /// Checks that the store accepts writes, by writing.
+    ///
+    /// # Errors
+    /// It does not.
+    pub fn check(&self) -> Result<()> {
+        self.write(|tx| put(tx, "ready", &"-".repeat(TRIED)))
+    }
+
     /// The settings.
     pub fn settings(&self) -> Result<Settings> {
         self.read(settings)
-    }
-
-    /// Changes the settings. A changed number of people is applied to all tasks that still want answers, some at
-    /// a time. Refused with `invalid`.
-    pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<()> {
-        self.write(move |tx| put_settings(tx, Some(actor), settings, now))?;
-        while !self.write(move |tx| import::retarget(tx, actor, now))? {}
-        Ok(())
     }
 
     /// A user's preferences.
@@ -163,7 +165,7 @@ impl Store {
     }
 
     /// Up to `limit` other motions of the same split, for previews: the next ones in cyclic order of hashes. They are
-    /// thus pseudo-random, and the same on every call.
+    /// thus pseudo-random, and the same on every call. Refused with `not_found`.
     pub fn partners(&self, hash: &str, limit: usize) -> Result<Vec<MotionRecord>> {
         self.read(|tx| {
             let Some(motion) = motions_where(tx, "hash = ?1", params![hash])?.pop() else {

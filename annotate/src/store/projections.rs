@@ -36,9 +36,11 @@ pub(super) struct Acceptance<'a> {
     pub(super) reviewer: i64,
     pub(super) answer: &'a Answer,
     pub(super) merged: bool,
+    /// Who wrote it elsewhere, if it is imported.
     pub(super) credit: Option<&'a str>,
+    /// Whether it keeps a pair.
     pub(super) keeps: bool,
-    /// `review`, `own`, `rule:NAME`, or `import`; there, how it was accepted elsewhere follows behind a colon.
+    /// How it was accepted: `review`, `own`, `rule:NAME`, or `import`; behind that and a colon, how it was elsewhere.
     pub(super) basis: String,
 }
 
@@ -67,6 +69,7 @@ impl<'a> Acceptance<'a> {
         }
     }
 
+    /// Stores it as the accepted answer to a task.
     pub(super) fn put(&self, tx: &mut dyn Tx, seq: i64, task: i64, at: Millis) -> Result<()> {
         tx.run(
             "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, edit_type, at, seq, basis,

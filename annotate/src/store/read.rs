@@ -1,7 +1,7 @@
 //! Queries on tasks and answers, for people, figures, exports and the log.
 
 use super::db::{Params, Result, Tx, params};
-use super::filter::Values;
+use super::filter::{Values, like};
 use super::project;
 use super::records::{
     AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, Reject, ShelfFilter,
@@ -400,16 +400,6 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
                 .map_or(entry, |(_, gold)| gold.clone())
         })
         .collect())
-}
-
-/// The pattern of a text anywhere in a lower-case column.
-pub(super) fn like(text: &str) -> String {
-    let escaped = text
-        .to_lowercase()
-        .replace('\\', "\\\\")
-        .replace('%', "\\%")
-        .replace('_', "\\_");
-    format!("%{escaped}%")
 }
 
 /// Accepted answers `a` to tasks `t` of what follows `FROM` in a query.

@@ -1,4 +1,4 @@
-//! The projections, and how they follow from the log: for an upgrade, and to check and to repair them.
+//! The check and the repair of the projections.
 //!
 //! Neither a check nor a repair stops writers: the log is read from a snapshot and applied to a scratch database, which
 //! is compared with the snapshot. Only tasks whose rows differ are written, a few in a transaction.
@@ -9,56 +9,31 @@ use std::sync::{Arc, Mutex};
 use rusqlite::Connection;
 
 use super::apply::apply;
-use super::db::{self, Database, Params, Result, Row, ToSql, Tx, Value, params};
-use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
+use super::db::{self, Database, Result, Row, ToSql, Tx, Value, params};
+use super::derived::{PROJECTIONS, Projection, SCHEMA, entries};
 use super::sqlite::scratch;
+use super::store::Store;
 use crate::lock::lock;
 
-/// A table of a projection, its column with the task that a row belongs to, and its sort columns.
-type Projection = (&'static str, &'static str, &'static str);
-
-/// The projections.
-pub(super) const PROJECTIONS: [Projection; 10] = [
-    ("task", "id", "id"),
-    ("lease", "task", "id"),
-    ("revision", "task", "task, author"),
-    ("review", "task", "seq"),
-    ("accepted", "task", "task"),
-    ("skip", "task", "task, usr"),
-    ("suggestion_use", "task", "seq"),
-    ("gold_score", "task", "task, usr"),
-    ("work", "task", "seq"),
-    ("gold_place", "task", "task, usr"),
-];
-
-/// What creates the projections.
-pub(super) const SCHEMA: &str = include_str!("projections.sql");
-/// Entries read at a time.
-const BATCH: i64 = 1000;
 /// Tasks compared at a time.
 const COMPARED: i64 = 1000;
 /// Tasks repaired in a transaction: as much as claiming two bundles writes.
 const REPAIRED: usize = 16;
 
-/// Entries of the log after a sequence number, up to [`BATCH`].
-fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>> {
-    let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
-    let rows = tx.query(&sql, params![after, BATCH])?;
-    rows.iter().map(read_entry).collect()
-}
+impl Store {
+    /// Derives the projections from the log again and repairs what differs. Returns the names of the tables that did.
+    /// Writers wait for no longer than they do for each other.
+    ///
+    /// # Errors
+    /// An entry of the log cannot be read.
+    pub fn rebuild(&self) -> Result<Vec<&'static str>> {
+        rebuild(self.db.as_ref())
+    }
 
-/// Fills the empty projections of a store from its log.
-pub(super) fn derive(tx: &mut dyn Tx) -> Result<()> {
-    let mut last = 0;
-    loop {
-        let some = entries(tx, last)?;
-        if some.is_empty() {
-            return Ok(());
-        }
-        for (seq, entry) in some {
-            apply(tx, seq, &entry)?;
-            last = seq;
-        }
+    /// Findings of a check of the whole store: gaps in the log, projections that do not follow from it. Writers do
+    /// not wait for it.
+    pub fn verify(&self) -> Result<Vec<String>> {
+        self.snapshot()?.read(verify)
     }
 }
 
@@ -227,10 +202,9 @@ pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use super::super::db::Work;
+    use super::super::db::{Params, Work};
     use super::super::records::NewTask;
     use super::super::sqlite;
-    use super::super::store::Store;
     use super::*;
 
     /// A database that counts its writes, and the statements of the longest one.

@@ -1,7 +1,6 @@
 //! Checks of new settings.
 
 use super::db::Result;
-use super::pictures;
 use crate::Error;
 use crate::wire::{
     MAX_GUIDELINE_CHARS, MAX_MASKS, MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style,
@@ -148,7 +147,7 @@ fn check_guides(settings: &Settings) -> Result<()> {
             format!("use up to {MAX_GUIDE} characters and {MAX_NAMES} pictures"),
         )?;
         for picture in &guide.pictures {
-            pictures::check_name(&picture.name)?;
+            check_picture_name(&picture.name)?;
         }
     }
     let problem = format!("use up to {MAX_GUIDE} characters");
@@ -192,6 +191,18 @@ fn check_rules(rules: &[Rule]) -> Result<()> {
         require(is_share, "review_percent", "use 0 to 100")?;
     }
     Ok(())
+}
+
+/// Checks a name of a picture.
+pub(super) fn check_picture_name(name: &str) -> Result<()> {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    require(
+        (1..=60).contains(&name.len()) && name.chars().all(allowed),
+        "name",
+        format!(
+            "{name:?} is no name of a picture; use up to 60 letters, digits, dashes, dots and underscores"
+        ),
+    )
 }
 
 #[cfg(test)]

@@ -6,8 +6,9 @@ use std::time::Duration;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
 
 use super::db::{Params, Result, Row, Tx, not_opened, read_only};
-use super::migrate::{self, Upgrade};
+use super::migrate;
 use super::pool::{Backend, Pool};
+use super::store::Upgrade;
 use crate::Error;
 
 /// Prepared statements cached per connection.

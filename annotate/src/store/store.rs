@@ -4,13 +4,18 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::db::{self, Database, Result, Tx};
-use super::migrate::{self, Upgrade};
-use super::{project, rebuild};
-use crate::Error;
 use crate::clock::{self, Clock};
 
-/// Characters of the write test: more than any answer has, so that a nearly full disk fails the test.
-const TRIED: usize = 64 * 1024;
+/// An upgrade that opening a store made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Upgrade {
+    /// Version of its tables before.
+    pub from: i64,
+    /// Version now.
+    pub to: i64,
+    /// Where the copy of the store from before is.
+    pub copy: String,
+}
 
 /// A store of tasks, answers and users. Every changing operation is one transaction, durable when it returns.
 /// The caller passes the time: a store has no clock.
@@ -18,7 +23,7 @@ const TRIED: usize = 64 * 1024;
 /// # Errors
 /// Every operation fails if the database does; the codes that a request is refused with are named with its operation.
 pub struct Store {
-    db: Box<dyn Database>,
+    pub(super) db: Box<dyn Database>,
     upgrade: Option<Upgrade>,
 }
 
@@ -30,11 +35,6 @@ impl Store {
     /// The upgrade that opening the store made, if its tables were of an older version.
     pub fn upgrade(&self) -> Option<&Upgrade> {
         self.upgrade.as_ref()
-    }
-
-    /// The id of the store, drawn when it was created; its copies share it.
-    pub fn id(&self) -> Result<String> {
-        self.read(|tx| project::get(tx, migrate::ID)?.ok_or(Error::Closed))
     }
 
     pub(super) fn write<T: Send + 'static>(
@@ -54,21 +54,6 @@ impl Store {
     /// Whether servers on several machines can use the store. If so, it also keeps the files of their exports.
     pub(crate) fn is_shared(&self) -> bool {
         self.db.time().is_some()
-    }
-
-    /// Derives the projections from the log again and repairs what differs. Returns the names of the tables that did.
-    /// Writers wait for no longer than they do for each other.
-    ///
-    /// # Errors
-    /// An entry of the log cannot be read.
-    pub fn rebuild(&self) -> Result<Vec<&'static str>> {
-        rebuild::rebuild(self.db.as_ref())
-    }
-
-    /// Findings of a check of the whole store: gaps in the log, projections that do not follow from it. Writers do
-    /// not wait for it.
-    pub fn verify(&self) -> Result<Vec<String>> {
-        self.snapshot()?.read(rebuild::verify)
     }
 
     /// Changes rows past the log, for tests of what notices it.
@@ -107,14 +92,6 @@ impl Store {
         self.read(|tx| tx.number("SELECT COUNT(*) FROM pref WHERE usr = 0", &[]))?;
         // A transaction without changes takes the writer's lock, and commits nothing.
         self.write(|_| Ok(()))
-    }
-
-    /// Checks that the store accepts writes, by writing.
-    ///
-    /// # Errors
-    /// It does not.
-    pub fn check(&self) -> Result<()> {
-        self.write(|tx| project::put(tx, "ready", &"-".repeat(TRIED)))
     }
 
     /// The clock of the database, for a store that several servers share. Their own clocks may differ by more than

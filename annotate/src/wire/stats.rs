@@ -305,7 +305,7 @@ pub struct PlannedCapture {
 pub struct Captures {
     /// The cells in the order of the plan.
     pub cells: Vec<CaptureCell>,
-    /// Style pairs of no planned cell, without rejected ones.
+    /// Number of style pairs that belong to no cell of the plan. Rejected pairs are not counted.
     pub unplanned: u32,
 }
 

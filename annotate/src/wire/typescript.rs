@@ -28,12 +28,15 @@ fn declaration<T: TS>(config: &Config) -> (String, String) {
     )
 }
 
-/// The text of a declaration with comments of one line, and fields indented.
+/// The text of a declaration: its comment on one line, its fields indented. The Rust source has the comments of fields.
 fn laid_out(text: &str) -> String {
     let text = text.replace("\n */", " */").replace("/**\n *", "/**");
     let mut indent = "";
     let mut lines = String::new();
     for line in text.replace("\n *", "").lines() {
+        if !indent.is_empty() && line.starts_with("/**") {
+            continue;
+        }
         writeln!(lines, "{indent}{}", line.trim_end()).expect("a string takes text");
         if line.starts_with("export") {
             indent = "  ";

@@ -1,14 +1,14 @@
 //! The capture plan: which motions are still to be captured in which styles.
 
 use annotate::store::{MotionRecord, NewTask};
-use annotate::wire::{
-    Answer, Audit, CapturePlan, Captures, Code, Decision, Me, PlannedCapture, Role, TaskKind,
-    TaskState, Verdict,
-};
+use annotate::wire::{Audit, CapturePlan, Captures, Code, Decision, Me, PlannedCapture, TaskKind};
+use serde_json::json;
 
-use crate::store::{fixture, on_each};
+use crate::store::each;
 use crate::styles::label;
-use crate::support::{Answered, Client, START, Site, bare_motion, bare_task, style};
+use crate::support::{
+    Answered, Client, ROOT, START, Site, bare_motion, bare_task, from_json, style,
+};
 
 fn cell(motion: &str, style: &str, takes: u32) -> PlannedCapture {
     PlannedCapture {
@@ -36,27 +36,14 @@ fn style_pair(number: usize, source: &str, style: Option<&str>) -> NewTask {
     }
 }
 
-fn unnatural() -> Answer {
-    Answer::Style {
-        verdict: Verdict::Unnatural,
-        parts: Vec::new(),
-        style: None,
-        extent: None,
-        text: String::new(),
-        suggestion: None,
-        note: String::new(),
-    }
-}
-
 #[test]
 fn a_cell_fills_as_pairs_arrive_and_a_rejected_pair_empties_it() {
-    on_each("captures", |store| {
-        let tasks = vec![
-            style_pair(0, "hash", Some("proud")),
-            style_pair(1, "hash", Some("old")),
-            style_pair(2, "hash", None),
-        ];
-        let site = fixture(store, tasks);
+    let tasks = vec![
+        style_pair(0, "hash", Some("proud")),
+        style_pair(1, "hash", Some("old")),
+        style_pair(2, "hash", None),
+    ];
+    each("captures", tasks, |site| {
         let store = &site.store;
         let planned = vec![
             cell("motion", "proud", 1),
@@ -64,7 +51,7 @@ fn a_cell_fills_as_pairs_arrive_and_a_rejected_pair_empties_it() {
             cell("walk", "old", 1),
         ];
         assert_eq!(store.captures().expect("no plan"), Captures::default());
-        store.plan_captures(1, planned, START).expect("a plan");
+        store.plan_captures(ROOT, planned, START).expect("a plan");
         let state = || store.captures().expect("captures");
         assert_eq!(counts(&state()), [(1, 0, 0), (1, 0, 1), (0, 0, 1)]);
         assert_eq!(state().unplanned, 1, "the pair without a style");
@@ -76,25 +63,15 @@ fn a_cell_fills_as_pairs_arrive_and_a_rejected_pair_empties_it() {
             ..bare_motion()
         };
         store.put_motions(vec![walk]).expect("a motion");
-        let arrived = style_pair(3, "hash of walk", Some("old"));
-        store.import(None, vec![arrived], START).expect("a task");
+        site.import(vec![style_pair(3, "hash of walk", Some("old"))]);
         assert_eq!(counts(&state()), [(1, 0, 0), (1, 0, 1), (1, 0, 0)]);
         assert!(state().cells[2].known);
 
-        let answer = |answer: Answer| {
-            let task = site.claim_kind(site.ann, TaskKind::Style, START);
-            let task = task.expect("a task");
-            site.submit(site.ann, task, 0, answer, START);
-            task
-        };
-        let decide = |decision: Decision| {
-            let (task, lease) = site.review(START);
-            site.decide(task, lease, decision, START)
-        };
         // What a person says is a rejection once it is decided.
-        let rejected = answer(unnatural());
+        let unnatural = json!({ "kind": "style", "verdict": "unnatural" });
+        let rejected = site.hand_in(site.ann, from_json(unnatural));
         assert_eq!(counts(&state())[0], (1, 0, 0));
-        assert_eq!(decide(Decision::Accept), Ok(TaskState::Accepted));
+        site.judge(Decision::Accept);
         assert_eq!(counts(&state())[0], (0, 1, 1));
         // A clip that was ingested anew is another take, until somebody says that the rejection holds.
         let anew = MotionRecord {
@@ -109,28 +86,27 @@ fn a_cell_fills_as_pairs_arrive_and_a_rejected_pair_empties_it() {
         assert_eq!(counts(&state())[0], (0, 1, 1));
 
         // People saw another style than the label says.
-        answer(style());
-        assert_eq!(decide(Decision::Accept), Ok(TaskState::Accepted));
+        let seen = |decision: Decision| {
+            site.hand_in(site.ann, style());
+            site.judge(decision);
+        };
+        seen(Decision::Accept);
         assert_eq!(counts(&state()), [(1, 1, 0), (0, 0, 2), (1, 0, 0)]);
-        answer(style());
-        assert_eq!(decide(Decision::Accept), Ok(TaskState::Accepted));
+        seen(Decision::Accept);
         assert_eq!((counts(&state())[0], state().unplanned), ((2, 1, 0), 0));
-        answer(style());
-        assert_eq!(decide(Decision::Drop), Ok(TaskState::Dropped));
+        seen(Decision::Drop);
         assert_eq!(counts(&state())[2], (0, 1, 1));
-        site.whole();
     });
 }
 
 fn put(client: &Client, cells: Vec<PlannedCapture>) -> Answered {
-    let body = serde_json::to_vec(&CapturePlan { cells }).expect("JSON");
-    client.call("PUT", "captures", Some(&body))
+    client.put("captures", &CapturePlan { cells })
 }
 
 #[test]
 fn an_import_of_the_dataset_brings_takes_and_the_plan_brings_styles() {
     let site = Site::new();
-    let boss = site.person("boss", Role::Admin);
+    let boss = site.person("boss");
     let plan = vec![
         cell("clip10", "proud", 1),
         cell("clip11", "old", 2),
@@ -141,7 +117,7 @@ fn an_import_of_the_dataset_brings_takes_and_the_plan_brings_styles() {
     label(&site, &["old"]);
     let after: Captures = boss.get("captures").ok();
     assert_eq!(counts(&after), [(1, 0, 0), (1, 0, 1), (0, 0, 1)]);
-    let me: Me = site.person("ann", Role::Annotator).get("me").ok();
+    let me: Me = site.person("ann").get("me").ok();
     let styles = me.project.styles;
     assert!(styles.iter().any(|style| style.name == "limping"));
 }
@@ -149,19 +125,14 @@ fn an_import_of_the_dataset_brings_takes_and_the_plan_brings_styles() {
 #[test]
 fn only_an_admin_changes_the_plan_and_a_wrong_one_changes_nothing() {
     let site = Site::new();
-    let people = [
-        ("ann", Role::Annotator),
-        ("eve", Role::Reviewer),
-        ("boss", Role::Admin),
-    ];
-    let [ann, eve, boss] = people.map(|(name, role)| site.person(name, role));
+    let [ann, eve, boss] = site.people(["ann", "eve", "boss"]);
     let plan = || vec![cell("clip10", "proud", 1)];
     let planned: Captures = put(&boss, plan()).ok();
     for person in [&ann, &eve] {
-        let refused = put(person, vec![cell("clip10", "old", 1)]).problem();
-        assert_eq!(refused.code, Code::Forbidden);
+        let refused = put(person, vec![cell("clip10", "old", 1)]);
+        assert_eq!(refused.code(), Code::Forbidden);
     }
-    assert_eq!(ann.get("captures").problem().code, Code::Forbidden);
+    assert_eq!(ann.get("captures").code(), Code::Forbidden);
     for (wrong, field, word) in [
         (cell("clip10", "proud", 2), "cells.1.motion", "twice"),
         (cell("clip10", "old", 0), "cells.1.takes", "1 to 1000"),
@@ -170,10 +141,8 @@ fn only_an_admin_changes_the_plan_and_a_wrong_one_changes_nothing() {
         (cell("clip10", "", 1), "cells.1.style", "missing"),
     ] {
         let problem = put(&boss, [plan(), vec![wrong]].concat()).problem();
-        assert_eq!(
-            (problem.status, problem.field.as_deref()),
-            (422, Some(field))
-        );
+        let said = (problem.status, problem.field.as_deref());
+        assert_eq!(said, (422, Some(field)));
         assert!(problem.detail.contains(word), "{}", problem.detail);
     }
     assert_eq!(eve.get("captures").ok::<Captures>(), planned);
@@ -183,5 +152,5 @@ fn only_an_admin_changes_the_plan_and_a_wrong_one_changes_nothing() {
     };
     assert_eq!(entry.actor, Some(boss.user.id));
     assert_eq!(entry.body["cells"][0]["motion"], "clip10");
-    assert_eq!(site.store.verify().expect("checks"), Vec::<String>::new());
+    site.whole();
 }

@@ -14,59 +14,45 @@ use std::sync::Arc;
 use annotate::store::{Store, TaskDetail, open_sqlite};
 use annotate::transfer::from_dataset;
 use annotate::wire::{
-    Answer, CountReason, Decision, EditType, EventKind, Extent, Funnel, MaskAnswer, NewReview,
-    Outlook, Project, QuotaRow, ReviewQueue, Role, Rule, RuleKind, Settings, TaskKind, Verdict,
+    Answer, DayWork, Decision, EditType, EventKind, Funnel, Me, NewEvent, NewReview, QuotaRow,
+    ReviewQueue, Role, Rule, RuleKind, Settings, TaskKind, Verdict,
 };
 use datasets_spec::Seed;
 use rand::RngExt;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::store::on_each;
-use crate::support::{Client, MINUTE, START, Site, dataset, event, key, masks, pair};
+use crate::support::{
+    DAY, HOUR, MINUTE, START, Site, claim, dataset, decision, event, from_json, masks, pair,
+    review, rule, whole,
+};
 
-const HOUR: i64 = 60 * MINUTE;
-const DAY: i64 = 24 * HOUR;
 /// Tuesday 2023-11-14, midnight UTC: `START` is in the evening of this day.
 const TUESDAY: i64 = START - START % DAY;
-
-fn set(store: &Store, change: impl FnOnce(&mut Settings)) {
-    let mut settings = store.settings().expect("settings");
-    change(&mut settings);
-    store.put_settings(1, settings, START).expect("settings");
-}
 
 #[test]
 fn weeks_and_days_begin_in_the_time_zone_of_the_project() {
     let site = Site::new();
-    set(&site.store, |settings| {
+    site.set(|settings| {
         settings.time_zone = "Pacific/Auckland".to_owned();
     });
-    let (ann, eve) = (
-        site.person("ann", Role::Annotator),
-        site.person("eve", Role::Reviewer),
-    );
-    let me: serde_json::Value = eve.get("me").ok();
-    let project: Project = serde_json::from_value(me["project"].clone()).expect("a project");
-    assert_eq!(project.time_zone, "Pacific/Auckland");
-    ann.answer(TaskKind::Pair, pair(Verdict::Unclear));
+    let [ann, eve] = site.people(["ann", "eve"]);
+    let me: Me = eve.get("me").ok();
+    assert_eq!(me.project.time_zone, "Pacific/Auckland");
+    ann.answer(pair(Verdict::Unclear));
     // Sunday 20:00 UTC is Monday 9:00 in Auckland.
     let sunday = TUESDAY + 5 * DAY + 20 * HOUR;
     site.clock.advance(sunday - START);
-    ann.answer(TaskKind::Pair, pair(Verdict::Unclear));
+    ann.answer(pair(Verdict::Unclear));
     let funnel: Funnel = eve.get("stats/funnel").ok();
-    let last: Vec<(i64, i64)> = funnel
-        .weeks
-        .iter()
-        .rev()
-        .take(2)
-        .map(|week| (week.start, week.submitted))
-        .collect();
+    let last = funnel.weeks.iter().rev().take(2);
+    let last: Vec<(i64, i64)> = last.map(|week| (week.start, week.submitted)).collect();
     let monday = TUESDAY + 5 * DAY + 11 * HOUR;
     assert_eq!(last, [(monday, 1), (monday - 7 * DAY, 1)]);
     assert_eq!(funnel.weeks.len(), 12);
     // A period begins with a whole day, whatever its first moment.
     let days = |query: String| -> Vec<(i64, i64)> {
-        let days: Vec<annotate::wire::DayWork> = eve.get(&format!("stats/days{query}")).ok();
+        let days: Vec<DayWork> = eve.get(&format!("stats/days{query}")).ok();
         days.iter().map(|day| (day.start, day.answers)).collect()
     };
     let both = [(TUESDAY + 11 * HOUR, 1), (monday, 1)];
@@ -79,32 +65,18 @@ fn weeks_and_days_begin_in_the_time_zone_of_the_project() {
 #[test]
 fn agreement_is_told_for_the_week_of_the_last_answer() {
     let site = Site::new();
-    set(&site.store, |settings| settings.answers_per_task = 2);
-    let (ann, bob, eve) = (
-        site.person("ann", Role::Annotator),
-        site.person("bob", Role::Annotator),
-        site.person("eve", Role::Reviewer),
-    );
-    let answer = |who: &Client, answer: Answer| who.answer(answer.kind(), answer);
+    site.set(|settings| settings.answers_per_task = 2);
+    let [ann, bob, eve] = site.people(["ann", "bob", "eve"]);
     // Two pairs in the first week: one verdict agrees, the other does not.
-    let mut tasks = Vec::new();
-    for (first, second) in [
-        (Verdict::Unclear, Verdict::Unclear),
-        (Verdict::Unclear, Verdict::Identical),
-    ] {
-        tasks.push(answer(&ann, pair(first)));
-        tasks.push(answer(&bob, pair(second)));
+    for theirs in [Verdict::Unclear, Verdict::Identical] {
+        let task = ann.answer(pair(Verdict::Unclear));
+        assert_eq!(bob.answer(pair(theirs)), task, "both answer the same tasks");
     }
-    assert_eq!(
-        (tasks[0], tasks[2]),
-        (tasks[1], tasks[3]),
-        "both answer the same tasks"
-    );
-    let clip = answer(&ann, masks("waving"));
+    let clip = ann.answer(masks("waving"));
     site.clock.advance(7 * DAY);
     // The same joints in the second week, of which one answer is a week old.
-    assert_eq!(answer(&bob, masks("swinging")), clip);
-    let single = answer(&ann, masks("waving"));
+    assert_eq!(bob.answer(masks("swinging")), clip);
+    let single = ann.answer(masks("waving"));
     assert_ne!(single, clip);
     let weeks = || -> Vec<(Option<f64>, usize)> {
         let funnel: Funnel = eve.get("stats/funnel").ok();
@@ -115,19 +87,11 @@ fn agreement_is_told_for_the_week_of_the_last_answer() {
     };
     assert_eq!(weeks(), [(Some(1.0), 1), (Some(0.5), 2), (None, 0)]);
     // Of two arms, one is shared: so are the legs of both answers.
-    let Answer::MaskText {
-        masks: mut other, ..
-    } = masks("swinging")
-    else {
-        panic!("masks")
-    };
-    other.remove(0);
-    let legs = Answer::MaskText {
-        masks: other,
-        count_reason: Some(CountReason::SingleAction),
-        note: String::new(),
-    };
-    assert_eq!(answer(&bob, legs), single);
+    let legs = json!({
+        "kind": "mask_text", "count_reason": "single_action",
+        "masks": [{ "parts": ["LOWER_BODY"], "text": "swinging, walking" }],
+    });
+    assert_eq!(bob.answer(from_json(legs)), single);
     // Figures are a minute old at most.
     site.clock.advance(2 * MINUTE);
     let weeks = weeks();
@@ -190,42 +154,23 @@ const COMMENTS: [&str; 3] = [
 
 /// Masks of a clip, from its drafts unless the person has an opinion of their own.
 fn describe(task: &TaskDetail, number: u64, own: bool) -> Answer {
-    let mut said: Vec<MaskAnswer> = Vec::new();
-    let drafted = task
-        .suggestions
-        .iter()
-        .filter(|draft| !draft.text.is_empty());
+    let mut said: Vec<Value> = Vec::new();
+    let drafts = task.suggestions.iter();
+    let drafted = drafts.filter(|draft| !draft.text.is_empty());
     for draft in drafted.take(if own { 0 } else { 2 }) {
         let text = draft.text.trim_start_matches("The person is ");
-        said.push(MaskAnswer {
-            parts: draft.parts.clone(),
-            soft: true,
-            joints: Vec::new(),
-            range: None,
-            text: text.trim_end_matches('.').to_owned(),
-            suggestion: Some(draft.id),
-        });
+        let text = text.trim_end_matches('.');
+        said.push(json!({ "parts": draft.parts, "text": text, "suggestion": draft.id }));
     }
     for (part, text) in DOING.iter().cycle().skip(number as usize % DOING.len()) {
         if said.len() >= 2 {
             break;
         }
-        if said.iter().all(|mask| mask.parts != [*part]) {
-            said.push(MaskAnswer {
-                parts: vec![(*part).to_owned()],
-                soft: true,
-                joints: Vec::new(),
-                range: None,
-                text: (*text).to_owned(),
-                suggestion: None,
-            });
+        if said.iter().all(|mask| mask["parts"] != json!([part])) {
+            said.push(json!({ "parts": [part], "text": text }));
         }
     }
-    Answer::MaskText {
-        masks: said,
-        count_reason: None,
-        note: String::new(),
-    }
+    from_json(json!({ "kind": "mask_text", "masks": said }))
 }
 
 /// A team at work on a store.
@@ -252,14 +197,9 @@ impl Team {
             category_quota: 24,
             quota: 6,
             rules: vec![Rule {
-                name: "both-reject".to_owned(),
-                enabled: true,
-                accepts: RuleKind::Rejects,
-                kinds: Vec::new(),
-                people: Vec::new(),
                 min_answers: 2,
-                max_distance: 0.0,
                 review_percent: 10,
+                ..rule("both-reject", RuleKind::Rejects)
             }],
             ..store.settings().expect("settings")
         };
@@ -303,28 +243,18 @@ impl Team {
                     _ => Verdict::Keep,
                 };
                 let (part, text, edit_type) = EDITS[(number / 20) as usize % EDITS.len()];
-                let keep = verdict == Verdict::Keep;
-                Answer::Pair {
-                    verdict,
-                    parts: keep.then(|| part.to_owned()).into_iter().collect(),
-                    edit_type: keep.then_some(edit_type),
-                    text: if keep { text.to_owned() } else { String::new() },
-                    suggestion: None,
-                    note: String::new(),
-                }
+                from_json(if verdict == Verdict::Keep {
+                    json!({ "kind": "pair", "verdict": "keep", "parts": [part], "edit_type": edit_type, "text": text })
+                } else {
+                    json!({ "kind": "pair", "verdict": verdict })
+                })
             }
             TaskKind::Style => {
-                let style = task.task.style.clone();
-                let style = style.unwrap_or_else(|| "proud".to_owned());
-                Answer::Style {
-                    verdict: Verdict::Keep,
-                    parts: Vec::new(),
-                    extent: Some(Extent::Whole),
-                    text: format!("Do the same in a {style} way."),
-                    style: Some(style),
-                    suggestion: None,
-                    note: String::new(),
-                }
+                let style = task.task.style.as_deref().unwrap_or("proud");
+                let text = format!("Do the same in a {style} way.");
+                from_json(json!({
+                    "kind": "style", "verdict": "keep", "extent": "whole", "style": style, "text": text,
+                }))
             }
         }
     }
@@ -334,13 +264,8 @@ impl Team {
         for turn in 0..count {
             let first = [0, 1, 0, 1, 2][turn % 5];
             let kinds = [TaskKind::MaskText, TaskKind::Pair, TaskKind::Style];
-            let claimed = (0..3).find_map(|next| {
-                let kind = kinds[(first + next) % 3];
-                match self.store.claim(person, kind, 3, now).expect("claims") {
-                    Ok((detail, _)) => Some(detail),
-                    Err(_) => None,
-                }
-            });
+            let claimed =
+                (0..3).find_map(|next| claim(&self.store, person, kinds[(first + next) % 3], now));
             let Some(detail) = claimed else { return };
             let slower = self.rng.random_range(0.7..1.4);
             let secs = match detail.task.kind {
@@ -348,19 +273,18 @@ impl Team {
                 _ => pace * slower / 2.0,
             };
             now += (secs * 1000.0) as i64;
-            let answer = self.answer(&detail);
-            let mut sent = event(
-                EventKind::Submit,
-                detail.lease.as_ref().map_or(0, |lease| lease.epoch),
-                detail.mine.as_ref().map_or(0, |mine| mine.rev),
-                Some(answer),
-            );
-            sent.secs = secs;
-            let results = self
-                .store
-                .append(person, detail.task.id, vec![sent], now)
-                .expect("takes events");
-            assert_eq!(results[0].status, 200, "{:?}", results[0].problem);
+            let sent = NewEvent {
+                secs,
+                ..event(
+                    EventKind::Submit,
+                    detail.lease.as_ref().map_or(0, |lease| lease.epoch),
+                    detail.mine.as_ref().map_or(0, |mine| mine.rev),
+                    self.answer(&detail),
+                )
+            };
+            let results = self.store.append(person, detail.task.id, vec![sent], now);
+            let result = &results.expect("takes events")[0];
+            assert_eq!(result.status, 200, "{:?}", result.problem);
             self.answers += 1;
             self.secs += secs;
         }
@@ -370,34 +294,22 @@ impl Team {
     fn review(&mut self, count: usize, mut now: i64) {
         for turn in 0..count {
             let reviewer = self.reviewers[turn % self.reviewers.len()];
-            let claimed = self
-                .store
-                .review_next(reviewer, ReviewQueue::Disagreement, None, now)
-                .expect("claims");
-            let Ok(detail) = claimed else {
+            let queue = ReviewQueue::Disagreement;
+            let Some(detail) = review(&self.store, reviewer, queue, now) else {
                 return;
             };
             now += MINUTE / 2;
             let back = detail.comments.is_empty() && self.rng.random_range(0..100) < 9;
             let first = detail.candidates.first().map(|(own, _)| own.author);
+            let (what, comment) = match back {
+                true => (Decision::Return, COMMENTS[turn % COMMENTS.len()]),
+                false => (Decision::Accept, ""),
+            };
             let review = NewReview {
-                idem_key: key(),
-                task: detail.task.id,
-                lease_epoch: detail.lease.epoch,
-                decision: if back {
-                    Decision::Return
-                } else {
-                    Decision::Accept
-                },
                 author: first,
-                answer: None,
-                comment: if back {
-                    COMMENTS[turn % COMMENTS.len()]
-                } else {
-                    ""
-                }
-                .to_owned(),
+                comment: comment.to_owned(),
                 secs: 28.0,
+                ..decision(detail.task.id, detail.lease.epoch, what)
             };
             self.store.review(reviewer, review, now).expect("decides");
         }
@@ -405,13 +317,8 @@ impl Team {
 
     /// Two weeks up to `end`, from 9 o'clock on each day but weekends.
     fn two_weeks(&mut self, end: i64) {
-        let tasks: i64 = self
-            .store
-            .funnel()
-            .expect("a funnel")
-            .iter()
-            .map(|(_, _, count)| count)
-            .sum();
+        let counts = self.store.funnel().expect("a funnel");
+        let tasks: i64 = counts.iter().map(|row| row.2).sum();
         let daily = tasks as f64 * 1.4 * 0.75 / (10.0 * self.annotators.len() as f64);
         let today = end - end % DAY;
         let mornings: Vec<i64> = (0..14)
@@ -453,13 +360,10 @@ fn the_work_of_a_team_is_counted_once_by_day_and_by_week() {
         for day in &days {
             *by_person.entry(&day.name).or_default() += day.answers;
         }
-        assert!(
-            by_person.get("tom") < by_person.get("aisha"),
-            "{by_person:?}"
-        );
-        let outlook: Vec<Outlook> = store.outlook(end).expect("an outlook");
+        assert!(by_person["tom"] < by_person["aisha"], "{by_person:?}");
+        let outlook = store.outlook(end).expect("an outlook");
         assert!(outlook.iter().all(|kind| kind.answers_left >= 0));
-        assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
+        whole(&store);
     };
     if let Some(root) = std::env::var_os("ANNOTATE_SEED") {
         let root = std::path::PathBuf::from(root);
@@ -485,15 +389,12 @@ fn the_work_of_a_team_is_counted_once_by_day_and_by_week() {
 #[test]
 fn a_quota_of_a_category_is_told_beside_those_of_its_edit_types() {
     let site = Site::new();
-    set(&site.store, |settings| {
+    site.set(|settings| {
         settings.quota = 3;
         settings.category_quota = 5;
     });
-    let (ann, eve) = (
-        site.person("ann", Role::Annotator),
-        site.person("eve", Role::Reviewer),
-    );
-    ann.answer(TaskKind::Pair, pair(Verdict::Keep));
+    let [ann, eve] = site.people(["ann", "eve"]);
+    ann.answer(pair(Verdict::Keep));
     let rows: Vec<QuotaRow> = eve.get("stats/quota").ok();
     let [row] = rows.as_slice() else {
         panic!("{}", json!(rows));

@@ -10,10 +10,9 @@ use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-use annotate::wire::{EventResults, Role, TaskKind};
-use serde_json::json;
+use annotate::wire::TaskKind;
 
-use crate::support::{START, Site, bare_motion, bare_task, masks, peak_memory_mb, sizes, submit};
+use crate::support::{START, Site, bare_task, masks, peak_memory_mb, say, sizes, submit};
 
 fn at(times: &mut [Duration], share: f64) -> Duration {
     times.sort();
@@ -22,24 +21,21 @@ fn at(times: &mut [Duration], share: f64) -> Duration {
 
 #[test]
 fn load_loses_nothing_and_gives_nothing_twice() {
-    use std::io::Write;
     let [people, each, tasks] = sizes("ANNOTATE_LOAD", "8x15x2000");
     let site = Site::new();
-    let mut motion = bare_motion();
-    motion.hash = site.store.all_motions().expect("motions")[0].hash.clone();
-    let imported = Instant::now();
+    let source = site.store.all_motions().expect("motions")[0].hash.clone();
     let bare = (0..tasks).map(|number| {
         let mut task = bare_task(number, TaskKind::MaskText);
-        task.source.clone_from(&motion.hash);
+        task.source.clone_from(&source);
         task
     });
-    site.store
-        .import(None, bare.collect(), START)
-        .expect("tasks");
+    let bare = bare.collect();
+    let imported = Instant::now();
+    let imports = site.store.import(None, bare, START);
+    imports.expect("tasks");
     let imported = imported.elapsed();
-    let clients: Vec<_> = (0..people)
-        .map(|number| site.person(&format!("worker{number:03}"), Role::Annotator))
-        .collect();
+    let person = |number: usize| site.person(&format!("worker{number:03}"));
+    let clients: Vec<_> = (0..people).map(person).collect();
     let (claims, saves) = (Mutex::new(Vec::new()), Mutex::new(Vec::new()));
     let done: Mutex<BTreeMap<i64, usize>> = Mutex::new(BTreeMap::new());
     let begun = Instant::now();
@@ -52,13 +48,11 @@ fn load_loses_nothing_and_gives_nothing_twice() {
                     let clock = Instant::now();
                     let view = client.claim(TaskKind::MaskText);
                     claimed.push(clock.elapsed());
-                    let body = json!({ "events": [submit(&view, masks("waving"))] });
+                    let event = submit(&view, masks("waving"));
                     let clock = Instant::now();
-                    let results: EventResults = client
-                        .post(&format!("tasks/{}/events", view.task.id), &body)
-                        .ok();
+                    let result = client.tell(&view, event);
                     saved.push(clock.elapsed());
-                    assert_eq!(results.results[0].status, 200);
+                    assert_eq!(result.status, 200);
                     mine.push(view.task.id);
                 }
                 claims.lock().expect("no panic").extend(claimed);
@@ -76,8 +70,7 @@ fn load_loses_nothing_and_gives_nothing_twice() {
         saves.into_inner().expect("no panic"),
     );
     // Print the figures without limits: they depend on the machine.
-    let _said = writeln!(
-        std::io::stderr().lock(),
+    say(&format!(
         "load: {people} annotators x {each} of {tasks} tasks in {took:.1?} (import {imported:.1?}); \
          claim p50 {:.1?} p99 {:.1?}, save p50 {:.1?} p99 {:.1?}, peak memory {} MB of server and clients together",
         at(&mut claims, 0.5),
@@ -85,16 +78,13 @@ fn load_loses_nothing_and_gives_nothing_twice() {
         at(&mut saves, 0.5),
         at(&mut saves, 0.99),
         peak_memory_mb().unwrap_or(0)
-    );
+    ));
     let done = done.into_inner().expect("no panic");
     assert_eq!(done.len(), people * each, "every claim gave another task");
     let (answered, _) = site.store.answered_since(0).expect("tasks");
     let labels = site.store.labels_to(answered).expect("labels");
     assert!(labels.iter().all(|label| done.contains_key(&label.task)));
-    assert_eq!(
-        labels.len(),
-        people * each,
-        "every answer that was acknowledged is there once"
-    );
-    assert_eq!(site.store.verify().expect("checks"), Vec::<String>::new());
+    // Every answer that was acknowledged is there once.
+    assert_eq!(labels.len(), people * each);
+    site.whole();
 }

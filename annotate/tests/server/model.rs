@@ -8,10 +8,10 @@ use std::sync::{Arc, Mutex};
 use annotate::drafting;
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
-use annotate::wire::{Code, Role, Suggestion, SuggestionSource, TaskKind};
+use annotate::wire::{Code, Suggestion, SuggestionSource, TaskKind, TaskView};
 use serde_json::json;
 
-use crate::support::{CLIPS, START, Site};
+use crate::support::{Answered, CLIPS, Client, START, Site};
 
 /// A mock server with a fixed response, which records its requests.
 struct Fake {
@@ -20,7 +20,7 @@ struct Fake {
     count: Arc<AtomicUsize>,
 }
 
-fn fake(response: &'static str) -> Fake {
+fn fake(response: String) -> Fake {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let url = format!("http://{}/v1", listener.local_addr().expect("an address"));
     let asked = Arc::new(Mutex::new(Vec::new()));
@@ -59,105 +59,84 @@ fn fake(response: &'static str) -> Fake {
     Fake { url, asked, count }
 }
 
-fn suggest(site: &Site, parts: &[&str]) -> crate::support::Answered {
-    let ann = site.person("ann", Role::Annotator);
-    let view = ann.claim(TaskKind::MaskText);
-    ann.post(
-        &format!("tasks/{}/suggest", view.task.id),
-        &json!({ "parts": parts }),
-    )
+/// A response in which the model says this.
+fn said(content: &str) -> String {
+    let body = json!({
+        "choices": [{ "message": { "content": content } }], "usage": { "total_tokens": 42 },
+    });
+    format!("HTTP/1.1 200 OK\r\ncontent-type: application/json\r\nconnection: close\r\n\r\n{body}")
+}
+
+fn model(url: &str) -> Model {
+    Model::new(url, "tiny", None).expect("a model")
+}
+
+/// Asks for a draft of a part of a task.
+fn suggest(person: &Client, view: &TaskView, part: &str) -> Answered {
+    let path = format!("tasks/{}/suggest", view.task.id);
+    person.post(&path, &json!({ "parts": [part] }))
 }
 
 #[test]
 fn a_draft_is_a_suggestion_kept_apart_and_asked_for_once() {
-    let fake = fake(
-        "HTTP/1.1 200 OK\r\ncontent-type: application/json\r\nconnection: close\r\n\r\n{\"choices\":[{\"message\":{\"content\":\"\\\"waving <b>the</b>\\n left arm\\\"\"}}],\"usage\":{\"total_tokens\":42}}",
-    );
+    let fake = fake(said("\"waving <b>the</b>\n left arm\""));
     let model = Model::new(&fake.url, "tiny", Some("secret-key".to_owned())).expect("a model");
     let site = Site::with_model(Some(model));
-    let ann = site.person("ann", Role::Annotator);
+    let ann = site.person("ann");
     let me = ann.get("me");
     assert!(!String::from_utf8_lossy(&me.body).contains("secret-key"));
     let view = ann.claim(TaskKind::MaskText);
-    let path = format!("tasks/{}/suggest", view.task.id);
-    let suggestion: Suggestion = ann.post(&path, &json!({ "parts": ["LEFT_ARM"] })).ok();
+    let suggestion: Suggestion = suggest(&ann, &view, "LEFT_ARM").ok();
     assert_eq!(suggestion.source, SuggestionSource::Llm);
     assert_eq!(suggestion.text, "waving <b>the</b> left arm");
     let asked = fake.asked.lock().expect("no panic")[0].clone();
-    assert!(
-        asked
-            .to_lowercase()
-            .contains("authorization: bearer secret-key")
-    );
+    let bearer = "authorization: bearer secret-key";
+    assert!(asked.to_lowercase().contains(bearer));
     assert!(asked.contains("take clip00") && asked.contains("left arm"));
-    let again: Suggestion = ann.post(&path, &json!({ "parts": ["LEFT_ARM"] })).ok();
+    let again: Suggestion = suggest(&ann, &view, "LEFT_ARM").ok();
     assert_eq!(again.text, suggestion.text);
-    assert_eq!(
-        fake.count.load(Ordering::SeqCst),
-        1,
-        "an equal question is not asked twice"
-    );
-    let seen: annotate::wire::TaskView = ann.get(&format!("tasks/{}", view.task.id)).ok();
+    // An equal question is not asked twice.
+    assert_eq!(fake.count.load(Ordering::SeqCst), 1);
+    let seen: TaskView = ann.get(&format!("tasks/{}", view.task.id)).ok();
     assert!(seen.mine.is_none(), "a draft is no answer");
-    assert!(
-        seen.suggestions
-            .iter()
-            .any(|known| known.text == suggestion.text)
-    );
-    assert_eq!(
-        ann.post(&path, &json!({ "parts": ["TAIL"] }))
-            .problem()
-            .code,
-        Code::Invalid
-    );
-    let refused = (0..40)
-        .map(|_| ann.post(&path, &json!({ "parts": ["HEAD"] })))
-        .find(|answered| answered.status == 429);
-    assert_eq!(
-        refused.expect("there is a limit").problem().code,
-        Code::RateLimited
-    );
-    let bob = site.person("bob", Role::Annotator);
-    assert_eq!(
-        bob.post(&path, &json!({ "parts": ["HEAD"] }))
-            .problem()
-            .code,
-        Code::NotFound
-    );
+    let mut texts = seen.suggestions.iter().map(|known| &known.text);
+    assert!(texts.any(|text| *text == suggestion.text));
+    assert_eq!(suggest(&ann, &view, "TAIL").code(), Code::Invalid);
+    let mut asked = (0..40).map(|_| suggest(&ann, &view, "HEAD"));
+    let refused = asked.find(|answered| answered.status == 429);
+    let refused = refused.expect("there is a limit");
+    assert_eq!(refused.code(), Code::RateLimited);
+    let bob = site.person("bob");
+    assert_eq!(suggest(&bob, &view, "HEAD").code(), Code::NotFound);
 }
 
 #[test]
 fn a_model_that_fails_blocks_nothing() {
+    let check = |url: &str, response: &str| {
+        let site = Site::with_model(Some(model(url)));
+        let ann = site.person("ann");
+        let view = ann.claim(TaskKind::MaskText);
+        let refused = suggest(&ann, &view, "LEFT_ARM").code();
+        assert_eq!(refused, Code::ModelFailed, "{response}");
+    };
+    let closed = |head: &str, body: &str| format!("{head}\r\nconnection: close\r\n\r\n{body}");
     for response in [
-        "HTTP/1.1 500 Internal Server Error\r\nconnection: close\r\n\r\n{}",
-        "HTTP/1.1 200 OK\r\nconnection: close\r\n\r\nnot json",
-        "HTTP/1.1 200 OK\r\nconnection: close\r\n\r\n{\"choices\":[]}",
-        "HTTP/1.1 200 OK\r\nconnection: close\r\n\r\n{\"choices\":[{\"message\":{\"content\":\" \"}}]}",
-        "HTTP/1.1 302 Found\r\nlocation: http://127.0.0.1:1/\r\nconnection: close\r\n\r\n",
-        "garbage\r\n\r\n",
+        closed("HTTP/1.1 500 Internal Server Error", "{}"),
+        closed("HTTP/1.1 200 OK", "not json"),
+        closed("HTTP/1.1 200 OK", "{\"choices\":[]}"),
+        closed("HTTP/1.1 302 Found\r\nlocation: http://127.0.0.1:1/", ""),
+        said(" "),
+        "garbage\r\n\r\n".to_owned(),
     ] {
-        let fake = fake(response);
-        let site = Site::with_model(Some(Model::new(&fake.url, "tiny", None).expect("a model")));
-        assert_eq!(
-            suggest(&site, &["LEFT_ARM"]).problem().code,
-            Code::ModelFailed,
-            "{response}"
-        );
+        check(&fake(response.clone()).url, &response);
     }
-    let nobody = Model::new("http://127.0.0.1:1/v1", "tiny", None).expect("a model");
-    let site = Site::with_model(Some(nobody));
-    assert_eq!(
-        suggest(&site, &["LEFT_ARM"]).problem().code,
-        Code::ModelFailed
-    );
+    check("http://127.0.0.1:1/v1", "nobody");
 }
 
 #[test]
 fn drafts_are_asked_for_in_bulk_and_once() {
-    let fake = fake(
-        "HTTP/1.1 200 OK\r\ncontent-type: application/json\r\nconnection: close\r\n\r\n{\"choices\":[{\"message\":{\"content\":\"waving the arm\"}}]}",
-    );
-    let model = Model::new(&fake.url, "tiny", None).expect("a model");
+    let fake = fake(said("waving the arm"));
+    let model = model(&fake.url);
     let site = Site::new();
     let motions = MotionLibrary::open(&site.dataset).expect("motions");
     let store = site.store.as_ref();
@@ -171,20 +150,17 @@ fn drafts_are_asked_for_in_bulk_and_once() {
     assert!(first.texts >= 3 - first.without_parts);
     let prompt = fake.asked.lock().expect("no panic")[0].clone();
     assert!(prompt.contains("Leave out what other parts"), "{prompt}");
-    let ann = site.person("ann", Role::Annotator);
+    let ann = site.person("ann");
     let view = ann.claim(TaskKind::MaskText);
-    let offered = |source: SuggestionSource| {
-        let all = view.suggestions.iter();
-        all.filter(|draft| draft.source == source)
-            .map(|draft| draft.text.as_str())
-            .collect::<Vec<_>>()
-    };
-    assert_eq!(offered(SuggestionSource::Llm), ["waving the arm"]);
-    assert_eq!(
-        offered(SuggestionSource::Import),
-        ["waving with their left arm"],
-        "a draft completes \"The person is ...\", as the guide asks"
-    );
+    // A draft completes "The person is ...", as the guide asks.
+    for (source, text) in [
+        (SuggestionSource::Llm, "waving the arm"),
+        (SuggestionSource::Import, "waving with their left arm"),
+    ] {
+        let mut offered = view.suggestions.clone();
+        offered.retain(|draft| draft.source == source);
+        assert_eq!((offered.len(), offered[0].text.as_str()), (1, text));
+    }
     let rest = ask(usize::MAX);
     assert!(rest.looked_at >= CLIPS - 3, "{rest:?}");
     let again = ask(usize::MAX);
@@ -193,19 +169,21 @@ fn drafts_are_asked_for_in_bulk_and_once() {
 
 #[test]
 fn a_model_that_is_gone_ends_the_drafts_and_is_named() {
-    let model = Model::new("http://127.0.0.1:1/v1", "tiny", None).expect("a model");
+    let model = model("http://127.0.0.1:1/v1");
     let site = Site::new();
     let motions = MotionLibrary::open(&site.dataset).expect("motions");
+    let store = site.store.as_ref();
+    let kind = Some(TaskKind::MaskText);
     let done = drafting::draft_all(
-        site.store.as_ref(),
+        store,
         &motions,
         &model,
-        Some(TaskKind::MaskText),
+        kind,
         usize::MAX,
         START,
         &mut |_| {},
-    )
-    .expect("ends");
+    );
+    let done = done.expect("ends");
     assert_eq!(done.texts, 0);
     assert!(done.failures > 0);
     assert!(done.last_failure.expect("a reason").contains("reached"));

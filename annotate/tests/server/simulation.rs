@@ -11,23 +11,21 @@ use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use annotate::store::{MotionRecord, NewTask, PageQuery, Store, TaskDetail};
+use annotate::store::{MotionRecord, NewTask, PageQuery, Store, TaskDetail, open_sqlite};
 use annotate::wire::{
-    Answer, Decision, EditType, EventKind, NewReview, ReviewQueue, Role, Rule, RuleKind,
-    SkipReason, TaskFilter, TaskKind, TaskSort, TaskState, Verdict,
+    Answer, Decision, EditType, EventKind, NewEvent, NewReview, ReviewQueue, RevisionState, Role,
+    Rule, RuleKind, SkipReason, TaskKind, TaskSort, TaskState, Verdict,
 };
 use datasets_spec::Seed;
 use rand::RngExt;
+use serde_json::{Value, json};
 
-use crate::scale::rule;
 use crate::store::on_each;
 use crate::support::{
-    MINUTE, START, all_keys, bare_task, event, key, masks, pair, peak_memory_mb, plain_settings,
-    sizes,
+    DAY, HOUR, MINUTE, START, all_keys, bare_motion, bare_task, claim, decision, event, from_json,
+    kept, masks, pair, peak_memory_mb, plain_settings, review, rule, say, set, sizes,
 };
 
-const HOUR: i64 = 60 * MINUTE;
-const DAY: i64 = 24 * HOUR;
 /// Share of the tasks that reviewers look at.
 const REVIEWED: u32 = 20;
 /// Categories of the bundles of pairs: there are three times as many walks and runs as jumps and waves.
@@ -49,18 +47,16 @@ impl Times {
     }
 
     fn print(&mut self) {
-        use std::io::Write;
         for (what, times) in &mut self.0 {
             times.sort();
             let at = |share: f64| times[((times.len() - 1) as f64 * share).round() as usize];
-            let _said = writeln!(
-                std::io::stderr().lock(),
+            say(&format!(
                 "  {what:<28} {:>7} times, p50 {:>9.2?} p99 {:>9.2?} total {:>8.1?}",
                 times.len(),
                 at(0.5),
                 at(0.99),
                 times.iter().sum::<Duration>()
-            );
+            ));
         }
     }
 }
@@ -81,19 +77,14 @@ fn by_category(store: &Store) -> BTreeMap<&'static str, [i64; 2]> {
         }
     }
     let total = |category: &str, state: Option<TaskState>| -> i64 {
-        let filter = TaskFilter {
-            kind: Some(TaskKind::Pair),
-            state,
-            category: Some(category.to_owned()),
-            ..TaskFilter::default()
-        };
-        let query = PageQuery {
-            filter,
+        let filter = json!({ "kind": "pair", "state": state, "category": category });
+        let page = store.browse(PageQuery {
+            filter: from_json(filter),
             limit: 1,
             ..PageQuery::default()
-        };
-        let page = store.browse(query).expect("a page");
-        page.total.expect("a first page has a total")
+        });
+        let total = page.expect("a page").total;
+        total.expect("a first page has a total")
     };
     for (category, [_, left]) in &mut found {
         let decided =
@@ -115,23 +106,23 @@ struct Project {
 }
 
 fn project(store: Arc<Store>, [pairs, clips, people]: [usize; 3]) -> Project {
-    plain_settings(store.as_ref());
-    let mut settings = store.settings().expect("settings");
-    settings.answers_per_task = 2;
-    settings.overlap_percent = 10;
-    settings.blind_percent = 10;
-    settings.seed = 20;
-    settings.category_quota = quota(pairs) as u32;
+    plain_settings(&store);
     let rule = |name: &str, accepts: RuleKind, max_distance: f64| Rule {
         max_distance,
         review_percent: REVIEWED,
         ..rule(name, accepts)
     };
-    settings.rules = vec![
-        rule("rejects", RuleKind::Rejects, 1.0),
-        rule("sample", RuleKind::Sampled, 0.5),
-    ];
-    store.put_settings(1, settings, START).expect("settings");
+    set(&store, |settings| {
+        settings.answers_per_task = 2;
+        settings.overlap_percent = 10;
+        settings.blind_percent = 10;
+        settings.seed = 20;
+        settings.category_quota = quota(pairs) as u32;
+        settings.rules = vec![
+            rule("rejects", RuleKind::Rejects, 1.0),
+            rule("sample", RuleKind::Sampled, 0.5),
+        ];
+    });
     let user = |name: String, role| store.add_user(None, &name, role, START).expect("a user").id;
     let reviewers = (0..people.div_ceil(6))
         .map(|number| user(format!("reviewer{number}"), Role::Reviewer))
@@ -143,12 +134,9 @@ fn project(store: Arc<Store>, [pairs, clips, people]: [usize; 3]) -> Project {
         .map(|clip| MotionRecord {
             hash: format!("hash{clip:05}"),
             id: format!("clip{clip:05}"),
-            split: "train".to_owned(),
             frames: 100,
-            fps: 20.0,
             captions: vec![format!("a person waves, take {clip}")],
-            style: None,
-            action: None,
+            ..bare_motion()
         })
         .collect();
     store.put_motions(motions).expect("motions");
@@ -200,26 +188,7 @@ impl Project {
                 0..=3 => pair(Verdict::Unnatural),
                 4 => pair(Verdict::Unclear),
                 5 => pair(Verdict::Identical),
-                _ => match pair(Verdict::Keep) {
-                    Answer::Pair {
-                        verdict,
-                        parts,
-                        text,
-                        suggestion,
-                        note,
-                        ..
-                    } => Answer::Pair {
-                        verdict,
-                        parts,
-                        edit_type: Some(
-                            EditType::ALL[(number / 10) as usize % EditType::ALL.len()],
-                        ),
-                        text,
-                        suggestion,
-                        note,
-                    },
-                    other => other,
-                },
+                _ => kept(EditType::ALL[(number / 10) as usize % EditType::ALL.len()]),
             },
         }
     }
@@ -227,15 +196,11 @@ impl Project {
     /// One turn of a person. Returns the seconds it took, or `None` if there is nothing to do.
     fn work(&mut self, person: i64, kind: TaskKind, now: i64) -> Option<f64> {
         let store = Arc::clone(&self.store);
-        let claimed = self.times.of("claim", || {
-            store.claim(person, kind, 3, now).expect("claims")
-        });
-        let Ok((detail, _)) = claimed else {
-            return None;
-        };
-        let (task, lease) = (detail.task.id, detail.lease.as_ref().expect("a lease"));
+        let claimed = self.times.of("claim", || claim(&store, person, kind, now));
+        let detail = claimed?;
+        let task = detail.task.id;
+        let epoch = detail.lease.as_ref().expect("a lease").epoch;
         let mut rev = detail.mine.as_ref().map_or(0, |mine| mine.rev);
-        let epoch = lease.epoch;
         let secs = if kind == TaskKind::Pair {
             self.rng.random_range(10.0..40.0)
         } else {
@@ -245,46 +210,32 @@ impl Project {
             // The browser is closed: the lease runs out.
             return Some(1200.0);
         }
-        let send = |project: &mut Self, kind, rev, answer: Option<Answer>| {
-            let mut sent = event(kind, epoch, rev, answer);
-            sent.secs = secs;
-            if kind == EventKind::Skip {
-                sent.reason = Some(SkipReason::CannotTell);
-            }
+        let send = |project: &mut Self, kind: EventKind, epoch, rev, answer: Option<Answer>| {
+            let sent = NewEvent {
+                reason: (kind == EventKind::Skip).then_some(SkipReason::CannotTell),
+                secs,
+                ..event(kind, epoch, rev, answer)
+            };
             let results = project.times.of("draft, answer or skip", || {
-                store
-                    .append(person, task, vec![sent], now)
-                    .expect("takes events")
+                store.append(person, task, vec![sent], now)
             });
-            assert_eq!(results[0].status, 200, "{:?}", results[0].problem);
-            results[0].rev
+            let result = results.expect("takes events").remove(0);
+            assert_eq!(result.status, 200, "{:?}", result.problem);
+            result
         };
         if self.draw(1) {
-            send(self, EventKind::Skip, rev, None);
+            send(self, EventKind::Skip, epoch, rev, None);
             return Some(secs / 2.0);
         }
-        let answer = self.answer(&detail);
+        let answer = Some(self.answer(&detail));
         if self.draw(20) {
-            rev = send(self, EventKind::Draft, rev, Some(answer.clone()));
+            rev = send(self, EventKind::Draft, epoch, rev, answer.clone()).rev;
         }
-        rev = send(self, EventKind::Submit, rev, Some(answer.clone()));
+        rev = send(self, EventKind::Submit, epoch, rev, answer.clone()).rev;
         if self.draw(1) {
-            let undone = store
-                .append(
-                    person,
-                    task,
-                    vec![event(EventKind::Undo, 0, rev, None)],
-                    now,
-                )
-                .expect("takes events")
-                .remove(0);
-            assert_eq!(undone.status, 200, "{:?}", undone.problem);
+            let undone = send(self, EventKind::Undo, 0, rev, None);
             let epoch = undone.lease.expect("a lease again").epoch;
-            let again = event(EventKind::Submit, epoch, undone.rev, Some(answer));
-            let again = store
-                .append(person, task, vec![again], now)
-                .expect("takes events");
-            assert_eq!(again[0].status, 200, "{:?}", again[0].problem);
+            send(self, EventKind::Submit, epoch, undone.rev, answer);
         }
         self.handed_in.insert((task, person));
         Some(secs)
@@ -308,19 +259,12 @@ impl Project {
             } else {
                 [TaskKind::Pair, TaskKind::MaskText]
             };
-            let took = self
-                .work(person, kinds[0], now)
-                .or_else(|| self.work(person, kinds[1], now));
-            if let Some(secs) = took {
-                turns.push(std::cmp::Reverse((
-                    now + (secs * 1000.0) as i64 + 1,
-                    person,
-                    number,
-                )));
-            } else {
-                // Nothing is left but what others hold: look again in a quarter of an hour.
-                turns.push(std::cmp::Reverse((now + 15 * MINUTE, person, number)));
-            }
+            let took = kinds
+                .into_iter()
+                .find_map(|kind| self.work(person, kind, now));
+            // Where nothing is left but what others hold: look again in a quarter of an hour.
+            let pause = took.map_or(15 * MINUTE, |secs| (secs * 1000.0) as i64 + 1);
+            turns.push(std::cmp::Reverse((now + pause, person, number)));
         }
     }
 
@@ -330,32 +274,22 @@ impl Project {
             let reviewer = self.reviewers[index % self.reviewers.len()];
             let store = Arc::clone(&self.store);
             let claimed = self.times.of("claim of a review", || {
-                store
-                    .review_next(reviewer, ReviewQueue::Sample, None, now)
-                    .expect("claims")
+                review(&store, reviewer, ReviewQueue::Sample, now)
             });
-            let Ok(detail) = claimed else {
+            let Some(detail) = claimed else {
                 return;
             };
-            let decision = match self.rng.random_range(0..100) {
+            let what = match self.rng.random_range(0..100) {
                 0..5 if detail.comments.is_empty() => Decision::Return,
                 5..7 => Decision::Drop,
                 _ => Decision::Accept,
             };
-            let author = detail
-                .candidates
-                .iter()
-                .find(|(own, _)| own.state == annotate::wire::RevisionState::Submitted)
-                .map(|(own, _)| own.author);
+            let mut answers = detail.candidates.iter().map(|(own, _)| own);
+            let first = answers.find(|own| own.state == RevisionState::Submitted);
+            let first = first.filter(|_| what == Decision::Accept);
             let review = NewReview {
-                idem_key: key(),
-                task: detail.task.id,
-                lease_epoch: detail.lease.epoch,
-                decision,
-                author: (decision == Decision::Accept).then_some(author).flatten(),
-                answer: None,
-                comment: "as the guide says".to_owned(),
-                secs: 5.0,
+                author: first.map(|own| own.author),
+                ..decision(detail.task.id, detail.lease.epoch, what)
             };
             let done = self.times.of("decision of a reviewer", || {
                 store.review(reviewer, review, now).expect("decides")
@@ -401,7 +335,6 @@ fn accepted_by_the_log(store: &Store) -> BTreeMap<i64, (i64, Option<String>)> {
 
 #[test]
 fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
-    use std::io::Write;
     let size: [usize; 3] = sizes("ANNOTATE_SIMULATION", "240x40x5");
     let is_full = size[0] >= 10_000;
     let simulate = |store: Arc<Store>| {
@@ -413,10 +346,7 @@ fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
             project.day(morning + day * DAY);
             project.review(morning + day * DAY + 9 * HOUR);
             let now = by_category(&project.store);
-            let _said = writeln!(
-                std::io::stderr().lock(),
-                "day {day}: kept and undecided {now:?}"
-            );
+            say(&format!("day {day}: kept and undecided {now:?}"));
             check_quota(&now, size, false);
         }
         let end = morning + 7 * DAY;
@@ -454,13 +384,10 @@ fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
         }
         assert!(by_rule > 0 && reviewed > 0.0);
         measure(&mut project, end);
-        let times = &mut project.times;
-        assert_eq!(
-            times.of("check of the store", || store.verify().expect("checks")),
-            Vec::<String>::new()
-        );
-        let _said = writeln!(
-            std::io::stderr().lock(),
+        let verify = || store.verify().expect("checks");
+        let found = project.times.of("check of the store", verify);
+        assert_eq!(found, Vec::<String>::new());
+        say(&format!(
             "simulation: {} pairs, {} clips, {} people: {accepted} accepted ({by_rule} by rules), {dropped} dropped, \
              {} decisions of reviewers ({:.1} % of the tasks), {} answers, {} log entries, {:.0?}, peak memory {} MB",
             size[0],
@@ -472,14 +399,12 @@ fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
             store.last_seq().expect("a place"),
             begun.elapsed(),
             peak_memory_mb().unwrap_or(0)
-        );
-        times.print();
+        ));
+        project.times.print();
     };
     if is_full {
         let folder = tempfile::tempdir().expect("a folder");
-        simulate(
-            annotate::store::open_sqlite(&folder.path().join("store.sqlite")).expect("a store"),
-        );
+        simulate(open_sqlite(&folder.path().join("store.sqlite")).expect("a store"));
     } else {
         on_each("simulation", simulate);
     }
@@ -520,7 +445,7 @@ fn check_answers(project: &Project, size: [usize; 3]) {
     let mut stored = BTreeSet::new();
     let (answered, _) = project.store.answered_since(0).expect("tasks");
     for label in project.store.labels_to(answered).expect("labels") {
-        if label.revision.state != annotate::wire::RevisionState::Returned {
+        if label.revision.state != RevisionState::Returned {
             assert!(
                 stored.insert((label.task, label.revision.author)),
                 "an answer is there twice"
@@ -544,44 +469,26 @@ fn check_answers(project: &Project, size: [usize; 3]) {
 fn measure(project: &mut Project, now: i64) {
     let store = Arc::clone(&project.store);
     let times = &mut project.times;
-    let filters = [
-        ("page: all", TaskFilter::default()),
-        (
-            "page: a text that is rare",
-            TaskFilter {
-                q: Some("take 17".to_owned()),
-                ..TaskFilter::default()
-            },
-        ),
+    let person = project.people[0];
+    let filters: [(&str, Value); 5] = [
+        ("page: all", json!({})),
+        ("page: a text that is rare", json!({ "q": "take 17" })),
         (
             "page: a text that is nowhere",
-            TaskFilter {
-                q: Some("no such text".to_owned()),
-                ..TaskFilter::default()
-            },
+            json!({ "q": "no such text" }),
         ),
         (
             "page: a person's keeps",
-            TaskFilter {
-                person: Some(project.people[0]),
-                verdict: Some(Verdict::Keep),
-                ..TaskFilter::default()
-            },
+            json!({ "person": person, "verdict": "keep" }),
         ),
-        (
-            "page: disagreement",
-            TaskFilter {
-                min_distance: Some(0.5),
-                ..TaskFilter::default()
-            },
-        ),
+        ("page: disagreement", json!({ "min_distance": 0.5 })),
     ];
     for (what, filter) in filters {
         for sort in [TaskSort::Id, TaskSort::Distance, TaskSort::Touched] {
             let mut after = None;
             for _ in 0..20 {
                 let query = PageQuery {
-                    filter: filter.clone(),
+                    filter: from_json(filter.clone()),
                     sort: Some(sort),
                     after,
                     limit: 100,

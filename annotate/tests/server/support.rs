@@ -5,27 +5,36 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::time::Duration;
 
+use annotate::Error;
 use annotate::http::{PATIENCE, Server, ServerConfig, UPLOAD_PATIENCE};
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
-use annotate::store::{KeyRange, MotionRecord, NewTask, Store, TokenUse, open_sqlite};
+use annotate::store::{
+    KeyRange, MotionRecord, NewTask, ReviewDetail, Store, TaskDetail, TokenUse, open_sqlite,
+};
 use annotate::transfer::from_dataset;
 use annotate::wire::{
-    Answer, EditType, EventKind, MaskAnswer, NewEvent, Next, Problem, Role, Settings, TaskKind,
+    Answer, Code, Decision, EditType, EventKind, EventResult, EventResults, NewEvent, NewReview,
+    Next, Problem, ReviewNext, ReviewQueue, ReviewView, Role, Rule, RuleKind, Settings, TaskKind,
     TaskView, User, Verdict,
 };
 use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::table::Caption;
-use datasets_spec::{BodyPart, Fps, MASK_DEF_VERSION, Motion, MotionId, Pose, Skeleton, Split};
+use datasets_spec::table::{Caption, Row};
+use datasets_spec::{
+    BodyPart, Dataset, Fps, MASK_DEF_VERSION, Motion, MotionId, Pose, Skeleton, Split,
+};
 use glam::DVec3;
 use kinematics::rotation::from_axis_angle;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
 
 /// Start time of every test's clock.
 pub(crate) const START: i64 = 1_700_000_000_000;
 pub(crate) const MINUTE: i64 = 60_000;
+pub(crate) const HOUR: i64 = 60 * MINUTE;
+pub(crate) const DAY: i64 = 24 * HOUR;
 /// Number of clips of the dataset.
 pub(crate) const CLIPS: usize = 20;
 
@@ -57,6 +66,18 @@ pub(crate) fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
     }
 }
 
+/// Commits a table of a dataset.
+pub(crate) fn commit<R: Row>(root: &Path, rows: &[R], split: fn(&R) -> Split, plan: &str) {
+    let skeleton = Skeleton::smplx_neutral();
+    commit_rows(root, rows, Some(split), &skeleton, plan, "test").expect("a table");
+}
+
+/// The rows of a table of a dataset.
+pub(crate) fn read<R: Row>(root: &Path) -> Vec<R> {
+    let dataset = Dataset::open(root).expect("a dataset");
+    dataset.read(None).expect("rows")
+}
+
 /// A dataset of clips, one automatic mask, nine fine-grained pairs and a style pair.
 pub(crate) fn dataset(root: &Path) {
     let rows: Vec<MotionRow> = (0..CLIPS)
@@ -69,16 +90,7 @@ pub(crate) fn dataset(root: &Path) {
             motion_row(&format!("clip{clip:02}"), split, &motion(clip))
         })
         .collect();
-    let skeleton = Skeleton::smplx_neutral();
-    commit_rows(
-        root,
-        &rows,
-        Some(|row: &MotionRow| row.split),
-        &skeleton,
-        "motions",
-        "test",
-    )
-    .expect("motions");
+    commit(root, &rows, |row| row.split, "motions");
     let arm = BodyPart::LeftArm.mask();
     let mask = MaskRow {
         id: "clip00#LEFT_ARM".to_owned(),
@@ -95,16 +107,8 @@ pub(crate) fn dataset(root: &Path) {
         author: "stance-activity-1".to_owned(),
         accepted_by: None,
     };
-    commit_rows(
-        root,
-        &[mask],
-        Some(|row: &MaskRow| row.split),
-        &skeleton,
-        "masks",
-        "test",
-    )
-    .expect("masks");
-    let pair = |number: usize, kind: &str, style: Option<&str>| PairRow {
+    commit(root, &[mask], |row| row.split, "masks");
+    let pair = |number: usize, kind: &str, style: Option<&str>, instruction: &str| PairRow {
         id: format!("{kind}{number}"),
         split: Split::Train,
         source: "test".to_owned(),
@@ -113,27 +117,14 @@ pub(crate) fn dataset(root: &Path) {
         target_id: rows[number + 1].id.clone(),
         style: style.map(str::to_owned),
         parts: Vec::new(),
-        instruction: if style.is_some() {
-            String::new()
-        } else {
-            "raise the arm higher".to_owned()
-        },
+        instruction: instruction.to_owned(),
         edit_type: None,
         accepted_by: None,
     };
-    let mut pairs: Vec<PairRow> = (0..9)
-        .map(|number| pair(number, "fine-grained", None))
-        .collect();
-    pairs.push(pair(10, "style", Some("proud")));
-    commit_rows(
-        root,
-        &pairs,
-        Some(|row: &PairRow| row.split),
-        &skeleton,
-        "pairs",
-        "test",
-    )
-    .expect("pairs");
+    let fine = |number| pair(number, "fine-grained", None, "raise the arm higher");
+    let mut pairs: Vec<PairRow> = (0..9).map(fine).collect();
+    pairs.push(pair(10, "style", Some("proud"), ""));
+    commit(root, &pairs, |row| row.split, "pairs");
 }
 
 /// A clock that only the test advances.
@@ -200,15 +191,61 @@ impl Site {
         format!("http://{}{path}", self.server.address())
     }
 
+    /// A response to nobody in particular.
+    pub(crate) fn get(&self, path: &str) -> Answered {
+        self.get_with(path, &[])
+    }
+
+    pub(crate) fn get_with(&self, path: &str, headers: &[(&str, &str)]) -> Answered {
+        send(&agent(), "GET", &self.url(path), headers, None)
+    }
+
+    /// A login of the page with a token, with more headers.
+    pub(crate) fn log_in(&self, token: &str, more: &[(&str, &str)]) -> Answered {
+        let origin = self.url("");
+        let mut headers = vec![("origin", origin.as_str()), ("x-annotate", "1")];
+        headers.extend_from_slice(more);
+        let body = json!({ "token": token }).to_string();
+        let url = self.url("/api/v1/session");
+        send(&agent(), "POST", &url, &headers, Some(body.as_bytes()))
+    }
+
     /// Adds a user and returns a client for them.
-    pub(crate) fn person(&self, name: &str, role: Role) -> Client {
-        person(&self.store, &self.url(""), name, role, self.clock.now())
+    pub(crate) fn person(&self, name: &str) -> Client {
+        person(&self.store, &self.url(""), name, self.clock.now())
+    }
+
+    /// Adds users and returns a client for each.
+    pub(crate) fn people<const N: usize>(&self, names: [&str; N]) -> [Client; N] {
+        names.map(|name| self.person(name))
+    }
+
+    pub(crate) fn set(&self, change: impl FnOnce(&mut Settings)) {
+        set(&self.store, change);
+    }
+
+    pub(crate) fn whole(&self) {
+        whole(&self.store);
+    }
+}
+
+/// Checks that the tables of a store follow from its log.
+pub(crate) fn whole(store: &Store) {
+    assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
+}
+
+/// What the people of the tests may do: eve reviews, the boss is an admin, and everybody else annotates.
+pub(crate) fn role(name: &str) -> Role {
+    match name {
+        "eve" => Role::Reviewer,
+        "boss" => Role::Admin,
+        _ => Role::Annotator,
     }
 }
 
 /// Adds a user and returns a client for them.
-pub(crate) fn person(store: &Store, base: &str, name: &str, role: Role, now: i64) -> Client {
-    let user = store.add_user(None, name, role, now).expect("a user");
+pub(crate) fn person(store: &Store, base: &str, name: &str, now: i64) -> Client {
+    let user = store.add_user(None, name, role(name), now).expect("a user");
     let token = store
         .issue(user.id, TokenUse::Token, i64::MAX, now)
         .expect("a token")
@@ -257,21 +294,37 @@ pub(crate) fn agent() -> ureq::Agent {
         .new_agent()
 }
 
+/// The admin of every store with [`plain_settings`].
+pub(crate) const ROOT: i64 = 1;
+
 /// Settings without random draws: drafts on every task, and no gold tasks.
 pub(crate) fn plain_settings(store: &Store) {
-    let admin = store
-        .add_user(None, "root", Role::Admin, START)
-        .expect("an admin");
-    let settings = Settings {
-        blind_percent: 0,
-        gold_percent: 0,
-        overlap_percent: 100,
-        answers_per_task: 1,
-        ..Settings::default()
-    };
-    store
-        .put_settings(admin.id, settings, START)
-        .expect("settings");
+    let root = store.add_user(None, "root", Role::Admin, START);
+    assert_eq!(root.expect("an admin").id, ROOT);
+    set(store, |settings| {
+        settings.blind_percent = 0;
+        settings.gold_percent = 0;
+        settings.overlap_percent = 100;
+        settings.answers_per_task = 1;
+    });
+}
+
+/// Changes settings.
+pub(crate) fn set(store: &Store, change: impl FnOnce(&mut Settings)) {
+    let mut settings = store.settings().expect("settings");
+    change(&mut settings);
+    store.put_settings(ROOT, settings, START).expect("settings");
+}
+
+/// A rule that accepts equal answers of one person or more, and leaves none to reviewers.
+pub(crate) fn rule(name: &str, accepts: RuleKind) -> Rule {
+    from_json(json!({ "name": name, "enabled": true, "accepts": accepts }))
+}
+
+/// The code that an operation is refused with.
+pub(crate) fn refusal<T>(result: Result<T, Error>) -> Code {
+    let error = result.err().expect("it is refused");
+    error.problem().code
 }
 
 static KEYS: AtomicU64 = AtomicU64::new(0);
@@ -300,16 +353,29 @@ impl Answered {
         self.json()
     }
 
+    pub(crate) fn header(&self, name: &str) -> Option<&str> {
+        self.headers.get(name)?.to_str().ok()
+    }
+
+    /// The cookie of a session.
+    pub(crate) fn cookie(&self) -> &str {
+        self.header("set-cookie").expect("a cookie")
+    }
+
     pub(crate) fn problem(&self) -> Problem {
-        assert_eq!(
-            self.headers
-                .get("content-type")
-                .and_then(|value| value.to_str().ok()),
-            Some("application/problem+json")
-        );
+        let mime = self.header("content-type");
+        assert_eq!(mime, Some("application/problem+json"));
         let problem: Problem = self.json();
         assert_eq!(problem.status, self.status);
         problem
+    }
+
+    pub(crate) fn code(&self) -> Code {
+        self.problem().code
+    }
+
+    pub(crate) fn text(self) -> String {
+        String::from_utf8(self.body).expect("text")
     }
 
     pub(crate) fn floats(&self) -> Vec<f32> {
@@ -359,6 +425,16 @@ pub(crate) struct Client {
 }
 
 impl Client {
+    /// The same user on another server of the store.
+    pub(crate) fn at(&self, base: String) -> Self {
+        Self {
+            base,
+            user: self.user.clone(),
+            token: self.token.clone(),
+            agent: agent(),
+        }
+    }
+
     pub(crate) fn call(&self, method: &str, path: &str, body: Option<&[u8]>) -> Answered {
         let bearer = format!("Bearer {}", self.token);
         send(
@@ -379,31 +455,70 @@ impl Client {
         self.call("POST", path, Some(&body))
     }
 
+    pub(crate) fn put<T: Serialize>(&self, path: &str, body: &T) -> Answered {
+        let body = serde_json::to_vec(body).expect("JSON");
+        self.call("PUT", path, Some(&body))
+    }
+
+    pub(crate) fn delete(&self, path: &str) -> Answered {
+        self.call("DELETE", path, None)
+    }
+
     pub(crate) fn next(&self, kind: TaskKind) -> Next {
-        self.post("queue/next", &serde_json::json!({ "kind": kind }))
-            .ok()
+        self.post("queue/next", &json!({ "kind": kind })).ok()
     }
 
     pub(crate) fn claim(&self, kind: TaskKind) -> TaskView {
         self.next(kind).task.expect("a task")
     }
 
-    /// Claims a task of the kind and submits an answer.
-    pub(crate) fn answer(&self, kind: TaskKind, answer: Answer) -> i64 {
-        let view = self.claim(kind);
-        let event = submit(&view, answer);
-        let results: annotate::wire::EventResults = self
-            .post(
-                &format!("tasks/{}/events", view.task.id),
-                &serde_json::json!({ "events": [event] }),
-            )
-            .ok();
-        assert_eq!(
-            results.results[0].status, 200,
-            "{:?}",
-            results.results[0].problem
-        );
+    /// Sends an event of a task, and returns its result.
+    pub(crate) fn tell(&self, view: &TaskView, event: NewEvent) -> EventResult {
+        let path = format!("tasks/{}/events", view.task.id);
+        let sent: EventResults = self.post(&path, &json!({ "events": [event] })).ok();
+        sent.results.into_iter().next().expect("a result")
+    }
+
+    /// Claims a task of the answer's kind, submits the answer, and returns the task.
+    pub(crate) fn answer(&self, answer: Answer) -> i64 {
+        let view = self.claim(answer.kind());
+        let result = self.tell(&view, submit(&view, answer));
+        assert_eq!(result.status, 200, "{:?}", result.problem);
         view.task.id
+    }
+
+    /// The next task to review, with its answers.
+    pub(crate) fn review(&self) -> Option<ReviewView> {
+        let next: ReviewNext = self.post("review/next", &json!({ "queue": "sample" })).ok();
+        next.review
+    }
+
+    /// Sends a decision about a task, with more fields.
+    pub(crate) fn decide(
+        &self,
+        task: i64,
+        epoch: i64,
+        decision: Decision,
+        more: Value,
+    ) -> Answered {
+        let mut review = json!({
+            "idem_key": key(), "task": task, "lease_epoch": epoch, "decision": decision,
+        });
+        for (name, value) in more.as_object().expect("fields") {
+            review[name] = value.clone();
+        }
+        self.post("reviews", &review)
+    }
+
+    /// Accepts the first answer to every task that waits for review. Returns the number of tasks.
+    pub(crate) fn accept_all(&self) -> usize {
+        let accept = |review: ReviewView| {
+            let author = json!({ "author": review.candidates[0].revision.author });
+            let (task, epoch) = (review.task.id, review.lease.epoch);
+            let done = self.decide(task, epoch, Decision::Accept, author);
+            assert_eq!(done.status, 200);
+        };
+        std::iter::from_fn(|| self.review().map(&accept)).count()
     }
 }
 
@@ -413,7 +528,7 @@ pub(crate) fn submit(view: &TaskView, answer: Answer) -> NewEvent {
         EventKind::Submit,
         view.lease.as_ref().map_or(0, |lease| lease.epoch),
         view.mine.as_ref().map_or(0, |mine| mine.rev),
-        Some(answer),
+        answer,
     )
 }
 
@@ -421,14 +536,14 @@ pub(crate) fn event(
     kind: EventKind,
     lease_epoch: i64,
     base_rev: i64,
-    answer: Option<Answer>,
+    answer: impl Into<Option<Answer>>,
 ) -> NewEvent {
     NewEvent {
         idem_key: key(),
         kind,
         lease_epoch,
         base_rev,
-        answer,
+        answer: answer.into(),
         reason: None,
         note: String::new(),
         suggestion: None,
@@ -437,56 +552,56 @@ pub(crate) fn event(
     }
 }
 
+/// A decision about all answers to a task.
+pub(crate) fn decision(task: i64, lease_epoch: i64, decision: Decision) -> NewReview {
+    NewReview {
+        idem_key: key(),
+        task,
+        lease_epoch,
+        decision,
+        author: None,
+        answer: None,
+        comment: "because".to_owned(),
+        secs: 40.0,
+    }
+}
+
+/// A value from JSON, in which fields with defaults are left out.
+pub(crate) fn from_json<T: DeserializeOwned>(value: Value) -> T {
+    serde_json::from_value(value).expect("all fields")
+}
+
 /// An answer of two masks.
 pub(crate) fn masks(text: &str) -> Answer {
-    let mask = |part: &str, text: String| MaskAnswer {
-        parts: vec![part.to_owned()],
-        soft: true,
-        joints: Vec::new(),
-        range: None,
-        text,
-        suggestion: None,
-    };
-    Answer::MaskText {
-        masks: vec![
-            mask("LEFT_ARM", text.to_owned()),
-            mask("LOWER_BODY", format!("{text}, walking")),
-        ],
-        count_reason: None,
-        note: String::new(),
-    }
+    from_json(json!({ "kind": "mask_text", "masks": [
+        { "parts": ["LEFT_ARM"], "text": text },
+        { "parts": ["LOWER_BODY"], "text": format!("{text}, walking") },
+    ] }))
 }
 
 pub(crate) fn pair(verdict: Verdict) -> Answer {
-    let keep = verdict == Verdict::Keep;
-    Answer::Pair {
-        verdict,
-        parts: if keep {
-            vec!["RIGHT_ARM".to_owned()]
-        } else {
-            Vec::new()
-        },
-        edit_type: keep.then_some(EditType::Amplitude),
-        text: if keep {
-            "higher".to_owned()
-        } else {
-            String::new()
-        },
-        suggestion: None,
-        note: String::new(),
+    let mut said = json!({ "kind": "pair", "verdict": verdict });
+    if verdict == Verdict::Keep {
+        said["parts"] = json!(["RIGHT_ARM"]);
+        said["edit_type"] = json!("amplitude");
+        said["text"] = json!("higher");
     }
+    from_json(said)
+}
+
+/// An answer that keeps a pair as an edit of a type.
+pub(crate) fn kept(of_type: EditType) -> Answer {
+    let mut answer = pair(Verdict::Keep);
+    if let Answer::Pair { edit_type, .. } = &mut answer {
+        *edit_type = Some(of_type);
+    }
+    answer
 }
 
 pub(crate) fn style() -> Answer {
-    Answer::Style {
-        verdict: Verdict::Keep,
-        parts: Vec::new(),
-        style: Some("proud".to_owned()),
-        extent: Some(annotate::wire::Extent::Upper),
-        text: "more proudly".to_owned(),
-        suggestion: None,
-        note: String::new(),
-    }
+    answer(
+        json!({ "kind": "style", "verdict": "keep", "style": "proud", "extent": "upper", "text": "more proudly" }),
+    )
 }
 
 /// The range that holds every task.
@@ -499,39 +614,58 @@ pub(crate) fn all_keys() -> KeyRange {
 
 /// A task without a dataset behind it.
 pub(crate) fn bare_task(number: usize, kind: TaskKind) -> NewTask {
-    NewTask {
-        key: format!("task{number:06}"),
-        kind,
-        source: "hash".to_owned(),
-        target: None,
-        split: "train".to_owned(),
-        bundle: None,
-        bundle_index: 0,
-        category: None,
-        hint: None,
-        style: None,
-        edit_type: None,
-        priority: 0,
-        gold: None,
-        extra: None,
-        suggestions: Vec::new(),
-        accepted: None,
-        credit: None,
-    }
+    from_json(json!({
+        "key": format!("task{number:06}"), "kind": kind, "source": "hash", "split": "train",
+        "bundle_index": 0, "priority": 0, "suggestions": [],
+    }))
 }
 
 /// The motion of [`bare_task`].
 pub(crate) fn bare_motion() -> MotionRecord {
-    MotionRecord {
-        hash: "hash".to_owned(),
-        id: "motion".to_owned(),
-        split: "train".to_owned(),
-        frames: 40,
-        fps: 20.0,
-        captions: Vec::new(),
-        style: None,
-        action: None,
-    }
+    from_json(json!({
+        "hash": "hash", "id": "motion", "split": "train", "frames": 40, "fps": 20.0, "captions": [],
+    }))
+}
+
+/// Claims a task of a kind for a person in a store without a server.
+pub(crate) fn claim(store: &Store, user: i64, kind: TaskKind, now: i64) -> Option<TaskDetail> {
+    let claimed = store.claim(user, kind, 3, now).expect("claims");
+    claimed.ok().map(|(detail, _)| detail)
+}
+
+/// Sends an event of a claimed task to a store without a server.
+pub(crate) fn tell(
+    store: &Store,
+    user: i64,
+    detail: &TaskDetail,
+    kind: EventKind,
+    answer: impl Into<Option<Answer>>,
+    now: i64,
+) -> EventResult {
+    let epoch = detail.lease.as_ref().map_or(0, |lease| lease.epoch);
+    let rev = detail.mine.as_ref().map_or(0, |mine| mine.rev);
+    let sent = event(kind, epoch, rev, answer);
+    let results = store.append(user, detail.task.id, vec![sent], now);
+    let result = results.expect("takes events").remove(0);
+    assert_eq!(result.status, 200, "{:?}", result.problem);
+    result
+}
+
+/// The next task to review in a store without a server.
+pub(crate) fn review(
+    store: &Store,
+    reviewer: i64,
+    queue: ReviewQueue,
+    now: i64,
+) -> Option<ReviewDetail> {
+    let claimed = store.review_next(reviewer, queue, None, now);
+    claimed.expect("claims").ok()
+}
+
+/// Writes a line to the terminal past the test runner's capture.
+pub(crate) fn say(line: &str) {
+    use std::io::Write;
+    let _said = writeln!(std::io::stderr().lock(), "{line}");
 }
 
 /// Sizes of a test, such as `50x200x100000`, that a variable sets.

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use annotate::store::{Store, open_sqlite};
-use annotate::wire::{Answer, EventKind, Role, Settings, TaskKind, TaskState};
+use annotate::wire::{Answer, EventKind, MaskAnswer, Role, Settings, TaskKind, TaskState};
 use rusqlite::Connection;
 
-use crate::support::{START, all_keys, event, masks};
+use crate::support::{START, all_keys, claim, masks, tell, whole};
 
 /// Versions with a folder in `tests/stores`.
 const VERSIONS: [i64; 1] = [1];
@@ -60,46 +60,30 @@ fn user_version(path: &Path) -> i64 {
 fn check_upgraded(store: &Arc<Store>, version: i64) {
     let upgrade = store.upgrade().expect("an upgrade");
     assert_eq!(upgrade.from, version);
-    assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
+    whole(store);
     let accepted = store.accepted(&all_keys()).expect("answers");
     assert_eq!(accepted.len(), 2);
     // Their masks hold for the whole clip, with the joints of their parts.
-    assert!(accepted.iter().all(|one| {
-        match &one.answer {
-            Answer::MaskText { masks, .. } => {
-                masks.len() == 2
-                    && masks
-                        .iter()
-                        .all(|mask| mask.range.is_none() && mask.joints.is_empty())
-            }
-            _ => false,
-        }
-    }));
-    let names: Vec<String> = store
-        .users()
-        .expect("users")
-        .into_iter()
-        .map(|user| user.name)
-        .collect();
+    let is_plain = |mask: &MaskAnswer| mask.range.is_none() && mask.joints.is_empty();
+    for one in &accepted {
+        let Answer::MaskText { masks, .. } = &one.answer else {
+            panic!("an answer of masks: {:?}", one.answer)
+        };
+        assert_eq!(masks.len(), 2);
+        assert!(masks.iter().all(is_plain));
+    }
+    let users = store.users().expect("users");
+    let names: Vec<&str> = users.iter().map(|user| user.name.as_str()).collect();
     assert_eq!(names, ["root", "ann", "eve"]);
     assert_eq!(store.id().expect("an id").len(), 16);
     // The returned answer is still with its author, and work goes on.
-    let ann = store.users().expect("users")[1].id;
-    let Ok((detail, _)) = store
-        .claim(ann, TaskKind::MaskText, 0, START)
-        .expect("claims")
-    else {
-        panic!("a returned task");
-    };
+    let ann = users[1].id;
+    let detail = claim(store, ann, TaskKind::MaskText, START).expect("a returned task");
     assert_eq!(detail.comment.as_deref(), Some("which arm?"));
-    let lease = detail.lease.expect("a lease");
-    let rev = detail.mine.expect("the answer").rev;
-    let sent = event(EventKind::Submit, lease.epoch, rev, Some(masks("waving")));
-    let results = store
-        .append(ann, detail.task.id, vec![sent], START)
-        .expect("takes events");
-    assert_eq!(results[0].state, Some(TaskState::Submitted));
-    assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
+    let answer = masks("waving");
+    let result = tell(store, ann, &detail, EventKind::Submit, answer, START);
+    assert_eq!(result.state, Some(TaskState::Submitted));
+    whole(store);
 }
 
 #[test]
@@ -112,11 +96,8 @@ fn a_store_of_each_older_version_is_upgraded_after_a_copy() {
         let store = open_sqlite(&path).expect("opens");
         check_upgraded(&store, version);
         let copy = PathBuf::from(&store.upgrade().expect("an upgrade").copy);
-        assert_eq!(
-            user_version(&copy),
-            version,
-            "the copy is the store from before"
-        );
+        // The copy is the store from before.
+        assert_eq!(user_version(&copy), version);
         drop(store);
         assert_eq!(definitions(&path), definitions(&new), "version {version}");
         let again = open_sqlite(&path).expect("opens");
@@ -179,7 +160,7 @@ fn judged_paraphrases_stay_in_the_log_and_keys_of_gone_actions_are_left_out() {
     drop(db);
     let store = open_sqlite(&path).expect("opens");
     let copy = PathBuf::from(&store.upgrade().expect("an upgrade").copy);
-    assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
+    whole(&store);
     let log = store.log(0, 100).expect("the log");
     let judged = log.iter().find(|entry| entry.kind == "paraphrase_judged");
     assert_eq!(judged.expect("the judgement").body["text"], "lift the arm");
@@ -200,19 +181,16 @@ fn a_store_of_a_newer_version_is_left_alone() {
     let path = folder.path().join("store.sqlite");
     drop(open_sqlite(&path).expect("a store"));
     let db = Connection::open(&path).expect("a file");
-    db.execute_batch("PRAGMA user_version=1000")
-        .expect("a number");
+    let newer = db.execute_batch("PRAGMA user_version=1000");
+    newer.expect("a number");
     drop(db);
     let refused = open_sqlite(&path).err().expect("refused").to_string();
-    assert!(
-        refused.contains("version 1000") && refused.contains("newer one"),
-        "{refused}"
-    );
+    for words in ["version 1000", "newer one"] {
+        assert!(refused.contains(words), "{refused}");
+    }
     assert_eq!(user_version(&path), 1000);
-    assert_eq!(
-        std::fs::read_dir(folder.path()).expect("a folder").count(),
-        1
-    );
+    let files = std::fs::read_dir(folder.path()).expect("a folder");
+    assert_eq!(files.count(), 1);
 }
 
 #[test]
@@ -221,11 +199,11 @@ fn stored_settings_without_a_field_get_its_default() {
     let path = folder.path().join("store.sqlite");
     drop(open_sqlite(&path).expect("a store"));
     let db = Connection::open(&path).expect("a file");
-    let mut stored = serde_json::to_value(Settings {
+    let settings = Settings {
         quota: 7,
         ..Settings::default()
-    })
-    .expect("JSON");
+    };
+    let mut stored = serde_json::to_value(&settings).expect("JSON");
     let fields = stored.as_object_mut().expect("an object");
     fields.remove("lease_minutes");
     fields.insert("of_a_newer_version".to_owned(), true.into());
@@ -238,13 +216,7 @@ fn stored_settings_without_a_field_get_its_default() {
     }
     drop(db);
     let store = open_sqlite(&path).expect("opens");
-    let expected = Settings {
-        quota: 7,
-        ..Settings::default()
-    };
-    assert_eq!(store.settings().expect("settings"), expected);
-    assert_eq!(
-        store.rebuild().expect("an old entry is read"),
-        Vec::<&str>::new()
-    );
+    assert_eq!(store.settings().expect("settings"), settings);
+    let rebuilt = store.rebuild().expect("an old entry is read");
+    assert_eq!(rebuilt, Vec::<&str>::new());
 }

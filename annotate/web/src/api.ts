@@ -38,10 +38,10 @@ export class Api {
     return this.json<T>("POST", path, body);
   }
 
+  /** Numbers as the server writes them, little-endian, which is the order of every browser's machine. */
   async floats(method: string, path: string, body?: unknown): Promise<Float32Array> {
     const response = await this.request(method, path, body);
-    const bytes = await response.arrayBuffer();
-    return littleEndian(bytes);
+    return new Float32Array(await response.arrayBuffer());
   }
 
   /** One attempt without the login dialog, with an answer in JSON. */
@@ -98,12 +98,6 @@ async function problemOf(response: Response): Promise<Problem> {
     code: response.status === 401 ? "unauthenticated" : "internal",
     detail: `the server answered ${response.status}`,
   };
-}
-
-function littleEndian(bytes: ArrayBuffer): Float32Array {
-  if (new Uint8Array(new Uint16Array([1]).buffer)[0] === 1) return new Float32Array(bytes);
-  const view = new DataView(bytes);
-  return Float32Array.from({ length: bytes.byteLength / 4 }, (_, index) => view.getFloat32(index * 4, true));
 }
 
 /** Whether the same request may succeed later. */

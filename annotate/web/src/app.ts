@@ -83,17 +83,17 @@ export class App {
   private makeWebgl: MakeRenderer = () => new CanvasRenderer();
   private login: Promise<void> | null = null;
   private status: OutboxStatus = { phase: "idle", waiting: 0, stuck: 0, trouble: null };
-  private readonly main = h("main", { id: "main" });
+  private readonly main = h("main", { attrs: { id: "main" } });
   private readonly nav = h("nav", { attrs: { "aria-label": "Screens" } });
-  private readonly chip = h("output", { class: "chip", attrs: { "aria-live": "polite", "aria-label": "State of saving" } });
-  private readonly stuck = h("button", { class: "stuck", attrs: HIDDEN, on: { click: () => void showUnsent(this.outbox, this.parts) } });
-  private readonly banner = h("div", { class: "banner", attrs: { role: "alert", ...HIDDEN } });
+  private readonly chip = h("output", { class: "chip tint", attrs: { "aria-live": "polite", "aria-label": "State of saving" } });
+  private readonly stuck = h("button", { class: "stuck danger", attrs: HIDDEN, on: { click: () => void showUnsent(this.outbox, this.parts) } });
+  private readonly banner = h("div", { class: "banner warn tint", attrs: { role: "alert", ...HIDDEN } });
   /** Says that the session has ended, without taking the focus from a text. */
-  private readonly ended = h("div", { class: "banner", attrs: { role: "alert", ...HIDDEN }, data: { region: "session" } });
+  private readonly ended = h("div", { class: "banner warn tint", attrs: { role: "alert", ...HIDDEN }, data: { region: "session" } });
   private readonly disk = new DiskWatch({
     ask: async () => (await this.api.attempt<Me>("GET", "me")).read_only,
     show: (why) => this.showReadOnly(why),
-    after: (ms, run) => window.setTimeout(run, ms),
+    sleep,
   });
   private readonly header = h("header", { class: "top", attrs: HIDDEN });
   private tab = "";
@@ -132,7 +132,7 @@ export class App {
     this.outbox = new Outbox(this.store, journal, this.me.user.id, {
       send: (task, events) => this.sendEvents(task, events),
       login: () => this.requireLogin(),
-      sleep: (ms) => new Promise((resolve) => window.setTimeout(resolve, ms)),
+      sleep,
       alone: async (action) => (navigator.locks ? navigator.locks.request(`annotate-outbox-${this.me.store}`, action) : action()),
       status: (status) => {
         this.status = status;
@@ -204,7 +204,7 @@ export class App {
 
   /** A button that opens the guide beside the work and leaves the focus in the text. */
   guideButton(): HTMLButtonElement {
-    const button = keyButton("Guide", this.keys.hint("guide_beside"), () => void this.toggleGuide(), "guide-button");
+    const button = keyButton("Guide", this.keys.hint("guide_beside"), () => void this.toggleGuide(), "guide-button small");
     button.addEventListener("mousedown", (event) => event.preventDefault());
     return button;
   }
@@ -409,7 +409,7 @@ export class App {
       this.stuck,
       this.chip,
       keys,
-      h("span", { class: "who" }, `${this.me.user.name} · ${this.me.user.role}`),
+      h("span", { class: "who note" }, `${this.me.user.name} · ${this.me.user.role}`),
       plainButton("Log out", () => void this.logOut()),
     );
     this.header.hidden = false;
@@ -547,6 +547,8 @@ export class App {
     this.focusStage();
   }
 }
+
+const sleep = (ms: number): Promise<void> => new Promise((resolve) => window.setTimeout(resolve, ms));
 
 function firstFocusable(region: HTMLElement): HTMLElement | null {
   return region.querySelector<HTMLElement>("[tabindex='0'], button:not([disabled]), input, select, textarea, a[href]");

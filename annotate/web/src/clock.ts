@@ -1,4 +1,4 @@
-/** One frame counter for every view. Views show its integer part and count none, so they cannot drift apart. */
+/** One frame counter for all views. They show its integer part and never count frames, so they cannot drift apart. */
 
 export const SPEEDS = [0.1, 0.25, 0.5, 0.75, 1, 1.5, 2] as const;
 
@@ -18,15 +18,7 @@ export interface ClockState {
 
 export class Clock {
   private position = 0;
-  private state: ClockState = {
-    frame: 0,
-    frames: 1,
-    fps: 20,
-    playing: false,
-    speed: 1,
-    loopIn: 0,
-    loopOut: 0,
-  };
+  private state: ClockState = { frame: 0, frames: 1, fps: 20, playing: false, speed: 1, loopIn: 0, loopOut: 0 };
   private readonly listeners = new Set<(state: Readonly<ClockState>) => void>();
   private lastTick: number | null = null;
 
@@ -43,21 +35,16 @@ export class Clock {
 
   /** Loads a motion: first frame, loop over the whole motion, same speed. */
   load(frames: number, fps: number): void {
-    const last = Math.max(0, frames - 1);
     this.position = 0;
-    this.set({ frame: 0, frames: Math.max(1, frames), fps, loopIn: 0, loopOut: last });
+    this.set({ fps });
+    this.resize(frames);
   }
 
   /** Changes the length, for example when two clips are aligned; resets the loop. */
   resize(frames: number): void {
     const last = Math.max(0, frames - 1);
     this.position = Math.min(this.position, last);
-    this.set({
-      frames: Math.max(1, frames),
-      frame: Math.min(this.state.frame, last),
-      loopIn: 0,
-      loopOut: last,
-    });
+    this.set({ frames: last + 1, frame: Math.floor(this.position), loopIn: 0, loopOut: last });
   }
 
   toggle(): void {
@@ -106,7 +93,7 @@ export class Clock {
   }
 
   clearLoop(): void {
-    this.set({ loopIn: 0, loopOut: this.state.frames - 1 });
+    this.setLoop(0, Infinity);
   }
 
   /** The next slower (-1) or faster (1) of [`SPEEDS`]. */
@@ -153,7 +140,10 @@ export interface Length {
   fps: number;
 }
 
-/** The frame of a clip at that time of the clock, the last one after its end. `stretch` spreads it over the clock. */
+/**
+ * The frame of a clip at the time of a frame of the clock; after the end of the clip, its last frame. With `stretch`
+ * the clip is spread over the whole clock.
+ */
 export function clipFrame(clockFrame: number, clock: Length, clip: Length, stretch: boolean): number {
   const last = Math.max(0, clip.frames - 1);
   if (stretch) {

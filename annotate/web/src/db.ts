@@ -1,4 +1,7 @@
-/** Storage in the browser: one database a project. Edits are removed only after the server has acknowledged them. */
+/**
+ * Storage in the browser (IndexedDB): a database for each project, because another project may be served at the same
+ * address later. Edits are stored here before they are sent, and removed once the server has acknowledged them.
+ */
 
 const VERSION = 1;
 const STORES = ["outbox", "chains"] as const;
@@ -14,23 +17,23 @@ export interface KeyValue {
 }
 
 export class MemoryStore implements KeyValue {
-  private readonly stores = new Map<StoreName, Map<string, string>>(STORES.map((name) => [name, new Map()]));
+  private readonly texts: Readonly<Record<StoreName, Map<string, string>>> = { outbox: new Map(), chains: new Map() };
 
   async all<T>(store: StoreName): Promise<T[]> {
-    return [...(this.stores.get(store)?.values() ?? [])].map((text) => JSON.parse(text) as T);
+    return [...this.texts[store].values()].map((text) => JSON.parse(text) as T);
   }
 
   async get<T>(store: StoreName, key: string): Promise<T | undefined> {
-    const text = this.stores.get(store)?.get(key);
+    const text = this.texts[store].get(key);
     return text === undefined ? undefined : (JSON.parse(text) as T);
   }
 
   async put(store: StoreName, key: string, value: unknown): Promise<void> {
-    this.stores.get(store)?.set(key, JSON.stringify(value));
+    this.texts[store].set(key, JSON.stringify(value));
   }
 
   async remove(store: StoreName, key: string): Promise<void> {
-    this.stores.get(store)?.delete(key);
+    this.texts[store].delete(key);
   }
 }
 
@@ -71,11 +74,7 @@ export class BrowserStore implements KeyValue {
   }
 
   /** Resolves when the transaction is complete, so that the data is on disk. */
-  private run<T>(
-    store: StoreName,
-    mode: IDBTransactionMode,
-    action: (objects: IDBObjectStore) => IDBRequest,
-  ): Promise<T> {
+  private run<T>(store: StoreName, mode: IDBTransactionMode, action: (objects: IDBObjectStore) => IDBRequest): Promise<T> {
     return new Promise((resolve, reject) => {
       const options: IDBTransactionOptions = mode === "readwrite" ? { durability: "strict" } : {};
       const transaction = this.database.transaction(store, mode, options);

@@ -4,7 +4,7 @@ export interface DiskHooks {
   /** Why the server cannot save at present, or `null`. */
   ask(): Promise<string | null>;
   show(why: string | null): void;
-  after(ms: number, run: () => void): void;
+  sleep(ms: number): Promise<void>;
 }
 
 const ASK_AFTER_MS = 5000;
@@ -20,24 +20,16 @@ export class DiskWatch {
     if (why === this.why) return;
     this.why = why;
     this.hooks.show(why);
-    if (why !== null) this.soon();
+    if (!this.asking) void this.watch();
   }
 
-  private soon(): void {
-    if (this.asking) return;
+  private async watch(): Promise<void> {
     this.asking = true;
-    this.hooks.after(ASK_AFTER_MS, () => {
-      this.hooks
-        .ask()
-        .then(
-          (why) => this.set(why),
-          // No answer says nothing about the disk.
-          () => undefined,
-        )
-        .finally(() => {
-          this.asking = false;
-          if (this.why !== null) this.soon();
-        });
-    });
+    while (this.why !== null) {
+      await this.hooks.sleep(ASK_AFTER_MS);
+      // No answer says nothing about the disk.
+      this.set(await this.hooks.ask().catch(() => this.why));
+    }
+    this.asking = false;
   }
 }

@@ -4,7 +4,6 @@ export type Child = Node | string | number | null | undefined | false;
 
 export interface Props {
   class?: string | undefined;
-  id?: string;
   /** Attributes by name; `true` sets an empty attribute, `false` and `null` omit it. */
   attrs?: Record<string, string | number | boolean | null | undefined>;
   data?: Record<string, string>;
@@ -14,16 +13,11 @@ export interface Props {
 /** Attributes that can run code or load resources; data must not set them. */
 const FORBIDDEN = /^(on|style$|src$|href$|srcdoc$|formaction$|action$)/i;
 
-export function h<K extends keyof HTMLElementTagNameMap>(
-  tag: K,
-  props: Props = {},
-  ...children: Child[]
-): HTMLElementTagNameMap[K] {
+export function h<K extends keyof HTMLElementTagNameMap>(tag: K, props: Props = {}, ...children: Child[]): HTMLElementTagNameMap[K] {
   const element = document.createElement(tag);
   // Without it a button would send the form around it.
   if (tag === "button") element.setAttribute("type", "button");
   if (props.class) element.className = props.class;
-  if (props.id) element.id = props.id;
   for (const [name, value] of Object.entries(props.attrs ?? {})) {
     setAttr(element, name, value);
   }
@@ -33,27 +27,17 @@ export function h<K extends keyof HTMLElementTagNameMap>(
   for (const [name, listener] of Object.entries(props.on ?? {})) {
     element.addEventListener(name, listener as EventListener);
   }
-  append(element, children);
+  fill(element, ...children);
   return element;
 }
 
-export function append(parent: Element, children: Child[]): void {
-  for (const child of children) {
-    if (child === null || child === undefined || child === false) continue;
-    parent.append(child instanceof Node ? child : String(child));
-  }
-}
-
+/** Replaces what is in an element. */
 export function fill(parent: Element, ...children: Child[]): void {
-  parent.replaceChildren();
-  append(parent, children);
+  const shown = children.filter((child) => child !== null && child !== undefined && child !== false);
+  parent.replaceChildren(...shown.map((child) => (child instanceof Node ? child : String(child))));
 }
 
-export function setAttr(
-  element: Element,
-  name: string,
-  value: string | number | boolean | null | undefined,
-): void {
+export function setAttr(element: Element, name: string, value: string | number | boolean | null | undefined): void {
   if (FORBIDDEN.test(name)) throw new Error(`attribute ${name} is not set this way`);
   if (value === null || value === undefined || value === false) {
     element.removeAttribute(name);

@@ -80,17 +80,16 @@ export function summarise(rows: readonly DayWork[], count: number, now: number, 
     people.set(row.user, person);
     for (const sum of [person.days[day], person.all, all.days[day], all.all]) {
       if (!sum) continue;
-      sum.secs += row.secs;
-      sum.answers += row.answers;
-      sum.skips += row.skips;
-      sum.reviews += row.reviews;
+      for (const name of ["secs", "answers", "skips", "reviews"] as const) sum[name] += row[name];
     }
   }
   return { dates, people: [...people.values()].sort((a, b) => b.all.secs - a.all.secs || a.name.localeCompare(b.name)), all };
 }
 
+/** Time of work in hours; below a tenth of an hour in minutes, below a minute in seconds. */
 export function hours(secs: number): string {
-  return `${(secs / 3600).toFixed(1)} h`;
+  if (secs === 0 || secs >= 360) return `${(secs / 3600).toFixed(secs === 0 ? 0 : 1)} h`;
+  return secs >= 60 ? `${Math.round(secs / 60)} min` : `${Math.ceil(secs)} s`;
 }
 
 /** The weeks from the first one with any work on, at least four. */

@@ -40,8 +40,9 @@ export function formatGuide(text: string): HTMLElement[] {
   return blocks.length > 0 ? blocks : [h("p", { class: "note" }, "Nothing has been written yet.")];
 }
 
-export function pictureUrl(name: string): string {
-  return `/api/v1/guide/pictures/${encodeURIComponent(name)}`;
+/** The path of a picture below that of the API. */
+export function picturePath(name: string): string {
+  return `guide/pictures/${encodeURIComponent(name)}`;
 }
 
 /** A name for an uploaded picture that the server takes and no other picture has. */
@@ -58,9 +59,9 @@ export function pictureName(file: string, taken: ReadonlySet<string>): string {
 /** A picture of a right or a wrong answer. */
 export function pictureFigure(picture: GuidePicture): HTMLElement {
   const image = h("img", { attrs: { alt: picture.caption || picture.name, loading: "lazy" } });
-  image.src = pictureUrl(picture.name);
+  image.src = `/api/v1/${picturePath(picture.name)}`;
   const caption = h("figcaption", {}, h("strong", {}, picture.right ? "✓ Right: " : "✗ Wrong: "), picture.caption);
-  return h("figure", { class: `example ${picture.right ? "right" : "wrong"}` }, image, caption);
+  return h("figure", { class: `example box edged ${picture.right ? "right" : "wrong"}` }, image, caption);
 }
 
 /** What the guide says about a kind of task alone. */
@@ -72,7 +73,7 @@ export function kindGuide(guide: Guide, kind: TaskKind, styles: readonly Style[]
     ...formatGuide(own?.text ?? ""),
     ...(form ? [h("p", { class: "note" }, FORM_WORDS[form])] : []),
     ...(kind === "style" ? styleList(styles) : []),
-    ...(pictures.length > 0 ? [h("div", { class: "examples" }, ...pictures.map(pictureFigure))] : []),
+    ...(pictures.length > 0 ? [h("div", { class: "examples grid" }, ...pictures.map(pictureFigure))] : []),
   ];
 }
 
@@ -81,7 +82,7 @@ function styleList(styles: readonly Style[]): HTMLElement[] {
   const isTold = ({ text, guideline }: Style): boolean => text !== "" || (guideline ?? "") !== "";
   const [told, bare] = [styles.filter(isTold), styles.filter((style) => !isTold(style))];
   const names = bare.map((style) => style.name).join(", ");
-  const own = told.map((style) => html`<dt>${swatch(style.colour)}${style.name}</dt><dd>${style.text}${guidelinePanel(style)}</dd>`);
+  const own = told.map((style) => html`<dt>${swatch(style.colour)}<strong>${style.name}</strong></dt><dd>${style.text}${guidelinePanel(style)}</dd>`);
   return [
     ...(told.length > 0 ? [element(html`<dl class="styles">${own}</dl>`)] : []),
     ...(names ? [h("p", {}, told.length > 0 ? `Further styles: ${names}.` : `Styles to choose from: ${names}.`)] : []),
@@ -100,7 +101,7 @@ export class GuideBeside {
     private readonly styles: readonly Style[],
     close: HTMLElement,
   ) {
-    const head = h("div", { class: "guide-head" }, this.title, h("span", { class: "spacer" }), close);
+    const head = h("div", { class: "guide-head row between" }, this.title, close);
     this.element = h("aside", { class: "guide-beside", attrs: { "aria-label": "Guide" } }, head, this.body);
   }
 

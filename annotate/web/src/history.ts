@@ -33,7 +33,7 @@ export class History<T> {
     return { past: this.past, present: this.current, future: this.future };
   }
 
-  /** Adds a state. Consecutive edits of a `kind`, as the letters of a text, are one step; without a kind each is. */
+  /** Adds a state. Edits of the same `kind` in a row, such as letters of a text, are one step; others are one each. */
   push(state: T, kind: string | null = null): void {
     if (same(state, this.current)) return;
     if (kind === null || kind !== this.kind) {
@@ -52,20 +52,17 @@ export class History<T> {
   }
 
   undo(): T | null {
-    const before = this.past.pop();
-    if (before === undefined) return null;
-    this.future.push(this.current);
-    return this.arrive(before);
+    return this.step(this.past, this.future);
   }
 
   redo(): T | null {
-    const after = this.future.pop();
-    if (after === undefined) return null;
-    this.past.push(this.current);
-    return this.arrive(after);
+    return this.step(this.future, this.past);
   }
 
-  private arrive(state: T): T {
+  private step(from: T[], to: T[]): T | null {
+    const state = from.pop();
+    if (state === undefined) return null;
+    to.push(this.current);
     this.current = state;
     this.kind = null;
     this.onChange(this.data);

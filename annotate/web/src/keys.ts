@@ -142,7 +142,7 @@ export function perform(deeds: Deeds, id: ActionId): boolean {
 /** Keys by action that differ from the defaults. */
 export type KeyOverrides = Partial<Record<ActionId, readonly string[]>>;
 
-/** What has the focus: the text of a mask card is apart, because Tab goes on to the next card. */
+/** What has the focus. The text of a mask card is told from other texts, because Tab goes from it to the next card. */
 export type Focus = "stage" | "button" | "text" | "card";
 
 const CODES: ReadonlySet<string> = new Set(KEY_CODES);

@@ -32,11 +32,11 @@ export async function showKeySheet(keys: KeyMap, store: (keys: Record<string, st
   const draw = (): void => {
     const sections = Object.entries(HEADINGS).map(([scope, heading]) => {
       const rows = DEFAULT_ACTIONS.filter((action) => action.scope === scope).map(({ id, label }) => {
-        const chords = h("span", { class: "key-chords" }, ...keys.hints(id).map((hint) => h("kbd", {}, hint)));
+        const chords = h("span", { class: "inline tight" }, ...keys.hints(id).map((hint) => h("kbd", {}, hint)));
         const change = plainButton(waiting === id ? "press a key…" : "change", () => capture(id));
         setAttr(change, "aria-label", `Change the key of ${label}`);
         setAttr(change, "data-action", id);
-        return h("div", { class: "key-row" }, h("span", {}, label), chords, change);
+        return h("div", { class: "row small" }, h("span", { class: "spacer" }, label), chords, change);
       });
       return h("section", {}, h("h3", {}, heading), ...rows);
     });

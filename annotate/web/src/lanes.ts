@@ -18,10 +18,10 @@ const EDGES = ["First frame", "Last frame"] as const;
 /** Frames by which a key moves an end; with Shift ten times as many. */
 const STEPS: Readonly<Record<string, number>> = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, Home: -Infinity, End: Infinity };
 
-/** Colours of bars and cards, which the style sheet has. */
-const TONES = 6;
+const TONES = ["#2f8f5b", "#8d5bc0", "#a98412", "#16899c", "#c2488b", "#71808f"];
 
-export const toneClass = (index: number): string => `tone-${index % TONES}`;
+/** The colour of the bar of a mask, and of its card. */
+export const toneOfMask = (index: number): string => TONES[index % TONES.length] ?? "";
 
 export class RangeLanes {
   readonly element = h("div", { class: "lanes", attrs: { role: "group", "aria-label": "Frames of the masks" } });
@@ -50,7 +50,8 @@ export class RangeLanes {
   }
 
   private fill(row: HTMLElement, range: Span, index: number, chosen: boolean): void {
-    row.className = `lane ${toneClass(index)}${chosen ? " chosen" : ""}`;
+    row.className = `lane${chosen ? " chosen" : ""}`;
+    row.style.setProperty("--tone", toneOfMask(index));
     row.dataset.mask = String(index);
     const [label, plot] = row.children as unknown as [HTMLElement, HTMLElement];
     label.textContent = `mask ${index + 1}`;
@@ -62,12 +63,8 @@ export class RangeLanes {
   }
 
   private putHandles(row: HTMLElement, [start, end]: Span, index: number): void {
-    const shown = [
-      { now: start + 1, least: 1, most: end },
-      { now: end, least: start + 1, most: this.frames },
-    ];
     this.handles.forEach((handle, edge) => {
-      const { now, least, most } = shown[edge] as { now: number; least: number; most: number };
+      const [now, least, most] = edge === 0 ? [start + 1, 1, end] : [end, start + 1, this.frames];
       setAttr(handle, "aria-label", `${EDGES[edge]} of mask ${index + 1}`);
       setAttr(handle, "aria-valuemin", least);
       setAttr(handle, "aria-valuemax", most);

@@ -13,25 +13,9 @@ export interface Lint {
 type Side = "left" | "right";
 type Limb = "arm" | "leg";
 
-const SIDES: Readonly<Record<string, readonly Side[]>> = {
-  LEFT_ARM: ["left"],
-  RIGHT_ARM: ["right"],
-  LEFT_LEG: ["left"],
-  RIGHT_LEG: ["right"],
-};
-
-const LIMBS: Readonly<Record<string, readonly Limb[]>> = {
-  UPPER_BODY: ["arm"],
-  LOWER_BODY: ["leg"],
-  BOTH_ARMS: ["arm"],
-  LEFT_ARM: ["arm"],
-  RIGHT_ARM: ["arm"],
-  BOTH_LEGS: ["leg"],
-  LEFT_LEG: ["leg"],
-  RIGHT_LEG: ["leg"],
-  TORSO: [],
-  HEAD: [],
-};
+/** The side that a part is on, and the limb that it is or has, by its name: `LEFT_ARM`, `UPPER_BODY`, `TORSO`. */
+const sideOf = (part: string): Side[] => (["left", "right"] as const).filter((side) => part.startsWith(`${side.toUpperCase()}_`));
+const limbsOf = (part: string): Limb[] => (/ARM|UPPER/.test(part) ? ["arm"] : /LEG|LOWER/.test(part) ? ["leg"] : []);
 
 const LIMB_WORDS: Readonly<Record<Limb, RegExp>> = {
   arm: /\b(arms?|hands?|elbows?|wrists?|forearms?|fists?|fingers?|palms?)\b/i,
@@ -54,10 +38,6 @@ export function limbsNamed(text: string): Limb[] {
   return (["arm", "leg"] as const).filter((limb) => LIMB_WORDS[limb].test(text));
 }
 
-function union<T>(parts: readonly string[], table: Readonly<Record<string, readonly T[]>>): Set<T> {
-  return new Set(parts.flatMap((part) => [...(table[part] ?? [])]));
-}
-
 export function lintText(text: string, parts: readonly string[]): Lint[] {
   const found: Lint[] = [];
   const trimmed = text.trim();
@@ -65,13 +45,13 @@ export function lintText(text: string, parts: readonly string[]): Lint[] {
   if ([...text].length > MAX_TEXT_CHARS) {
     found.push({ code: "long", message: `The description is longer than ${MAX_TEXT_CHARS} characters.` });
   }
-  const sides = parts.every((part) => SIDES[part] !== undefined) ? union(parts, SIDES) : new Set<Side>();
+  const sides = new Set(parts.every((part) => sideOf(part).length > 0) ? parts.flatMap(sideOf) : []);
   const wrong = strangers(sides, sidesNamed(trimmed)).join("");
   if (wrong !== "") {
     const message = `The text says “${wrong}”, the mask is on the ${[...sides].join("")}. Sides are the character's own.`;
     found.push({ code: "side", message });
   }
-  const others = strangers(union(parts, LIMBS), limbsNamed(trimmed)).join(" and ");
+  const others = strangers(new Set(parts.flatMap(limbsOf)), limbsNamed(trimmed)).join(" and ");
   if (others !== "") found.push({ code: "limb", message: `The text is about ${others}s, the mask is not.` });
   return found;
 }

@@ -14,7 +14,10 @@ export interface Newcomer {
 const MAX_LINES = 1000;
 const MAX_NAME = 64;
 
-/** Reads lines of a name, and a role after a comma, semicolon or tab. Empty lines and a heading do not count. */
+/**
+ * Reads lines of a name, and a role after a comma, semicolon or tab. Empty lines and a heading do not count. `known`
+ * are the names that are taken.
+ */
 export function readNewcomers(text: string, known: ReadonlySet<string>): Newcomer[] {
   const found: Newcomer[] = [];
   const lineOf = new Map<string, number>();

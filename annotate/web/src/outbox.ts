@@ -30,7 +30,7 @@ export class Journal {
   /** `prefix` names the project and the person. */
   constructor(
     private readonly prefix: string,
-    private readonly storage: Storage,
+    private readonly storage: Pick<Storage, "length" | "key" | "getItem" | "setItem" | "removeItem">,
   ) {}
 
   all(): OutboxItem[] {

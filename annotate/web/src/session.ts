@@ -49,7 +49,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     app.sessions.add(this);
   }
 
-  /** Opens a task with this tab's last state if nobody wrote since; else with the server's, its own an undo away. */
+  /** Opens a task with this tab's last state; with the server's, and its own one undo away, if somebody wrote since. */
   static async open<A extends Answer>(
     app: App,
     view: TaskView,
@@ -124,19 +124,14 @@ export class TaskSession<A extends Answer> implements OpenSession {
 
   /** Submits the answer, and waits until the server has taken or refused it. */
   submit(answer: A): Promise<Ending> {
-    this.cancelDraft();
-    this.submitted = true;
     return this.end("submit", { answer });
   }
 
   skip(why: SkipReason, note: string): Promise<Ending> {
-    this.cancelDraft();
-    this.submitted = true;
     return this.end("skip", { reason: why, note });
   }
 
-  async postpone(): Promise<Ending> {
-    await this.flushDraft();
+  postpone(): Promise<Ending> {
     return this.end("postpone", {});
   }
 
@@ -208,7 +203,10 @@ export class TaskSession<A extends Answer> implements OpenSession {
   }
 
   /** Sends the event that ends the task, and waits as long as the server takes, and for a lease to be taken again. */
-  private async end(kind: EventKind, rest: Partial<NewEvent>): Promise<Ending> {
+  private async end(kind: "submit" | "skip" | "postpone", rest: Partial<NewEvent>): Promise<Ending> {
+    if (kind === "postpone") await this.flushDraft();
+    this.cancelDraft();
+    this.submitted = kind !== "postpone";
     this.refused = false;
     await this.send(kind, rest);
     const { outbox } = this.app;

@@ -29,16 +29,17 @@ export function storyOf(history: readonly AuditEntry[]): { at: number; who: stri
   const lines: { at: number; who: string; what: string; count: number }[] = [];
   for (const entry of history) {
     const body = (entry.body ?? {}) as Record<string, unknown>;
-    const said = (name: string): string => (typeof body[name] === "string" ? (body[name] as string).replaceAll("_", " ") : "");
-    const quoted = (name: string): string => (typeof body[name] === "string" && body[name] !== "" ? `“${body[name] as string}”` : "");
+    const text = (name: string): string => (typeof body[name] === "string" ? body[name] : "");
+    const said = (name: string): string => text(name).replaceAll("_", " ");
+    const quoted = (name: string): string => text(name) && `“${text(name)}”`;
     const details = [
       entry.kind === "claimed" && said("purpose") === "review" ? "to review it" : "",
       entry.kind === "released" || entry.kind === "skipped" ? said("reason") : "",
-      said("rule") === "" ? "" : `${entry.kind === "reopened" ? "of" : "by"} rule ${body["rule"] as string}`,
+      text("rule") && `${entry.kind === "reopened" ? "of" : "by"} rule ${text("rule")}`,
       body["own"] === true ? "as its own author" : "",
       quoted("comment"),
       quoted("note"),
-    ].filter((text) => text !== "");
+    ].filter((own) => own !== "");
     const what = [EVENTS[entry.kind] ?? entry.kind.replaceAll("_", " "), ...details].join(", ");
     const who = entry.actor_name ?? "the program";
     const last = lines.at(-1);

@@ -92,9 +92,7 @@ export class Strip {
     this.canvas.addEventListener("pointermove", (event) => {
       if (event.buttons === 1) seek(at(event));
     });
-    const redraw = (): void => {
-      this.dirty = true;
-    };
+    const redraw = (): void => void (this.dirty = true);
     this.observer = new ResizeObserver(redraw);
     this.observer.observe(this.canvas);
     this.forget = onThemeChange(redraw);

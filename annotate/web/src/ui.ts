@@ -1,13 +1,13 @@
 /** User interface elements: toasts, dialogs, labelled buttons, formatted figures. */
 
 import { reason } from "./api";
-import { action, element, figureTable } from "./components/component";
+import { action, element } from "./components/component";
 import { h, setAttr, type Child } from "./dom";
-import type { Estimate } from "./wire";
+import { MAX_TEXT_CHARS, type Estimate } from "./wire";
 
 /** Messages at the lower edge, announced by screen readers. */
 export class Toasts {
-  readonly element = h("div", { class: "toasts", attrs: { role: "status", "aria-live": "polite" } });
+  readonly element = h("div", { class: "toasts col", attrs: { role: "status", "aria-live": "polite" } });
   private readonly shown = new Map<string, () => void>();
 
   /** Shows a message; it replaces an earlier one of the same `id`. */
@@ -19,7 +19,7 @@ export class Toasts {
     this.shown.get(id)?.();
     const { action } = options;
     const button = action && h("button", { class: "toast-action", on: { click: () => (close(), action.run()) } }, action.label);
-    const toast = h("div", { class: `toast ${options.kind ?? "info"}` }, h("span", {}, message), button);
+    const toast = h("div", { class: `toast row ${options.kind ?? "info"}` }, h("span", {}, message), button);
     const timer = window.setTimeout(() => close(), options.ms ?? 5000);
     const close = (): void => {
       window.clearTimeout(timer);
@@ -80,7 +80,7 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
       h("button", { class: kind, data: { choice: label }, on: { click: () => finish(value) } }, hint !== "" && h("kbd", {}, hint), label);
     const buttons = choices.map(({ label, value, hint, kind }) => button(label, value, hint, kind));
     const closes = choices[0]?.label === "Close" || choices[0]?.label === "Done";
-    const foot = h("div", { class: "dialog-buttons" }, ...buttons, !closes && button("Cancel", null, "Esc"));
+    const foot = h("div", { class: "dialog-buttons row" }, ...buttons, !closes && button("Cancel", null, "Esc"));
     const dialog = openDialog(title, () => finish(null), h("div", { class: "dialog-body" }, ...body), foot);
     dialog.addEventListener("keydown", (event) => {
       event.stopPropagation();
@@ -103,8 +103,8 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
 }
 
 /** A modal dialog with a title. Escape calls `cancel`, which closes it or not. */
-function openDialog(title: string, cancel: () => void, ...body: Child[]): HTMLDialogElement {
-  const dialog = h("dialog", { class: "dialog", attrs: { "aria-labelledby": "dialog-title" } }, h("h2", { id: "dialog-title" }, title), ...body);
+export function openDialog(title: string, cancel: () => void, ...body: Child[]): HTMLDialogElement {
+  const dialog = h("dialog", { class: "dialog", attrs: { "aria-label": title, tabindex: -1 } }, h("h2", {}, title), ...body);
   dialog.addEventListener("cancel", (event) => {
     event.preventDefault();
     cancel();
@@ -122,6 +122,19 @@ export async function tell(title: string, body: Child[]): Promise<void> {
 /** What is missing or wrong in a dialog that opens again. */
 export function alertLine(trouble: string | false): Child {
   return trouble !== "" && trouble !== false && h("p", { class: "trouble", attrs: { role: "alert" } }, trouble);
+}
+
+/** A field for a comment. */
+export function commentField(): HTMLTextAreaElement {
+  return h("textarea", { attrs: { rows: 3, maxlength: MAX_TEXT_CHARS } });
+}
+
+/** Asks for a comment with a choice, and again while the comment is empty; `null` if the user cancels. */
+export async function askComment<T>(title: string, label: string, text: HTMLTextAreaElement, choices: readonly Choice<T>[], missing: string): Promise<T | null> {
+  for (let again = false; ; again = true) {
+    const choice = await ask(title, [alertLine(again && missing), field(label, text)], choices, text);
+    if (choice === null || text.value.trim() !== "") return choice;
+  }
 }
 
 /** Asks for one of several reasons, by digit. Reason `other` needs a note, and is asked for again without one. */
@@ -151,6 +164,7 @@ export function plainButton(label: string, run: () => void, className = ""): HTM
   return h("button", { class: className, on: { click: run } }, label);
 }
 
+/** A button that cannot be pressed again until its work is done, and shows why it failed. */
 export function button(label: string, run: () => Promise<void>, app: { readonly toasts: Toasts }, className = ""): HTMLButtonElement {
   const own = plainButton(label, () => {
     own.disabled = true;
@@ -186,7 +200,7 @@ export async function inSteps(title: string, total: number, step: (done: (count:
     words.textContent = "Stopping…";
   };
   const stop = h("button", { data: { choice: "Stop" }, on: { click: halt } }, h("kbd", {}, "Esc"), "Stop");
-  const dialog = openDialog(title, halt, words, bar, h("div", { class: "dialog-buttons" }, stop));
+  const dialog = openDialog(title, halt, words, bar, h("div", { class: "dialog-buttons row" }, stop));
   try {
     const show = (count: number): void => {
       setAttr(bar, "value", Math.min(count, total));
@@ -204,11 +218,6 @@ export function field(label: string, control: HTMLElement, note = ""): HTMLEleme
   const id = control.id || `field-${Math.random().toString(36).slice(2)}`;
   control.id = id;
   return h("div", { class: "field" }, h("label", { attrs: { for: id } }, label), control, note ? h("p", { class: "note" }, note) : null);
-}
-
-/** A table from rows of cells, which are not drawn again. */
-export function table(caption: string, head: readonly string[], rows: readonly (readonly Child[])[]): HTMLElement {
-  return element(figureTable(caption, head, rows));
 }
 
 export function percent(share: number | null): string {

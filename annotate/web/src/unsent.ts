@@ -10,7 +10,7 @@ export async function showUnsent(outbox: Outbox, parts: Parts): Promise<void> {
   const stuck = outbox.waiting.filter((item) => item.problem !== null);
   const entries = stuck.map(({ task, event, problem }) => {
     const lines = (event.answer ? describe(parts, event.answer) : []).map((line) => h("li", {}, line));
-    return h("section", { class: "unsent" }, h("h3", {}, `Task ${task}: ${event.kind}`), h("p", { class: "trouble" }, problem?.detail ?? ""), h("ul", {}, ...lines));
+    return h("section", { class: "box" }, h("h3", {}, `Task ${task}: ${event.kind}`), h("p", { class: "trouble" }, problem?.detail ?? ""), h("ul", {}, ...lines));
   });
   const choice = await ask(
     "The server refused these changes",

@@ -3,11 +3,12 @@
 import { html } from "lit";
 import { clipFrame, Clock, type ClockState } from "./clock";
 import { element } from "./components/component";
-import { h } from "./dom";
+import { h, setAttr } from "./dom";
 import { perform, type ActionId, type Deeds, type KeyMap } from "./keys";
 import { PLAIN, aligned, type Paint, type Track } from "./stage/body";
 import { Stage, type MakeRenderer } from "./stage/stage";
 import type { Strip } from "./strips";
+import { keyButton } from "./ui";
 import type { Prefs } from "./wire";
 
 export interface Clip {
@@ -16,7 +17,15 @@ export interface Clip {
   label: string;
 }
 
-export type Layout = "single" | "side_by_side" | "ghost";
+/** How clips are shown; what is stored does not change. */
+interface View {
+  layout: "single" | "side_by_side" | "ghost";
+  swapped: boolean;
+  /** Whether both clips are spread over the duration of the shorter one. */
+  stretch: boolean;
+  /** Whether the ghost stands and faces as the other body does. */
+  together: boolean;
+}
 
 export class Viewer {
   readonly clock = new Clock();
@@ -27,17 +36,13 @@ export class Viewer {
   private readonly stripColumn = h("div", { class: "strips" });
   private readonly strips: Strip[] = [];
   private clips: Clip[] = [];
-  private layout: Layout = "single";
-  private swapped = false;
-  private stretch = false;
-  /** Whether the ghost stands where the other body stands. */
-  private together = false;
+  view: Readonly<View> = { layout: "single", swapped: false, stretch: false, together: false };
   private moved: { ghost: Track; to: Track; stretch: boolean; track: Track } | null = null;
   private readonly playButton: HTMLButtonElement;
   private readonly range: HTMLInputElement;
   private readonly readout = h("output", { class: "readout", attrs: { "aria-live": "off" } });
   private readonly speed = h("output", { class: "speed" });
-  private readonly loopText = h("output", { class: "loop" });
+  private readonly loopText = h("output", { class: "loop note" });
   private readonly followButton: HTMLButtonElement;
 
   constructor(
@@ -46,16 +51,12 @@ export class Viewer {
     prefs: Prefs,
     private readonly save: (change: Partial<Prefs>) => void,
   ) {
-    const button = (action: ActionId, label: string, className = ""): HTMLButtonElement =>
-      element(html`<button
-        type="button"
-        class=${className}
-        title=${`${label} (${keys.hint(action)})`}
-        aria-keyshortcuts=${keys.chord(action)}
-        @click=${() => this.perform(action, false)}
-      >
-        <kbd>${keys.hint(action)}</kbd><span class="button-label">${label}</span>
-      </button>`);
+    const button = (action: ActionId, label: string, className = ""): HTMLButtonElement => {
+      const own = keyButton(label, keys.hint(action), () => this.perform(action, false), className);
+      own.title = `${label} (${keys.hint(action)})`;
+      setAttr(own, "aria-keyshortcuts", keys.chord(action));
+      return own;
+    };
     this.playButton = button("play_pause", "Play", "play");
     this.range = h("input", {
       class: "scrub",
@@ -64,14 +65,14 @@ export class Viewer {
     });
     this.followButton = button("camera_follow", "Follow");
     this.transport = element(html`<div class="transport" role="group" aria-label="Playback">
-      <div class="transport-row">${this.playButton}${this.range}${this.readout}</div>
-      <div class="transport-row small">
+      <div class="row">${this.playButton}${this.range}${this.readout}</div>
+      <div class="row small">
         ${button("step_back", "Back")}${button("step_forward", "Forward")}
-        <span class="group">${button("slower", "Slower")}${this.speed}${button("faster", "Faster")}</span>
-        <span class="group">${button("loop_in", "In")}${button("loop_out", "Out")}${button("loop_clear", "Clear")}${this.loopText}</span>
+        <span class="inline tight">${button("slower", "Slower")}${this.speed}${button("faster", "Faster")}</span>
+        <span class="inline tight">${button("loop_in", "In")}${button("loop_out", "Out")}${button("loop_clear", "Clear")}${this.loopText}</span>
       </div>
     </div>`);
-    const cameras = element(html`<div class="cameras" role="group" aria-label="Camera">
+    const cameras = element(html`<div class="cameras inline tight small" role="group" aria-label="Camera">
       ${button("camera_front", "Front")}${button("camera_side", "Side")}${button("camera_top", "Top")}${this.followButton}
     </div>`);
     this.element = h("div", { class: "viewer", data: { region: "stage" } }, h("div", { class: "stage-area" }, this.stageRow, cameras), this.transport, this.stripColumn);
@@ -103,11 +104,9 @@ export class Viewer {
   }
 
   /** Shows other clips and plays them from the first frame. */
-  load(clips: Clip[], layout: Layout): void {
+  load(clips: Clip[], layout: View["layout"]): void {
     this.clips = clips;
-    this.layout = layout;
-    this.swapped = false;
-    this.stretch = false;
+    this.view = { ...this.view, layout, swapped: false, stretch: false };
     this.clock.load(this.length(), clips[0]?.track.fps ?? 20);
     this.arrange();
     for (const stage of this.stages) stage.frameBody();
@@ -127,41 +126,18 @@ export class Viewer {
     this.update(this.clock.now);
   }
 
-  setLayout(layout: Layout): void {
-    this.layout = layout;
-    this.arrange();
-  }
-
-  get currentLayout(): Layout {
-    return this.layout;
-  }
-
-  swap(): void {
-    this.swapped = !this.swapped;
-    this.arrange();
-  }
-
-  get isTogether(): boolean {
-    return this.together;
-  }
-
-  /** Moves the ghost to the place and heading of the other body, or back, for viewing only. */
-  setTogether(together: boolean): void {
-    this.together = together;
-    this.update(this.clock.now);
-  }
-
-  get isStretched(): boolean {
-    return this.stretch;
-  }
-
-  /** Spreads both clips over the duration of the shorter one, for viewing only. */
-  setStretch(stretch: boolean): void {
-    this.stretch = stretch;
-    const playing = this.clock.now.playing;
-    this.clock.resize(this.length());
-    if (playing) this.clock.play(true);
-    this.arrange();
+  /** Shows the clips in another way. */
+  setView(change: Partial<View>): void {
+    const { stretch } = this.view;
+    this.view = { ...this.view, ...change };
+    if (this.view.stretch !== stretch) {
+      const playing = this.clock.now.playing;
+      this.clock.resize(this.length());
+      if (playing) this.clock.play(true);
+    }
+    // Where the ghost stands moves no camera.
+    if (change.together === undefined) this.arrange();
+    else this.update(this.clock.now);
   }
 
   setFollow(follow: boolean): void {
@@ -223,17 +199,17 @@ export class Viewer {
     const seconds = this.clips.map((clip) => clip.track.frames / clip.track.fps);
     if (seconds.length === 0) return 1;
     const fps = this.clips[0]?.track.fps ?? 20;
-    const longest = this.stretch ? Math.min(...seconds) : Math.max(...seconds);
+    const longest = this.view.stretch ? Math.min(...seconds) : Math.max(...seconds);
     return Math.max(1, Math.round(longest * fps));
   }
 
   private arrange(): void {
-    const two = this.layout === "side_by_side" && this.clips.length > 1;
+    const two = this.view.layout === "side_by_side" && this.clips.length > 1;
     while (two && this.stages.length < 2) this.addStage("Second motion").camera.heading = 0;
     this.stages.forEach((stage, index) => {
       stage.element.hidden = index > 0 && !two;
     });
-    this.stageRow.dataset.layout = this.layout;
+    this.stageRow.dataset.layout = this.view.layout;
     this.update(this.clock.now);
     this.stages[1]?.frameBody();
     if (this.stages[1] && this.stages[0]) {
@@ -245,8 +221,8 @@ export class Viewer {
   }
 
   private ghostOf(ghost: Track, to: Track): Track {
-    if (!this.together) return ghost;
-    const { stretch } = this;
+    const { stretch, together } = this.view;
+    if (!together) return ghost;
     if (this.moved?.ghost !== ghost || this.moved.to !== to || this.moved.stretch !== stretch) {
       const track = aligned(ghost, to, (frame) => clipFrame(frame, ghost, to, stretch));
       this.moved = { ghost, to, stretch, track };
@@ -255,21 +231,22 @@ export class Viewer {
   }
 
   private update(state: Readonly<ClockState>): void {
-    const order = this.swapped ? [...this.clips].reverse() : this.clips;
+    const { layout, swapped, stretch, together } = this.view;
+    const order = swapped ? [...this.clips].reverse() : this.clips;
     const bodies = order.map((clip) => ({
       track: clip.track,
       paint: clip.paint ?? PLAIN,
-      frame: clipFrame(state.frame, state, clip.track, this.stretch),
+      frame: clipFrame(state.frame, state, clip.track, stretch),
       ghost: false,
     }));
     const [first, second] = bodies;
     const [stage, other] = this.stages;
     if (stage && first) {
-      const shown = this.layout === "ghost" && second ? [first, { ...second, track: this.ghostOf(second.track, first.track), ghost: true }] : [first];
+      const shown = layout === "ghost" && second ? [first, { ...second, track: this.ghostOf(second.track, first.track), ghost: true }] : [first];
       stage.show(shown, state.frame);
-      stage.element.dataset.together = String(this.together);
+      stage.element.dataset.together = String(together);
       const labels = order.map((clip) => clip.label);
-      const caption = this.layout === "ghost" && labels[1] ? `${labels[0]}, ghost: ${labels[1]}` : (labels[0] ?? "");
+      const caption = layout === "ghost" && labels[1] ? `${labels[0]}, ghost: ${labels[1]}` : (labels[0] ?? "");
       stage.setCaption(caption);
       // Screen readers would announce a name that changes with every frame.
       const at = state.playing ? "playing" : `frame ${state.frame + 1} of ${state.frames}`;

@@ -192,1276 +192,779 @@ export const VERDICTS: readonly Verdict[] = [
 
 /** `GET stats/agreement`. Figures are `null` below 30 shared items. */
 export type Agreement = {
-  /** One for each of the release's parts, and `overall` of their decisions together. */
   parts: Array<PartAgreement>,
-  /** Mean Jaccard index of the joints and frames of masks. */
   jaccard: Estimate | null,
-  /** Agreement on the verdicts about pairs. */
   verdicts: PartAgreement | null,
-  /** Tasks with two answers or more. */
   shared_items: number,
-  /** Share of answers that reviewers accepted unchanged. */
   accepted_share: Estimate | null,
-  /** Edit distance from the draft, with drafts shown and with drafts withheld. */
   draft_distance: number | null,
-  /** Seconds per answer with drafts and without. */
   secs_with_and_without_draft: [number, number] | null, };
 
 /** An answer. Which fields count depends on the kind of the task. */
 export type Answer = { "kind": "mask_text",
-  /** The masks. */
   masks: Array<MaskAnswer>,
-  /** Reason for fewer or more masks than the project wants. */
   count_reason: CountReason | null,
-  /** Note. */
   note: string, } | { "kind": "pair",
-  /** Verdict. */
   verdict: Verdict,
-  /** Parts the edit changes. */
   parts: Array<string>,
-  /** Type of the edit. */
   edit_type: EditType | null,
-  /** The instruction. */
   text: string,
-  /** The suggestion the text started from, if any. */
   suggestion: number | null,
-  /** Note. */
   note: string, } | { "kind": "style",
-  /** Verdict. */
   verdict: Verdict,
-  /** Parts the style shows in. */
   parts: Array<string>,
-  /** The style. */
   style: string | null,
-  /** How much of the body it shows in. */
   extent: Extent | null,
-  /** The instruction. */
   text: string,
-  /** The suggestion the text started from, if any. */
   suggestion: number | null,
-  /** Note. */
   note: string, };
 
 /** An answer in short. */
 export type AnswerBrief = {
-  /** Id of its author. */
   author: number,
-  /** Name of its author. */
   name: string,
-  /** State. */
   state: RevisionState,
-  /** Its texts, joined. */
   text: string,
-  /** Parts that it names. */
   parts: Array<string>,
-  /** Verdict. */
   verdict: Verdict | null,
-  /** Edit type. */
   edit_type: EditType | null,
-  /** When it was last written. */
   at: number, };
 
 /** `POST rules/apply`: applies the enabled rules to the tasks that wait for review. */
 export type ApplyRules = {
-  /** Id of the last task that was looked at; without it, begins with the first task. */
   after: number | null, };
 
 /** `GET audit`: newest first. */
 export type Audit = {
-  /** Entries. */
   entries: Array<AuditEntry>,
-  /** Value of `before` for the next page. */
   next: number | null, };
 
 /** An entry of the log, for `GET audit` and `GET tasks/{id}/history`. */
 export type AuditEntry = {
-  /** Sequence number in the log. */
   seq: number,
-  /** When. */
   at: number,
-  /** User; `null` for the program itself. */
   actor: number | null,
-  /** Their name. */
   actor_name: string | null,
-  /** Kind of entry. */
   kind: string,
-  /** Task. */
   task: number | null,
-  /** Body of the entry. */
   body: unknown, };
 
 /** `POST blend`. */
 export type BlendRequest = {
-  /** Hash of the edited motion. */
   src: string,
-  /** Hash of the motion the masked parts come from. */
   tgt: string,
-  /** Names of the parts. */
   parts: Array<string>,
-  /** Whether the soft ring is blended. */
   soft: boolean,
-  /** Joints whose weight differs from the one that the parts and `soft` give them. */
   joints?: Array<JointChoice>,
-  /** Weight of `tgt` on the soft ring, 0 to 1. */
   alpha: number, };
 
 /** Answer to `POST bulk` and `POST bulk/preview`. A preview looks at all tasks and changes nothing; `POST bulk` looks at up to 2,000. */
 export type BulkDone = {
-  /** Tasks of the filter that were looked at. */
   looked_at: number,
-  /** Tasks changed, or that would be changed. */
   done: number,
-  /** Tasks left alone, by reason: `wrong_state`, `own_work`, `held` (by another person), `answers_differ`, `answered` (by the person), `task_full`, `new_style` (a reviewer has to see it). */
   left_alone: { [key in string]: number },
-  /** Value of `after` for the next request; `null` once all are done. */
   next: number | null, };
 
 /** `POST bulk` and `POST bulk/preview`: one action on all tasks of a filter. */
 export type BulkRequest = {
-  /** Which tasks. */
   filter: TaskFilter,
-  /** What to do with each. */
   action: BulkAction,
-  /** Required for `return`, `drop` and `reopen`; a preview needs none. */
   comment: string,
-  /** The person, for `assign`. */
   person: number | null,
-  /** Id of the last task that was looked at; without it, begins with the first task. */
   after: number | null, };
 
 /** Pairs that are leased together and submitted one by one. */
 export type Bundle = {
-  /** Id. */
   id: number,
-  /** Its tasks, in order. */
   tasks: Array<BundleItem>, };
 
 /** A task of a bundle. */
 export type BundleItem = {
-  /** Task. */
   task: number,
-  /** My answer's state, if there is one. */
   mine: RevisionState | null,
-  /** My verdict, if it is submitted. */
   verdict: Verdict | null,
-  /** Whether I hold a lease on it. */
   leased: boolean, };
 
 /** An answer to review. */
 export type Candidate = {
-  /** The answer. */
   revision: Revision,
-  /** Name of its author. */
   author_name: string,
-  /** Body joints of its masks, hard or soft, for the viewer. */
   joints: Array<number>,
-  /** Edit distance of its texts from their drafts, 0 to 1. */
   draft_distance: number | null, };
 
 /** A cell of the plan with what has arrived. */
 export type CaptureCell = {
-  /** Id of the source motion. */
   motion: string,
-  /** Name of the style. */
   style: string,
-  /** Takes that are wanted. */
   takes: number,
-  /** Takes that arrived and are not rejected. */
   arrived: number,
-  /** Takes that were judged unusable or dropped. */
   rejected: number,
-  /** Takes that are still to capture. */
   missing: number,
-  /** Whether the project has a motion of this id. */
   known: boolean, };
 
 /** `PUT captures`: the whole plan, in place of the one before. */
 export type CapturePlan = {
-  /** Its cells, each motion with each style once. */
   cells: Array<PlannedCapture>, };
 
 /** `GET captures`, and the answer to `PUT captures`: the plan with what has arrived of it. A take is a style pair of the motion in the style. */
 export type Captures = {
-  /** The cells in the order of the plan. */
   cells: Array<CaptureCell>,
-  /** Style pairs of no planned cell, without rejected ones. */
   unplanned: number, };
 
 /** An entry of `GET stream` (event `change`). */
 export type Change = {
-  /** Sequence number in the log. */
   seq: number,
-  /** What happened. */
   kind: string,
-  /** Task. */
   task: number | null,
-  /** Whether the task is one of mine. */
   mine: boolean, };
 
 /** `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day of `from` is counted whole. */
 export type DayWork = {
-  /** First millisecond of the day in the project's time zone, in Unix time. */
   start: number,
-  /** Id of the person. */
   user: number,
-  /** Name of the person. */
   name: string,
-  /** Kind of task. */
   kind: TaskKind,
-  /** Seconds of work. */
   secs: number,
-  /** Answers handed in. */
   answers: number,
-  /** Tasks skipped or postponed. */
   skips: number,
-  /** Decisions as a reviewer. Bulk actions are not counted. */
   reviews: number, };
 
 /** A decision on a task. */
 export type DecisionRow = {
-  /** Its sequence number in the log. */
   seq: number,
-  /** Task. */
   task: number,
-  /** Key of the task. */
   key: string,
-  /** `accepted`, `merged`, `returned`, `dropped` or `reopened`. */
   decision: string,
-  /** Id of the reviewer; 0 for a rule. */
   reviewer: number,
-  /** Name of the reviewer; empty for a rule. */
   reviewer_name: string,
-  /** The author whose answer was accepted or sent back; `null` if it concerns all authors. */
   author: number | null,
-  /** Names of the authors it concerns. */
   authors: Array<string>,
-  /** The rule that accepted the task, or whose acceptance was taken back. */
   rule: string | null,
-  /** Comment. */
   comment: string,
-  /** When. */
   at: number,
-  /** State of the task now. */
   state: TaskState, };
 
 /** `GET reviews`: decisions, newest first. */
 export type Decisions = {
-  /** The decisions. */
   items: Array<DecisionRow>,
-  /** Value of `before` for the next page. */
   next: number | null, };
 
 /** `GET stats/edit-types`: one for each edit type that the project has a quota of. */
 export type EditTypeCount = {
-  /** Edit type. */
   edit_type: EditType,
-  /** Pairs kept: answered `keep` and not sent back. */
   kept: number,
-  /** Pairs wanted. */
   wanted: number, };
 
 /** Why a queue is empty. Counts are tasks of the kind. */
 export type Empty = {
-  /** All tasks. */
   total: number,
-  /** With all wanted answers. */
   done: number,
-  /** Answered by me, waiting for others. */
   waiting_for_others: number,
-  /** Held by others. */
   leased_by_others: number,
-  /** When the first of those leases expires. */
   soonest_expiry: number | null,
-  /** Skipped by me. */
   skipped_by_me: number,
-  /** Dropped by reviewers. */
   dropped: number,
-  /** Pairs that are not given out because their category has as many as the project wants. */
   quota_full: number, };
 
 /** A figure with its interval. */
 export type Estimate = {
-  /** The value. */
   value: number,
-  /** Lower end of the 95 % bootstrap interval. */
   low: number,
-  /** Upper end. */
   high: number,
-  /** Number of items. */
   items: number, };
 
 /** `POST tasks/{id}/events`. */
 export type EventBatch = {
-  /** In the order they happened. */
   events: Array<NewEvent>, };
 
 /** Result of an event. */
 export type EventResult = {
-  /** Key of the event. */
   idem_key: string,
-  /** 200 once it is durable, or the status of the problem. */
   status: number,
-  /** Its sequence number in the log; `null` if nothing was logged. */
   seq: number | null,
-  /** My revision after it. */
   rev: number,
-  /** State of the task after it. */
   state: TaskState | null,
-  /** My lease after it. */
   lease: Lease | null,
-  /** The problem, if it failed. */
   problem: Problem | null,
-  /** The known answer, after an answer to a practice task. */
   feedback?: Feedback | null, };
 
 /** Answer to `POST tasks/{id}/events`. The status is 200; each event has its own. */
 export type EventResults = {
-  /** Results in the order of the events. Events after the first failed one are not processed and have no result: send them again. */
   results: Array<EventResult>, };
 
 /** `POST exports`. */
 export type ExportRequest = {
-  /** Layout. */
   format: ExportFormat,
-  /** Splits to export; all if empty. */
   splits: Array<string>,
-  /** Also write the log (format `parquet` only). */
   events: boolean, };
 
 /** What a practice task teaches. */
 export type Feedback = {
-  /** Score of the answer: 1 minus its distance from the known one. */
   score: number,
-  /** The known answer. */
   known: Answer, };
 
 /** `GET stats/funnel`. */
 export type Funnel = {
-  /** Tasks by kind and state. */
   counts: { [key in TaskKind]?: { [key in TaskState]?: number } },
-  /** Weeks, oldest first. */
   weeks: Array<Week>, };
 
 /** `GET guide`. */
 export type Guide = {
-  /** What holds for all kinds, plain text. */
   text: string,
-  /** Guidelines of each kind. */
   kinds: { [key in TaskKind]?: KindGuide },
-  /** What the texts of each kind are. */
   forms: { [key in TaskKind]?: TextForm }, };
 
 /** A picture of a right or a wrong answer. */
 export type GuidePicture = {
-  /** Name, at `guide/pictures/{name}`. */
   name: string,
-  /** What it shows. */
   caption: string,
-  /** Whether the answer it shows is right. */
   right: boolean, };
 
 /** A held lease, as the dashboard lists it. */
 export type HeldLease = {
-  /** The lease. */
   lease: Lease,
-  /** Name of its holder. */
   user_name: string,
-  /** Kind of its task. */
   kind: TaskKind,
-  /** `annotate`, `review`, or `returned` (reserved for the author). */
   purpose: string, };
 
 /** Who holds a task. */
 export type Holder = {
-  /** Id of the lease or the reservation. */
   lease: number,
-  /** Id. */
   user: number,
-  /** Name. */
   name: string,
-  /** `annotate`, `review`, `returned` (waits for the author it was sent back to) or `assigned`. */
   purpose: string,
-  /** When the lease or the reservation ends. */
   until: number, };
 
 /** `GET home`. */
 export type Home = {
-  /** One queue for each kind. */
   queues: Array<QueueInfo>,
-  /** Tasks returned to me. */
   returned: Array<ReturnedTask>,
-  /** Tasks I hold leases on, the one last renewed first. */
   held: Array<Lease>,
-  /** Answers I submitted today, which begins at midnight in the project's time zone. Practice is left out. */
   today: number,
-  /** Seconds I worked today: on answers, skips and reviews. */
   today_secs: number,
-  /** Median seconds of my answers today. */
   median_secs: number | null,
-  /** My agreement with others; `null` below 30 shared items. */
   agreement: Estimate | null,
-  /** Answers submitted by everybody today. */
   today_all: number, };
 
 /** `GET jobs/{id}`. */
 export type Job = {
-  /** Id. */
   id: number,
-  /** `import` or `export`. */
   kind: string,
-  /** Layout. */
   format: string,
-  /** `running`, `done` or `failed`. */
   state: string,
-  /** Items done. */
   done: number,
-  /** Items in all, once known. */
   total: number | null,
-  /** Counts of imported, written and omitted items. */
   counts: { [key in string]: number },
-  /** Messages about errors and omitted items. */
   messages: Array<string>,
-  /** Files to download, at `jobs/{id}/files/{name}`. */
   files: Array<string>,
-  /** When it began. */
   started: number,
-  /** When it ended. */
   finished: number | null,
-  /** When its server last reported on it. */
   heartbeat: number, };
 
 /** The weight that a person chose for a joint of a mask. */
 export type JointChoice = {
-  /** Name of one of the 22 body joints. */
   joint: string,
-  /** Its weight. */
   weight: JointWeight, };
 
 /** Guidelines of a kind of task. `GET`/`PUT guide/{kind}`. */
 export type KindGuide = {
-  /** Plain text. */
   text: string,
-  /** Examples. */
   pictures: Array<GuidePicture>, };
 
 /** A lease: the right to work on a task for a limited time. */
 export type Lease = {
-  /** Id. */
   id: number,
-  /** Task. */
   task: number,
-  /** Holder. */
   user: number,
-  /** Fencing number, sent with every event. */
   epoch: number,
-  /** When it ends unless renewed. */
   expires: number, };
 
 /** How long a lease lasts. */
 export type Limits = {
-  /** Seconds a lease lasts. */
   lease_secs: number,
-  /** Seconds between renewals. */
   heartbeat_secs: number, };
 
 /** `POST session`. */
 export type Login = {
-  /** The token as it was printed. */
   token: string, };
 
 /** One mask of an answer. */
 export type MaskAnswer = {
-  /** Names of the parts as entered: LEFT_ARM with RIGHT_ARM is not merged to BOTH_ARMS. */
   parts: Array<string>,
-  /** Whether the soft ring is blended. */
   soft: boolean,
-  /** Joints whose weight differs from the one that the parts and `soft` give them. */
   joints?: Array<JointChoice>,
-  /** First frame that the mask holds for, and the one after the last; the whole clip if missing. */
   range?: [number, number] | null,
-  /** What the parts do. */
   text: string,
-  /** The suggestion the text started from, if any. */
   suggestion: number | null, };
 
 /** `GET me`, and the answer to `POST session`. */
 export type Me = {
-  /** Who is logged in. */
   user: User,
-  /** How long a lease lasts. */
   limits: Limits,
-  /** What the project asks for. */
   project: Project,
-  /** Keys and display, as they were saved. */
   prefs: Prefs,
-  /** Name of the language model, if there is one. */
   model: string | null,
-  /** Why nothing can be saved at present, if so. */
   read_only: string | null,
-  /** Version of the server. */
   version: string,
-  /** Id of the store. What a browser keeps belongs to it: another project may be served at the same address. */
   store: string, };
 
 /** A motion, without its frames. */
 export type MotionInfo = {
-  /** Content hash; identifies the motion in URLs. */
   hash: string,
-  /** Id in the dataset. */
   id: string,
-  /** Number of frames. */
   frames: number,
-  /** Frames per second. */
   fps: number,
-  /** train, val or test. */
   split: string,
-  /** Captions of the source. */
   captions: Array<string>,
-  /** Style label of the source. */
   style: string | null, };
 
 /** An answer of mine. */
 export type MyAnswer = {
-  /** The task. */
   task: Task,
-  /** The answer as I last wrote it. */
   mine: Revision,
-  /** Where it stands. */
   standing: Standing,
-  /** Answers that the task still waits for. */
   missing: number,
-  /** The comment it was sent back with, or the task was dropped with. */
   comment: string | null,
-  /** The answer that was accepted instead, if it is another one. */
   accepted: Answer | null,
-  /** How it was accepted: `review`, `own`, `rule:NAME` or `import`. */
   accepted_by: string | null,
-  /** Whether the event `undo` of `POST tasks/{id}/events` takes it back now. */
   can_take_back: boolean,
-  /** When a returned task is offered to others. */
   until: number | null,
-  /** The known answer and my score, if it is practice that I handed in. */
   feedback: Feedback | null, };
 
 /** `GET answers?standing=&kind=&task=&before=&limit=`: my answers, newest first. */
 export type MyAnswers = {
-  /** The answers. */
   items: Array<MyAnswer>,
-  /** Value of `before` for the next page. */
   next: string | null, };
 
 /** An event of a task in the browser. */
 export type NewEvent = {
-  /** Unique key made by the browser: 8 to 64 letters, digits and dashes. */
   idem_key: string,
-  /** Kind of event. */
   kind: EventKind,
-  /** Fencing number of the lease; ignored for `undo`. */
   lease_epoch: number,
-  /** Revision this one is based on; 0 for none. */
   base_rev: number,
-  /** The answer, for `draft` and `submit`. */
   answer: Answer | null,
-  /** The reason, for `skip`. */
   reason: SkipReason | null,
-  /** More about the reason. */
   note: string,
-  /** The suggestion, for `suggestion_used`. */
   suggestion: number | null,
-  /** Use of the suggestion. */
   used: SuggestionUse | null,
-  /** Seconds of work since the previous event. */
   secs: number, };
 
 /** `POST reviews`. */
 export type NewReview = {
-  /** Unique key made by the browser. */
   idem_key: string,
-  /** Task. */
   task: number,
-  /** Fencing number of the lease; ignored for `reopen` and `drop`. */
   lease_epoch: number,
-  /** Decision. */
   decision: Decision,
-  /** Author of the answer that is accepted or returned; all authors if missing. */
   author: number | null,
-  /** The answer, for `merge`. */
   answer: Answer | null,
-  /** Required for `return`, `drop` and `reopen`. */
   comment: string,
-  /** Seconds of work on the review. */
   secs?: number, };
 
 /** `POST users/{id}/tokens`. */
 export type NewToken = {
-  /** Days until it ends, 1 to 365. */
   days: number, };
 
 /** `POST users`. */
 export type NewUser = {
-  /** Name, unique: 1 to 64 characters. */
   name: string,
-  /** What they may do. */
   role: Role, };
 
 /** Answer to `POST users/bulk`: a new user with a link to log in. */
 export type NewUserLink = {
-  /** The user. */
   user: User,
-  /** What follows the address of the server: it logs the user in until the token ends. Shown this once. */
   path: string,
-  /** When the token ends. */
   expires: number, };
 
 /** `POST users/bulk`: many users at once, all or none. */
 export type NewUsers = {
-  /** Lines of a name, or of a name and a role parted by a comma, a semicolon or a tab. */
   lines: string,
-  /** Days until their tokens end, 1 to 365. */
   days: number, };
 
 /** Answer to `POST queue/next`: a task, or why there is none. */
 export type Next = {
-  /** The task and the lease on it. */
   task: TaskView | null,
-  /** Why there is none. */
   empty: Empty | null,
-  /** Hashes of the motions of the following tasks, for prefetching. */
   prefetch: Array<string>, };
 
 /** `POST queue/next`. */
 export type NextRequest = {
-  /** Kind of task. */
   kind: TaskKind, };
 
 /** `GET stats/outlook`: what is left of a kind, at the pace of the last seven days. */
 export type Outlook = {
-  /** Kind. */
   kind: TaskKind,
-  /** Answers that tasks still want. */
   answers_left: number,
-  /** Tasks that wait for a reviewer. */
   reviews_left: number,
-  /** Answers in a day. */
   answers_per_day: number,
-  /** Decisions of reviewers in a day. */
   reviews_per_day: number,
-  /** Mean seconds of an answer. */
   secs_per_answer: number | null,
-  /** Hours of work left: the median seconds of an answer for each. */
   hours_left: number | null,
-  /** Days left. */
   days_left: number | null,
-  /** When it ends. */
   ends: number | null, };
 
 /** Agreement on one decision. */
 export type PartAgreement = {
-  /** Name of the part. */
   part: string,
-  /** Items with two answers or more. */
   items: number,
-  /** Gwet's AC1: the agreement beyond chance. */
   gwet_ac1: Estimate | null, };
 
 /** A body part. */
 export type PartInfo = {
-  /** Name in the release's spelling. */
   name: string,
-  /** Name in words: "left arm". */
   phrase: string,
-  /** Whether it is one of the five release parts. */
   release: boolean,
-  /** Hard body joints. */
   hard: Array<number>,
-  /** Body joints of the soft ring. */
   soft: Array<number>, };
 
 /** `GET stats/people`: one for each person. */
 export type Person = {
-  /** Who. */
   user: User,
-  /** Answers handed in. */
   done: number,
-  /** Median seconds of an answer. */
   median_secs: number | null,
-  /** Answers accepted. */
   accepted: number,
-  /** Answers sent back. */
   returned: number,
-  /** Share of unchanged texts among those that started from a draft. */
   draft_unchanged: number | null,
-  /** Mean edit distance from the draft, 0 to 1. */
   draft_distance: number | null,
-  /** Gold tasks answered. */
   gold_items: number,
-  /** Mean score on gold tasks, 0 to 1. */
   gold_score: number | null,
-  /** Agreement with others (mean Jaccard index of the joints and frames of masks). */
   agreement: Estimate | null,
-  /** Time of the last log entry. */
   last_seen: number | null, };
 
 /** `GET guide/pictures`: a stored picture. */
 export type PictureInfo = {
-  /** Name: up to 60 letters, digits, dashes, dots and underscores. */
   name: string,
-  /** Type of its content. */
   mime: string,
-  /** Size in bytes. */
   bytes: number, };
 
 /** A cell of the plan. */
 export type PlannedCapture = {
-  /** Id of the source motion; the project need not know it yet. */
   motion: string,
-  /** Name of the style. */
   style: string,
-  /** Takes that are wanted, 1 to 1,000. */
   takes: number, };
 
 /** `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives practice tasks before. */
 export type Practice = {
-  /** Kind. */
   kind: TaskKind,
-  /** Practice tasks to do; 0 if the kind needs no practice. */
   needed: number,
-  /** Practice tasks done, up to `needed`. */
   done: number,
-  /** Mean score of the last `needed` ones, 0 to 1. */
   score: number | null,
-  /** Score to reach, 0 to 1. */
   threshold: number,
-  /** Whether real work is open. It always is to reviewers and admins. */
   passed: boolean, };
 
 /** `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them. */
 export type Prefs = {
-  /** Keys that differ from the defaults. */
   keys: { [key in Action]?: Array<string> },
-  /** Playback speed, 0.1 to 2. */
   speed: number | null,
-  /** Whether the camera follows the root. */
   follow_root: boolean | null,
-  /** Whether a pair is shown as ghosts. */
   ghost: boolean | null,
-  /** Whether the soft ring is on for a new mask. */
   soft_ring: boolean | null, };
 
 /** A problem (RFC 9457), as `application/problem+json`. */
 export type Problem = {
-  /** `/problems/` and the code. */
   type: string,
-  /** Meaning of the code. */
   title: string,
-  /** HTTP status. */
   status: number,
-  /** Stable code. */
   code: Code,
-  /** What happened, and what to do. */
   detail: string,
-  /** The invalid field. */
   field?: string | null,
-  /** Seconds until a retry is allowed. */
   retry_after_secs?: number | null,
-  /** The current revision of the store, if the request is based on another one. */
   theirs?: Revision | null, };
 
 /** The part of the settings that annotators see. */
 export type Project = {
-  /** Name of the project. */
   name: string,
-  /** Fewest masks of an answer without a reason. */
   min_masks: number,
-  /** Most masks of an answer without a reason. */
   max_masks: number,
-  /** Styles to choose from. */
   styles: Array<Style>,
-  /** Phrases to complete the instruction of a fine-grained pair with. */
   templates: Array<string>,
-  /** Phrases to complete the instruction of a style pair with; `{style}` is the chosen style. */
   style_templates: Array<string>,
-  /** Phrases to start the description of a mask with: they complete "The person is …". */
   mask_templates: Array<string>,
-  /** Name of the time zone in which days and weeks begin. */
   time_zone: string, };
 
 /** A queue as I see it. */
 export type QueueInfo = {
-  /** Kind. */
   kind: TaskKind,
-  /** Tasks in all. */
   total: number,
-  /** Tasks with all wanted answers. */
   done: number,
-  /** Tasks I answered, hold, or was sent back. Practice is left out. */
   mine: number,
-  /** Tasks I hold now. Practice is left out. */
   held: number,
-  /** When the first of them goes to others unless I go on. */
   held_until: number | null,
-  /** Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me. Before practice is passed, the practice tasks that are left stand for the new ones. */
   open: number, };
 
 /** `GET stats/quota`: one for each category and edit type. */
 export type QuotaRow = {
-  /** Category; empty where the source gives none. */
   category: string,
-  /** Edit type. */
   edit_type: EditType,
-  /** Pairs kept: answered `keep` and not sent back. */
   kept: number,
-  /** Pairs wanted; 0 for no bound. */
   wanted: number,
-  /** Pairs of the category that are given out at most, of all edit types together; 0 for no bound. */
   category_wanted: number, };
 
 /** A returned task. */
 export type ReturnedTask = {
-  /** Task. */
   task: number,
-  /** Kind. */
   kind: TaskKind,
-  /** The reviewer's comment. */
   comment: string,
-  /** When others can claim it. */
   until: number, };
 
 /** Answer to `POST reviews`. */
 export type ReviewDone = {
-  /** Its sequence number in the log. */
   seq: number,
-  /** State of the task after it. */
   state: TaskState, };
 
 /** Why there is nothing to review. */
 export type ReviewEmpty = {
-  /** Submitted tasks of the queue. */
   waiting: number,
-  /** Of these, those I answered myself. */
   mine: number,
-  /** Of these, those leased by another reviewer. */
   in_review: number, };
 
 /** Answer to `POST review/next`. */
 export type ReviewNext = {
-  /** The task and its answers. */
   review: ReviewView | null,
-  /** Why there is none. */
   empty: ReviewEmpty | null, };
 
 /** `POST review/next`. */
 export type ReviewRequest = {
-  /** Queue. */
   queue: ReviewQueue,
-  /** Only this kind. */
   kind: TaskKind | null,
-  /** This task, whatever its queue and kind. */
   task: number | null, };
 
 /** A task to review. */
 export type ReviewView = {
-  /** The task. */
   task: Task,
-  /** My lease. */
   lease: Lease,
-  /** The submitted answers. */
   candidates: Array<Candidate>,
-  /** Largest distance of the answers, 0 to 1; `null` for a single answer. */
   distance: number | null,
-  /** Comments of earlier rounds, oldest first. */
   comments: Array<string>,
-  /** Suggestions that the annotators were offered, unless theirs was a blind task. */
   suggestions: Array<Suggestion>,
-  /** Whether the clip was ingested anew, with other content, after the answers were written. */
   clip_changed: boolean, };
 
 /** The current answer of a user to a task. */
 export type Revision = {
-  /** Task. */
   task: number,
-  /** Author. */
   author: number,
-  /** Revision number: counts drafts and submissions from 1. */
   rev: number,
-  /** State. */
   state: RevisionState,
-  /** The answer. */
   answer: Answer,
-  /** When it was last written. */
   at: number,
-  /** Seconds of work. */
   secs: number, };
 
 /** A rule of acceptance. It looks at tasks that have all their answers and wait for review; the first enabled rule that fits accepts the task at once. A rule never touches a task that a reviewer returned or reopened, nor a gold task. */
 export type Rule = {
-  /** Name, unique in the project: 1 to 40 letters, digits and dashes. Every acceptance records it. */
   name: string,
-  /** Whether it is applied. */
   enabled: boolean,
-  /** What it looks at. */
   accepts: RuleKind,
-  /** Kinds of task; all if empty. */
   kinds: Array<TaskKind>,
-  /** Ids of the trusted people, for `trusted`. The answer of the first of them is accepted; for the other rules it is the answer handed in first. */
   people: Array<number>,
-  /** Fewest answers of a task. */
   min_answers: number,
-  /** Largest distance of the answers of a task, 0 to 1: 0 asks for equal parts and labels. Rejects of different verdicts have distance 1. */
   max_distance: number,
-  /** Share of the fitting tasks that is left to reviewers, 0 to 100. The draw depends on the task and the project's seed alone. */
   review_percent: number, };
 
 /** `GET rules`: a rule, and what it does. The rules are edited as a part of the settings. */
 export type RuleState = {
-  /** The rule. A rule that was removed is listed while acceptances of it stand. */
   rule: Rule,
-  /** Whether the settings have it. */
   known: boolean,
-  /** Tasks that are accepted by it. */
   accepted: number,
-  /** Waiting tasks that it would accept now, whether or not it is enabled. */
   would_accept: number,
-  /** Waiting tasks that fit it and are left to reviewers. */
   left_to_review: number, };
 
 /** Answer to `POST rules/{name}/undo`: the rule is disabled, and its acceptances are taken back, up to 2,000 in one request. The tasks wait for review again. */
 export type RuleUndone = {
-  /** Acceptances taken back by this request. */
   reopened: number,
-  /** Acceptances that still stand: repeat the request until it is 0. */
   left: number, };
 
 /** Answer to `POST rules/apply`. One request looks at up to 2,000 tasks. */
 export type RulesApplied = {
-  /** Waiting tasks looked at. */
   looked_at: number,
-  /** Tasks accepted, by the name of the rule. */
   accepted: { [key in string]: number },
-  /** Value of `after` for the next request; `null` once all are done. */
   next: number | null, };
 
 /** `GET`/`PUT settings`. */
 export type Settings = {
-  /** Name of the project. */
   name: string,
-  /** People a task wants, for the share `overlap_percent` of tasks. A change applies to tasks that still want answers. */
   answers_per_task: number,
-  /** Share of tasks that want more than one person. */
   overlap_percent: number,
-  /** Share of tasks given out that are hidden gold tasks. */
   gold_percent: number,
-  /** Share of tasks shown without any draft. */
   blind_percent: number,
-  /** Share of the review queue `sample` among submitted tasks. */
   review_percent: number,
-  /** Minutes a lease lasts. */
   lease_minutes: number,
-  /** Days a returned task waits for its author. */
   returned_days: number,
-  /** Fewest masks of an answer without a reason. */
   min_masks: number,
-  /** Most masks of an answer without a reason. */
   max_masks: number,
-  /** Styles to choose from, in the order in which they came. Those of the dataset are added as its pairs are imported, and a new one as the first answer with it is accepted. */
   styles: Array<Style>,
-  /** Phrases to complete the instruction of a fine-grained pair with. */
   templates: Array<string>,
-  /** Phrases to start the description of a mask with: they complete "The person is …". */
   mask_templates: Array<string>,
-  /** Phrases to complete the instruction of a style pair with; `{style}` is the chosen style. */
   style_templates: Array<string>,
-  /** Pairs wanted of each category and edit type, for the dashboard; 0 for no bound. */
   quota: number,
-  /** Pairs kept of each category, after which its other pairs are not given out; 0 for no bound. */
   category_quota: number,
-  /** Pairs wanted of each edit type, of all categories together; 0, or no entry, for no bound. Pairs that are stated to be of the type that is furthest behind are given out first; none is held back. */
   edit_type_quota: { [key in EditType]?: number },
-  /** The guide, plain text. */
   guide: string,
-  /** Name of the time zone in which days begin, such as `Europe/Berlin`. */
   time_zone: string,
-  /** Guidelines of each kind. */
   guides: { [key in TaskKind]?: KindGuide },
-  /** Rules that accept answers without a reviewer, tried in this order. */
   rules: Array<Rule>,
-  /** Minutes in which an author may take back an answer that a rule accepted. */
   take_back_minutes: number,
-  /** Seed of the draws that leave tasks to reviewers. */
   seed: number,
-  /** Practice tasks that an annotator does before real work of a kind; 0 for none. */
   practice_tasks: number,
-  /** Mean score that opens real work, in percent. */
   practice_percent: number,
-  /** Whether reviewers may accept their own answers: for a project of one person. Such acceptances are marked in every export. */
   solo: boolean, };
 
 /** `GET shelf`: accepted answers. */
 export type Shelf = {
-  /** Newest first. */
   items: Array<ShelfItem>,
-  /** Value of `before` for the next page. */
   next: number | null, };
 
 /** An accepted answer. */
 export type ShelfItem = {
-  /** Its task. */
   task: Task,
-  /** The answer. */
   answer: Answer,
-  /** When it was accepted. */
   at: number, };
 
 /** `GET skeleton`. */
 export type SkeletonInfo = {
-  /** Names of the 28 keypoints, in the order of the binaries. */
   joints: Array<string>,
-  /** Parent of each; -1 for the root. */
   parents: Array<number>,
-  /** `left`, `right` or `middle` of each. */
   sides: Array<string>,
-  /** All parts; the five of the release come first, in the order of the rows of heat and diff. */
   parts: Array<PartInfo>, };
 
 /** A skip. */
 export type SkipBrief = {
-  /** Id. */
   user: number,
-  /** Name. */
   name: string,
-  /** Whether it was only postponed. */
   postponed: boolean,
-  /** Why; `null` for a postponed task. */
   reason: SkipReason | null,
-  /** More about it. */
   note: string,
-  /** When. */
   at: number, };
 
 /** A style of the project. */
 export type Style = {
-  /** Its name, as answers and pairs have it: 1 to 100 characters. */
   name: string,
-  /** What it looks like, for the people who perform it and who describe it. */
   text: string,
-  /** How it is performed, in paragraphs with empty lines between: what the body does, and what it must not do. Up to 10,000 characters. */
   guideline?: string,
-  /** The colour of its mark, `#rrggbb`. */
   colour: string | null, };
 
 /** `POST tasks/{id}/suggest`. */
 export type SuggestRequest = {
-  /** Parts that the text shall describe. */
   parts: Array<string>, };
 
 /** A proposal by a program or the source; never an answer. */
 export type Suggestion = {
-  /** Id. */
   id: number,
-  /** Origin. */
   source: SuggestionSource,
-  /** Parts that it describes. */
   parts: Array<string>,
-  /** Text; empty for parts alone. */
   text: string,
-  /** Name of the model or program. */
   model: string, };
 
 /** A task. */
 export type Task = {
-  /** Id. */
   id: number,
-  /** Kind of task. */
   kind: TaskKind,
-  /** State. */
   state: TaskState,
-  /** One motion, or the one before and the one after the edit. */
   motions: Array<MotionInfo>,
-  /** Action category, for the quota. */
   category: string | null,
-  /** Edit that the pair was made for, if the source states it. */
   hint: string | null,
-  /** Style label of the source. */
   style: string | null,
-  /** Answers wanted. */
   wanted: number,
-  /** Submitted answers. */
   submitted: number,
-  /** The bundle, for pairs. */
   bundle: Bundle | null,
-  /** Whether it is practice: the known answer is shown after mine. */
   practice: boolean, };
 
 /** `GET tasks/{id}/record`: everything about a task, for reviewers. */
 export type TaskFile = {
-  /** The task. */
   task: Task,
-  /** Its row in the browser. */
   row: TaskRow,
-  /** All answers that were handed in, with their authors. */
   answers: Array<Candidate>,
-  /** The accepted answer. */
   accepted: Answer | null,
-  /** Decisions, oldest first. */
   decisions: Array<DecisionRow>,
-  /** Suggestions the annotators were offered. */
   suggestions: Array<Suggestion>, };
 
 /** Which tasks: those that fit every given field. Gold and practice tasks are left out. */
 export type TaskFilter = {
-  /** Kind. */
   kind: TaskKind | null,
-  /** State. */
   state: TaskState | null,
-  /** Words of an answer, a caption, the id of a motion, the category, the hint or the style. Case is ignored; names of fields and parts are not searched. */
   q: string | null,
-  /** A person who answered, skipped or holds it. */
   person: number | null,
-  /** A part that an answer names. */
   part: string | null,
-  /** An edit type that an answer names. */
   edit_type: EditType | null,
-  /** A verdict that an answer gives. */
   verdict: Verdict | null,
-  /** Category. */
   category: string | null,
-  /** train, val or test. */
   split: string | null,
-  /** Least distance of its answers, 0 to 1: it has two or more. */
   min_distance: number | null,
-  /** Largest distance of its answers, 0 to 1: it has two or more. */
   max_distance: number | null,
-  /** Skipped tasks. */
   skipped: SkipFilter | null,
-  /** Accepted by the rule of this name. */
   rule: string | null,
-  /** The task with this id. */
   task: number | null, };
 
 /** `GET tasks`: a page of tasks. The query has the fields of [`TaskFilter`], `sort`, `reverse` (0 or 1), `after` and `limit` (up to 200). */
 export type TaskPage = {
-  /** The rows, in order. */
   rows: Array<TaskRow>,
-  /** Value of `after` for the next page. */
   next: string | null,
-  /** Number of tasks that fit; given for the first page alone. */
   total: number | null,
-  /** Order of the rows. */
   sort: TaskSort, };
 
 /** A task in the browser. */
 export type TaskRow = {
-  /** Id. */
   id: number,
-  /** Key: the same in every store and export of the dataset. */
   key: string,
-  /** Kind. */
   kind: TaskKind,
-  /** State. */
   state: TaskState,
-  /** Id of its motion, or of the one before the edit. */
   source_id: string,
-  /** Id of the motion after the edit. */
   target_id: string | null,
-  /** train, val or test. */
   split: string,
-  /** Category. */
   category: string | null,
-  /** Edit that the pair was made for. */
   hint: string | null,
-  /** Style label of the source. */
   style: string | null,
-  /** Answers wanted. */
   wanted: number,
-  /** Answers handed in. */
   submitted: number,
-  /** Largest distance of its answers, 0 to 1; `null` below two answers. */
   distance: number | null,
-  /** When it last got an answer, a skip or a decision; 0 before. */
   touched: number,
-  /** Answers in short, in the order they were handed in. Drafts are left out. */
   answers: Array<AnswerBrief>,
-  /** Who holds it, and until when. */
   holders: Array<Holder>,
-  /** Who skipped it, and why. */
   skips: Array<SkipBrief>,
-  /** How it was accepted: `review`, `own` (by its author), `rule:NAME` or `import`. */
   accepted_by: string | null, };
 
 /** `GET tasks/{id}`. */
 export type TaskView = {
-  /** The task. */
   task: Task,
-  /** My lease, if I hold one. */
   lease: Lease | null,
-  /** My answer, if I started one. */
   mine: Revision | null,
-  /** The reviewer's comment, if the task was returned. */
   comment: string | null,
-  /** Suggestions; empty if the task is blind. */
   suggestions: Array<Suggestion>,
-  /** Whether suggestions are withheld, to measure their effect. */
   blind: boolean,
-  /** Whether the clip was ingested anew, with other content, after I wrote my answer. */
   clip_changed: boolean, };
 
 /** A token, without its secret. */
 export type TokenInfo = {
-  /** Id. */
   id: number,
-  /** Whose it is. */
   user: number,
-  /** When it was made. */
   created: number,
-  /** When it ends. */
   expires: number,
-  /** When it was last used. */
   last_used: number | null,
-  /** Whether it was revoked. */
   revoked: boolean, };
 
 /** Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once. */
 export type TokenShown = {
-  /** Whose it is. */
   user: User,
-  /** Id of the token, to revoke it. */
   id: number,
-  /** The token. */
   token: string,
-  /** When it ends. */
   expires: number, };
 
 /** A user. */
 export type User = {
-  /** Id. */
   id: number,
-  /** Name, unique. */
   name: string,
-  /** What they may do. */
   role: Role,
-  /** Whether the user may log in. */
   active: boolean, };
 
 /** `PATCH users/{id}`. */
 export type UserChange = {
-  /** New role. */
   role: Role | null,
-  /** Whether the user may log in. */
   active: boolean | null, };
 
 /** A week of work. */
 export type Week = {
-  /** Midnight of its Monday in the project's time zone. */
   start: number,
-  /** Answers handed in. */
   submitted: number,
-  /** Answers accepted. */
   accepted: number,
-  /** Answers returned. */
   returned: number,
-  /** Median seconds of an answer. */
   median_secs: number | null,
-  /** Mean agreement on the tasks whose last answer came in this week: 1 for equal verdicts or joint sets. */
   agreement: number | null,
-  /** Number of those tasks. */
   shared_items: number, };

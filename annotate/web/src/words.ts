@@ -83,6 +83,9 @@ const COUNT_WORDS: Readonly<Record<CountReason, string>> = {
 export const SKIP_CHOICES = SKIP_REASONS.map((reason) => [reason, SKIP_WORDS[reason]] as const);
 export const COUNT_CHOICES = COUNT_REASONS.map((reason) => [reason, COUNT_WORDS[reason]] as const);
 
+/** A number of things: "1 task", "2 tasks". */
+export const plural = (count: number, thing: string): string => `${count} ${thing}${count === 1 ? "" : "s"}`;
+
 /** What the source says about a task: annotators and reviewers see the same. */
 export function factsOf(task: Task): string[] {
   return [task.hint, task.category && `category: ${task.category}`, task.style && `source style: ${task.style}`].filter(

@@ -2,9 +2,25 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Clock, clipFrame } from "../src/clock";
 
-test("playing follows real time at the native rate", () => {
+/** A clock of a motion at 20 frames a second. */
+function clockOf(frames: number): Clock {
   const clock = new Clock();
-  clock.load(100, 20);
+  clock.load(frames, 20);
+  return clock;
+}
+
+/** A clock with a loop that was set frame by frame. */
+function looped(frames: number, loopIn: number, loopOut: number): Clock {
+  const clock = clockOf(frames);
+  clock.seek(loopIn);
+  clock.setLoopIn();
+  clock.seek(loopOut);
+  clock.setLoopOut();
+  return clock;
+}
+
+test("playing follows real time at the native rate", () => {
+  const clock = clockOf(100);
   clock.play(true);
   clock.tick(1000);
   for (let ms = 1016; ms <= 2000; ms += 16) clock.tick(ms);
@@ -13,8 +29,7 @@ test("playing follows real time at the native rate", () => {
 });
 
 test("speed scales time and stays within its bounds", () => {
-  const clock = new Clock();
-  clock.load(100, 20);
+  const clock = clockOf(100);
   for (let i = 0; i < 20; i += 1) clock.changeSpeed(-1);
   assert.equal(clock.now.speed, 0.1);
   for (let i = 0; i < 20; i += 1) clock.changeSpeed(1);
@@ -26,12 +41,7 @@ test("speed scales time and stays within its bounds", () => {
 });
 
 test("the loop wraps and never leaves its ends", () => {
-  const clock = new Clock();
-  clock.load(100, 20);
-  clock.seek(10);
-  clock.setLoopIn();
-  clock.seek(15);
-  clock.setLoopOut();
+  const clock = looped(100, 10, 15);
   clock.play(true);
   const seen = new Set<number>();
   for (let ms = 0; ms < 3000; ms += 16) {
@@ -42,12 +52,7 @@ test("the loop wraps and never leaves its ends", () => {
 });
 
 test("rounding does not show the frame after the loop", () => {
-  const clock = new Clock();
-  clock.load(100, 20);
-  clock.seek(12);
-  clock.setLoopIn();
-  clock.seek(15);
-  clock.setLoopOut();
+  const clock = looped(100, 12, 15);
   clock.seek(12);
   clock.play(true);
   clock.tick(0);
@@ -57,20 +62,14 @@ test("rounding does not show the frame after the loop", () => {
 });
 
 test("a loop end before its start opens the other side", () => {
-  const clock = new Clock();
-  clock.load(50, 20);
-  clock.seek(30);
-  clock.setLoopIn();
-  clock.seek(10);
-  clock.setLoopOut();
+  const clock = looped(50, 30, 10);
   assert.deepEqual([clock.now.loopIn, clock.now.loopOut], [0, 10]);
   clock.clearLoop();
   assert.deepEqual([clock.now.loopIn, clock.now.loopOut], [0, 49]);
 });
 
 test("stepping is by frame, pauses, and stays within the motion", () => {
-  const clock = new Clock();
-  clock.load(5, 20);
+  const clock = clockOf(5);
   clock.play(true);
   clock.step(1);
   assert.deepEqual([clock.now.frame, clock.now.playing], [1, false]);
@@ -81,8 +80,7 @@ test("stepping is by frame, pauses, and stays within the motion", () => {
 });
 
 test("a stall does not jump ahead", () => {
-  const clock = new Clock();
-  clock.load(1000, 20);
+  const clock = clockOf(1000);
   clock.play(true);
   clock.tick(0);
   clock.tick(60_000);
@@ -90,8 +88,7 @@ test("a stall does not jump ahead", () => {
 });
 
 test("playing from outside the loop begins at its start", () => {
-  const clock = new Clock();
-  clock.load(100, 20);
+  const clock = clockOf(100);
   clock.seek(40);
   clock.setLoopIn();
   clock.seek(5);
@@ -100,20 +97,13 @@ test("playing from outside the loop begins at its start", () => {
 });
 
 test("every listener sees the same frame", () => {
-  const clock = new Clock();
-  clock.load(30, 20);
-  let first = -1;
-  let second = -1;
-  clock.subscribe((state) => {
-    first = state.frame;
-  });
-  clock.subscribe((state) => {
-    second = state.frame;
-  });
+  const clock = clockOf(30);
+  const seen = [-1, -1];
+  for (const at of [0, 1]) clock.subscribe((state) => (seen[at] = state.frame));
   clock.play(true);
   for (let ms = 0; ms < 4000; ms += 7) {
     clock.tick(ms);
-    assert.equal(first, second);
+    assert.equal(seen[0], seen[1]);
   }
 });
 

@@ -1,8 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { DiskWatch } from "../src/disk";
-
-const turn = (): Promise<void> => new Promise((resolve) => setImmediate(resolve));
+import { turn } from "./support";
 
 test("the banner of a full disk goes when the disk has room, also if nothing is sent", async () => {
   const shown: (string | null)[] = [];
@@ -15,9 +14,10 @@ test("the banner of a full disk goes when the disk has room, also if nothing is 
       return next ?? null;
     },
     show: (why) => shown.push(why),
-    after: (_, run) => {
-      due = run;
-    },
+    sleep: () =>
+      new Promise((resolve) => {
+        due = resolve;
+      }),
   });
   watch.set("the disk is full");
   for (let round = 0; round < 3; round += 1) {

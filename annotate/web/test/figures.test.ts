@@ -46,7 +46,7 @@ test("work is summed by person and day, over the change to summer time too", () 
     "most hours first, and nobody from before the period",
   );
   assert.deepEqual(period.all.days.map((day) => day.secs), [3600, 600, 60]);
-  assert.equal(hours(period.all.all.secs), "1.2 h");
+  assert.deepEqual([period.all.all.secs, 360, 359, 60, 0.4, 0].map(hours), ["1.2 h", "0.1 h", "6 min", "1 min", "1 s", "0 h"]);
   assert.equal(dateOf(periodStart(3, NOON), "UTC"), "2026-03-27");
 });
 

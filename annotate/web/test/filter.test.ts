@@ -41,28 +41,14 @@ test("fields have one order, so that equal filters have equal addresses", () => 
 });
 
 test("what the page does not know in an address is named, and the rest holds", () => {
-  const { chosen, refused } = readAddress(
-    "?kind=pair&state=lost&person=ann&min_distance=2&max_distance=x&sort=name&reverse=yes&colour=red",
-  );
+  const unknown = "state=lost&person=ann&min_distance=2&max_distance=x&colour=red&sort=name&reverse=yes";
+  const { chosen, refused } = readAddress(`?kind=pair&${unknown}`);
   assert.equal(writeAddress(chosen), "kind=pair");
-  assert.deepEqual(refused, [
-    "state=lost",
-    "person=ann",
-    "min_distance=2",
-    "max_distance=x",
-    "colour=red",
-    "sort=name",
-    "reverse=yes",
-  ]);
+  assert.deepEqual(refused, unknown.split("&"));
 });
 
 test("an empty field of the form is not set", () => {
-  const { filter, refused } = filterOf([
-    ["q", "  mask "],
-    ["kind", ""],
-    ["person", ""],
-    ["min_distance", ""],
-  ]);
+  const { filter, refused } = filterOf(Object.entries({ q: "  mask ", kind: "", person: "", min_distance: "" }));
   assert.equal(writeAddress({ filter, sort: "id", reverse: false }), "q=mask");
   assert.deepEqual(refused, []);
 });

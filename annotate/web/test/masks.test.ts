@@ -9,13 +9,11 @@ import { Parts } from "../src/parts";
 import { bits } from "../src/stage/body";
 import type { MaskAnswer } from "../src/wire";
 import type { MaskTextAnswer } from "../src/words";
+import { part } from "./support";
 
 const parts = new Parts({
   joints: ["pelvis", "left_hip", "left_collar", "left_shoulder"],
-  parts: [
-    { name: "LEFT_ARM", phrase: "left arm", release: true, hard: [3], soft: [2] },
-    { name: "LEFT_LEG", phrase: "left leg", release: false, hard: [1], soft: [] },
-  ],
+  parts: [part("LEFT_ARM", [3], [2]), part("LEFT_LEG", [1], [], false)],
 });
 
 const mask = (change: Partial<MaskAnswer> = {}): MaskAnswer => ({ parts: ["LEFT_ARM"], soft: true, text: "waving", suggestion: null, ...change });

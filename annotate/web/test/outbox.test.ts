@@ -3,16 +3,8 @@ import { test } from "node:test";
 import { ApiError, Unreachable, newEvent } from "../src/api";
 import { MemoryStore } from "../src/db";
 import { Journal, Outbox, theirsOf, type Outcome, type OutboxStatus } from "../src/outbox";
-import type { Answer, Code, EventResult, NewEvent, Problem } from "../src/wire";
-
-const answer = (text: string): Answer => ({
-  kind: "mask_text",
-  masks: [{ parts: ["LEFT_ARM"], soft: true, text, suggestion: null }],
-  count_reason: null,
-  note: "",
-});
-
-const problem = (status: number, code: Code): Problem => ({ type: "", title: code, status, code, detail: code });
+import type { EventResult, NewEvent, Problem } from "../src/wire";
+import { TestStorage, answer, gate, problem, turn, written } from "./support";
 
 const event = (kind: NewEvent["kind"], text: string, base_rev = 0): NewEvent =>
   newEvent(kind, { lease_epoch: 1, base_rev, answer: answer(text) });
@@ -47,7 +39,7 @@ class Server {
     const rev = this.revs.get(task) ?? 0;
     const bad = fault ?? (this.strict && one.base_rev !== rev ? problem(409, "stale_revision") : null);
     if (bad && bad.code === "stale_revision") {
-      bad.theirs = { task, author: 1, rev, state: "draft", answer: answer("theirs"), at: 0, secs: 0 };
+      bad.theirs = written("theirs", rev);
     }
     if (bad && bad.code !== "lease_lost") {
       return { idem_key: one.idem_key, status: bad.status, seq: null, rev, state: null, lease: null, problem: bad };
@@ -68,60 +60,33 @@ class Server {
   }
 }
 
-/** What is stored at once, whatever becomes of the page. */
-class MapStorage implements Storage {
-  private readonly values = new Map<string, string>();
-
-  get length(): number {
-    return this.values.size;
-  }
-
-  key(index: number): string | null {
-    return [...this.values.keys()][index] ?? null;
-  }
-
-  getItem(key: string): string | null {
-    return this.values.get(key) ?? null;
-  }
-
-  setItem(key: string, value: string): void {
-    this.values.set(key, value);
-  }
-
-  removeItem(key: string): void {
-    this.values.delete(key);
-  }
-
-  clear(): void {
-    this.values.clear();
-  }
+/** A server that never answers. */
+function dead(): Server {
+  return Object.assign(new Server(), { send: () => new Promise<never>(() => {}) });
 }
 
-const journal = (storage = new MapStorage()): Journal => new Journal("unstored:", storage);
-
-interface Bench {
-  server: Server;
-  store: MemoryStore;
-  box: Outbox;
-  outcomes: Outcome[];
-  states: OutboxStatus[];
-  logins: number;
+interface Setting {
+  server?: Server;
+  store?: MemoryStore;
+  user?: number;
+  /** What is stored at once, whatever becomes of the page. */
+  storage?: TestStorage;
 }
 
-async function bench(server = new Server(), store = new MemoryStore(), user = 1, kept = journal()): Promise<Bench> {
-  const own: Bench = { server, store, outcomes: [], states: [], logins: 0 } as unknown as Bench;
-  own.box = new Outbox(store, kept, user, {
+async function bench({ server = new Server(), store = new MemoryStore(), user = 1, storage = new TestStorage() }: Setting = {}) {
+  const outcomes: Outcome[] = [];
+  const states: OutboxStatus[] = [];
+  const logins: number[] = [];
+  const box = new Outbox(store, new Journal("unstored:", storage), user, {
     send: (task, events) => server.send(task, events),
-    login: async () => {
-      own.logins += 1;
-    },
-    sleep: () => new Promise((resolve) => setImmediate(resolve)),
+    login: async () => void logins.push(user),
+    sleep: turn,
     alone: (action) => action(),
-    status: (status) => own.states.push(status),
-    outcome: (outcome) => own.outcomes.push(outcome),
+    status: (status) => states.push(status),
+    outcome: (outcome) => outcomes.push(outcome),
   });
-  await own.box.open();
-  return own;
+  await box.open();
+  return { server, store, box, outcomes, states, logins };
 }
 
 test("an event leaves on its acknowledgement", async () => {
@@ -155,27 +120,13 @@ test("failures that pass are repeated with the same key, and nothing is doubled"
 });
 
 test("drafts that wait are replaced by newer ones of the same editor alone", async () => {
-  const server = new Server();
-  const store = new MemoryStore();
-  let open!: () => void;
-  const gate = new Promise<void>((resolve) => {
-    open = resolve;
-  });
-  const box = new Outbox(store, journal(), 1, {
-    send: async (task, events) => {
-      await gate;
-      return server.send(task, events);
-    },
-    login: async () => {},
-    sleep: () => new Promise((resolve) => setImmediate(resolve)),
-    alone: (action) => action(),
-    status: () => {},
-    outcome: () => {},
-  });
-  await box.open();
+  const { passed, open } = gate();
+  const { server, box } = await bench();
+  const send = server.send.bind(server);
+  server.send = (task, events) => passed.then(() => send(task, events));
   // The first is on its way at once; the three after it wait.
   await box.add(7, "a", event("draft", "one"));
-  await new Promise((resolve) => setImmediate(resolve));
+  await turn();
   await box.add(7, "a", event("draft", "two"));
   await box.add(7, "a", event("draft", "three"));
   await box.add(8, "b", event("draft", "other"));
@@ -189,7 +140,7 @@ test("a draft whose acknowledgement was lost does not become a conflict with its
   const { server, box, outcomes } = await bench();
   server.faults.push("lost", new Unreachable("down"), new Unreachable("down"));
   await box.add(7, "a", event("draft", "one"));
-  await new Promise((resolve) => setImmediate(resolve));
+  await turn();
   await box.add(7, "a", event("draft", "two"));
   await box.add(7, "a", event("draft", "three"));
   await box.flush();
@@ -199,52 +150,42 @@ test("a draft whose acknowledgement was lost does not become a conflict with its
 });
 
 test("what an earlier page left is sent by the next", async () => {
-  const store = new MemoryStore();
-  const dead = new Server();
-  dead.send = () => new Promise(() => {});
-  const first = await bench(dead, store);
+  const first = await bench({ server: dead() });
   await first.box.add(7, "a", event("draft", "kept"));
-  const second = await bench(new Server(), store);
+  const second = await bench({ store: first.store });
   assert.deepEqual(second.box.pendingAnswer("a"), answer("kept"));
   await second.box.flush();
   assert.equal(second.server.log.length, 1);
 });
 
 test("an event of a page that was left before it was stored is sent by the next, once", async () => {
-  const storage = new MapStorage();
-  const left = new MemoryStore();
-  left.put = () => new Promise(() => {});
-  const first = await bench(new Server(), left, 1, journal(storage));
+  const storage = new TestStorage();
+  const left = Object.assign(new MemoryStore(), { put: () => new Promise<never>(() => {}) });
+  const first = await bench({ store: left, storage });
   void first.box.add(7, "a", event("draft", "kept"));
-  const store = new MemoryStore();
-  const second = await bench(new Server(), store, 1, journal(storage));
+  const second = await bench({ storage });
   assert.deepEqual(second.box.pendingAnswer("a"), answer("kept"));
   assert.equal(storage.length, 0);
   await second.box.flush();
   assert.equal(second.server.log.length, 1);
-  const third = await bench(second.server, store, 1, journal(storage));
+  const third = await bench({ server: second.server, store: second.store, storage });
   assert.deepEqual(third.box.waiting, []);
 });
 
 test("an event that is stored is not kept twice", async () => {
-  const storage = new MapStorage();
-  const dead = new Server();
-  dead.send = () => new Promise(() => {});
-  const { box } = await bench(dead, new MemoryStore(), 1, journal(storage));
+  const storage = new TestStorage();
+  const { box } = await bench({ server: dead(), storage });
   await box.add(7, "a", event("draft", "stored"));
   assert.equal(storage.length, 0);
 });
 
 test("what another person left is not sent", async () => {
-  const store = new MemoryStore();
-  const dead = new Server();
-  dead.send = () => new Promise(() => {});
-  const first = await bench(dead, store, 1);
+  const first = await bench({ server: dead() });
   await first.box.add(7, "a", event("draft", "ann's"));
-  const second = await bench(new Server(), store, 2);
+  const second = await bench({ store: first.store, user: 2 });
   await second.box.flush();
   assert.equal(second.server.log.length, 0);
-  assert.equal((await store.all("outbox")).length, 1);
+  assert.equal((await second.store.all("outbox")).length, 1);
 });
 
 test("an ended session waits for the login and goes on", async () => {
@@ -252,7 +193,7 @@ test("an ended session waits for the login and goes on", async () => {
   own.server.faults.push(new ApiError(problem(401, "unauthenticated")));
   await own.box.add(7, "a", event("draft", "one"));
   await own.box.flush();
-  assert.equal(own.logins, 1);
+  assert.deepEqual(own.logins, [1]);
   assert.equal(own.server.log.length, 1);
 });
 
@@ -311,8 +252,7 @@ test("a lost lease is an acknowledgement: the server keeps the text as a draft",
 });
 
 test("many events over a server that fails half the time arrive exactly once and in order", async () => {
-  const server = new Server();
-  const { box } = await bench(server);
+  const { server, box } = await bench();
   // A fixed pattern of faults: every second request fails in one of three ways.
   for (let i = 0; i < 60; i += 1) {
     server.faults.push(...([new Unreachable("down"), undefined, "lost", undefined, new ApiError(problem(500, "internal")), undefined] as never[]));

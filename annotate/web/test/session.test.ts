@@ -7,8 +7,9 @@ import { MemoryStore } from "../src/db";
 import { Outbox } from "../src/outbox";
 import { Parts } from "../src/parts";
 import { TaskSession } from "../src/session";
-import type { Code, EventResult, Lease, NewEvent, Problem, Revision, TaskView } from "../src/wire";
+import type { EventResult, Lease, NewEvent, TaskView } from "../src/wire";
 import type { MaskTextAnswer } from "../src/words";
+import { TestStorage, answer, gate, problem, turn, written } from "./support";
 
 /** The parts of a browser that a session uses, with timers that run when a test says so. */
 class Desk {
@@ -26,7 +27,7 @@ class Desk {
   readonly outbox = new Outbox(this.store, { all: () => [], put: () => {}, remove: () => {} }, 1, {
     send: async (_, events) => events.map((event) => this.take(event)),
     login: () => Promise.resolve(),
-    sleep: () => new Promise((resolve) => setImmediate(resolve)),
+    sleep: turn,
     alone: (action) => action(),
     status: () => {},
     outcome: (outcome) => {
@@ -72,7 +73,7 @@ class Desk {
 
   /** Waits until nothing is left to do at this time. */
   async quiet(): Promise<void> {
-    for (let turn = 0; turn < 20; turn += 1) await new Promise((resolve) => setImmediate(resolve));
+    for (let count = 0; count < 20; count += 1) await turn();
   }
 
   private take(event: NewEvent): EventResult {
@@ -91,19 +92,6 @@ function view(): TaskView {
   return { task: { id: 7 }, lease: LEASE, mine: null, comment: null, suggestions: [], blind: false } as unknown as TaskView;
 }
 
-function answer(...texts: string[]): MaskTextAnswer {
-  return {
-    kind: "mask_text",
-    masks: texts.map((text) => ({ parts: ["LEFT_ARM"], soft: true, text, suggestion: null })),
-    count_reason: null,
-    note: "",
-  };
-}
-
-const refused = (code: Code, rest: Partial<Problem> = {}): Problem => ({ type: "", title: code, status: 409, code, detail: code, ...rest });
-
-const written = (text: string, rev: number): Revision => ({ task: 7, author: 1, rev, state: "draft", answer: answer(text), at: 0, secs: 0 });
-
 let desk: Desk;
 const before = { window: globalThis.window, localStorage: globalThis.localStorage, performance: globalThis.performance };
 
@@ -113,18 +101,13 @@ function put(name: string, value: unknown): void {
 
 beforeEach(() => {
   desk = new Desk();
-  const kept = new Map<string, string>();
   put("window", {
     setTimeout: (run: () => void, ms: number) => desk.set(run, ms),
     clearTimeout: (id: number) => desk.clear(id),
     setInterval: () => 0,
     clearInterval: () => {},
   });
-  put("localStorage", {
-    getItem: (key: string) => kept.get(key) ?? null,
-    setItem: (key: string, value: string) => void kept.set(key, value),
-    removeItem: (key: string) => void kept.delete(key),
-  });
+  put("localStorage", new TestStorage());
   put("performance", { now: () => desk.now });
 });
 
@@ -140,7 +123,7 @@ async function open(replaced: (answer: MaskTextAnswer) => void = () => {}): Prom
 async function meeting(replaced: (answer: MaskTextAnswer) => void = () => {}): Promise<TaskSession<MaskTextAnswer>> {
   const session = await open(replaced);
   desk.rev = 4;
-  desk.replies.push(() => ({ status: 409, problem: refused("stale_revision", { theirs: written("theirs", 4) }) }));
+  desk.replies.push(() => ({ status: 409, problem: problem(409, "stale_revision", { theirs: written("theirs", 4) }) }));
   session.change(answer("mi"), "text-0");
   await desk.pass(700);
   assert.equal(desk.boxes.length, 1);
@@ -187,7 +170,7 @@ test("keeping mine leaves the text that is typed alone", async () => {
 test("what another window wrote is no conflict if it is the same", async () => {
   const session = await open();
   desk.rev = 2;
-  desk.replies.push(() => ({ status: 409, problem: refused("stale_revision", { theirs: written("same", 2) }) }));
+  desk.replies.push(() => ({ status: 409, problem: problem(409, "stale_revision", { theirs: written("same", 2) }) }));
   session.change(answer("same"));
   await desk.pass(700);
   assert.deepEqual(desk.boxes, []);
@@ -236,16 +219,10 @@ test("a skip tells its seconds", async () => {
 
 test("an answer is sent once however slow the server is, and the page waits for it", async () => {
   const session = await open();
-  let release = (): void => {};
-  const slow = new Promise<void>((resolve) => {
-    release = resolve;
-  });
+  const { passed, open: release } = gate();
   const take = (desk.outbox as unknown as { hooks: { send: (task: number, events: NewEvent[]) => Promise<EventResult[]> } }).hooks;
   const send = take.send;
-  take.send = async (task, events) => {
-    await slow;
-    return send(task, events);
-  };
+  take.send = (task, events) => passed.then(() => send(task, events));
   let ended: string | null = null;
   const ending = session.submit(answer("late")).then((how) => {
     ended = how;
@@ -262,14 +239,14 @@ test("an answer is sent once however slow the server is, and the page waits for 
 test("nobody is said to have the task unless the server says so", async () => {
   const session = await open();
   desk.claim = () => Promise.reject(new Unreachable("down"));
-  desk.replies.push(() => ({ status: 409, problem: refused("lease_lost") }));
+  desk.replies.push(() => ({ status: 409, problem: problem(409, "lease_lost") }));
   session.change(answer("one"));
   await desk.pass(700);
   assert.equal(desk.toasts.length, 1);
   assert.match(desk.toasts[0] ?? "", /does not answer/);
   assert.doesNotMatch(desk.toasts[0] ?? "", /somebody|no longer yours/);
-  desk.claim = () => Promise.reject(new ApiError(refused("task_full", { detail: "the task has enough annotators by now" })));
-  desk.replies.push(() => ({ status: 409, problem: refused("lease_lost") }));
+  desk.claim = () => Promise.reject(new ApiError(problem(409, "task_full", { detail: "the task has enough annotators by now" })));
+  desk.replies.push(() => ({ status: 409, problem: problem(409, "lease_lost") }));
   session.change(answer("two"));
   await desk.pass(700);
   assert.match(desk.toasts[1] ?? "", /no longer yours: the task has enough annotators/);
@@ -278,14 +255,14 @@ test("nobody is said to have the task unless the server says so", async () => {
 test("an answer that came after its lease had run out is submitted again by itself", async () => {
   const session = await open();
   desk.claim = () => Promise.resolve({ ...view(), lease: { ...LEASE, epoch: 9 } });
-  desk.replies.push(() => ({ status: 409, problem: refused("lease_lost") }));
+  desk.replies.push(() => ({ status: 409, problem: problem(409, "lease_lost") }));
   assert.equal(await session.submit(answer("late")), "done");
   assert.deepEqual(desk.sent.map((event) => [event.kind, event.lease_epoch]), [["submit", 9]]);
 });
 
 test("a refused answer leaves the task open", async () => {
   const session = await open();
-  desk.replies.push(() => ({ status: 422, problem: refused("mask_count", { status: 422 }) }));
+  desk.replies.push(() => ({ status: 422, problem: problem(422, "mask_count") }));
   assert.equal(await session.submit(answer("one")), "refused");
   assert.match(desk.toasts[0] ?? "", /Not taken/);
 });

@@ -1,27 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { leaveTab, nameOfTab, type TabLocks } from "../src/tab";
-
-/** The storage of a tab; a duplicated tab begins with a copy. */
-class TabStore {
-  constructor(readonly values = new Map<string, string>()) {}
-
-  getItem(key: string): string | null {
-    return this.values.get(key) ?? null;
-  }
-
-  setItem(key: string, value: string): void {
-    this.values.set(key, value);
-  }
-
-  removeItem(key: string): void {
-    this.values.delete(key);
-  }
-
-  copy(): TabStore {
-    return new TabStore(new Map(this.values));
-  }
-}
+import { TestStorage } from "./support";
 
 /** Locks of a browser, held until the test gives them back. */
 class Locks implements TabLocks {
@@ -39,9 +19,10 @@ class Locks implements TabLocks {
 
 test("a duplicated tab gets a name of its own, and the first one keeps its own", async () => {
   for (const locks of [new Locks(), undefined]) {
-    const first = new TabStore();
+    const first = new TestStorage();
     const name = await nameOfTab(first, locks);
-    const second = first.copy();
+    // A duplicated tab begins with a copy.
+    const second = new TestStorage(new Map(first.values));
     const other = await nameOfTab(second, locks);
     assert.notEqual(other, name);
     assert.equal(second.getItem("tab"), other);
@@ -55,7 +36,7 @@ test("a duplicated tab gets a name of its own, and the first one keeps its own",
 });
 
 test("a page that was killed gives its name to the next page of the tab", async () => {
-  const store = new TabStore();
+  const store = new TestStorage();
   const locks = new Locks();
   const name = await nameOfTab(store, locks);
   // The browser gives the locks of a killed page back.

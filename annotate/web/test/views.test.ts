@@ -1,21 +1,16 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import type { App } from "../src/app";
 import { both, differing } from "../src/merge";
+import { offered } from "../src/components/answer-cards";
 import { agreementByWeek, agreementChart, roundUp, shares, throughput } from "../src/components/charts";
 import { Parts } from "../src/parts";
 import { OrbitCamera } from "../src/stage/camera";
 import { LIMBS, PARENTS, PLAIN, aligned, bits, colourOf, headingAt, pointAt, toneOf, type Track } from "../src/stage/body";
 import { heatColour, spans } from "../src/strips";
-import type { Candidate, PartInfo, Task, TaskState } from "../src/wire";
-import { apartWords, becameOf, factsOf, paragraphs, type MaskTextAnswer } from "../src/words";
-
-const part = (name: string, hard: number[], soft: number[], release = true): PartInfo => ({
-  name,
-  phrase: name.toLowerCase().replace("_", " "),
-  release,
-  hard,
-  soft,
-});
+import type { Candidate, Task, TaskState } from "../src/wire";
+import { apartWords, becameOf, factsOf, paragraphs } from "../src/words";
+import { answer, part } from "./support";
 
 const parts = new Parts({
   joints: [],
@@ -95,12 +90,6 @@ test("heat is darker for more, and bears what is no number", () => {
 });
 
 test("keeping both versions keeps every mask once", () => {
-  const answer = (...texts: string[]): MaskTextAnswer => ({
-    kind: "mask_text",
-    masks: texts.map((text) => ({ parts: ["LEFT_ARM"], soft: true, text, suggestion: null })),
-    count_reason: null,
-    note: "",
-  });
   const merged = both(answer("a", "b"), answer("b ", "c"));
   assert.deepEqual(merged.masks.map((mask) => mask.text), ["a", "b", "c"]);
 });
@@ -130,7 +119,7 @@ test("a ghost that is aligned stands and faces as the other body does, in the sa
   for (let frame = 0; frame < 3; frame += 1) {
     assert.ok(Math.abs(headingAt(moved, frame) - headingAt(to, frame)) < 1e-5);
     for (const point of [0, 1, 2, 20]) {
-      const [a, b] = [pointAt(moved, frame, point, [0, 0, 0]), pointAt(to, frame, point, [0, 0, 0])];
+      const [a, b] = [pointAt(moved, frame, point), pointAt(to, frame, point)];
       for (const axis of [0, 1, 2] as const) assert.ok(Math.abs(a[axis] - b[axis]) < 1e-5, `${frame} ${point} ${axis}`);
     }
   }
@@ -144,6 +133,11 @@ test("a strip is told in words", () => {
   assert.equal(spans([0, 0], 0.4, 10), "");
 });
 
+test("a suggestion without parts shows its text alone", () => {
+  const shown = (own: string[], text: string): unknown => offered({ parts } as App, { id: 1, source: "import", parts: own, text, model: "" }).values[0];
+  assert.deepEqual([shown([], "waving"), shown(["LEFT_ARM"], "waving"), shown(["LEFT_ARM"], "")], ["“waving”", "left arm: “waving”", "left arm"]);
+});
+
 test("charts draw what there is, and nothing of nothing", () => {
   assert.deepEqual([0, 0.3, 1, 7, 26, 101].map(roundUp), [1, 0.5, 1, 10, 50, 200]);
   assert.equal(typeof throughput([], "UTC"), "symbol");
@@ -153,10 +147,7 @@ test("charts draw what there is, and nothing of nothing", () => {
 
 test("the bar of a kind shows every task once", () => {
   const groups = shares({ open: 5, leased: 1, submitted: 2, in_review: 1, returned: 1, accepted: 8, dropped: 2 });
-  assert.deepEqual(
-    groups.map((group) => [group.label, group.tasks]),
-    [["accepted", 8], ["waiting for review", 3], ["in work", 2], ["open", 5], ["dropped", 2]],
-  );
+  assert.equal(groups.map(({ tasks, label }) => `${tasks} ${label}`).join(", "), "8 accepted, 3 waiting for review, 2 in work, 5 open, 2 dropped");
   assert.ok(Math.abs(groups.reduce((sum, group) => sum + group.share, 0) - 1) < 1e-9);
   assert.ok(shares({}).every((group) => group.share === 0));
 });

@@ -90,7 +90,7 @@ impl RemoteFile {
         Ok(self.tail.get_or_init(|| bytes).clone())
     }
 
-    /// Reads ranges; of the whole file where the server sends no ranges.
+    /// Reads ranges. A server that cannot send ranges is asked for the whole file instead.
     fn fetch(&self, ranges: &[Range<u64>]) -> io::Result<Vec<Bytes>> {
         let fetched = match self.cache.as_deref().zip(self.hash.as_deref()) {
             Some((cache, hash)) => self.by_blocks(cache, hash, ranges),

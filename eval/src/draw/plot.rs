@@ -333,7 +333,7 @@ fn axis_label(svg: &mut String, size: DVec2, label: &str) {
     text(svg, at, "middle", 12.0, FAINT, label);
 }
 
-/// A label that is read from below to above, around its middle.
+/// A label turned by 90 degrees, read upwards, centred on `middle`.
 fn side_label(svg: &mut String, middle: DVec2, label: &str) {
     let turned = format!(
         r#"{FAINT} transform="rotate(-90 {} {:.1})""#,
@@ -342,7 +342,7 @@ fn side_label(svg: &mut String, middle: DVec2, label: &str) {
     text(svg, middle, "middle", 12.0, &turned, label);
 }
 
-/// Ends a drawing without values.
+/// Writes "no values yet" into an empty plot, and closes it.
 fn without_values(mut svg: String) -> String {
     text(&mut svg, SIZE / 2.0, "middle", 13.0, FAINT, "no values yet");
     svg + "</svg>"

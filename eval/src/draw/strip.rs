@@ -24,7 +24,7 @@ impl Row {
         self.keypoints.fps.secs_at(last)
     }
 
-    /// Height of the lowest keypoint of all frames.
+    /// Height in metres of the lowest keypoint of all frames.
     fn floor(&self) -> f64 {
         let points = self.keypoints.points.iter().flatten();
         points.fold(f64::INFINITY, |low, point| low.min(point.y))
@@ -58,9 +58,10 @@ impl Default for Style {
     }
 }
 
-/// Where the camera stands, in degrees from the front of the first clip at its start towards its right, so that the
-/// figure faces right, the direction of time; and in degrees above the horizon.
+/// Angle of the camera in degrees, from the front of the first clip at its start towards its right. So the figure faces
+/// right, the direction of time.
 const TO_THE_RIGHT: f64 = 40.0;
+/// Angle of the camera above the horizon in degrees.
 const ELEVATION: f64 = 12.0;
 /// Colour of the first figure.
 const START: Rgb = Rgb([232.0, 131.0, 58.0]);

@@ -64,7 +64,7 @@ pub fn render(scores: &[ScoreRow], judges: &Judges) -> String {
     text
 }
 
-/// A line of cells, those with separators in quotation marks.
+/// A line of CSV with its line end. Cells with commas, quotation marks or line breaks are put in quotation marks.
 pub fn line(cells: &[String]) -> String {
     let cells: Vec<String> = cells.iter().map(|cell| quoted(cell)).collect();
     cells.join(",") + "\n"

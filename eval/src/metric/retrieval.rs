@@ -42,7 +42,7 @@ pub static E2S_MEDIAN_RANK: Metric = ranked("E2S MedR", Source, Median);
 /// Edits retrieved by their targets: median rank.
 pub static E2T_MEDIAN_RANK: Metric = ranked("E2T MedR", Target, Median);
 
-/// A metric of ranks. The paper has no column of medians.
+/// A metric computed from ranks. The paper's tables have no column for the median rank.
 const fn ranked(name: &'static str, counterpart: Counterpart, summary: RankSummary) -> Metric {
     Metric {
         name,
@@ -299,7 +299,7 @@ fn single(rows: &Matrix, indices: &[usize]) -> Result<Vec<f32>, Error> {
     }
 }
 
-/// Refuses that there is no gallery or an empty one.
+/// Refuses a metric without galleries, or with an empty gallery.
 pub(super) fn check_galleries(metric: &'static str, galleries: &[Vec<usize>]) -> Result<(), Error> {
     let least = galleries.iter().map(Vec::len).min();
     check_count(metric, least.unwrap_or(0), 1)

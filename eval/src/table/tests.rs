@@ -147,7 +147,7 @@ fn a_weak_encoder_and_items_without_difference_rank_nothing() {
     }
 }
 
-/// The only table of rows by encoders that nothing is known of.
+/// The table of scores whose encoders have no report; they make one table.
 fn table(scores: &[ScoreRow], columns: &[&'static Metric]) -> Table {
     let mut tables = Table::from_scores(scores, &BTreeMap::new(), columns);
     assert_eq!(tables.len(), 1);

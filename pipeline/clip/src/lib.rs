@@ -171,7 +171,7 @@ impl SourceClip {
         self.features = carried.and_then(|features| Some(features.get(kept.clone())?.to_vec()));
     }
 
-    /// Drops masks whose range is no range of the motion. Each becomes a [`LabelProblem`] of `file`.
+    /// Drops masks whose range of frames is invalid or leaves the motion. Each becomes a [`LabelProblem`] of `file`.
     pub fn check_masks(&mut self, file: &str) {
         let frames = self.motion.len();
         let problems = &mut self.label_problems;

@@ -21,7 +21,7 @@ pub enum Error {
         /// The split asked for.
         split: Split,
     },
-    /// Recorded windows of several lengths.
+    /// The windows recorded in this dataset are of several lengths.
     #[error(
         "the windows recorded in {} are of several lengths; record them again: stance triplets DATASET --windows N --out FOLDER",
         .0.display()
@@ -104,7 +104,7 @@ pub enum Error {
         /// The motion it names.
         motion: MotionId,
     },
-    /// A mask takes no joint.
+    /// The mask of this id takes no joint.
     #[error("mask {0:?} names no joint; annotate it again")]
     EmptyMask(String),
     /// A mask or pair has no instruction.
@@ -247,7 +247,7 @@ pub enum Error {
         /// Number of the items drawn.
         count: usize,
     },
-    /// A motion has nothing to be blended with.
+    /// This motion has nothing to be blended with.
     #[error(
         "motion {0} has no partner: no other clip drawn from its split is long enough; add motions, raise mcm_ratio or widen base.sources"
     )]
@@ -280,7 +280,7 @@ pub enum Error {
         /// The clip all motions of the base are made of; none if the base is empty.
         clip: Option<String>,
     },
-    /// Statistics were asked of another split than train.
+    /// Statistics were asked of this split, which is not train.
     #[error("statistics are fitted on split train alone, the library holds split {0}")]
     NotTrain(Split),
     /// No motion of the training split is there to compare with.

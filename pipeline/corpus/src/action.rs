@@ -32,8 +32,8 @@ pub(super) enum Action {
     WalkTurn,
 }
 
-/// The actions in the order of the clips, as they are declared, with their names in clip names and sidecars. A small corpus
-/// has the first ones, so these differ as much as possible.
+/// The actions with their names in clip names and sidecars, in the order of the clips and of the declaration. A small
+/// corpus has the first ones, so these differ as much as possible.
 const NAMES: [(Action, &str); 26] = [
     (Action::Walk, "walk"),
     (Action::WaveRight, "wave-right"),
@@ -68,6 +68,10 @@ impl Action {
         let mut all = [Action::Walk; NAMES.len()];
         let mut place = 0;
         while place < all.len() {
+            assert!(
+                NAMES[place].0 as usize == place,
+                "NAMES is in the order of the enum"
+            );
             all[place] = NAMES[place].0;
             place += 1;
         }

@@ -293,6 +293,7 @@ pub(super) fn throwing(style: &Style, facts: Facts, scatter: &mut Rng) -> Script
     script
 }
 
+/// In m/s^2.
 const GRAVITY: f64 = 9.81;
 
 pub(super) fn jumping(

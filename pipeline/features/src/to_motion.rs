@@ -185,7 +185,8 @@ fn frame_turn(directions: &Joints, [left, right, up]: [usize; 3]) -> DQuat {
     DQuat::from_mat3(&(seen * rest.transpose())).normalize()
 }
 
-/// The twist of the upper of two bones that takes its hinge to the bending axis of the limb, reduced for straight limbs.
+/// The rotation about the upper of two bones that turns `hinge` onto the axis about which the limb bends. The straighter
+/// the limb, the smaller the rotation: a straight limb has no such axis.
 fn twist([upper, lower]: [DVec3; 2], hinge: DVec3) -> DQuat {
     let axis = upper.cross(lower);
     let weight = (axis.length() / CLEAR_BEND).min(1.0);

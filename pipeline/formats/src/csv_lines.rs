@@ -65,8 +65,8 @@ fn unclosed(raw: &[u8]) -> String {
     )
 }
 
-/// Whether a quoted field does not end, or goes on behind the quote that ends it: a field that begins with a quote ends
-/// with one, and has others only in pairs.
+/// Whether a quoted field of the record does not end, or goes on behind the quote that ends it. A field that begins
+/// with a quote ends with one, and has others only in pairs.
 fn is_open(record: &[u8]) -> bool {
     let mut bytes = record.trim_ascii().iter().copied().peekable();
     while bytes.peek().is_some() {

@@ -34,6 +34,17 @@ pub struct Sidecar {
     pub license: Option<String>,
 }
 
+/// The content of a file of labels.
+#[derive(Default)]
+pub(crate) struct Content {
+    /// What is said of all clips of the folder.
+    pub(crate) all: Sidecar,
+    /// Line, if there is one, name or pattern, and labels of some clips.
+    pub(crate) clips: Vec<(Option<u64>, String, Sidecar)>,
+    /// What cannot be used.
+    pub(crate) problems: Vec<String>,
+}
+
 impl Sidecar {
     /// The ending that replaces the motion file's extension.
     pub const SUFFIX: &'static str = ".stance.json";

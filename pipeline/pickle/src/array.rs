@@ -57,7 +57,7 @@ impl fmt::Display for Dtype {
     }
 }
 
-/// A type as a pickle states it.
+/// A type as a pickle or the header of an npy file states it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ItemType {
     /// None for objects.
@@ -360,7 +360,7 @@ fn gather<T: Copy>(
     }
 }
 
-/// The number of an item; of text, of its first bytes.
+/// The number that an item stores, in big-endian bytes if so stated; of text, a number of its first bytes.
 pub(crate) fn number(dtype: Dtype, big_endian: bool, item: &[u8]) -> f64 {
     let mut bytes = [0; 8];
     let len = item.len().min(8);

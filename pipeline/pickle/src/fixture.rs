@@ -19,7 +19,7 @@ fn fixture(index: usize) -> (&'static str, Vec<u8>) {
     (name, STANDARD.decode(base64).expect("valid base64"))
 }
 
-/// A dump of joblib: plain, and by each of its packings.
+/// A joblib dump: uncompressed first, then one of each compressor.
 pub(crate) fn dump(index: usize) -> (&'static str, Vec<u8>) {
     fixture(index)
 }

@@ -149,7 +149,7 @@ impl<R: Read + Seek> Archive<R> {
         let (name, mut file) = self.find(key)?;
         let (len, compressed_len) = (file.size(), file.compressed_size());
         let start = file.data_start().unwrap_or_else(|| file.header_start());
-        check_len("E-NPZ-LIMIT", &name, [len, compressed_len, max_len])
+        check_len("E-NPZ-LIMIT", &name, len, compressed_len, max_len)
             .map_err(|error| error.at(start as usize))?;
         // The stated length is not trusted: it reserves no memory, and reading stops there.
         let mut bytes = Vec::new();
@@ -167,8 +167,8 @@ impl<R: Read + Seek> Archive<R> {
     /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
     pub fn check_size(&mut self, key: &str) -> Result<(), Error> {
         let (name, file) = self.find(key)?;
-        let sizes = [file.size(), file.compressed_size(), MAX_MEMBER_LEN];
-        check_len("E-NPZ-LIMIT", &name, sizes)
+        let (len, compressed_len) = (file.size(), file.compressed_size());
+        check_len("E-NPZ-LIMIT", &name, len, compressed_len, MAX_MEMBER_LEN)
     }
 
     /// An array of numbers.
@@ -194,11 +194,13 @@ impl<R: Read + Seek> Archive<R> {
     }
 }
 
-/// Refuses a member that unpacks to too much.
+/// Refuses a member that unpacks to too many bytes, or to too many for its packed size.
 pub(crate) fn check_len(
     code: &'static str,
     name: &str,
-    [len, compressed_len, max_len]: [u64; 3],
+    len: u64,
+    compressed_len: u64,
+    max_len: u64,
 ) -> Result<(), Error> {
     if len <= max_len && (len <= SMALL_MEMBER_LEN || len / MAX_RATIO <= compressed_len.max(1)) {
         return Ok(());

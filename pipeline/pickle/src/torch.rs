@@ -61,7 +61,7 @@ fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>
     let file = archive.by_name(name).map_err(|error| failed(&error))?;
     let (len, packed_len) = (file.size(), file.compressed_size());
     // `torch.save` does not compress at all.
-    check_len("E-PICKLE-LIMIT", name, [len, packed_len, MAX_MEMBER_LEN])?;
+    check_len("E-PICKLE-LIMIT", name, len, packed_len, MAX_MEMBER_LEN)?;
     let mut bytes = Vec::new();
     file.take(len)
         .read_to_end(&mut bytes)

@@ -5,6 +5,7 @@
 
 pub mod bundle;
 mod file;
+mod options;
 mod recorded;
 mod table;
 
@@ -17,7 +18,7 @@ use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{EditRow, ItemRow, QuarantineRow, ScoreRow};
 use datasets_spec::store::{ByPath, Store};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Fps, Motion, Progress, Seed, Skeleton, Transaction};
+use datasets_spec::{Dataset, Motion, Progress, Seed, Skeleton, Transaction};
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -28,40 +29,7 @@ use crate::ingest::list_files;
 use file::Kind;
 use recorded::Recorded;
 
-/// The vertical axis of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Up {
-    /// As in the store.
-    Y,
-    /// As in AMASS and MotionFix.
-    Z,
-}
-
-/// Placement of an answer on the ground.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
-    /// As in its file.
-    File,
-    /// On the floor, with the position and heading of the first frame of the item's source.
-    Source,
-}
-
-/// Options of an import: the name of the system, and what its files leave out.
-#[derive(Clone, Debug)]
-pub struct AnswerOptions {
-    /// Name of the system in tables.
-    pub system: String,
-    /// The settings it answered with, a JSON object.
-    pub settings: String,
-    /// Seed of answers that state none; takes of one item differ by it.
-    pub seed: Seed,
-    /// Rate of all answers, in place of the files' own.
-    pub fps: Option<Fps>,
-    /// Vertical axis of all answers, in place of that of their formats.
-    pub up: Option<Up>,
-    /// Placement of all answers, in place of that of their formats.
-    pub place: Option<Place>,
-}
+pub use options::{AnswerOptions, Place, Up};
 
 /// The answers of one system.
 #[derive(Clone, Debug)]

@@ -11,7 +11,7 @@ use kinematics::resample;
 use kinematics::rotation::{self, to_axis_angle};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
-use super::{AnswerOptions, Place, Up};
+use super::options::{AnswerOptions, Place, Up};
 
 /// Numbers of the rotation vectors of a frame: root and 21 body joints.
 pub(super) const VECTORS_WIDTH: usize = 3 * NUM_BODY_JOINTS;

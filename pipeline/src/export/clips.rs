@@ -7,8 +7,8 @@ use datasets_spec::Skeleton;
 use datasets_spec::record::MotionRow;
 use formats::sidecar::{LabelCaption, Sidecar};
 
+use super::by_clip::{ByClip, Note};
 use super::document::file;
-use super::form::{ByClip, Note};
 use super::humanml3d::ids;
 use super::paths::{safe_stem, unique};
 use crate::Error;

@@ -25,6 +25,7 @@ pub(super) fn write_json(folder: &Path, name: &str, value: &impl Serialize) -> R
     file(folder, name, &text)
 }
 
+/// Lines of comma-separated values.
 pub(super) struct Lines(csv::Writer<Vec<u8>>);
 
 impl Lines {
@@ -45,6 +46,7 @@ impl Lines {
     }
 }
 
+/// Reads the features of a clip, `[frames, WIDTH]`, from its file.
 pub(super) fn read_features<const WIDTH: usize>(path: &Path) -> Result<Vec<[f32; WIDTH]>, Error> {
     let bytes = fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
     let name = path.display().to_string();

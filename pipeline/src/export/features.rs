@@ -10,9 +10,9 @@ use datasets_spec::{Motion, Skeleton, Split};
 use features::{Statistics, hy_motion, representation_272};
 use pickle::npy;
 
+use super::by_clip::{ByClip, Note, labels, sorted_lines};
 use super::clips::stems;
 use super::document::{Lines, file, read_features};
-use super::form::{ByClip, Note, labels, sorted_lines};
 use super::humanml3d::{caption_line, names};
 use super::paths::{safe_stem, unique};
 use crate::Error;
@@ -134,7 +134,7 @@ impl<const WIDTH: usize> ByClip for FeatureFolder<WIDTH> {
                 .map(|caption| caption.text.replace(['\r', '\n'], " ") + "\n")
                 .collect(),
         };
-        // Loaders open the file of every clip; a clip whose file is empty is passed over.
+        // A loader opens the text of every clip, and passes a clip over whose text is empty.
         file(folder, &format!("texts/{name}.txt"), lines.as_bytes())?;
         Ok(None)
     }

@@ -12,8 +12,8 @@ use features::{Statistics, smpl_body};
 use formats::source::humanml3d::is_id;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 
+use super::by_clip::{ByClip, Note, labels, sorted_lines};
 use super::document::{Lines, file, read_features};
-use super::form::{ByClip, Note, labels, sorted_lines};
 use crate::Error;
 use crate::clips::Clips;
 use crate::reference::features_of;

@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use tables::Condition;
 
-use super::form::{Form, Note, PART_CLIPS};
+use super::by_clip::{Note, PART_CLIPS};
+use super::form::Form;
 use super::{Exported, Layout};
 use crate::Error;
 use crate::clips::{Clips, Part, Shard};

@@ -110,7 +110,7 @@ pub fn before(layout: Layout, clips: &Clips) -> Result<Vec<String>, Error> {
     Ok(remarks)
 }
 
-/// Other names are members of archives, or running numbers.
+/// Whether files are named by the ids of clips. Other layouts number their files, or pack clips together.
 fn names_are_ids(layout: Layout) -> bool {
     matches!(
         layout,

@@ -3,6 +3,7 @@
 //! An export appears whole or not at all: it is written to a temporary folder beside the destination, and
 //! renamed when it is complete.
 
+mod by_clip;
 mod clips;
 mod document;
 mod edits;
@@ -31,7 +32,8 @@ use crate::Error;
 use crate::clips::Clips;
 use work::NewFolder;
 
-use self::form::{Form, PART_CLIPS};
+use self::by_clip::PART_CLIPS;
+use self::form::Form;
 pub use edits::{Sides, export_edits};
 pub use items::export_items;
 pub(crate) use items::item_stem;

@@ -8,7 +8,7 @@ use datasets_spec::record::{HumanMl3dRow, MarkerRow, MotionRow};
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{MotionId, Split, Transaction};
 
-use super::kept::Growth;
+use super::growth::Growth;
 use super::plan::Plan;
 use super::recorded::{Recorded, RecordedClip};
 use crate::Error;

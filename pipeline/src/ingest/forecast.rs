@@ -9,7 +9,7 @@ use datasets_spec::store::ByPath;
 use serde::Serialize;
 
 use super::fates::{Fate, Fates};
-use super::kept::LostLabel;
+use super::growth::LostLabel;
 use super::list::list_given;
 use super::options::IngestOptions;
 use super::plan::Plan;

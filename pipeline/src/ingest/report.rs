@@ -12,7 +12,8 @@ use datasets_spec::{Dataset, MotionId, Split};
 
 use super::alike::{Alike, AlikeClips};
 use super::deal::Shards;
-use super::kept::{Growth, Outside};
+use super::growth::Growth;
+use super::kept::Outside;
 use super::options::{LABEL_PROBLEMS_FACT, REFUSED_PAIRS_FACT};
 use super::plan::Plan;
 use super::shard::ShardNotes;

@@ -15,7 +15,8 @@ use super::alike::Alike;
 use super::deal::{Item, Shards};
 use super::equal;
 use super::fates::{Fates, Files};
-use super::kept::{Growth, Labels, Outside};
+use super::growth::Growth;
+use super::kept::{Labels, Outside};
 use super::options::{
     IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
     SETTINGS_FACT, Settings, rate_name,

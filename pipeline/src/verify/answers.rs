@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::Split;
 
-use super::{Check, Finding};
+use super::finding::{Check, Finding};
 
 /// Columns of an item that its edits repeat.
 #[derive(PartialEq)]

@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::{Dataset, MotionId, Split};
 
+use super::finding::{Check, Finding};
 use super::read::Met;
-use super::{Check, Finding};
 use crate::recordings::{Origin, Prefixes, Recording};
 
 /// Clips whose recording another clip has, in another split.

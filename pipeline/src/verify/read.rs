@@ -14,7 +14,7 @@ use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{MotionId, Skeleton, Split};
 
 use super::answers::{Answer, Asked};
-use super::{Check, Finding};
+use super::finding::{Check, Finding};
 use crate::likeness::Sketch;
 use crate::recordings::Origin;
 

@@ -60,7 +60,7 @@ impl Labels {
     }
 }
 
-/// The files of a table whose rows changed.
+/// Writes a table if its rows are not those of `before`, and returns its files; none if they are.
 fn changed<R: Row + PartialEq>(
     [rows, before]: [&BTreeMap<String, R>; 2],
     split: fn(&R) -> Split,
@@ -124,4 +124,8 @@ pub(crate) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> 
         count: lost.len(),
         shown: shown.join(", "),
     })
+}
+
+pub(crate) fn json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).expect("texts and counts serialise")
 }

@@ -26,12 +26,12 @@ use crate::Error;
 pub use self::choose::{Choice, taken_out};
 pub use self::compact::{Compacted, Layout, compact, compact_in};
 pub use self::labels::KeptLabel;
+pub(crate) use self::labels::json;
 pub(crate) use self::labels::{
     check_lost, is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source,
 };
 pub use self::remove::{RemoveOptions, Removed, remove, remove_in};
 pub use self::restore::{Restored, restore, restore_in};
-pub(crate) use self::select::json;
 pub use self::select::{SELECTED_FACT, Selected, select};
 
 /// A version of a dataset.

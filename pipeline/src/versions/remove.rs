@@ -12,8 +12,8 @@ use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
 
 use super::choose::{Choice, REMOVED, accounting, left_out};
-use super::labels::{Labels, check_lost, is_mask_of_people, is_pair_of_people, lost};
-use super::select::{composed, json};
+use super::labels::{Labels, check_lost, is_mask_of_people, is_pair_of_people, json, lost};
+use super::select::composed;
 use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipRow, borrowed, clip_ids};
 use crate::ingest::LostLabel;

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use tables::Condition;
 
 use super::choose::{Choice, NOT_SELECTED, accounting, left_out};
-use super::labels::Labels;
+use super::labels::{Labels, json};
 use super::rows::ClipIndex;
 use crate::Error;
 use crate::clip_table::is_composed;
@@ -162,8 +162,4 @@ fn belonging(all: &Labels, chosen: &BTreeSet<MotionId>) -> (Labels, Selected) {
 pub(super) fn composed(dataset: &Dataset) -> Vec<String> {
     let tables = dataset.manifest().tables.keys();
     tables.filter(|table| is_composed(table)).cloned().collect()
-}
-
-pub(crate) fn json(value: &impl Serialize) -> String {
-    serde_json::to_string(value).expect("texts and counts serialise")
 }

@@ -130,7 +130,10 @@ fn announce(
         .operators()
         .map(|address| format!("http://{address}/metrics"));
     if global.json {
-        let document = json!({ "url": url, "token": token, "metrics": metrics });
+        let mut document = json!({ "url": url, "token": token });
+        if let Some(metrics) = metrics {
+            document["metrics"] = json!(metrics);
+        }
         report::text(&document.to_string());
     } else {
         if let Some(metrics) = metrics {

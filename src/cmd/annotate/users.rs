@@ -8,11 +8,13 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::args::UserAction;
-use super::shared::{DAY, now};
+use super::shared::now;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
+/// A day in milliseconds.
+const DAY: i64 = 24 * 60 * 60_000;
 /// Days a new user's token is valid.
 const TOKEN_DAYS: i64 = 90;
 

@@ -190,8 +190,8 @@ struct Rules {
 
 impl Rules {
     /// # Source
-    /// The modules `Transformer`, `Pooling` and `Normalize` of sentence-transformers. Without `modules.json` a text is the
-    /// mean over all its tokens, as that library does by default.
+    /// The modules `Transformer`, `Pooling` and `Normalize` of sentence-transformers. Without `modules.json` the vector
+    /// of a text is the mean over its tokens, as in that library.
     fn read(files: &BertFiles, config: &BertConfig, limit: Option<f64>) -> Result<Self, Error> {
         let sentence: SentenceConfig = files.optional(SENTENCE_CONFIG)?.unwrap_or_default();
         let limit = limit.filter(|limit| *limit < config.context as f64);

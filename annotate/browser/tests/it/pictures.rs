@@ -3,8 +3,10 @@
 
 use std::collections::BTreeMap;
 
-use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
+use annotate_browser::{Browser, Dataset, keys};
 use serde_json::json;
+
+use crate::steps::Desk;
 
 /// Screens, what shows that they are drawn, and who looks at them.
 const SCREENS: [(&str, &str, &str); 17] = [
@@ -37,126 +39,95 @@ const CUT: &str = "[...document.querySelectorAll('button, a, input, select, text
     .concat(['html', 'main', '.panel'].filter((part) => { const own = document.querySelector(part); \
         return own && own.scrollWidth > own.clientWidth; }))";
 
-#[tokio::test(flavor = "multi_thread")]
-async fn every_screen_fits_in_both_sizes_and_themes() {
+#[test]
+fn every_screen_fits_in_both_sizes_and_themes() {
     let seeded = std::env::var_os("ANNOTATE_SEEDED").map(std::path::PathBuf::from);
-    let dataset = match &seeded {
-        Some(folder) => Dataset::copy_of(folder),
-        None => Dataset::fresh().await,
-    };
-    for theme in ["light", "dark"] {
-        let dark: &[&str] = if theme == "dark" {
-            &["--force-dark-mode"]
-        } else {
-            &[]
+    let themes: [(&str, &[&str]); 2] = [("light", &[]), ("dark", &["--force-dark-mode"])];
+    for (theme, arguments) in themes {
+        let dataset = match &seeded {
+            Some(folder) => Dataset::copy_of(folder),
+            None => Dataset::fresh(),
         };
-        let server = Server::start(&dataset).await;
-        let browser = Browser::start_with(Graphics::Software, dark).await;
-        browser
-            .log_in(&server, server.printed_token(), "app/home")
-            .await;
-        let mut tokens = BTreeMap::new();
-        for role in ["annotator", "reviewer", "admin"] {
-            tokens.insert(role, token_of(&browser, role).await);
-        }
+        let desk = Desk::admin(dataset, arguments);
+        let roles = ["annotator", "reviewer", "admin"];
+        let tokens = BTreeMap::from(roles.map(|role| (role, token_of(&desk, role))));
         let mut as_who = "";
         for (name, shown, role) in SCREENS {
             if role != as_who {
-                browser.request("DELETE", "session", None).await;
+                desk.request("DELETE", "session", None);
                 if let Some(token) = tokens.get(role) {
-                    browser.log_in(&server, token, "app/home").await;
+                    desk.log_in(&desk.server, token, "app/home");
                 }
                 as_who = role;
             }
-            let path = match name {
-                "login" => String::new(),
-                "keys" => "app/home".to_owned(),
-                "task" => "app/task/1".to_owned(),
-                "review" => review(&browser).await,
-                name => format!("app/{name}"),
-            };
-            browser.open(&server.page(&path)).await;
-            if name == "keys" {
-                browser
-                    .until("the page", "document.querySelector('.queue')")
-                    .await;
-                browser.press(&["?"]).await;
-            }
-            browser
-                .until(name, &format!("document.querySelector('{shown}')"))
-                .await;
-            if matches!(name, "mask" | "pair" | "style" | "review")
-                && browser
-                    .js("return document.querySelector('.work') !== null;")
-                    .await
-                    == json!(true)
-            {
-                browser.task().await;
-            }
-            // The screens of the README are shown in the middle of work.
-            match name {
-                "mask" => {
-                    browser.press(&["4", "t"]).await;
-                    browser
-                        .type_text("swinging the left arm beside the body")
-                        .await;
-                    browser.press(&[keys::ESCAPE, "n", "2", "t"]).await;
-                    browser
-                        .type_text("stepping slowly from one foot to the other")
-                        .await;
-                    // The second one holds for a range of the clip.
-                    browser.press(&[keys::ESCAPE, keys::HOME, "["]).await;
-                    browser.shift(&[".", ".", ".", "."]).await;
-                    browser.press(&["]", "a"]).await;
-                }
-                "pair" => {
-                    browser.press(&["4", "e", "t"]).await;
-                    browser.type_text("Raise the left arm higher.").await;
-                    browser.press(&[keys::ESCAPE]).await;
-                }
-                _ => {}
-            }
+            open(&desk, name, shown);
             let file = format!("{name}-{theme}");
-            browser
-                .in_each_size(&file, async |width| {
-                    assert_eq!(
-                        browser.js(&format!("return {CUT};")).await,
-                        json!([]),
-                        "{name}, {theme}, {width} pixels wide"
-                    );
-                })
-                .await;
+            desk.in_each_size(&file, |width| {
+                let cut = desk.value(CUT);
+                assert_eq!(cut, json!([]), "{name}, {theme}, {width} pixels wide");
+            });
         }
-        browser.quit().await;
-        drop(server);
+    }
+}
+
+/// Opens a screen. Those of the README are shown in the middle of work.
+fn open(desk: &Desk, name: &str, shown: &str) {
+    match name {
+        "login" => desk.go(""),
+        "keys" => {
+            desk.page("app/home", ".queue");
+            desk.press(&["?"]);
+        }
+        "task" => desk.go("app/task/1"),
+        "review" => desk.go(&review(desk)),
+        name => desk.go(&format!("app/{name}")),
+    }
+    desk.shows(shown);
+    if matches!(name, "mask" | "pair" | "style" | "review") && desk.count(".work") > 0 {
+        desk.task();
+    }
+    match name {
+        "mask" => {
+            let text = "swinging the left arm beside the body";
+            desk.write(&["4", "t"], text);
+            let text = "stepping slowly from one foot to the other";
+            desk.write(&[keys::ESCAPE, "n", "2", "t"], text);
+            // The second one holds for a range of the clip.
+            desk.press(&[keys::ESCAPE, keys::HOME, "["]);
+            desk.shift(&[".", ".", ".", "."]);
+            desk.press(&["]", "a"]);
+        }
+        "pair" => {
+            desk.write(&["4", "e", "t"], "Raise the left arm higher.");
+            desk.press(&[keys::ESCAPE]);
+        }
+        _ => {}
     }
 }
 
 /// The page of the clip whose answers differ most; the queue, if none waits.
-async fn review(browser: &Browser) -> String {
+fn review(browser: &Browser) -> String {
     let wanted = "tasks?kind=mask_text&state=submitted&sort=distance&limit=1";
-    let found = browser.request("GET", wanted, None).await;
-    match found["body"]["rows"][0]["id"].as_i64() {
+    match browser.get(wanted)["rows"][0]["id"].as_i64() {
         Some(task) => format!("app/review/{task}"),
         None => "app/review".to_owned(),
     }
 }
 
 /// A token of the first user of a role, or of a new one.
-async fn token_of(browser: &Browser, role: &str) -> String {
-    let users = browser.request("GET", "users", None).await["body"].clone();
-    let known = users
-        .as_array()
-        .and_then(|users| users.iter().find(|user| user["role"] == role));
+fn token_of(browser: &Browser, role: &str) -> String {
+    let users = browser.get("users");
+    let mut users = users.as_array().expect("users").iter();
+    let known = users.find(|user| user["role"] == role);
     let shown = match known {
         Some(user) => {
             let path = format!("users/{}/tokens", user["id"]);
             let days = json!({ "days": 1 });
-            browser.request("POST", &path, Some(days)).await
+            browser.request("POST", &path, Some(days))
         }
         None => {
             let new = json!({ "name": format!("one {role}"), "role": role });
-            browser.request("POST", "users", Some(new)).await
+            browser.request("POST", "users", Some(new))
         }
     };
     shown["body"]["token"].as_str().expect("a token").to_owned()

@@ -1,7 +1,6 @@
 //! The report page of a run, opened as a file: its viewers draw, use one clock each, and need no network.
 
 use annotate_browser::{Browser, Graphics, keys, report_page};
-use serde_json::json;
 
 /// The viewer of the edit that the page opens with, and that of all items.
 const VIEWERS: [&str; 2] = ["opening-viewer", "viewer"];
@@ -24,114 +23,64 @@ const COLOURS: &str = "{ const canvas = document.activeElement; \
         for (let i = 0; i < data.length; i += 4) seen.add((data[i] << 16) | (data[i + 1] << 8) | data[i + 2]); \
         done(seen.size); })); }";
 
-async fn opened(graphics: Graphics, renderer: &str) -> Browser {
-    let browser = Browser::start(graphics).await;
-    browser
-        .open(&format!("file://{}", report_page().await.display()))
-        .await;
-    for viewer in VIEWERS {
-        let renders =
-            format!("document.querySelector('#{viewer}')?.dataset.renderer === '{renderer}'");
-        browser
-            .until(
-                "the viewer draws",
-                &format!("{renders} && {} >= 0", frame(viewer)),
-            )
-            .await;
-    }
-    browser
-}
-
 /// Checks that hold with and without WebGL.
-async fn check(browser: &Browser, name: &str) {
-    let [opening, items] = VIEWERS;
-    browser
-        .until("the opening plays", &format!("{} > 1", frame(opening)))
-        .await;
-    let hidden = browser.js(&format!("return {};", frame(items))).await;
-    assert_eq!(hidden, json!(0), "a viewer out of sight stands still");
-    let labels = |viewer: &str| {
-        format!("return document.querySelectorAll('#{viewer} .labels span').length;")
-    };
-    assert_eq!(browser.js(&labels(opening)).await, json!(3));
-    let motions = browser.js(&labels(items)).await;
-    assert!(
-        motions.as_u64().is_some_and(|count| count >= 3),
-        "original, edit and target: {motions}"
-    );
+fn check(graphics: Graphics, renderer: &str, name: &str) {
+    let browser = Browser::start(graphics);
+    browser.open(&format!("file://{}", report_page().display()));
     for viewer in VIEWERS {
-        check_viewer(browser, viewer).await;
-        browser.picture(&format!("{name}-{viewer}")).await;
+        browser.shows(&format!("#{viewer}[data-renderer={renderer}]"));
+        browser.until("it draws", &format!("{} >= 0", frame(viewer)));
     }
-    assert_eq!(
-        browser
-            .js("return performance.getEntriesByType('resource').length;")
-            .await,
-        json!(0),
-        "the page loads something"
-    );
-    let page = browser
-        .js("return { tables: document.querySelectorAll('table').length, pictures: document.querySelectorAll('svg').length, \
-             wide: document.documentElement.scrollWidth > innerWidth };")
-        .await;
-    assert!(page["tables"].as_u64() > Some(0), "{page}");
-    assert!(page["pictures"].as_u64() > Some(0), "{page}");
-    assert_eq!(page["wide"], false);
+    let [opening, items] = VIEWERS;
+    browser.until("the opening plays", &format!("{} > 1", frame(opening)));
+    // A viewer out of sight stands still.
+    browser.is(&frame(items), 0);
+    let labels = |viewer: &str| browser.count(&format!("#{viewer} .labels span"));
+    assert_eq!(labels(opening), 3);
+    assert!(labels(items) >= 3, "original, edit and target");
+    for viewer in VIEWERS {
+        check_viewer(&browser, viewer);
+        browser.picture(&format!("{name}-{viewer}"));
+    }
+    // The page loads nothing.
+    browser.is("performance.getEntriesByType('resource').length", 0);
+    assert!(browser.count("table") > 0 && browser.count("svg") > 0);
+    browser.is("document.documentElement.scrollWidth > innerWidth", false);
 }
 
 /// Plays a viewer, and steps it by keys.
-async fn check_viewer(browser: &Browser, viewer: &str) {
+fn check_viewer(browser: &Browser, viewer: &str) {
     let shown = frame(viewer);
-    browser
-        .js(&format!(
-            "document.querySelector('#{viewer}').scrollIntoView();"
-        ))
-        .await;
+    let at = |frame: &str| browser.until(frame, &format!("{shown} === {frame}"));
+    browser.js(&format!(
+        "document.querySelector('#{viewer}').scrollIntoView();"
+    ));
     // It plays by itself; a key stops it, and steps are exact.
-    browser.until("it plays", &format!("{shown} > 1")).await;
-    browser
-        .js(&format!(
-            "document.querySelector('#{viewer} canvas').focus();"
-        ))
-        .await;
-    browser.press(&[" ", keys::HOME]).await;
-    browser
-        .until("the first frame", &format!("{shown} === 0"))
-        .await;
-    browser.press(&[keys::RIGHT, keys::RIGHT, keys::LEFT]).await;
-    browser
-        .until("the second frame", &format!("{shown} === 1"))
-        .await;
-    browser.shift(&[keys::RIGHT]).await;
-    browser
-        .until("ten further", &format!("{shown} === 11"))
-        .await;
-    browser.press(&[keys::END]).await;
-    browser
-        .until(
-            "the last frame",
-            &format!(
-                "{shown} === Number(document.querySelector('#{viewer} input[type=range]').max)"
-            ),
-        )
-        .await;
-    let colours = browser.js_async(COLOURS).await;
+    browser.until("it plays", &format!("{shown} > 1"));
+    browser.focus(&format!("#{viewer} canvas"));
+    browser.press(&[" ", keys::HOME]);
+    at("0");
+    browser.press(&[keys::RIGHT, keys::RIGHT, keys::LEFT]);
+    at("1");
+    browser.shift(&[keys::RIGHT]);
+    at("11");
+    browser.press(&[keys::END]);
+    at(&format!(
+        "Number(document.querySelector('#{viewer} input[type=range]').max)"
+    ));
+    let colours = browser.js_async(COLOURS);
     assert!(
-        colours.as_u64().is_some_and(|count| count > 30),
+        colours.as_u64() > Some(30),
         "the picture is flat: {colours} colours"
     );
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_report_plays_its_motions_in_3d_without_a_server() {
-    let browser = opened(Graphics::Software, "webgl2").await;
-    check(&browser, "report").await;
-    browser.quit().await;
+#[test]
+fn a_report_plays_its_motions_in_3d_without_a_server() {
+    check(Graphics::Software, "webgl2", "report");
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_report_plays_its_motions_without_webgl() {
-    let browser = opened(Graphics::None, "canvas2d").await;
-    check(&browser, "report-flat").await;
-    browser.quit().await;
+#[test]
+fn a_report_plays_its_motions_without_webgl() {
+    check(Graphics::None, "canvas2d", "report-flat");
 }

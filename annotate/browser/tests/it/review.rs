@@ -1,136 +1,99 @@
 //! Review: accept, return, merge; and texts that contain markup.
 
-use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
+use std::ops::Deref;
+
+use annotate_browser::keys;
 use serde_json::{Value, json};
 
-use crate::steps::{claim, nothing_by_chance, submit, two_masks};
+use crate::steps::{Desk, two_masks};
 
+const WAVE: &str = "Wave with the left arm.";
 const HOSTILE: &str =
     "<img src=x onerror=\"window.canary=1\"><script>window.canary=1</script>\u{202e}desrever";
 
-/// A server with an answer of ann's to a task, and a browser logged in as a reviewer.
+/// A desk with an answer of ann's to a task, and a reviewer who is logged in.
 struct Bench {
-    server: Server,
-    browser: Browser,
-    ann: String,
-    task: i64,
-    /// Kept on disk while the server runs.
-    _dataset: Dataset,
+    desk: Desk,
+    answered: i64,
+}
+
+impl Deref for Bench {
+    type Target = Desk;
+
+    fn deref(&self) -> &Desk {
+        &self.desk
+    }
 }
 
 impl Bench {
-    async fn with_answer(text: &str) -> Self {
-        let dataset = Dataset::fresh().await;
-        let ann = dataset.add_user("ann", "annotator").await;
-        let boss = dataset.add_user("boss", "admin").await;
-        let rev = dataset.add_user("rev", "reviewer").await;
-        let server = Server::start(&dataset).await;
-        let browser = Browser::start(Graphics::Software).await;
-        browser.open(&server.page("")).await;
-        nothing_by_chance(&browser, &boss).await;
+    fn with_answer(text: &str) -> Self {
+        let desk = Desk::of(&["ann", "eve", "boss"]);
         // Find the first task that needs only one answer before review.
-        let view = loop {
-            let view = claim(&browser, &ann, "mask_text").await;
-            submit(&browser, &ann, &view, two_masks(text, "LEFT_ARM")).await;
+        let answered = loop {
+            let view = desk.claim("ann", "mask_text");
+            let task = desk.submit("ann", &view, two_masks(text, "LEFT_ARM"));
             if view["task"]["wanted"] == 1 {
-                break view;
+                break task;
             }
         };
-        let task = view["task"]["id"].as_i64().expect("a task");
-        browser.log_in(&server, &rev, "app/home").await;
-        browser.open(&server.page("app/review")).await;
-        Self {
-            _dataset: dataset,
-            server,
-            browser,
-            ann,
-            task,
-        }
+        desk.enter("eve", "app/home");
+        desk.go("app/review");
+        Self { desk, answered }
     }
 
     /// The task as its author sees it.
-    async fn view(&self) -> Value {
-        let path = format!("tasks/{}", self.task);
-        let view = self.browser.request_as(&self.ann, "GET", &path, None).await;
-        assert_eq!(view["status"], 200, "{view}");
-        view["body"].clone()
+    fn view(&self) -> Value {
+        let path = format!("tasks/{}", self.answered);
+        self.ask("ann", "GET", &path, Value::Null)
+    }
+
+    /// Waits until the page says what the reviewer decided, and checks it.
+    fn decided(&self, state: &str) {
+        self.says(".toast", state);
+        assert_eq!(self.view()["mine"]["state"], state);
     }
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn an_answer_is_accepted_with_one_key() {
-    let bench = Bench::with_answer("Wave with the left arm.").await;
-    let browser = &bench.browser;
-    assert_eq!(browser.task().await, bench.task);
-    browser.press(&["a"]).await;
-    browser
-        .until(
-            "it is decided",
-            "document.querySelector('.toast')?.textContent.includes('accepted')",
-        )
-        .await;
-    assert_eq!(bench.view().await["mine"]["state"], "accepted");
-    bench.browser.quit().await;
+#[test]
+fn an_answer_is_accepted_with_one_key() {
+    let bench = Bench::with_answer(WAVE);
+    assert_eq!(bench.task(), bench.answered);
+    bench.press(&["a"]);
+    bench.decided("accepted");
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn an_answer_goes_back_with_a_comment_to_its_author() {
-    let bench = Bench::with_answer("Wave with the left arm.").await;
-    let browser = &bench.browser;
-    browser.task().await;
-    browser.press(&["r"]).await;
-    browser
-        .until(
-            "the comment is asked for",
-            "document.querySelector('dialog[open] textarea')",
-        )
-        .await;
-    browser.type_text("Which hand?").await;
-    browser.control(&[keys::ENTER]).await;
-    browser
-        .until(
-            "it is decided",
-            "document.querySelector('.toast')?.textContent.includes('returned')",
-        )
-        .await;
-    let view = bench.view().await;
-    assert_eq!(view["mine"]["state"], "returned");
-    assert_eq!(view["comment"], "Which hand?");
+#[test]
+fn an_answer_goes_back_with_a_comment_to_its_author() {
+    let bench = Bench::with_answer(WAVE);
+    bench.task();
+    bench.press(&["r"]);
+    bench.comment("Which hand?");
+    bench.decided("returned");
+    assert_eq!(bench.view()["comment"], "Which hand?");
     // The author finds the returned task on her home page and corrects it.
-    browser.request("DELETE", "session", None).await;
-    browser.log_in(&bench.server, &bench.ann, "app/home").await;
-    browser
-        .until(
-            "it is the first thing on her page",
-            "document.activeElement.textContent.startsWith('Fix task')",
-        )
-        .await;
-    browser.press(&[keys::ENTER]).await;
-    assert_eq!(browser.task().await, bench.task);
-    assert!(
-        browser
-            .text_of(".returned-note")
-            .await
-            .contains("Which hand?")
+    bench.log_out();
+    bench.enter("ann", "app/home");
+    bench.until(
+        "it is the first thing on her page",
+        "document.activeElement.textContent.startsWith('Fix task')",
     );
-    browser.press(&["t"]).await;
-    browser.type_text(" Twice.").await;
-    browser.control(&[keys::ENTER]).await;
-    browser.next_task(bench.task).await;
-    assert_eq!(bench.view().await["mine"]["state"], "submitted");
-    bench.browser.quit().await;
+    bench.press(&[keys::ENTER]);
+    assert_eq!(bench.task(), bench.answered);
+    bench.reads(".returned-note", &["Which hand?"]);
+    bench.write(&["t"], " Twice.");
+    bench.control(&[keys::ENTER]);
+    bench.next_task(bench.answered);
+    assert_eq!(bench.view()["mine"]["state"], "submitted");
 }
 
 /// Gives a review page a size in pixels, and checks that `stage` pixels of the stage and all decisions are on the screen
 /// and nothing hangs over. Returns the height of the smallest button and the size of the smallest text.
-async fn fits(bench: &Bench, [width, height]: [u32; 2], stage: f64) -> [f64; 2] {
-    let browser = &bench.browser;
-    browser.task().await;
-    browser.resize(width, height).await;
-    browser.photograph(&format!("review-{width}")).await;
-    let page = browser
-        .js(
-            "const box = (selector) => document.querySelector(selector).getBoundingClientRect();
+fn fits(bench: &Bench, [width, height]: [u32; 2], stage: f64) -> [f64; 2] {
+    bench.task();
+    bench.resize(width, height);
+    bench.photograph(&format!("review-{width}"));
+    let page = bench.js(
+        "const box = (selector) => document.querySelector(selector).getBoundingClientRect();
              const [stage, foot] = [box('.stage-area'), box('.panel-foot')];
              const buttons = [...document.querySelectorAll('.panel-foot button, .transport button')];
              const heights = buttons.map((own) => own.getBoundingClientRect().height).filter((own) => own > 0);
@@ -144,8 +107,7 @@ async fn fits(bench: &Bench, [width, height]: [u32; 2], stage: f64) -> [f64; 2] 
                  .filter((own) => own.childElementCount === 0 && own.textContent.trim() && own.tagName !== 'KBD')
                  .map((own) => parseFloat(getComputedStyle(own).fontSize))),
              };",
-        )
-        .await;
+        );
     let number = |name: &str| page[name].as_f64().expect("a number");
     assert_eq!(page["width"], width, "{page}");
     assert!(number("over") <= 0.0 && number("foot") >= 0.0, "{page}");
@@ -153,104 +115,62 @@ async fn fits(bench: &Bench, [width, height]: [u32; 2], stage: f64) -> [f64; 2] 
     [number("button"), number("text")]
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn answers_are_reviewed_by_touch_on_a_tablet_held_upright() {
-    let bench = Bench::with_answer("Wave with the left arm.").await;
-    let browser = &bench.browser;
-    let [button, _] = fits(&bench, [820, 1180], 300.0).await;
+#[test]
+fn answers_are_reviewed_by_touch_on_a_tablet_held_upright() {
+    let bench = Bench::with_answer(WAVE);
+    let [button, _] = fits(&bench, [820, 1180], 300.0);
     assert!(button >= 40.0, "{button}");
     // It plays by itself: a finger stops it, and moves through the clip.
     let label = "document.querySelector('.transport .play').textContent";
-    browser
-        .until("it plays", &format!("{label}.includes('Pause')"))
-        .await;
-    browser.tap(".transport .play").await;
-    browser
-        .until("it stands", &format!("{label}.includes('Play')"))
-        .await;
-    browser.press(&[keys::HOME]).await;
+    bench.until("it plays", &format!("{label}.includes('Pause')"));
+    bench.tap(".transport .play");
+    bench.until("it stands", &format!("{label}.includes('Play')"));
+    bench.press(&[keys::HOME]);
     let begin = "document.querySelector('.scrub').value === '0'";
-    browser.until("it is at its begin", begin).await;
-    browser.tap(".scrub").await;
+    bench.until("it is at its begin", begin);
+    bench.tap(".scrub");
     let moved = "Number(document.querySelector('.scrub').value) > 5";
-    browser.until("it is moved", moved).await;
-    browser.tap(".panel-foot button:nth-child(2)").await;
-    browser
-        .until(
-            "the comment is asked for",
-            "document.querySelector('dialog[open] textarea')",
-        )
-        .await;
-    browser.tap("dialog[open] textarea").await;
-    browser.type_text("Which hand?").await;
-    browser.tap("dialog[open] button.primary").await;
-    browser
-        .until(
-            "it is decided",
-            "document.querySelector('.toast')?.textContent.includes('returned')",
-        )
-        .await;
-    assert_eq!(bench.view().await["comment"], "Which hand?");
-    bench.browser.quit().await;
+    bench.until("it is moved", moved);
+    bench.tap(".panel-foot button:nth-child(2)");
+    bench.shows("dialog[open] textarea");
+    bench.tap("dialog[open] textarea");
+    bench.type_text("Which hand?");
+    bench.tap("dialog[open] button.primary");
+    bench.says(".toast", "returned");
+    assert_eq!(bench.view()["comment"], "Which hand?");
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn an_answer_is_read_and_accepted_on_a_telephone() {
-    let bench = Bench::with_answer("Wave with the left arm.").await;
-    let browser = &bench.browser;
-    let [_, text] = fits(&bench, [390, 844], 200.0).await;
+#[test]
+fn an_answer_is_read_and_accepted_on_a_telephone() {
+    let bench = Bench::with_answer(WAVE);
+    let [_, text] = fits(&bench, [390, 844], 200.0);
     assert!(text >= 12.0, "{text}");
-    browser.tap(".panel-foot button.primary").await;
-    browser
-        .until(
-            "it is decided",
-            "document.querySelector('.toast')?.textContent.includes('accepted')",
-        )
-        .await;
-    assert_eq!(bench.view().await["mine"]["state"], "accepted");
-    bench.browser.quit().await;
+    bench.tap(".panel-foot button.primary");
+    bench.decided("accepted");
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn an_answer_is_merged_and_edited() {
-    let bench = Bench::with_answer("Wave with the left arm.").await;
-    let browser = &bench.browser;
-    browser.task().await;
-    browser.press(&["m"]).await;
-    browser
-        .until(
-            "the editor is open",
-            "document.querySelector('.merge-box:not([hidden]) .mask-card')",
-        )
-        .await;
-    browser.press(&["5"]).await;
-    browser.control(&[keys::ENTER]).await;
-    browser
-        .until(
-            "it is decided",
-            "document.querySelector('.toast')?.textContent.includes('accepted')",
-        )
-        .await;
-    let shelf = browser.request("GET", "shelf?limit=5", None).await;
-    let parts = &shelf["body"]["items"][0]["answer"]["masks"][0]["parts"];
-    assert_eq!(parts, &json!(["LEFT_ARM", "RIGHT_ARM"]));
-    bench.browser.quit().await;
+#[test]
+fn an_answer_is_merged_and_edited() {
+    let bench = Bench::with_answer(WAVE);
+    bench.task();
+    bench.press(&["m"]);
+    bench.shows(".merge-box:not([hidden]) .mask-card");
+    bench.press(&["5"]);
+    bench.control(&[keys::ENTER]);
+    bench.says(".toast", "accepted");
+    let shelf = bench.get("shelf?limit=5");
+    let parts = &shelf["items"][0]["answer"]["masks"][0]["parts"];
+    assert_eq!(*parts, json!(["LEFT_ARM", "RIGHT_ARM"]));
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn hostile_text_stays_text_on_every_page() {
-    let bench = Bench::with_answer(HOSTILE).await;
-    let browser = &bench.browser;
-    browser.task().await;
-    assert!(browser.text_of(".candidates").await.contains(HOSTILE));
-    browser.press(&["a"]).await;
-    browser
-        .until(
-            "it is decided",
-            "document.querySelector('.toast')?.textContent.includes('accepted')",
-        )
-        .await;
-    let record = format!("app/task/{}", bench.task);
+#[test]
+fn hostile_text_stays_text_on_every_page() {
+    let bench = Bench::with_answer(HOSTILE);
+    bench.task();
+    bench.reads(".candidates", &[HOSTILE]);
+    bench.press(&["a"]);
+    bench.says(".toast", "accepted");
+    let record = format!("app/task/{}", bench.answered);
     for (page, shown) in [
         ("app/tasks", ".list-row[data-task]"),
         (record.as_str(), "task-record .candidate"),
@@ -258,24 +178,9 @@ async fn hostile_text_stays_text_on_every_page() {
         ("app/dashboard", ".dashboard table"),
         ("app/home", ".queue"),
     ] {
-        browser.open(&bench.server.page(page)).await;
-        browser
-            .until(page, &format!("document.querySelector('{shown}')"))
-            .await;
-        let found = browser
-            .js("return { canary: window.canary ?? null, images: document.querySelectorAll('img').length, \
-                 scripts: document.querySelectorAll('script:not([src])').length };")
-            .await;
-        assert_eq!(
-            found,
-            json!({ "canary": null, "images": 0, "scripts": 0 }),
-            "{page}"
-        );
+        bench.page(page, shown);
+        bench.check_canary(page, 0);
     }
-    browser.open(&bench.server.page("app/shelf")).await;
-    browser
-        .until("the shelf", "document.querySelector('.shelf-item')")
-        .await;
-    assert!(browser.text_of(".shelf-item").await.contains("<script>"));
-    bench.browser.quit().await;
+    bench.page("app/shelf", ".shelf-item");
+    bench.reads(".shelf-item", &["<script>"]);
 }

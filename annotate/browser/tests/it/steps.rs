@@ -1,92 +1,206 @@
-//! Steps shared by several tests.
+//! The desk that a test works at, and steps shared by several tests.
+
+use std::collections::BTreeMap;
+use std::ops::Deref;
 
 use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::{Value, json};
 
-/// A server with an annotator, and a browser logged in as her.
+/// A server with people, and a browser. What is done without the page is done by their names.
 pub(crate) struct Desk {
-    pub(crate) dataset: Dataset,
+    // Ends first: a page does not outlive its server.
+    browser: Browser,
     pub(crate) server: Server,
-    pub(crate) browser: Browser,
-    pub(crate) token: String,
+    pub(crate) dataset: Dataset,
+    tokens: BTreeMap<&'static str, String>,
+}
+
+impl Deref for Desk {
+    type Target = Browser;
+
+    fn deref(&self) -> &Browser {
+        &self.browser
+    }
 }
 
 impl Desk {
+    /// A server with these people, of whom the boss must be one, and a browser on its login page.
+    pub(crate) fn of(people: &[&'static str]) -> Self {
+        Self::with(Dataset::fresh(), Graphics::Software, None, people)
+    }
+
+    /// The same with another dataset, without WebGL, or with a language model at an address.
+    pub(crate) fn with(
+        dataset: Dataset,
+        graphics: Graphics,
+        model: Option<String>,
+        people: &[&'static str],
+    ) -> Self {
+        let token = |name: &&'static str| (*name, dataset.add_user(name, role(name)));
+        let tokens = people.iter().map(token).collect();
+        let server = Server::start_with(&dataset, model);
+        let browser = Browser::start(graphics);
+        browser.open(&server.page(""));
+        let desk = Self {
+            browser,
+            server,
+            dataset,
+            tokens,
+        };
+        // Nothing by chance: no gold tasks and no blind tasks.
+        desk.set(json!({ "gold_percent": 0, "blind_percent": 0, "review_percent": 100 }));
+        desk
+    }
+
     /// Opens a page as an annotator.
-    pub(crate) async fn open(path: &str) -> Self {
-        Self::open_with(path, Graphics::Software).await
+    pub(crate) fn at(path: &str) -> Self {
+        let desk = Self::of(&["ann", "boss"]);
+        desk.enter("ann", path);
+        desk
     }
 
-    /// Opens a page as an annotator, with or without WebGL.
-    pub(crate) async fn open_with(path: &str, graphics: Graphics) -> Self {
-        let dataset = Dataset::fresh().await;
-        let token = dataset.add_user("ann", "annotator").await;
-        let boss = dataset.add_user("boss", "admin").await;
-        let server = Server::start(&dataset).await;
-        let browser = Browser::start(graphics).await;
-        browser.open(&server.page("")).await;
-        nothing_by_chance(&browser, &boss).await;
-        browser.log_in(&server, &token, path).await;
+    /// The home page of the admin whose token the server prints, in a browser with more command-line arguments.
+    pub(crate) fn admin(dataset: Dataset, arguments: &[&str]) -> Self {
+        let server = Server::start(&dataset);
+        let browser = Browser::start_with(Graphics::Software, arguments);
+        browser.log_in(&server, server.printed_token(), "app/home");
         Self {
-            dataset,
-            server,
             browser,
-            token,
+            server,
+            dataset,
+            tokens: BTreeMap::new(),
         }
     }
-}
 
-/// A server with an annotator, a reviewer and an admin, by their tokens, and a browser that nobody is logged in to.
-pub(crate) struct Team {
-    pub(crate) dataset: Dataset,
-    pub(crate) server: Server,
-    pub(crate) browser: Browser,
-    pub(crate) ann: String,
-    pub(crate) eve: String,
-    pub(crate) boss: String,
-}
+    /// Adds a person.
+    pub(crate) fn join(&mut self, name: &'static str) {
+        let token = self.dataset.add_user(name, role(name));
+        self.tokens.insert(name, token);
+    }
 
-impl Team {
-    pub(crate) async fn open() -> Self {
-        let dataset = Dataset::fresh().await;
-        let ann = dataset.add_user("ann", "annotator").await;
-        let eve = dataset.add_user("eve", "reviewer").await;
-        let boss = dataset.add_user("boss", "admin").await;
-        let server = Server::start(&dataset).await;
-        let browser = Browser::start(Graphics::Software).await;
-        browser.open(&server.page("")).await;
-        nothing_by_chance(&browser, &boss).await;
-        Self {
-            dataset,
-            server,
-            browser,
-            ann,
-            eve,
-            boss,
-        }
+    pub(crate) fn token(&self, name: &str) -> &str {
+        &self.tokens[name]
+    }
+
+    /// Logs a person in, and opens a page.
+    pub(crate) fn enter(&self, name: &str, path: &str) {
+        self.log_in(&self.server, self.token(name), path);
+    }
+
+    /// Opens a page of the server.
+    pub(crate) fn go(&self, path: &str) {
+        self.open(&self.server.page(path));
+    }
+
+    /// Opens a page of the server, and waits for an element of it.
+    pub(crate) fn page(&self, path: &str, shown: &str) {
+        self.go(path);
+        self.shows(shown);
+    }
+
+    /// What the server answers to a person; `null` is no body.
+    pub(crate) fn ask(&self, name: &str, method: &str, path: &str, body: Value) -> Value {
+        let body = Some(body).filter(|body| !body.is_null());
+        let mut reply = self.request_as(self.token(name), method, path, body);
+        assert_eq!(reply["status"], 200, "{method} {path}: {reply}");
+        reply["body"].take()
+    }
+
+    /// Changes settings.
+    pub(crate) fn set(&self, change: Value) {
+        let settings = self.ask("boss", "GET", "settings", Value::Null);
+        self.ask("boss", "PUT", "settings", with(settings, change));
+    }
+
+    /// Claims the next task of a kind for a person, and returns its view.
+    pub(crate) fn claim(&self, name: &str, kind: &str) -> Value {
+        self.ask(name, "POST", "queue/next", json!({ "kind": kind }))["task"].take()
+    }
+
+    /// Sends an event of a claimed task for a person, with more fields, and returns the task.
+    pub(crate) fn send(&self, name: &str, view: &Value, kind: &str, more: Value) -> i64 {
+        let task = view["task"]["id"].as_i64().expect("a task");
+        let epoch = &view["lease"]["epoch"];
+        let event = json!({
+            "idem_key": format!("{kind}-{task}-{epoch}-{name}"),
+            "kind": kind,
+            "lease_epoch": epoch,
+            "base_rev": view["mine"]["rev"].as_i64().unwrap_or(0),
+        });
+        let events = json!({ "events": [with(event, more)] });
+        let reply = self.ask(name, "POST", &format!("tasks/{task}/events"), events);
+        assert_eq!(reply["results"][0]["status"], 200, "{reply}");
+        task
+    }
+
+    /// Hands in a person's answer to a claimed task after six minutes of work, and returns the task.
+    pub(crate) fn submit(&self, name: &str, view: &Value, answer: Value) -> i64 {
+        let more = json!({ "answer": answer, "secs": 360 });
+        self.send(name, view, "submit", more)
+    }
+
+    /// Has the reviewer decide about the task that a request for a review gives her, and returns it.
+    pub(crate) fn decide(&self, request: Value, decision: &str, comment: &str) -> i64 {
+        let next = self.ask("eve", "POST", "review/next", request);
+        let review = &next["review"];
+        let task = review["task"]["id"].as_i64().expect("a task to review");
+        let decided = json!({
+            "idem_key": format!("{decision}-{task}-key"),
+            "task": task,
+            "lease_epoch": review["lease"]["epoch"],
+            "decision": decision,
+            "author": review["candidates"][0]["revision"]["author"],
+            "comment": comment,
+        });
+        self.ask("eve", "POST", "reviews", decided);
+        task
+    }
+
+    /// Describes the left arm and the lower body of the task on the page by keyboard.
+    pub(crate) fn describe_two_masks(&self) {
+        self.write(&["4", "t"], "Wave with the left arm.");
+        self.write(&[keys::ESCAPE, "n", "2", "t"], "Bend the knees.");
+    }
+
+    /// Keeps the pair on the page by keyboard: a part, an edit type, an instruction.
+    pub(crate) fn keep(&self) {
+        self.write(&["4", "e", "t"], "Raise the left arm higher.");
+        self.control(&[keys::ENTER]);
+    }
+
+    /// Writes the comment that the open dialog asks for.
+    pub(crate) fn comment(&self, text: &str) {
+        self.shows("dialog[open] textarea");
+        self.type_text(text);
+        self.control(&[keys::ENTER]);
+    }
+
+    /// Checks that no text has become an element of the page.
+    pub(crate) fn check_canary(&self, page: &str, images: u64) {
+        let found = self.value(
+            "({ canary: window.canary ?? null, images: document.querySelectorAll('img').length, \
+               scripts: document.querySelectorAll('script:not([src])').length })",
+        );
+        let expected = json!({ "canary": null, "images": images, "scripts": 0 });
+        assert_eq!(found, expected, "{page}");
     }
 }
 
-/// Settings without random draws: no gold tasks and no blind tasks.
-pub(crate) async fn nothing_by_chance(browser: &Browser, admin: &str) {
-    let settings = browser.request_as(admin, "GET", "settings", None).await;
-    assert_eq!(settings["status"], 200, "{settings}");
-    let mut settings = settings["body"].clone();
-    settings["gold_percent"] = json!(0);
-    settings["blind_percent"] = json!(0);
-    settings["review_percent"] = json!(100);
-    let saved = browser
-        .request_as(admin, "PUT", "settings", Some(settings))
-        .await;
-    assert_eq!(saved["status"], 200, "{saved}");
+/// What the people of the tests may do: eve reviews, two are admins, and everybody else annotates.
+fn role(name: &str) -> &'static str {
+    match name {
+        "eve" => "reviewer",
+        "boss" | "solo" => "admin",
+        _ => "annotator",
+    }
 }
 
-/// Describes the left arm and the lower body of the current task by keyboard.
-pub(crate) async fn describe_two_masks(browser: &Browser) {
-    browser.press(&["4", "t"]).await;
-    browser.type_text("Wave with the left arm.").await;
-    browser.press(&[keys::ESCAPE, "n", "2", "t"]).await;
-    browser.type_text("Bend the knees.").await;
+/// A document with more or other fields.
+fn with(mut document: Value, more: Value) -> Value {
+    for (name, value) in more.as_object().expect("fields") {
+        document[name] = value.clone();
+    }
+    document
 }
 
 /// A complete answer to a mask task.
@@ -98,41 +212,4 @@ pub(crate) fn two_masks(first: &str, part: &str) -> Value {
             { "parts": ["LOWER_BODY"], "soft": true, "text": "Bend the knees." },
         ],
     })
-}
-
-/// Claims the next task of a kind for a token by HTTP, without the page, and returns its view.
-pub(crate) async fn claim(browser: &Browser, token: &str, kind: &str) -> Value {
-    let next = browser
-        .request_as(token, "POST", "queue/next", Some(json!({ "kind": kind })))
-        .await;
-    assert_eq!(next["status"], 200, "{next}");
-    next["body"]["task"].clone()
-}
-
-/// Submits an answer for a token by HTTP, without the page.
-pub(crate) async fn submit(browser: &Browser, token: &str, view: &Value, answer: Value) {
-    let task = view["task"]["id"].as_i64().expect("a task");
-    let event = json!({
-        "idem_key": format!("test-{task}-{}", &token[..8].replace('_', "-")),
-        "kind": "submit",
-        "lease_epoch": view["lease"]["epoch"],
-        "base_rev": view["mine"]["rev"].as_i64().unwrap_or(0),
-        "answer": answer,
-    });
-    let reply = browser
-        .request_as(
-            token,
-            "POST",
-            &format!("tasks/{task}/events"),
-            Some(json!({ "events": [event] })),
-        )
-        .await;
-    assert_eq!(reply["body"]["results"][0]["status"], 200, "{reply}");
-}
-
-/// My answer to a task on the server.
-pub(crate) async fn mine(browser: &Browser, task: i64) -> Value {
-    let view = browser.request("GET", &format!("tasks/{task}"), None).await;
-    assert_eq!(view["status"], 200, "{view}");
-    view["body"]["mine"].clone()
 }

@@ -37,7 +37,11 @@ pub(super) fn metrics(cx: &Context) -> Result<Response, Error> {
         ("annotate_log_entries", "Entries of the log.", entries),
         ("annotate_leases", "Leases held, up to a thousand.", leases),
         ("annotate_motions", "Motions of the dataset.", motions),
-        ("annotate_read_only", "Whether nothing is saved.", read_only),
+        (
+            "annotate_read_only",
+            "Whether the store accepts no writes.",
+            read_only,
+        ),
     ];
     Ok(plain(cx.app.metrics.text(&gauges)))
 }
@@ -47,9 +51,15 @@ pub(super) fn asset(cx: &Context) -> Result<Response, Error> {
     let asset = assets::find(cx.uri.path()).ok_or_else(|| Error::not_found("file"))?;
     let etag = asset.etag();
     let is_known = text(&cx.headers, &header::IF_NONE_MATCH) == Some(etag.as_str());
-    let tagged = [(header::ETAG, etag)];
     if is_known {
-        return Ok((StatusCode::NOT_MODIFIED, tagged).into_response());
+        // The headers for caches are those of the whole file (RFC 9110, section 15.4.5).
+        let headers = [
+            (header::ETAG, etag.as_str()),
+            (header::CACHE_CONTROL, "no-cache"),
+            (header::VARY, "accept-encoding"),
+        ];
+        return Ok((StatusCode::NOT_MODIFIED, headers).into_response());
     }
-    Ok((tagged, content(asset.mime, "no-cache", asset.bytes)).into_response())
+    let file = content(asset.mime, "no-cache", asset.bytes);
+    Ok(([(header::ETAG, etag)], file).into_response())
 }

@@ -40,7 +40,7 @@ impl JsonFile {
         let comma = if self.is_empty { "" } else { "," };
         self.is_empty = false;
         let key = key.map(|key| format!("{}: ", Value::from(key)));
-        // JSON escapes the line breaks of texts: these are of the layout.
+        // Line breaks inside texts are escaped in JSON, so all that are left belong to the layout.
         let value = format!("{value:#}").replace('\n', "\n  ");
         let key = key.unwrap_or_default();
         self.file.put(&format!("{comma}\n  {key}{value}"))

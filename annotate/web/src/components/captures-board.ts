@@ -3,7 +3,7 @@
 import { html, nothing, type TemplateResult } from "lit";
 import { matching, matrixOf, noteOf, totals } from "../captures";
 import type { CaptureCell, Captures } from "../wire";
-import { Component, define, figureTable } from "./component";
+import { Component, define, figureTable, type Column } from "./component";
 
 /** Missing cells that are listed; the filter finds the others. */
 const LISTED = 100;
@@ -36,8 +36,13 @@ export class CapturesBoard extends Component {
       />
       ${figureTable(
         "Still to capture",
-        ["Motion", "Style", "Takes", "Note"],
-        missing.slice(0, LISTED).map((cell) => [cell.motion, cell.style, cell.missing, noteOf(cell)]),
+        missing.slice(0, LISTED),
+        [
+          ["Motion", (cell) => cell.motion],
+          ["Style", (cell) => cell.style],
+          ["Takes", (cell) => cell.missing],
+          ["Note", noteOf],
+        ],
         "Nothing is missing.",
       )}
       ${missing.length > LISTED ? html`<p class="note">${missing.length - LISTED} more are not listed; filter them.</p>` : nothing}
@@ -62,12 +67,9 @@ function matrix(cells: readonly CaptureCell[]): TemplateResult {
     const count = `${cell.arrived} / ${cell.takes}`;
     return cell.missing > 0 ? count : html`<span class="full">${count} ✓</span>`;
   };
-  return html`<div class="matrix">
-    ${figureTable(
-      "Takes that are here, of those wanted",
-      ["Motion", ...styles],
-      rows.map((row) => [row.motion, ...row.cells.map(shown)]),
-    )}
+  const byStyle = styles.map((style, at): Column<(typeof rows)[number]> => [style, ({ cells: own }) => shown(own[at])]);
+  return html`<div class="matrix tall">
+    ${figureTable("Takes that are here, of those wanted", rows, [["Motion", (row) => row.motion], ...byStyle])}
   </div>`;
 }
 

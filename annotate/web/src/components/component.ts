@@ -91,8 +91,8 @@ export function choice(
 export function lintList(lints: readonly Lint[]): TemplateResult {
   // An empty text is no fault before the answer is handed in.
   const shown = lints.filter((lint) => lint.code !== "empty");
-  return html`<ul class="lints" aria-live="polite">
-    ${shown.map((lint) => html`<li data-lint=${lint.code}>${lint.message}</li>`)}
+  return html`<ul class="lints plain col tight" aria-live="polite">
+    ${shown.map((lint) => html`<li class=${`tint ${lint.code === "side" ? "severe" : "warn"}`} data-lint=${lint.code}>${lint.message}</li>`)}
   </ul>`;
 }
 
@@ -106,15 +106,18 @@ export function pageLink(app: { go(path: string): void }, path: string, label: s
   return html`<a class=${className} href=${`/app/${path}`} @click=${go}>${label}</a>`;
 }
 
-/** A table from rows of cells; the first cell of a row names it. Without rows, `none` is shown in their place. */
-export function figureTable(caption: string, head: readonly string[], rows: readonly (readonly unknown[])[], none = "None."): TemplateResult {
-  const cells = (row: readonly unknown[]): TemplateResult[] =>
-    row.map((cell, index) => (index === 0 ? html`<th scope="row">${cell}</th>` : html`<td>${cell}</td>`));
-  const empty = html`<tr><td colspan=${head.length} class="note">${none}</td></tr>`;
+/** A column of a table: its head, and its cell in a row. */
+export type Column<T> = readonly [head: string, cell: (row: T, index: number) => unknown];
+
+/** A table; the first cell of a row names it. Without rows, `none` is shown in their place. */
+export function figureTable<T>(caption: string, rows: readonly T[], columns: readonly Column<T>[], none = "None."): TemplateResult {
+  const cells = (row: T, index: number): TemplateResult[] =>
+    columns.map(([, cell], at) => (at === 0 ? html`<th scope="row">${cell(row, index)}</th>` : html`<td>${cell(row, index)}</td>`));
+  const empty = html`<tr><td colspan=${columns.length} class="note">${none}</td></tr>`;
   return html`<table>
     <caption>${caption}</caption>
-    <thead><tr>${head.map((cell) => html`<th scope="col">${cell}</th>`)}</tr></thead>
-    <tbody>${rows.length === 0 ? empty : rows.map((row) => html`<tr>${cells(row)}</tr>`)}</tbody>
+    <thead><tr>${columns.map(([head]) => html`<th scope="col">${head}</th>`)}</tr></thead>
+    <tbody>${rows.length === 0 ? empty : rows.map((row, index) => html`<tr>${cells(row, index)}</tr>`)}</tbody>
   </table>`;
 }
 
@@ -125,7 +128,7 @@ export function switcher<T extends string | number>(
   chosen: T,
   choose: (value: T) => void,
 ): TemplateResult {
-  return html`<div class="row switcher" role="group" aria-label=${label}>
+  return html`<div class="row tight small" role="group" aria-label=${label}>
     ${options.map(([value, words]) => html`<button type="button" aria-pressed=${String(value === chosen)} @click=${() => choose(value)}>${words}</button>`)}
   </div>`;
 }

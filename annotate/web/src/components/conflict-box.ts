@@ -1,4 +1,7 @@
-/** Two versions of an answer to choose from. It opens while somebody types, so it takes no focus or keys at first. */
+/**
+ * Two versions of an answer to choose from. The box opens while somebody types, so it takes no focus, and its keys work
+ * only once the user has moved into it.
+ */
 
 import { html, type TemplateResult } from "lit";
 import { Component, define } from "./component";
@@ -86,7 +89,7 @@ export class ConflictBox extends Component {
 
   protected override render(): TemplateResult {
     const column = (title: string, lines: readonly string[]): TemplateResult =>
-      html`<section class="merge-column">
+      html`<section class="box">
         <h3>${title}</h3>
         <ul>${lines.map((line) => html`<li>${line}</li>`)}</ul>
       </section>`;
@@ -98,8 +101,8 @@ export class ConflictBox extends Component {
     return html`
       <h2>This task was changed in another window</h2>
       <p>Both versions are kept in the log. Go on typing, or choose here; <kbd>F6</kbd> moves here.</p>
-      <div class="merge">${column("In this window, now", this.mine())}${column("In the other window", this.theirs)}</div>
-      <div class="dialog-buttons">${CHOICES.map(button)}</div>
+      <div class="merge halves">${column("In this window, now", this.mine())}${column("In the other window", this.theirs)}</div>
+      <div class="dialog-buttons row">${CHOICES.map(button)}</div>
     `;
   }
 }

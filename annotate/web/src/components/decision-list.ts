@@ -6,7 +6,7 @@ import type { App } from "../app";
 import { when } from "../ui";
 import type { DecisionRow, Decisions } from "../wire";
 import { DECISION_WORDS, becameOf } from "../words";
-import { Component, action, define, figureTable, pageLink, switcher } from "./component";
+import { Component, action, define, figureTable, pageLink, switcher, type Column } from "./component";
 
 const WHOSE = [
   ["mine", "Mine"],
@@ -15,6 +15,16 @@ const WHOSE = [
 type Whose = (typeof WHOSE)[number][0];
 
 const KINDS: readonly (readonly [string, string])[] = [["", "All"], ["returned", "Sent back"], ["accepted", "Accepted"], ["merged", "Merged"], ["dropped", "Dropped"], ["reopened", "Reopened"]];
+
+const COLUMNS = (app: App): readonly Column<DecisionRow>[] => [
+  ["When", (row) => when(row.at)],
+  ["Who", (row) => row.reviewer_name],
+  ["Task", (row) => html`${pageLink(app, `task/${row.task}`, String(row.task))} <span class="note">${row.key}</span>`],
+  ["Decision", (row) => DECISION_WORDS[row.decision] ?? row.decision],
+  ["Whose answer", (row) => row.authors.join(", ")],
+  ["Comment", (row) => (row.rule ? `${row.comment} (rule ${row.rule})`.trim() : row.comment)],
+  ["What became of it", becameOf],
+];
 
 export class DecisionList extends Component {
   private whose: Whose = "mine";
@@ -52,32 +62,20 @@ export class DecisionList extends Component {
   protected override render(): TemplateResult {
     const mine = this.whose === "mine";
     return html`
-      <div class="row spread">
+      <div class="row between">
         ${switcher("Whose decisions", WHOSE, this.whose, (whose) => this.reload({ whose }))}
         ${switcher("Kind of decision", KINDS, this.kind, (kind) => this.reload({ kind }))}
       </div>
       <section class="card">
         ${figureTable(
           "Newest first",
-          ["When", ...(mine ? [] : ["Who"]), "Task", "Decision", "Whose answer", "Comment", "What became of it"],
-          this.items.map((row) => this.cells(row, mine)),
+          this.items,
+          COLUMNS(this.app).filter(([head]) => !mine || head !== "Who"),
           mine ? "You have decided nothing of this kind yet." : "Nothing of this kind was decided yet.",
         )}
         ${this.next === null ? nothing : html`<div class="row">${action("Older", "", () => this.reload({ more: true }))}</div>`}
       </section>
     `;
-  }
-
-  private cells(row: DecisionRow, mine: boolean): unknown[] {
-    return [
-      when(row.at),
-      ...(mine ? [] : [row.reviewer_name]),
-      html`${pageLink(this.app, `task/${row.task}`, String(row.task))} <span class="note">${row.key}</span>`,
-      DECISION_WORDS[row.decision] ?? row.decision,
-      row.authors.join(", "),
-      row.rule ? `${row.comment} (rule ${row.rule})`.trim() : row.comment,
-      becameOf(row),
-    ];
   }
 }
 

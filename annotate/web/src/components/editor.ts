@@ -34,6 +34,12 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
     return this.answer;
   }
 
+  /** Sets the answer after undo or a merge. */
+  setAnswer(answer: A): void {
+    this.answer = answer;
+    this.requestUpdate();
+  }
+
   abstract focusText(): void;
   protected abstract togglePart(name: string): void;
   protected abstract useDraft(): Promise<void>;
@@ -89,7 +95,7 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
       this.requestUpdate();
     };
     if (draft) {
-      return html`<div class="draft">
+      return html`<div class="draft box">
         <p class="note">Draft by ${draft.model || "the source"}; a proposal, to be checked word by word</p>
         <blockquote>${draft.text}</blockquote>
         <div class="row">${action("Use and edit", hint, use)}${action("Discard", "", () => discard(draft))}</div>
@@ -97,7 +103,7 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
     }
     if (!mayAsk || this.host.askDraft === null) return nothing;
     const label = this.asking ? "Asking for a draft…" : `Ask ${this.app.me.model ?? "the model"} for a draft`;
-    return html`<div class="draft">
+    return html`<div class="draft box">
       <button type="button" ?disabled=${this.asking} @click=${use}>${keyHint(hint)}<span class="button-label">${label}</span></button>
     </div>`;
   }
@@ -106,8 +112,8 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
   protected partRows(button: (part: PartInfo) => TemplateResult): TemplateResult {
     const { all, release } = this.app.parts;
     return html`
-      <div class="part-row">${release.map(button)}</div>
-      <div class="part-row minor">${all.filter((part) => !part.release).map(button)}</div>
+      <div class="row tight">${release.map(button)}</div>
+      <div class="row tight small">${all.filter((part) => !part.release).map(button)}</div>
     `;
   }
 
@@ -115,7 +121,7 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
   protected textField(label: string, name: string, placeholder: string, text: string, lints: readonly Lint[], typed: (text: string) => void): TemplateResult {
     const { keys } = this.app;
     return html`
-      <div class="text-label">${keyHint(keys.hint("text"))}${label}</div>
+      <div class="note row tight">${keyHint(keys.hint("text"))}${label}</div>
       <textarea
         rows="3"
         maxlength=${MAX_TEXT_CHARS}
@@ -132,9 +138,9 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
 
   protected phraseRow(name: string, lead: unknown, phrases: readonly string[], use: (phrase: string, index: number) => void): TemplateResult | typeof nothing {
     if (phrases.length === 0) return nothing;
-    return html`<div class="templates" role="group" aria-label=${name}>
+    return html`<div class="row tight" role="group" aria-label=${name}>
       <span class="note">${lead}</span>
-      ${phrases.map((phrase, index) => html`<button type="button" class="phrase" @click=${() => use(phrase, index)}>${phrase}</button>`)}
+      ${phrases.map((phrase, index) => html`<button type="button" class="phrase small" @click=${() => use(phrase, index)}>${phrase}</button>`)}
     </div>`;
   }
 

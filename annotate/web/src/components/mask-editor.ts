@@ -5,7 +5,7 @@ import { live } from "lit/directives/live.js";
 import type { App } from "../app";
 import { h } from "../dom";
 import { perform, type ActionId, type Deeds } from "../keys";
-import { toneClass, type RangeLanes } from "../lanes";
+import { toneOfMask, type RangeLanes } from "../lanes";
 import { lintCards } from "../lints";
 import { jointPhrase, rangeProblem, rangeWords } from "../masks";
 import { shortName, trackOf } from "../motions";
@@ -14,7 +14,7 @@ import { askReason } from "../ui";
 import type { Clip, Viewer } from "../viewer";
 import { MAX_MASKS, type CountReason, type MaskAnswer, type MotionInfo, type PartInfo, type Suggestion } from "../wire";
 import { COUNT_CHOICES, type MaskTextAnswer } from "../words";
-import { action, choice, define } from "./component";
+import { action, choice, define, swatch } from "./component";
 import { Editor, type EditorHost } from "./editor";
 
 export interface MaskStage {
@@ -59,11 +59,9 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     this.answer = this.filled(answer);
   }
 
-  /** Sets the answer after undo or a merge. */
-  setAnswer(answer: MaskTextAnswer): void {
-    this.answer = this.filled(answer);
+  override setAnswer(answer: MaskTextAnswer): void {
+    super.setAnswer(this.filled(answer));
     this.selected = Math.min(this.selected, this.answer.masks.length - 1);
-    this.requestUpdate();
   }
 
   perform(id: ActionId): boolean {
@@ -248,7 +246,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
       });
   }
 
-  /** What the key takes: after a suggestion that it filled in, or on an empty card, the next one; else the first. */
+  /** The suggestion that the key takes: the next one on a card that is empty or that it filled; else the first. */
   private get nextOffer(): Offer | null {
     const offers = this.offers(this.selected);
     const at = offers.findIndex((offer) => keyOf(offer.parts) === keyOf(this.card.parts));
@@ -371,7 +369,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     return html`
       ${this.suggestionRow()}
       ${this.previewBox()}
-      <div class="mask-cards">${this.answer.masks.map((mask, index) => this.cardOf(mask, index))}</div>
+      <div class="col">${this.answer.masks.map((mask, index) => this.cardOf(mask, index))}</div>
       <div class="row">
         ${action("New mask", this.app.keys.hint("mask_new"), () => this.perform("mask_new"))}
         <p class="note count-note">${this.answer.masks.length} of ${min_masks}–${max_masks}</p>
@@ -385,10 +383,10 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     if (open.length === 0) return nothing;
     const next = this.nextOffer;
     const hint = (offer: Offer): string => (next && keyOf(next.parts) === keyOf(offer.parts) ? app.keys.hint("accept_heat") : "");
-    return html`<div class="suggestions">
+    return html`<div class="row tight">
       <span class="note">Suggested, not chosen:</span>
       ${open.map(
-        (offer) => action(app.parts.phrases(offer.parts), hint(offer), () => this.take(offer.parts), "suggestion", offer.why),
+        (offer) => action(app.parts.phrases(offer.parts), hint(offer), () => this.take(offer.parts), "suggestion small", offer.why),
       )}
     </div>`;
   }
@@ -398,7 +396,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     if (!preview) return nothing;
     const { keys } = this.app;
     const partner = preview.partners[preview.index];
-    return html`<div class="preview-box">
+    return html`<div class="warn edged">
       <strong>Blend preview</strong>
       <p class="note">This mask on ${shortName(partner?.id ?? "")}. If the blend looks wrong, the mask is wrong.</p>
       <label class="inline">
@@ -425,17 +423,17 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     const { app } = this;
     const selected = index === this.selected;
     const same = mask.joints ? null : app.parts.sameAs(mask.parts);
-    return html`<section class=${`mask-card${selected ? " selected" : ""}`} aria-label=${`Mask ${index + 1}`}>
-      <div class="card-head">
+    return html`<section class=${`mask-card box${selected ? " selected" : ""}`} aria-label=${`Mask ${index + 1}`}>
+      <div class="row between">
         <button type="button" class="card-title" aria-expanded=${String(selected)} @click=${() => this.select(index)}>
-          <span class=${`card-number${mask.range ? ` ${toneClass(index)}` : ""}`}>${index + 1}</span>
+          <span class="card-number">${index + 1}</span>${swatch(mask.range ? toneOfMask(index) : null)}
           <span>${app.parts.phrases(mask.parts)}</span>
           ${same ? html`<span class="note">= ${app.parts.phrase(same)}</span>` : nothing}
           ${mask.range ? html`<span class="note" data-range>${rangeWords(mask.range, this.stage.motion.fps)}</span>` : nothing}
         </button>
-        ${selected ? action("Delete", app.keys.hint("mask_delete"), () => this.removeMask(index)) : nothing}
+        ${selected ? action("Delete", app.keys.hint("mask_delete"), () => this.removeMask(index), "small") : nothing}
       </div>
-      ${selected ? this.cardBody(mask, index) : html`<p class="card-text">${mask.text || "no description yet"}</p>`}
+      ${selected ? this.cardBody(mask, index) : html`<p class="note">${mask.text || "no description yet"}</p>`}
     </section>`;
   }
 
@@ -468,9 +466,9 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
         >${choice(name, phrase, app.partHint(name), mask.parts.includes(name), () => this.togglePart(name))}</span
       >`;
     };
-    return html`<div class="part-picker" role="group" aria-label="Body parts">
+    return html`<div class="col tight" role="group" aria-label="Body parts">
       ${this.partRows(button)}
-      <div class="part-row minor">
+      <div class="row tight small">
         ${choice("soft", "soft ring", app.keys.hint("soft_ring"), mask.soft, () => this.perform("soft_ring"))}
         ${choice("blend", "blend preview", app.keys.hint("preview"), this.preview !== null, () => this.perform("preview"))}
       </div>
@@ -480,13 +478,13 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
   private rangeRow(mask: MaskAnswer, index: number): TemplateResult {
     const { keys } = this.app;
     const problem = this.problemOf(mask);
-    return html`<div class="row range-row">
+    return html`<div class="row small">
         ${action("From In to Out", keys.hint("range_set"), () => this.perform("range_set"))}
         ${mask.range
           ? action("Whole clip", keys.hint("range_clear"), () => this.perform("range_clear"))
           : html`<span class="note">Holds for the whole clip.</span>`}
       </div>
-      ${problem === null ? nothing : html`<p class="mask-problem" role="alert">Mask ${index + 1} ${problem}.</p>`}`;
+      ${problem === null ? nothing : html`<p class="mask-problem severe tint" role="alert">Mask ${index + 1} ${problem}.</p>`}`;
   }
 
   /** The joints of the body, each with how the mask takes it: a click takes it the next way. */
@@ -497,13 +495,13 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
       const weight = parts.weightOf(mask, at);
       const chosen = mask.joints?.some((own) => own.joint === name) ?? false;
       const next = (): void => this.edit({ joints: parts.nextChoices(mask, at) });
-      return html`<button type="button" class=${`joint ${weight}${chosen ? " chosen" : ""}`} data-joint=${name} data-weight=${weight} @click=${next}>
+      return html`<button type="button" class=${`joint small between ${weight}${chosen ? " chosen" : ""}`} data-joint=${name} data-weight=${weight} @click=${next}>
         ${jointPhrase(name)} <span class="note">${weight}</span>
       </button>`;
     };
     return html`<details class="joints">
       <summary>Joints: ${count === 0 ? "as the parts say" : `${count} ${count === 1 ? "differs" : "differ"} from the parts`}</summary>
-      <div class="joint-list" role="group" aria-label="How the mask takes each joint">${parts.bodyJoints.map(joint)}</div>
+      <div class="halves" role="group" aria-label="How the mask takes each joint">${parts.bodyJoints.map(joint)}</div>
       ${count === 0 ? nothing : action("As the parts say", "", () => this.edit({ joints: [] }))}
     </details>`;
   }

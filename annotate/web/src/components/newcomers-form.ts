@@ -35,6 +35,7 @@ export class NewcomersForm extends Component {
     const problems = found.filter((own) => own.problem !== "").length;
     const label = found.length === 0 ? "Add all" : found.length === 1 ? "Add 1 person" : `Add ${found.length} people`;
     return html`
+      <hr>
       <div class="field">
         <label for="newcomers">Several people: a line <code>NAME</code> or <code>NAME,ROLE</code> each</label>
         <textarea
@@ -52,11 +53,16 @@ export class NewcomersForm extends Component {
       </div>
       ${found.length === 0
         ? nothing
-        : html`<div class="preview-lines" aria-live="polite">
+        : html`<div class="tall" aria-live="polite">
             ${figureTable(
               problems === 0 ? "All lines can be added" : `${problems} of ${found.length} lines cannot be added; nobody is added before they are mended`,
-              ["Line", "Name", "Role", "Problem"],
-              found.map((own) => [own.line, own.name, own.role, own.problem === "" ? "" : html`<span class="trouble">${own.problem}</span>`]),
+              found,
+              [
+                ["Line", (own) => own.line],
+                ["Name", (own) => own.name],
+                ["Role", (own) => own.role],
+                ["Problem", (own) => (own.problem === "" ? "" : html`<span class="trouble">${own.problem}</span>`)],
+              ],
             )}
           </div>`}
       <div class="row">
@@ -99,7 +105,7 @@ export class NewcomersForm extends Component {
     const select = (event: Event): void => (event.target as HTMLInputElement).select();
     const copyOne = (own: NewUserLink): void => void this.copy(linkOf(own, origin), `The link of ${own.user.name} is copied.`);
     return html`
-      <div class="returned-note" data-links tabindex="-1">
+      <div class="returned-note warn edged" data-links tabindex="-1">
         <strong>These links are shown only now.</strong> Each logs one person in until ${when(ends)}. Pass them on in private; a lost
         one is replaced by a new token in the table above.
       </div>
@@ -111,16 +117,12 @@ export class NewcomersForm extends Component {
           this.requestUpdate();
         })}
       </div>
-      ${figureTable(
-        "Links to log in",
-        ["Name", "Role", "Link", ""],
-        this.added.map((own) => [
-          own.user.name,
-          own.user.role,
-          html`<input type="text" readonly class="link" aria-label=${`Link of ${own.user.name}`} .value=${linkOf(own, origin)} @focus=${select} />`,
-          html`<button type="button" aria-label=${`Copy the link of ${own.user.name}`} @click=${() => copyOne(own)}>copy</button>`,
-        ]),
-      )}
+      ${figureTable("Links to log in", this.added, [
+        ["Name", ({ user }) => user.name],
+        ["Role", ({ user }) => user.role],
+        ["Link", (own) => html`<input type="text" readonly class="link" aria-label=${`Link of ${own.user.name}`} .value=${linkOf(own, origin)} @focus=${select} />`],
+        ["", (own) => html`<button type="button" aria-label=${`Copy the link of ${own.user.name}`} @click=${() => copyOne(own)}>copy</button>`],
+      ])}
     `;
   }
 

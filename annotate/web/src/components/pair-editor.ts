@@ -63,11 +63,6 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     this.classList.add("pair-editor");
   }
 
-  setAnswer(answer: TwoAnswer): void {
-    this.answer = answer;
-    this.requestUpdate();
-  }
-
   perform(id: ActionId): boolean {
     const { answer } = this;
     const rejects = Object.fromEntries(REJECTS.map(([verdict]) => [verdict, () => this.host.reject(verdict)]));
@@ -164,10 +159,10 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     const { keys } = this.app;
     const { parts, text } = this.answer;
     return html`
-      <div class="verdicts" role="group" aria-label="Reject and go on">
+      <div class="verdicts grid" role="group" aria-label="Reject and go on">
         ${REJECTS.map(([verdict, label]) => action(label, keys.hint(verdict), () => this.host.reject(verdict), `verdict ${verdict}`))}
       </div>
-      <div class="choices">${this.choices()}</div>
+      <div class="col">${this.choices()}</div>
       ${this.guidelines()}
       ${text.trim() === "" ? this.draftBox(this.drafts[0] ?? null, true) : nothing}
       ${this.textField("Instruction", "Instruction", "The instruction that turns the first motion into the second", text, lintText(text, parts), (typed) =>
@@ -181,14 +176,14 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     const { app, answer } = this;
     const { keys } = app;
     const group = (label: string, hint: string, rows: TemplateResult): TemplateResult =>
-      html`<div class="choice-group" role="group" aria-label=${label}>
-        <div class="text-label">${keyHint(hint)}${label}</div>
+      html`<div class="col tight" role="group" aria-label=${label}>
+        <div class="note row tight">${keyHint(hint)}${label}</div>
         ${rows}
       </div>`;
     const part = ({ name, phrase }: PartInfo): TemplateResult =>
       choice(name, phrase, app.partHint(name), answer.parts.includes(name), () => this.togglePart(name));
     const options = <T extends string>(kind: string, all: readonly T[], chosen: string | null, take: (value: T) => void): TemplateResult =>
-      html`<div class="part-row">${all.map((value) => choice(`${kind}-${value}`, value, "", value === chosen, () => take(value)))}</div>`;
+      html`<div class="row tight">${all.map((value) => choice(`${kind}-${value}`, value, "", value === chosen, () => take(value)))}</div>`;
     const parts = this.partRows(part);
     if (answer.kind === "style") {
       return html`
@@ -213,7 +208,7 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
       choice(`style-${name}`, name, "", name === chosen, () => this.edit({ style: name }), swatch(colour));
     const typed = (event: Event): void => this.edit({ style: (event.target as HTMLInputElement).value || null }, "style");
     return html`
-      <div class="part-row">${shown.map(button)}</div>
+      <div class="row tight">${shown.map(button)}</div>
       <input
         class="other-style"
         type="text"
@@ -237,7 +232,6 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     const names = [...new Set([this.host.sourceStyle, chosen])];
     return names.flatMap((name) => this.styles.filter((style) => style.name === name)).map(guidelinePanel);
   }
-
 }
 
 /** What the project says of the chosen style, or that it is new. */

@@ -3,25 +3,14 @@
 import { html, nothing, type TemplateResult } from "lit";
 import { ApiError, newReview, randomName } from "../api";
 import type { App } from "../app";
-import { h } from "../dom";
 import { kept } from "../history";
 import { perform, type ActionId, type Deeds, type Scope } from "../keys";
 import { describe, differing } from "../merge";
-import { ask, field } from "../ui";
-import {
-  MAX_TEXT_CHARS,
-  type Answer,
-  type Candidate,
-  type Decision,
-  type Lease,
-  type NewReview,
-  type ReviewDone,
-  type ReviewView,
-  type Verdict,
-} from "../wire";
-import { KIND_WORDS, apartWords, factsOf } from "../words";
+import { askComment, commentField } from "../ui";
+import type { Answer, Candidate, Decision, Lease, NewReview, ReviewDone, ReviewView, Verdict } from "../wire";
+import { KIND_WORDS, apartWords, factsOf, plural } from "../words";
 import { WorkClock } from "../work";
-import { answerCards } from "./answer-cards";
+import { answerCards, offered } from "./answer-cards";
 import { Component, action, define } from "./component";
 import { MaskEditor, type MaskStage } from "./mask-editor";
 import { PairEditor } from "./pair-editor";
@@ -42,7 +31,8 @@ export class ReviewPanel extends Component {
   private selected = 0;
   private merging: MaskEditor | PairEditor | null = null;
   private busy = false;
-  private comment = "";
+  /** Keeps the comment until it is sent, also after a refusal. */
+  private readonly comment = commentField();
   private lease: Lease;
   private heartbeat: number | null = null;
   private readonly work = new WorkClock();
@@ -164,29 +154,15 @@ export class ReviewPanel extends Component {
   }
 
   private async withComment(decision: "return" | "drop"): Promise<void> {
-    const text = h("textarea", { attrs: { rows: 4, maxlength: MAX_TEXT_CHARS } });
-    text.value = this.comment;
-    const back = decision === "return";
-    const choice = await ask(
-      back ? "Return with a comment" : "Drop this task: why?",
-      [field(back ? "What should be different?" : "Reason", text)],
-      back
-        ? [
-            { label: `Return to ${this.candidate?.author_name ?? "its author"}`, value: "one" as const, kind: "primary" },
-            { label: "Return to all", value: "all" as const },
-          ]
-        : [{ label: "Drop", value: "all" as const, kind: "danger" }],
-      text,
-    );
-    // Keep the comment until it is sent, also after a refusal.
-    this.comment = text.value;
+    const missing = "Write what is wrong; the author sees nothing else.";
+    const one = { label: `Return to ${this.candidate?.author_name ?? "its author"}`, value: "one", kind: "primary" as const };
+    const choice =
+      decision === "return"
+        ? await askComment("Return with a comment", "What should be different?", this.comment, [one, { label: "Return to all", value: "all" }], missing)
+        : await askComment("Drop this task: why?", "Reason", this.comment, [{ label: "Drop", value: "all", kind: "danger" }], missing);
     if (choice === null) return this.app.focusStage();
-    if (this.comment.trim() === "") {
-      this.app.toasts.show("Write what is wrong; the author sees nothing else.", { id: "comment", kind: "error" });
-      return this.withComment(decision);
-    }
     const author = choice === "one" ? (this.candidate?.revision.author ?? null) : null;
-    await this.decide(decision, { comment: this.comment.trim(), author });
+    await this.decide(decision, { comment: this.comment.value.trim(), author });
   }
 
   private merge(): void {
@@ -238,13 +214,13 @@ export class ReviewPanel extends Component {
     return html`
       <div class="panel-scroll">
         ${this.head}
-        <p class="rule">${KIND_WORDS[task.kind]}, task ${task.id}. ${apart}</p>
+        <p class="rule edged">${KIND_WORDS[task.kind]}, task ${task.id}. ${apart}</p>
         ${captions.map((caption) => html`<p class="note">Caption: ${caption}</p>`)}
         ${facts.length === 0 ? nothing : html`<ul class="facts">${facts.map((fact) => html`<li>${fact}</li>`)}</ul>`}
         ${this.offered()}
-        ${comments.map((comment) => html`<div class="returned-note">Earlier comment: ${comment}</div>`)}
+        ${comments.map((comment) => html`<div class="returned-note warn edged">Earlier comment: ${comment}</div>`)}
         ${this.review.clip_changed
-          ? html`<div class="returned-note"><strong>The clip has changed:</strong> it was ingested anew, with other content, after these answers. Do they still hold?</div>`
+          ? html`<div class="returned-note warn edged"><strong>The clip has changed:</strong> it was ingested anew, with other content, after these answers. Do they still hold?</div>`
           : nothing}
         ${this.merging
           ? this.mergeBox(this.merging)
@@ -259,12 +235,9 @@ export class ReviewPanel extends Component {
   private offered(): TemplateResult | typeof nothing {
     const { suggestions } = this.review;
     if (suggestions.length === 0) return nothing;
-    const words = (parts: readonly string[], text: string): string =>
-      [parts.map((part) => this.app.parts.phrase(part)).join(", "), text && `“${text}”`].filter((own) => own !== "").join(": ");
-    const lines = suggestions.map(({ text, parts, model }) => html`<li>${words(parts, text)} <span class="note">${model}</span></li>`);
     return html`<details class="offered">
-      <summary>What annotators were offered: ${suggestions.length === 1 ? "1 suggestion" : `${suggestions.length} suggestions`}</summary>
-      <ul>${lines}</ul>
+      <summary>What annotators were offered: ${plural(suggestions.length, "suggestion")}</summary>
+      <ul>${suggestions.map((own) => offered(this.app, own))}</ul>
     </details>`;
   }
 
@@ -273,7 +246,7 @@ export class ReviewPanel extends Component {
     const lines = others.flatMap(({ revision, author_name }) => describe(this.app.parts, revision.answer).map((line) => html`<li>${author_name}: ${line}</li>`));
     return html`<div class="merge-box">
       <h2>Merge and edit</h2>
-      <ul class="others">${lines}</ul>
+      <ul class="note">${lines}</ul>
       ${editor}
       <div class="row">
         ${action("Accept this", this.app.keys.hint("submit"), () => void this.commitMerge(), "primary")}
@@ -284,7 +257,7 @@ export class ReviewPanel extends Component {
 
   private buttons(): TemplateResult {
     const { keys } = this.app;
-    return html`<div class="panel-foot">
+    return html`<div class="panel-foot row">
       ${action("Accept", keys.hint("review_accept"), () => this.accept(), "primary")}
       ${action("Return", keys.hint("review_return"), () => void this.withComment("return"))}
       ${action("Merge", keys.hint("review_merge"), () => this.merge())}

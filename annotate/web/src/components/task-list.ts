@@ -128,11 +128,11 @@ export class TaskList extends Component {
     const { first, end } = this.drawnRows();
     const rows = Array.from({ length: end - first }, (_, index) => this.rowAt(first + index));
     return html`
-      <div class="list-head" role="row" aria-rowindex="1">
+      <div class="list-head note" role="row" aria-rowindex="1">
         ${COLUMNS.map((name) => html`<span role="columnheader">${name}</span>`)}
       </div>
       <div class="list-body" role="presentation"><div class="list-rows" role="presentation">${rows}</div></div>
-      ${this.list.trouble === null ? nothing : html`<p class="list-trouble" role="alert">
+      ${this.list.trouble === null ? nothing : html`<p class="list-trouble warn edged" role="alert">
         Not loaded: ${reason(this.list.trouble)} <button type="button" @click=${() => void this.list.again()}>Try again</button>
       </p>`}
     `;

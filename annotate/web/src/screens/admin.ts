@@ -1,13 +1,13 @@
 /** Administration: exports and imports, users and tokens, settings, the log. */
 
-import { html } from "lit";
+import { html, type TemplateResult } from "lit";
 import { queryOf } from "../api";
 import type { App, Screen } from "../app";
-import { element } from "../components/component";
+import { element, figureTable } from "../components/component";
 import { NewcomersForm } from "../components/newcomers-form";
-import { fill, h, type Child } from "../dom";
+import { fill, h } from "../dom";
 import { StyleRows } from "../style-rows";
-import { ask, button, field, input, select, table, tell, when } from "../ui";
+import { ask, button, field, input, select, tell, when } from "../ui";
 import {
   EDIT_TYPES,
   ROLES,
@@ -15,19 +15,21 @@ import {
   type ExportFormat,
   type ImportFormat,
   type Job,
+  type Role,
   type Settings,
   type TokenInfo,
   type TokenShown,
   type User,
+  type UserChange,
 } from "../wire";
 import { widePage } from "./frame";
 
 const POLL_MS = 500;
 
 export async function openAdmin(app: App): Promise<Screen> {
-  const people = h("div", { class: "stack" }, await peopleSection(app), modelSection(app), capturesSection(app));
+  const people = h("div", { class: "col" }, await peopleSection(app), modelSection(app), capturesSection(app));
   const sections = [exportsSection(app), people, await settingsSection(app), auditSection(app)];
-  return widePage("Administration", null, h("div", { class: "dashboard" }, ...sections));
+  return widePage("Administration", null, h("div", { class: "dashboard grid" }, ...sections));
 }
 
 function exportsSection(app: App): HTMLElement {
@@ -69,32 +71,24 @@ function exportsSection(app: App): HTMLElement {
   };
   return element(html`<section class="card wide">
     <h2>Export and import</h2>
-    <div class="forms">
-      <div class="row">
-        ${field("Layout", format)}<label class="inline">${events}with the whole log</label>${button("Export", exportNow, app, "primary")}
-      </div>
-      <div class="row">${field("File", file)}${field("Layout of the file", importFormat)}${button("Import", importNow, app)}</div>
+    <div class="row">
+      ${field("Layout", format)}<label class="inline">${events}with the whole log</label>${button("Export", exportNow, app, "primary")}
     </div>
+    <div class="row">${field("File", file)}${field("Layout of the file", importFormat)}${button("Import", importNow, app)}</div>
     ${jobs}
   </section>`);
 }
 
 function jobTable(jobs: Job[]): HTMLElement {
-  return table(
-    "Runs",
-    ["Run", "State", "Done", "Counts", "Messages", "Files"],
-    jobs.map((job) => [
-      `${job.id} · ${job.kind} ${job.format} · ${when(job.started)}`,
-      job.state,
-      job.total === null ? job.done : `${job.done} of ${job.total}`,
-      Object.entries(job.counts).map(([name, count]) => `${name} ${count}`).join(", "),
-      job.messages.join("; "),
-      h("span", {}, ...job.files.flatMap((name): Child[] => {
-        const link = h("a", {}, name);
-        link.href = `/api/v1/jobs/${job.id}/files/${encodeURIComponent(name)}`;
-        link.download = name;
-        return [link, " "];
-      })),
+  const link = ({ id }: Job, name: string): TemplateResult => html`<a href=${`/api/v1/jobs/${id}/files/${encodeURIComponent(name)}`} download=${name}>${name}</a> `;
+  return element(
+    figureTable("Runs", jobs, [
+      ["Run", (job) => `${job.id} · ${job.kind} ${job.format} · ${when(job.started)}`],
+      ["State", (job) => job.state],
+      ["Done", (job) => (job.total === null ? job.done : `${job.done} of ${job.total}`)],
+      ["Counts", (job) => Object.entries(job.counts).map(([name, count]) => `${name} ${count}`).join(", ")],
+      ["Messages", (job) => job.messages.join("; ")],
+      ["Files", (job) => job.files.map((name) => link(job, name))],
     ]),
   );
 }
@@ -105,32 +99,21 @@ async function peopleSection(app: App): Promise<HTMLElement> {
   const refresh = async (): Promise<void> => {
     const users = await app.api.get<User[]>("users");
     names = new Set(users.map((user) => user.name));
-    fill(
-      box,
-      table(
-        "People",
-        ["Name", "Role", "May log in", "Tokens"],
-        users.map((user) => [
-          user.name,
-          roleSelect(user),
-          button(user.active ? "yes; close" : "no; open", async () => {
-            await app.api.json<User>("PATCH", `users/${user.id}`, { active: !user.active });
-            await refresh();
-          }, app),
-          h("span", { class: "row" }, button("new token", () => newToken(user), app), button("tokens", () => tokens(user), app)),
-        ]),
-      ),
-    );
+    const people = figureTable("People", users, [
+      ["Name", (user) => user.name],
+      ["Role", roleSelect],
+      ["May log in", (user) => button(user.active ? "yes; close" : "no; open", () => change(user, { active: !user.active }), app)],
+      ["Tokens", (user) => html`<span class="row">${button("new token", () => newToken(user), app)}${button("tokens", () => tokens(user), app)}</span>`],
+    ]);
+    fill(box, element(people));
+  };
+  const change = async (user: User, to: Partial<UserChange>): Promise<void> => {
+    await app.api.json<User>("PATCH", `users/${user.id}`, to).finally(refresh);
   };
   const roleSelect = (user: User): HTMLSelectElement => {
     const own = select(ROLES.map((role) => [role, role] as const), user.role);
     own.setAttribute("aria-label", `Role of ${user.name}`);
-    own.addEventListener("change", () => {
-      app.api
-        .json<User>("PATCH", `users/${user.id}`, { role: own.value })
-        .catch((error: unknown) => app.toasts.fail(error))
-        .finally(() => void refresh());
-    });
+    own.addEventListener("change", () => void change(user, { role: own.value as Role }).catch((error: unknown) => app.toasts.fail(error)));
     return own;
   };
   const newToken = async (user: User): Promise<void> => {
@@ -138,22 +121,17 @@ async function peopleSection(app: App): Promise<HTMLElement> {
   };
   const tokens = async (user: User): Promise<void> => {
     const all = await app.api.get<TokenInfo[]>(`users/${user.id}/tokens`);
-    const list = table(
-      `Tokens of ${user.name}`,
-      ["Made", "Ends", "Last used", ""],
-      all.map((token) => [
-        when(token.created),
-        when(token.expires),
-        when(token.last_used),
-        token.revoked
-          ? "revoked"
-          : button("revoke", async () => {
-              await app.api.json<void>("DELETE", `tokens/${token.id}`);
-              app.toasts.show("Revoked.");
-            }, app),
-      ]),
-    );
-    await tell(`Tokens of ${user.name}`, [list]);
+    const revoke = async (id: number): Promise<void> => {
+      await app.api.json<void>("DELETE", `tokens/${id}`);
+      app.toasts.show("Revoked.");
+    };
+    const list = figureTable(`Tokens of ${user.name}`, all, [
+      ["Made", (token) => when(token.created)],
+      ["Ends", (token) => when(token.expires)],
+      ["Last used", (token) => when(token.last_used)],
+      ["", (token) => (token.revoked ? "revoked" : button("revoke", () => revoke(token.id), app))],
+    ]);
+    await tell(`Tokens of ${user.name}`, [element(list)]);
   };
   const showToken = async (shown: TokenShown): Promise<void> => {
     const value = input("text", shown.token, { readonly: true });
@@ -243,8 +221,8 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   return element(html`<section class="card">
     <h2>Settings</h2>
     ${field("Project", name)}
-    <div class="numbers">${NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))}</div>
-    <div class="numbers">${types.map(([type, own]) => field(`Pairs wanted of edit type “${type}” (0: any)`, own))}</div>
+    <div class="numbers grid">${NUMBERS.map(([key, label]) => field(label, numbers.get(key) as HTMLInputElement))}</div>
+    <div class="numbers grid">${types.map(([type, own]) => field(`Pairs wanted of edit type “${type}” (0: any)`, own))}</div>
     ${field("Time zone in which days begin, such as Europe/Berlin", zone)} ${styles.element}
     ${PHRASES.map(([key, label]) => field(label, phrases.get(key) as HTMLTextAreaElement))}
     ${button("Save settings", save, app, "primary")}
@@ -259,9 +237,9 @@ function capturesSection(app: App): HTMLElement {
       Which motions are captured in which styles is planned in a CSV file with lines motion,style,takes.
       ${app.link("dashboard", "The dashboard")} shows what is still to capture.
     </p>
-    <pre><code>stance annotate DATASET captures plan.csv</code></pre>
+    <pre class="box"><code>stance annotate DATASET captures plan.csv</code></pre>
     <p>A page for performers, with the guideline of each style and what is still to capture in it:</p>
-    <pre><code>stance annotate DATASET captures --sheet sheet.html</code></pre>
+    <pre class="box"><code>stance annotate DATASET captures --sheet sheet.html</code></pre>
   </section>`);
 }
 
@@ -272,7 +250,7 @@ function modelSection(app: App): HTMLElement {
     <h2>Language model</h2>
     <p>${app.me.model ? `Drafts come from ${app.me.model}.` : none}</p>
     <p>Drafts for all tasks before people start, again after new clips:</p>
-    <pre><code>stance annotate DATASET drafts</code></pre>
+    <pre class="box"><code>stance annotate DATASET drafts</code></pre>
   </section>`);
 }
 
@@ -286,19 +264,15 @@ function auditSection(app: App): HTMLElement {
     const query = queryOf({ limit: 50, actor: actor.value, kind: kind.value.trim(), task: task.value, before: more ? before : null });
     const audit = await app.api.get<Audit>(`audit${query}`);
     before = audit.next;
-    const rows = table(
-      "The log, newest first",
-      ["Place", "When", "Who", "What", "Task", "More"],
-      audit.entries.map((entry) => [
-        entry.seq,
-        when(entry.at),
-        entry.actor_name ?? "the program",
-        entry.kind,
-        entry.task ?? "",
-        h("code", {}, shorten(JSON.stringify(entry.body))),
-      ]),
-    );
-    fill(results, rows, before !== null && button("Older", () => search(true), app));
+    const rows = figureTable("The log, newest first", audit.entries, [
+      ["Place", (entry) => entry.seq],
+      ["When", (entry) => when(entry.at)],
+      ["Who", (entry) => entry.actor_name ?? "the program"],
+      ["What", (entry) => entry.kind],
+      ["Task", (entry) => entry.task ?? ""],
+      ["More", (entry) => html`<code>${shorten(JSON.stringify(entry.body))}</code>`],
+    ]);
+    fill(results, element(rows), before !== null && button("Older", () => search(true), app));
   };
   const fields = [field("Person (number)", actor), field("Kind", kind), field("Task", task)];
   return element(html`<section class="card wide">

@@ -30,19 +30,19 @@ export async function openAnswer(app: App, kind: TaskKind, argument: string, sho
 }
 
 function emptyScreen(app: App, kind: TaskKind, empty: Empty | null): Screen {
-  const lines: string[] = [];
-  if (empty) {
-    if (empty.total === 0) lines.push("No tasks of this kind have been imported.");
-    if (empty.done > 0) lines.push(`${empty.done} of ${empty.total} have all wanted answers.`);
-    if (empty.waiting_for_others > 0) lines.push(`${empty.waiting_for_others} have your answer and wait for other people.`);
-    if (empty.leased_by_others > 0) {
-      const next = empty.soonest_expiry === null ? "" : `; the first of them becomes free ${until(empty.soonest_expiry)} unless its holder continues`;
-      lines.push(`${empty.leased_by_others} are held by others${next}.`);
-    }
-    if (empty.skipped_by_me > 0) lines.push(`${empty.skipped_by_me} were skipped by you.`);
-    if (empty.quota_full > 0) lines.push(`${empty.quota_full} are of categories that have enough pairs.`);
-    if (empty.dropped > 0) lines.push(`${empty.dropped} were dropped by reviewers.`);
-  }
+  const free = empty?.soonest_expiry ? `; the first of them becomes free ${until(empty.soonest_expiry)} unless its holder continues` : "";
+  const counts: readonly (readonly [number, string])[] = empty
+    ? [
+        [empty.done, `of ${empty.total} have all wanted answers.`],
+        [empty.waiting_for_others, "have your answer and wait for other people."],
+        [empty.leased_by_others, `are held by others${free}.`],
+        [empty.skipped_by_me, "were skipped by you."],
+        [empty.quota_full, "are of categories that have enough pairs."],
+        [empty.dropped, "were dropped by reviewers."],
+      ]
+    : [];
+  const lines = counts.filter(([count]) => count > 0).map(([count, words]) => `${count} ${words}`);
+  if (empty?.total === 0) lines.push("No tasks of this kind have been imported.");
   const home = app.link("home", "Home", "button primary");
   const title = h("h1", {}, `${KIND_WORDS[kind]}: nothing for you now`);
   const again = plainButton("Look again", () => app.go(ROUTE_OF[kind]));

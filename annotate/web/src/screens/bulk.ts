@@ -4,9 +4,9 @@ import { reason } from "../api";
 import type { App } from "../app";
 import { h, type Child } from "../dom";
 import type { Chosen } from "../filter";
-import { alertLine, ask, field, inSteps, select, tell } from "../ui";
-import { BULK_ACTIONS, MAX_TEXT_CHARS, type BulkAction, type BulkDone, type BulkRequest, type Person, type TaskFilter } from "../wire";
-import { KIND_WORDS, STATE_WORDS } from "../words";
+import { alertLine, ask, commentField, field, inSteps, select, tell } from "../ui";
+import { BULK_ACTIONS, type BulkAction, type BulkDone, type BulkRequest, type Person, type TaskFilter } from "../wire";
+import { KIND_WORDS, STATE_WORDS, plural } from "../words";
 import { listOf } from "./frame";
 
 /** The name of each action, what a task is afterwards, and what that means. */
@@ -59,8 +59,6 @@ function wordsOf(app: App, filter: TaskFilter, people: readonly Person[]): strin
   return said.length === 0 ? "This concerns all tasks: there is no filter." : `This concerns the tasks of the filter: ${said.join("; ")}.`;
 }
 
-const plural = (count: number): string => `${count} ${count === 1 ? "task" : "tasks"}`;
-
 /** Asks what to do with all tasks of a filter, and does it. Returns whether anything was tried. */
 export async function actOnAll(app: App, { filter }: Chosen, people: readonly Person[]): Promise<boolean> {
   const request = await askRequest(app, filter, people);
@@ -77,7 +75,7 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
   const [label, done] = WORDS[request.action];
   let ending = "";
   try {
-    const stopped = await inSteps(`${label}: looking at ${plural(preview.looked_at)}`, preview.looked_at, async (show) => {
+    const stopped = await inSteps(`${label}: looking at ${plural(preview.looked_at, "task")}`, preview.looked_at, async (show) => {
       const some = await app.api.post<BulkDone>("bulk", { ...request, after: all.next });
       all.looked_at += some.looked_at;
       all.done += some.done;
@@ -92,14 +90,14 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
   }
   const rest = leftAloneList(all.left_alone);
   if (rest.length === 0 && ending === "") rest.push(h("p", {}, "None was left alone."));
-  await tell(`${plural(all.done)} ${done}`, [ending !== "" && h("p", { class: "trouble" }, ending), ...rest]);
+  await tell(`${plural(all.done, "task")} ${done}`, [ending !== "" && h("p", { class: "trouble" }, ending), ...rest]);
   return true;
 }
 
 /** Asks for the action with its comment or person; `null` if the user cancels. */
 async function askRequest(app: App, filter: TaskFilter, people: readonly Person[]): Promise<BulkRequest | null> {
   const action = select(BULK_ACTIONS.map((own) => [own, WORDS[own][0]] as const));
-  const comment = h("textarea", { attrs: { rows: 3, maxlength: MAX_TEXT_CHARS } });
+  const comment = commentField();
   const person = personSelect(people);
   const fields = { comment: field("Comment, for the authors and the log", comment), person: field("Person", person) };
   const means = h("p", { class: "note", attrs: { "aria-live": "polite" } });
@@ -139,15 +137,15 @@ async function confirm(request: BulkRequest, preview: BulkDone, people: readonly
   const to = people.find(({ user }) => user.id === request.person)?.user.name;
   const rest = leftAloneList(preview.left_alone);
   if (preview.done === 0) {
-    await tell("Nothing to do", [h("p", {}, `None of ${plural(preview.looked_at)} would be ${done}.`), ...rest]);
+    await tell("Nothing to do", [h("p", {}, `None of ${plural(preview.looked_at, "task")} would be ${done}.`), ...rest]);
     return false;
   }
   const body: Child[] = [
-    h("p", {}, `${plural(preview.done)} of ${preview.looked_at} will be ${done}${to ? ` to ${to}` : ""}. ${means}`),
+    h("p", {}, `${plural(preview.done, "task")} of ${preview.looked_at} will be ${done}${to ? ` to ${to}` : ""}. ${means}`),
     request.comment !== "" && h("p", {}, "Your comment: ", h("q", {}, request.comment)),
     ...rest,
   ];
   const kind = action === "drop" || action === "reopen" ? ("danger" as const) : ("primary" as const);
-  const label = `${action === "assign" ? "Assign" : name} ${plural(preview.done)}`;
+  const label = `${action === "assign" ? "Assign" : name} ${plural(preview.done, "task")}`;
   return (await ask(`${label}?`, body, [{ label, value: true, kind }])) === true;
 }

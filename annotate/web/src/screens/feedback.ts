@@ -58,8 +58,8 @@ export async function openFeedback(app: App, argument: string): Promise<Screen> 
     "Feedback",
     [
       h("h2", { attrs: { role: "status" } }, `Practice: ${percent(score)} right`),
-      h("p", { class: practice.passed ? "practice-note passed" : "practice-note", data: { standing: practice.passed ? "passed" : "open" } }, practiceWords(practice)),
-      h("p", { class: "summary" }, summary(rows)),
+      h("p", { class: `practice-note edged${practice.passed ? " passed" : ""}`, data: { standing: practice.passed ? "passed" : "open" } }, practiceWords(practice)),
+      h("p", {}, h("strong", {}, summary(rows))),
       ...rows.map(comparedRow),
       h("div", { class: "row", attrs: { role: "group", "aria-label": "Shown on the body" } }, h("kbd", {}, keys.hint("practice_compare")), ...buttons),
     ],
@@ -78,8 +78,8 @@ export async function openFeedback(app: App, argument: string): Promise<Screen> 
 }
 
 function comparedRow({ what, mine, known, mark }: Compared): HTMLElement {
-  return element(html`<section class=${`compared ${mark}`} data-mark=${mark}>
-    <div class="card-head"><strong>${what}</strong><span class="mark">${MARK_WORDS[mark]}</span></div>
-    <dl><div><dt>you</dt><dd>${mine}</dd></div><div><dt>known</dt><dd>${known}</dd></div></dl>
+  return element(html`<section class=${`compared box ${mark}`} data-mark=${mark}>
+    <div class="row between"><strong>${what}</strong><span class="mark">${MARK_WORDS[mark]}</span></div>
+    <dl class="halves"><div><dt>you</dt><dd>${mine}</dd></div><div><dt>known</dt><dd>${known}</dd></div></dl>
   </section>`);
 }

@@ -20,6 +20,7 @@ export function widePage(title: string, above: Child, ...body: Child[]): Screen 
 export function workScreen(viewer: Viewer, panel: HTMLElement, className: string, task: number | null, rest: Omit<Screen, "element" | "focusTarget" | "draw">): Screen {
   const { leave } = rest;
   const data: Record<string, string> = task === null ? {} : { task: String(task) };
+  // `rest` itself: a copy would hold what its getters return now.
   return Object.assign(rest, {
     element: h("div", { class: `work ${className}`, data }, viewer.element, panel),
     focusTarget: viewer.focusTarget,
@@ -37,18 +38,18 @@ export function panelOf(label: string, body: readonly Child[], foot: readonly Ch
     "aside",
     { class: "panel", attrs: { "aria-label": label }, data: { region: "panel" } },
     h("div", { class: "panel-scroll" }, ...body),
-    foot.length > 0 && h("div", { class: "panel-foot" }, ...foot),
+    foot.length > 0 && h("div", { class: "panel-foot row" }, ...foot),
   );
 }
 
-/** Links to pages side by side; `mark` says what the current one is marked as. */
+/** Links to pages side by side; `mark` is the value of `aria-current` at the current one. */
 export function tabs(app: App, label: string, pages: readonly (readonly [string, string])[], current: string, mark = "page"): HTMLElement {
   const links = pages.map(([path, words]) => {
-    const link = app.link(path, words, "tab");
+    const link = app.link(path, words, "button small tab");
     setAttr(link, "aria-current", path === current ? mark : null);
     return link;
   });
-  return h("nav", { class: "tabs", attrs: { "aria-label": label } }, ...links);
+  return h("nav", { class: "tabs row tight", attrs: { "aria-label": label } }, ...links);
 }
 
 export function listOf(lines: readonly Child[], className = ""): HTMLElement {
@@ -57,12 +58,12 @@ export function listOf(lines: readonly Child[], className = ""): HTMLElement {
 
 /** Figures with their names. */
 export function figuresOf(figures: readonly (readonly [string, string | number])[]): HTMLElement {
-  return h("dl", { class: "figures" }, ...figures.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
+  return h("dl", { class: "figures row" }, ...figures.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
 }
 
 /** A note that a border sets off. */
-export function noteBox(what: string, text: string, className = "returned-note"): HTMLElement {
-  return h("div", { class: className, attrs: { role: "note" } }, h("strong", {}, what), text);
+export function noteBox(what: string, text: string, className = "returned-note warn"): HTMLElement {
+  return h("div", { class: `${className} edged`, attrs: { role: "note" } }, h("strong", {}, what), text);
 }
 
 /** Reads anew some time after a change on the server that `concerns` the page. Returns what ends it. */

@@ -1,12 +1,13 @@
 /** The guide as a page, and its editor for admins. */
 
+import { html, nothing, type TemplateResult } from "lit";
+import { live } from "lit/directives/live.js";
 import type { App, Screen } from "../app";
-import { html } from "lit";
-import { element } from "../components/component";
+import { Component, action, define } from "../components/component";
 import { fill, h, type Child } from "../dom";
-import { formatGuide, kindGuide, pictureFigure, pictureName, pictureUrl } from "../guide";
+import { formatGuide, kindGuide, pictureFigure, pictureName, picturePath } from "../guide";
 import { kept } from "../history";
-import { field, input, plainButton, select } from "../ui";
+import { plainButton } from "../ui";
 import { TASK_KINDS, type Guide, type GuidePicture, type KindGuide, type PictureInfo, type Settings, type TaskKind } from "../wire";
 import { KIND_WORDS } from "../words";
 import { pageScreen, tabs } from "./frame";
@@ -17,8 +18,8 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
   const all = h("section", { class: "card", data: { guide: "all" } });
   let guide = await app.api.get<Guide>("guide");
 
-  const edit = (run: () => void): Child => app.may("admin") && plainButton("Edit", run);
-  const head = (title: string, button: Child): HTMLElement => h("div", { class: "card-head" }, h("h2", {}, title), button);
+  const edit = (run: () => void): Child => app.may("admin") && plainButton("Edit", run, "small");
+  const head = (title: string, button: Child): HTMLElement => h("div", { class: "row between" }, h("h2", {}, title), button);
   const draw = (): void => {
     fill(own, head(KIND_WORDS[kind], edit(() => editKind())), ...kindGuide(guide, kind, app.me.project.styles));
     fill(all, head("For all tasks", edit(() => editAll())), ...formatGuide(guide.text));
@@ -30,8 +31,7 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
   };
   const open = (section: HTMLElement, of: TaskKind | null, title: string, start: KindGuide, save: (changed: KindGuide) => Promise<unknown>): void => {
     const editor = new GuideEditor(app, of, title, start, (changed) => save(changed).then(reload), draw);
-    fill(section, editor.element);
-    editor.focus();
+    fill(section, editor);
   };
   const editKind = (): void =>
     open(own, kind, KIND_WORDS[kind], guide.kinds[kind] ?? { text: "", pictures: [] }, (changed) => app.api.json("PUT", `guide/${kind}`, changed));
@@ -47,12 +47,8 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
 }
 
 /** Text and pictures of a guide, with a preview. What is written is kept in the browser until it is saved. */
-class GuideEditor {
-  readonly element: HTMLElement;
-  private readonly text = h("textarea", { attrs: { rows: 14 } });
-  private readonly rows = h("ul", { class: "picture-rows" });
-  private readonly preview = h("div", { class: "guide-preview" });
-  private pictures: GuidePicture[];
+class GuideEditor extends Component {
+  private guide: KindGuide;
   private readonly kept: string;
   /** Pictures that were in the text or uploaded: those no guide shows in the end are deleted. */
   private readonly touched: Set<string>;
@@ -61,99 +57,84 @@ class GuideEditor {
     private readonly app: App,
     /** The kind of task; `null` for the text of all kinds, which has no pictures. */
     private readonly kind: TaskKind | null,
-    title: string,
+    private readonly heading: string,
     start: KindGuide,
     private readonly save: (changed: KindGuide) => Promise<void>,
     private readonly close: () => void,
   ) {
+    super();
+    this.classList.add("guide-editor");
     this.kept = app.keep(`guide:${kind ?? "all"}`);
-    const { text, pictures } = kept<KindGuide>(this.kept) ?? start;
-    this.text.value = text;
-    this.pictures = [...pictures];
-    this.touched = new Set([...start.pictures, ...pictures].map((picture) => picture.name));
-    const file = input("file", "", { accept: "image/png,image/jpeg,image/gif,image/webp" });
-    file.addEventListener("change", () => {
-      const chosen = file.files?.[0];
-      if (chosen) this.try(this.upload(chosen).finally(() => (file.value = "")));
-    });
-    this.text.addEventListener("input", () => this.changed());
-    const how = "Plain text. A line that begins with # is a heading, one with - an item of a list; an empty line ends a paragraph.";
-    const more = kind === null ? [] : [this.rows, field("Add a picture (PNG, JPEG, GIF or WebP, up to 2 MB)", file)];
-    const buttons = [plainButton("Save", () => this.try(this.commit()), "primary"), plainButton("Cancel", () => this.try(this.cancel()))];
-    this.element = element(html`<div class="guide-editor">
-      <h2>Edit: ${title}</h2>
-      <div class="guide-columns">
-        <div>${field("Text", this.text, how)}${more}</div>
-        <div><h3>Preview</h3>${this.preview}</div>
-      </div>
-      <div class="row">${buttons}</div>
-    </div>`);
-    this.drawRows();
-    this.drawPreview();
+    this.guide = kept<KindGuide>(this.kept) ?? start;
+    this.touched = new Set([...start.pictures, ...this.guide.pictures].map((picture) => picture.name));
+    this.focusOn("textarea");
   }
 
-  focus(): void {
-    this.text.focus();
+  private change(change: Partial<KindGuide>): void {
+    this.guide = { ...this.guide, ...change };
+    localStorage.setItem(this.kept, JSON.stringify(this.guide));
+    this.requestUpdate();
   }
 
   private try(work: Promise<void>): void {
     work.catch((error: unknown) => this.app.toasts.fail(error, "Not saved: ", { ms: 15_000 }));
   }
 
-  private get current(): KindGuide {
-    return { text: this.text.value, pictures: this.pictures };
-  }
-
-  private changed(): void {
-    localStorage.setItem(this.kept, JSON.stringify(this.current));
-    this.drawPreview();
-  }
-
-  private drawPreview(): void {
-    const { text, pictures } = this.current;
-    fill(this.preview, ...formatGuide(text), pictures.length > 0 && h("div", { class: "examples" }, ...pictures.map(pictureFigure)));
-  }
-
-  private drawRows(): void {
-    fill(this.rows, ...this.pictures.map((picture, index) => this.rowOf(picture, index)));
-  }
-
-  private rowOf(picture: GuidePicture, index: number): HTMLElement {
-    const set = (change: Partial<GuidePicture>): void => {
-      this.pictures = this.pictures.map((own, at) => (at === index ? { ...own, ...change } : own));
-      this.changed();
+  protected override render(): TemplateResult {
+    const { text, pictures } = this.guide;
+    const how = "Plain text. A line that begins with # is a heading, one with - an item of a list; an empty line ends a paragraph.";
+    const picked = ({ target }: Event): void => {
+      const input = target as HTMLInputElement;
+      const chosen = input.files?.[0];
+      if (chosen) this.try(this.upload(chosen).finally(() => (input.value = "")));
     };
-    const caption = input("text", picture.caption, { maxlength: 300 });
-    caption.addEventListener("input", () => set({ caption: caption.value }));
-    const right = select([["right", "right"], ["wrong", "wrong"]], picture.right ? "right" : "wrong");
-    right.addEventListener("change", () => set({ right: right.value === "right" }));
-    const thumbnail = h("img", { class: "thumbnail", attrs: { alt: "" } });
-    thumbnail.src = pictureUrl(picture.name);
-    const remove = (): void => {
-      this.pictures = this.pictures.filter((_, at) => at !== index);
-      this.drawRows();
-      this.changed();
-    };
-    const button = h("button", { class: "danger", attrs: { "aria-label": `Remove ${picture.name}` }, on: { click: remove } }, "Remove");
-    return h("li", { class: "row" }, thumbnail, field(`Caption of ${picture.name}`, caption), field("It shows what is", right), button);
+    const more = html`<ul class="picture-rows plain">${pictures.map((picture) => this.rowOf(picture))}</ul>
+      <label class="field">Add a picture (PNG, JPEG, GIF or WebP, up to 2 MB)
+        <input type="file" accept="image/png,image/jpeg,image/gif,image/webp" @change=${picked} /></label>`;
+    return html`<h2>Edit: ${this.heading}</h2>
+      <div class="halves">
+        <div>
+          <label class="field">Text<textarea rows="14" .value=${live(text)} @input=${(event: Event) => this.change({ text: valueOf(event) })}></textarea></label>
+          <p class="note">${how}</p>
+          ${this.kind === null ? nothing : more}
+        </div>
+        <div>
+          <h3>Preview</h3>
+          <div class="guide-preview box">${formatGuide(text)}<div class="examples grid">${pictures.map(pictureFigure)}</div></div>
+        </div>
+      </div>
+      <div class="row">${action("Save", "", () => this.try(this.commit()), "primary")}${action("Cancel", "", () => this.try(this.cancel()))}</div>`;
+  }
+
+  private rowOf(picture: GuidePicture): TemplateResult {
+    const { name, caption, right } = picture;
+    const put = (...changed: GuidePicture[]): void => this.change({ pictures: this.guide.pictures.flatMap((own) => (own === picture ? changed : [own])) });
+    return html`<li class="row">
+      <img alt="" height="48" src=${`/api/v1/${picturePath(name)}`} />
+      <label class="field">Caption of ${name}
+        <input type="text" maxlength="300" .value=${live(caption)} @input=${(event: Event) => put({ ...picture, caption: valueOf(event) })} /></label>
+      <label class="field">It shows what is
+        <select .value=${live(right ? "right" : "wrong")} @change=${(event: Event) => put({ ...picture, right: valueOf(event) === "right" })}>
+          <option value="right">right</option>
+          <option value="wrong">wrong</option>
+        </select></label>
+      <button type="button" class="danger" aria-label=${`Remove ${name}`} @click=${() => put()}>Remove</button>
+    </li>`;
   }
 
   private async upload(file: File): Promise<void> {
     const stored = await this.app.api.get<PictureInfo[]>("guide/pictures");
     const name = pictureName(file.name, new Set(stored.map((picture) => picture.name)));
-    await this.app.api.json<PictureInfo>("PUT", `guide/pictures/${encodeURIComponent(name)}`, file);
+    await this.app.api.json<PictureInfo>("PUT", picturePath(name), file);
     this.touched.add(name);
-    this.pictures = [...this.pictures, { name, caption: "", right: true }];
-    this.drawRows();
-    this.changed();
-    this.rows.querySelector<HTMLInputElement>("li:last-child input")?.focus();
+    this.change({ pictures: [...this.guide.pictures, { name, caption: "", right: true }] });
+    this.focusOn("li:last-child input");
   }
 
   private async commit(): Promise<void> {
-    const { current } = this;
-    const unnamed = current.pictures.find((picture) => picture.caption.trim() === "");
+    const unnamed = this.guide.pictures.find((picture) => picture.caption.trim() === "");
     if (unnamed) throw new Error(`say in the caption what ${unnamed.name} shows`);
-    await this.save(current);
+    await this.save(this.guide);
     localStorage.removeItem(this.kept);
     this.app.toasts.show("The guide is saved.");
     await this.sweep();
@@ -170,7 +151,11 @@ class GuideEditor {
     const guide = await this.app.api.get<Guide>("guide");
     const used = new Set(Object.values(guide.kinds).flatMap((own) => own.pictures.map((picture) => picture.name)));
     for (const name of this.touched) {
-      if (!used.has(name)) await this.app.api.json<void>("DELETE", `guide/pictures/${encodeURIComponent(name)}`);
+      if (!used.has(name)) await this.app.api.json<void>("DELETE", picturePath(name));
     }
   }
 }
+
+const valueOf = ({ target }: Event): string => (target as HTMLInputElement).value;
+
+define("guide-editor", GuideEditor);

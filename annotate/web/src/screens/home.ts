@@ -36,16 +36,16 @@ export async function openHome(app: App): Promise<Screen> {
       ["complete", queue.done],
       ["in all", queue.total],
     ]);
-    const note = own && own.needed > 0 ? html`<p class=${own.passed ? "practice-note passed" : "practice-note"}>${practiceWords(own)}</p>` : nothing;
-    return element(html`<section class="card queue" data-kind=${kind}>
+    const note = own && own.needed > 0 ? html`<p class=${`practice-note edged${own.passed ? " passed" : ""}`}>${practiceWords(own)}</p>` : nothing;
+    return element(html`<section class="card queue col" data-kind=${kind}>
       <h2>${KIND_WORDS[kind]}</h2>
       <p>${WHAT[kind]}</p>
       ${note}${meter}${figures} ${queue.held > 0 ? html`<p class="note">${inWork(queue)}</p>` : nothing}
-      ${queue.open > 0 ? start : html`<p class="note">Nothing for you at present.</p>`}
+      ${queue.open > 0 ? html`<div>${start}</div>` : html`<p class="note">Nothing for you at present.</p>`}
     </section>`);
   };
   const returned = home.returned.map(
-    (task) => html`<li>
+    (task) => html`<li class="row">
       ${app.link(`${ROUTE_OF[task.kind]}/${task.task}`, `Fix task ${task.task}`, "button")}
       <span>${task.comment || "no comment"}</span>
       <span class="note">yours alone ${until(task.until)}</span>
@@ -53,7 +53,7 @@ export async function openHome(app: App): Promise<Screen> {
   );
   const fix = html`<section class="card returned">
     <h2>Fix ${returned.length} returned ${returned.length === 1 ? "task" : "tasks"}</h2>
-    <ul>${returned}</ul>
+    <ul class="plain col">${returned}</ul>
   </section>`;
   const today = figuresOf([
     ["by you", home.today],
@@ -65,7 +65,7 @@ export async function openHome(app: App): Promise<Screen> {
   const page = element(html`<div class="page home">
     <h1>Good to see you, ${app.me.user.name}</h1>
     ${returned.length > 0 ? fix : nothing}
-    <div class="cards">${home.queues.map(card)}</div>
+    <div class="cards grid">${home.queues.map(card)}</div>
     <section class="card">
       <h2>Today</h2>
       ${today}

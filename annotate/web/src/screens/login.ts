@@ -5,7 +5,7 @@ import { reason } from "../api";
 import type { App, Opening } from "../app";
 import { element } from "../components/component";
 import { h } from "../dom";
-import { deaf } from "../ui";
+import { deaf, openDialog } from "../ui";
 import type { Me } from "../wire";
 
 export function showLogin(app: App, opening: Opening): Promise<Me | null> {
@@ -16,7 +16,7 @@ export function showLogin(app: App, opening: Opening): Promise<Me | null> {
       dialog.remove();
       resolve(me);
     };
-    const input = h("input", { id: "token", attrs: { type: "password", autocomplete: "current-password", spellcheck: "false", required: true } });
+    const input = h("input", { attrs: { id: "token", type: "password", autocomplete: "current-password", spellcheck: "false", required: true } });
     const trouble = h("p", { class: "trouble", attrs: { role: "alert" } });
     const button = h("button", { class: "primary", attrs: { type: "submit" } }, "Log in");
     const cancel = h("button", { data: { choice: "Cancel" }, on: { click: () => close(null) } }, "Cancel");
@@ -35,21 +35,15 @@ export function showLogin(app: App, opening: Opening): Promise<Me | null> {
     const how = over
       ? "Log in again to continue. Your text is stored in this browser and is sent after login."
       : "Paste your token. The operator of this server creates one with “stance annotate DATASET user add NAME”.";
-    const form = html`<form class="login-form" @submit=${submit}>
-      <h1 id="login-title">${over ? "Your session has ended" : "Log in"}</h1>
+    const form = html`<form class="col" @submit=${submit}>
       <p>${how}</p>
       <label for="token">Token</label>
       ${input}${trouble}
       <div class="row">${button}${over ? cancel : nothing}</div>
     </form>`;
-    const dialog = element<HTMLDialogElement>(html`<dialog class="dialog login" aria-labelledby="login-title" tabindex="-1">${form}</dialog>`);
-    dialog.addEventListener("cancel", (event) => {
-      event.preventDefault();
-      if (over) close(null);
-    });
+    const dialog = openDialog(over ? "Your session has ended" : "Log in", () => over && close(null), element(form));
+    dialog.classList.add("login");
     dialog.addEventListener("keydown", (event) => event.stopPropagation());
-    document.body.append(dialog);
-    dialog.showModal();
     if (opening !== "unasked") return input.focus();
     // Letters meant for the page shall not become a part of the token.
     dialog.focus();

@@ -22,10 +22,10 @@ async function maskScreen(app: App, view: TaskView): Promise<Screen> {
   const session = await TaskSession.open<MaskTextAnswer>(app, view, BLANK_MASKS, (answer) => editor?.setAnswer(answer));
   editor = new MaskEditor(app, hostOf(app, view, session), view.suggestions, session.answer, stage);
   const source = element(html`<div class="captions">
-    <h2>${captions.length > 1 ? "Captions of the source" : "Caption of the source"}</h2>
+    <h2 class="note">${captions.length > 1 ? "Captions of the source" : "Caption of the source"}</h2>
     ${captions.length > 0 ? listOf(captions) : html`<p class="note">The source has none.</p>`}
   </div>`);
-  const rule = element(html`<p class="rule">
+  const rule = element(html`<p class="rule edged">
     <strong>Choose the active parts</strong> — not those that stand still or only support. Then describe what each mask does.
     ${app.guideButton()}
   </p>`);

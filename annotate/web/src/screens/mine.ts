@@ -27,8 +27,8 @@ class MyAnswersScreen implements Screen {
   readonly title = "My answers";
   // The arrows go through the list as through the cards of a task.
   readonly scopes = ["transport", "pair", "mask"] as const;
-  private readonly list = h("div", { class: "shelf-list" });
-  private readonly details = h("div", { class: "answer-details" });
+  private readonly list = h("div", { class: "shelf-list col tight" });
+  private readonly details = h("div", { class: "answer-details box selected" });
   private readonly standing: HTMLSelectElement;
   private readonly kind: HTMLSelectElement;
   private items: MyAnswer[] = [];
@@ -47,7 +47,7 @@ class MyAnswersScreen implements Screen {
     };
     this.standing = filter("standing", "any", STANDINGS.map((standing) => [standing, STANDING_WORDS[standing]] as const));
     this.kind = filter("kind", "all", TASK_KINDS.map((kind) => [kind, KIND_WORDS[kind]] as const));
-    const filters = h("div", { class: "filters" }, field("State", this.standing), field("Kind", this.kind));
+    const filters = h("div", { class: "filters halves" }, field("State", this.standing), field("Kind", this.kind));
     const panel = panelOf("My answers", [h("h2", {}, "My answers"), filters, this.list]);
     this.element = h("div", { class: "work mine" }, h("div", { class: "viewer" }), panel);
   }
@@ -160,8 +160,7 @@ class MyAnswersScreen implements Screen {
       h(
         "div",
         { class: "row" },
-        standing === "returned" && plainButton("Fix it", () => app.go(route), "primary"),
-        standing === "draft" && plainButton("Go on with it", () => app.go(route), "primary"),
+        holds && plainButton(standing === "draft" ? "Go on with it" : "Fix it", () => app.go(route), "primary"),
         item.feedback && plainButton("See the known answer", () => app.go(`feedback/${task.id}`)),
         item.can_take_back && !item.feedback && plainButton("Take back and change", () => this.try(takeBack())),
         !item.can_take_back && !holds && h("span", { class: "note" }, "It can no longer be taken back."),
@@ -175,7 +174,7 @@ class MyAnswersScreen implements Screen {
     const lines = describe(parts, answer).map((line, index) => {
       const mask = answer.kind === "mask_text" ? answer.masks[index] : undefined;
       if (!mask || answer.kind !== "mask_text") return line;
-      const show = plainButton("show", () => this.shown?.stage.paintAnswer({ ...answer, masks: [mask] }), "phrase");
+      const show = plainButton("show", () => this.shown?.stage.paintAnswer({ ...answer, masks: [mask] }), "phrase small");
       setAttr(show, "aria-label", `Show ${parts.phrases(mask.parts)} on the body`);
       return h("span", {}, `${line} `, show);
     });

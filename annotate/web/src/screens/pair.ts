@@ -79,7 +79,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
     above: [
       ...notes,
       bundleDots(task, openItem),
-      h("p", { class: "rule" }, rule, app.guideButton()),
+      h("p", { class: "rule edged" }, rule, app.guideButton()),
       facts.length > 0 && listOf(facts, "facts"),
       quotas,
     ],
@@ -108,5 +108,5 @@ function bundleDots(task: Task, open: (item: BundleItem) => void): HTMLElement |
     setAttr(dot, "aria-current", item.task === task.id ? "true" : null);
     return dot;
   });
-  return h("div", { class: "bundle", attrs: { role: "group", "aria-label": "Pairs of this bundle" } }, ...dots);
+  return h("div", { class: "row tight", attrs: { role: "group", "aria-label": "Pairs of this bundle" } }, ...dots);
 }

@@ -54,7 +54,7 @@ function introduction(app: App, kinds: readonly Practice[]): Screen {
       answer beside yours and says what differs.
     </p>
     <p>Nobody reviews practice, and it does not count as your work. You may try a task as often as you like.</p>
-    <div class="cards">${kinds.map((practice) => practiceCard(app, practice))}</div>
+    <div class="cards grid">${kinds.map((practice) => practiceCard(app, practice))}</div>
   </div>`);
   return pageScreen("Practice", page, page.querySelector<HTMLElement>("button.primary") ?? page.querySelector("h1"));
 }
@@ -75,7 +75,7 @@ function practiceCard(app: App, practice: Practice): HTMLElement {
     ["opens real work", percent(threshold)],
   ]);
   const progress = h("progress", { attrs: { max: needed, value: done, "aria-label": `Practice of ${KIND_WORDS[kind]}: tasks done` } });
-  return element(html`<section class="card queue" data-kind=${kind}>
+  return element(html`<section class="card queue col" data-kind=${kind}>
     <h2>${KIND_WORDS[kind]}</h2>
     <p data-standing=${passed ? "passed" : "open"}>${practiceWords(practice)}</p>
     ${needed > 0 ? [progress, figures] : nothing}

@@ -39,12 +39,10 @@ export async function openReview(app: App, argument: string): Promise<Screen> {
   const queue = QUEUES.find(([name]) => name === argument)?.[0] ?? "disagreement";
   const next = await app.api.post<ReviewNext>("review/next", { queue });
   if (next.review) return reviewScreen(app, queue, next.review);
-  const lines: string[] = [];
-  if (next.empty) {
-    lines.push(`${next.empty.waiting} submitted tasks are in this queue.`);
-    if (next.empty.mine > 0) lines.push(`${next.empty.mine} of them you answered yourself; others review those.`);
-    if (next.empty.in_review > 0) lines.push(`${next.empty.in_review} are with another reviewer.`);
-  }
+  const { waiting = 0, mine = 0, in_review = 0 } = next.empty ?? {};
+  const lines = [`${waiting} submitted tasks are in this queue.`];
+  if (mine > 0) lines.push(`${mine} of them you answered yourself; others review those.`);
+  if (in_review > 0) lines.push(`${in_review} are with another reviewer.`);
   const own = reviewTabs(app, `review/${queue}`);
   const element = h("div", { class: "page empty" }, h("h1", {}, "Nothing to review now"), own, listOf(lines));
   return pageScreen("Review", element, own.querySelector("a"));

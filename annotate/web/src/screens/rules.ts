@@ -3,9 +3,9 @@
 import { html, nothing } from "lit";
 import { ApiError } from "../api";
 import type { App, Screen } from "../app";
-import { element } from "../components/component";
+import { element, figureTable, type Column } from "../components/component";
 import { fill, h, type Child } from "../dom";
-import { alertLine, ask, button, field, input, inSteps, percent, select, table, tell } from "../ui";
+import { alertLine, ask, button, field, input, inSteps, percent, select, tell } from "../ui";
 import {
   RULE_KINDS,
   TASK_KINDS,
@@ -18,7 +18,7 @@ import {
   type Settings,
   type TaskPage,
 } from "../wire";
-import { KIND_WORDS, RULE_WORDS } from "../words";
+import { KIND_WORDS, RULE_WORDS, plural } from "../words";
 import { listOf, widePage } from "./frame";
 import { taskTabs } from "./tasks";
 
@@ -33,10 +33,8 @@ const NEW_RULE: Rule = {
   review_percent: 20,
 };
 
-const plural = (count: number, word: string): string => `${count} ${word}${count === 1 ? "" : "s"}`;
-
 export async function openRules(app: App): Promise<Screen> {
-  const box = h("div", { class: "dashboard rules" });
+  const box = h("div", { class: "dashboard grid" });
   const isAdmin = app.may("admin");
   let people: readonly Person[] = [];
 
@@ -67,21 +65,17 @@ export async function openRules(app: App): Promise<Screen> {
   const replace = (rule: Rule): Promise<void> => save((rules) => rules.map((own) => (own.name === rule.name ? rule : own)));
 
   const rulesTable = (rules: readonly RuleState[]): HTMLElement =>
-    table(
-      "Rules of acceptance",
-      ["Rule", "Accepts", "Only", "Left to reviewers", "Is", "Accepted", "Would accept now", "Would leave to reviewers now", ...(isAdmin ? [""] : [])],
-      rules.map(({ rule, known, accepted, would_accept, left_to_review }, index) => [
-        h("code", { data: { rule: rule.name } }, rule.name),
-        known ? acceptsOf(rule) : "",
-        known ? onlyOf(rule) : "",
-        known ? `${rule.review_percent} %` : "",
-        known ? (rule.enabled ? "on" : "off") : "removed",
-        accepted === 0 ? 0 : app.link(`tasks?rule=${encodeURIComponent(rule.name)}`, String(accepted)),
-        known ? would_accept : "",
-        known ? left_to_review : "",
-        ...(isAdmin ? [buttonsOf(rules[index] as RuleState, index)] : []),
-      ]),
-    );
+    element(figureTable("Rules of acceptance", rules, isAdmin ? [...columns, ["", buttonsOf]] : columns));
+  const columns: readonly Column<RuleState>[] = [
+    ["Rule", ({ rule }) => html`<code data-rule=${rule.name}>${rule.name}</code>`],
+    ["Accepts", ({ rule, known }) => (known ? acceptsOf(rule) : "")],
+    ["Only", ({ rule, known }) => (known ? onlyOf(rule) : "")],
+    ["Left to reviewers", ({ rule, known }) => (known ? `${rule.review_percent} %` : "")],
+    ["Is", ({ rule, known }) => (known ? (rule.enabled ? "on" : "off") : "removed")],
+    ["Accepted", ({ rule, accepted }) => (accepted === 0 ? 0 : app.link(`tasks?rule=${encodeURIComponent(rule.name)}`, String(accepted)))],
+    ["Would accept now", (own) => (own.known ? own.would_accept : "")],
+    ["Would leave to reviewers now", (own) => (own.known ? own.left_to_review : "")],
+  ];
   const buttonsOf = ({ rule, known, accepted }: RuleState, index: number): HTMLElement => {
     // The name of a button says which rule it is for.
     const named = (label: string, run: () => Promise<void>): HTMLElement => {
@@ -231,7 +225,7 @@ function ruleForm(old: Rule, isNew: boolean, people: readonly Person[]): { body:
       group("Kinds (none chosen: all)", kinds.row),
       h(
         "div",
-        { class: "numbers" },
+        { class: "numbers grid" },
         field("Fewest answers of a task", answers),
         field("Answers apart by at most, %", apart),
         field("Left to reviewers, % of those that fit", share),

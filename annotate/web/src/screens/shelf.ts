@@ -14,7 +14,7 @@ type Item = Shelf["items"][number];
 
 export async function openShelf(app: App): Promise<Screen> {
   const viewer = app.viewer();
-  const list = h("div", { class: "shelf-list" });
+  const list = h("div", { class: "shelf-list col tight" });
   const query = input("search");
   const part = select<string>([["", "any part"], ...app.parts.release.map(({ name, phrase }) => [name, phrase] as const)]);
   let items: Item[] = [];

@@ -130,13 +130,13 @@ export class PairView {
     const { viewer } = this;
     const deeds: Deeds = {
       side_by_side: () => {
-        const ghost = viewer.currentLayout !== "ghost";
-        viewer.setLayout(ghost ? "ghost" : "side_by_side");
+        const ghost = viewer.view.layout !== "ghost";
+        viewer.setView({ layout: ghost ? "ghost" : "side_by_side" });
         void this.app.savePrefs({ ghost });
       },
-      swap: () => viewer.swap(),
+      swap: () => viewer.setView({ swapped: !viewer.view.swapped }),
       largest_difference: () => this.toLargest(),
-      align_roots: () => this.setTogether(!viewer.isTogether),
+      align_roots: () => this.setTogether(!viewer.view.together),
       align: () => this.align(),
     };
     return perform(deeds, action) || viewer.perform(action, ten);
@@ -148,7 +148,7 @@ export class PairView {
       keyButton(label, withKeys ? this.app.keys.hint(action) : "", () => this.perform(action, false));
     const buttons = h(
       "div",
-      { class: "view-buttons", attrs: { role: "group", "aria-label": "Views" } },
+      { class: "row small", attrs: { role: "group", "aria-label": "Views" } },
       one("Ghost", "side_by_side"),
       one("Roots together", "align_roots"),
       one("Swap", "swap"),
@@ -165,19 +165,19 @@ export class PairView {
       .reduce((a, b) => (b.value > a.value ? b : a));
     this.viewer.clock.seek(best.column);
     // The strip compares poses without place and heading; the ghost shows that frame so, too.
-    if (this.viewer.currentLayout === "ghost" && !this.viewer.isTogether) this.setTogether(true);
+    if (this.viewer.view.layout === "ghost" && !this.viewer.view.together) this.setTogether(true);
   }
 
   private setTogether(together: boolean): void {
-    this.viewer.setTogether(together);
+    this.viewer.setView({ together });
     const words = together ? "The ghost stands where the other body stands." : "Both bodies stand where they were recorded.";
     this.app.toasts.show(words, { id: "together", ms: 2500 });
   }
 
   /** Stretches the clips for viewing only; stored data does not change. */
   private async align(): Promise<void> {
-    const stretch = !this.viewer.isStretched;
-    this.viewer.setStretch(stretch);
+    const stretch = !this.viewer.view.stretch;
+    this.viewer.setView({ stretch });
     await this.loadDiff(stretch ? "stretch" : "none");
     const words = stretch ? "Both motions are spread over the same time, for viewing only." : "Both motions run in their own time.";
     this.app.toasts.show(words, { id: "align", ms: 2500 });

@@ -125,7 +125,7 @@ export async function openTasks(app: App): Promise<Screen> {
     void everybody.then((people) => actOnAll(app, current, people)).then((acted) => (acted ? again() : undefined));
   });
   const often = h("div", {});
-  const trouble = h("p", { class: "list-trouble", attrs: { role: "alert" } });
+  const trouble = h("p", { class: "list-trouble warn edged", attrs: { role: "alert" } });
   const list = new TaskList(
     app,
     (row) => app.go(`task/${row.id}`),
@@ -172,9 +172,9 @@ export async function openTasks(app: App): Promise<Screen> {
   };
   const form = h(
     "form",
-    { class: "filters", attrs: { "aria-label": "Filter" }, on: { change: apply, input: soon, submit: (event) => (event.preventDefault(), apply()) } },
+    { class: "filters halves", attrs: { "aria-label": "Filter" }, on: { change: apply, input: soon, submit: (event) => (event.preventDefault(), apply()) } },
     ...Object.values(fields).map(([label, own]) => field(label, own)),
-    h("div", { class: "filter-end" }, plainButton("Clear", clear)),
+    h("div", {}, plainButton("Clear", clear)),
   );
   /** Reads the list anew, where the reader is. */
   const again = (): Promise<void> => load(list.place.at, list.place.top);

@@ -16,12 +16,12 @@ export const PARENTS = [
 ] as const;
 
 export const PELVIS = 0;
-export const LEFT_HIP = 1;
-export const RIGHT_HIP = 2;
-export const NECK = 12;
-export const HEAD = 15;
-export const LEFT_EYE = 22;
-export const RIGHT_EYE = 23;
+const LEFT_HIP = 1;
+const RIGHT_HIP = 2;
+const NECK = 12;
+const HEAD = 15;
+const LEFT_EYE = 22;
+const RIGHT_EYE = 23;
 
 const LEFT = new Set([1, 4, 7, 10, 13, 16, 18, 20, 22, 24, 25]);
 const RIGHT = new Set([2, 5, 8, 11, 14, 17, 19, 21, 23, 26, 27]);
@@ -32,11 +32,12 @@ const RADII = [
   0.06, 0.06, 0.047, 0.047, 0.038, 0.038, 0, 0, 0.022, 0.022, 0.022, 0.022,
 ] as const;
 
-export const HEAD_RADIUS = 0.1;
-export const EYE_RADIUS = 0.017;
+const HEAD_RADIUS = 0.1;
+const EYE_RADIUS = 0.017;
+const EYE_COLOUR: Rgb = [0.12, 0.14, 0.17];
 
 /** A limb between two keypoints, rotated by the joint at its start. */
-export interface Limb {
+interface Limb {
   from: number;
   to: number;
   radius: number;
@@ -49,10 +50,10 @@ export const LIMBS: readonly Limb[] = PARENTS.flatMap((from, to) => {
   return from < 0 || radius === 0 ? [] : [{ from, to, radius, joint: from }];
 });
 
-export type Side = "left" | "right" | "middle";
+type Side = "left" | "right" | "middle";
 
 /** The side of a limb is that of its end, so that hips and collars have their side's colour. */
-export function sideOf(point: number): Side {
+function sideOf(point: number): Side {
   if (LEFT.has(point)) return "left";
   if (RIGHT.has(point)) return "right";
   return "middle";
@@ -61,7 +62,7 @@ export function sideOf(point: number): Side {
 export type Rgb = readonly [number, number, number];
 
 /** Character's own left is blue, right is orange, in every view. */
-export const SIDE_COLOURS: Readonly<Record<Side, Rgb>> = {
+const SIDE_COLOURS: Readonly<Record<Side, Rgb>> = {
   left: [0.11, 0.42, 0.83],
   right: [0.88, 0.45, 0.07],
   middle: [0.33, 0.4, 0.48],
@@ -95,14 +96,14 @@ export interface Paint {
 
 export const PLAIN: Paint = { hard: 0, soft: 0, masked: false, glow: 0 };
 
-export type Tone = "solid" | "half" | "rest";
+type Tone = "solid" | "half" | "rest";
 
 export function toneOf(paint: Paint, joint: number): Tone {
   if (!paint.masked || has(paint.hard, joint)) return "solid";
   return has(paint.soft, joint) ? "half" : "rest";
 }
 
-export function mix(a: Rgb, b: Rgb, t: number): Rgb {
+function mix(a: Rgb, b: Rgb, t: number): Rgb {
   return [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t];
 }
 
@@ -112,51 +113,62 @@ export function colourOf(paint: Paint, joint: number, side: Side): Rgb {
   return has(paint.glow, joint) ? mix(base, GLOW, 0.75) : base;
 }
 
-/** Colour between the hatching of a soft joint; `null` for joints without. */
-export function hatchOf(paint: Paint, joint: number, side: Side): Rgb | null {
-  return toneOf(paint, joint) === "half" ? restColour(side) : null;
-}
-
 function restColour(side: Side): Rgb {
   return mix(theme().rest, SIDE_COLOURS[side], 0.14);
 }
 
-export function css(colour: Rgb, alpha = 1): string {
-  const [r, g, b] = colour.map((value) => Math.round(value * 255));
-  return `rgba(${r}, ${g}, ${b}, ${alpha})`;
-}
-
 export type Vec3 = [number, number, number];
 
-export function pointAt(track: Track, frame: number, point: number, out: Vec3 = [0, 0, 0]): Vec3 {
+export function pointAt(track: Track, frame: number, point: number): Vec3 {
   const at = (frame * track.points + point) * 3;
-  out[0] = track.data[at] ?? 0;
-  out[1] = track.data[at + 1] ?? 0;
-  out[2] = track.data[at + 2] ?? 0;
-  return out;
+  return [track.data[at] ?? 0, track.data[at + 1] ?? 0, track.data[at + 2] ?? 0];
+}
+
+/** A point computed axis by axis. */
+function byAxis(value: (axis: 0 | 1 | 2) => number): Vec3 {
+  return [value(0), value(1), value(2)];
 }
 
 /** Centre of the head's sphere, from neck, head joint and eyes. */
-export function headCentre(track: Track, frame: number, out: Vec3 = [0, 0, 0]): Vec3 {
-  const neck = pointAt(track, frame, NECK);
-  const head = pointAt(track, frame, HEAD);
-  const left = pointAt(track, frame, LEFT_EYE);
-  const right = pointAt(track, frame, RIGHT_EYE);
-  for (const axis of [0, 1, 2] as const) {
+function headCentre(track: Track, frame: number): Vec3 {
+  const [neck, head, left, right] = [NECK, HEAD, LEFT_EYE, RIGHT_EYE].map((point) => pointAt(track, frame, point)) as [Vec3, Vec3, Vec3, Vec3];
+  return byAxis((axis) => {
     const eyes = (left[axis] + right[axis]) / 2;
-    out[axis] = head[axis] + 0.35 * (eyes - head[axis]) + 0.15 * (head[axis] - neck[axis]);
-  }
-  return out;
+    return head[axis] + 0.35 * (eyes - head[axis]) + 0.15 * (head[axis] - neck[axis]);
+  });
 }
 
 /** The point of the head's sphere in the direction of an eye, which shows the face. */
-export function eyeOnHead(track: Track, frame: number, eye: number, out: Vec3 = [0, 0, 0]): Vec3 {
+function eyeOnHead(track: Track, frame: number, eye: number): Vec3 {
   const centre = headCentre(track, frame);
-  pointAt(track, frame, eye, out);
-  const offset: Vec3 = [out[0] - centre[0], out[1] - centre[1], out[2] - centre[2]];
+  const seen = pointAt(track, frame, eye);
+  const offset = byAxis((axis) => seen[axis] - centre[axis]);
   const length = Math.max(1e-6, Math.hypot(...offset));
-  for (const axis of [0, 1, 2] as const) out[axis] = centre[axis] + (offset[axis] / length) * HEAD_RADIUS * 0.97;
-  return out;
+  return byAxis((axis) => centre[axis] + (offset[axis] / length) * HEAD_RADIUS * 0.97);
+}
+
+/** A limb, or a ball if it has no end of its own. */
+export interface Piece {
+  from: Vec3;
+  to: Vec3 | null;
+  radius: number;
+  colour: Rgb;
+  /** Colour between the hatching of a soft joint. */
+  hatch: Rgb | null;
+}
+
+/** What a body is drawn of; the same number of pieces for every body. */
+export function piecesOf(track: Track, frame: number, paint: Paint): Piece[] {
+  const look = (joint: number, side: Side): Pick<Piece, "colour" | "hatch"> => ({
+    colour: colourOf(paint, joint, side),
+    hatch: toneOf(paint, joint) === "half" ? restColour(side) : null,
+  });
+  return [
+    ...LIMBS.map(({ from, to, radius, joint }) => ({ from: pointAt(track, frame, from), to: pointAt(track, frame, to), radius, ...look(joint, sideOf(to)) })),
+    { from: pointAt(track, frame, PELVIS), to: null, radius: 0.11, ...look(PELVIS, "middle") },
+    { from: headCentre(track, frame), to: null, radius: HEAD_RADIUS, ...look(HEAD, "middle") },
+    ...[LEFT_EYE, RIGHT_EYE].map((eye) => ({ from: eyeOnHead(track, frame, eye), to: null, radius: EYE_RADIUS, colour: EYE_COLOUR, hatch: null })),
+  ];
 }
 
 /** Heading of the body in a frame, from its hips: the angle about the vertical from +z. The front camera uses it. */
@@ -168,26 +180,20 @@ export function headingAt(track: Track, frame: number): number {
   return Math.hypot(x, z) < 1e-6 ? 0 : Math.atan2(-z, x);
 }
 
-/** A clip moved so that its pelvis stands and faces as that of another clip at the same time; heights stay. */
+/** A clip moved so that its pelvis has the place and heading of that of another clip at the same time; heights stay. */
 export function aligned(track: Track, to: Track, frameOfOther: (frame: number) => number): Track {
   const data = new Float32Array(track.data.length);
-  const own: Vec3 = [0, 0, 0];
-  const other: Vec3 = [0, 0, 0];
-  const point: Vec3 = [0, 0, 0];
   for (let frame = 0; frame < track.frames; frame += 1) {
     const at = frameOfOther(frame);
     const turn = headingAt(to, at) - headingAt(track, frame);
     const [cos, sin] = [Math.cos(turn), Math.sin(turn)];
-    pointAt(track, frame, PELVIS, own);
-    pointAt(to, at, PELVIS, other);
+    const own = pointAt(track, frame, PELVIS);
+    const other = pointAt(to, at, PELVIS);
     for (let index = 0; index < track.points; index += 1) {
-      pointAt(track, frame, index, point);
+      const point = pointAt(track, frame, index);
       const x = point[0] - own[0];
       const z = point[2] - own[2];
-      const out = (frame * track.points + index) * 3;
-      data[out] = other[0] + x * cos + z * sin;
-      data[out + 1] = point[1];
-      data[out + 2] = other[2] - x * sin + z * cos;
+      data.set([other[0] + x * cos + z * sin, point[1], other[2] - x * sin + z * cos], (frame * track.points + index) * 3);
     }
   }
   return { ...track, data };

@@ -1,32 +1,20 @@
 /** Renderer without WebGL: draws the body as thick lines, nearest last. */
 
-import type { OrbitCamera, Projected } from "./camera";
-import type { Body, Renderer, Scene } from "./scene";
+import type { OrbitCamera } from "./camera";
+import type { Renderer, Scene } from "./scene";
 import { FLOOR, contextOf } from "./scene";
 import { theme } from "./theme";
-import {
-  EYE_RADIUS,
-  HEAD,
-  HEAD_RADIUS,
-  LEFT_EYE,
-  LIMBS,
-  RIGHT_EYE,
-  colourOf,
-  css,
-  eyeOnHead,
-  hatchOf,
-  headCentre,
-  pointAt,
-  sideOf,
-  type Vec3,
-} from "./body";
+import { piecesOf, type Piece, type Rgb } from "./body";
 
 type Project = ReturnType<OrbitCamera["projector"]>;
 
-interface Piece {
+/** A piece as it is drawn, nearer ones over others. */
+interface Drawn {
   depth: number;
-  draw: (context: CanvasRenderingContext2D) => void;
+  draw: () => void;
 }
+
+const css = (colour: Rgb): string => `rgb(${colour.map((value) => Math.round(value * 255)).join(", ")})`;
 
 export class CanvasRenderer implements Renderer {
   readonly kind = "canvas2d";
@@ -44,8 +32,8 @@ export class CanvasRenderer implements Renderer {
     drawFloor(context, project);
     for (const body of scene.bodies) {
       context.globalAlpha = body.ghost ? 0.38 : 1;
-      const pieces = piecesOf(body, project).sort((a, b) => b.depth - a.depth);
-      for (const piece of pieces) piece.draw(context);
+      const pieces = piecesOf(body.track, body.frame, body.paint).flatMap((piece) => drawnOf(context, project, piece) ?? []);
+      for (const piece of pieces.sort((a, b) => b.depth - a.depth)) piece.draw();
     }
     context.globalAlpha = 1;
   }
@@ -79,54 +67,38 @@ function drawFloor(context: CanvasRenderingContext2D, project: Project): void {
   }
 }
 
-function piecesOf(body: Body, project: Project): Piece[] {
-  const pieces: Piece[] = [];
-  const at = (point: number): Projected | null => project(pointAt(body.track, body.frame, point));
-  for (const limb of LIMBS) {
-    const from = at(limb.from);
-    const to = at(limb.to);
-    if (!from || !to) continue;
-    const side = sideOf(limb.to);
-    const colour = css(colourOf(body.paint, limb.joint, side));
-    const hatch = hatchOf(body.paint, limb.joint, side);
-    const width = Math.max(3, limb.radius * (from.scale + to.scale));
-    pieces.push({
-      depth: (from.depth + to.depth) / 2,
-      draw: (context) => {
-        context.lineCap = "round";
-        const line = (stroke: string, thickness: number, dash: number[]): void => {
-          context.strokeStyle = stroke;
-          context.lineWidth = thickness;
-          context.setLineDash(dash);
-          context.beginPath();
-          context.moveTo(from.x, from.y);
-          context.lineTo(to.x, to.y);
-          context.stroke();
-        };
-        line("rgba(28, 39, 51, 0.35)", width + 2, []);
-        line(hatch ? css(hatch) : colour, width, []);
-        if (hatch) {
-          context.lineCap = "butt";
-          line(colour, width, [4, 4]);
-        }
-        context.setLineDash([]);
-      },
-    });
+/** A piece before the camera; `null` behind it. */
+function drawnOf(context: CanvasRenderingContext2D, project: Project, { from, to, radius, colour, hatch }: Piece): Drawn | null {
+  const begin = project(from);
+  const end = to && project(to);
+  if (!begin || (to && !end)) return null;
+  if (!end) {
+    const draw = (): void => {
+      context.fillStyle = css(colour);
+      context.beginPath();
+      context.arc(begin.x, begin.y, Math.max(2, radius * begin.scale), 0, 2 * Math.PI);
+      context.fill();
+    };
+    return { depth: begin.depth, draw };
   }
-  const ball = (centre: Vec3, radius: number, fill: string): void => {
-    const seen = project(centre);
-    if (!seen) return;
-    pieces.push({
-      depth: seen.depth,
-      draw: (context) => {
-        context.fillStyle = fill;
-        context.beginPath();
-        context.arc(seen.x, seen.y, Math.max(2, radius * seen.scale), 0, 2 * Math.PI);
-        context.fill();
-      },
-    });
+  const width = Math.max(3, radius * (begin.scale + end.scale));
+  const line = (stroke: string, thickness: number, dash: number[]): void => {
+    context.strokeStyle = stroke;
+    context.lineWidth = thickness;
+    context.setLineDash(dash);
+    context.beginPath();
+    context.moveTo(begin.x, begin.y);
+    context.lineTo(end.x, end.y);
+    context.stroke();
   };
-  ball(headCentre(body.track, body.frame), HEAD_RADIUS, css(colourOf(body.paint, HEAD, "middle")));
-  for (const eye of [LEFT_EYE, RIGHT_EYE]) ball(eyeOnHead(body.track, body.frame, eye), EYE_RADIUS, "#1f242b");
-  return pieces;
+  const draw = (): void => {
+    context.lineCap = "round";
+    line("rgba(28, 39, 51, 0.35)", width + 2, []);
+    line(css(hatch ?? colour), width, []);
+    if (!hatch) return;
+    context.lineCap = "butt";
+    line(css(colour), width, [4, 4]);
+    context.setLineDash([]);
+  };
+  return { depth: (begin.depth + end.depth) / 2, draw };
 }

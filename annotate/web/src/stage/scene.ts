@@ -19,7 +19,7 @@ export interface Scene {
   pixelRatio: number;
 }
 
-/** Gives a canvas the size of a view in pixels of the screen, and returns its context, which draws in those of the page. */
+/** Sizes a canvas for a view, in device pixels, and returns its context, which draws in CSS pixels. */
 export function contextOf(canvas: HTMLCanvasElement, { width, height, pixelRatio }: Pick<Scene, "width" | "height" | "pixelRatio">): CanvasRenderingContext2D | null {
   const [wide, high] = [Math.round(width * pixelRatio), Math.round(height * pixelRatio)];
   if (canvas.width !== wide || canvas.height !== high) {
@@ -31,7 +31,7 @@ export function contextOf(canvas: HTMLCanvasElement, { width, height, pixelRatio
   return context;
 }
 
-/** Pixels of the screen to one of the page, as far as the eye sees them. */
+/** Device pixels to a CSS pixel, at most 2: the eye sees no more. */
 export const pixelRatio = (): number => Math.min(2, window.devicePixelRatio || 1);
 
 export interface Renderer {

@@ -1,4 +1,4 @@
-/** A view of bodies, drawn by Canvas 2D without WebGL or when its context is lost, with tags and mouse control. */
+/** A view of bodies with tags and mouse control. Canvas 2D draws it where WebGL is missing or its context is lost. */
 
 import { h } from "../dom";
 import { OrbitCamera, type Preset } from "./camera";
@@ -46,7 +46,7 @@ export class Stage {
       this.renderer.canvas,
       this.overlay,
       this.caption,
-      h("div", { class: "stage-sides", attrs: { "aria-hidden": "true" } },
+      h("div", { class: "stage-sides note", attrs: { "aria-hidden": "true" } },
         h("span", { class: "side-left" }, "L left"),
         h("span", { class: "side-right" }, "R right"),
         h("span", {}, "sides are the character's own"),

@@ -1,41 +1,24 @@
 /** Colours of the stage and the strips, which are drawn on canvases and do not see the style sheet. */
 
-export interface Theme {
+/** Each colour in light and in dark. */
+const COLOURS = {
   /** Behind the bodies, and rows of a strip without values. */
-  ground: string;
-  empty: string;
+  ground: ["#eef1f4", "#171d24"],
+  empty: ["#e7ebef", "#242c35"],
   /** Lines of the floor: each half metre, each metre, and its axes. */
-  faint: string;
-  line: string;
-  axis: string;
+  faint: ["#dfe4e9", "#20272f"],
+  line: ["#c9d1d9", "#2b343e"],
+  axis: ["#a9b5c1", "#475361"],
   /** Limbs outside a mask. */
-  rest: readonly [number, number, number];
+  rest: [[0.78, 0.8, 0.83], [0.36, 0.39, 0.43]],
   /** Over what is outside the loop. */
-  outside: string;
-  playhead: string;
-}
+  outside: ["rgba(238, 241, 244, 0.72)", "rgba(18, 23, 29, 0.72)"],
+  playhead: ["#16202b", "#f2f5f8"],
+} as const;
 
-const LIGHT: Theme = {
-  ground: "#eef1f4",
-  empty: "#e7ebef",
-  faint: "#dfe4e9",
-  line: "#c9d1d9",
-  axis: "#a9b5c1",
-  rest: [0.78, 0.8, 0.83],
-  outside: "rgba(238, 241, 244, 0.72)",
-  playhead: "#16202b",
-};
+export type Theme = { readonly [K in keyof typeof COLOURS]: (typeof COLOURS)[K][0 | 1] };
 
-const DARK: Theme = {
-  ground: "#171d24",
-  empty: "#242c35",
-  faint: "#20272f",
-  line: "#2b343e",
-  axis: "#475361",
-  rest: [0.36, 0.39, 0.43],
-  outside: "rgba(18, 23, 29, 0.72)",
-  playhead: "#f2f5f8",
-};
+const [LIGHT, DARK] = ([0, 1] as const).map((at) => Object.fromEntries(Object.entries(COLOURS).map(([name, pair]) => [name, pair[at]]))) as [Theme, Theme];
 
 const asked = globalThis.matchMedia?.("(prefers-color-scheme: dark)");
 

@@ -3,23 +3,7 @@
 import type * as Three from "../vendor-three";
 import type { Body, Renderer, Scene } from "./scene";
 import { FLOOR } from "./scene";
-import {
-  EYE_RADIUS,
-  HEAD,
-  HEAD_RADIUS,
-  LEFT_EYE,
-  LIMBS,
-  PELVIS,
-  RIGHT_EYE,
-  colourOf,
-  eyeOnHead,
-  hatchOf,
-  headCentre,
-  pointAt,
-  sideOf,
-  type Rgb,
-  type Vec3,
-} from "./body";
+import { LIMBS, piecesOf, type Rgb, type Vec3 } from "./body";
 import { theme, type Theme } from "./theme";
 
 type Lib = typeof Three;
@@ -112,30 +96,20 @@ class BodyMesh {
     this.material.opacity = ghost ? 0.38 : 1;
     this.material.depthWrite = !ghost;
     this.shadowMaterial.visible = !ghost;
-    const from: Vec3 = [0, 0, 0];
-    const to: Vec3 = [0, 0, 0];
     const { direction, position, quaternion, size, up } = this.own;
     let sphere = 0;
-    LIMBS.forEach((limb, index) => {
-      pointAt(track, body.frame, limb.from, from);
-      pointAt(track, body.frame, limb.to, to);
-      const side = sideOf(limb.to);
-      const colour = colourOf(paint, limb.joint, side);
-      const hatched = hatchOf(paint, limb.joint, side);
+    let tube = 0;
+    for (const { from, to, radius, colour, hatch } of piecesOf(track, body.frame, paint)) {
+      quaternion.identity();
+      for (const end of to ? [from, to] : [from]) this.ball(sphere++, end, radius, colour, hatch);
+      if (!to) continue;
       direction.set(to[0] - from[0], to[1] - from[1], to[2] - from[2]);
       const length = Math.max(1e-5, direction.length());
       quaternion.setFromUnitVectors(up, direction.divideScalar(length));
       position.set((from[0] + to[0]) / 2, (from[1] + to[1]) / 2, (from[2] + to[2]) / 2);
-      size.set(limb.radius, length, limb.radius);
-      this.place(this.tubes, index, colour, hatched, this.tubeRest);
-      quaternion.identity();
-      for (const end of [from, to]) this.ball(sphere++, end, limb.radius, colour, hatched);
-    });
-    quaternion.identity();
-    const middle = (joint: number): [Rgb, Rgb | null] => [colourOf(paint, joint, "middle"), hatchOf(paint, joint, "middle")];
-    this.ball(sphere++, pointAt(track, body.frame, PELVIS, from), 0.11, ...middle(PELVIS));
-    this.ball(sphere++, headCentre(track, body.frame, from), HEAD_RADIUS, ...middle(HEAD));
-    for (const eye of [LEFT_EYE, RIGHT_EYE]) this.ball(sphere++, eyeOnHead(track, body.frame, eye, from), EYE_RADIUS, [0.12, 0.14, 0.17], null);
+      size.set(radius, length, radius);
+      this.place(this.tubes, tube++, colour, hatch, this.tubeRest);
+    }
     for (const mesh of [this.spheres, this.tubes]) {
       mesh.instanceMatrix.needsUpdate = true;
       if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
@@ -145,12 +119,8 @@ class BodyMesh {
   }
 
   dispose(): void {
-    this.spheres.geometry.dispose();
-    this.tubes.geometry.dispose();
-    this.spheres.dispose();
-    this.tubes.dispose();
-    this.material.dispose();
-    this.shadowMaterial.dispose();
+    const { spheres, tubes, material, shadowMaterial } = this;
+    for (const own of [spheres.geometry, tubes.geometry, spheres, tubes, material, shadowMaterial]) own.dispose();
   }
 
   private ball(index: number, at: Vec3, radius: number, colour: Rgb, hatched: Rgb | null): void {

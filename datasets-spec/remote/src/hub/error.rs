@@ -27,7 +27,7 @@ pub enum Error {
         /// What is wrong with it.
         problem: &'static str,
     },
-    /// No token is known.
+    /// No token is known for the server at this address.
     #[error(
         "no token of the hub is known; make one with the right to write at {0}/settings/tokens, and set HF_TOKEN \
          or run `hf auth login`"
@@ -43,10 +43,10 @@ pub enum Error {
         /// What to do.
         remedy: &'static str,
     },
-    /// The server has no such repo or revision, or does not show it.
+    /// The server does not have this repo, revision or address, or does not show it.
     #[error("the hub has no {0}, or does not show it to this token")]
     NotFound(String),
-    /// A name is that of a dataset and of a model.
+    /// This name is that of a dataset and of a model.
     #[error("{0} is a dataset and a model; say which: --type dataset or --type model")]
     Ambiguous(String),
     /// A request failed.
@@ -93,7 +93,7 @@ pub enum Error {
         /// The name.
         path: String,
     },
-    /// The folder to write is there already.
+    /// This folder, which is to be written, is there already.
     #[error("{} is there already; choose another folder", .0.display())]
     Exists(PathBuf),
     /// A download failed.

@@ -230,10 +230,11 @@ pub fn check_pair(row: &PairRow) -> Result<(), Error> {
     meaning_of_pair(row).map(|_| ())
 }
 
-/// Checks the row of a mask by itself. Whether its motion exists, and is as long as its range, is not checked.
+/// Checks the row of a mask by itself: not whether its motion exists, nor whether its range ends within the motion.
 ///
 /// # Errors
-/// A joint is unknown or twice in the mask, the mask or its text is empty, or its range is empty, half said or too short.
+/// A joint is unknown or twice in the mask, the mask or its text is empty, or its range lacks an end, is empty or
+/// is too short.
 pub fn check_mask(row: &MaskRow) -> Result<(), Error> {
     row.range().map_err(|source| unusable(row, source))?;
     blend_of_mask(row).map(|_| ())

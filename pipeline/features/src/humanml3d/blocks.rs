@@ -10,7 +10,7 @@ use kinematics::simd::blocks::Vectors;
 use kinematics::simd::lanes::{self, Kernel, LANES};
 use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
-use super::headings::Headings;
+use super::headings::{Angles, Headings};
 use super::recipe::{
     CONTACT_THRESHOLD, FEET, FeatureError, Features, Joints, LEFT_HIP, LEFT_SHOULDER, RELATIVE_TO,
     REST_AXES, RIGHT_HIP, RIGHT_SHOULDER, SHORTEST_BONE_M,
@@ -22,8 +22,6 @@ type Turns = [Vectors<f32>; 3];
 type Block = [Vectors<f64>; NUM_BODY_JOINTS];
 /// The joints of a block and of the frame after it.
 type Run = [[[f64; LANES + 1]; 3]; NUM_BODY_JOINTS];
-/// Cosines and sines of the headings of a block and of the frame after it.
-pub(super) type Angles<'a> = (&'a [f64; LANES + 1], &'a [f64; LANES + 1]);
 /// The features of a block, by column.
 type Columns = [[f32; LANES]; HUMANML3D_WIDTH];
 

@@ -2,7 +2,8 @@
 
 use kinematics::simd::lanes::{self, Kernel, LANES};
 
-use super::blocks::Angles;
+/// Cosines and sines of the headings of a block and of the frame after it.
+pub(super) type Angles<'a> = (&'a [f64; LANES + 1], &'a [f64; LANES + 1]);
 
 /// Standard deviation in frames of the Gaussian that smooths the forward vector, and its radius: four
 /// standard deviations, as in SciPy.

@@ -154,7 +154,7 @@ pub(crate) struct Positions {
 }
 
 impl Positions {
-    /// Adds a marker's place and residual; none where it is not seen.
+    /// Adds a marker's place and residual in metres; none where it is not seen.
     pub(crate) fn add(&mut self, seen: Option<(DVec3, f64)>) {
         let plausible = seen.filter(|(place, _)| place.length() < MAX_DISTANCE_M);
         self.seen += usize::from(seen.is_some());

@@ -5,7 +5,7 @@ use crate::source::unit::rounded;
 /// Why no body was solved.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(super) enum SolveError {
-    /// The markers do not tell of a body.
+    /// The labels are of no known set, or the markers do not give the pose of a body; the text says which.
     #[error("{0}")]
     Markers(String),
     /// Nobody is of that height.

@@ -66,7 +66,8 @@ pub enum MarkerSetError {
          is a label of a known set, or a joint and an offset of three numbers"
     )]
     Syntax(#[from] serde_json::Error),
-    /// It names what there is not, says something twice, or has no markers.
+    /// A set, label or joint that it names is unknown, a label is named twice, an offset is too long, or there are no
+    /// markers. The text says which.
     #[error("marker set {0}")]
     Content(String),
 }

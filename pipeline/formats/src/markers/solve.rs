@@ -214,9 +214,9 @@ fn check_parts(joints: &[usize], set: &MarkerSet, missing: &[&str]) -> Result<bo
     match untold.is_empty() {
         true => Ok(headless),
         false => Err(SolveError::Markers(format!(
-            "too few markers of the set {} are seen on {} for the pose of a whole body; of its labels, missing are: {}; \
-             `stance ingest --markers FILE` can name further markers, or say with at_rest that these parts may stay as \
-             at rest",
+            "too few markers of the set {} are seen on {} for the pose of a whole body; of its labels, missing are: \
+             {}; `stance ingest --markers FILE` can name further markers, or say with at_rest that these parts may \
+             stay as at rest",
             set.name(),
             part::names(&untold),
             some_of(missing.iter().copied())

@@ -365,7 +365,9 @@ pub(crate) mod tests {
     use super::*;
     use crate::source::bvh::BvhFile;
     use crate::source::bvh::dialects::RigText;
-    use crate::source::release_tests::{assert_contains, assert_refused, assert_says, edited};
+    use crate::source::release_tests::{
+        assert_contains, assert_notes, assert_refused, assert_says, edited,
+    };
     use clip::check::check;
 
     fn with_map(map: &UserMap) -> ReadOptions {
@@ -443,7 +445,7 @@ pub(crate) mod tests {
             let clip = retarget(&dialect.write(&poses, &skeleton));
             assert_same_motion(&clip, &poses);
             assert_says(&clip, unit);
-            assert_says(&clip, "z is up in the file");
+            assert_notes(&clip, "z is up in the file");
         }
     }
 
@@ -563,12 +565,12 @@ pub(crate) mod tests {
         let found = read(&text);
         assert_same_motion(&found, &poses);
         assert_eq!(found.notes[0], "skeleton map mine of the user");
-        assert_says(&found, "z is up in the file");
+        assert_notes(&found, "z is up in the file");
         assert_says(&found, "unit m, as the joint map says");
         // Where its joints are not there, the file speaks for itself.
         let other = read(&RigText::smplx().write(&poses, &skeleton));
         assert_eq!(other.notes[0], "skeleton map smplx");
-        assert_says(&other, "the joint map mine does not fit the file");
+        assert_notes(&other, "the joint map mine does not fit the file");
     }
 
     #[test]
@@ -580,7 +582,7 @@ pub(crate) mod tests {
         let map = map_of(|joint| joint.name().to_owned(), r#""rest": "first-frame""#);
         let bvh = BvhFile::parse(text.as_bytes()).expect("valid");
         let clip = clip(&bvh, &with_map(&map)).expect("a body");
-        assert_says(&clip, "joint frames from the first frame");
+        assert_notes(&clip, "joint frames from the first frame");
         // Without a rest, the twist of scrambled frames is an estimate; with one it is exact.
         assert_same_motion(&clip, &poses);
     }

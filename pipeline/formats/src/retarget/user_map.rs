@@ -23,6 +23,7 @@ pub struct UserMap {
     joints: BTreeMap<Joint, String>,
     /// Metres of the file's unit.
     pub(super) unit: Option<f64>,
+    /// The axis that is up.
     pub(super) up: Option<Up>,
     /// The pose in which the source stands.
     pub(super) rest: Option<RestPose>,
@@ -76,7 +77,8 @@ pub enum UserMapError {
     /// It is not JSON, or has unknown fields.
     #[error("a joint map is JSON with name, joints and, if needed, unit, up and rest")]
     Syntax(#[from] serde_json::Error),
-    /// It names what there is not or says something twice, or its unit is not a positive number.
+    /// It names an unknown body joint, gives a source joint to two body joints, or its unit is no positive number. The
+    /// text says which.
     #[error("joint map {0}")]
     Content(String),
 }

@@ -6,6 +6,7 @@
 
 mod files;
 mod format;
+mod head;
 mod names;
 mod options;
 
@@ -36,8 +37,9 @@ pub mod webdataset;
 
 use std::path::Path;
 
-pub use self::files::{Files, HEAD_BYTES, is_pointer, read_head, refuse_pointer};
+pub use self::files::Files;
 pub use self::format::{Contents, Entry, Format, Recognised, Release, SourceFormat};
+pub use self::head::{HEAD_BYTES, is_pointer, read_head, refuse_pointer};
 use self::labels::ClipLabels;
 pub use self::names::escaped;
 pub use self::names::unique_keys;
@@ -207,7 +209,7 @@ pub fn label(
 mod tests {
     use datasets_spec::Skeleton;
 
-    use super::files::LFS_POINTER;
+    use super::head::LFS_POINTER;
     use super::release_tests::test_data;
     use super::*;
     use clip::Rejected;

@@ -69,6 +69,13 @@ pub(crate) fn assert_says(clip: &SourceClip, words: &str) {
     assert!(says(clip, words), "{words}: {:?}", clip.notes);
 }
 
+/// One of the notes of a clip is this one, word for word.
+#[track_caller]
+pub(crate) fn assert_notes(clip: &SourceClip, note: &str) {
+    let is_there = clip.notes.iter().any(|found| found == note);
+    assert!(is_there, "{note}: {:?}", clip.notes);
+}
+
 /// A text contains some words.
 #[track_caller]
 pub(crate) fn assert_contains(text: &str, words: &str) {
@@ -116,16 +123,19 @@ pub(crate) fn edited(bytes: &[u8], edits: Vec<(Index, u8)>) -> Vec<u8> {
     edited
 }
 
-/// A folder or file of the real ones, if the environment says where they are.
+/// A folder or file of the real ones; none where `STANCE_TEST_DATA` is not set.
+///
+/// # Panics
+/// If the variable is set and there is no such folder or file: a test that was asked for must not pass unrun.
+#[track_caller]
 pub(super) fn test_data(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
-    let found = root
-        .map(|root| root.join(path))
-        .filter(|path| path.exists());
-    if found.is_none() {
+    let Some(root) = std::env::var_os("STANCE_TEST_DATA") else {
         skipped(path);
-    }
-    found
+        return None;
+    };
+    let found = Path::new(&root).join(path);
+    assert!(found.exists(), "found no {}", found.display());
+    Some(found)
 }
 
 #[expect(

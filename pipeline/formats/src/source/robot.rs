@@ -3,7 +3,7 @@
 
 use pickle::{Array, Value};
 
-use super::files::UTF8_BOM;
+use super::head::UTF8_BOM;
 
 /// Columns of a Unitree G1's motion: position and quaternion of the root, and 29 joint angles. So Unitree's
 /// retargeted LAFAN1, `BeyondMimic`, Kimodo and `MuJoCo` have it.

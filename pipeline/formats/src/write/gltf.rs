@@ -384,7 +384,7 @@ mod tests {
     use super::*;
     use crate::source::ReadOptions;
     use crate::source::gltf::{keys, read};
-    use crate::source::release_tests::{assert_same_places, assert_says};
+    use crate::source::release_tests::{assert_notes, assert_same_places};
     use clip::Outcome;
 
     #[test]
@@ -442,7 +442,7 @@ mod tests {
         };
         assert_eq!(clip.motion.fps(), Fps::STORE);
         assert_eq!(clip.motion.len(), motion.len());
-        assert_says(&clip, "skeleton map smplx");
+        assert_notes(&clip, "skeleton map smplx");
         // Quaternions and times of f32 resolve 1e-7, over chains of ten joints.
         assert_same_places(&clip.motion, &motion, 1e-5);
     }

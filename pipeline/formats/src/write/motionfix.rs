@@ -68,7 +68,8 @@ impl Parameters {
     pub fn value(&self, timestamp: [f64; 2]) -> Value {
         let frames = self.trans.len();
         let joints = self.joint_positions.as_flattened().as_flattened();
-        let array = |shape: &[usize], numbers: &[f32]| Value::floats(shape, numbers.to_vec());
+        let array =
+            |shape: &[usize], numbers: &[f32]| Value::floats(shape, numbers.iter().copied());
         let rots = array(&[frames, ROTATIONS_WIDTH], self.rots.as_flattened());
         Value::dict([
             ("rots", rots),

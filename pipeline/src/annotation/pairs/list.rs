@@ -69,7 +69,7 @@ impl std::fmt::Display for RefusedLine {
     }
 }
 
-/// The lines of a CSV file, but for its header, and those that are refused.
+/// Parses the lines of a CSV file, without its header if it has one. Returns them and those that are refused.
 pub(crate) fn parse_lines<T>(
     bytes: &[u8],
     is_header: impl Fn(&StringRecord) -> bool,

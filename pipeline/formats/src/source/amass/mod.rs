@@ -90,7 +90,7 @@ fn subset_note(path: &Path) -> Option<String> {
 }
 
 /// AMASS: SMPL, SMPL-H or SMPL-X parameters in an npz archive.
-// SMPL-H at 120 fps in f8.
+// Bytes per second: SMPL-H at 120 fps in f8.
 pub const FORMAT: Format = Format::new("amass", 160_000.0, &Amass);
 
 struct Amass;

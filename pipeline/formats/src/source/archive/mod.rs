@@ -130,25 +130,29 @@ impl<'a> Unpacking<'a> {
         }
     }
 
-    /// Tells how much will be unpacked, and in the end that it was. Where nothing is, nothing is told.
-    fn tell(&self, archives: &[(String, PathBuf)], is_done: bool) {
+    /// Number and megabytes of the archives that must be unpacked before their members can be read; none without any.
+    fn packed(archives: &[(String, PathBuf)]) -> Option<(usize, u64)> {
         let packed = archives.iter().filter(|(relative, _)| {
             Kind::of_name(relative).is_some_and(|kind| !kind.is_random_access())
         });
         let sizes: Vec<u64> = packed
             .map(|(_, path)| ByPath.size(path).unwrap_or(0))
             .collect();
-        let (count, megabytes) = (sizes.len(), unpacked::shown(sizes.iter().sum()));
-        match (count, is_done) {
-            (0, _) => {}
-            (_, false) => {
-                self.progress.begin("unpack", Some(megabytes));
-                self.progress.message(&format!("MB of {count} archives"));
-            }
-            (_, true) => {
-                let told = format!("{count} archives of {megabytes} MB");
-                self.progress.finish(&told);
-            }
+        (!sizes.is_empty()).then(|| (sizes.len(), unpacked::shown(sizes.iter().sum())))
+    }
+
+    /// Tells how much will be unpacked. Where nothing is, nothing is told.
+    fn begin(&self, archives: &[(String, PathBuf)]) {
+        if let Some((count, megabytes)) = Self::packed(archives) {
+            self.progress.begin("unpack", Some(megabytes));
+            self.progress.message(&format!("MB of {count} archives"));
+        }
+    }
+
+    fn finish(&self, archives: &[(String, PathBuf)]) {
+        if let Some((count, megabytes)) = Self::packed(archives) {
+            let told = format!("{count} archives of {megabytes} MB");
+            self.progress.finish(&told);
         }
     }
 }
@@ -172,7 +176,7 @@ pub fn open_all(
         return Ok(all);
     }
     let unpacking = Unpacking::new(progress);
-    unpacking.tell(&archives, false);
+    unpacking.begin(&archives);
     let is_folder = |relative: &str| {
         let below = format!("{relative}/");
         let mut next = files.range(below.clone()..);
@@ -189,7 +193,7 @@ pub fn open_all(
             open(relative, path, 0, &unpacking)
         })
         .collect::<Result<_, Error>>()?;
-    unpacking.tell(&archives, true);
+    unpacking.finish(&archives);
     for ((relative, _), opened) in archives.iter().zip(opened) {
         if let Some(opened) = opened {
             files.remove(relative);

@@ -10,7 +10,7 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 use super::soma::tests::frame;
 use super::*;
 use crate::retarget::tests::assert_same_motion;
-use crate::source::release_tests::{assert_refused, assert_says};
+use crate::source::release_tests::{assert_notes, assert_refused, assert_says};
 use testkit::walk;
 
 /// A joint of a rig.
@@ -45,8 +45,9 @@ pub(crate) struct RigText {
 }
 
 impl RigText {
-    /// A rig of joints `NAME:BODY-JOINT`, parents first, with every frame that of the world. A joint hangs from the last
-    /// one before it in the same body joint or the one above that, or from the one that it names: `NAME:BODY-JOINT:PARENT`.
+    /// A rig of joints `NAME:BODY_JOINT` or `NAME:BODY_JOINT:PARENT`, parents first, with every frame that of the
+    /// world. The parent of a joint that names none is the last joint before it whose body joint is the same, or is the
+    /// parent of its body joint.
     fn new(joints: &str) -> Self {
         let mut found: Vec<RigJoint> = Vec::new();
         for joint in joints.split_whitespace() {
@@ -342,8 +343,8 @@ fn a_soma_file_gives_the_motion_it_was_made_of() {
     assert_eq!(rig.joints.len(), 1 + 77);
     let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
     assert_same_motion(&clip, &poses);
-    assert_says(&clip, "skeleton map soma");
-    assert_says(&clip, "joint frames from the T-pose of SOMA");
+    assert_notes(&clip, "skeleton map soma");
+    assert_notes(&clip, "joint frames from the T-pose of SOMA");
     assert_says(&clip, "unit centimetres");
     assert!((clip.source_fps.get() - 120.0).abs() < 0.01);
 }
@@ -466,8 +467,8 @@ fn soma_rigs_with_a_standing_zero_pose_are_read_by_it() {
     zero.rotations[17] = DQuat::from_rotation_z(0.785);
     rig.zero = Some(zero);
     let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
-    assert_says(&clip, "skeleton map soma");
-    assert_says(&clip, "joint frames from the zero pose");
+    assert_notes(&clip, "skeleton map soma");
+    assert_notes(&clip, "joint frames from the zero pose");
     for (found, expected) in clip.motion.poses().iter().zip(&poses) {
         let (found, expected) = (
             skeleton.global_rotations(found),
@@ -513,8 +514,8 @@ fn snapmogen_xsens_and_nokov_files_give_the_motion_they_were_made_of() {
     ] {
         let clip = read_text(&rig.write(&poses, &skeleton)).expect(map);
         assert_same_motion(&clip, &poses);
-        assert_says(&clip, &format!("skeleton map {map}"));
-        assert_says(&clip, "joint frames from the zero pose");
+        assert_notes(&clip, &format!("skeleton map {map}"));
+        assert_notes(&clip, "joint frames from the zero pose");
     }
 }
 
@@ -530,7 +531,7 @@ fn xsens_files_may_rest_with_hanging_arms() {
     zero.rotations[17] = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
     rig.zero = Some(zero);
     let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
-    assert_says(&clip, "joint frames from the zero pose");
+    assert_notes(&clip, "joint frames from the zero pose");
     assert_same_limbs(&clip, &poses, 0.06);
 }
 

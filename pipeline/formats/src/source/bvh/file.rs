@@ -8,7 +8,7 @@ use super::cursor::{Cursor, syntax};
 use super::hierarchy::parse_hierarchy;
 use super::joint::BvhJoint;
 use super::motion::{Rows, is_line_end, parse_frame_time};
-use crate::source::files::UTF8_BOM;
+use crate::source::head::UTF8_BOM;
 use clip::{Rejected, rejected};
 
 /// A parsed BVH file in its own unit, axes and joint names.

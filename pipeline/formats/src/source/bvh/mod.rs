@@ -23,15 +23,15 @@ use std::path::Path;
 pub use file::BvhFile;
 pub use joint::{Axis, BvhJoint, Channel};
 
-use super::files::UTF8_BOM;
 use super::format::{Format, Recognised, SourceFormat};
+use super::head::UTF8_BOM;
 use super::options::ReadOptions;
 use crate::retarget;
 use clip::check::FLAG_ROW_COUNT;
 use clip::{Outcome, Rejected, SourceClip};
 
 /// Biovision hierarchy: a skeleton and Euler angles, as text.
-// Measured on 318 captured clips.
+// Bytes per second: measured on 318 captured clips.
 pub const FORMAT: Format = Format::new("bvh", 40_000.0, &Bvh);
 
 struct Bvh;

@@ -31,7 +31,7 @@ fn header_error(at: usize, reason: impl Into<String>) -> Rejected {
     Rejected::read("E-C3D-HEADER", reason).at(at)
 }
 
-/// The markers of a file, whose numbers are in the unit of the options whatever it states; none if it has no markers.
+/// The markers of a file; none if it has none. A unit in the options replaces the one that the file states.
 ///
 /// # Errors
 /// `E-C3D-TRUNCATED`, `E-C3D-HEADER`, `E-C3D-PARAM`, `E-C3D-ENDIAN`, `E-C3D-ZERO` or `E-UNIT`, with the byte
@@ -430,7 +430,7 @@ fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
 }
 
 /// C3D: marker positions of an optical capture.
-// Measured on 24 captures.
+// Bytes per second: measured on 24 captures.
 pub const FORMAT: Format = Format::new("c3d", 60_000.0, &C3d);
 
 struct C3d;

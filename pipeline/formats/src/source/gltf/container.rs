@@ -10,7 +10,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use gltf::json;
 
-use crate::source::files::UTF8_BOM;
+use crate::source::head::UTF8_BOM;
 use clip::{Rejected, rejected};
 
 /// The bytes of a buffer, or why there are none.

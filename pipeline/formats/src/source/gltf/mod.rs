@@ -93,7 +93,7 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
 }
 
 /// glTF or GLB: animations of a skinned skeleton.
-// An exported character with two or three clips.
+// Bytes per second: an exported character with two or three clips.
 pub const FORMAT: Format = Format::new("gltf", 50_000.0, &Gltf);
 
 struct Gltf;

@@ -7,7 +7,7 @@ use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use pickle::npy::{self, Array};
 
-use crate::source::files::refuse_pointer;
+use crate::source::head::refuse_pointer;
 use clip::{Rejected, RotationSource, SourceClip, rejected};
 
 /// Rate of the published clips.
@@ -66,7 +66,7 @@ pub fn features(array: &Array) -> Result<Vec<[f32; HUMANML3D_WIDTH]>, Rejected> 
     Ok(in_single_precision(array))
 }
 
-/// The rows of an array in `f32`.
+/// The rows of an array `[T, WIDTH]` in `f32`.
 pub(crate) fn in_single_precision<const WIDTH: usize>(array: &Array) -> Vec<[f32; WIDTH]> {
     let (rows, _) = array.values.as_chunks::<WIDTH>();
     rows.iter()
@@ -74,7 +74,7 @@ pub(crate) fn in_single_precision<const WIDTH: usize>(array: &Array) -> Vec<[f32
         .collect()
 }
 
-/// Refuses an array of no motion: one frame is none.
+/// Refuses an array of fewer than two frames.
 pub(crate) fn check_length(num_frames: usize) -> Result<(), Rejected> {
     match num_frames {
         0 | 1 => Err(rejected!(

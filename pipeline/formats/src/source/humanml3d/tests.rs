@@ -209,8 +209,10 @@ proptest! {
 
 #[test]
 fn the_published_clip_and_its_neighbours_are_read() {
-    let Some(root) = test_data("") else { return };
-    let folder = root.join("humanml3d");
+    let pickled = test_data("motionfix_labels/statistics_motionfix.npy");
+    let (Some(folder), Some(pickled)) = (test_data("humanml3d"), pickled) else {
+        return;
+    };
     let paths = [
         "new_joint_vecs/012314.npy",
         "new_joints/012314.npy",
@@ -229,8 +231,8 @@ fn the_published_clip_and_its_neighbours_are_read() {
     let skeleton = Skeleton::smplx_neutral();
     clip::check::check(&clip.motion, &skeleton).expect("a plain motion");
 
-    let lone = |name: &str| fs::read(root.join(name)).expect("a file of the folder");
-    let style = lone("humanml3d/100style_feats/Aeroplane_FW_00_feat.npy");
+    let style = folder.join("100style_feats/Aeroplane_FW_00_feat.npy");
+    let [style, pickled] = [style, pickled].map(|path| fs::read(path).expect("readable"));
     assert_eq!(recognise_array(&style), Recognised::Motion(FORMAT));
     assert_eq!(
         read_array(&style, &skeleton)
@@ -239,7 +241,6 @@ fn the_published_clip_and_its_neighbours_are_read() {
             .len(),
         352
     );
-    let pickled = lone("motionfix_labels/statistics_motionfix.npy");
     assert_eq!(recognise_array(&pickled), Recognised::Motion(FORMAT));
     let rejected = read_array(&pickled, &skeleton).expect_err("pickled");
     assert_eq!(rejected.code, "E-PICKLE-REFUSED");

@@ -3,9 +3,8 @@
 use csv::StringRecord;
 use datasets_spec::table::Caption;
 
-use super::folder::Content;
 use crate::csv_lines;
-use crate::sidecar::{LabelCaption, Sidecar};
+use crate::sidecar::{Content, LabelCaption, Sidecar};
 
 /// Columns of a file; only the first is needed.
 const COLUMNS: [&str; 10] = [

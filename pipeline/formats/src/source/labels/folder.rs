@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::pattern::{is_pattern, matches};
 use super::{csv_file, license_text, toml_file};
-use crate::sidecar::Sidecar;
+use crate::sidecar::{Content, Sidecar};
 use crate::source::{Entry, Files, text_of_name};
 use clip::{LabelProblem, Rejected};
 
@@ -54,17 +54,6 @@ pub struct ClipLabels {
 pub struct FolderLabels {
     folders: BTreeMap<PathBuf, Folder>,
     problems: Vec<LabelProblem>,
-}
-
-/// The content of a file of labels.
-#[derive(Default)]
-pub(super) struct Content {
-    /// What is said of all clips of the folder.
-    pub(super) all: Sidecar,
-    /// Line, if there is one, name or pattern, and labels of some clips.
-    pub(super) clips: Vec<(Option<u64>, String, Sidecar)>,
-    /// What cannot be used.
-    pub(super) problems: Vec<String>,
 }
 
 /// What the files of one folder say.

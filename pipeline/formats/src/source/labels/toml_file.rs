@@ -3,8 +3,7 @@
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::folder::Content;
-use crate::sidecar::Sidecar;
+use crate::sidecar::{Content, Sidecar};
 
 /// Parses a file: the fields of a sidecar, and in table `clips` those of single clips by name or pattern.
 /// What does not parse is a problem, and the rest is used.

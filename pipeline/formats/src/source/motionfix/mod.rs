@@ -11,8 +11,9 @@ use datasets_spec::{BodyPart, Fps, Split};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde_json::Value as Json;
 
-use super::files::{Files, LFS_POINTER, refuse_pointer};
+use super::files::Files;
 use super::format::{Contents, Entry, Format, Release, SourceFormat};
+use super::head::{LFS_POINTER, refuse_pointer};
 use super::names::file_name;
 use super::options::ReadOptions;
 use super::smpl::{Parameters, column, y_up_from_z_up};
@@ -451,7 +452,7 @@ fn parse_parts(answer: &str) -> Vec<BodyPart> {
 }
 
 /// A folder of the MotionFix release.
-// Source and target in f4 at 30 fps: translation, rotations and joint positions.
+// Bytes per second: source and target in f4 at 30 fps: translation, rotations and joint positions.
 pub const FORMAT: Format = Format::new(
     "motionfix",
     (2 * 4 * 3 * (1 + 2 * NUM_BODY_JOINTS) * 30) as f64,

@@ -6,7 +6,7 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::rotation::from_axis_angle;
 use pickle::npy;
 
-use crate::source::files::refuse_pointer;
+use crate::source::head::refuse_pointer;
 use crate::source::humanml3d::check_length;
 use crate::source::smpl::Parameters;
 use clip::{Rejected, RotationSource, SourceClip, rejected};

@@ -22,7 +22,7 @@ use clip::Outcome;
 pub use array::read_array;
 
 /// Motion-X: SMPL-X parameters of 322 columns.
-// Columns in f4.
+// Bytes per second: the columns in f4.
 pub const FORMAT: Format =
     Format::new("motion-x", (4 * array::WIDTH) as f64 * array::FPS, &MotionX);
 

@@ -23,8 +23,9 @@ use datasets_spec::{Skeleton, Split};
 use features::representation_272::{Features, WIDTH, motion_of_features};
 use pickle::npy::{self, Header};
 
-use super::files::{Files, refuse_pointer};
+use super::files::Files;
 use super::format::{Contents, Entry, Format, Recognised, Release, SourceFormat, boxed};
+use super::head::refuse_pointer;
 use super::humanml3d::{
     Splits, add_captions, check_length, in_single_precision, mirrored_of, parse_list,
 };
@@ -43,6 +44,7 @@ const STATISTICS: &str = "mean_std";
 const HEAD_BYTES: u64 = 256;
 
 /// The 272 features of MotionStreamer and MotionMillion.
+// Bytes per second: the features in f4 at 30 fps.
 pub const FORMAT: Format = Format::new(
     "272",
     (size_of::<Features>() * 30) as f64,

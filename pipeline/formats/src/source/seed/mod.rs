@@ -21,7 +21,7 @@ use super::format::{Format, Release, SourceFormat, boxed};
 pub use timeline::Timelines;
 
 /// BONES-SEED.
-// 240 numbers of nine characters at 120 fps.
+// Bytes per second: 240 numbers of nine characters at 120 fps.
 pub const FORMAT: Format = Format::new("bones-seed", 260_000.0, &Seed);
 
 struct Seed;

@@ -10,7 +10,9 @@ use proptest::prelude::*;
 use super::*;
 use crate::retarget::tests::assert_same_motion;
 use crate::source::bvh::dialects::RigText;
-use crate::source::release_tests::{assert_contains, assert_says, edited, files_of, only};
+use crate::source::release_tests::{
+    assert_contains, assert_notes, assert_says, edited, files_of, only,
+};
 use crate::source::{ReadOptions, labels};
 use clip::{Outcome, Rejected};
 use testkit::walk;
@@ -221,7 +223,7 @@ fn metadata_and_temporal_labels_become_captions_and_labels() {
     assert_eq!(problem.file, LABELS);
     assert_contains(&problem.reason, "from 0.3 s to 0.1 s");
     let note = "temporal labels carried over automatically from walk_001__A425.csv";
-    assert_says(&mirrored, note);
+    assert_notes(&mirrored, note);
     let labelled = labels::attach_around(mirrored, &labels::ClipLabels::default());
     assert_says(&labelled, "a label was not used");
 }

@@ -1,6 +1,6 @@
 //! The lines of the text, and their cells.
 
-use crate::source::files::UTF8_BOM;
+use crate::source::head::UTF8_BOM;
 
 /// A line of the text.
 #[derive(Clone, Copy)]

@@ -18,16 +18,15 @@ use std::path::Path;
 use self::header::{Header, MAGIC};
 use self::lines::Lines;
 use self::rows::Rows;
-use super::files::UTF8_BOM;
 use super::format::{Format, Recognised, SourceFormat};
+use super::head::UTF8_BOM;
 use super::options::ReadOptions;
 use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, UNIT_CODE};
 use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_ROW_COUNT};
 use clip::{Outcome, Rejected, rejected};
 
-/// The markers of a file, whose numbers are in the unit of the options whatever it states. If the options are lenient,
-/// the number of rows may differ from what the header says; of too many rows, those beyond the stated number are
-/// dropped.
+/// The markers of a file. A unit in the options replaces the one that the file states. If the options are lenient, the
+/// number of rows may differ from what the header says; of too many rows, those beyond the stated number are dropped.
 ///
 /// # Errors
 /// `E-TRC-HEADER`, `E-TRC-NAMES`, `E-TRC-ROW`, `E-TRC-NUMBER`, `E-TRC-TIME` or `E-TRC-FRAMES`, each with
@@ -132,7 +131,7 @@ fn in_metres(rows: &Rows, header: &Header, unit: CaptureUnit) -> Result<Position
 }
 
 /// TRC: marker positions as text.
-// 40 markers of three coordinates of ten characters at 100 fps.
+// Bytes per second: 40 markers of three coordinates of ten characters at 100 fps.
 pub const FORMAT: Format = Format::new("trc", 120_000.0, &Trc);
 
 struct Trc;

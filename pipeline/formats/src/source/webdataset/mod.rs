@@ -11,6 +11,7 @@ use super::format::boxed;
 use super::{Files, Format, Release, SourceFormat};
 
 /// A folder of shards, or of unpacked files.
+// Bytes per second: the 69 parameters of the store in f32 at 20 fps.
 pub const FORMAT: Format = Format::new("webdataset", (4 * 69 * 20) as f64, &WebDataset);
 
 struct WebDataset;

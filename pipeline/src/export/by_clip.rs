@@ -1,0 +1,64 @@
+//! Layouts whose clips have files of their own, which can be written apart from each other.
+
+use std::path::Path;
+
+use datasets_spec::record::MotionRow;
+use datasets_spec::{Progress, Split};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::clips::Clips;
+
+/// Clips that are read and written together.
+pub(super) const PART_CLIPS: usize = 256;
+
+/// Why a clip was left out, if it was.
+pub(super) type Note = Option<String>;
+
+/// A layout whose clips have files of their own, which can be written apart from each other.
+pub(super) trait ByClip: Send + Sync {
+    /// Writes the files of a clip, and returns why it was left out, if it was.
+    fn write_clip(&self, row: MotionRow, folder: &Path) -> Result<Note, Error>;
+
+    /// Writes what depends on all clips, whose files are in the folder. The notes are in the order of the clips.
+    /// Returns the number of clips that were not left out.
+    fn finish(&self, clips: &Clips, notes: &[Note], folder: &Path) -> Result<u64, Error>;
+}
+
+impl dyn ByClip {
+    /// Writes the files of some clips, and returns a note for each.
+    pub(super) fn write(
+        &self,
+        rows: Vec<MotionRow>,
+        folder: &Path,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Note>, Error> {
+        let written = rows.into_par_iter().map(|row| {
+            let note = self.write_clip(row, folder)?;
+            progress.advance(1);
+            Ok(note)
+        });
+        written.collect()
+    }
+}
+
+/// Id, split and licence of the clips, whose licence is empty where none is known.
+pub(super) fn labels(clips: &Clips) -> Result<Vec<(String, Split, String)>, Error> {
+    let mut labels = Vec::new();
+    for shard in clips.shards(None) {
+        let ids = shard.column::<String>("id")?.into_iter();
+        let splits = shard.column::<Split>("split")?;
+        let licenses = shard.column::<Option<String>>("license")?;
+        let of_shard = ids.zip(splits).zip(licenses);
+        labels.extend(
+            of_shard.map(|((id, split), license)| (id, split, license.unwrap_or_default())),
+        );
+    }
+    Ok(labels)
+}
+
+/// Names in order, one a line.
+pub(super) fn sorted_lines(mut names: Vec<&str>) -> String {
+    names.sort_unstable();
+    names.iter().flat_map(|name| [*name, "\n"]).collect()
+}

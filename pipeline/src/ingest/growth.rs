@@ -1,0 +1,46 @@
+//! What a dataset that grows reports.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+/// What became of the clips and labels that a dataset had.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Growth {
+    /// Clips that the dataset did not have.
+    pub new: u64,
+    /// Clips that stay as they are, without their files being read.
+    pub kept: u64,
+    /// Clips that were read again although their files did not change: labels or settings did.
+    pub read_again: Vec<String>,
+    /// Clips whose files changed.
+    pub changed: Vec<String>,
+    /// Clips whose files lie elsewhere now.
+    pub moved: Vec<String>,
+    /// Clips whose files are missing; the clips stay in the dataset.
+    pub missing: Vec<String>,
+    /// Clips whose files are there and give them no more: damaged, without a key, or not asked for. They stay as
+    /// they were.
+    pub kept_unusable: Vec<String>,
+    /// Clips that left, because pruning was asked for.
+    pub pruned: Vec<String>,
+    /// Masks and pairs that stay.
+    pub labels: BTreeMap<String, u64>,
+    /// Masks and pairs that are lost, with the reason. The version before keeps them.
+    pub lost: Vec<LostLabel>,
+    /// Tables that were composed of clips that changed or went; their commands make them again.
+    pub dropped_tables: Vec<String>,
+}
+
+/// A mask or pair whose clip changed or went.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct LostLabel {
+    /// The table: masks or pairs.
+    pub table: String,
+    /// Id of the row.
+    pub id: String,
+    /// The clip.
+    pub clip: String,
+    /// The clip, and what happened to it.
+    pub reason: String,
+}

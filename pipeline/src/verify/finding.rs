@@ -1,0 +1,60 @@
+//! A defect, and the check that found it.
+
+use serde::Serialize;
+
+/// Subject of a finding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Check {
+    /// Files exist with the recorded size and hash.
+    Files,
+    /// Every table has its columns, and rows decode.
+    Schema,
+    /// Motions match their hashes and counts.
+    Contents,
+    /// Rows that name a motion or an item name an existing one and agree with it.
+    References,
+    /// Edits are unique by system, item and seed.
+    Systems,
+    /// No recording is in two splits.
+    Splits,
+    /// Sources equal ingested, quarantined and skipped.
+    Accounting,
+}
+
+impl Check {
+    /// Every check, in the order they are made.
+    pub const ALL: [Check; 7] = [
+        Self::Files,
+        Self::Schema,
+        Self::Contents,
+        Self::References,
+        Self::Systems,
+        Self::Splits,
+        Self::Accounting,
+    ];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Files => "files",
+            Self::Schema => "schema",
+            Self::Contents => "contents",
+            Self::References => "references",
+            Self::Systems => "systems",
+            Self::Splits => "splits",
+            Self::Accounting => "accounting",
+        }
+    }
+}
+
+/// A defect.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct Finding {
+    /// The check that found it.
+    pub check: Check,
+    /// The file, motion or row.
+    pub item: String,
+    /// What is wrong, with the numbers found and expected.
+    pub problem: String,
+}
